@@ -23,14 +23,14 @@ _BUILD = "import sys; sys.path.insert(0, 'release'); import backend; print(backe
 
 @pytest.fixture
 def runtime() -> Iterator[Path]:
-    """A folder for a manager of the test's own."""
+    """A folder for the test's own manager."""
     with short_folder() as folder:
         yield folder
 
 
 @pytest.fixture(scope="session")
 def shared() -> Iterator[tuple[Manager, SimBoard]]:
-    """One manager for all tests that leave it alive."""
+    """One manager for all tests that do not kill it."""
     with served() as both:
         yield both
 
@@ -50,7 +50,7 @@ def manager(shared: tuple[Manager, SimBoard]) -> Manager:
 
 @pytest.fixture
 def board(manager: Manager) -> Iterator[cm.Board]:
-    """A client of the shared manager: the camera example in its default mode, loaded anew; no stream is held open."""
+    """A client of the shared manager: the camera example in its default mode, freshly loaded, no stream open."""
     with manager.connected() as connected:
         connected.load("camera", "default", force=True)
         for stream in connected.status.streams:
@@ -64,7 +64,7 @@ class KeptContext(zmq.Context[Any]):
 
     def __init__(self) -> None:
         super().__init__()
-        object.__setattr__(self, "made", [])  # its attributes are options of the context
+        object.__setattr__(self, "made", [])  # other attributes would be options of the context
 
     def socket(self, *arguments: Any, **options: Any) -> Any:
         self.made.append(super().socket(*arguments, **options))

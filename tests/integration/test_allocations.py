@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memory for masters in the PL: what a client gets, and that it goes with it."""
+"""Memory for masters in the PL: what a client gets, and that it is freed with the client."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def memory_used(sim: SimBoard) -> int:
 
 @pytest.fixture(scope="module")
 def quiet() -> Iterator[tuple[Manager, SimBoard]]:
-    """With nothing loaded nothing else takes memory."""
+    """A manager with nothing loaded, so that nothing else takes memory."""
     with served() as both:
         yield both
 
@@ -48,7 +48,7 @@ def sim(quiet: tuple[Manager, SimBoard]) -> SimBoard:
 
 @pytest.fixture
 def board(manager: Manager, sim: SimBoard) -> Iterator[cm.Board]:
-    """A client, when what clients before it had has been given back."""
+    """A client, once the memory of earlier clients has been freed."""
     with manager.connected() as connected:
         until(lambda: memory_used(sim) == 0)
         yield connected
@@ -117,7 +117,7 @@ def test_without_a_port_a_channel_that_is_free_gives_memory(sim: SimBoard, monke
 
 
 class _all_open:  # noqa: N801 - used like a function
-    """Every channel of a board in somebody's hands."""
+    """Open every channel of a board."""
 
     def __init__(self, root: Root) -> None:
         self._channels = [cm.device.AxiDma.open(name, root) for name in cm.device.list_dma(root)]

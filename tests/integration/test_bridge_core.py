@@ -29,7 +29,7 @@ PATIENCE = 60.0
 
 
 class Told:
-    """A sink that keeps what it is told."""
+    """A sink that keeps its records."""
 
     def __init__(self) -> None:
         self.events: queue.Queue[tuple[str, Any]] = queue.Queue()
@@ -50,7 +50,7 @@ class Told:
         self.events.put(("interrupt", record))
 
     def until(self, kind: str, fits: Any = lambda _: True) -> Any:
-        """The first event of that kind for which `fits` is true; those before it are dropped."""
+        """The first event of that kind for which `fits` is true; earlier ones are dropped."""
         while True:
             name, record = self.events.get(timeout=PATIENCE)
             if name == kind and fits(record):

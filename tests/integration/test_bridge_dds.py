@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A board as a ROS 2 node on DDS, as two processes: what a node of another participant sees of it, and asks of it."""
+"""A board as a ROS 2 node on DDS: what another participant, in another process, sees of it and asks of it."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def bridge(shared: tuple[Manager, SimBoard], peer: Peer) -> Iterator[Bridge]:
 def test_a_late_subscriber_gets_the_status_and_then_every_change(bridge: Bridge, peer: Peer, board: cm.Board) -> None:
     with peer.listening("/lab/cm/status", "cm_interfaces/msg/Status", LATCHED) as statuses:
         while (first := statuses.get(timeout=PATIENCE))["mode"] != "default":
-            pass  # of before the board was loaded anew
+            pass  # from before the board was reloaded
         assert first["config_name"] == "camera"
         assert first["board"] == board.status.board
         board.mode = "edge_detection"
@@ -124,7 +124,7 @@ def test_register_writes_by_any_client_are_reported_and_so_are_interrupts(
     ):
         number = itertools.count()
 
-        def heard() -> bool:  # matched on one side is not yet heard on the other
+        def heard() -> bool:  # matched on one side does not mean matched on the other
             board.registers["focus"] = next(number) % 4 + 4
             return bool(banks.qsize() and events.qsize())
 
@@ -232,7 +232,7 @@ def _until_ended(statuses: queue.Queue[dict[str, Any]], uuid: bytes, status: int
 
 
 def _await_feedback(feedback: queue.Queue[dict[str, Any]], send: Client, result: Client) -> None:
-    """Goals are sent until their progress is heard: that we listen may be known later than that we ask."""
+    """Send goals until their feedback arrives: our subscription may be discovered after our client."""
     modes = itertools.cycle(("default", "edge_detection"))
 
     def heard() -> bool:
@@ -273,7 +273,7 @@ def test_a_goal_that_is_cancelled_ends_as_cancelled_and_the_board_is_back(
 
 
 def test_diagnostics_tell_of_the_board(bridge: Bridge, peer: Peer, board: cm.Board) -> None:
-    def ours(told: Any) -> bool:  # a status that is not current yet comes first
+    def ours(told: Any) -> bool:  # an outdated status comes first
         return bool(told["status"][0]["name"] == "lab/cm: board" and told["status"][0]["message"] == "camera/default")
 
     row = peer.next("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", EVENTS, ours)["status"][0]
@@ -298,7 +298,7 @@ def test_ros_tools_find_a_node_its_endpoints_their_hashes_and_quality(
     }
     ends: dict[bytes, Any] = {}
 
-    def found(name: str) -> Any:  # discovery takes its time
+    def found(name: str) -> Any:  # discovery takes time
         ends.update((end.key.bytes, end) for reader in readers.values() for end in reader.read(N=500))
         return next((end for end in ends.values() if (end.topic_name, end.type_name) == wanted[name]), None)
 
@@ -313,7 +313,7 @@ def test_ros_tools_find_a_node_its_endpoints_their_hashes_and_quality(
 
 
 def _node_of(peer: Peer, namespace: str, name: str) -> dict[str, Any]:
-    """As ROS's own graph cache learns of it."""
+    """The node, as ROS's own graph cache discovers it."""
     from cyclonedds.sub import DataReader
     from cyclonedds.topic import Topic
     from cyclonedds.util import duration
@@ -331,9 +331,7 @@ def _node_of(peer: Peer, namespace: str, name: str) -> dict[str, Any]:
     raise AssertionError("no such node")
 
 
-def test_an_invalid_sample_is_refused_and_the_node_goes_on(
-    bridge: Bridge, peer: Peer, board: cm.Board
-) -> None:
+def test_an_invalid_sample_is_refused_and_the_node_goes_on(bridge: Bridge, peer: Peer, board: cm.Board) -> None:
     from cyclonedds._clayer import ddspy_write
 
     client = peer.client("/lab/cm/plan", "cm_interfaces/srv/Plan")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""SIGTERM ends each bridge, whatever waits in it: for a change, for a manager that hangs or has gone, for a network."""
+"""SIGTERM ends each bridge, whatever it is waiting for: a change, a manager that hangs or has gone, a network."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ ACTION, KIND = "/cm/change_mode/_action", "cm_interfaces/action/ChangeMode"
 
 
 class OverDds:
-    """The node /cm on DDS, and who asks it."""
+    """The node /cm on DDS, and a client."""
 
     def __init__(self, runtime: Path) -> None:
         self.bridge: BridgeProcess = dds_support.Bridge(runtime, "--patience", "600")
@@ -43,7 +43,7 @@ class OverDds:
         return self._client(name, kind).call(request)
 
     def send(self, name: str, kind: str, **request: Any) -> None:
-        """Ask, and do not wait."""
+        """Send a request without waiting for the reply."""
         self._client(name, kind).send(request)
 
     def _client(self, name: str, kind: str) -> dds_support.Client:
@@ -76,7 +76,7 @@ class OverZenoh:
 
 @pytest.fixture(params=[OverDds, OverZenoh], ids=["dds", "rmw-zenoh"])
 def node(request: pytest.FixtureRequest, own: tuple[Manager, SimBoard]) -> Iterator[Any]:
-    """A node with a manager of its own, on which camera is loaded."""
+    """A node with its own manager, on which camera is loaded."""
     with own[0].connected() as board:
         board.load("camera", "default")
     made = request.param(own[0].runtime)
@@ -110,7 +110,7 @@ def test_a_bridge_ends_while_many_wait_for_a_change_and_answers_others_until_the
 ) -> None:
     manager, sim = own
     goal = {"goal_id": {"uuid": bytes(range(16))}, "goal": {"mode": "edge_detection"}}
-    with _stopped(sim.pid):  # the change begins, and does not end
+    with _stopped(sim.pid):  # the change begins, but does not end
         assert node.call(f"{ACTION}/send_goal", f"{KIND}_SendGoal", **goal)["accepted"]
         _until_busy(manager)
         for _ in range(MANY):
@@ -145,7 +145,7 @@ def test_a_bridge_ends_whose_manager_has_gone_amid_a_change(node: Any, own: tupl
 
 @pytest.fixture(scope="module")
 def member() -> Iterator[tuple[FleetBoard, Any]]:
-    """A board of a fleet, whose bridge is started anew by each test, and a session of its network."""
+    """A board of a fleet, whose bridge each test restarts, and a session of its network."""
     router = zenoh_support.Router()
     ways = ("--router", router.where, "--import-to", "/dev/null/never")
     with fleet_board("b1", ways, guests='{"*": provision}') as board:
@@ -157,7 +157,7 @@ def member() -> Iterator[tuple[FleetBoard, Any]]:
 
 @pytest.fixture
 def met(member: tuple[FleetBoard, Any]) -> tuple[FleetBoard, Any]:
-    """The same, when the network knows of the bridge."""
+    """The same, once the network knows the bridge."""
     until(lambda: [reply for reply in member[1].get("cm/b1/status", timeout=PATIENCE) if reply.ok], PATIENCE)
     return member
 
@@ -167,7 +167,7 @@ def _ask(there: Any, key: str, payload: bytes | None = None) -> None:
 
 
 def _until_taken(there: Any) -> None:
-    """The bridge takes what is asked in its order."""
+    """Wait until the bridge has taken earlier requests, which it does in order."""
     assert list(there.get("cm/b1/status", timeout=PATIENCE))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A board as a ROS 2 node over zenoh: what zenoh_ros2_sdk, which others wrote after rmw_zenoh, sees and asks of it."""
+"""A board as a ROS 2 node over zenoh: what zenoh_ros2_sdk, an independent implementation, sees and asks of it."""
 
 from __future__ import annotations
 
@@ -71,18 +71,18 @@ class Sdk:
             session.register_message_type((folder / f"{name}.msg").read_text(), f"cm_interfaces/msg/{name}")
 
     def told(self, look: str, name: str) -> Any:
-        """What it finds of a name. It asks once, and zenoh's answer may lack what another link would have told."""
+        """What it finds under a name. It asks once, and zenoh's answer may lack what another link would have added."""
         return until(lambda: dict(getattr(self.sdk, look)(**self.place)).get(name), PATIENCE)
 
     def publisher_of(self, topic: str) -> Any:
-        """Its end, as `ros2 topic info --verbose` has it."""
+        """Its endpoint, as shown by `ros2 topic info --verbose`."""
         return until(lambda: getattr(self._info(topic), "publishers", None), PATIENCE)[0]
 
     def _info(self, topic: str) -> Any:
         return self.sdk.get_topic_info(topic, verbose=True, **self.place)
 
     def listening(self, topic: str, kind: str, definition: str, qos: str) -> tuple[Any, queue.Queue[Any]]:
-        """Of what was published before, its own search for publishers finds no topic with a / within: it is helped."""
+        """A subscription; for earlier publications the SDK finds no topic with a / inside, so the test helps."""
         place = self.place
 
         class Subscriber(self.sdk.ROS2Subscriber):  # type: ignore[misc, name-defined]
@@ -128,11 +128,13 @@ def test_the_graph_of_others_has_topics_services_hashes_and_quality(bridge: Brid
     assert (quality.durability.name, quality.history_depth) == ("TRANSIENT_LOCAL", 1)
 
 
-def test_a_late_subscriber_of_another_implementation_gets_the_latched_status(bridge: Bridge, sdk: Sdk, board: cm.Board) -> None:
+def test_a_late_subscriber_of_another_implementation_gets_the_latched_status(
+    bridge: Bridge, sdk: Sdk, board: cm.Board
+) -> None:
     definition = (REPOSITORY / "ros2" / "cm_interfaces" / "msg" / "Status.msg").read_text()
     came: list[Any] = []
 
-    def late() -> bool:  # it asks for what was published before when it is made, and once
+    def late() -> bool:  # it asks for earlier publications only once, when it is made
         made, found = sdk.listening("/lab/cm/status", "cm_interfaces/msg/Status", definition, ":1:,1:,:,:,,")
         made.close()
         while not found.empty():
@@ -167,7 +169,7 @@ def test_others_send_pictures_through_the_accelerator(bridge: Bridge, sdk: Sdk, 
     fields = {"header": header, "height": 480, "width": 640, "is_bigendian": 0, "step": 640, "data": picture}
     with peer.listening("/lab/cm/from_pl/image_raw", IMAGE, Qos(5)) as back:
 
-        def came() -> bool:  # met on one side is not yet met on the other
+        def came() -> bool:  # matched on one side does not mean matched on the other
             publisher.publish(encoding="mono8", **fields)
             return not back.empty()
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What one client may take of the manager's memory, while another goes on."""
+"""How much of the manager's memory one client may use, while another goes on."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def manager(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Manager]:
 
 
 def dealer(context: zmq.Context[Any], manager: Manager) -> Any:
-    """A client that takes as little off its connection as it can."""
+    """A client that reads as little from its connection as possible."""
     made = context.socket(zmq.DEALER)
     made.setsockopt(zmq.RCVHWM, 1)
     made.setsockopt(zmq.RCVBUF, 4096)
@@ -53,7 +53,7 @@ def dealer(context: zmq.Context[Any], manager: Manager) -> Any:
 
 
 def replies(sockets: list[Any], count: int) -> list[Reply]:
-    """So many of all together, in the order in which they come."""
+    """That many replies over all connections, in the order of arrival."""
     poller = zmq.Poller()
     for socket in sockets:
         poller.register(socket, zmq.POLLIN)
@@ -71,7 +71,7 @@ def works(board: cm.Board) -> bool:
 
 
 def test_unread_answers_have_a_limit_in_bytes(manager: Manager, context: zmq.Context[Any]) -> None:
-    """Ten clients that ask for 200 MiB each: gigabytes, before."""
+    """Ten clients that ask for 200 MiB each: without a limit, gigabytes."""
     ask = encode_request(rq.ReadData("big", length=4 * MIB))
     with manager.connected() as board:
         assert works(board)
@@ -87,13 +87,13 @@ def test_unread_answers_have_a_limit_in_bytes(manager: Manager, context: zmq.Con
         assert resident_mib(manager.pid) < before + 64
     found = replies(readers, 500)
     codes = Counter(reply.error.code if reply.error else "" for reply in found)
-    assert codes[""] >= 16  # what waited was made when there was room
+    assert codes[""] >= 16  # waiting replies were made when there was room
     assert codes.keys() == {"", "busy"} or codes.keys() == {"", "busy", "too_much_waiting"}
     until(lambda: resident_mib(manager.pid) < before + 32, 60)
 
 
 def test_short_unread_answers_have_the_same_limit(manager: Manager) -> None:
-    """250 connections of a process ask for 375 MiB in answers of 15 KiB: 318 MiB more than idle, before."""
+    """250 connections of a process ask for 375 MiB in answers of 15 KiB: without a limit, 318 MiB more."""
     with manager.connected() as board:
         assert works(board)
         before = resident_mib(manager.pid)
@@ -132,7 +132,7 @@ def test_a_client_that_leaves_without_reading_leaves_nothing_behind(manager: Man
 def test_a_client_that_asks_for_many_answers_before_it_reads_loses_none(
     manager: Manager, context: zmq.Context[Any]
 ) -> None:
-    """ZeroMQ drops them beyond a thousand of a connection, unless it is told not to."""
+    """By default, ZeroMQ drops more than a thousand on a connection."""
     with manager.connected() as board:
         assert works(board)
     asker = dealer(context, manager)
@@ -187,19 +187,19 @@ def test_what_clients_take_is_reported_on_request(manager: Manager, context: zmq
 
 
 def test_subscribers_that_do_not_read_leave_a_bounded_number_of_frames_waiting(context: zmq.Context[Any]) -> None:
-    """Each that comes later keeps other frames waiting: 80 had 670 MiB, before. Who reads is not hung up on."""
+    """Each later one keeps other frames waiting: without a limit, 80 took 670 MiB. One that reads stays connected."""
     with served(arguments=("--stream-queue", "2")) as (manager, _), manager.connected() as board:
         board.load("camera", "default")
 
         def subscriber(waiting: int) -> tuple[Any, Any]:
             made = context.socket(zmq.SUB)
             made.linger, made.rcvhwm, made.rcvbuf = 0, waiting, 4096
-            made.reconnect_ivl = -1  # whose connection was ended stays away, and can be counted
+            made.reconnect_ivl = -1  # a closed connection does not reconnect, so that it can be counted
             made.subscribe(b"cm_stream/camera")
             monitor = made.get_monitor_socket(zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_DISCONNECTED)
             made.connect(f"ipc://{manager.runtime}/pub")
             assert monitor.poll(60_000)
-            monitor.recv_multipart()  # it is in
+            monitor.recv_multipart()  # it is connected
             return made, monitor
 
         def connections() -> int:
@@ -222,7 +222,7 @@ def test_subscribers_that_do_not_read_leave_a_bounded_number_of_frames_waiting(c
 
 
 def test_no_client_gets_anothers_answers_by_its_routing_id(manager: Manager, context: zmq.Context[Any]) -> None:
-    """Nor keeps them from it: whoever had the id first has it."""
+    """Nor can it keep them from arriving: the first to use an id has it."""
     ask = [b"", *encode_request(rq.ReadReg(("led",)))]
     victim, thief = (context.socket(zmq.DEALER) for _ in range(2))
     for one in (victim, thief):

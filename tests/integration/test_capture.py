@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm stream capture``: what came is in the files, whatever ended the capture."""
+"""``cm stream capture``: all frames that came are in the files, however the capture ended."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def command(manager: Manager, *arguments: str) -> list[str]:
 
 
 def begun(board: cm.Board, path: Path) -> None:
-    """Until frames are in a file."""
+    """Wait until frames are in a file."""
     until(lambda: path.exists() and len(_loaded(path)) > 1)
 
 
@@ -79,7 +79,9 @@ def test_a_change_of_mode_within_loses_no_frame(
 
 def test_ctrl_c_keeps_every_frame_that_came(board: cm.Board, manager: Manager, tmp_path: Path) -> None:
     out = tmp_path / "x.npy"
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job of a shell ignores it, and its children
+    signal.signal(
+        signal.SIGINT, signal.default_int_handler
+    )  # a shell's background job ignores it, and so do its children
     with subprocess.Popen(
         command(manager, "camera", str(out), "--count", "0", "--json"), stdout=subprocess.PIPE, env=environment()
     ) as capture:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clients that have the manager change, plan and store without end, beside another of another account.
+"""Clients that keep the manager changing, planning and storing, beside a client of another account.
 
 Over TCP without keys a client is of another account than over ipc. Counts and order are asserted, never times.
 """
@@ -29,7 +29,7 @@ from cm.messages.status import ConfigInfo, Reply
 from cm.wire.encode import decode_reply, encode_request
 from cm.wire.plane_packets import Open, encode_open
 
-# Connects so often to the data socket, says nothing, and reports when all but so many were hung up on.
+# Opens many connections to the data socket, says nothing, and reports when all but a few have been closed.
 CONNECTS = """
 import socket, sys
 made = []
@@ -51,7 +51,7 @@ def served() -> Iterator[Daemon]:
 
 
 class Client:
-    """Asks ahead, and reads its replies by their numbers."""
+    """Sends requests ahead, and reads the replies by their numbers."""
 
     def __init__(self, context: zmq.Context[Any], address: str) -> None:
         self._socket = context.socket(zmq.DEALER)
@@ -102,12 +102,12 @@ def test_a_client_that_fills_the_queue_of_changes_leaves_places_to_others(
     codes = hostile.codes(40)
     assert codes == ["ok"] * 7 + ["busy"] * 33
     other.ask(change(1), change(2))
-    assert other.codes(2) == ["ok", "busy"]  # the last place but one; and it has one already
+    assert other.codes(2) == ["ok", "busy"]  # the last place but one; it has one already
     goes_on.set()
     until(lambda: len(ended) == 8)
     until(lambda: not served.status.fpga_busy)
     hostile.ask(*[change(i) for i in range(7)])
-    assert hostile.codes(7) == ["ok"] * 7  # all were given back
+    assert hostile.codes(7) == ["ok"] * 7  # all places were given back
     until(lambda: len(ended) == 15)
 
 
@@ -164,13 +164,13 @@ def test_a_long_configuration_is_described_outside_the_loop(
     assert set(threads) == {"cm-files_0"}
     other.ask(rq.ReadConfig("camera"), rq.ReadConfig("long"), rq.ReadConfig("none"))
     assert other.codes(3) == ["ok", "ok", "unknown_config"]
-    assert threads.count("cm-files_0") == len(threads) - 2  # a short one, and none, are not worth it
+    assert threads.count("cm-files_0") == len(threads) - 2  # a short one, and none, are not worth a thread
 
 
 def test_settings_are_reread_after_one_task_however_many_wait(
     served: Daemon, hostile: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Else who is to lose a right could put that off."""
+    """Otherwise a client that is about to lose a right could delay that."""
     goes_on, began, order, run = threading.Event(), threading.Event(), [], Aside._run
 
     def noted(aside: Aside, *work: Any) -> None:
@@ -202,7 +202,7 @@ def test_a_client_that_keeps_connecting_to_the_data_socket_displaces_nobody(serv
 
 
 def test_what_a_manager_has_made_when_it_is_ready_is_never_looked_through_for_garbage(tmp_path: Path) -> None:
-    """Full collections took its loop 15 to 30 ms, the first of them when the first flood came."""
+    """Full collections took 15 to 30 ms of its loop, the first of them when the first flood came."""
     code = (
         "import gc, sys\nfrom cm.daemon.server import Server\nfrom cm.cli.main import main\n"
         "Server.serve = lambda self, ready: (ready(), self._close())\n"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What one expects of a command line: help by name, a change that can be cancelled, registers that can be watched."""
+"""What users expect of a command line: help by name, changes that can be cancelled, registers to watch."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def lines(process: subprocess.Popen[str], count: int) -> list[str]:
 def test_a_change_that_runs_is_cancelled_and_the_board_is_back(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its first load goes on when the manager has heard of the cancel: there is no second one."""
+    """Its first load continues once the manager has the cancel; there is no second load."""
     written(tmp_path, ("duo",))
     with served(schemas=tmp_path) as (manager, sim), manager.connected() as board:
         place = ["--runtime-dir", str(manager.runtime)]
@@ -80,7 +80,7 @@ def test_a_manager_that_goes_away_is_reported_once_and_waited_for(
 def test_writes_of_registers_are_watched_by_name(board: cm.Board, manager: Manager) -> None:
     stop = threading.Event()
 
-    def write() -> None:  # it is not told when the watch listens
+    def write() -> None:  # the test cannot see when the watch listens
         value = 0
         with manager.connected() as other:
             while not stop.wait(0.02):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a client promises, held by both: the blocking one and the asyncio one, over ipc and tcp."""
+"""The promises of the client, kept by both: the blocking and the asyncio one, over ipc and tcp."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def both() -> Iterator[tuple[Manager, SimBoard]]:
 
 
 def reached(manager: Manager, way: str) -> dict[str, Any]:
-    """How `connect` is called to reach it."""
+    """Arguments of `connect` to reach it."""
     if way == "ipc":
         return {"runtime_dir": manager.runtime}
     endpoints = json.loads((manager.runtime / "endpoints.json").read_text())["tcp"][0]
@@ -188,7 +188,7 @@ def test_watching_begins_with_the_present_status(board: Any) -> None:
 
 
 def _to_the_last(watch: Any) -> None:
-    """Those that were still on their way come first."""
+    """Drain the events that were still on their way."""
     while True:
         watch.next(0.05)
 
@@ -404,7 +404,7 @@ def test_the_first_frame_after_a_write_shows_what_was_written(board: Any, sim: S
 
 
 def _pictures(focus: int) -> Iterator[bytes]:
-    """All that the camera of the simulated board takes."""
+    """All pictures of the simulated board's camera."""
     for photo in camera.shipped_photos().values():
         yield camera.frame(photo, focus=focus).tobytes()
 
@@ -537,7 +537,7 @@ def test_every_call_on_a_closed_board_says_that_it_is_closed(reach: tuple[str, d
 
 @pytest.mark.parametrize("way", ["ipc", "tcp"])
 def test_a_board_that_is_closed_frees_all_threads_that_wait_in_it(way: str) -> None:
-    """None of these calls would end by itself."""
+    """None of these calls would return by itself."""
     with served(arguments=("--listen", "tcp://127.0.0.1:0", "--insecure")) as (manager, _):
         board = cm.connect(timeout=60, **reached(manager, way))
         board.load("camera", "loopback")
@@ -563,7 +563,7 @@ def test_a_board_that_is_closed_frees_all_threads_that_wait_in_it(way: str) -> N
 
 
 def test_threads_that_close_one_board_at_once_all_come_to_an_end(both: tuple[Manager, SimBoard]) -> None:
-    """While others wait in it."""
+    """Other threads are waiting in it meanwhile."""
     problems: list[BaseException] = []
 
     def ended(work: Callable[[], Any]) -> None:
@@ -612,7 +612,7 @@ def _changes(board: cm.Board, **options: Any) -> None:
 
 
 def _every_slot(writer_: writer.Writer) -> None:
-    """More than there are: nobody reads what they are sent through."""
+    """Ask for more slots than exist, with nobody reading the other end."""
     while True:
         writer_.write(PICTURE)
 
@@ -660,7 +660,7 @@ TWINS: list[tuple[type, type]] = [
     (stream.Stream, aio_stream.Stream),
     (writer.Writer, aio_writer.AsyncWriter),
 ]
-ONLY = {  # of mappings, of event loops, and of what a thread has to do itself
+ONLY = {  # for mappings, for event loops, and for what a thread has to do itself
     "Registers": {"clear", "items", "keys", "pop", "popitem", "setdefault", "update", "values"},
     "Memories": {"get", "items", "keys", "values"},
     "EventStream": {"open"},
@@ -780,7 +780,7 @@ def test_a_stream_of_a_board_that_has_no_name_goes_on(both: tuple[Manager, SimBo
 
 
 def test_objects_dropped_without_close_are_closed_at_garbage_collection(both: tuple[Manager, SimBoard]) -> None:
-    """In a process of its own: what it tries would hang, and its end must not wait either."""
+    """In a separate process: a failure would hang, and the exit must not wait either."""
     script = f"""
 import gc, cm
 where = {str(both[0].runtime)!r}

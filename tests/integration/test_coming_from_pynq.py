@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docs/coming-from-pynq.md: our side of every task runs, in the page's order, as one program."""
+"""docs/coming-from-pynq.md: this package's side of every task runs, in the page's order, as one program."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ import cm
 from cm.cli.completion import script
 from cm.cli.completion.running import names
 
-# What is typed, and what Tab makes of it (with a blank where the word is complete).
+# What is typed, and what Tab completes it to (with a blank if the word is complete).
 LINES = {
     "cm mode edg": "cm mode edge_detection ",
     "cm load camera loopback_": "cm load camera loopback_edge ",
@@ -43,7 +43,7 @@ def folder(tmp_path: Path, manager: Manager, board: cm.Board) -> Path:
 
 
 def at(folder: Path, manager: Manager) -> dict[str, str]:
-    """The surroundings of a shell of somebody who uses that manager."""
+    """The environment of a user's shell with that manager."""
     return {
         **environment(),
         "PATH": f"{folder}:{os.environ['PATH']}",
@@ -69,7 +69,7 @@ def test_tab_on_a_terminal_completes_names_of_what_runs(shell: str, folder: Path
         terminal.type(f"{begin.format(folder=folder)}; echo ready > {folder}/ready\n", folder / "ready")
         for number, (line, expected) in enumerate(LINES.items()):
             kept = folder / str(number)
-            # To the line's begin, so that what was completed is printed and not run: Ctrl-A, Ctrl-E.
+            # To the beginning of the line, so that the completion is printed and not run: Ctrl-A, Ctrl-E.
             found = terminal.type(f"{line}\t'\x01printf '%s\\n' '\x05 > {kept}\n", kept)
             assert found == f"{expected}\n"
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm conformance``: our clients and our manager pass, and what does wrong does not."""
+"""``cm conformance``: our clients and our manager pass, and clients with defects fail."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def say(*results):
 def values(frames):
     return {"values": {v.name: v.value for v in pb.Reply.FromString(frames[-1]).registers.values}}
 """
-# A client that does one thing wrong, the case that shows it, and what is said.
+# A client that does one thing wrong, the case that shows it, and the message.
 WRONG = {
     "a reply is taken for that of another request": ("late-reply", """
 message = pb.ReadReg(names=["focus"]).SerializeToString()

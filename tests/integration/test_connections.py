@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""More connections than there are descriptors: the manager goes on, and serves who has few."""
+"""More connections than descriptors: the manager goes on, and serves clients that have few."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_the_last_descriptors_are_not_used_for_connections(guarded: Guarded) -> 
     guarded.allow(before + 200)
     with idle_connections(guarded.manager.runtime / "req", 250, 2) as kept:
         assert 0 < sum(kept) <= 100
-    guarded.allow(before + 8)  # none at all: fewer than are kept back
+    guarded.allow(before + 8)  # none at all: fewer than the reserve
     with idle_connections(guarded.manager.runtime / "req", 50, 2) as kept:
         assert sum(kept) == 0
     guarded.allow(NOFILE)
@@ -118,13 +118,13 @@ def greeting(mechanism: bytes = b"NULL") -> bytes:
 
 
 def handshake(kind: bytes = b"DEALER") -> bytes:
-    """As ZMTP 3.0 has it (RFC 23)."""
+    """The handshake of ZMTP 3.0 (RFC 23)."""
     ready = b"\x05READY\x0bSocket-Type" + len(kind).to_bytes(4, "big") + kind
     return greeting() + bytes([4, len(ready)]) + ready
 
 
 def raw(path: Path, kind: bytes = b"DEALER") -> socket.socket:
-    """A peer that has shaken hands, without libzmq."""
+    """A peer after the handshake, without libzmq."""
     made = socket.socket(socket.AF_UNIX)
     made.settimeout(60)
     made.connect(str(path))
@@ -133,7 +133,7 @@ def raw(path: Path, kind: bytes = b"DEALER") -> socket.socket:
 
 
 def send_until_hung_up(peer: socket.socket, piece: bytes, times: int) -> int:
-    """How many pieces went before the manager ended the connection."""
+    """How many pieces were sent before the manager closed the connection."""
     for sent in range(times):
         try:
             peer.sendall(piece)
@@ -189,14 +189,16 @@ def test_half_messages_of_250_connections_take_no_more_than_those_of_two(guarded
         for _ in range(100):
             assert works(board)
         assert resident_mib(guarded.pid) < before + 64
-        test_a_message_of_the_maximum_length_arrives(guarded)  # of who waits, those who keep others waiting are ended
+        test_a_message_of_the_maximum_length_arrives(
+            guarded
+        )  # among connections that wait, those that keep others waiting are closed
         assert works(board)
     assert resident_mib(guarded.pid) < before + 64
 
 
 @pytest.mark.parametrize("flags", [0, 4])
 def test_before_the_handshake_a_client_may_send_only_short_commands(guarded: Guarded, flags: int) -> None:
-    """Without a key, before anybody knows who it is."""
+    """Without a key, before its identity is known."""
     before = resident_mib(guarded.pid)
     long = bytes([flags | 2]) + (1 << 20).to_bytes(8, "big")
     for mechanism, port in ((b"CURVE", 2), (b"CURVE", 0), (b"NULL", 2)):
@@ -211,7 +213,7 @@ def test_before_the_handshake_a_client_may_send_only_short_commands(guarded: Gua
 
 
 def hangs_up(peer: socket.socket) -> bool:
-    """The manager does, after what it says in the handshake."""
+    """Wait until the manager closes the connection, after its part of the handshake."""
     with suppress(ConnectionError):
         while peer.recv(4096):
             pass
@@ -227,7 +229,7 @@ def test_a_million_subscriptions_are_cut_off_after_some_thousand(guarded: Guarde
 
 
 def test_reconnecting_does_not_allow_more_subscriptions(guarded: Guarded) -> None:
-    """Else each time anew to as many as one connection may, which libzmq takes apart in one go when it ends."""
+    """Otherwise each time to as many as one connection may, which libzmq removes all at once when it ends."""
     some = b"".join(bytes([0, 11]) + b"\x01cm_%07d" % i for i in range(900))
     for _ in range(100):
         with raw(guarded.manager.runtime / "pub", b"SUB") as peer, suppress(ConnectionError):
@@ -235,7 +237,7 @@ def test_reconnecting_does_not_allow_more_subscriptions(guarded: Guarded) -> Non
             peer.recv(64)
     hung_up(guarded, b"more than 1024 topics at once")
     with cm.connect(f"tcp://127.0.0.1:{guarded.tcp[1]}", keys=str(guarded.keys), timeout=60) as board:
-        assert next(iter(board.watch(timeout=60))).mode == "default"  # another client, who does
+        assert next(iter(board.watch(timeout=60))).mode == "default"  # another client, which may
 
 
 def test_a_message_of_the_maximum_length_arrives(guarded: Guarded) -> None:
@@ -247,12 +249,12 @@ def test_a_message_of_the_maximum_length_arrives(guarded: Guarded) -> None:
         assert client.recv_multipart()[0] == b"cm_write_data"
 
 
-# ---- the same by who has a key: what it sends is encrypted, and cannot be followed so closely ----
+# ---- the same with a key: what it sends is encrypted, and cannot be checked as early -------------
 
 
 @contextmanager
 def with_keys(guarded: Guarded) -> Iterator[zmq.Socket[bytes]]:
-    """A DEALER that was let in, and notices when it is hung up on."""
+    """A DEALER that was admitted, and notices when it is disconnected."""
     keys, (host, port) = read_key_file(guarded.keys), guarded.tcp
     with zmq.Context() as context, context.socket(zmq.DEALER) as made:
         made.linger = 0
@@ -270,7 +272,7 @@ def with_keys(guarded: Guarded) -> Iterator[zmq.Socket[bytes]]:
 
 
 def hung_up(guarded: Guarded, cause: bytes) -> None:
-    """The manager says why it ended a connection, and serves on."""
+    """Check that the manager says why it closed a connection, and continues to serve."""
     assert guarded.manager.process is not None
     assert guarded.manager.process.stderr is not None
     os.set_blocking(guarded.manager.process.stderr.fileno(), False)

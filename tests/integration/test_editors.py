@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an editor knows of the package: mypy and pyright resolve an install, and its types say something."""
+"""What an editor knows about the package: mypy and pyright resolve an install, and its types are useful."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ cm.conect()
 
 @pytest.fixture(params=["editable", "wheel"])
 def python(request: pytest.FixtureRequest, installed: Path, tmp_path: Path) -> Path:
-    """An interpreter that has the package installed in that way."""
+    """An interpreter with the package installed in this way."""
     if request.param == "editable":
         return Path(sys.executable)
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", tmp_path / "venv"], check=True)
@@ -69,7 +69,7 @@ def python(request: pytest.FixtureRequest, installed: Path, tmp_path: Path) -> P
 
 
 def by_mypy(python: Path, program: Path) -> set[int]:
-    """The lines in which it sees mistakes."""
+    """The lines in which it reports mistakes."""
     pytest.importorskip("mypy", reason="needs mypy: make lint installs it")
     cache = REPOSITORY / ".mypy_cache/editors"
     done = subprocess.run(
@@ -84,7 +84,7 @@ def by_mypy(python: Path, program: Path) -> set[int]:
 
 
 def by_pyright(python: Path, program: Path) -> set[int]:
-    """The lines in which it sees mistakes."""
+    """The lines in which it reports mistakes."""
     command = [Path(sys.executable).parent / "pyright"]
     if not command[0].exists():
         pytest.skip("needs pyright: make lint installs it")

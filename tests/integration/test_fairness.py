@@ -37,7 +37,7 @@ from cm.wire.plane_packets import Open, encode_open
 CONNECTIONS, EACH = 200, 40
 ECHO = encode_open(Open("", echo=True, length=4096, depth=1))
 
-# Opens so many connections, and asks so often over each of them when it is told to; reads all answers.
+# Opens connections, sends requests over each of them when told to, and reads all answers.
 HOSTILE = """
 import sys, zmq
 folder, connections, each = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
@@ -65,12 +65,12 @@ sys.stdin.readline()
 
 
 class Order:
-    """Who was served, one after the other; what that costs is said here and not measured."""
+    """The order in which clients were served; the cost of a request is set here and not measured."""
 
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
         self.served: list[str] = []
-        self.beside: list[bool] = []  # whether others waited then
-        self.cost: dict[str, int] = {}  # of a request, in ns
+        self.beside: list[bool] = []  # whether others were waiting then
+        self.cost: dict[str, int] = {}  # nanoseconds of a request
         self.usual = 1000
         self._now = 0
         serve = Intake._serve
@@ -94,7 +94,7 @@ class Order:
         return sum(one == other == name and waited for (one, waited), (other, _) in twice)
 
     def between(self, name: str) -> list[int]:
-        """How many others were served between two of that client."""
+        """How many others were served between two requests of that client."""
         at = [i for i, served in enumerate(self.served) if served == name]
         return [after - before - 1 for before, after in pairwise(at)]
 
@@ -150,7 +150,7 @@ def tell(process: subprocess.Popen[bytes], wanted: bytes) -> None:
 
 @contextmanager
 def held(server: daemon.Server) -> Iterator[None]:
-    """The loop serves nothing meanwhile, and messages come in."""
+    """Keep the loop from serving while messages come in."""
     holds, goes_on = threading.Event(), threading.Event()
 
     def hold() -> None:
@@ -196,12 +196,12 @@ def test_200_connections_of_one_process_are_not_200_turns(order: Order, context:
         # a round of 201 connections takes 7 turns of the loop, in each of which one request is served
         assert statistics.median(order.between(ours)) <= 16, order.between(ours)
         assert flood.stdout is not None
-        assert flood.stdout.readline() == b"answered\n"  # nobody else's was lost
+        assert flood.stdout.readline() == b"answered\n"  # no answer was lost
         assert len(order.served) == 50 + CONNECTIONS * EACH
 
 
 def test_processes_of_another_account_take_turns_with_all_of_the_first(order: Order, context: zmq.Context[Any]) -> None:
-    """Over TCP without keys we are another account than over ipc."""
+    """Over TCP without keys a client belongs to another account than over ipc."""
     with (
         serving(listen=("tcp://127.0.0.1:0",)) as (server, runtime),
         hostile(runtime, 60, EACH) as one,
@@ -238,7 +238,7 @@ def test_a_client_with_slow_requests_is_served_less_often(order: Order, context:
             order.served.clear()
             asked(other, 50)
         answered(other, 50)
-        between = order.between(mine.name)  # one other after nine; more where ours came in several batches
+        between = order.between(mine.name)  # one other after nine; more if ours came in several batches
         assert max(between) > 0
         assert between.count(0) >= 36, between
         (now,) = [client for client in told_clients(other) if client.name == mine.name]
@@ -249,7 +249,7 @@ def test_a_client_with_slow_requests_is_served_less_often(order: Order, context:
 def test_a_long_request_is_read_in_slices_and_others_have_their_turns_in_between(
     order: Order, context: zmq.Context[Any]
 ) -> None:
-    """What the same sender asks for behind it waits until it has been read, also what waits for nothing else."""
+    """Later requests of the same sender wait until it has been decoded, even those that wait for nothing else."""
     with serving() as (server, runtime), hostile(runtime, 4, 40) as flood, context.socket(zmq.DEALER) as other:
         other.linger = 0
         other.connect(f"ipc://{runtime}/req")
@@ -265,15 +265,17 @@ def test_a_long_request_is_read_in_slices_and_others_have_their_turns_in_between
         replies = [other.recv_multipart() for _ in range(2) if other.poll(60_000)]
         assert {bytes(reply[0]) for reply in replies} == {b"long", b"status"}
         assert [decode_reply(reply[2:]).error for reply in replies] == [None, None]
-        assert order.served.count(mine.name) == 1 + 1024 // SLICE + 1 + 1  # its arrival, its slices, an end; the status
+        assert (
+            order.served.count(mine.name) == 1 + 1024 // SLICE + 1 + 1
+        )  # its arrival, its slices, its end; the status
         assert order.passed_over(mine.name) <= 6, (order.served, order.beside)
         now = told_of(other, mine.name)
         assert (now.requests, now.waiting) == (mine.requests + 3, 0)
-        until(lambda: told_of(other, mine.name).waiting_bytes == 0)  # libzmq says later what it has sent
+        until(lambda: told_of(other, mine.name).waiting_bytes == 0)  # libzmq reports later what it has sent
 
 
 def test_a_client_that_keeps_opening_streams_waits_behind_others(order: Order) -> None:
-    """It makes the slots of a stream, or memory, while the loop waits; so that is done by turns as well."""
+    """Allocating slots or memory holds up the loop, so that is done by turns as well."""
     with (
         serving() as (server, runtime),
         hostile(runtime, 40) as flood,
@@ -290,13 +292,15 @@ def test_a_client_that_keeps_opening_streams_waits_behind_others(order: Order) -
             for connection in data:
                 connection.send(ECHO)
         assert not [answer for answer in [one.recv(4096) for one in data] if b"busy\0" in answer]
-        assert order.served.count(ours) == 20  # each was charged to us
+        assert order.served.count(ours) == 20  # each was charged to this client
         assert max(order.between(ours)) <= 16
         (mine,) = [client for client in board.clients() if client.name == ours]
         assert mine.requests >= 20
 
 
-def test_connections_beyond_the_limit_of_the_queue_are_refused_on_the_data_socket(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_connections_beyond_the_limit_of_the_queue_are_refused_on_the_data_socket(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with serving() as (server, runtime), hostile(runtime, 40) as flood, ExitStack() as opened:
         data = [opened.enter_context(data_socket(runtime)) for _ in range(20)]
         until(lambda: len(server._acceptor._newcomers) == 20)
@@ -319,7 +323,7 @@ def data_socket(runtime: Path) -> Iterator[socket.socket]:
 
 
 def told_of(socket: zmq.Socket[bytes], name: str) -> Any:
-    """What is told of one client now."""
+    """The manager's present figures of one client."""
     (found,) = [client for client in told_clients(socket) if client.name == name]
     return found
 
@@ -331,7 +335,7 @@ def told_clients(socket: zmq.Socket[bytes]) -> Any:
 
 
 def test_a_client_with_too_much_waiting_is_refused_and_others_are_not(order: Order, context: zmq.Context[Any]) -> None:
-    """Each message counts with what it takes to keep it: 1 KiB."""
+    """Each message counts as at least the 1 KiB that it takes to keep it."""
     limits = Limits(waiting_bytes=1 * MIB)
     with (
         serving(limits) as (server, runtime),
@@ -348,16 +352,16 @@ def test_a_client_with_too_much_waiting_is_refused_and_others_are_not(order: Ord
             asked(other, 1)
             assert answered(other, 1)[0].error is None
         assert flood.stdout is not None
-        assert flood.stdout.readline() == b"answered\n"  # each, if only by a refusal
+        assert flood.stdout.readline() == b"answered\n"  # each one, even if with a refusal
         (client,) = [c for c in told_clients(other) if c.connections >= CONNECTIONS]
         assert client.refused > 0
         assert client.requests == CONNECTIONS * (EACH + 1)
         assert client.waiting == 0
-        until(lambda: told_of(other, client.name).waiting_bytes == 0)  # libzmq says later what it has sent
+        until(lambda: told_of(other, client.name).waiting_bytes == 0)  # libzmq reports later what it has sent
 
 
 def test_one_connection_may_send_all_it_has_at_once(order: Order, context: zmq.Context[Any]) -> None:
-    """What it sends waits in its socket, not here: nothing of it is refused."""
+    """Its requests wait in its socket, not in the manager, so none is refused."""
     with serving(Limits(waiting_bytes=1 * MIB)) as (_, runtime), context.socket(zmq.DEALER) as other:
         other.linger = 0
         other.setsockopt(zmq.SNDHWM, 0)
@@ -368,7 +372,7 @@ def test_one_connection_may_send_all_it_has_at_once(order: Order, context: zmq.C
 
 
 def test_nothing_that_is_published_is_left_behind_beside_requests(context: zmq.Context[Any]) -> None:
-    """Its socket tells once that something came; what is not taken then has to be asked for again."""
+    """Its socket signals once that messages came; those not taken then have to be looked for again."""
     with serving() as (server, runtime), hostile(runtime, 20, 200) as flood:
         made = [context.socket(zmq.PUB) for _ in range(3)]
         for socket_ in made:

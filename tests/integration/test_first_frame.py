@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pages of docs/boards: their design is generated for each board, and their script gets its frames from it."""
+"""The pages of docs/boards: their design is generated for each board, and their script gets frames from it."""
 
 from __future__ import annotations
 

@@ -40,13 +40,13 @@ Boards = dict[str, FleetBoard]
 
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where boards put archives that they import, a folder for each."""
+    """Folders where boards put imported archives."""
     return tmp_path_factory.mktemp("imported")
 
 
 @pytest.fixture(scope="module")
 def three(places: Path) -> Iterator[tuple[Router, Boards, Fleet]]:
-    """b1 takes archives, b2 signed ones, c3 none; anna may provision."""
+    """b1 accepts archives, b2 only signed ones, c3 none; anna may provision."""
     (places / "signers").mkdir()
     strict = places / "strict.yaml"
     strict.write_text(json.dumps({"policy": {"signatures": "require", "signers": str(places / "signers")}}))
@@ -281,7 +281,7 @@ def test_the_examples_of_the_reference_run(
 
 
 def test_a_bridge_killed_during_a_change_comes_back_to_the_fleets_mode(boards: Boards, fleet: Fleet) -> None:
-    """It had prepared, and heard nothing of the rest; the others are enough."""
+    """It had prepared, and received nothing of the rest; the other boards are enough."""
     killed = threading.Event()
 
     def tell(phase: str, board: str, answer: object) -> None:
@@ -374,11 +374,11 @@ def test_all_boards_end_in_one_mode_if_the_router_is_killed_during_a_change(
 
 
 class Gone(Exception):
-    """The client ends here, as far as the boards can tell."""
+    """The client dies here, as far as the boards can tell."""
 
 
 def gone_after(phase: str, fleet: Fleet, boards: Boards, away: tuple[str, ...]) -> str:
-    """A change whose client, and the bridges of some boards, are gone for good after a phase; the change's name."""
+    """A change whose client and some boards' bridges are gone for good after a phase; returns the change's id."""
     last: list[FleetRecord] = []
 
     def tell(now: str, board: str, answer: object) -> None:
@@ -390,9 +390,9 @@ def gone_after(phase: str, fleet: Fleet, boards: Boards, away: tuple[str, ...]) 
                 shutil.rmtree(boards[name].bridge.folder)
             raise Gone
 
-    until(lambda: set(fleet.boards()) == set(boards), 60.0)  # those that the test before has replaced as well
+    until(lambda: set(fleet.boards()) == set(boards), 60.0)  # including those that the previous test replaced
     with pytest.raises(Gone):
-        fleet.mode("edge_detection", settle=600.0, tell=tell)  # long: nobody ends it by itself
+        fleet.mode("edge_detection", settle=600.0, tell=tell)  # long enough that nobody ends it alone
     return last[0].id
 
 
@@ -401,7 +401,7 @@ PLACE = {"apply": 6, "seat": 8}  # answers until all have applied it, and until 
 
 @pytest.fixture
 def replaced(boards: Boards) -> Iterator[Boards]:
-    """Boards that vanished are new ones afterwards: nothing of the change is left there."""
+    """Replace boards that vanished by new ones, on which nothing of the change is left."""
     yield boards
     for board in boards.values():
         if board.bridge.process is None:
@@ -507,7 +507,7 @@ config:
 def test_a_configuration_is_sent_in_parts_by_any_client_and_loaded(
     boards: Boards, three: tuple[Router, Boards, Fleet]
 ) -> None:
-    """With zenoh and the messages of cm.proto alone."""
+    """With zenoh and the messages of cm.proto only."""
     board = boards["c3"]
     with session(Network(connect=(three[0].endpoint,))) as plain:
 
@@ -538,7 +538,7 @@ def test_a_configuration_is_sent_in_parts_by_any_client_and_loaded(
 def test_the_page_shows_the_boards_of_the_fleet(
     boards: Boards, three: tuple[Router, Boards, Fleet], tmp_path: Path
 ) -> None:
-    """In a browser, beside the one board that it is about."""
+    """In a browser, beside the board that the page belongs to."""
     router = ("--router", three[0].endpoint)
     with (
         web_server(boards["b1"].manager.runtime, *router) as server,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Archives to many boards: over each way once, resumed and checked. What boards do with them is in test_fleet.py."""
+"""Archives to many boards: over each link once, resumed and checked. What boards do with them is in test_fleet.py."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_a_sites_cache_gets_one_copy_for_all_its_boards(router: Router, packed: 
     with joined(router) as ours, joined(router) as near, joined(router) as board, offered(ours, packed, bundle) as sent:
         cache = Cache(near, "lab", tmp_path / "cache")
         querier = board.declare_querier(part_key("lab", "*", "*"))
-        until(lambda: querier.matching_status.matching)  # a board that has not heard of it yet asks who sends
+        until(lambda: querier.matching_status.matching)  # a board that has not discovered it yet asks the sender
         for number in range(3):
             fetched(board, "lab", bundle, Parts(tmp_path / f"board{number}"))
         cache.close()  # the last answer is counted after it has come

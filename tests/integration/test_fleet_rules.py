@@ -28,7 +28,7 @@ class Closed:
         self.board = board
 
     def connected(self, name: str, caller: str = "", patience: float = 60.0) -> cm.fleet.Fleet:
-        """`patience`: seconds for an answer, all of which pass where there is none."""
+        """`patience`: seconds to wait for an answer, all of which pass if there is none."""
         found = cm.fleet.connect(config=self.keys.folder / f"{name}.json5", caller=caller, timeout=patience)
         until(found.boards, 60.0)
         return found
@@ -89,7 +89,7 @@ def test_what_the_router_lets_through_the_managers_policy_may_still_refuse(close
 
 
 def test_a_client_that_may_see_one_board_asks_for_all_and_sees_that_one(closed: Closed) -> None:
-    """A query for all is dropped: rules match by inclusion. The client asks by name then."""
+    """A query for all boards is dropped, because rules match by inclusion; the client then asks by name."""
     with closed.connected("nina") as fleet:
         assert isinstance(fleet.status()["b1"], BoardStatus)
     with closed.connected("omar", patience=5.0) as fleet:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Floods beside a client that behaves well: on this machine only, and bounded in count.
+"""Floods beside a well-behaved client: on this machine only, and bounded in count.
 
-What is asserted are counts within one run, never times: how many units of others' work the loop does in one turn, that
-every request of the other client is answered, what memory and descriptors are left when the flood has gone.
+Only counts within one run are asserted, never times: how many units of others' work the loop does in one turn, that
+every request of the other client is answered, and the memory and descriptors in use after the flood.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Everything at once from one process, beside a client that behaves well: what `cm bench flood` measures, held.
+"""All floods at once from one process, beside a well-behaved client: what `cm bench flood` measures, as a test.
 
-The times that are compared are of the same run: an answer with the longest slice of the loop in it.
+Only times of the same run are compared: the slowest answer with the loop's longest slice in that run.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ print(json.dumps({"asked": asked, "slowest": slowest}))
 
 
 class Slices:
-    """The longest time for which the loop of a daemon did not look at its sockets."""
+    """Measures the longest time for which a daemon's loop did not look at its sockets."""
 
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
         self.longest = 0.0
@@ -65,7 +65,7 @@ class Slices:
 
 
 def ended(process: subprocess.Popen[str]) -> Any:
-    """What it says when its input ends."""
+    """Its output when its input ends."""
     said, _ = process.communicate(timeout=600)
     return json.loads(said)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `cm build generate` and `cm build collect` write, loaded by a manager and run on the simulated board."""
+"""Schemas of `cm build generate` and `cm build collect`, loaded by a manager and run on the simulated board."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from build_support import NAMES, copy_examples, generated
 
 @contextlib.contextmanager
 def running(config: Path, *arguments: str) -> Iterator[cm.Board]:
-    """A client of a manager on a board that has these configurations; `arguments` are the simulator's."""
+    """A client of a manager on a board with these configurations; `arguments`: for the simulator."""
     with short_folder() as folder, SimBoard([config], root=folder / "board", arguments=arguments) as sim:
         state = str(folder / "state")
         manager = Manager(folder / "run", "--config", str(config), "--root", str(sim.root), "--state-dir", state)
@@ -57,7 +57,7 @@ def test_modules_are_not_loaded_into_another_static_part(name: str, tmp_path: Pa
 
 
 def test_frames_come_through_every_mode_of_the_generated_camera(tmp_path: Path) -> None:
-    """The camera's grey pictures through the module; three bytes a pixel, as the mode says, when it colours them."""
+    """The camera's grey pictures pass through the module; in the mode that colours them, with three bytes a pixel."""
     _, out = generated(copy_examples(tmp_path), "camera")
     with running(out / "config") as board:
         board.load("camera", "default")

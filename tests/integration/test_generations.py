@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames say under which generation of the registers they began: never a newer one than is true."""
+"""Frames say under which generation of the registers they began, and never a newer one than is true."""
 
 from __future__ import annotations
 

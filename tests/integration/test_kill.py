@@ -65,7 +65,7 @@ def test_a_request_to_a_killed_manager_fails_at_once(own: Own) -> None:
     manager, _ = own
     assert manager.process is not None
     with manager.connected() as board:
-        os.kill(manager.process.pid, signal.SIGSTOP)  # so that the request is under way when it dies
+        os.kill(manager.process.pid, signal.SIGSTOP)  # so that the request is pending when it dies
         killer = threading.Timer(0.2, lambda: manager.process and manager.process.kill())
         killer.start()
         with pytest.raises((ConnectionLost, NoAnswer)):
@@ -89,7 +89,7 @@ def test_a_killed_board_is_reported_and_served_again_when_it_is_back(own: Own) -
 
 
 def test_going_to_the_mode_that_is_loaded_asks_the_board_whether_it_is_there(own: Own) -> None:
-    """There is nothing to be done for it, and nothing else would notice."""
+    """Nothing needs to be done for such a change, so nothing else would notice."""
     manager, sim = own
     with manager.connected() as board:
         board.load("camera", "default")
@@ -192,13 +192,13 @@ def test_a_manager_that_is_stopped_while_its_board_starts_stops_the_board_too(ru
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=environment()) as served:
         until((runtime / "run/board").exists)
         served.terminate()
-        served.communicate(timeout=120)  # the board has its output open, too
+        served.communicate(timeout=120)  # the board has the same output open, too
         assert served.returncode == 0
     assert not (runtime / "run/board").exists()
 
 
 def test_what_was_learned_about_a_region_survives_a_killed_manager(runtime) -> None:  # type: ignore[no-untyped-def]
-    """A module that was built for the other region is refused, though it is the first one after the restart."""
+    """A module that was built for the other region is refused, even as the first one after the restart."""
     written(runtime, ("duo",))
     with SimBoard([runtime / "duo.yaml"], root=runtime / "board") as sim:
         arguments = ("--config", str(runtime / "duo.yaml"), "--root", str(sim.root), "--state-dir", str(runtime / "s"))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A client elsewhere than on Linux: the wheel for any system, without what macOS and Windows do not have."""
+"""Clients on other systems than Linux: the wheel for any system, without what macOS and Windows lack."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Leases as all may see them: who holds what, how many, and how one is broken."""
+"""Leases as everybody sees them: who holds which, how many, and how one is broken."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Limits of the settings that change while a manager serves: they count from then on, and nobody loses what it has."""
+"""Limits that change while a manager serves: they apply from then on, and nobody loses what it has."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ class Limited:
             connected.load("camera", "default")
 
     def write(self, **limits: object) -> None:
-        """Other limits in the file."""
+        """Write other limits to the file."""
         said = ", ".join(f"{name}: {value}" for name, value in limits.items())
         new = self._folder / "new.yaml"
         new.write_text(f"state_dir: {self._folder}/state\nlog: info\nlimits: {{{said}}}\n", encoding="utf-8")
         new.replace(self._settings)
 
     def reload(self, **limits: object) -> None:
-        """Other limits, and a manager that was told of them."""
+        """Write other limits and tell the manager."""
         self.write(**limits)
         told = self.log().count(b"reloaded;")
         self.signal()
@@ -53,7 +53,7 @@ class Limited:
         os.kill(self.manager.process.pid, signal.SIGHUP)
 
     def log(self) -> bytes:
-        """What it has logged until now."""
+        """Its log so far."""
         assert self.manager.process is not None
         assert self.manager.process.stderr is not None
         os.set_blocking(self.manager.process.stderr.fileno(), False)

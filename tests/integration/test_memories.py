@@ -91,7 +91,7 @@ def test_a_written_array_is_read_back_with_its_shape_and_dtype(board: cm.Board) 
     found = taps.read()
     assert (found.shape, found.dtype) == ((32, 64), np.int16)
     assert np.array_equal(found, values)
-    found[0] = 0  # it is one's own
+    found[0] = 0  # it belongs to the caller
     assert np.array_equal(np.asarray(taps), values)
 
 
@@ -154,7 +154,7 @@ def test_registers_are_read_while_a_long_transfer_goes_on(manager: Manager, boar
             assert len(await reading) == MIB
             return reads
 
-    # Where the client itself is slow the transfer may be over before its second read; not each time.
+    # If the client itself is slow, the transfer may be over before its second read, but not each time.
     until(lambda: asyncio.run(run()) > 1)
 
 
@@ -215,7 +215,7 @@ def test_a_block_is_defined_at_run_time_and_forgotten_with_its_configuration(boa
 
 def test_a_channel_of_the_board_that_is_called_as_a_memory_is_no_stream(board: cm.Board) -> None:
     assert {stream.name for stream in board.status.streams} == {"samples"}
-    board.load("plain")  # names no streams, so the board's channels are, but for that one
+    board.load("plain")  # names no streams, so the board's channels are streams, except that one
     assert {stream.name for stream in board.status.streams} == {"camera", "to_pl", "from_pl"}
     board.memories["samples"].write([1, 2, 3, 4])
     assert board.memories["samples"].read().tolist() == [1, 2, 3, 4]
@@ -236,7 +236,7 @@ def test_a_memory_is_refused_while_its_region_is_loaded(
     taps = board.memories["taps"]
     taps.write(b"1234")
     board.memories["scratch"].write(b"kept")
-    with manager.connected() as other:  # who asked for the change waits for it with writes
+    with manager.connected() as other:  # writes of the client that asked for the change wait for it
         with stalled(both[1]):
             change = other.load_async("filter", "default", force=True)
             until(lambda: (p := board.status.progress) is not None and p.step == "load")
@@ -339,7 +339,7 @@ class Command:
         return out
 
     def ended(self, *arguments: str) -> tuple[int, bytes]:
-        """Its exit status, and what it prints."""
+        """Its exit status and its output."""
         self._capture.readouterr()
         try:
             status = main(["mem", *arguments, "--runtime-dir", str(self._manager.runtime)])

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memory that is not coherent: every take of a frame has its DMA_BUF_IOCTL_SYNC, every release its own, and no more.
+"""Non-coherent memory: taking and releasing a frame each have exactly one DMA_BUF_IOCTL_SYNC.
 
-The simulated board keeps the device's view of each buffer apart from the processor's; a preloaded library stands for
-the ioctl and brings them together (`csrc/tests/sim_dma_buf.c`). Manager and clients are as ever, in processes of their
-own: one that forgets a call sees old bytes, or sends them.
+The simulated board keeps the device's view of each buffer apart from the processor's; a preloaded library stands in
+for the ioctl and copies between them (`csrc/tests/sim_dma_buf.c`). Manager and clients run unchanged, in separate
+processes: one that omits a call sees or sends old bytes.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Setup:
         self.manager, self.sim, self.env = manager, sim, env
 
     def run(self, body: str) -> dict[str, Any]:
-        """What a client says that runs `body`."""
+        """The output of a client that runs `body`."""
         command = [sys.executable, "-W", "error", "-c", PRELUDE + textwrap.dedent(body), str(self.manager.runtime)]
         done = subprocess.run(command, check=False, capture_output=True, text=True, env=self.env, timeout=120)
         assert done.returncode == 0, done.stderr
@@ -52,20 +52,20 @@ class Setup:
         return told
 
     def counts(self, channel: str) -> dict[str, int]:
-        """What the board has counted so far, when nobody uses the streams any more."""
+        """The board's counts, once nobody uses the streams any more."""
         until(lambda: not any(c["open"] for c in self.sim.control.state()["channels"].values()))
         counts: dict[str, int] = self.sim.control.state()["syncs"][channel]
         return counts
 
     def added(self, channel: str, before: dict[str, int]) -> dict[str, int]:
-        """What came to the counts of a channel, without what is 0."""
+        """The increase of a channel's counts, without zeros."""
         now = self.counts(channel)
         return {name: value - before[name] for name, value in now.items() if value != before[name]}
 
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The stand-in of the ioctl."""
+    """The stand-in for the ioctl."""
     library = tmp_path_factory.mktemp("preload") / "sim_dma_buf.so"
     source = REPOSITORY / "csrc" / "tests" / "sim_dma_buf.c"
     flags = ["-D_GNU_SOURCE", "-std=gnu11", "-O1", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC"]
@@ -84,7 +84,7 @@ def apart(library: Path) -> Iterator[Setup]:
 
 
 def loop(setup: Setup, body: str) -> tuple[dict[str, Any], dict[str, int], dict[str, int]]:
-    """What a client says that runs `body` on the loop, and what it added to the counts of both channels."""
+    """The output of a client that runs `body` on the loop, and the increase of both channels' counts."""
     setup.run("board.load('camera', 'loopback')")
     before = setup.counts("to_pl"), setup.counts("from_pl")
     told = setup.run(body)

@@ -26,7 +26,7 @@ NOTEBOOKS = sorted((REPOSITORY / "docs/notebooks").glob("*.ipynb"))
 
 @contextmanager
 def serving() -> Iterator[Manager]:
-    """`cm serve --sim`, as the notebooks ask for it."""
+    """`cm serve --sim`, as the notebooks require."""
     with short_folder() as folder:
         assert main(["keygen", str(folder / "keys"), "laptop"]) == 0
         keys = ("--listen", "tcp://127.0.0.1:0", "--keys", str(folder / "keys/server.key"))
@@ -43,7 +43,7 @@ def executed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """Each notebook after it has run; an error in a cell is an error here."""
     folder = tmp_path_factory.mktemp("notebooks")
     with serving() as manager, pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of jupyter's packages among themselves
+        warnings.simplefilter("ignore")  # warnings of jupyter's packages about each other
         import nbclient
         import nbformat
 
@@ -88,7 +88,7 @@ TYPED = {
 def test_tab_in_ipython_completes_names_of_what_runs_as_it_is_set_up_by_default(
     board: cm.Board, manager: Manager, tmp_path: Path
 ) -> None:
-    """Its default looks into no property of objects that it does not know."""
+    """By default it evaluates no property of unknown objects."""
     assert board.mode == "default"
     done = subprocess.run(
         [sys.executable, "-c", COMPLETE, *TYPED],
@@ -103,7 +103,7 @@ def test_tab_in_ipython_completes_names_of_what_runs_as_it_is_set_up_by_default(
 
 
 def outputs(notebook: Any, kind: str) -> list[str]:
-    """What its cells show as a MIME type."""
+    """The outputs of its cells in a MIME type."""
     shown = [output.get("data", {}) for cell in notebook.cells for output in cell.get("outputs", ())]
     return [data[kind] for data in shown if kind in data]
 
@@ -165,7 +165,7 @@ print(board.mode)
 
 @pytest.mark.timeout(600)
 def test_a_load_that_lasts_draws_a_bar_that_goes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """At its end nothing is shown in its place."""
+    """When it ends, the bar disappears."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import nbclient

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What one sender asks for takes effect in the order in which it was asked for, while the board is slow."""
+"""Requests of one sender take effect in their order, even while the board is slow."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TO_EDGE = rq.ChangeMode("camera", "edge_detection", no_wait=True, force=True)
 
 @pytest.fixture(scope="module")
 def slow(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Manager, SimBoard]]:
-    """A port that takes a tenth of a second for a module, or as long as a test wants."""
+    """A port that takes a tenth of a second for a module, or as long as the test wants."""
     with served(board=("--icap-rate", "2800000"), schemas=patient(tmp_path_factory.mktemp("camera"))) as both:
         yield both
 
@@ -103,7 +103,7 @@ def test_what_is_published_is_one_sequence_as_the_paper_writes_it(
 
 
 def published(publisher: Any, board: cm.Board) -> bool:
-    """Whether what is published arrives yet: subscriptions take their time."""
+    """Whether publications arrive yet: subscriptions take time."""
     publisher.send_multipart([b"cm_write_reg", b"{ 'scratch':77}"])
     return board.registers["scratch"] == 77
 

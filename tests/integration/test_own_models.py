@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Models of one's own on the simulated board: the documented filter, a kernel with m_axi, several streams."""
+"""Users' models on the simulated board: the documented filter, a kernel with m_axi, several streams."""
 
 from __future__ import annotations
 

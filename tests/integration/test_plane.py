@@ -64,7 +64,7 @@ packet_like = st.builds(
 
 @pytest.fixture
 def loop(board: cm.Board) -> Iterator[cm.Board]:
-    """The board with what is written to `to_pl` coming back on `from_pl`."""
+    """The board with a loop from `to_pl` to `from_pl`."""
     board.load("camera", "loopback")
     yield board
     for name in ("to_pl", "from_pl"):
@@ -72,7 +72,7 @@ def loop(board: cm.Board) -> Iterator[cm.Board]:
 
 
 class Raw:
-    """A client that keeps to no rules but those of the socket."""
+    """A client that may break all rules of the protocol."""
 
     def __init__(self, manager: Manager, wanted: Open | bytes) -> None:
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -102,7 +102,7 @@ class Raw:
 
 @pytest.fixture
 def raw(manager: Manager) -> Iterator[Callable[[Open | bytes], Raw]]:
-    """A factory of connections that are closed in the end."""
+    """A factory of connections that are closed at the end of the test."""
     with contextlib.ExitStack() as stack:
         yield lambda wanted: stack.enter_context(contextlib.closing(Raw(manager, wanted)))
 
@@ -229,7 +229,7 @@ def test_frames_that_are_held_beyond_their_stream_are_not_written_over(board: cm
     with board.stream("camera", timeout=60) as other:
         with board.stream("camera", depth=3, timeout=60) as stream:
             held = [stream.read(), stream.read()]
-            until(lambda: ours().held == 3)  # one more waits for us, unread
+            until(lambda: ours().held == 3)  # one more is waiting, unread
         until(lambda: ours().held == 2)
         left = ours()
         contents = [frame.copy() for frame in held]
@@ -555,7 +555,7 @@ def test_a_stream_in_use_is_changed_only_by_force(board: cm.Board) -> None:
         board.configure_stream("camera", dtype="uint8", force=True)
 
 
-# ---- those who die -------------------------------------------------------------------------
+# ---- clients that die -----------------------------------------------------------------------
 
 
 def test_a_killed_reader_gives_everything_back(board: cm.Board, shared: tuple[Manager, SimBoard]) -> None:

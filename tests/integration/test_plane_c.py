@@ -25,7 +25,7 @@ pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"needs_c_tools: {', '.joi
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The library, as it is installed; with sanitizers."""
+    """The installed library, with sanitizers."""
     prefix = tmp_path_factory.mktemp("prefix")
     build = ["make", "-C", str(REPOSITORY / "csrc" / "client"), "install", f"PREFIX={prefix}", f"BUILD={prefix}/build"]
     checks = "CFLAGS=-O1 -g -Werror -fsanitize=address,undefined -fno-sanitize-recover=all"
@@ -99,7 +99,7 @@ def test_a_folder_without_a_manager_is_an_error(reader: Path, tmp_path: Path) ->
 
 @pytest.fixture
 def loop(board: cm.Board) -> Iterator[cm.Board]:
-    """What is written to `to_pl` comes back on `from_pl`."""
+    """A loop from `to_pl` to `from_pl`."""
     board.load("camera", "loopback")
     yield board
     board.load("camera", "default")
@@ -152,7 +152,7 @@ def test_leases_are_shown(loop: cm.Board, manager: Manager, reader: Path, writer
 
 
 def test_functions_of_older_versions_of_the_library_are_still_exported(installed: Path) -> None:
-    """The ABI grows only; nothing of the inside can be called."""
+    """The ABI only grows, and nothing internal is exported."""
     command = ["nm", "-D", "--defined-only", installed / "lib" / "libcm_plane.so.0"]
     names = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()[2::3]
     old = {"close", "error", "fd", "geometry", "lost", "mode", "next", "open", "release"}

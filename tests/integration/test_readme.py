@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The README's first mode of one's own runs as it is pasted into a shell."""
+"""The README's section on a first mode of one's own runs when it is pasted into a shell."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BLOCK = re.compile(r"^```sh\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
 def blocks() -> list[str]:
-    """What the section has for the shell."""
+    """The section's blocks for the shell."""
     section = SECTION.search((REPOSITORY / "README.md").read_text())
     assert section is not None
     return BLOCK.findall(section[1])
@@ -26,7 +26,7 @@ def blocks() -> list[str]:
 
 @pytest.fixture
 def folder() -> Iterator[Path]:
-    """A folder as one has after `make setup`."""
+    """A folder as it is after `make setup`."""
     with short_folder() as made:
         (made / ".venv/bin").mkdir(parents=True)
         (made / ".venv/bin/activate").write_text(f"PATH={made}/.venv/bin:$PATH\n")
@@ -37,7 +37,7 @@ def folder() -> Iterator[Path]:
 
 
 def pasted(terminal: Terminal, text: str, done: Path) -> None:
-    """Paste it, and wait for its end."""
+    """Paste them, and wait until they end."""
     terminal.type(f"{text}echo end >{done}\n", done)
 
 

@@ -62,7 +62,7 @@ def _tcp_pub(runtime: Path) -> str:
 
 @pytest.fixture
 def far(board: cm.Board) -> cm.Board:
-    """The board as a client sees it that has no data socket: everything over ZeroMQ."""
+    """The board as seen by a client without a data socket: everything goes over ZeroMQ."""
     board._place = replace(board._place, data=None)
     return board
 
@@ -102,7 +102,7 @@ def test_what_waits_for_a_stopped_subscriber_is_bounded_in_bytes(context: zmq.Co
         with board.writer("to_pl", timeout=60) as writer:
 
             def subscribe(socket: zmq.Socket[bytes]) -> None:
-                """And wait for a frame, as the subscription is on its way for a while."""
+                """Subscribe and wait for a frame, as the subscription takes a while."""
                 socket.connect(address)
                 socket.subscribe(b"cm_stream/from_pl")
                 until(lambda: next(s for s in board.status.streams if s.name == "from_pl").open)
@@ -123,10 +123,10 @@ def test_what_waits_for_a_stopped_subscriber_is_bounded_in_bytes(context: zmq.Co
                 writer.write(data)
                 writer.flush()
                 assert lively.poll(60_000), "a stopped subscriber takes frames from another"
-                until(lambda number=number: take() == number)  # the first of them comes behind those of before
+                until(lambda number=number: take() == number)  # its first frame comes after earlier ones
                 before = before or rss(manager)
         until(lambda: overruns(board, "from_pl") > 0)
-        # 60 frames have 240 MiB; 32 MiB wait, and what libzmq, the kernel and malloc have in hand
+        # 60 frames have 240 MiB; 32 MiB wait, and what libzmq, the kernel and malloc hold
         assert rss(manager) - before < 80 << 20
         sequences = []
         while stuck.poll(1000 if len(sequences) >= 8 else 60_000):
@@ -134,12 +134,12 @@ def test_what_waits_for_a_stopped_subscriber_is_bounded_in_bytes(context: zmq.Co
         assert 8 <= len(sequences) < 30
         published = lively_got[lively_got.index(sequences[0]) :]
         assert sequences[:8] == published[:8], "the oldest wait"
-        assert sequences == sorted(sequences), "in order"  # with gaps, where the kernel took more of them meanwhile
+        assert sequences == sorted(sequences), "in order"  # with gaps, if the kernel took more of them meanwhile
 
 
 @pytest.mark.parametrize(("mebibytes", "fewest", "most"), [("0", 2, 9), ("16", 16, 28)])
 def test_how_much_may_wait_is_a_setting(context: zmq.Context, mebibytes: str, fewest: int, most: int) -> None:
-    """Frames of 4 MiB; libzmq counts the mark at both ends, and the kernel holds some, too."""
+    """Frames of 4 MiB; libzmq applies the high-water mark at both ends, and the kernel holds some, too."""
     with listening(more=("--stream-queue", mebibytes)) as (manager, address), manager.connected() as board:
         board.load("camera", "loopback")
         for name in ("to_pl", "from_pl"):
@@ -202,7 +202,7 @@ def test_a_client_behind_with_frames_costs_others_no_interrupt_or_status(context
 
 
 def test_subscribers_may_come_and_go(board: cm.Board, manager: Manager, context: zmq.Context) -> None:
-    """Setting a high-water mark meanwhile made libzmq use what it had freed, after some eight rounds of these."""
+    """Setting a high-water mark meanwhile made libzmq use freed memory after some eight such rounds."""
     for _ in range(40):
         sockets = [context.socket(zmq.SUB) for _ in range(4)]
         for socket in sockets:
@@ -261,7 +261,7 @@ def test_asyncio_has_the_same_over_zeromq(board: cm.Board, manager: Manager) -> 
             return sequences
 
     sequences = asyncio.run(main())
-    assert sequences == sorted(set(sequences))  # a busy machine loses some on their way, and repeats none
+    assert sequences == sorted(set(sequences))  # a busy machine loses some of them, but repeats none
 
 
 # ---- compression ---------------------------------------------------------------------------
@@ -289,7 +289,7 @@ def test_lz4_frames_are_the_same_and_smaller(far: cm.Board, manager: Manager, co
 
 
 def _echoed(far: cm.Board, stream: Stream, picture: np.ndarray) -> list[Frame]:
-    """The next frame of the loop; sent again where the manager did not know of the subscription yet."""
+    """The next frame of the loop, sent again if the manager did not know the subscription yet."""
     try:
         return [stream.read(0.2)]
     except Timeout:
@@ -309,7 +309,7 @@ def test_a_client_without_lz4_is_told_what_to_install(far: cm.Board, monkeypatch
 
 
 def test_a_manager_without_lz4_refuses(tmp_path: Path) -> None:
-    """As with `python3-lz4` not installed on the board: nothing of that name can be found there."""
+    """As if `python3-lz4` were not installed on the board: the module cannot be imported."""
     hidden = "import sys, importlib.machinery as m\nfind = m.PathFinder.find_spec\n" + (
         "m.PathFinder.find_spec = classmethod(lambda c, n, *a: None if n.split('.')[0] == 'lz4' else find(n, *a))\n"
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Registers asked for again and again in the same bytes: a way of its own in the manager, with the same answers."""
+"""Registers requested repeatedly with the same bytes: the manager has a fast path, with the same answers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cm.sim import Board as SimBoard
 from cm.wire import cm_pb2 as pb
 
 Ask = Callable[..., pb.Reply]
-TIMES = 3  # the first answer is made at length
+TIMES = 3  # the first answer takes the slow path
 
 
 @pytest.fixture

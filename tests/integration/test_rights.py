@@ -52,7 +52,7 @@ print(json.dumps(result))
 
 
 def outcome(manager: Manager, uid: int, *acts: str, groups: tuple[int, ...] = (GROUP,)) -> dict[str, str]:
-    """What comes of acts of a user, who is a member of groups; or of connecting."""
+    """The outcome of a user's actions, with these groups; or of its attempt to connect."""
     command = [sys.executable, "-c", PLAY, json.dumps([uid, groups, str(manager.runtime), *acts])]
     done = subprocess.run(
         command, env=environment(), capture_output=True, text=True, timeout=60, check=False, cwd=REPOSITORY
@@ -64,7 +64,7 @@ def outcome(manager: Manager, uid: int, *acts: str, groups: tuple[int, ...] = (G
 
 @pytest.fixture(scope="module")
 def manager() -> Iterator[Manager]:
-    """One whose sockets belong to a group, and that knows all but one of its members."""
+    """A manager whose sockets belong to a group, and that knows all but one of the group's members."""
     with short_folder() as folder, SimBoard([CAMERA], root=folder / "board") as sim:
         folder.chmod(0o755)
         settings = folder / "cm.yaml"
@@ -154,7 +154,7 @@ os._exit(0)
 
 @needs_root
 def test_a_user_whose_role_is_taken_away_loses_streams_subscriptions_and_requests(manager: Manager) -> None:
-    """While others notice nothing."""
+    """Others notice nothing."""
     command = [sys.executable, "-c", HOLD, json.dumps([ERIN, GROUP, str(manager.runtime)])]
     settings = manager.runtime.parent / "cm.yaml"
     held = subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE, text=True, cwd=REPOSITORY)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keys over TCP: who is let in, as what, and until when; by the blocking and the asyncio client."""
+"""Keys over TCP: who is admitted, in which role, and until when; with the blocking and the asyncio client."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from cm.wire.topics import tcp_endpoints
 
 
 class Guarded:
-    """A manager with keys, as a service without a service manager."""
+    """A manager with keys, run like a service but without a service manager."""
 
     def __init__(self, folder: Path, board: Path) -> None:
         self.folder, self.keys = folder, folder / "keys"
@@ -78,7 +78,7 @@ def guarded() -> Iterator[Guarded]:
 
 
 def problem(guarded: Guarded, keys: Path | None, timeout: float = 30) -> str:
-    """Of who connects with a key file, by both clients."""
+    """The error of connecting with a key file, the same for both clients."""
     with pytest.raises(Forbidden) as caught, cm.connect(guarded.address, keys=keys, timeout=timeout) as board:
         board.configs  # noqa: B018
     assert caught.value.code == "forbidden"
@@ -107,7 +107,7 @@ def test_a_client_with_another_boards_key_learns_so_when_its_time_runs_out(guard
     public, secret = zmq.curve_keypair()
     other = tmp_path / "other.key"
     write_key_file(other, {"server-public": zmq.curve_keypair()[0], "public": public, "secret": secret}, "client")
-    for seconds in (1.0, 5.0, 60.0):  # three handshakes have to fail meanwhile
+    for seconds in (1.0, 5.0, 60.0):  # three handshakes have to fail in that time
         with contextlib.suppress(Timeout):
             assert "another key than" in problem(guarded, other, timeout=seconds)
             break

@@ -28,7 +28,7 @@ RMW = os.environ.get("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")
 ZENOH = RMW == "rmw_zenoh_cpp"
 PATIENCE = 60.0
 
-pytestmark = pytest.mark.filterwarnings("default")  # what rclpy warns of is not ours
+pytestmark = pytest.mark.filterwarnings("default")  # rclpy's warnings are not ours
 
 
 class Node:
@@ -69,7 +69,7 @@ class Node:
     def call(self, kind: Any, name: str, request: Any) -> Any:
         client = self.node.create_client(kind, name)
         assert client.wait_for_service(PATIENCE), f"there is no service {name}"
-        for _ in range(4):  # as users do: the service may not have met us when we first asked
+        for _ in range(4):  # as users do: the service may not have discovered us at the first request
             done = threading.Event()
             future = client.call_async(request)
             future.add_done_callback(lambda _, done=done: done.set())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a reader can do with the memory that it is given: look at it."""
+"""A reader can only look at the memory that it gets."""
 
 from __future__ import annotations
 

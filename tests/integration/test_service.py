@@ -54,7 +54,7 @@ class Service:
         subprocess.run(command, env=environment(), check=True, capture_output=True)
 
     def told(self, wanted: bytes) -> bytes:
-        """The next message that begins so; signs of life in between are left out."""
+        """The next message with this beginning; keepalives in between are skipped."""
         while True:
             message = self.inbox.recv(4096)
             if message.startswith(wanted):

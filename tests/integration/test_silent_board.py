@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated board that is stopped: the manager goes on, says so, and finds it again when it answers."""
+"""A simulated board that is stopped: the manager goes on, reports it, and uses it again when it answers."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def board(own: Own) -> Iterator[cm.Board]:
 
 @contextlib.contextmanager
 def stopped(sim: SimBoard) -> Iterator[None]:
-    """The board's process does nothing, as under a debugger."""
+    """Stop the board's process, as under a debugger."""
     os.kill(sim.pid, signal.SIGSTOP)
     try:
         yield
@@ -50,7 +50,7 @@ def stopped(sim: SimBoard) -> Iterator[None]:
 
 
 def at_once(call: Callable[[], object]) -> None:
-    """None of many calls waits for the board: a third of what they would take then is enough for any machine."""
+    """Check that none of many calls waits for the board: a third of the time of all waits is enough anywhere."""
     begun = time.monotonic()
     for _ in range(TIMES):
         call()
@@ -62,7 +62,7 @@ def answers(board: cm.Board) -> None:
 
 
 def again(call: Callable[[], object]) -> None:
-    """What was silent answers within a moment."""
+    """Wait until it answers again."""
 
     def done() -> bool:
         try:
@@ -75,7 +75,7 @@ def again(call: Callable[[], object]) -> None:
 
 
 def _told(stream: Stream) -> str:
-    """Why there is no frame now; nothing where there is one."""
+    """Why there is no frame now; empty if there is one."""
     try:
         stream.read(timeout=0.3)
     except Timeout as error:

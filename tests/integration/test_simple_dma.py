@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Streams over an AXI DMA without scatter/gather: a short length register; one that tells no lengths.
+"""Streams over an AXI DMA without scatter/gather: a short length register, and one that reports no lengths.
 
-Most designs of PYNQ have such (`c_include_sg` 0, 14 bits by default).
+Most designs of PYNQ have such an engine (`c_include_sg` 0, 14 bits by default).
 """
 
 from __future__ import annotations

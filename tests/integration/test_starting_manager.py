@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A manager that is not up behind what forwards its ports: QEMU and `ssh -L` take a connection, and end it then."""
+"""A manager that is not up yet behind forwarded ports: QEMU and `ssh -L` accept a connection and then close it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ENDED = 8  # handshakes, more than let a client suspect the manager's key
 
 
 class Forwarder:
-    """Takes connections to a manager that is not up, and ends them; as long as it is open."""
+    """Accepts connections to a manager that is not up, and closes them, as long as it is open."""
 
     def __init__(self, port: int) -> None:
         self.ended = 0

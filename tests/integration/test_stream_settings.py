@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`cm_data_config`: what can be set of a stream, what is refused, and that what is refused changes nothing."""
+"""`cm_data_config`: the settings of a stream, what is refused, and that a refusal changes nothing."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ def state(board: cm.Board, name: str) -> StreamStatus:
 
 
 def settings(board: cm.Board, name: str) -> tuple[Any, ...]:
-    """All that can be set, but the slots, of which there are more while somebody reads."""
+    """All settings except the slots, of which there are more while somebody reads."""
     s = state(board, name)
     return s.shape, s.dtype, s.cyclic, s.backpressure, s.stride, s.limit, s.open
 
 
 @pytest.fixture
 def loop(board: cm.Board) -> Iterator[cm.Board]:
-    """What is written to `to_pl` comes back on `from_pl`; the schema's settings come back in the end."""
+    """A loop from `to_pl` to `from_pl`; the schema's settings are restored at the end."""
     board.load("camera", "loopback")
     yield board
     board.load("camera", "default")
@@ -47,7 +47,7 @@ def loop(board: cm.Board) -> Iterator[cm.Board]:
 
 @pytest.fixture(scope="module")
 def vdma() -> Iterator[tuple[Manager, SimBoard]]:
-    """A manager whose loop is a VDMA's, and that makes no buffers but those of streams."""
+    """A manager whose loop is a VDMA's, and that allocates no buffers except those of streams."""
     with served(["--vdma", "to_pl", "--vdma", "from_pl"], ["--prefetch", "0"]) as both:
         yield both
 
@@ -175,12 +175,12 @@ def test_a_running_cycle_ends_when_it_is_switched_off_by_force(loop: cm.Board) -
             loop.configure_stream("to_pl", cyclic=False)
         loop.configure_stream("to_pl", cyclic=False, force=True)
         with contextlib.suppress(Timeout):
-            for _ in range(20):  # those that were on their way
+            for _ in range(20):  # frames that were on their way
                 reader.read(timeout=0.3)
             raise AssertionError("it still repeats")
         until(lambda: not writer.poll() and writer.geometry is not None and not writer.geometry.cyclic)
         writer.write(np.full((480, 640), 5, np.uint8))
-        assert until(lambda: reader.read(timeout=60)[0, 0] == 5)  # one more of before may come first
+        assert until(lambda: reader.read(timeout=60)[0, 0] == 5)  # one earlier frame may come first
 
 
 # ---- refusals ------------------------------------------------------------------------------
@@ -297,7 +297,7 @@ def test_a_stream_is_run_stopped_and_left_to_its_users_again(board: cm.Board, ma
         stream.read()
         assert board.configure_stream("camera", enable=False).open is False
         with contextlib.suppress(Timeout):
-            for _ in range(20):  # those that were on their way
+            for _ in range(20):  # frames that were on their way
                 stream.read(timeout=0.5)
             raise AssertionError("it still runs")
         with manager.connected() as other, other.stream("camera", timeout=60) as late:
@@ -327,7 +327,7 @@ def test_raw_messages_switch_on_and_off(loop: cm.Board, manager: Manager) -> Non
         assert ask(pb.DataConfig(stream="to_pl", slots=7)).stream.state.cyclic, "what is left out was changed"
         off = ask(pb.DataConfig(stream="to_pl", cyclic=False, stride=700)).stream.state
         assert (off.cyclic, off.stride, off.slots) == (False, 700, 7)
-        # field 7 as clients write it that know no presence: true is there, false is left out
+        # field 7 as written by clients without field presence: true is written, false is omitted
         assert ask(pb.DataConfig.FromString(b"\x0a\x05to_pl\x38\x01")).stream.state.cyclic
         refused = ask(pb.DataConfig(stream="to_pl", dtype="void"))
         assert (refused.ok, refused.error.code) == (False, "invalid_request")

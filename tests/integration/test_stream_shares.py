@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A reader that asks for every slot locks out nobody: neither another process, nor subscribers over ZeroMQ."""
+"""A reader that asks for every slot locks out neither another process nor subscribers over ZeroMQ."""
 
 from __future__ import annotations
 

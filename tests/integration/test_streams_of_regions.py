@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Streams go with the module of their region: also where a mode leaves it alone, and where no region is said."""
+"""Streams follow the module of their region, even if a mode does not name it, or the stream names no region."""
 
 from __future__ import annotations
 

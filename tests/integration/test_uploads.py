@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is too long for one message goes in parts; and what becomes of parts that nobody uses."""
+"""What is too long for one message is uploaded in parts; and what becomes of parts that nobody uses."""
 
 from __future__ import annotations
 

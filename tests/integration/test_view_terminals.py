@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm view`` on terminals that others wrote, and in a window: what they show is the frame."""
+"""``cm view`` on real terminals and in a window: they show the frame."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def view(manager: Manager, *arguments: str) -> list[str]:
 
 
 def near(shown: Any, frame: Any) -> bool:
-    """Whether a picture is the frame in another size, coarsely."""
+    """Whether a picture roughly equals the frame in another size."""
     small = [np.asarray(Image.fromarray(p).convert("L").resize((16, 12), Image.Resampling.BOX)) for p in (shown, frame)]
     return bool(np.abs(small[0].astype(int) - small[1]).mean() < 8)
 
@@ -60,7 +60,7 @@ def near(shown: Any, frame: Any) -> bool:
 
 
 class Tmux:
-    """A tmux of its own."""
+    """A separate tmux server."""
 
     def __init__(self, folder: Path) -> None:
         self._command = ["tmux", "-S", str(folder / "tmux"), "-f", "/dev/null"]
@@ -144,7 +144,7 @@ class Display:
         return np.ascontiguousarray(pixels[:, :width, 2::-1])
 
     def picture(self) -> Any:
-        """What is lit on the black screen, without lines of text."""
+        """The lit part of the black screen, without lines of text."""
         screen = self.screen()
         lit = screen.max(2) > 0
         rows = np.flatnonzero(lit.mean(1) > 0.35)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docs/walks.md, held: a change of mode enters the files that its walk names, few of them, and none is long."""
+"""docs/walks.md is true: a change of mode enters only the files that its walk names, few of them, none long."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def serving(folder: Path, root: Path) -> Iterator[Path]:
 
 @pytest.fixture(scope="module")
 def entered() -> Iterator[set[str]]:
-    """What one `cm mode` enters; what the daemon does every second beside it is left out."""
+    """The files that one `cm mode` enters, without those that the daemon enters every second anyway."""
     found = Entered()
     patch = pytest.MonkeyPatch()
     patch.setattr(daemon, "_TICK", 3600.0)

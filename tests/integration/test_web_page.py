@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of `cm web` in a real browser: each of its states, changes by mouse and keyboard, and no leak.
+"""The page of `cm web` in a real browser: each of its states, changes by mouse and keyboard, and leaks.
 
 Every state leaves a picture in $CM_WEB_SHOTS (default: build/web), for people to look at.
 """
@@ -46,7 +46,7 @@ def server(camera: tuple[Manager, SimBoard]) -> Iterator[WebServer]:
 
 @pytest.fixture
 def page(camera: tuple[Manager, SimBoard], server: WebServer, browser: Any) -> Iterator[Any]:
-    """The page, of a board in the camera example's default mode."""
+    """The page of a board in the camera example's default mode."""
     with camera[0].connected() as board:
         board.load("camera", "default", force=True)
     with page_of(browser, server, color_scheme="dark") as opened:
@@ -55,9 +55,9 @@ def page(camera: tuple[Manager, SimBoard], server: WebServer, browser: Any) -> I
 
 
 def shoot(page: Any, name: str) -> Image.Image:
-    """A picture of a state; one of nothing is none."""
+    """Take a picture of a state, and check that it is not blank."""
     SHOTS.mkdir(parents=True, exist_ok=True)
-    page.wait_for_timeout(150)  # what fades has faded
+    page.wait_for_timeout(150)  # until fading has ended
     data = page.screenshot(path=SHOTS / f"{name}.png", full_page=True)
     picture = Image.open(io.BytesIO(data)).convert("RGB")
     assert len(picture.getcolors(1 << 24)) > 50
@@ -72,7 +72,7 @@ def pixels(page: Any, stream: str) -> np.ndarray[Any, Any]:
 
 
 def seen(page: Any, expression: str) -> None:
-    """Wait until something is so in the page, whose policy forbids playwright's own way of waiting for it."""
+    """Wait for a condition in the page, whose security policy forbids playwright's own way."""
     until(lambda: page.evaluate(expression), 60)
 
 
@@ -281,7 +281,7 @@ def test_a_value_that_comes_late_takes_no_step_of_a_slider_back(page: Any, camer
 
 
 def _focus(message: str | bytes) -> int | None:
-    """What a message to the page says of the register."""
+    """The value of the register in a message to the page."""
     registers = json.loads(message).get("registers", {}) if isinstance(message, str) else {}
     return registers.get("focus", {}).get("value")
 
@@ -305,6 +305,6 @@ def test_a_hundred_changes_leave_nothing_behind(page: Any, server: WebServer) ->
     assert after.heap <= before.heap + (
         2 << 20
     )  # a browser compiles and caches as it goes; 20 KiB a change would be a leak
-    # Slots come to be mapped as a slow reader needs them, eight at most; a leak would be one for each change.
+    # A slow reader maps up to eight slots as it needs them; a leak would be one for each change.
     until(lambda: server.descriptors() <= before.descriptors + 8)
     assert after.resident <= before.resident + (8 << 10)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`cm web` over TCP with a key of its own: its pages can do what that key can, whatever `--control` says."""
+"""`cm web` over TCP with its own key: its pages can do no more than that key, whatever `--control` says."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def guarded() -> Iterator[Guarded]:
             made.key(name, role)
         made.reload()
         for name in ("looker", "driver"):
-            until(lambda name=name: made.lets_in(name), 60)  # read again in the daemon's own time
+            until(lambda name=name: made.lets_in(name), 60)  # the daemon rereads it when it gets round to it
         yield made
         made.manager.stop()
 

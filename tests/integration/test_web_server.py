@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The server of `cm web` as programs meet it: who is let in, who may change what, and what many pages cost."""
+"""The server of `cm web` as programs see it: who is admitted, who may change what, and what many pages cost."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ async def status_of(server: WebServer, path: str, **headers: str) -> tuple[int, 
         return reply.status, await reply.text(), dict(reply.headers)
 
 
-# ---- who is let in ------------------------------------------------------------------------
+# ---- admission ----------------------------------------------------------------------------
 
 
 def test_the_page_is_whole_without_a_network_and_may_run_nothing_else(looking: WebServer) -> None:
@@ -175,7 +175,7 @@ def test_a_page_with_control_writes_registers_by_name_and_value(controlling: Web
         async with page(controlling) as one, page(controlling) as other:
             assert "error" not in await one.ask(1, "write", name="led.blink", value="fast")
             assert "error" not in await one.ask(2, "write", name="led.pattern", value=5)
-            wanted = {"pattern": 5, "blink": 2}  # it may know none yet
+            wanted = {"pattern": 5, "blink": 2}  # it may know no values yet
             await other.until(lambda: other.topics.get("registers", {}).get("led", {}).get("fields") == wanted)
 
     asyncio.run(attempt())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The protocol as others see it: bare pyzmq, nothing of ours but the generated messages."""
+"""The protocol as others see it: plain pyzmq and the generated messages, without our client."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Peer:
         self.context = zmq.Context()
         self.others: list[zmq.Socket[bytes]] = []
         self.req = self.connect(zmq.REQ, manager, "req")
-        self.pub = self.connect(zmq.XPUB, manager, "sub")  # a PUB, but that it can tell when it is connected
+        self.pub = self.connect(zmq.XPUB, manager, "sub")  # like PUB, but it shows when it is connected
         assert self.pub.recv() == b"\x01cm_"
         self.sub = self.connect(zmq.SUB, manager, "pub")
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Each attack of `attacks.py` beside a client that asks and streams: it loses nothing, and all is idle afterwards."""
+"""Each attack of `attacks.py` beside a well-behaved client, which loses nothing; afterwards all is idle."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def guarded() -> Iterator[Served]:
 
 
 def ended(process: subprocess.Popen[str]) -> Any:
-    """What it prints when its input ends."""
+    """Its output when its input ends."""
     said, _ = process.communicate(timeout=600)
     return json.loads(said)
 

@@ -51,7 +51,7 @@ def test_many_changes_of_mode_leave_nothing_behind(made: tuple[Rig, SimBoard], c
     pages, started = 0, 0.0
     for number, mode in enumerate(islice(cycle(MODES), WARM_UP + changes)):
         assert board.go(mode) is None
-        board.fault.names.clear()  # what the test itself notes
+        board.fault.names.clear()  # the test's own record
         board.data_plane.calls.clear()
         if number == WARM_UP - 1:
             before, pages, started = held(sim), resident(), time.monotonic()

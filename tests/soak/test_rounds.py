@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Client, manager and simulator, killed or stopped at random: the board does what it is asked afterwards."""
+"""Client, manager and simulator are killed or stopped at random: afterwards the board works."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Changes of mode, scraped every tenth of a second meanwhile: the metrics say what cm_status says."""
+"""Changes of mode, scraped every tenth of a second: the metrics agree with cm_status."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the build tool's tests share: the shipped examples, generated in a folder of the test's own."""
+"""Helpers of the build tool's tests: the shipped examples, generated in the test's folder."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The board that tests of changes share; a module with another one has fixtures of its own by these names."""
+"""The board that tests of changes share; a module with another board overrides these fixtures."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def configs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Config]:
 
 @pytest.fixture(scope="module")
 def sim(configs: dict[str, Config]) -> Iterator[SimBoard]:
-    """A simulated board of them, whose ports take no time."""
+    """A simulated board for them, whose ports take no time."""
     folder = next(iter(configs.values())).source
     assert folder is not None
     with SimBoard([folder.parent], arguments=["--icap-rate", "0", "--pcap-rate", "0"]) as board:

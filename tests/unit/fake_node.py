@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated nodes for the device tests: what a server may do right and wrong, packet by packet.
+"""Simulated nodes for the device tests: servers that behave well or badly, packet by packet.
 
-Written against kmod/uapi/cm_node.h on its own, so that it does not share a mistake with `cm.sim`.
+Written independently from kmod/uapi/cm_node.h, so that it shares no mistake with `cm.sim`.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def attribute(root: Path, path: str, text: str) -> None:
 
 
 def uio_class(root: Path, number: int, name: str, maps: list[tuple[int, int]]) -> None:
-    """Write what sysfs says of a UIO device with (address, size) maps."""
+    """Write the sysfs files of a UIO device with (address, size) maps."""
     folder = f"sys/class/uio/uio{number}"
     attribute(root, f"{folder}/name", f"{name}\n")
     for index, (address, size) in enumerate(maps):

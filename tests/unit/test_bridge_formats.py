@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a bridge says that frames are, without a manager."""
+"""How a bridge describes frames, without a manager."""
 
 from __future__ import annotations
 

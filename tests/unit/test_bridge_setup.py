@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What keeps a bridge from starting until somebody sets it up: said at once, with an exit status of its own."""
+"""What a bridge needs before it can start is reported at once, with a distinct exit status."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bitstreams and hardware descriptions of a flow, ours or anybody's, become a configuration that loads."""
+"""Bitstreams and hardware descriptions of any flow become a configuration that loads."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def design(*more: str, device: str = "7z020") -> bytes:
 
 @pytest.fixture
 def theirs(tmp_path: Path) -> Path:
-    """A folder as a foreign flow leaves it."""
+    """A folder with the results of a foreign flow."""
     folder = tmp_path / "theirs"
     folder.mkdir()
     (folder / "top.hwh").write_bytes(design())
@@ -106,7 +106,7 @@ def test_a_damaged_bitstream_is_refused(theirs: Path) -> None:
 
 
 def test_regions_that_overlap_are_refused(theirs: Path) -> None:
-    """Half of the one region's columns lie in the other: neither one region nor two."""
+    """Half of the columns of one are also written by the other: neither one region nor two."""
     for name, columns in (("pr_1_low", range(4)), ("pr_2_high", range(1, 9))):
         runs = [FrameRun(FrameAddress(0, 5, column), frames(2)) for column in columns]
         (theirs / f"{name}.bit").write_bytes(assemble("xc7z020", runs))

@@ -26,7 +26,7 @@ BARE = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 
 
 def run(words: list[str], cwd: Path, umask: int = 0o022, **environment: str) -> str:
-    """What ``cm build`` says; it must succeed. Folders of the test are taken out of it."""
+    """Return what ``cm build`` prints, without the test's folders; it must succeed."""
     kept = {key: value for key, value in os.environ.items() if not key.startswith(("LC_", "LANG", "PYTHON", "TZ"))}
     done = subprocess.run(
         [*COMMAND, *words],
@@ -94,7 +94,7 @@ def test_another_process_generates_the_same_bytes(
 
 
 def test_files_made_in_another_order_give_the_same_schema_and_the_same_words(tmp_path: Path) -> None:
-    """What ``*`` stands for does not depend on the order in which a file system has the files."""
+    """What ``*`` matches does not depend on the file system's order of files."""
     said = []
     for number, backwards in enumerate((False, True)):
         folder = tmp_path / str(number) / "same"

@@ -227,7 +227,9 @@ def test_a_top_in_a_separate_library_is_reached_through_a_wrapper(tmp_path: Path
     assert subprocess.run(["ghdl", "-e", "--std=08", "cm_flat_one"], cwd=tmp_path, check=False).returncode == 0
 
 
-def test_a_record_with_a_field_that_is_not_a_vector_names_the_field(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_a_record_with_a_field_that_is_not_a_vector_names_the_field(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
     package = PACKAGE.replace("data : word_t; strb", "data : integer; strb")
     assert main(["build", "check", str(of_records(tmp_path, package))]) == 1
     caught = capsys.readouterr()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Generated files and the user's changes."""
+"""Generated files and the user's changes to them."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_a_damaged_manifest_is_an_error_that_says_so(tmp_path: Path) -> None:
 def test_the_next_generation_repairs_one_that_was_killed_anywhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writes: int
 ) -> None:
-    """What the killed one wrote is never taken for the user's, even where the input has changed again since."""
+    """Files of the killed one are never taken for the user's, even if the input has changed again since."""
     Tree(tmp_path).write({"a": "1", "b": "1", "c": "1"})
     put, left = Tree._put, [writes]
 
@@ -114,7 +114,7 @@ def test_the_next_generation_repairs_one_that_was_killed_anywhere(
 
 
 def test_a_merge_begins_from_what_was_merged_last(tmp_path: Path) -> None:
-    """Deleting FILE.new says that it is merged: the next conflict's base is what it held."""
+    """Deleting FILE.new marks it as merged: its contents are the base of the next conflict."""
     Tree(tmp_path).write({"a": "one\n"})
     (tmp_path / "a").write_text("one\nmine\n")
     Tree(tmp_path).write({"a": "two\n"})
@@ -163,7 +163,7 @@ EDITS = st.lists(
 @given(EDITS)
 @settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_nothing_that_the_user_wrote_is_ever_lost(tmp_path_factory: pytest.TempPathFactory, edits: list) -> None:
-    """Generations, also killed ones, between edits: a text of the user's goes only when the user replaces it."""
+    """Generations, also killed ones, between edits: a user's text disappears only when the user replaces it."""
     folder = tmp_path_factory.mktemp("tree")
     mine: set[str] = set()
     for number, edit in enumerate(edits):
@@ -188,7 +188,7 @@ def test_nothing_that_the_user_wrote_is_ever_lost(tmp_path_factory: pytest.TempP
 
 
 def _generate(folder: Path, files: dict[str, str], writes: int) -> None:
-    """A generation that is killed after so many files."""
+    """A generation that is killed after some files."""
 
     class Killed(Tree):
         left = writes

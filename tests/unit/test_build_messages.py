@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A mistake for each message of Vivado that users report in public, caught by `cm build check` before Vivado sees it.
 
-The messages of the block design and of the runs are in test_build_tcl.py; where each is public says
-docs/build-vivado.md.
+The messages of the block design and of the runs are in test_build_tcl.py; docs/build-vivado.md says where each
+is public.
 """
 
 from __future__ import annotations

@@ -96,7 +96,9 @@ def test_a_proposal_that_cannot_be_generated_is_replaced_by_one_with_fewer_regio
     assert "note: 6 regions cannot be generated: three is the limit [full]" in capsys.readouterr().out
 
 
-def test_a_proposal_with_an_impossible_block_design_is_replaced_too(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_a_proposal_with_an_impossible_block_design_is_replaced_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
     # forty streams with an engine each have more masters than the ports to memory take
     text = "project: {name: many, part: xc7z020clg400-1}\nregions: {prr0: {}}\nmodules:\n"
     names = [f"m{index}" for index in range(20)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Registers from other tools' descriptions."""
+"""Registers read from other tools' descriptions."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ def known_commands() -> str:
 
 
 def replay(out: Path, script: str, tmp_path: Path, **environment: str) -> tuple[int, str, list[str]]:
-    """Status, what was said on stderr, and the recorded calls."""
+    """Exit status, stderr, and the recorded calls."""
     (tmp_path / "known").write_text(known_commands())
     record = tmp_path / "record"
     # the scripts write below the folder that they run in, and read what lies beside the build schema
@@ -49,7 +49,7 @@ def replay(out: Path, script: str, tmp_path: Path, **environment: str) -> tuple[
 
 
 def scripts(out: Path) -> list[str]:
-    """In the order in which the flow runs them: each reads what those before it have written."""
+    """The scripts in the order in which the flow runs them: each reads what earlier ones wrote."""
     return [f"tcl/step_{step['name']}.tcl" for step in json.loads((out / "steps.json").read_text())["steps"]]
 
 
@@ -198,7 +198,7 @@ def test_a_block_design_that_vivado_would_refuse_is_refused(
     script = tmp_path / "work" / out.parent.name / out.name / "tcl/block_design.tcl"
     text, count = re.subn(line, spoiled, script.read_text(), count=1)
     assert count
-    if "FREQ_HZ" in line:  # a rate that the dividers do not meet
+    if "FREQ_HZ" in line:  # a rate that the dividers cannot produce
         text = text.replace("FREQMHZ {100}", "FREQMHZ {99.5}")
     script.write_text(text)
     status, said, _ = replay(out, "tcl/step_system.tcl", tmp_path)

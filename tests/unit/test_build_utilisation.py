@@ -76,7 +76,9 @@ def test_any_damage_is_read_or_refused(noise: str, where: int) -> None:
         parse_utilisation(text[:where] + noise + text[where:])
 
 
-def test_the_advisor_uses_reports_and_the_schema_takes_precedence(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_the_advisor_uses_reports_and_the_schema_takes_precedence(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
     folder = copy_examples(tmp_path) / "camera"
     schema = folder / "build.yaml"
     text = re.sub(r"    resources: .*\n", "", schema.read_text())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Child processes run this package, whatever lies in the folder the user stands in."""
+"""Child processes run this package, whatever is in the current folder."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ HOSTILE = "import os; os.write(2, b'hostile\\n'); os._exit(66)\n"
 
 @pytest.fixture
 def trap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The folder the user stands in; it has modules of our name and of those that ours import."""
+    """The current folder, with modules named like this package and those that it imports."""
     (tmp_path / "cm").mkdir()
     for name in ("cm/__init__.py", "yaml.py", "runpy.py", "json.py", "zmq.py", "numpy.py", "argparse.py"):
         (tmp_path / name).write_text(HOSTILE)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which files configure a device alike, whatever container and padding they have."""
+"""Which files configure a device identically, whatever their container and padding."""
 
 from __future__ import annotations
 

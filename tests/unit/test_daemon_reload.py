@@ -92,7 +92,9 @@ def test_new_configurations_appear_and_removed_ones_disappear(served: Daemon, so
     assert served.refused(ChangeMode("other", "default"))[0] == "unknown_config"
 
 
-def test_a_loaded_configuration_keeps_its_schema_until_it_is_unloaded(served: Daemon, source: Source, reload: Any) -> None:
+def test_a_loaded_configuration_keeps_its_schema_until_it_is_unloaded(
+    served: Daemon, source: Source, reload: Any
+) -> None:
     served.load("default")
     reload(Reloaded({"other": source.named("other")}, OPERATE))
     until(lambda: names(served) == {"camera", "other"})

@@ -234,7 +234,9 @@ def test_a_repeated_read_after_a_change_of_mode_is_of_the_new_mode(camera: Daemo
         (rq.DefineMemory("block", 0x1000, 3), "invalid_request", "4"),
     ],
 )
-def test_impossible_requests_are_refused_with_their_codes(camera: Daemon, request_: rq.Request, code: str, words: str) -> None:
+def test_impossible_requests_are_refused_with_their_codes(
+    camera: Daemon, request_: rq.Request, code: str, words: str
+) -> None:
     found, message = camera.refused(request_)
     assert (found, words in message) == (code, True), message
 

@@ -233,7 +233,9 @@ def test_a_stream_that_is_stopped_half_way_goes_on_when_it_may(
     assert reads(reader) == [0, 1, 2, 3, 4]
 
 
-def test_a_board_that_goes_half_way_is_reported(slots: Allocator, camera: Daemon, client: Callable[..., Client]) -> None:
+def test_a_board_that_goes_half_way_is_reported(
+    slots: Allocator, camera: Daemon, client: Callable[..., Client]
+) -> None:
     slots.hold(20)
     reader = client(camera, Open("camera", depth=DEPTH))
     slots.held()
@@ -294,7 +296,9 @@ def test_a_reader_with_its_slots_does_not_wait_for_one_without_end(
     reads(slow)
 
 
-def test_slots_that_a_client_waits_for_count_as_held(slots: Allocator, camera: Daemon, client: Callable[..., Client]) -> None:
+def test_slots_that_a_client_waits_for_count_as_held(
+    slots: Allocator, camera: Daemon, client: Callable[..., Client]
+) -> None:
     slots.hold(20)
     client(camera, Open("camera", depth=DEPTH))
     slots.held()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Streams at the daemon's sockets: single frames, subscribers, clients of the data socket, and what is set of them."""
+"""Streams at the daemon's sockets: single frames, subscribers, clients of the data socket, and settings."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def shared() -> Iterator[Daemon]:
 
 @pytest.fixture
 def camera(shared: Daemon) -> Daemon:
-    """In the default mode, entered anew: with the schema's settings of all streams."""
+    """A daemon in the default mode, freshly entered, so that all streams have the schema's settings."""
     shared.load("loopback")
     shared.load("default")
     return shared
@@ -40,7 +40,7 @@ def camera(shared: Daemon) -> Daemon:
 
 @pytest.fixture
 def loop(shared: Daemon) -> Daemon:
-    """What is written to `to_pl`, in small frames, comes back on `from_pl`."""
+    """A daemon that loops small frames from `to_pl` back to `from_pl`."""
     shared.load("default")
     shared.load("loopback")
     for name in ("to_pl", "from_pl"):
@@ -50,7 +50,7 @@ def loop(shared: Daemon) -> Daemon:
 
 @pytest.fixture
 def flowing(loop: Daemon) -> Iterator[Daemon]:
-    """That, with its end open, so that the hardware takes what is written."""
+    """The same with `from_pl` open, so that the hardware takes what is written."""
     loop.done(ConfigureStream("from_pl", enable=True))
     yield loop
     loop.done(ConfigureStream("from_pl", automatic=True))
@@ -58,7 +58,7 @@ def flowing(loop: Daemon) -> Iterator[Daemon]:
 
 @pytest.fixture
 def client() -> Iterator[Callable[..., Client]]:
-    """Makes clients, which are closed in the end."""
+    """Makes clients, which are closed at the end of the test."""
     with contextlib.ExitStack() as stack:
         yield lambda *arguments: stack.enter_context(contextlib.closing(Client(*arguments)))
 
@@ -245,7 +245,7 @@ def test_a_writer_fills_the_slots_that_it_is_granted(loop: Daemon, client: Calla
 
 
 def loop_is_open(daemon: Daemon, name: str) -> bool:
-    """Asked on a socket of its own: the daemon's waits for another reply."""
+    """Ask on a separate socket: the daemon's is waiting for another reply."""
     seen = Subscriber(daemon)
     found = any(stream.name == name and stream.open for stream in seen.first.streams)
     seen.close()
@@ -389,7 +389,9 @@ def test_a_board_that_stops_answering_is_reported_and_taken_up_again(
         try:
             for head in held:  # a slot that is given back goes to the board
                 reader.send(head, packets.RELEASE)
-            told = failure(seen.first) or failure(seen.until(Status, failure))  # a busy machine's may have come before
+            told = failure(seen.first) or failure(
+                seen.until(Status, failure)
+            )  # on a busy machine it may have come before
             assert told is not None
             assert (told.code, "'camera' ended: Connection timed out" in told.message) == ("device_error", True)
             assert made.refused(rq.ReadData("camera", 1.0))[0] == "timeout"

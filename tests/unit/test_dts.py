@@ -16,7 +16,7 @@ DTS = Path(__file__).parents[2] / "dts"
 BOARDS = sorted(path.stem for path in (DTS / "boards").glob("*.dts"))
 OVERLAYS = sorted(str(path.relative_to(DTS / "overlays").with_suffix("")) for path in DTS.glob("overlays/*/*.dtso"))
 BINDINGS = sorted((DTS / "bindings").rglob("*.yaml"))
-ALONE = {"static", "leds", "axidma", "pool"}  # overlays that stand on the board's tree itself
+ALONE = {"static", "leds", "axidma", "pool"}  # overlays that apply to the board's tree itself
 SCRIPTS = Path(sysconfig.get_path("scripts"))
 
 pytestmark = pytest.mark.skipif(
@@ -65,7 +65,7 @@ def merged(built: Path, overlay: str) -> Path:
 
 @pytest.fixture(scope="module")
 def verdicts(built: Path) -> Iterator[dict[str, str]]:
-    """What dt-validate says of each board's tree with each overlay on it."""
+    """dt-validate's messages about each board's tree with each overlay."""
     tool = schema_tool("dt-validate")
     trees = {overlay: merged(built, overlay) for overlay in OVERLAYS}
     done = subprocess.run(
@@ -146,7 +146,7 @@ def test_wrong_properties_are_reported(built: Path, tmp_path: Path) -> None:
     tool = schema_tool("dt-validate")
     text = run("dtc", "-q", "-I", "dtb", "-O", "dts", merged(built, "qemu-virt/static"))
     changes = {
-        "<0x02 0x01 0x02>": "<0x02 0x01 0x03>",  # a direction there is not
+        "<0x02 0x01 0x02>": "<0x02 0x01 0x03>",  # a direction that does not exist
         'dma-names = "icap"': 'dma-names = "port"',
         "fpga-cm,kind = ": "fpga-cm,sort = ",
     }

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a request is refused with is, at the client, of the kind that it is at the manager."""
+"""A refusal raises the same kind of error at the client as at the manager."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ KINDS = {
     NotFound: client.RequestNotFound,
     Timeout: client.RequestTimeout,
 }
-OTHERS = {"nothing_loaded", "already_served", "state_in_use"}  # of a state, and of a manager that does not start
+OTHERS = {"nothing_loaded", "already_served", "state_in_use"}  # about a state, or a manager that does not start
 
 
 def refusals() -> list[type[CmError]]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flattened device trees: what is read is what dtc wrote, what is written is what libfdt reads."""
+"""Flattened device trees: those of dtc are read, and those that are written are read by libfdt."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A change of many boards as a transaction: coordinator and boards, example by example.
 
-No sockets, files or time: coroutines are run to their end by hand, and a process that is killed is an exception at
-one of the calls that reach outside, before or after it had its effect.
+Without sockets, files or time: coroutines are run by hand, and a killed process is an exception in one of the
+calls that leave it, before or after the call had its effect.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ SILENT = ErrorInfo("vanished", "it vanished")
 
 
 class Killed(BaseException):
-    """The process ended here."""
+    """The process was killed here."""
 
 
 def done(coroutine: Coroutine[Any, Any, T]) -> T:
-    """Nothing here waits."""
+    """Run a coroutine that never waits."""
     try:
         coroutine.send(None)
     except StopIteration as end:
@@ -65,7 +65,7 @@ class Disk:
 
 @dataclass
 class Fate:
-    """What is to go wrong at a board: kills by the number of the call, loads that fail."""
+    """What goes wrong at a board: kills, by the number of the call, and loads that fail."""
 
     kills: set[int] = field(default_factory=set)
     failures: set[int] = field(default_factory=set)
@@ -88,7 +88,7 @@ class LoadFailed(CmError):
 
 
 class Board:
-    """A board with its manager, and the bridge before it."""
+    """A board with its manager and its bridge."""
 
     def __init__(self, world: World, name: str) -> None:
         self.fate = Fate()
@@ -139,7 +139,7 @@ class Board:
         return {name: record for name, record in found.items() if record is not None}
 
     def take(self, ask: Ask) -> FleetRecord | ErrorInfo | None:
-        """What is sent here; None where it, or its answer, is lost."""
+        """Handle a message; return None if it or its answer is lost."""
         try:
             return self.at_once(ask) if ask.verb in (Verb.VOTE, Verb.SETTLE) else done(self._do(ask))
         except Killed:
@@ -154,7 +154,7 @@ class Board:
         return self.participant.apply(ask.step) if ask.verb is Verb.APPLY else self.participant.decide(ask.step)
 
     def at_once(self, ask: Ask) -> FleetRecord:
-        """What a board answers whatever it is at."""
+        """Answer what a board can answer at any time."""
         return self.participant.vote(ask.step) if ask.verb is Verb.VOTE else self.participant.settle(ask.step)
 
     def go_on(self) -> None:
@@ -181,7 +181,7 @@ class World:
         return Coordinator(first_step("c1", self.boards, "camera", "edge", policy, 30.0))
 
     def run(self, coordinator: Coordinator, chance: random.Random | None = None, ends_after: int = 10**6) -> bool:
-        """Until it is done, or the coordinator ended after so many answers; messages in any order."""
+        """Run until it is done, or the coordinator dies after some answers; messages arrive in any order."""
         asks = coordinator.start()
         for _ in range(ends_after):
             if not asks:
@@ -206,7 +206,7 @@ class World:
             chance.choice(list(self.boards.values())).go_on()
 
     def heal(self) -> None:
-        """Nothing goes wrong any more, and time passes."""
+        """Let time pass without further faults."""
         for board in self.boards.values():
             board.fate = board.disk._fate = Fate()
             board.reachable = True
@@ -221,7 +221,7 @@ class World:
         return {board.place for board in self.boards.values()}
 
     def decision(self) -> Decision:
-        """What the seat knows nothing of has been reverted."""
+        """The decision; a change unknown to the seat has been reverted."""
         record = self.boards["b0"].disk.read("c1")
         return record.decision if record and record.decision else Decision.REVERT
 
@@ -304,7 +304,7 @@ def test_a_late_coordinator_is_refused_by_seats_that_others_have_asked() -> None
 
 
 def test_a_change_that_was_reverted_is_not_started_first() -> None:
-    """The manager went away before it did anything; then comes the decision to go back."""
+    """The manager went away before it did anything; then the decision to revert arrives."""
     world = World(1)
     board = world.boards["b0"]
     board.fate.away = {1: False}
@@ -354,7 +354,7 @@ def test_a_step_out_of_order_is_an_error_and_changes_nothing() -> None:
 
 
 def test_while_the_decision_is_unknown_every_board_is_named() -> None:
-    """The seats voted; nobody heard it."""
+    """The seats voted, but nobody received the votes."""
     world = World(4)
     coordinator = world.coordinator()
     asks = coordinator.start()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of fleets: round trips, what is added behind a status, and JSON."""
+"""Messages of fleets: round trips, what a bridge appends to a status, and JSON."""
 
 from __future__ import annotations
 

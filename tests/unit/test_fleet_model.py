@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The model of large fleets: it grows as it must, and says what breaks first."""
+"""The model of large fleets: it scales as expected, and says what breaks first."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ def test_bytes_and_processor_time_grow_with_the_number_of_boards() -> None:
     rows = [reckoned(SMALL, boards) for boards in SIZES]
     assert [row["status_bytes_per_second"] for row in rows] == [boards * 500.0 for boards in SIZES]
     assert [row["client_cpus"] for row in rows] == [boards * 1e-3 for boards in SIZES]
-    assert rows[-1]["region_router_cpus"] == 500 * 5e-4  # a region's router does not know how many others there are
+    assert (
+        rows[-1]["region_router_cpus"] == 500 * 5e-4
+    )  # a region's router does not depend on how many other regions there are
 
 
 def test_a_change_takes_as_long_as_the_client_and_the_slowest_board() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whatever a file holds, extraction gives modules or says what is wrong."""
+"""Whatever a file contains, extraction gives modules or says what is wrong."""
 
 from __future__ import annotations
 

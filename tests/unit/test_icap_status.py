@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The port's status register: what describes it says what kmod/include/cm_icap_port.h defines.
+"""The port's status register: its descriptions agree with kmod/include/cm_icap_port.h.
 
 The RTL is compared with it in tests/rtl, the driver with each bit in tests/vm/cases/test_silicon.py.
 """

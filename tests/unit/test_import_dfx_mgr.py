@@ -152,7 +152,7 @@ def test_isolation_of_one_bit_is_a_decoupler_that_the_value_connects(base: Path)
 
 
 def test_isolation_of_several_writes_is_a_sequence(base: Path) -> None:
-    """As in the shell.json of Kria's 2RP base."""
+    """Kria's 2RP base has such a shell.json."""
     offsets, values = ["0x4000", "0x4004", "0x4008", "0x400c"], ["0x01", "0x01", "0x0b", "0x02"]
     put_json(base / "shell.json", SHELL | {"isolation_slots": [{"offset": offsets, "values": values}]})
     imported = import_dfx_mgr(base)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The daemon's loop: no message stays behind because ZeroMQ's descriptor did not tell of it."""
+"""The daemon's loop: no message is left waiting because ZeroMQ's descriptor did not signal it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def pair(context: zmq.Context[zmq.Socket[bytes]], clients: int) -> tuple[zmq.Soc
 
 
 def test_every_message_is_served_whatever_is_sent_meanwhile(context):
-    """Sending uses up the descriptor's signal: here the loop sends all the time, from other callbacks too."""
+    """Sending consumes the descriptor's signal: here the loop sends all the time, from other callbacks too."""
     server, clients = pair(context, 3)
     loop = Loop()
     served: list[bytes] = []
@@ -81,7 +81,7 @@ def test_every_message_is_served_whatever_is_sent_meanwhile(context):
 def test_messages_that_were_there_before_the_socket_was_added_are_served(context):
     server, (client,) = pair(context, 1)
     client.send(b"early")
-    assert server.poll(60_000)  # its signal is used up
+    assert server.poll(60_000)  # its signal is consumed
     loop = Loop()
     loop.add_socket(server, lambda: (loop.send(server, multipart.receive(server)), loop.stop())[1])
     loop.run()
@@ -92,10 +92,10 @@ def test_messages_that_were_there_before_the_socket_was_added_are_served(context
 
 
 def test_a_timer_set_for_a_message_that_was_looked_for_again_is_not_late(context):
-    """Nothing else comes that would wake the loop."""
+    """Nothing else wakes the loop."""
     server, (client,) = pair(context, 1)
     client.send(b"early")
-    assert server.poll(60_000)  # its signal is used up
+    assert server.poll(60_000)  # its signal is consumed
     loop = Loop()
     loop.add_socket(server, lambda: (multipart.receive(server), loop.call_later(0.01, loop.stop)))
     thread = threading.Thread(target=loop.run, daemon=True)
@@ -146,7 +146,7 @@ def test_frames_arrive_as_they_were_sent(context, frames):
 
 
 def test_a_loop_that_was_closed_may_be_stopped_and_writes_to_nobody_elses_descriptor():
-    """Another thread may close it between the wish to stop and the waking: `stop()` raised EBADF then."""
+    """Another thread may close it between the request to stop and the wake-up: `stop()` raised EBADF then."""
     loop = Loop()
     loop.close()
     others = [os.eventfd(0, os.EFD_NONBLOCK) for _ in range(3)]  # which have its descriptors' numbers

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clocks of a configuration: set, read back, told, refused where they cannot be had, and undone."""
+"""Clocks of a configuration: set, read back, reported, refused if impossible, and undone."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from cm.schema.model import Clock, Config
 from cm.sim import Board as SimBoard
 from cm.sim.nodes.clocks import PLL, rounded
 
-BOOT = 49_999_999  # Hz, what the simulated boot loader leaves
-FAST = 142_857_141  # what the dividers make of 142.86 MHz
+BOOT = 49_999_999  # Hz, as set by the simulated boot loader
+FAST = 142_857_141  # the nearest rate of the dividers to 142.86 MHz
 
 TEXT = """
 config:
@@ -77,7 +77,7 @@ def made(sim: SimBoard, configs: dict[str, Config], tmp_path: Path) -> Iterator[
 
 
 def rates(sim: SimBoard) -> tuple[int, int]:
-    """Of fclk0 and fclk1, on the board."""
+    """The rates of fclk0 and fclk1 on the board."""
     clocks = sim.control.state()["clocks"]
     return clocks["fclk0"], clocks["fclk1"]
 
@@ -161,7 +161,7 @@ def test_a_clock_that_ignores_its_rate_is_noticed_and_rolled_back(made: Rig, sim
 
 @pytest.mark.parametrize("start", ["slow", ""])
 def test_rates_are_undone_whichever_operation_fails(made: Rig, sim: SimBoard, start: str) -> None:
-    """Also where there was no mode to go back to, and to what a configuration without clocks found."""
+    """Also without a mode to go back to, and to the rates before a configuration without clocks."""
     number, failed = 0, 0
     while True:
         made.arm(-1)
@@ -229,7 +229,7 @@ def test_clocks_that_changed_while_no_manager_ran_are_reported_and_set_again(
 
 
 def test_rates_round_down_as_the_dividers_do() -> None:
-    """Rates that mainline's driver makes of an IOPLL of 1 GHz; the lowest is the PLL by 63 twice."""
+    """Rates that the mainline driver derives from an IOPLL of 1 GHz; the lowest divides it by 63 twice."""
     pll = PLL["7series"]
     assert [rounded(pll, hz) for hz in (100_000_000, 142_860_000, 1, 10**12)] == [99_999_999, FAST, 251_952, pll]
     for wanted in range(1_000_000, 300_000_000, 7_654_321):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every operation of a change fails once, and the manager dies at every step: the board ends where it is said to."""
+"""Every operation of a change fails once, and the manager dies at every step: the board is where it says."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def truth(sim: SimBoard) -> dict[str, object]:
 
 
 def settled(made: Rig, sim: SimBoard) -> str:
-    """Where the board is, and that the manager says the same: a mode, or ``cut off``."""
+    """Where the board is, a mode or ``cut off``; checks that the manager says the same."""
     status, held = made.manager.status(), truth(sim)
     region = next(r for r in status.regions if r.name == "prr0")
     assert not status.fpga_busy
@@ -181,7 +181,7 @@ def test_a_board_that_was_restarted_holds_nothing(tmp_path: Path) -> None:
 
 
 def test_a_region_that_was_reloaded_from_outside_is_not_trusted(sim: SimBoard, tmp_path: Path) -> None:
-    """The identity register says another module than the record: it is loaded again."""
+    """The identity register names another module than the record, so the region is loaded again."""
     with rig(sim.root, tmp_path / "one") as first:
         assert first.go("default") is None
     with rig(sim.root, tmp_path / "two") as other:
@@ -196,7 +196,7 @@ def test_a_region_that_was_reloaded_from_outside_is_not_trusted(sim: SimBoard, t
 
 
 class Disk:
-    """Makes every write of the record fail from operation `at` on, as a card does that turns read-only."""
+    """Makes every write of the record fail from operation `at` on, like a card that turns read-only."""
 
     def __init__(self, made: Rig, at: int = 0) -> None:
         self._fault, self._at = made.fault, at
@@ -244,7 +244,7 @@ def test_a_record_that_fails_from_any_operation_on_leaves_the_board_whole(made: 
 def test_a_manager_that_dies_after_its_record_failed_comes_back_to_the_mode_before(
     sim: SimBoard, tmp_path: Path
 ) -> None:
-    """What is on disk is older than what was done last; it leads to the mode before all the same."""
+    """The record on disk is older than the last operation, but still leads to the previous mode."""
     with rig(sim.root, tmp_path, camera(timeout=HUNG)) as first:
         assert first.go("default") is None
         count = operations(first)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Isolation as a sequence of writes and polls: a region is cut off by all of them before anything is loaded."""
+"""Isolation by a sequence of writes and polls, all of which are done before anything is loaded."""
 
 from __future__ import annotations
 

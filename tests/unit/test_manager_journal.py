@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The record: what was written whole is read again, whatever came after it."""
+"""The record: what was written completely is read again, whatever follows it."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def journal(tmp_path: Path) -> Iterator[Journal]:
 
 
 def lines(folder: Path) -> bytes:
-    """What was written; the rest of the file is room for more."""
+    """The records in the file; the rest is space for more."""
     return (folder / "journal").read_bytes().rstrip(b"\0")
 
 
@@ -191,7 +191,7 @@ def test_a_bad_record_on_a_read_only_file_system_is_no_more_than_bad(
 def test_no_descriptor_goes_astray_when_the_journal_cannot_be_replaced(
     journal: Journal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A number that is not ours any more may be a device's by the next write."""
+    """A descriptor that is no longer ours may belong to a device by the next write."""
 
     def fails(*_: object) -> Path:
         raise OSError(errno.EROFS, "read-only")
@@ -239,7 +239,7 @@ def fill(disk: Path) -> None:
 
 def test_a_disk_that_others_fill_does_not_stop_the_record(small_disk: Path) -> None:
     journal = Journal(small_disk / "state")
-    for number in range(2000):  # three times and more a new journal
+    for number in range(2000):  # more than three new journals
         fill(small_disk)
         journal.write(replace(FULL, number=number))
     assert journal.read() == replace(FULL, number=1999)

@@ -363,9 +363,7 @@ def test_a_block_is_in_the_region_of_what_has_a_name_there(
         ({"address": 0x1800, "length": 4, "access": "wo"}, InvalidRequest, "covers memory 'scratch'"),
     ],
 )
-def test_an_impossible_block_is_refused(
-    made: Rig, given: dict[str, object], error: type[CmError], words: str
-) -> None:
+def test_an_impossible_block_is_refused(made: Rig, given: dict[str, object], error: type[CmError], words: str) -> None:
     with pytest.raises(error, match=words):
         made.manager.memories.define(DefineMemory("block", **given))  # type: ignore[arg-type]
     assert not made.manager.memories.defined()

@@ -131,9 +131,7 @@ def test_a_load_that_fails_goes_back_to_the_configuration_before(made: Rig, sim:
     assert (made.manager.status().config_name, applied(sim)) == ("one", ["one_static", "one_a"])
 
 
-def test_if_the_port_does_not_appear_the_change_fails_and_says_so(
-    made: Rig, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_if_the_port_does_not_appear_the_change_fails_and_says_so(made: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     def gone(name: str | None) -> Any:
         raise DeviceNotFound("no port at all")
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Packages of others: what an overlay would make the kernel load is known to the plan, or nothing is touched.
+"""Packages of others: unless the plan knows what an overlay would make the kernel load, nothing is touched.
 
-They have the shape of PYNQ's and dfx-mgr's: an image, and an overlay of the same name that names an image below
+They resemble those of PYNQ and dfx-mgr: an image, and an overlay of the same name that names an image below
 /lib/firmware, where other projects put theirs too.
 """
 
@@ -62,7 +62,7 @@ def whole(design: str) -> bytes:
 
 
 def overlay_naming(firmware: str, **flags: bytes) -> bytes:
-    """What a package's .dtbo does: load an image, and add a device of it."""
+    """A package's overlay: it loads an image and adds a device."""
     device = fdt.FdtNode("ip@43c00000", {"compatible": b"xlnx,ip\0"})
     named = {"firmware-name": firmware.encode() + b"\0"}
     named |= {key.replace("_", "-"): value for key, value in flags.items()}
@@ -71,7 +71,7 @@ def overlay_naming(firmware: str, **flags: bytes) -> bytes:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The packages, good ones at first."""
+    """The packages, initially correct."""
     made = tmp_path_factory.mktemp("packages")
     (made / "network.bit").write_bytes(whole("network"))
     (made / "network.dtbo").write_bytes(overlay_naming("network.bin"))
@@ -141,9 +141,7 @@ def test_the_image_of_another_project_under_the_same_name_is_refused(made: Rig, 
     assert "network.bit" in reason
 
 
-def test_the_packages_own_image_takes_precedence(
-    made: Rig, sim: SimBoard, folder: Path, firmware: Path
-) -> None:
+def test_the_packages_own_image_takes_precedence(made: Rig, sim: SimBoard, folder: Path, firmware: Path) -> None:
     (firmware / "network.bin").write_bytes(convert(whole("somebody's"), Container.BIN_SWAPPED))
     own = folder / "network.bin"
     own.write_bytes(convert(whole("network"), Container.BIN_SWAPPED))
@@ -217,11 +215,11 @@ def test_the_module_that_an_overlay_names_is_loaded_once(
 # ---- whatever fails, and wherever the manager dies ------------------------------------------
 
 
-START, GOAL = ("slots", "bare"), ("network", "filtered")  # a package of its own image, an overlay and a clock
+START, GOAL = ("slots", "bare"), ("network", "filtered")  # a package with its own image, an overlay and a clock
 
 
 def begin(made: Rig) -> None:
-    """In the slots of the package's image, with the clock as somebody left it."""
+    """Start in the slots of the package's image, with an arbitrary rate of the clock."""
     made.arm(-1)
     assert made.go("default", config="network") is None
     assert made.go(START[1], config=START[0]) is None
@@ -229,7 +227,7 @@ def begin(made: Rig) -> None:
 
 
 def told(made: Rig, sim: SimBoard) -> tuple[str, str]:
-    """Where the manager says that the board is; the board itself says so of regions, overlays and clocks."""
+    """Where the manager says that the board is, checked against the board's regions, overlays and clocks."""
     status, held = made.manager.status(), sim.control.state()
     assert sorted(held["overlays"]) == sorted(overlay.name for overlay in made.manager.state.overlays)
     for region in status.regions:
@@ -239,7 +237,7 @@ def told(made: Rig, sim: SimBoard) -> tuple[str, str]:
     for clock in status.clocks:
         assert held["clocks"][clock.name] == clock.rate
     if status.config_name == START[0]:
-        assert held["clocks"]["fclk0"] == 24_999_999  # nobody's wish, but what was there
+        assert held["clocks"]["fclk0"] == 24_999_999  # not requested by anybody, but what was set before
     return status.config_name, status.mode
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Any change after any other: operations fail once or for good, the manager is restarted, or dies in between.
 
-`CM_RANDOM_CHANGES` makes it longer, `CM_RANDOM_SEED` another one.
+`CM_RANDOM_CHANGES` makes the run longer, `CM_RANDOM_SEED` gives another one.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def go(made: Rig, place: str) -> str:
 
 
 def where(made: Rig, sim: SimBoard, configs: dict[str, Config]) -> str:
-    """The mode that the manager says the board is in; what it says of regions and overlays is so."""
+    """The mode in which the manager says the board is; its regions and overlays are checked."""
     state, held = made.manager.state, sim.control.state()
     assert not made.manager.status().fpga_busy
     if state.static_lost:
@@ -50,7 +50,7 @@ def where(made: Rig, sim: SimBoard, configs: dict[str, Config]) -> str:
 
 
 def dies(sim: SimBoard, configs: dict[str, Config], state: Path, goal: str, number: int) -> None:
-    """In a child: on the way to a mode be killed at an operation, if there are so many."""
+    """In a child process, go to a mode and be killed at an operation, if there are that many."""
     pid = os.fork()
     if pid == 0:
         try:

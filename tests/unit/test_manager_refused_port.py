@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A port that refuses a load when it is asked for it: another one, where the schema leaves that open."""
+"""A port that refuses a load: another port is used if the schema leaves the choice open."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ config:
 
 
 class Refusing:
-    """An ICAP that refuses what it is told to load, as often as it is armed for."""
+    """An ICAP that refuses as many loads as it is armed for."""
 
     def __init__(self, inner: Any) -> None:
         self.inner, self.refusals = inner, []  # type: Any, list[Exception]

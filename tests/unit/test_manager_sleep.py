@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""After the machine slept nothing is claimed of the PL's content: it may have lost its power."""
+"""After the machine slept nothing is assumed about the PL's contents: it may have lost power."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def made(sim: SimBoard, configs: dict[str, Config], tmp_path: Path) -> Iterator[
 
 
 def slept(made: Rig) -> list[str]:
-    """What was done to the board after a sleep."""
+    """Sleep, and return what was done to the board afterwards."""
     made.arm(-1)
     made.manager.board_slept()
     made.manager.wait_idle()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a manager takes the board when it starts, and what a register access costs in accesses: no board, no files."""
+"""Where a manager takes the board at its start, and how many accesses a register takes: no board, no files."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_a_known_configuration_in_no_mode_is_not_left_for_the_one_before() -> No
 
 
 class Counted:
-    """A device that notes its accesses."""
+    """A device that records its accesses."""
 
     def __init__(self, cells: Mapping[int, int]) -> None:
         self.cells, self.done = dict(cells), list[tuple[str, int]]()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What notebooks are given to show: PNG that others read, and HTML that is well formed and says what is there."""
+"""What notebooks display: PNG that others read, and well-formed HTML with the right contents."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ RNG = np.random.default_rng(1)
 
 
 def read(data: bytes | None) -> Image.Image:
-    """As somebody else reads it; a wrong checksum is an error there."""
+    """Decode by an independent reader, to which a wrong checksum is an error."""
     assert data is not None
     image = Image.open(io.BytesIO(data))
     image.load()

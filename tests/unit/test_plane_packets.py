@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Packets of the data socket: what is written is what is read, and nonsense is refused."""
+"""Packets of the data socket: they are read as they were written, and nonsense is refused."""
 
 from __future__ import annotations
 

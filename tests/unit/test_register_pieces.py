@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pieces of long requests for registers are as long as the loop can wait, whatever an access takes."""
+"""Long requests for registers are cut into pieces as long as the loop can wait, however slow an access is."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Slow:
         return writes
 
     def check_again(self, *_: object) -> None:
-        """All are there still."""
+        """Do nothing: all registers still exist."""
 
     def write_checked(self, writes: tuple[RegWrite, ...]) -> RegValues:
         return self.read(tuple(write.name for write in writes))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a request costs the manager's loop, in calls of Python functions: how long it takes is for `cm bench`."""
+"""What a request costs the manager's loop, in calls of Python functions; `cm bench` measures time."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ARRIVED: CodeType = Intake._arrived.__code__
 
 
 class Calls:
-    """The functions that were called for each message, from its arrival on."""
+    """The functions called for each message from its arrival on."""
 
     def __init__(self) -> None:
         self.messages: list[list[str]] = []
@@ -54,7 +54,7 @@ def camera(calls: Calls) -> Iterator[Daemon]:
 
 
 def usual(camera: Daemon, calls: Calls, request: Any) -> list[str]:
-    """What a request calls that was asked before."""
+    """The calls of a request that was made before."""
     camera.done(request)
     camera.done(request)
     calls.messages.clear()

@@ -85,7 +85,5 @@ def test_every_intent_is_among_them_and_has_a_handler() -> None:
         (b"cm_lease", Lease(release=True), rq.ReleaseLease("")),
     ],
 )
-def test_messages_with_several_intents_keep_their_meaning(
-    topic: bytes, message: Any, intent: rq.Request
-) -> None:
+def test_messages_with_several_intents_keep_their_meaning(topic: bytes, message: Any, intent: rq.Request) -> None:
     assert decode_request([topic, message.SerializeToString()]) == intent

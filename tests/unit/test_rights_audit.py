@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who did what, in the log: once for a burst, and in lines that nothing from outside can forge."""
+"""Who did what, in the log: once for a burst, and in lines that outsiders cannot forge."""
 
 from __future__ import annotations
 

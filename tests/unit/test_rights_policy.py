@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The policy by itself: who somebody is, which rights that gives, and what each request takes."""
+"""The policy by itself: identities, the rights that they have, and the rights that each request needs."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def rights(who: Principal, **said: Any) -> Rights:
     return rights_of(who, Access(**said), USERS)
 
 
-# ---- who somebody is ---------------------------------------------------------------------
+# ---- identities --------------------------------------------------------------------------
 
 
 def test_over_ipc_the_kernel_says_who_the_client_is() -> None:
@@ -178,7 +178,7 @@ def test_no_guest_gets_more_than_the_bridge_that_speaks_for_it(a: list[Grant], b
 
 @given(st.lists(grants, max_size=3), needs)
 def test_a_client_with_a_role_everywhere_is_refused_nothing_of_it(some: list[Grant], need: Need) -> None:
-    """The short way of `Gate.admit`, which does not look at what a request touches."""
+    """The fast path of `Gate.admit`, which does not determine what a request touches."""
     found = Rights(tuple(some))
     assert need.role > found.everywhere or found.allow(need)
 
@@ -195,7 +195,7 @@ def _bare(kind: type) -> Any:
 
 
 class Unknown:
-    """A kind of request that nobody has thought of."""
+    """A kind of request unknown to the policy."""
 
 
 def test_an_unknown_request_takes_an_admin() -> None:

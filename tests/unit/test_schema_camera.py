@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The camera example that comes with the package, and what a configuration means."""
+"""The camera example of the package, and the meaning of a configuration."""
 
 from __future__ import annotations
 

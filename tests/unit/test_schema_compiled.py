@@ -24,9 +24,7 @@ def generated() -> ModuleType:
     return module
 
 
-def test_it_was_made_from_the_present_schema(
-    generated: ModuleType, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_was_made_from_the_present_schema(generated: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cm.schema._validator", generated)
     text = SCHEMA_FILE.read_bytes()
     assert compiled.ready(text) is generated.validate

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is written in normal form loads as what it was."""
+"""A configuration written in normal form loads unchanged."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of the service: what a file means, and what is said of one that is wrong."""
+"""Settings of the service: the meaning of a file, and the errors for a wrong one."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ def shared() -> Iterator[Board]:
 
 @pytest.fixture
 def board(shared: Board) -> Iterator[Board]:
-    """The shipped camera example, as after power-up; afterwards nothing may be left behind."""
+    """The shipped camera example after power-up; at the end of the test nothing may be left behind."""
     shared.control.clear()
     shared.control.reset()
     yield shared

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A loop that only passes data on is served by a thread in C, with the same effect, and taken back when it matters."""
+"""A loop that only passes data on is served by a C thread, with the same effect, until something else is needed."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Ends:
         self.board = board
 
     def trip(self, seed: int) -> None:
-        """A frame goes round, whole and once."""
+        """Send a frame round the loop, and check that it comes back complete and once."""
         self.sent[:LENGTH] = np.random.default_rng(seed).integers(0, 256, LENGTH, np.uint8)
         self.sink.submit(self.back, LENGTH, cookie=seed)
         self.source.submit(self.out, LENGTH, cookie=seed)
@@ -61,7 +61,7 @@ class Ends:
 
     @property
     def lent(self) -> int:
-        """How often the channels were lent to the thread so far."""
+        """How often the channels have been lent to the thread."""
         return self.board.control.state()["channels"]["to_pl"]["lent"]
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Registers of a simulated board as memory: always what the bus answers, and never of a board that is gone."""
+"""Registers of a simulated board as shared memory: always as on the bus, and unreadable once the board is gone."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def board(tmp_path):
 
 
 def same(board, name):
-    """A load finds what a request does, by which a shim without a mirror reads."""
+    """Check that memory has the value that a request returns, which is how a shim without a mirror reads."""
     with device.Uio.open(name, board.root) as uio, Uio(board.root, f"dev/uio{uio.info.number}") as node:
         for offset in range(0, 0x40, 4):
             for width in (8, 16, 32):

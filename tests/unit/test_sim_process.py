@@ -230,7 +230,9 @@ def test_a_board_out_of_descriptors_serves_new_clients_when_others_have_gone(tmp
 
 
 def test_other_nodes_answer_while_a_bitstream_is_loaded(tmp_path):
-    with Board(arguments=[*FAST, "--icap-rate", "10000"]) as board:  # half a minute, whose end the test does not wait for
+    with Board(
+        arguments=[*FAST, "--icap-rate", "10000"]
+    ) as board:  # half a minute, whose end the test does not wait for
         data = to_dma_words(board.root / "lib/firmware/cm/camera/edge.bit")
         with Icap(board.root, "dev/cm_icap0") as icap, Uio(board.root, "dev/uio0") as uio:
             icap.start(data)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When streams run, without sockets or devices: the table of phases, and what decides between them."""
+"""When streams run, without sockets or devices: the table of phases, and the decisions between them."""
 
 from __future__ import annotations
 

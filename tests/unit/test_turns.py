@@ -78,7 +78,9 @@ def test_processes_of_one_account_take_turns_too(clock: VirtualTime, turns: Turn
     assert Counter(served(turns, count=40)) == {"hostile": 20, "other": 20}
 
 
-def test_turns_depend_on_time_spent_and_not_on_the_number_of_requests(clock: VirtualTime, turns: Turns[Named, int]) -> None:
+def test_turns_depend_on_time_spent_and_not_on_the_number_of_requests(
+    clock: VirtualTime, turns: Turns[Named, int]
+) -> None:
     slow, quick = Named("slow", Account("a", clock)), Named("quick", Account("b", clock))
     for number in range(200):
         turns.add(slow, 0, number)

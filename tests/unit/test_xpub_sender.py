@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How many messages may wait for a subscriber, and what becomes of the others."""
+"""How many messages may wait for a subscriber, and what happens to further ones."""
 
 from __future__ import annotations
 

@@ -56,9 +56,7 @@ def generate(design: Design, out: Path, answers: Answers | None = None) -> Writt
     try:
         loads(files[name], name)
     except SchemaError as error:
-        raise BuildError(
-            f"{out / ANSWERS} and {design.project.source} contradict each other:\n{error}"
-        ) from None
+        raise BuildError(f"{out / ANSWERS} and {design.project.source} contradict each other:\n{error}") from None
     return Tree(out).write(files)
 
 
