@@ -308,7 +308,7 @@ def test_outputs_of_cpp_have_a_register_that_is_read_only(tmp_path: Path) -> Non
     ("change", "said"),
     [
         (("packet> &strm_in", "mystery> &strm_in"), "argument strm_in: the width of its type"),
-        (("to.write(from.read());", ""), "argument strm_in: whether the stream is read or written is not seen"),
+        (("to.write(from.read());", ""), "argument strm_in: whether the stream is read or written cannot be seen"),
         (("#pragma HLS INTERFACE axis port=strm_in\n", "#pragma HLS INTERFACE ap_fifo port=strm_in\n"), "mode=ap_fifo"),
     ],
 )
