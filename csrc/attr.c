@@ -23,7 +23,7 @@ static void close_keeping_errno(int fd)
 	errno = error;
 }
 
-/* Connect to a simulated attribute and hear whether it opens. */
+/* Connect to a simulated attribute and learn whether it opens. */
 static int connect_attr(int path_fd)
 {
 	int sock = cm_path_connect(path_fd, 0), event_fd = -1;
@@ -40,7 +40,7 @@ static int connect_attr(int path_fd)
 	return sock;
 }
 
-/* One request on a connection of its own; length of what came back, or -1. */
+/* Make one request on a new connection; return the length of the reply, or -1. */
 static ssize_t ask(int path_fd, uint32_t op, const void *data, size_t length, void *reply,
 		   size_t room)
 {
@@ -121,7 +121,7 @@ static int write_file(int path_fd, const void *data, size_t size)
 		close_keeping_errno(fd);
 		return -1;
 	}
-	/* On Linux the descriptor is gone after close() even where it says EINTR. */
+	/* On Linux the descriptor is closed even if close() fails with EINTR. */
 	return close(fd) && errno != EINTR ? -1 : 0;
 }
 
@@ -169,7 +169,7 @@ int cm_attr_write(const char *root, const char *path, const void *data, size_t s
 	return result < 0 ? -1 : 0;
 }
 
-/* The ".node" of @folder_fd, or -1 where the folder is a real one. */
+/* The ".node" of @folder_fd, or -1 if the folder is a real one. */
 static int open_folder_node(int folder_fd)
 {
 	int fd = openat(folder_fd, ".node", O_PATH | O_CLOEXEC | O_NOFOLLOW);

@@ -13,7 +13,7 @@
 #include <stddef.h>
 #include <sys/types.h>
 
-/* Read up to @size bytes of @path under @root; how many.  EMSGSIZE if there are more. */
+/* Read up to @size bytes of @path under @root; returns how many.  EMSGSIZE if there are more. */
 ssize_t cm_attr_read(const char *root, const char *path, void *data, size_t size);
 
 /**

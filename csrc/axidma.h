@@ -72,7 +72,7 @@ bool cm_dma_answers(struct cm_dma *dma);
 /* End all transfers; returns when the hardware has stopped. */
 int cm_dma_cancel(struct cm_dma *dma);
 
-/* Take up to @count completions that are there: how many, 0 if none.  See cm_node_take(). */
+/* Take up to @count waiting completions; returns how many, 0 if none.  See cm_node_take(). */
 ssize_t cm_dma_take(struct cm_dma *dma, struct cm_dma_completion *completions, size_t count);
 
 /**

@@ -79,7 +79,7 @@ static void type1_header(struct cm_config_port *port, struct sink *sink, uint32_
 	}
 }
 
-/* Padding frames of a debug bitstream stand between its packets; the CRC has them as frame data. */
+/* A debug bitstream has padding frames between its packets; the CRC covers them as frame data. */
 static void begin_fill(struct cm_config_port *port)
 {
 	port->count = 1;
@@ -115,7 +115,7 @@ static void type2_word(struct cm_config_port *port, struct sink *sink, uint32_t 
 		begin_data(port, count);
 }
 
-/* Returns 1 when the fill has ended and the word is still to be looked at. */
+/* Returns 1 when the fill has ended and the word has yet to be processed. */
 static int fill_word(struct cm_config_port *port, struct sink *sink, uint32_t word)
 {
 	if (word == 0) {
@@ -160,14 +160,14 @@ static size_t header_words(struct cm_config_port *port, struct sink *sink, const
 		return used;
 	header_word(port, sink, load(words, swapped));
 	if (port->state == STATE_DATA && count > 1) {
-		port->position++; /* of the word that is looked at, while it is */
+		port->position++; /* that of the current word, while it is processed */
 		used = data_words(port, sink, words + 4, count - 1, swapped);
 		port->position--;
 	}
 	return 1 + used;
 }
 
-/* Consume at least one word, or (end of a fill) none with one event made; at most two events. */
+/* Consume at least one word, or (at the end of a fill) none but make one event; at most two events. */
 static size_t step(struct cm_config_port *port, struct sink *sink, const uint8_t *words,
 		   size_t count, int swapped)
 {

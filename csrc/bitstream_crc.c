@@ -24,7 +24,7 @@ static inline uint32_t look_up(int words, uint32_t value)
 	       tables[words][2][value >> 16 & 255] ^ tables[words][3][value >> 24];
 }
 
-/* `address` is that of address_of_one. */
+/* `address`: an entry of address_of_one. */
 static inline uint32_t crc_word(uint32_t crc, uint32_t address, uint32_t word)
 {
 	return look_up(0, crc ^ word) ^ address;
@@ -67,7 +67,7 @@ static inline uint32_t crc_run(uint32_t crc, uint32_t reg, const uint8_t *words,
 
 uint32_t cm_config_crc(uint32_t crc, uint32_t reg, const uint8_t *words, size_t count, int swapped)
 {
-	/* Two copies, so that the byte order is no question inside the loop. */
+	/* Two copies, so that the loop need not check the byte order. */
 	reg &= (1u << ADDRESS_BITS) - 1;
 	return swapped ? crc_run(crc, reg, words, count, 1) : crc_run(crc, reg, words, count, 0);
 }

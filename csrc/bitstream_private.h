@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* What the units behind bitstream.h share. bitstream.c calls bitstream_writes.c, both call bitstream_crc.c. */
+/* Shared by the units behind bitstream.h. bitstream.c calls bitstream_writes.c, both call bitstream_crc.c. */
 #ifndef CM_BITSTREAM_PRIVATE_H
 #define CM_BITSTREAM_PRIVATE_H
 
@@ -47,7 +47,7 @@ static inline uint32_t load(const uint8_t *at, int swapped)
 #endif
 }
 
-/* Where events go; there is room for as many as one step can make. */
+/* Where events go; it has room for as many as one step can make. */
 struct sink {
 	struct cm_config_event *events;
 	size_t capacity;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "bitstream_private.h"
 
-/* What is written to the registers: their CRC, and the events of it. */
+/* Writes of registers: their CRC and their events. */
 
 static void check_crc(struct cm_config_port *port, struct sink *sink, uint32_t word)
 {
@@ -28,7 +28,7 @@ static void command(struct cm_config_port *port, struct sink *sink, uint32_t wor
 	};
 
 	if (word == CMD_WCFG || word == CMD_MFW) {
-		cover(port, 1); /* one for each FAR in a compressed stream: too many to tell of */
+		cover(port, 1); /* one for each FAR in a compressed stream: too many to report */
 		return;
 	}
 	event.count = port->pending;
@@ -72,13 +72,14 @@ void cm_config_register_word(struct cm_config_port *port, struct sink *sink, uin
 	}
 	/*
 	 * One flipped bit in the header of a CRC packet makes it a write of something else. Then the
-	 * value written is still the CRC of what went before: that is how it is found out.
+	 * value written is still the CRC of what went before, which reveals it.
 	 */
 	if (port->pending > 0 && word == port->crc) {
 		fault(port, sink, CM_FAULT_DISGUISED, word);
 		return;
 	}
-	if (port->reg == REG_LOUT) { /* goes to the DOUT pin: no CRC that Vivado writes has it */
+	if (port->reg ==
+	    REG_LOUT) { /* goes to the DOUT pin: not covered by any CRC that Vivado writes */
 		port->state = STATE_HEADER;
 		return;
 	}

@@ -40,7 +40,7 @@ int cm_buffer_import(struct cm_node *node, uint32_t op, int fd, struct cm_buffer
 	}
 	buffer->fd = own;
 	buffer->handle = arg.handle;
-	buffer->coherent = false; /* the exporter knows; a needless sync does no harm */
+	buffer->coherent = false; /* only the exporter knows; a needless sync is harmless */
 	buffer->length = arg.length;
 	buffer->address = 0;
 	return 0;
@@ -87,7 +87,7 @@ int cm_buffer_sync(const struct cm_buffer *buffer, bool begin, bool write)
 	do {
 		result = ioctl(buffer->fd, DMA_BUF_IOCTL_SYNC, &sync);
 	} while (result && (errno == EINTR || errno == EAGAIN));
-	/* A memfd does not know the call: it is ordinary memory. */
+	/* A memfd does not support the call: it is ordinary memory. */
 	return result && errno == ENOTTY ? 0 : result;
 }
 

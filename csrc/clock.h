@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* CLOCK_MONOTONIC in nanoseconds, and what is left of a timeout. */
+/* CLOCK_MONOTONIC in nanoseconds, and the rest of a timeout. */
 #ifndef CM_SHIM_CLOCK_H
 #define CM_SHIM_CLOCK_H
 
@@ -16,7 +16,7 @@ static inline int64_t cm_clock_ns(void)
 	return (int64_t)now.tv_sec * CM_NS_PER_S + now.tv_nsec;
 }
 
-/* A relative timeout as ppoll() takes it; what is over counts as 0. */
+/* A relative timeout for ppoll(); one that is over counts as 0. */
 static inline struct timespec cm_clock_timespec(int64_t timeout_ns)
 {
 	struct timespec limit = { 0 };
@@ -28,7 +28,7 @@ static inline struct timespec cm_clock_timespec(int64_t timeout_ns)
 	return limit;
 }
 
-/* The moment a relative timeout ends, now if it is over, INT64_MAX if never. */
+/* The time at which a relative timeout ends: now if it is over, INT64_MAX if never. */
 static inline int64_t cm_clock_deadline(int64_t timeout_ns)
 {
 	int64_t now = cm_clock_ns();
@@ -38,7 +38,7 @@ static inline int64_t cm_clock_deadline(int64_t timeout_ns)
 	return timeout_ns > INT64_MAX - now ? INT64_MAX : now + timeout_ns;
 }
 
-/* What is left until @deadline; INT64_MAX stays so. */
+/* The time left until @deadline; INT64_MAX stays INT64_MAX. */
 static inline int64_t cm_clock_left(int64_t deadline)
 {
 	return deadline == INT64_MAX ? INT64_MAX : deadline - cm_clock_ns();

@@ -30,7 +30,7 @@ static ssize_t take_some(struct cm_node *node, void *events, size_t size, size_t
 	return -1;
 }
 
-/* Errors wait behind what was taken: the next call finds them again. */
+/* An error after some events is left for the next call, which meets it again. */
 static ssize_t take(struct cm_node *node, char *events, size_t size, size_t count)
 {
 	size_t taken = 0;

@@ -40,7 +40,7 @@ int cm_gpio_chip_info(const char *root, const char *name, struct gpiochip_info *
 	return result;
 }
 
-/* No flag of a direction: the line stays what it is. */
+/* Without a direction flag, the line keeps its direction. */
 static struct cm_node *take_line(struct cm_node *chip, uint32_t offset, const char *consumer)
 {
 	struct gpio_v2_line_request request = { .offsets = { offset }, .num_lines = 1, .fd = -1 };

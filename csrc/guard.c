@@ -10,7 +10,7 @@
 #include "guard_private.h"
 
 #define DESCRIPTORS 65536 /* connections with a higher one are refused */
-#define FEW 4		  /* connections of a newcomer */
+#define FEW 4		  /* connections of a peer that counts as a newcomer */
 
 pthread_mutex_t cm_guard_lock = PTHREAD_MUTEX_INITIALIZER;
 /* Only pages of descriptors that were used are memory. */
@@ -38,7 +38,7 @@ bool cm_guard_same(const struct cm_guard_peer *a, const struct cm_guard_peer *b)
 				: !memcmp(a->address, b->address, sizeof(a->address));
 }
 
-/* IPv4 as it is; of IPv6 the half that names a network: its owner has all the addresses in it. */
+/* IPv4 in full; of IPv6 the network half, since one owner has all addresses in a network. */
 static void note_address(struct cm_guard_peer *peer, const struct sockaddr_storage *from)
 {
 	if (from->ss_family == AF_INET6) {
@@ -64,8 +64,8 @@ struct cm_guard_peer cm_guard_look(int fd, uint32_t kind)
 	if (from.ss_family != AF_UNIX) {
 		note_address(&peer, &from);
 	} else if (!getsockopt(fd, SOL_SOCKET, SO_PEERCRED, &who, &size)) {
-		peer.pid =
-			who.pid ? who.pid : -1; /* of another name space: all of those together */
+		peer.pid = who.pid ? who.pid
+				   : -1; /* in another PID namespace: all of those count as one */
 		peer.uid = who.uid;
 		peer.gid = who.gid;
 	}

@@ -19,21 +19,21 @@
 
 enum cm_guard_kind {
 	CM_GUARD_NONE,	   /* not ours */
-	CM_GUARD_REQUESTS, /* what comes is messages of several parts */
-	CM_GUARD_TOPICS,   /* what comes is subscriptions */
+	CM_GUARD_REQUESTS, /* peers send messages of several parts */
+	CM_GUARD_TOPICS,   /* peers send subscriptions */
 };
 
 /* Why a connection was refused or ended; the index of cm_guard_counts.refused. */
 enum cm_guard_cause {
 	CM_GUARD_FULL,	      /* as many connections as there may be */
 	CM_GUARD_EACH,	      /* as many of this peer as it may have */
-	CM_GUARD_DESCRIPTORS, /* the rest of the descriptors is the manager's */
+	CM_GUARD_DESCRIPTORS, /* the remaining descriptors are reserved for the manager */
 	CM_GUARD_PROTOCOL,    /* not ZMTP 3 */
 	CM_GUARD_PARTS,	      /* a message of too many parts */
-	CM_GUARD_BYTES,	      /* a message that is too long, or has no end */
+	CM_GUARD_BYTES,	      /* a message that is too long, or endless */
 	CM_GUARD_RATE,	      /* subscribes too often */
 	CM_GUARD_CUT,	      /* by cm_guard_cut() */
-	CM_GUARD_SLOW,	      /* kept others waiting who had long messages to send, too */
+	CM_GUARD_SLOW,	      /* kept others with long messages waiting */
 	CM_GUARD_UNREAD,      /* by cm_guard_cut_slowest() */
 	CM_GUARD_CAUSES,
 };
@@ -55,7 +55,7 @@ struct cm_guard_peer {
 	uint64_t serial; /* no other connection has it */
 	int32_t fd;
 	uint32_t kind;
-	int32_t pid; /* of this machine; 0: see address */
+	int32_t pid; /* on this machine; 0: see address */
 	uint32_t uid;
 	uint32_t gid;
 	uint8_t address[16]; /* IPv6, or IPv4 mapped into it */
@@ -64,7 +64,7 @@ struct cm_guard_peer {
 struct cm_guard_counts {
 	uint32_t connections;
 	uint64_t refused[CM_GUARD_CAUSES];
-	struct cm_guard_peer last; /* the peer that was refused last */
+	struct cm_guard_peer last; /* the peer that was last refused */
 	uint32_t last_cause;
 };
 
@@ -74,7 +74,7 @@ struct cm_guard_counts {
  */
 int cm_guard_install(void);
 
-/* From now on; all zero: none. */
+/* Set the limits from now on; all zero: none. */
 void cm_guard_limit(const struct cm_guard_limits *limits);
 
 /* Listeners that this thread makes from now on are of a kind of enum cm_guard_kind. */
@@ -83,7 +83,7 @@ void cm_guard_expect(uint32_t kind);
 /* The connections there are, @max at most; how many were written. */
 int cm_guard_peers(struct cm_guard_peer *peers, int max);
 
-/* One by its descriptor; ENOENT. */
+/* The peer of a descriptor; ENOENT. */
 int cm_guard_peer(int fd, struct cm_guard_peer *peer);
 
 /* The serial of the connection that a descriptor is; 0: it is none. */
@@ -98,7 +98,7 @@ int cm_guard_cut(int fd);
  */
 void cm_guard_taken(int fd, uint64_t bytes);
 
-/* Read nothing more of a connection, or again. ENOENT. */
+/* Stop or resume reading a connection. ENOENT. */
 int cm_guard_hold(int fd, int hold);
 
 /* End the connection of this kind that has been unable to write for longest. -1: none is. */

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/* What libzmq calls in place of the C library's functions. */
+/* The functions that libzmq calls in place of the C library's. */
 #include <errno.h>
 #include <fcntl.h>
 #include <poll.h>
@@ -29,7 +29,7 @@ static void turn_away(int listener)
 	pthread_mutex_unlock(&cm_guard_lock);
 	if (fd < 0)
 		nanosleep(&(struct timespec){ .tv_nsec = 1000000 },
-			  NULL); /* it will be called again at once */
+			  NULL); /* libzmq will call again at once */
 }
 
 int cm_guard_accept4(int listener, struct sockaddr *address, socklen_t *length, int flags)
@@ -47,7 +47,7 @@ int cm_guard_accept4(int listener, struct sockaddr *address, socklen_t *length, 
 		turn_away(listener);
 	else
 		return fd;
-	errno = ECONNABORTED; /* which libzmq passes over */
+	errno = ECONNABORTED; /* which libzmq ignores */
 	return -1;
 }
 
@@ -90,7 +90,7 @@ static int64_t seconds(void)
 	return now.tv_sec + 1;
 }
 
-/* Whether it is not read now; the rest of what a peer sent that has gone is read. */
+/* Whether reading is on hold; what a peer sent before it went is read to its end. */
 static bool is_held(int fd, struct cm_guard_place *place)
 {
 	struct pollfd peer = { .fd = fd };
@@ -104,7 +104,7 @@ static bool is_held(int fd, struct cm_guard_place *place)
 	return true;
 }
 
-/* Most messages leave nothing to settle. */
+/* Most messages need no settling. */
 static void settle(struct cm_guard_place *place, const struct cm_guard_limits *limits)
 {
 	const struct cm_guard_stream *stream = &place->stream;
@@ -117,7 +117,7 @@ static void settle(struct cm_guard_place *place, const struct cm_guard_limits *l
 	pthread_mutex_unlock(&cm_guard_lock);
 }
 
-/* Whether what was just read keeps its peer's subscriptions, over all its connections, within the bound. */
+/* Whether the peer's subscriptions, over all its connections, are still within the bound after this read. */
 static bool may_subscribe(const struct cm_guard_place *place, uint32_t topics,
 			  const struct cm_guard_limits *limits)
 {

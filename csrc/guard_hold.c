@@ -9,7 +9,7 @@
 
 static uint64_t turn;
 
-/* Let libzmq wait for it, or not. */
+/* Let libzmq wait for a connection, or not. */
 static void await(struct cm_guard_place *place)
 {
 	struct epoll_event event = place->event;

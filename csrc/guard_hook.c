@@ -47,7 +47,7 @@ static const struct replacement replacements[] = {
 	{ "__recv_chk", (void (*)(void))cm_guard_recv_chk },
 };
 
-/* What the dynamic section of an object says of itself. */
+/* The contents of an object's dynamic section. */
 struct object {
 	ElfW(Addr) base;
 	const ElfW(Sym) * symbols;
@@ -59,7 +59,7 @@ struct object {
 	size_t entry;
 };
 
-/* The linker has added the base already, but for some C libraries. */
+/* Some C libraries do not add the base to the addresses. */
 static const void *at(const struct object *object, ElfW(Addr) value)
 {
 	return (const void *)(value < object->base ? value + object->base : value);
@@ -119,7 +119,7 @@ static int replace(const struct object *object, const char *table, size_t size)
 	return replaced;
 }
 
-/* libzmq as a library of its own, or within pyzmq's module `_zmq`. */
+/* libzmq as a shared library, or inside pyzmq's module `_zmq`. */
 static int look(struct dl_phdr_info *info, size_t size, void *replaced)
 {
 	const char *file = strrchr(info->dlpi_name, '/');

@@ -63,7 +63,7 @@ bool cm_guard_owe(struct cm_guard_place *place)
 	return true;
 }
 
-/* Count anew what it owes. */
+/* Recount what it owes. */
 static void reckon(struct cm_guard_place *place, uint64_t bytes)
 {
 	uint64_t now = (place->came > place->taken ? place->came - place->taken : 0) +
@@ -86,7 +86,7 @@ static bool may_go_on(const struct cm_guard_place *place, uint64_t bytes)
 	       all + more <= 4 * bytes;
 }
 
-/* If nothing is in its way, it goes on; a long message then has its place. */
+/* Let it go on if nothing prevents that; a long message then has its place. */
 static bool let_on(struct cm_guard_place *place, uint64_t bytes)
 {
 	if (!may_go_on(place, bytes))
@@ -140,7 +140,7 @@ void cm_guard_settle(struct cm_guard_place *place, const struct cm_guard_limits 
 		place->looks = 0;
 	place->curve = place->stream.curve;
 	place->came = place->stream.came;
-	place->small += place->stream.small; /* which is that since the last time */
+	place->small += place->stream.small; /* those since the last time */
 	place->stream.small = 0;
 	reckon(place, limits->bytes);
 	if (!let_on(place, limits->bytes) && cm_guard_stop(place, CM_GUARD_HELD_OWES)) {
@@ -158,7 +158,8 @@ void cm_guard_taken(int fd, uint64_t bytes)
 	if (!place || !atomic_load(&place->kind))
 		return;
 	pthread_mutex_lock(&cm_guard_lock);
-	if (atomic_load(&place->kind)) { /* perhaps another one by now: no more than came of it */
+	/* The descriptor may be another connection by now: count no more than that one has sent. */
+	if (atomic_load(&place->kind)) {
 		place->taken +=
 			bytes < place->came - place->taken ? bytes : place->came - place->taken;
 		place->small = 0;

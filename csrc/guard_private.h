@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* What the parts of the guard share. */
+/* Shared by the parts of the guard. */
 #ifndef CM_GUARD_PRIVATE_H
 #define CM_GUARD_PRIVATE_H
 
@@ -25,7 +25,7 @@ struct cm_guard_stream {
 	uint32_t parts;		 /* of this message */
 	uint64_t bytes;		 /* of this message */
 	uint32_t credit;	 /* subscriptions that it may send now */
-	int64_t credit_s;	 /* when that was reckoned; 0: never */
+	int64_t credit_s;	 /* when that was computed; 0: never */
 	uint64_t counts;	 /* of its bytes, those that count once it is whole */
 	uint64_t came;		 /* of all whole messages, the same */
 	uint64_t small;		 /* bytes of small frames that are encrypted */
@@ -35,7 +35,7 @@ struct cm_guard_stream {
 /* At the beginning of what a peer sends. */
 void cm_guard_begin(struct cm_guard_stream *stream);
 
-/* Whether a message is half read that is longer than any may be without a place (guard_owe.c). */
+/* Whether a message that is too long to go without a place (guard_owe.c) is half read. */
 bool cm_guard_is_long(const struct cm_guard_stream *stream);
 
 /* How many bytes of a peer's requests to read at once. */
@@ -58,7 +58,7 @@ struct cm_guard_sum {
 #define CM_GUARD_HELD_OWES 1u  /* as much as may wait does */
 #define CM_GUARD_HELD_ASKED 2u /* cm_guard_hold() */
 
-/* What is known of a descriptor. */
+/* What is known about a descriptor. */
 struct cm_guard_place {
 	uint32_t listens; /* enum cm_guard_kind of those that it takes */
 	_Atomic uint32_t kind;
@@ -106,7 +106,7 @@ bool cm_guard_same(const struct cm_guard_peer *a, const struct cm_guard_peer *b)
 /* A connection that was taken: whether it stays. */
 bool cm_guard_admit(int fd, uint32_t kind);
 
-/* Count it; with the lock held, as the next. */
+/* Count it; with the lock held, like the next function. */
 void cm_guard_refuse(const struct cm_guard_peer *peer, int cause);
 void cm_guard_leave(struct cm_guard_place *place);
 
@@ -128,7 +128,7 @@ void cm_guard_settle(struct cm_guard_place *place, const struct cm_guard_limits 
  */
 bool cm_guard_pay(const struct cm_guard_peer *peer, uint32_t topics, uint32_t each, int64_t now_s);
 
-/* What stands in place of the C library's functions in libzmq. */
+/* The replacements for the C library's functions in libzmq. */
 int cm_guard_accept4(int listener, struct sockaddr *address, socklen_t *length, int flags);
 int cm_guard_accept(int listener, struct sockaddr *address, socklen_t *length);
 int cm_guard_listen(int fd, int backlog);

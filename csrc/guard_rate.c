@@ -7,7 +7,7 @@
 
 #include "guard_private.h"
 
-#define KNOWN 64 /* peers that are remembered: those who subscribed last */
+#define KNOWN 64 /* peers that are remembered: those that subscribed last */
 #define ALL 4	 /* times what one connection may send */
 
 static struct known {

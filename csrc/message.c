@@ -18,7 +18,7 @@ union fd_control {
 	char bytes[CMSG_SPACE(FDS_MAX * sizeof(int))];
 };
 
-/* The other end's death looks as it does on a device that was unplugged. */
+/* The death of the other end looks like an unplugged device. */
 static int gone(int error)
 {
 	if (error == EAGAIN || error == EWOULDBLOCK)
@@ -67,7 +67,7 @@ int cm_message_send(int sock, uint32_t op, const void *payload, size_t length, i
 	return 0;
 }
 
-/* Move the first descriptor of @msg to @fd, close all others; how many there were. */
+/* Move the first descriptor of @msg to @fd and close all others; returns how many there were. */
 static size_t detach_fds(struct msghdr *msg, int *fd)
 {
 	struct cmsghdr *cmsg;

@@ -47,7 +47,7 @@ bool cm_mirror_read(const struct cm_mirror *mirror, uint64_t offset, unsigned in
 	atomic_thread_fence(memory_order_acquire);
 	*value = cm_mmio_read(at, width);
 	atomic_thread_fence(memory_order_acquire);
-	return !cm_mmio_read(flags, width); /* else it was taken away meanwhile */
+	return !cm_mmio_read(flags, width); /* otherwise it was withdrawn meanwhile */
 }
 
 /* Whether none of the bytes has a flag. */

@@ -22,7 +22,7 @@ struct cm_mirror {
 /* Map the mirror of @size bytes in memfd @fd, which stays the caller's. Errors: EPROTO, those of mmap(). */
 int cm_mirror_map(struct cm_mirror *mirror, int fd, uint64_t size);
 
-/* Unmap; fine if there is none. */
+/* Unmap, if there is one. */
 void cm_mirror_unmap(struct cm_mirror *mirror);
 
 /**

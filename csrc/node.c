@@ -15,7 +15,7 @@
 #include "node_private.h"
 #include "path.h"
 
-/* How long close() waits for a simulated node to let go, as a driver's release() would. */
+/* How long close() waits for a simulated node to finish, like a driver's release(). */
 #define RELEASE_TIMEOUT_MS 5000
 
 /* CM_SIM_TIMEOUT in whole seconds, for simulators under a debugger or on a machine that is too busy. */
@@ -201,7 +201,7 @@ void cm_node_release(struct cm_node *node)
 	int error = errno;
 
 	if (!atomic_exchange(&node->released, true)) {
-		/* It fails only when the counter is full: then it is readable already. */
+		/* It fails only if the counter is full, and then it is readable already. */
 		(void)!eventfd_write(node->wake_fd, 1);
 	}
 	pthread_rwlock_wrlock(&node->users);
@@ -227,7 +227,7 @@ void cm_node_close(struct cm_node *node)
 
 int cm_node_enter(struct cm_node *node)
 {
-	/* Asked before the lock, so that calls without end cannot hold the release up. */
+	/* Checked before the lock, so that a stream of calls cannot delay the release. */
 	if (!atomic_load(&node->released)) {
 		pthread_rwlock_rdlock(&node->users);
 		if (node->fd >= 0)

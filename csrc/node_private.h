@@ -21,7 +21,7 @@ struct cm_node {
 	pthread_mutex_t lock;	/* one request at a time on a connection */
 };
 
-/* What the end of a connection means above: the device was unplugged. */
+/* To callers, the end of a connection means that the device was unplugged. */
 static inline int cm_node_errno(int error)
 {
 	bool gone = error == EPIPE || error == ECONNRESET || error == ENOTCONN;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/* The data plane's thread, and what others may ask of it. */
+/* The data plane's thread, and the calls that other threads may make. */
 #include "plane.h"
 
 #include <errno.h>
@@ -16,7 +16,8 @@
 #define EVENTS_AT_ONCE 16
 #define YIELDS_AT_ONCE 50
 #define PACKETS_AT_ONCE \
-	(2 * CM_PLANE_SLOTS_MAX) /* of one client: it may send faster than we take */
+	(2 *            \
+	 CM_PLANE_SLOTS_MAX) /* packets of one client at once: it may send faster than they are handled */
 
 void plane_report(struct cm_plane *plane, uint32_t kind, int id, int error)
 {
@@ -32,7 +33,7 @@ void plane_report(struct cm_plane *plane, uint32_t kind, int id, int error)
 		return; /* full: it is readable */
 }
 
-/* Numbers of what is gone by now are found nowhere. */
+/* Ids of streams and clients that have gone are not found. */
 static void dispatch(struct cm_plane *plane, int id)
 {
 	struct client *client = client_find(plane, id);
@@ -46,7 +47,7 @@ static void dispatch(struct cm_plane *plane, int id)
 
 /*
  * A mutex is not fair: where frames come without a pause, the thread would take it again before
- * anybody whom its release wakes.  So callers say that they wait, and the thread lets them.
+ * anybody whom its release wakes.  So callers announce that they wait, and the thread yields to them.
  */
 static void lock(struct cm_plane *plane)
 {
@@ -99,7 +100,7 @@ static void free_plane(struct cm_plane *plane)
 	free(plane);
 }
 
-/* Signals are the caller's affair: its thread shall have them. */
+/* Signals are for the caller's threads. */
 int plane_thread(pthread_t *thread, void *(*start)(void *), void *argument)
 {
 	sigset_t all, before;
@@ -277,7 +278,7 @@ int cm_plane_stop(struct cm_plane *plane, int id, int error)
 	pthread_mutex_unlock(&plane->lock);
 	if (!stream)
 		return -1;
-	/* aside: a driver may need seconds, and the other streams go on */
+	/* without the lock: a driver may need seconds, and the other streams go on */
 	stream_cancel(stream);
 	lock(plane);
 	stream_end(plane, stream, error);
@@ -355,7 +356,7 @@ static int attach(struct client *client, struct stream *stream, uint32_t depth, 
 	client->dropped = 0;
 	client->generation = 0;
 	if (client_send(client, geometry.bytes, size) || client_send_slots(client, stream, 0))
-		return 0; /* hung up on by the thread, which tells */
+		return 0; /* the thread disconnects it, and reports that */
 	if (stream->setup.write)
 		grant(client, stream);
 	return 0;

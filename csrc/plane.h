@@ -22,12 +22,12 @@ struct cm_plane;
 /* Make a plane and start its thread. */
 struct cm_plane *cm_plane_new(void);
 
-/* End the thread, hang up on all clients, stop all streams, free; NULL is fine. */
+/* End the thread, disconnect all clients, stop all streams, and free; NULL is fine. */
 void cm_plane_close(struct cm_plane *plane);
 
 #define CM_PLANE_CLIENT_GONE 1	 /* it hung up, or broke the rules (error) */
 #define CM_PLANE_STREAM_LOST 2	 /* its device failed (error); stop it */
-#define CM_PLANE_CLIENT_LEAVES 3 /* it wants no more frames, but holds some yet */
+#define CM_PLANE_CLIENT_LEAVES 3 /* it wants no more frames, but still holds some */
 
 struct cm_plane_event {
 	uint32_t kind;
@@ -35,7 +35,7 @@ struct cm_plane_event {
 	int32_t error;
 };
 
-/* Descriptor that polls readable when an event waits; the plane's. */
+/* Descriptor that polls readable when an event waits; owned by the plane. */
 int cm_plane_event_fd(struct cm_plane *plane);
 
 /* Take an event: 1, or 0 if there is none. */

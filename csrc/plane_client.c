@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/* Clients of the data plane: what they send, hold, and get. */
+/* Clients of the data plane: what they send, hold and receive. */
 #include <errno.h>
 #include <stdlib.h>
 #include <string.h>
@@ -20,7 +20,7 @@ struct client *client_find(struct cm_plane *plane, int id)
 	return client;
 }
 
-/* Who cannot be told something that must not be lost is hung up on, later: lists are being walked. */
+/* Disconnect a client that cannot receive an essential packet; later, because lists are being walked. */
 static void break_off(struct client *client, int error)
 {
 	if (!client->broken)
@@ -41,7 +41,7 @@ int client_send(struct client *client, const void *packet, size_t size)
 	return -1;
 }
 
-/* A packet of its own where it is another than before, so that descriptors stay as they are. */
+/* A separate packet, if it has changed, so that the format of descriptors stays the same. */
 static int tell_generation(struct client *client, const struct stream *stream, uint64_t generation)
 {
 	struct cm_plane_descriptor packet = {
@@ -145,7 +145,7 @@ static void give_back(struct cm_plane *plane, struct client *client, uint32_t nu
 		stream_queue(plane, client->stream, number);
 }
 
-/* The client is of no stream any more; what it held goes back. */
+/* Remove the client from its stream; what it held goes back. */
 void client_detach(struct cm_plane *plane, struct client *client)
 {
 	struct stream *stream = client->stream;
@@ -171,7 +171,7 @@ static void release(struct cm_plane *plane, struct client *client,
 	const struct cm_plane_descriptor *frame;
 
 	if (!stream || packet->flags != stream->epoch)
-		return; /* of a time before the stream stopped: its memory is not used again */
+		return; /* from before the stream stopped: that memory is not used again */
 	frame = &stream->slot[packet->slot % CM_PLANE_SLOTS_MAX].frame;
 	if (packet->slot < stream->slots && client->held[packet->slot] &&
 	    frame->sequence == packet->sequence && frame->timestamp_ns == packet->timestamp_ns) {
@@ -269,7 +269,7 @@ void clients_reap(struct cm_plane *plane)
 		if (client->broken) {
 			*link = client->next;
 			drop(plane, client);
-			link = &plane->clients; /* what came back may have broken others */
+			link = &plane->clients; /* what it gave back may have led to other broken clients */
 		} else {
 			link = &client->next;
 		}

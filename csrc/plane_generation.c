@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/* Which registers a frame was taken under: when writes were done, against when the frame before it ended. */
+/* The generation of registers under which a frame began: times of writes compared with the end of the last frame. */
 #include "clock.h"
 #include "plane_private.h"
 

@@ -39,7 +39,7 @@ struct stream {
 	uint32_t first, count;
 	uint32_t under_way;
 	int cycling;	/* slot that repeats, or -1 */
-	bool replacing; /* that slot is being cancelled, aside, for the next */
+	bool replacing; /* that slot is being cancelled, in another thread, for the next */
 	bool aside;	/* there is a thread for it, to be joined */
 	pthread_t replacer;
 	bool announced; /* its writer knows that it does */
@@ -80,7 +80,8 @@ struct generation {
 };
 
 struct generations {
-	pthread_mutex_t lock; /* its own: a write to a register does not wait for a device */
+	pthread_mutex_t
+		lock; /* a separate one, so that a register write does not wait for a device */
 	uint64_t latest;
 	uint64_t count; /* entries ever made */
 	struct generation recent[GENERATIONS_KEPT];

@@ -60,7 +60,7 @@ static void note_error(struct stream *stream, int error)
 	stream->stats.error = error;
 }
 
-/* Tell a writer how its transfer fared. */
+/* Tell a writer the outcome of its transfer. */
 static void tell_done(struct stream *stream, struct slot *slot, uint32_t error, uint64_t at_ns)
 {
 	struct cm_plane_descriptor packet = slot->frame;
@@ -75,7 +75,7 @@ static void tell_done(struct stream *stream, struct slot *slot, uint32_t error, 
 	client_send(slot->owner, &packet, sizeof(packet));
 }
 
-/* The slot is its writer's own again, or free if that has gone. */
+/* The slot belongs to its writer again, or is free if the writer has gone. */
 static void written(struct stream *stream, struct slot *slot, uint32_t error, uint64_t at_ns)
 {
 	slot->queued = false;
@@ -88,7 +88,7 @@ static void written(struct stream *stream, struct slot *slot, uint32_t error, ui
 
 static void push(struct cm_plane *plane, struct stream *stream);
 
-/* What repeated was cancelled. */
+/* The repeating frame was cancelled. */
 static void cycle_cancelled(struct stream *stream)
 {
 	struct slot *slot = &stream->slot[stream->cycling];
@@ -118,12 +118,12 @@ static void *replace(void *argument)
 	return NULL;
 }
 
-/* A new frame takes the place of the one that repeats, aside. */
+/* Replace the repeating frame by a new one, in another thread. */
 static void end_cycle(struct stream *stream)
 {
 	stream->replacing = true;
 	if (stream->aside && pthread_equal(pthread_self(), stream->replacer))
-		return; /* it goes round once more */
+		return; /* it repeats once more */
 	if (stream->aside)
 		pthread_join(stream->replacer, NULL); /* it is over: nothing was being replaced */
 	stream->aside = !plane_thread(&stream->replacer, replace, stream);
@@ -156,7 +156,7 @@ static uint32_t pop(struct stream *stream)
 	return number;
 }
 
-/* Give the hardware what waits for it, as much as its queue holds. */
+/* Give the hardware as many waiting slots as its queue holds. */
 static void push(struct cm_plane *plane, struct stream *stream)
 {
 	while (stream->count && stream->under_way < stream->setup.queue_depth && !stream->lost &&
@@ -326,7 +326,7 @@ void stream_cancel(struct stream *stream)
 			;
 }
 
-/* Writers hear of what was under way. */
+/* Tell writers about transfers that were under way. */
 static void tell_writers(struct stream *stream)
 {
 	if (stream->cycling >= 0 && stream->announced)

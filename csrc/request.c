@@ -46,7 +46,7 @@ static int exchange(struct cm_node *node, uint32_t op, void *arg, size_t size, i
 	return 0;
 }
 
-/* The reply that did not come in time: once it has, the two ends agree again. */
+/* Take the reply that did not come in time: after that, the two ends agree again. */
 static void recover(struct cm_node *node)
 {
 	if (node->broken == ETIMEDOUT)

@@ -37,7 +37,7 @@ uint8_t *sim_memory(const struct cm_sim_channel *channel)
 	return find(channel, head->handle)->memory + head->offset;
 }
 
-/* Whether another completion would not be the client's 65th that waits or is to come. */
+/* Whether the client has fewer than 64 completions that are waiting or to come. */
 static bool room(struct cm_sim_channel *channel)
 {
 	uint64_t limit = CM_SIM_QUEUE - channel->count;
@@ -93,7 +93,7 @@ static bool reply(struct cm_sim_channel *channel, const struct cm_dma_submit *su
 	} while (sent < 0 && errno == EINTR);
 	if (sent >= 0)
 		return true;
-	channel->owed = true; /* or the client has gone: then the board finds that out */
+	channel->owed = true; /* or the client has gone, which the board will notice */
 	channel->owed_submit = *submit;
 	return false;
 }

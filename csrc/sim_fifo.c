@@ -61,7 +61,7 @@ static bool ready(const struct cm_sim_fifo *fifo)
 	return fifo->channel[SOURCE]->count && fifo->channel[SINK]->count;
 }
 
-/* One packet: what does not fit into the buffer it arrives at is lost, and an error there. */
+/* Move one packet: what does not fit into the receiving buffer is lost, with an error there. */
 static void move(struct cm_sim_fifo *fifo)
 {
 	struct cm_sim_channel *source = fifo->channel[SOURCE], *sink = fifo->channel[SINK];
@@ -128,7 +128,7 @@ static void *run(void *argument)
 	return NULL;
 }
 
-/* Signals are the board's affair: its thread shall have them. */
+/* Signals are for the board's threads. */
 static int start_thread(struct cm_sim_fifo *fifo)
 {
 	sigset_t all, before;

@@ -73,7 +73,7 @@ int cm_sim_fifo_event_fd(struct cm_sim_fifo *fifo);
 int cm_sim_fifo_run(struct cm_sim_fifo *fifo, struct cm_sim_channel *source,
 		    struct cm_sim_channel *sink);
 
-/* Have them back, after the frame that is being moved; harmless when they are. */
+/* Take them back, after the frame that is being moved; harmless if they are back already. */
 void cm_sim_fifo_park(struct cm_sim_fifo *fifo);
 
 #endif /* CM_SIM_FIFO_H */

@@ -12,7 +12,7 @@
 #include "mmio.h"
 #include "uio_private.h"
 
-/* Interrupts that are taken in one go; a real device merges them into one. */
+/* Interrupts that are taken at once; a real device merges them into one. */
 #define TAKE_AT_ONCE 16
 
 /* uio_mmap() chooses the window by the page offset. */
@@ -34,7 +34,7 @@ static int map_windows(struct cm_uio *uio)
 	return 0;
 }
 
-/* Without a mirror every read is a request: slower, and nothing else. */
+/* Without a mirror every read is a request, which is slower but otherwise the same. */
 static void map_mirror(struct cm_uio *uio)
 {
 	struct cm_node_mirror mirror = { .map = 0, .fd = -1 };
@@ -142,7 +142,7 @@ invalid:
 	return -1;
 }
 
-/* By a load instruction; false where the node has to be asked. */
+/* Read by a load instruction; false if the node has to be asked. */
 static bool load(const struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned int width,
 		 uint64_t *value)
 {

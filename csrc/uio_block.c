@@ -23,7 +23,7 @@ static int check_range(const struct cm_uio *uio, unsigned int map, uint64_t offs
 	return -1;
 }
 
-/* Without messages for blocks: as many as there are words. */
+/* Without block messages: one message for each word. */
 static int read_words(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned char *data,
 		      size_t length)
 {

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* A UIO device from inside: for uio.c and uio_block.c. */
+/* The inside of a UIO device, shared by uio.c and uio_block.c only. */
 #ifndef CM_SHIM_UIO_PRIVATE_H
 #define CM_SHIM_UIO_PRIVATE_H
 

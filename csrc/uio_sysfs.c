@@ -173,7 +173,7 @@ static int find(const char *root, const struct query *query, struct cm_uio_info 
 	if (count < 0)
 		return -1;
 	for (i = 0; i < count && i < DEVICES_MAX; i++) {
-		/* A device may go between the listing and the look: no error. */
+		/* A device may disappear between listing and reading: not an error. */
 		if (!cm_uio_describe(root, numbers[i], info) && answers(query, info, map))
 			return 0;
 	}

@@ -15,7 +15,7 @@
 
 #include "cm_private.h"
 
-/* By way of the folder's descriptor: the name of a socket holds 107 bytes. */
+/* Through the folder's descriptor, because the name of a socket is limited to 107 bytes. */
 static int connect_in(int sock, const char *folder)
 {
 	struct sockaddr_un address = { .sun_family = AF_UNIX };
@@ -46,7 +46,7 @@ static int ask(int sock, const char *stream, const struct cm_plane_descriptor *w
 	}
 	memcpy(packet, wanted, sizeof(*wanted));
 	if (!*lease)
-		length--; /* without the NUL, as ever */
+		length--; /* the name alone, without the NUL */
 	return send(sock, packet, sizeof(*wanted) + (size_t)length, MSG_NOSIGNAL) < 0 ? -1 : 0;
 }
 
@@ -243,7 +243,7 @@ static int add_slots(struct connection *connection, const struct packet *packet)
 		close_all(packet);
 		return 0;
 	}
-	/* frames name slots by number: one too few, and each is another's */
+	/* frames refer to slots by number: with one missing, every later number would be wrong */
 	if (packet->head.slot != memory->slots || packet->head.offset != packet->fd_count ||
 	    packet->fd_count > CM_PLANE_SLOTS_MAX - memory->slots) {
 		close_all(packet);
@@ -311,7 +311,7 @@ int64_t connection_now_ms(void)
 	return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
 }
 
-/* What is left of @timeout_ms, which began at @begun; packets that are not frames do not prolong it. */
+/* The rest of @timeout_ms, counted from @begun; packets that are not frames do not prolong it. */
 static int left_ms(int timeout_ms, int64_t begun)
 {
 	int64_t gone = timeout_ms > 0 ? connection_now_ms() - begun : 0;

@@ -66,7 +66,7 @@ struct cm_frame {
 struct cm_reader *cm_reader_open(const char *runtime_dir, const char *stream, unsigned int depth);
 
 /**
- * cm_reader_open_leased() - the same with a lease of one's own
+ * cm_reader_open_leased() - the same with a lease
  * @lease: its id, where a client holds the stream's region and the stream has
  *         backpressure, so that its readers can hold the hardware up; or NULL
  */
@@ -76,7 +76,7 @@ struct cm_reader *cm_reader_open_leased(const char *runtime_dir, const char *str
 /* Disconnect and unmap; frames that are held become invalid.  NULL is fine. */
 void cm_reader_close(struct cm_reader *reader);
 
-/* Descriptor that polls readable when cm_reader_next() has something to do; the reader's. */
+/* Descriptor that polls readable when cm_reader_next() has something to do; owned by the reader. */
 int cm_reader_fd(const struct cm_reader *reader);
 
 /**
@@ -92,10 +92,10 @@ int cm_reader_next(struct cm_reader *reader, int timeout_ms, struct cm_frame *fr
 /* Give a frame back.  Errors: EINVAL if it was given back already, those of send(). */
 int cm_reader_release(struct cm_reader *reader, struct cm_frame *frame);
 
-/* Shape and type of what comes now; NULL while the stream is stopped. */
+/* Shape and type of present frames; NULL while the stream is stopped. */
 const struct cm_plane_geometry *cm_reader_geometry(const struct cm_reader *reader);
 
-/* Name of the mode that frames are of now. */
+/* Name of the mode of present frames. */
 const char *cm_reader_mode(const struct cm_reader *reader);
 
 /*
@@ -104,7 +104,7 @@ const char *cm_reader_mode(const struct cm_reader *reader);
  */
 uint64_t cm_reader_generation(const struct cm_reader *reader);
 
-/* Frames that came while all that may be held were. */
+/* Frames lost because the reader held as many as it may. */
 uint64_t cm_reader_lost(const struct cm_reader *reader);
 
 /* Why the manager refused: "code: sentence". */
@@ -133,10 +133,10 @@ struct cm_slot {
 struct cm_writer *cm_writer_open(const char *runtime_dir, const char *stream, unsigned int depth,
 				 const char *lease);
 
-/* Disconnect and unmap; what was submitted still goes.  NULL is fine. */
+/* Disconnect and unmap; frames already submitted are still sent.  NULL is fine. */
 void cm_writer_close(struct cm_writer *writer);
 
-/* Descriptor that polls readable when a slot may have come free; the writer's. */
+/* Descriptor that polls readable when a slot may have become free; owned by the writer. */
 int cm_writer_fd(const struct cm_writer *writer);
 
 /**
@@ -163,10 +163,10 @@ int cm_writer_submit(struct cm_writer *writer, struct cm_slot *slot, size_t leng
 /* Give a slot back unsent.  Errors: EINVAL if it was given back already. */
 int cm_writer_put_back(struct cm_writer *writer, struct cm_slot *slot);
 
-/* Until the hardware has taken all frames: 1, or 0 after @timeout_ms.  Errors: as cm_writer_slot(). */
+/* Wait until the hardware has taken all frames: 1, or 0 after @timeout_ms.  Errors: as cm_writer_slot(). */
 int cm_writer_flush(struct cm_writer *writer, int timeout_ms);
 
-/* Shape and type of what goes now; NULL before the first slot, and while the stream is stopped. */
+/* Shape and type of frames to send; NULL before the first slot, and while the stream is stopped. */
 const struct cm_plane_geometry *cm_writer_geometry(const struct cm_writer *writer);
 
 /* Why the manager refused: "code: sentence". */

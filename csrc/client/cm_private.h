@@ -47,10 +47,10 @@ int connection_open(struct connection *connection, const char *folder, const cha
 		    const struct cm_plane_descriptor *wanted, const char *lease);
 void connection_close(struct connection *connection);
 
-/* Take a packet that is there: EAGAIN if none is, ECONNRESET at the connection's end. */
+/* Take a waiting packet: EAGAIN if there is none, ECONNRESET at the connection's end. */
 int connection_receive(const struct connection *connection, struct packet *packet);
 
-/* Geometry, slots, names, stops and refusals; all else is passed over. */
+/* Handle geometry, slots, names, stops and refusals; ignore all else. */
 int connection_take(struct connection *connection, const struct packet *packet);
 
 /* Wait for a packet: 1, or 0 when @timeout_ms, counted from @begun, are over. */
@@ -58,13 +58,13 @@ int connection_wait(const struct connection *connection, int timeout_ms, int64_t
 
 int64_t connection_now_ms(void);
 
-/* What comes now; NULL while the stream is stopped. */
+/* Memory of present frames; NULL while the stream is stopped. */
 struct cm_memory *connection_memory(const struct connection *connection);
 
-/* Drop memory that nothing comes into any more, and of which nothing is held. */
+/* Unmap memory that is no longer in use by the stream, and of which nothing is held. */
 void connection_sweep(struct connection *connection);
 
-/* The caller has a slot from here on, or has it no more: the processor's cache is told. */
+/* The caller gets a slot, or gives it up: synchronise the processor's cache. */
 int memory_begin(struct cm_memory *memory, uint32_t slot);
 int memory_end(struct cm_memory *memory, uint32_t slot);
 

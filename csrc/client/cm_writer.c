@@ -13,7 +13,7 @@ struct cm_writer {
 	uint32_t free_count;
 	uint32_t under_way;
 	uint64_t next;
-	int failed; /* errno of a frame that was not taken, until it is told */
+	int failed; /* errno of a frame that was not taken, until it is reported */
 };
 
 struct cm_writer *cm_writer_open(const char *runtime_dir, const char *stream, unsigned int depth,
@@ -95,7 +95,7 @@ static int take(struct cm_writer *writer, const struct packet *packet)
 	return connection_take(&writer->connection, packet);
 }
 
-/* Take what is there. */
+/* Take all waiting packets. */
 static int drain(struct cm_writer *writer)
 {
 	struct packet packet;
@@ -116,7 +116,7 @@ static bool is_idle(const struct cm_writer *writer)
 	return !writer->under_way;
 }
 
-/* Until @ready: 1, 0 when the time is over, -1 also for a frame that failed, once. */
+/* Wait until @ready: 1, 0 when the time is over, -1 also, once, for a frame that failed. */
 static int wait_until(struct cm_writer *writer, bool (*ready)(const struct cm_writer *),
 		      int timeout_ms)
 {
@@ -162,7 +162,7 @@ int cm_writer_slot(struct cm_writer *writer, int timeout_ms, struct cm_slot *slo
 	return 1;
 }
 
-/* The caller has it no more; whether it is still of the stream as it runs now. */
+/* Take a slot from the caller; returns whether it belongs to the stream as it runs now. */
 static int hand_over(struct cm_writer *writer, struct cm_slot *slot)
 {
 	struct cm_memory *memory = slot->memory;
