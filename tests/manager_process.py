@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import re
 import signal
@@ -83,6 +84,11 @@ class Manager:
         """Of the process, which has been started."""
         assert self.process is not None
         return self.process.pid
+
+    def tcp(self, endpoint: str = "pub") -> str:
+        """The address of an endpoint over TCP, if the manager listens there."""
+        endpoints = json.loads((self.runtime / "endpoints.json").read_text("ascii"))
+        return str(endpoints["tcp"][0][endpoint])
 
     def start(self) -> Manager:
         command = child.command("cm.cli.main", "serve", "--runtime-dir", str(self.runtime), *self.arguments)

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import gc
 import inspect
-import json
 import os
 import pickle
 import subprocess
@@ -63,8 +62,7 @@ def reached(manager: Manager, way: str) -> dict[str, Any]:
     """Arguments of `connect` to reach it."""
     if way == "ipc":
         return {"runtime_dir": manager.runtime}
-    endpoints = json.loads((manager.runtime / "endpoints.json").read_text())["tcp"][0]
-    return {"endpoint": endpoints["pub"]}
+    return {"endpoint": manager.tcp()}
 
 
 @pytest.fixture(params=[(kind, way) for kind in ("blocking", "asyncio") for way in ("ipc", "tcp")], ids="-".join)

@@ -3,60 +3,42 @@
 
 from __future__ import annotations
 
-import json
 import os
 import resource
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 import zmq
 from flood import descriptors, half_messages, idle_connections, resident_mib
-from manager_process import Manager, served, short_folder, until
+from keyed_manager import KeyedManager, served_with_keys
+from manager_process import until
 
 import cm
 from cm.cli.keys import read_key_file
-from cm.cli.main import main
 from cm.messages.requests import Upload
 from cm.wire.encode import decode_reply, encode_request
 
 NOFILE = 1024
 
 
-@dataclass(frozen=True, slots=True)
-class Guarded:
-    """A manager with few descriptors, on ipc and on TCP with keys."""
+def port_of(keyed: KeyedManager) -> int:
+    """The first of its three ports."""
+    return int(keyed.manager.tcp().rpartition(":")[2])
 
-    manager: Manager
-    keys: Path
 
-    @property
-    def pid(self) -> int:
-        return self.manager.pid
-
-    @property
-    def tcp(self) -> tuple[str, int]:
-        endpoints = json.loads((self.manager.runtime / "endpoints.json").read_text("ascii"))
-        return "127.0.0.1", int(endpoints["tcp"][0]["pub"].rpartition(":")[2])
-
-    def allow(self, count: int) -> None:
-        resource.prlimit(self.pid, resource.RLIMIT_NOFILE, (count, NOFILE))
+def allow(keyed: KeyedManager, count: int) -> None:
+    """Limit its descriptors."""
+    resource.prlimit(keyed.pid, resource.RLIMIT_NOFILE, (count, NOFILE))
 
 
 @pytest.fixture
-def guarded(capsys: pytest.CaptureFixture[str]) -> Iterator[Guarded]:
-    with short_folder() as folder:
-        assert main(["keygen", str(folder), "me"]) == 0
-        arguments = ("--listen", "tcp://127.0.0.1:0", "--keys", str(folder / "server.key"))
-        with served(arguments=arguments) as (manager, _):
-            made = Guarded(manager, folder / "me.key")
-            with manager.connected() as board:
-                board.load("camera", "default")
-            resource.prlimit(made.pid, resource.RLIMIT_NOFILE, (NOFILE, NOFILE))
-            yield made
+def guarded(capsys: pytest.CaptureFixture[str]) -> Iterator[KeyedManager]:
+    with served_with_keys() as made:
+        allow(made, NOFILE)
+        yield made
 
 
 def works(board: cm.Board) -> bool:
@@ -65,46 +47,46 @@ def works(board: cm.Board) -> bool:
 
 
 @pytest.mark.parametrize("name", ["req", "sub", "pub"])
-def test_1500_idle_connections_of_a_user_leave_room_for_a_client(guarded: Guarded, name: str) -> None:
+def test_1500_idle_connections_of_a_user_leave_room_for_a_client(guarded: KeyedManager, name: str) -> None:
     before = descriptors(guarded.pid)
     with idle_connections(guarded.manager.runtime / name, 250, 6) as kept:
         assert sum(kept) <= NOFILE * 3 // 4
         assert descriptors(guarded.pid) <= before + NOFILE * 3 // 4 + 16
-        with cm.connect(f"tcp://127.0.0.1:{guarded.tcp[1]}", keys=str(guarded.keys), timeout=60) as board:
+        with cm.connect(guarded.manager.tcp(), keys=str(guarded.keys), timeout=60) as board:
             assert works(board)
     until(lambda: descriptors(guarded.pid) <= before + 16)
     with guarded.manager.connected() as board:
         assert works(board)
 
 
-def test_one_process_has_256_connections_at_most_and_others_go_on_connecting(guarded: Guarded) -> None:
+def test_one_process_has_256_connections_at_most_and_others_go_on_connecting(guarded: KeyedManager) -> None:
     with idle_connections(guarded.manager.runtime / "req", 700, 1) as kept:
         assert kept == [256]
         with guarded.manager.connected() as board:
             assert works(board)
 
 
-def test_1500_bare_connections_to_a_port_with_keys_leave_room_for_a_client(guarded: Guarded) -> None:
+def test_1500_bare_connections_to_a_port_with_keys_leave_room_for_a_client(guarded: KeyedManager) -> None:
     before = descriptors(guarded.pid)
-    host, port = guarded.tcp
-    with idle_connections((host, port + 2), 250, 6) as kept:
+    port = port_of(guarded)
+    with idle_connections(("127.0.0.1", port + 2), 250, 6) as kept:
         assert sum(kept) == 256  # of one address
         with guarded.manager.connected() as board:
             assert works(board)
     until(lambda: descriptors(guarded.pid) <= before + 16)
-    with cm.connect(f"tcp://{host}:{port}", keys=str(guarded.keys), timeout=60) as board:
+    with cm.connect(guarded.manager.tcp(), keys=str(guarded.keys), timeout=60) as board:
         assert works(board)
 
 
-def test_the_last_descriptors_are_not_used_for_connections(guarded: Guarded) -> None:
+def test_the_last_descriptors_are_not_used_for_connections(guarded: KeyedManager) -> None:
     before = descriptors(guarded.pid)
-    guarded.allow(before + 200)
+    allow(guarded, before + 200)
     with idle_connections(guarded.manager.runtime / "req", 250, 2) as kept:
         assert 0 < sum(kept) <= 100
-    guarded.allow(before + 8)  # none at all: fewer than the reserve
+    allow(guarded, before + 8)  # none at all: fewer than the reserve
     with idle_connections(guarded.manager.runtime / "req", 50, 2) as kept:
         assert sum(kept) == 0
-    guarded.allow(NOFILE)
+    allow(guarded, NOFILE)
     with guarded.manager.connected() as board:
         assert works(board)
 
@@ -142,7 +124,7 @@ def send_until_hung_up(peer: socket.socket, piece: bytes, times: int) -> int:
     return times
 
 
-def test_a_message_of_a_gibibyte_and_a_half_is_refused_when_it_is_announced(guarded: Guarded) -> None:
+def test_a_message_of_a_gibibyte_and_a_half_is_refused_when_it_is_announced(guarded: KeyedManager) -> None:
     before = resident_mib(guarded.pid)
     with raw(guarded.manager.runtime / "req") as peer:
         peer.sendall(frame(0, length=3 << 29))
@@ -150,7 +132,7 @@ def test_a_message_of_a_gibibyte_and_a_half_is_refused_when_it_is_announced(guar
     assert resident_mib(guarded.pid) < before + 64
 
 
-def test_a_message_of_two_million_parts_ends_its_connection_before_it_is_received(guarded: Guarded) -> None:
+def test_a_message_of_two_million_parts_ends_its_connection_before_it_is_received(guarded: KeyedManager) -> None:
     before = resident_mib(guarded.pid)
     with raw(guarded.manager.runtime / "req") as peer:
         assert send_until_hung_up(peer, b"\x01\x00" * 1000, 2000) < 2000
@@ -159,12 +141,12 @@ def test_a_message_of_two_million_parts_ends_its_connection_before_it_is_receive
         assert works(board)
 
 
-def test_a_message_that_is_too_long_in_all_its_parts_ends_its_connection(guarded: Guarded) -> None:
+def test_a_message_that_is_too_long_in_all_its_parts_ends_its_connection(guarded: KeyedManager) -> None:
     with raw(guarded.manager.runtime / "req") as peer:
         assert send_until_hung_up(peer, frame(1, bytes(1 << 20)), 64) < 64
 
 
-def test_a_peer_that_does_not_speak_zmtp_3_is_disconnected(guarded: Guarded) -> None:
+def test_a_peer_that_does_not_speak_zmtp_3_is_disconnected(guarded: KeyedManager) -> None:
     for greeting in (b"GET / HTTP/1.1\r\n\r\n", b"\x01\x00", b"\xff" + bytes(8) + b"\x7f\x01\x00" + bytes(52)):
         with socket.socket(socket.AF_UNIX) as peer:
             peer.settimeout(60)
@@ -178,7 +160,7 @@ def test_a_peer_that_does_not_speak_zmtp_3_is_disconnected(guarded: Guarded) -> 
                     break
 
 
-def test_half_messages_of_250_connections_take_no_more_than_those_of_two(guarded: Guarded) -> None:
+def test_half_messages_of_250_connections_take_no_more_than_those_of_two(guarded: KeyedManager) -> None:
     """Seven MiB of a message over each: 1761 MiB more than idle, before."""
     before = resident_mib(guarded.pid)
     with (
@@ -197,17 +179,17 @@ def test_half_messages_of_250_connections_take_no_more_than_those_of_two(guarded
 
 
 @pytest.mark.parametrize("flags", [0, 4])
-def test_before_the_handshake_a_client_may_send_only_short_commands(guarded: Guarded, flags: int) -> None:
+def test_before_the_handshake_a_client_may_send_only_short_commands(guarded: KeyedManager, flags: int) -> None:
     """Without a key, before its identity is known."""
     before = resident_mib(guarded.pid)
     long = bytes([flags | 2]) + (1 << 20).to_bytes(8, "big")
     for mechanism, port in ((b"CURVE", 2), (b"CURVE", 0), (b"NULL", 2)):
-        with socket.create_connection((guarded.tcp[0], guarded.tcp[1] + port), timeout=60) as peer:
+        with socket.create_connection(("127.0.0.1", port_of(guarded) + port), timeout=60) as peer:
             peer.sendall(greeting(mechanism))
             with suppress(ConnectionError):
                 peer.sendall(long)
             assert hangs_up(peer)
-    with half_messages(guarded.tcp[1] + 2, greeting(b"CURVE"), 250), guarded.manager.connected() as board:
+    with half_messages(port_of(guarded) + 2, greeting(b"CURVE"), 250), guarded.manager.connected() as board:
         assert works(board)
         assert resident_mib(guarded.pid) < before + 64
 
@@ -220,7 +202,7 @@ def hangs_up(peer: socket.socket) -> bool:
     return True
 
 
-def test_a_million_subscriptions_are_cut_off_after_some_thousand(guarded: Guarded) -> None:
+def test_a_million_subscriptions_are_cut_off_after_some_thousand(guarded: KeyedManager) -> None:
     before = resident_mib(guarded.pid)
     with raw(guarded.manager.runtime / "pub", b"SUB") as peer:
         thousand = b"".join(bytes([0, 11]) + b"\x01cm_%07d" % i for i in range(1000))
@@ -228,7 +210,7 @@ def test_a_million_subscriptions_are_cut_off_after_some_thousand(guarded: Guarde
     assert resident_mib(guarded.pid) < before + 64
 
 
-def test_reconnecting_does_not_allow_more_subscriptions(guarded: Guarded) -> None:
+def test_reconnecting_does_not_allow_more_subscriptions(guarded: KeyedManager) -> None:
     """Otherwise each time to as many as one connection may, which libzmq removes all at once when it ends."""
     some = b"".join(bytes([0, 11]) + b"\x01cm_%07d" % i for i in range(900))
     for _ in range(100):
@@ -236,11 +218,11 @@ def test_reconnecting_does_not_allow_more_subscriptions(guarded: Guarded) -> Non
             peer.sendall(some)
             peer.recv(64)
     hung_up(guarded, b"more than 1024 topics at once")
-    with cm.connect(f"tcp://127.0.0.1:{guarded.tcp[1]}", keys=str(guarded.keys), timeout=60) as board:
+    with cm.connect(guarded.manager.tcp(), keys=str(guarded.keys), timeout=60) as board:
         assert next(iter(board.watch(timeout=60))).mode == "default"  # another client, which may
 
 
-def test_a_message_of_the_maximum_length_arrives(guarded: Guarded) -> None:
+def test_a_message_of_the_maximum_length_arrives(guarded: KeyedManager) -> None:
     with zmq.Context() as context, context.socket(zmq.REQ) as client:
         client.linger = 0
         client.connect(f"ipc://{guarded.manager.runtime}/req")
@@ -253,16 +235,16 @@ def test_a_message_of_the_maximum_length_arrives(guarded: Guarded) -> None:
 
 
 @contextmanager
-def with_keys(guarded: Guarded) -> Iterator[zmq.Socket[bytes]]:
+def with_keys(guarded: KeyedManager) -> Iterator[zmq.Socket[bytes]]:
     """A DEALER that was admitted, and notices when it is disconnected."""
-    keys, (host, port) = read_key_file(guarded.keys), guarded.tcp
+    keys, request = read_key_file(guarded.keys), guarded.manager.tcp("req")
     with zmq.Context() as context, context.socket(zmq.DEALER) as made:
         made.linger = 0
         made.curve_serverkey, made.curve_publickey = keys["server-public"], keys["public"]
         made.curve_secretkey = keys["secret"]
         made.setsockopt(zmq.SNDHWM, 0)
         monitor = made.get_monitor_socket(zmq.EVENT_DISCONNECTED)
-        made.connect(f"tcp://{host}:{port + 2}")
+        made.connect(request)
         made.send_multipart([b"", b"cm_status", b""])
         assert made.poll(60_000)
         made.recv_multipart()
@@ -271,7 +253,7 @@ def with_keys(guarded: Guarded) -> Iterator[zmq.Socket[bytes]]:
         monitor.close(0)
 
 
-def hung_up(guarded: Guarded, cause: bytes) -> None:
+def hung_up(guarded: KeyedManager, cause: bytes) -> None:
     """Check that the manager says why it closed a connection, and continues to serve."""
     assert guarded.manager.process is not None
     assert guarded.manager.process.stderr is not None
@@ -284,11 +266,11 @@ def hung_up(guarded: Guarded, cause: bytes) -> None:
         return cause in said
 
     until(told, 60)
-    with cm.connect("tcp://{}:{}".format(*guarded.tcp), keys=guarded.keys, timeout=60) as board:
+    with cm.connect(guarded.manager.tcp(), keys=guarded.keys, timeout=60) as board:
         assert works(board)
 
 
-def test_encrypted_parts_without_end_are_ended_too(guarded: Guarded) -> None:
+def test_encrypted_parts_without_end_are_ended_too(guarded: KeyedManager) -> None:
     before = resident_mib(guarded.pid)
     with with_keys(guarded) as peer:
         peer.send(b"", zmq.SNDMORE)
@@ -299,7 +281,7 @@ def test_encrypted_parts_without_end_are_ended_too(guarded: Guarded) -> None:
     assert resident_mib(guarded.pid) < before + 32
 
 
-def test_an_encrypted_message_that_is_too_long_is_ended(guarded: Guarded) -> None:
+def test_an_encrypted_message_that_is_too_long_is_ended(guarded: KeyedManager) -> None:
     before = resident_mib(guarded.pid)
     with with_keys(guarded) as peer:
         peer.send_multipart([b"", b"cm_upload", bytes(9 << 20)])
@@ -307,7 +289,7 @@ def test_an_encrypted_message_that_is_too_long_is_ended(guarded: Guarded) -> Non
     assert resident_mib(guarded.pid) < before + 32
 
 
-def test_encrypted_messages_within_bounds_arrive_in_any_number(guarded: Guarded) -> None:
+def test_encrypted_messages_within_bounds_arrive_in_any_number(guarded: KeyedManager) -> None:
     """64 MiB in messages of 4: no more than 16 wait at a time."""
     before = resident_mib(guarded.pid)
     with with_keys(guarded) as peer:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterator
 from itertools import pairwise
@@ -29,8 +28,7 @@ def reading(listening: Manager, request: pytest.FixtureRequest) -> Iterator[tupl
     way, _, compression = request.param.partition("-")
     if compression:
         pytest.importorskip("lz4.frame")
-    places = json.loads((listening.runtime / "endpoints.json").read_text())
-    endpoint = {"endpoint": places["tcp"][0]["pub"]} if way == "tcp" else {"runtime_dir": listening.runtime}
+    endpoint = {"endpoint": listening.tcp()} if way == "tcp" else {"runtime_dir": listening.runtime}
     with cm.connect(timeout=30, **endpoint) as board:
         board.load("camera", "default", force=True)
         with board.stream("camera", timeout=30, compression=compression) as stream:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -17,10 +16,9 @@ from manager_process import REPOSITORY, served
 @pytest.mark.parametrize("system", ["win32", "darwin"])
 def test_a_laptop_drives_a_board_over_tcp(system: str, installed: Path, tmp_path: Path) -> None:
     with served(arguments=("--listen", "tcp://127.0.0.1:0", "--insecure")) as (manager, _):
-        address = json.loads((manager.runtime / "endpoints.json").read_text())["tcp"][0]["pub"]
         script, client = (REPOSITORY / "tests" / name for name in ("laptop.py", "laptop_client.py"))
         done = subprocess.run(
-            [sys.executable, script, system, client, address, installed],
+            [sys.executable, script, system, client, manager.tcp(), installed],
             cwd=tmp_path,
             env={**os.environ, "PYTHONPATH": str(installed)},
             capture_output=True,

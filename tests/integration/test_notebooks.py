@@ -60,7 +60,7 @@ def executed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
         done = {path.stem: execute(path) for path in NOTEBOOKS}
         patch.delenv("CM_RUNTIME_DIR")
-        patch.setenv("CM_CONNECT", json.loads((manager.runtime / "endpoints.json").read_text())["tcp"][0]["pub"])
+        patch.setenv("CM_CONNECT", manager.tcp())
         patch.setenv("CM_KEYS", str(manager.runtime.parent / "keys/laptop.key"))
         return {**done, "elsewhere": execute(NOTEBOOKS[0])}
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import zmq
-from manager_process import CAMERA, Manager, environment, short_folder, until
+from manager_process import CAMERA, Manager, environment, served, until
 
 import cm
 from cm.client import zmq_frames as remote
@@ -24,7 +23,6 @@ from cm.daemon.queue_limit import mark
 from cm.errors import InvalidRequest, NotFound, Timeout
 from cm.messages.status import FrameInfo
 from cm.schema import load
-from cm.sim import Board as SimBoard
 from cm.wire import cm_pb2 as pb
 from cm.wire.encode import decode_event
 
@@ -34,30 +32,9 @@ LARGE = 4 << 20
 @contextlib.contextmanager
 def listening(env: dict[str, str] | None = None, more: Sequence[str] = ()) -> Iterator[tuple[Manager, str]]:
     """A manager that listens on TCP as well, and where."""
-    with short_folder() as folder, SimBoard([CAMERA], root=folder / "board") as sim:
-        state, listen = str(folder / "state"), "tcp://127.0.0.1:0"
-        arguments = (
-            "--config",
-            str(CAMERA),
-            "--root",
-            str(sim.root),
-            "--state-dir",
-            state,
-            "--listen",
-            listen,
-            "--insecure",
-            *more,
-        )
-        manager = Manager(folder / "run", *arguments, env=env)
-        manager.start()
-        try:
-            yield manager, _tcp_pub(folder / "run")
-        finally:
-            manager.stop()
-
-
-def _tcp_pub(runtime: Path) -> str:
-    return str(json.loads((runtime / "endpoints.json").read_text())["tcp"][0]["pub"])
+    arguments = ("--listen", "tcp://127.0.0.1:0", "--insecure", *more)
+    with served(arguments=arguments, env=env) as (manager, _):
+        yield manager, manager.tcp()
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import os
 import signal
 import time
@@ -55,8 +54,7 @@ class Guarded:
 
     @property
     def address(self) -> str:
-        endpoints = json.loads((self.manager.runtime / "endpoints.json").read_text("ascii"))
-        return str(endpoints["tcp"][0]["pub"])
+        return self.manager.tcp()
 
     def connect(self, name: str) -> cm.Board:
         return cm.connect(self.address, keys=self.keys / f"{name}.key", timeout=60)

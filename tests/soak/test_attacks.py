@@ -7,16 +7,13 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import attacks
 import pytest
 from flood import descriptors, resident_mib, running
-from manager_process import Manager, environment, served, short_folder, until
-
-from cm.cli.main import main
+from keyed_manager import KeyedManager, served_with_keys
+from manager_process import environment, until
 
 BESIDE = 64  # MiB
 KEPT = 90.0  # seconds in which all that an attacker began is gone: uploads stay for a minute
@@ -51,32 +48,10 @@ print(json.dumps(told))
 """
 
 
-@dataclass(frozen=True, slots=True)
-class Served:
-    """A manager on ipc and on TCP with keys."""
-
-    manager: Manager
-    keys: Path
-
-    @property
-    def pid(self) -> int:
-        return self.manager.pid
-
-    @property
-    def address(self) -> str:
-        endpoints = json.loads((self.manager.runtime / "endpoints.json").read_text("ascii"))
-        return str(endpoints["tcp"][0]["req"])
-
-
 @pytest.fixture
-def guarded() -> Iterator[Served]:
-    with short_folder() as folder:
-        assert main(["keygen", str(folder), "me"]) == 0
-        arguments = ("--listen", "tcp://127.0.0.1:0", "--keys", str(folder / "server.key"))
-        with served(arguments=arguments) as (manager, _):
-            with manager.connected() as board:
-                board.load("camera", "default")
-            yield Served(manager, folder / "me.key")
+def guarded() -> Iterator[KeyedManager]:
+    with served_with_keys() as made:
+        yield made
 
 
 def ended(process: subprocess.Popen[str]) -> Any:
@@ -87,14 +62,17 @@ def ended(process: subprocess.Popen[str]) -> Any:
 
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("name", attacks.ATTACKS)
-def test_another_client_loses_nothing(guarded: Served, name: str) -> None:
+def test_another_client_loses_nothing(guarded: KeyedManager, name: str) -> None:
     with running("-c", NEIGHBOUR, guarded.manager.runtime, first="begun") as client:
         alone = ended(client)
     before, had = resident_mib(guarded.pid), descriptors(guarded.pid)
     words = [sys.executable, attacks.__file__, name, str(guarded.manager.runtime), "200"]
     with running("-c", NEIGHBOUR, guarded.manager.runtime, first="begun") as client:
         attacker = subprocess.Popen(
-            [*words, guarded.address, str(guarded.keys)], env=environment(), stdout=subprocess.PIPE, text=True
+            [*words, guarded.manager.tcp("req"), str(guarded.keys)],
+            env=environment(),
+            stdout=subprocess.PIPE,
+            text=True,
         )
         most = before
         while attacker.poll() is None:
