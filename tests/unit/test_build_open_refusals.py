@@ -65,8 +65,8 @@ FAST = "clock: fclk0, clocks: {fast_clk: fclk1}, loader: fpga_manager}\n  right"
 SECOND = ("SLICE_X41Y99], clock: fclk0", "SLICE_X41Y99], clock: fclk1")
 NO_REGISTERS = TWO_CLOCKS.replace("    input  wire       fast_clk,\n", "")
 CASES = {  # the change to PLAIN; the module; the message
-    "a second clock": (SECOND, AXIL_MODULE, "clocks: 2 clocks (fclk0, fclk1)"),
-    "a second clock without registers": (SECOND, NO_REGISTERS, "clocks: 2 clocks (fclk0, fclk1)"),
+    "a second clock": (SECOND, AXIL_MODULE, "regions.right.clock: fclk1 beside fclk0"),
+    "a second clock without registers": (SECOND, NO_REGISTERS, "regions.right.clock: fclk1 beside fclk0"),
     "two clocks of one region": ((LEFT, FAST), TWO_CLOCKS, "regions.left.clocks: 2 clocks at the boundary"),
     "a master to memory": (("", ""), MASTER, "regions.left.interfaces.m_axi: a master to memory"),
     "bursts of registers": (("", ""), BURSTS, "regions.left.interfaces: an AXI4 slave of bursts"),

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from cm.build.errors import BuildError
-from cm.build.openflow.job import Job, labels, module_job, pins_xdc, static_job
+from cm.build.openflow.job import Job, labels, module_job, pins_xdc, static_job, with_cells
 from cm.build.openflow.layout import Layout
 from cm.build.openflow.merge import CLOCK, Side, left_out, module_features, static_features, strays
-from cm.build.openflow.place import SCRIPTS, Files, place_and_route, read_side, timing
+from cm.build.openflow.place import SCRIPTS, Files, cells_of, place_and_route, read_side, timing
 from cm.build.openflow.steps import OpenStepEndless, OpenStepFailed, Steps, Tell, key_of
 from cm.build.openflow.timing import slacks
 from cm.build.openflow.tools import Tools
@@ -134,6 +134,7 @@ class Attempt:
     def _placed(self, files: Files, job: Job, xdc: str, judge: Judge, what: str) -> None:
         """Place and route with one seed after another, until the result passes all checks."""
         one, part = self._context, self._context.system.project.part
+        job = with_cells(job, cells_of(files), one.database, what)
         key = key_of(job, xdc, one.rate, self.seed, one.tools.versions, files.file("json"), *SCRIPTS)
         if key in one.failed:
             raise Unroutable(f"{what} could not be routed before")

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from cm.build.openflow.enables import Cell, shares
 from cm.build.openflow.layout import Layout
 from cm.build.openflow.merge import CLOCK
 from cm.build.openflow.netlists import ANCHOR, HARNESS
@@ -16,26 +17,35 @@ from cm.xray import Database, Tile, Wires
 Job = dict[str, Any]
 _INTO_SLICES = ("BYP", "FAN", "IMUX", "CTRL", "CLK", "GFAN")
 _LEAF = "HCLK_LEAF_CLK_"
+_STATIC, _MODULE = "static", "module"  # areas
 
 
 def static_job(database: Database, layouts: Sequence[Layout]) -> Job:
     """Keep the static part out of the regions, except for its anchors and harnesses."""
     inside = {name for layout in layouts for name in layout.tiles}
     areas = {_harness(layout): _harness_places(layout) for layout in layouts}
-    areas["static"] = [_at(tile) for tile in database.tiles.values() if tile.sites and tile.name not in inside]
-    cells = [[_harness(layout), _harness(layout)] for layout in layouts] + [["", "static"]]
+    areas[_STATIC] = [_at(tile) for tile in database.tiles.values() if tile.sites and tile.name not in inside]
+    cells = [[_harness(layout), _harness(layout)] for layout in layouts] + [["", _STATIC]]
     return {"bels": _anchor_bels(layouts), "areas": areas, "cells": cells, "blocked": []}
 
 
 def module_job(database: Database, wires: Wires, layout: Layout, static: Routed, clock_buffer: str) -> Job:
     """Keep a module inside its region and away from what the static part uses there."""
     passed = passing(database, wires, layout, static)
-    areas = {_harness(layout): _free_places(layout, passed), "module": [_at(tile) for tile in layout.logic_tiles]}
+    areas = {_harness(layout): _free_places(layout, passed), _MODULE: [_at(tile) for tile in layout.logic_tiles]}
     bels = [*_anchor_bels([layout]), ["cm_clock_buffer", clock_buffer]]
     blocked = fence(database, wires, layout) | passed
     blocked |= other_lanes(database, wires, layout, static)
-    cells = [[_harness(layout), _harness(layout)], ["", "module"]]
+    cells = [[_harness(layout), _harness(layout)], ["", _MODULE]]
     return {"bels": bels, "areas": areas, "cells": cells, "blocked": sorted(blocked)}
+
+
+def with_cells(job: Job, cells: Mapping[str, Cell], database: Database, what: str) -> Job:
+    """A job with what it has to know of the netlist's cells: where those that are written may be, by the enable."""
+    (area,) = {_STATIC, _MODULE} & job["areas"].keys()
+    own = set(job["areas"][area])
+    kept = shares(cells, [tile for tile in database.tiles.values() if tile.sites and _at(tile) in own], what)
+    return {**job, "areas": {**job["areas"], **kept.areas}, "own_areas": kept.cells}
 
 
 def fence(database: Database, wires: Wires, layout: Layout) -> set[str]:

@@ -60,10 +60,14 @@ def read_side(database: Database, files: Files, inputs: frozenset[str], static: 
     """Read the result of a run; `inputs`: labels of the anchors whose input side it contains."""
     lines = files.file("fasm").read_text("utf-8").splitlines()
     routed = read_routed(files.file("route.json"), inputs)
-    modules = json.loads(files.file("json").read_text("utf-8"))["modules"].values()
-    cells = {name: cell for module in modules for name, cell in module.get("cells", {}).items()}
-    features = with_contents(read_features(lines, str(files.file("fasm"))), database, cells, routed.cells)
+    features = with_contents(read_features(lines, str(files.file("fasm"))), database, cells_of(files), routed.cells)
     return Side(features, routed, static)
+
+
+def cells_of(files: Files) -> dict[str, Any]:
+    """The cells of the netlist of a run, by name."""
+    modules = json.loads(files.file("json").read_text("utf-8"))["modules"].values()
+    return {name: cell for module in modules for name, cell in module.get("cells", {}).items()}
 
 
 def timing(files: Files) -> Timing:

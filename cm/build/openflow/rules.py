@@ -74,10 +74,7 @@ def _system(system: System) -> Iterator[tuple[tuple[str | int, ...], str, str]]:
     project = system.project
     if system.device not in DEVICES or geometry_of(system.device) is None:
         yield ("project",), f"{system.device}: nextpnr has no data of it", f"it works for {', '.join(DEVICES)}"
-    clocks = sorted({domain.clock for domain in system.domains} | {region.spec.clock for region in system.regions})
-    if len(clocks) != 1:
-        message = f"{len(clocks)} clocks ({', '.join(clocks)}): the static part of the open flow has one"
-        yield ("clocks",), message, "give all regions the same clock"
+    yield from _clocks(system)
     if system.icap is not None:
         hint = "loader: fpga_manager"
         yield ("regions",), "ICAPE2 has not been tried with nextpnr", hint
@@ -95,6 +92,20 @@ def _system(system: System) -> Iterator[tuple[tuple[str | int, ...], str, str]]:
         yield ("static", "block_design"), "a block design needs the vendor's tools", "leave it out"
 
 
+def _clocks(system: System) -> Iterator[tuple[tuple[str | int, ...], str, str]]:
+    first = system.domains[0].clock
+    used = {region.spec.clock for region in system.regions}
+    for region in system.regions:
+        clock = region.spec.clock
+        if clock != first:
+            message = (
+                f"{clock} beside {first}, on which the control registers run, is a second clock: the static part of "
+                "the open flow has one"
+            )
+            other = f", or {clock} listed first under clocks" if used == {clock} else ""
+            yield ("regions", region.name, "clock"), message, f"clock: {first}{other}"
+
+
 def _region(region: RegionPlan) -> Iterator[tuple[tuple[str | int, ...], str, str]]:
     areas = [rectangle(text) for text in region.spec.pblock]
     if not areas or any(area is None for area in areas):
@@ -110,7 +121,8 @@ def _region(region: RegionPlan) -> Iterator[tuple[tuple[str | int, ...], str, st
             "connect: none",
         )
     if len(region.clocks) != 1:
-        yield ("clocks",), f"{len(region.clocks)} clocks at the boundary", "give it the one clock of its region"
+        message = f"{len(region.clocks)} clocks at the boundary: {', '.join(region.clocks) or 'none'}"
+        yield ("clocks",), message, f"modules whose only clock is that of the region, {region.spec.clock}"
     if any(bus.full for bus in region.registers):
         yield (
             ("interfaces",),

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cm.build.errors import BuildError
+from cm.build.openflow.clocking import check_clocks
 from cm.build.openflow.memories import packable
 from cm.build.openflow.netlists import ANCHOR, HARNESS
 from cm.build.openflow.rules import check_cells
@@ -92,6 +93,7 @@ def synthesise(yosys: Tool, sources: Sources, out: Path, folder: Path, what: str
     run_tool(yosys, ["-q", "-s", str(commands)], out.with_suffix(".yosys.log"), {}, what, folder)
     netlist = json.loads(raw.read_text("utf-8"))
     check_cells(netlist, sources.top, what, sources.dsp)
+    check_clocks(netlist, sources.top, what)
     separate(netlist, sources.top)
     unchain(netlist, sources.top)
     packable(netlist, sources.top)

@@ -21,12 +21,26 @@ ctx.connectPort("cm_blocked", "$PACKER_GND_DRV", "CM_BLOCKED")
 areas = {name: frozenset(places) for name, places in job["areas"].items()}
 for name in areas:
     ctx.createRectangularRegion(name, 0, 0, 0, 0)
+at_place = {}
+for name, places in areas.items():
+    for place in places:
+        at_place.setdefault(place, []).append(name)
 for bel in ctx.getBels():
     tile, _, rest = bel.partition("/")
     site = tile + "/" + rest.partition(".")[0]
-    for name, places in areas.items():
-        if tile in places or site in places:
+    for place in (tile, site):
+        for name in at_place.get(place, ()):
             ctx.addBelToRegion(name, bel)
+
+
+def own_area(name):
+    """The area of a cell of the netlist, and of what it was packed into (`cell/DPR0`)."""
+    while name not in job["own_areas"]:
+        name, slash, _ = name.rpartition("/")
+        if not slash:
+            return None
+    return job["own_areas"][name]
+
 
 bels = dict(job["bels"])
 placed = set()
@@ -38,7 +52,7 @@ for name, cell in ctx.cells:
         placed.add(last)
     elif str(cell.type).startswith(LOGIC):
         area = next(area for prefix, area in job["cells"] if last.startswith(prefix))
-        ctx.constrainCellToRegion(name, area)
+        ctx.constrainCellToRegion(name, (str(cell.type) == "SLICE_LUTX" and own_area(name)) or area)
 missing = sorted(set(bels) - placed)
 if missing:
     raise RuntimeError("cells to be placed are not in the design: " + ", ".join(missing[:5]))
