@@ -11,7 +11,7 @@ from contextlib import redirect_stdout, suppress
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from cm.cli.client import connected
-from cm.cli.common import print_json
+from cm.cli.common import add_lease_option, natural, print_json
 from cm.cli.frame_files import FORMATS, Incomplete, Sink, sink
 from cm.errors import Timeout
 from cm.lazy_numpy import np
@@ -28,7 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "file", metavar="FILE", help="NAME.npy, NAME.png (numbered if several), NAME.raw, or - for standard output"
     )
-    parser.add_argument("--count", type=int, default=1, metavar="N", help="how many frames; 0: until Ctrl-C")
+    parser.add_argument("--count", type=natural, default=1, metavar="N", help="how many frames; 0: until Ctrl-C")
+    add_lease_option(parser)
     parser.add_argument(
         "--format", choices=FORMATS, default="", help="format, if the file name does not say it (for -: npy)"
     )
@@ -39,7 +40,7 @@ def run_capture(args: argparse.Namespace) -> int:
     to = sink(args.file, args.format, args.count == 1, sys.stdout.buffer)
     capture = _Capture(to)
     try:
-        with connected(args) as board, board.stream(args.stream) as stream, _Interrupt() as interrupt:
+        with connected(args) as board, board.stream(args.stream, lease=args.lease) as stream, _Interrupt() as interrupt:
             interrupted = capture.take(stream, args.count, interrupt)
     except (OSError, Timeout) as error:
         if isinstance(error, BrokenPipeError) or not capture.sequences:

@@ -45,7 +45,7 @@ COMMANDS = (
     Command("reg", "cm.cli.reg", "list, read, write and watch registers"),
     Command("mem", "cm.cli.mem", "list, read and write memories"),
     Command("irq", "cm.cli.irq", "list interrupts and wait for them"),
-    Command("lease", "cm.cli.lease", "list leases and break them"),
+    Command("lease", "cm.cli.lease", "take, list and break leases"),
     Command("stream", "cm.cli.stream", "list, set, capture and play data streams"),
     Command("data", "cm.cli.data", "configure the data channels"),
     Command("view", "cm.cli.view", "show a stream in the terminal or a window"),

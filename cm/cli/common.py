@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -38,6 +39,41 @@ def add_connection_options(parser: argparse.ArgumentParser) -> None:
 def add_json_option(parser: argparse.ArgumentParser) -> None:
     """Add ``--json``: output for scripts; errors too are JSON then."""
     parser.add_argument("--json", action="store_true", help="print JSON, errors included")
+
+
+def add_lease_option(parser: argparse.ArgumentParser) -> None:
+    """Add ``--lease``: what this user holds, and a command may therefore touch."""
+    parser.add_argument(
+        "--lease",
+        default=os.environ.get("CM_LEASE", ""),
+        metavar="ID",
+        help="id of your own lease, if somebody holds what this touches (default: $CM_LEASE)",
+    )
+
+
+def natural(text: str) -> int:
+    """A whole number, 0 or more; for argparse."""
+    if not (text.isascii() and text.isdecimal()):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, 0 or more")
+    return int(text)
+
+
+def positive(text: str) -> int:
+    """A whole number, 1 or more; for argparse."""
+    if not (text.isascii() and text.isdecimal() and text.strip("0")):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, 1 or more")
+    return int(text)
+
+
+def seconds(text: str) -> float:
+    """A time in seconds, 0 or more and finite; for argparse."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 <= value < 1e9:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a time in seconds")
+    return value
 
 
 def print_json(value: Any, lines: bool = False) -> None:

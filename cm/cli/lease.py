@@ -1,26 +1,163 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm lease list|break``: list leases, and end those of others."""
+"""``cm lease take|give|list|break``: hold part of the board, and see who holds what."""
 
 from __future__ import annotations
 
 import argparse
+import getpass
+import os
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
 
 from cm.cli.client import connected, plain
-from cm.cli.common import add_connection_options, add_json_option, print_json, print_table
+from cm.cli.common import add_connection_options, add_json_option, completes, print_json, print_table, seconds
+from cm.cli.parser import Parser
+from cm.client.core import calls, leases
+from cm.errors import CmError, NotFound
+from cm.messages.requests import TakeLease
+
+if TYPE_CHECKING:
+    from cm.client.board import Board
+    from cm.client.lease import BoardLease
+
+_HELD = 30.0  # seconds for which a lease is taken, and renewed three times in that time
+_VARIABLE = "CM_LEASE"
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command."""
-    parser = subparsers.add_parser("lease", help="list leases and break them")
-    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    parser = subparsers.add_parser("lease", help="take, list and break leases")
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True, parser_class=_Parser)
+    taking = actions.add_parser(
+        "take",
+        usage="%(prog)s SCOPE [--seconds N | -- COMMAND ...] [--shared] [--holder NAME]",
+        help="hold part of the board",
+        description="Hold part of the board, so that others cannot change it: while COMMAND runs (behind --, with "
+        "the lease's id in $CM_LEASE, which `cm` passes on), or until Ctrl-C. With --seconds, print the id and end: "
+        "export CM_LEASE=$(cm lease take board --seconds 600).",
+    )
+    scope = taking.add_argument(
+        "scope", metavar="SCOPE", help="board, config, region:NAME, registers:NAME or memories:NAME"
+    )
+    completes(scope, "board", "config", "region:", "registers:", "memories:")
+    taking.add_argument("--seconds", type=seconds, metavar="N", help="take it for so long, at most 3600, and end")
+    taking.add_argument("--shared", action="store_true", help="others may hold it too, as shared")
+    taking.add_argument("--holder", default="", metavar="NAME", help="the name that others see (default: the user's)")
+    taking.set_defaults(run=run_take, refuse=taking.error, command=[])
+    giving = actions.add_parser("give", help="give a lease back")
+    giving.add_argument(
+        "id", metavar="ID", nargs="?", default=os.environ.get(_VARIABLE, ""), help="its id (default: $CM_LEASE)"
+    )
+    giving.set_defaults(run=run_give, refuse=giving.error)
     listing = actions.add_parser("list", help="list the leases, who holds them and for how long")
     listing.set_defaults(run=run_list)
     breaking = actions.add_parser("break", help="end somebody else's lease (for administrators)")
     breaking.add_argument("number", metavar="NUMBER", type=int, help="number of the lease in the list")
     breaking.set_defaults(run=run_break)
-    for action in (listing, breaking):
+    for action in (taking, giving, listing, breaking):
         add_connection_options(action)
         add_json_option(action)
+
+
+class _Parser(Parser):
+    """Keeps what follows -- as `command`, where there is one; argparse mistakes it for arguments behind options."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        """As argparse's."""
+        words = list(args)
+        at = words.index("--") if "--" in words and self.get_default("command") is not None else len(words)
+        known, left = super().parse_known_args(words[:at], namespace)
+        if words[at + 1 :]:
+            known.command = words[at + 1 :]
+        return known, left
+
+
+def run_take(args: argparse.Namespace) -> int:
+    """Hold it; the exit status, that of COMMAND if there is one."""
+    if args.seconds is not None and args.command:
+        args.refuse("--seconds: with a COMMAND, the lease is held for as long as that runs")
+    holder = args.holder or _user()
+    with connected(args) as board:
+        if args.seconds is not None:
+            return _leave(board, args, holder)
+        lease = board.lease(args.scope, exclusive=not args.shared, seconds=_HELD, holder=holder)
+        lease.take()
+        try:
+            if args.command:
+                return _during(args.command, lease)
+            _tell(args, lease.id, _HELD, f"{lease.id} holds {args.scope} until Ctrl-C")
+            while True:
+                time.sleep(_HELD / 3)
+                lease.renew()
+        finally:
+            with suppress(CmError):  # somebody broke it, or the manager went away
+                lease.release()
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (ImportError, KeyError, OSError):  # a number without an account
+        return f"pid {os.getpid()}"
+
+
+def _leave(board: Board, args: argparse.Namespace, holder: str) -> int:
+    """Take it for some time; it does not end with this process."""
+    taken = board.ask(calls.lease(TakeLease(args.scope, not args.shared, args.seconds, holder=holder)))
+    _tell(args, taken.id, taken.seconds, taken.id)
+    return 0
+
+
+def _tell(args: argparse.Namespace, identity: str, held: float, text: str) -> None:
+    if args.json:
+        print_json({"id": identity, "scope": args.scope, "seconds": held}, lines=True)
+    else:
+        print(text, flush=True)
+
+
+def _during(command: list[str], lease: BoardLease) -> int:
+    """Run `command` and renew the lease until it ends; its exit status, as a shell would give it."""
+    try:
+        process = subprocess.Popen(command, env={**os.environ, _VARIABLE: lease.id})
+    except FileNotFoundError:
+        raise NotFound(f"no command {command[0]!r}") from None
+    kept = True
+    with process:
+        while True:
+            try:
+                status = process.wait(_HELD / 3)
+            except subprocess.TimeoutExpired:
+                kept = kept and _renewed(lease)
+            except KeyboardInterrupt:  # of the terminal, which has told the command too
+                continue
+            else:
+                return status if status >= 0 else 128 - status
+
+
+def _renewed(lease: BoardLease) -> bool:
+    """Whether it is still held; if not, says so, and lets the command decide."""
+    try:
+        lease.renew()
+    except CmError as error:
+        print(f"cm: the lease is not held any more: {error}", file=sys.stderr, flush=True)
+        return False
+    return True
+
+
+def run_give(args: argparse.Namespace) -> int:
+    """Give it back; the exit status."""
+    if not args.id:
+        args.refuse("which lease? ID, or CM_LEASE=ID")
+    with connected(args) as board:
+        given = board.ask(calls.lease(leases.release(args.id)))
+    if args.json:
+        print_json(plain(given))
+    else:
+        print(f"{given.scope} is given back")
+    return 0
 
 
 def run_list(args: argparse.Namespace) -> int:

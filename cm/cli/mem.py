@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from cm.cli.client import connected, number, plain
-from cm.cli.common import add_connection_options, add_json_option, completes, print_json, print_table
+from cm.cli.common import add_connection_options, add_json_option, add_lease_option, completes, print_json, print_table
 from cm.errors import InvalidRequest
 from cm.messages.status import MemoryInfo
 
@@ -60,7 +60,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         metavar="BYTES",
         help="where to begin, in bytes: a multiple of 4 (default: 0)",
     )
-    write.add_argument("--lease", default="", metavar="ID", help="id of your own lease on it")
+    add_lease_option(write)
     write.set_defaults(run=run_write)
     define = actions.add_parser("define", help="name a block of a UIO window, until another configuration is loaded")
     define.add_argument("name", metavar="NAME")
@@ -70,6 +70,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     define.add_argument("--shape", type=_shape, default=(), metavar="16x32", help="shape of the whole memory")
     define.add_argument("--access", choices=("rw", "ro", "wo"), default="rw")
     define.add_argument("--region", default="", metavar="NAME", help="the region whose module holds it, or static")
+    add_lease_option(define)
     define.set_defaults(run=run_define)
     for action in (listing, read, write, define):
         add_connection_options(action)
@@ -184,6 +185,7 @@ def run_define(args: argparse.Namespace) -> int:
             dtype=args.dtype,
             access=args.access,
             region=args.region,
+            lease=args.lease,
         )
         info = memory.info
     if args.json:

@@ -11,7 +11,16 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 from cm.cli.client import connected, number, plain
-from cm.cli.common import add_connection_options, add_json_option, completes, print_json, print_table
+from cm.cli.common import (
+    add_connection_options,
+    add_json_option,
+    add_lease_option,
+    completes,
+    natural,
+    print_json,
+    print_table,
+    seconds,
+)
 from cm.cli.following import followed
 from cm.client.core import registers
 from cm.errors import NotFound
@@ -35,6 +44,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     completes(write.add_argument("writes", metavar="NAME=VALUE", nargs="+", type=_assignment), "<assignment>")
     write.add_argument("--mask", type=number, metavar="BITS", help="change only these bits (one register)")
+    add_lease_option(write)
     write.set_defaults(run=run_write, refuse=write.error)
     watch = actions.add_parser(
         "watch",
@@ -44,9 +54,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     completes(watch.add_argument("names", metavar="NAME", nargs="*", help="only these (default: all)"), "<register>")
     watch.add_argument(
-        "--every", type=_seconds, metavar="SECONDS", help="read at this interval, and print what has changed"
+        "--every", type=_interval, metavar="SECONDS", help="read at this interval, and print what has changed"
     )
-    watch.add_argument("--count", type=int, metavar="N", help="stop after N lines")
+    watch.add_argument("--count", type=natural, default=0, metavar="N", help="stop after N lines (default: 0, never)")
     watch.set_defaults(run=run_watch)
     for action in (listing, read, write, watch):
         add_connection_options(action)
@@ -63,10 +73,10 @@ def _assignment(text: str) -> tuple[str, int | str]:
         return name, value  # a field's value by its name
 
 
-def _seconds(text: str) -> float:
-    value = float(text)
-    if not 0 < value < 1e6:
-        raise argparse.ArgumentTypeError(f"{text} is not a time in seconds")
+def _interval(text: str) -> float:
+    value = seconds(text)
+    if not value:
+        raise argparse.ArgumentTypeError(f"{text!r}: the time between two looks is more than 0")
     return value
 
 
@@ -101,14 +111,14 @@ def run_write(args: argparse.Namespace) -> int:
     """Write values and print what the registers hold then; the exit status."""
     if args.mask is None:
         with connected(args) as board:
-            return _show(args, board.registers.write(dict(args.writes)))
+            return _show(args, board.registers.write(dict(args.writes), args.lease))
     if len(args.writes) != 1:
         args.refuse("--mask goes with one register")
     name, value = args.writes[0]
     if not isinstance(value, int):
         args.refuse("with --mask the value is a number")
     with connected(args) as board:
-        return _show(args, {name: board.registers.write_masked(name, value, args.mask)})
+        return _show(args, {name: board.registers.write_masked(name, value, args.mask, args.lease)})
 
 
 def run_watch(args: argparse.Namespace) -> int:
@@ -116,7 +126,7 @@ def run_watch(args: argparse.Namespace) -> int:
     names = tuple(args.names)
     with connected(args) as board:
         values = _written(board, names) if args.every is None else _changed(board, names, args.every)
-        for name, value in islice(values, args.count):
+        for name, value in islice(values, args.count or None):
             if args.json:
                 print_json({"name": name, "value": value}, lines=True)
             else:

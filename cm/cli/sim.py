@@ -6,12 +6,15 @@ from __future__ import annotations
 import argparse
 import json
 import logging
+import os
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cm.cli.common import completes
+from cm.cli.common import completes, natural, positive
 from cm.cli.help_format import RawHelp
+from cm.errors import NotFound
 
 if TYPE_CHECKING:
     from cm.sim import Control
@@ -62,8 +65,8 @@ def _add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -
     inject = actions.add_parser("inject", help="inject a fault")
     completes(inject.add_argument("name", metavar="FAULT"), "<fault>")
     completes(inject.add_argument("target", nargs="?"), "<target>")
-    inject.add_argument("value", nargs="?", type=int, default=0)
-    inject.add_argument("--count", type=int, default=1, help="how many times (default: 1); 0: until cleared")
+    inject.add_argument("value", nargs="?", type=natural, default=0)
+    inject.add_argument("--count", type=natural, default=1, help="how many times (default: 1); 0: until cleared")
     clear = actions.add_parser("clear", help="remove injected faults")
     completes(clear.add_argument("name", nargs="?", metavar="FAULT"), "<fault>")
     completes(clear.add_argument("target", nargs="?"), "<target>")
@@ -73,7 +76,7 @@ def _add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -
         completes(actions.add_parser(name, help=text).add_argument("channel"), "<channel>")
     step = actions.add_parser("step", help="let a paused camera deliver frames")
     completes(step.add_argument("channel"), "<channel>")
-    step.add_argument("frames", nargs="?", type=int, default=1)
+    step.add_argument("frames", nargs="?", type=positive, default=1)
     trace = actions.add_parser("trace", help="record the signals of the RTL in FST files")
     trace.add_argument("what", choices=("start", "stop"))
     trace.add_argument("folder", nargs="?", type=Path, metavar="DIR", help="where the files go")
@@ -84,7 +87,13 @@ def _add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -
     )
     actions.add_parser("state", help="print what the board holds, as JSON")
     for parser in actions.choices.values():
-        parser.add_argument("--root", type=Path, default=argparse.SUPPRESS, help="folder that the simulator serves")
+        parser.add_argument(
+            "--root",
+            type=Path,
+            default=argparse.SUPPRESS,
+            metavar="DIR",
+            help="folder that the simulator serves (default: $CM_ROOT, or that of this machine's `cm serve --sim`)",
+        )
         parser.set_defaults(refuse=parser.error)
 
 
@@ -94,18 +103,30 @@ def _act(args: argparse.Namespace) -> int:
 
     if args.action == "coverage":
         return _coverage(args)
-    if args.root is None:
-        args.refuse("--root is missing: the folder that the simulator serves")
     try:
-        _carry_out(Control(args.root), args)
+        _carry_out(Control(args.root or _served()), args)
     except CmError as error:
         print(f"cm sim: {error}", file=sys.stderr)
         return 1
     return 0
 
 
+def _served() -> Path:
+    """The board that $CM_ROOT names, else that of the manager that commands find. Raises NotFound."""
+    named = os.environ.get("CM_ROOT")
+    if named:
+        return Path(named)
+    from cm.client.address import default_runtime_dir
+    from cm.sim.transport.protocol import CONTROL_PATH
+
+    folder = default_runtime_dir() / "board"
+    if not (folder / CONTROL_PATH).exists():
+        raise NotFound(f"no simulated board in {folder}: is `cm serve --sim` running? --root names another folder")
+    return folder
+
+
 def _coverage(args: argparse.Namespace) -> int:
-    """The coverage of a running board (``--root``) so far, or of boards that have ended."""
+    """The coverage of a running board (``--root``) so far, and of boards that have ended."""
     from cm.errors import CmError
     from cm.rtl.coverage import report, table
     from cm.sim import Control
@@ -113,6 +134,9 @@ def _coverage(args: argparse.Namespace) -> int:
     try:
         if args.root is not None:
             Control(args.root).cover()
+        else:
+            with suppress(CmError):  # none runs, or it counts nothing: what others have counted is there
+                Control(_served()).cover()
         print(table(report(args.folder)))
     except CmError as error:
         print(f"cm sim: {error}", file=sys.stderr)

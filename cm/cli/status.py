@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 
 from cm.cli.client import awaited, connected, plain, settled
-from cm.cli.common import add_connection_options, add_json_option, print_json, print_table
+from cm.cli.common import add_connection_options, add_json_option, print_json, print_table, seconds
 from cm.messages.status import Status
 
 _UNITS = {"temperature": "°C", "voltage": "V", "current": "A", "power": "W"}
@@ -20,7 +20,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--wait",
         nargs="?",
-        type=float,
+        type=seconds,
         const=30.0,
         metavar="SECONDS",
         help="for a manager that is starting: wait until it answers and no change is running (default: at most 30)",

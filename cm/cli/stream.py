@@ -11,7 +11,16 @@ from pathlib import Path
 
 from cm.cli.capture import add_arguments, run_capture
 from cm.cli.client import connected, plain
-from cm.cli.common import add_connection_options, add_json_option, completes, print_json, print_table
+from cm.cli.common import (
+    add_connection_options,
+    add_json_option,
+    add_lease_option,
+    completes,
+    natural,
+    positive,
+    print_json,
+    print_table,
+)
 from cm.errors import InvalidRequest
 from cm.lazy_numpy import np
 from cm.messages.status import StreamStatus
@@ -38,10 +47,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     play = actions.add_parser("play", help="send the frames of a .npy file to the hardware")
     completes(play.add_argument("stream", metavar="STREAM"), "<stream>")
     play.add_argument("file", metavar="FILE.npy", type=Path, help="one frame, or frames along the first axis")
+    add_lease_option(play)
     play.set_defaults(run=run_play)
     ping = actions.add_parser("ping", help="measure how long frames take from completion to here")
     completes(ping.add_argument("stream", metavar="STREAM"), "<stream>")
-    ping.add_argument("--count", type=int, default=20, metavar="N", help="how many frames")
+    ping.add_argument("--count", type=positive, default=20, metavar="N", help="how many frames")
     ping.set_defaults(run=run_ping)
     for action in (listing, settings, capture, play, ping):
         add_connection_options(action)
@@ -84,9 +94,9 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
     completes(add("stream", metavar="STREAM"), "<stream>")
     add("--shape", type=_shape, default=(), metavar="AxB…", help="shape of a whole frame, slowest axis first: 480x640")
     add("--dtype", default="", help="numpy's name of the element type, such as uint8")
-    add("--slots", type=int, default=0, metavar="N", help="number of buffers to begin with")
+    add("--slots", type=natural, default=0, metavar="N", help="number of buffers to begin with")
     add("--rate", type=float, default=0.0, metavar="FPS", help="pass on at most so many frames per second; inf: all")
-    add("--stride", type=int, default=0, metavar="BYTES", help="bytes from one line to the next in memory")
+    add("--stride", type=natural, default=0, metavar="BYTES", help="bytes from one line to the next in memory")
     add("--direction", default="", help="s2mm or mm2s; changes nothing: it is refused unless it is the stream's own")
     add("--cyclic", action=switch, default=None, help="repeat a written frame until the next one, or send it once")
     add(
@@ -97,7 +107,7 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
     )
     add("--enable", action=switch, default=None, help="run it, or stop it, whether or not it has readers")
     add("--automatic", action="store_true", help="run it while it is used, as before any --enable or --disable")
-    add("--lease", default="", metavar="ID", help="id of your own lease, if the stream's region is leased")
+    add_lease_option(parser)
     add("--force", action="store_true", help="even if it is in use")
 
 
@@ -157,7 +167,7 @@ def run_play(args: argparse.Namespace) -> int:
         shape = next((s.shape for s in board.status.streams if s.name == args.stream), ())
         frames = data if data.ndim == len(shape) + 1 else data[np.newaxis]
         for frame in frames:
-            board.write(args.stream, frame)
+            board.write(args.stream, frame, lease=args.lease)
     told = {"frames": len(frames), "bytes": int(data.nbytes)}
     if args.json:
         print_json(told)

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from typing import Protocol
 
 from cm.cli.client import connected
-from cm.cli.common import add_connection_options, completes
+from cm.cli.common import add_connection_options, completes, natural
 from cm.client.board import Board
 from cm.client.frame import Frame
 from cm.errors import InvalidRequest, Timeout
@@ -43,7 +43,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--rate", type=_rate, default=15.0, metavar="FPS", help="at most so many pictures per second (15)"
     )
     parser.add_argument(
-        "--count", type=int, default=0, metavar="N", help="stop after N pictures; 1 stays on the screen"
+        "--count", type=natural, default=0, metavar="N", help="stop after N pictures; 1 stays on the screen"
     )
     parser.add_argument(
         "--size", type=_size, metavar="COLUMNSxROWS", help="size for output that is not a terminal (80x24)"

@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 
 from cm.cli.client import connected, plain
-from cm.cli.common import add_connection_options, add_json_option, print_json
+from cm.cli.common import add_connection_options, add_json_option, natural, print_json
 from cm.cli.following import followed
 from cm.cli.status import headline, show
 from cm.messages.status import Status
@@ -24,19 +25,20 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     add_connection_options(parser)
     add_json_option(parser)
-    parser.add_argument("--count", type=int, default=0, metavar="N", help="stop after N statuses")
+    parser.add_argument("--count", type=natural, default=0, metavar="N", help="stop after N statuses (0: never)")
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print each status until interrupted; the exit status."""
-    live = sys.stdout.isatty() and not args.json
+    once = args.count == 1  # then what was on the screen stays there
+    live = sys.stdout.isatty() and (once or os.environ.get("TERM", "dumb") != "dumb")
     with connected(args) as board:
         for number, status in enumerate(followed(board, board.watch()), 1):
             if args.json:
                 print_json(plain(status), lines=True)
             elif live:
-                print(_CLEAR, end="")
+                print("" if once else _CLEAR, end="")
                 show(status)
                 sys.stdout.flush()
             else:

@@ -19,6 +19,8 @@ class SimError(CmError):
 class NodeError(OSError):
     """A request to a node fails with this errno; the client sees it as its system call's error."""
 
+    said: ClassVar[bool] = False  # whether the sentence travels with the errno; system calls have no room for one
+
     def __init__(self, number: int, why: str = "") -> None:
         super().__init__(number, why or os.strerror(number))
 
@@ -26,3 +28,9 @@ class NodeError(OSError):
     def number(self) -> int:
         """The positive errno."""
         return self.errno or errno.EIO
+
+
+class Refused(NodeError):
+    """What the simulator's own control refuses, with a sentence for the client."""
+
+    said: ClassVar[bool] = True

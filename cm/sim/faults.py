@@ -26,6 +26,12 @@ STICKY = frozenset({"hang", "icap_stall", "register_stuck", "clock_stuck", "gpio
 UNTIL_CLEARED = 0
 
 
+def target_of(kind: str) -> str:
+    """What the target of a fault of that kind is: channel, interrupt, …; "" if it has none."""
+    what = KINDS.get(kind, "").split(";")[0].split(" ")[0]
+    return "" if what == "none" else what
+
+
 @dataclass(slots=True)
 class Fault:
     """One order: `left` more times (0: until cleared)."""

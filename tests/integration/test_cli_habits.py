@@ -148,3 +148,18 @@ def test_status_waits_for_a_manager_that_starts(
     assert main(["status", "--wait", "--runtime-dir", str(manager.runtime)]) == 0
     assert main(["status", "--wait", "0", "--runtime-dir", str(tmp_path)]) == 1
     assert "no configuration manager serves" in capsys.readouterr().err
+
+
+def test_the_simulated_board_of_this_machines_manager_is_found(
+    runtime: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("CM_ROOT", raising=False)
+    monkeypatch.setenv("CM_RUNTIME_DIR", str(runtime / "run"))
+    manager = Manager(runtime / "run", "--sim").start()
+    try:
+        assert main(["sim", "state"]) == 0
+        assert "regions" in json.loads(capsys.readouterr().out)
+    finally:
+        manager.stop()
+    assert main(["sim", "state"]) == 1
+    assert f"no simulated board in {runtime / 'run'}/board: is `cm serve --sim` running?" in capsys.readouterr().err

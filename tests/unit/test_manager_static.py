@@ -89,7 +89,7 @@ def test_modules_of_another_static_part_are_refused_before_anything_is_touched(m
 
 
 def test_unknown_facts_are_stated_once_in_the_plan(made: Rig) -> None:
-    unknown = "take the static part for the one that silent was made with (its identity is not known)"
+    unknown = "assume the static part of silent (its identity is not known)"
     assert steps(made, "silent").count(unknown) == 1
     assert made.go("default", config="silent") is None
     assert steps(made, "silent") == []

@@ -470,6 +470,30 @@ def test_a_channel_that_hangs_moves_nothing_and_can_be_cancelled(board):
 def test_an_unknown_fault_is_refused_with_those_there_are(board):
     with pytest.raises(SimError, match="short_packet"):
         board.control.inject("meteor")
+    with pytest.raises(SimError, match="no fault is called hangs; there are short_packet"):
+        board.control.clear("hangs")
+
+
+@pytest.mark.parametrize(
+    ("name", "target", "why"),
+    [
+        ("hang", "camra", "no channel is called camra; there are camera, "),
+        ("drop_interrupt", "frame", "no interrupt is called frame; there are .*frame_done"),
+        ("register_stuck", "scratcj", "no register is called scratcj; there are .*scratch"),
+        ("icap_stall", "4096", "icap_stall has no target, so '4096' cannot be one"),
+    ],
+)
+def test_a_fault_of_what_the_board_does_not_have_is_refused_with_what_it_has(board, name, target, why):
+    with pytest.raises(SimError, match=why):
+        board.control.inject(name, target)
+    assert board.control.state()["faults"] == []
+
+
+def test_what_the_control_cannot_do_it_says_in_a_sentence(board):
+    with pytest.raises(SimError, match="no camera is called to_pl; there are camera"):
+        board.control.pause("to_pl")
+    with pytest.raises(SimError, match=r"no interrupt is called meteor; there are .*frame_done"):
+        board.control.interrupt("meteor")
 
 
 # --- the camera

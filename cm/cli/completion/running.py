@@ -118,9 +118,9 @@ _KINDS: Mapping[str, Callable[[ConfigInfo, str], Iterable[str]]] = {
 
 def _targets(asker: Asker, values: Sequence[str]) -> Iterable[str]:
     """The targets of a fault, by the first word of the description of its kind."""
-    from cm.sim.faults import KINDS
+    from cm.sim.faults import target_of
 
-    what = KINDS.get(values[0], "").split(";")[0].split(" ")[0] if values else ""
+    what = target_of(values[0]) if values else ""
     config = asker.config() if what else ConfigInfo()
     if what == "overlay":
         return {overlay for mode in config.modes for overlay in mode.overlays}

@@ -57,7 +57,7 @@ class CheckStatic:
     @property
     def text(self) -> str:
         if not self.known or self.static is None:
-            return f"take the static part for the one that {self.config} was made with (its identity is not known)"
+            return f"assume the static part of {self.config} (its identity is not known)"
         return f"check that the static part is {self.static.identity:#x}"
 
 

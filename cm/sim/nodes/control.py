@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import errno
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, Protocol
 
-from cm.sim.errors import NodeError
-from cm.sim.faults import KINDS, Faults
+from cm.sim.errors import NodeError, Refused
+from cm.sim.faults import KINDS, Faults, target_of
 from cm.sim.hardware.fabric import Fabric
 from cm.sim.hardware.links import Link
 from cm.sim.hardware.logic import InterruptLines, Logic
@@ -82,14 +82,31 @@ class ControlNode:
         try:
             order = json.loads(data)
             self._orders[order["do"]](order)
+        except NodeError as error:
+            raise Refused(error.number, str(error.strerror)) from error
         except (ValueError, KeyError, TypeError) as error:
-            raise NodeError(errno.EINVAL, str(error)) from error
+            raise Refused(errno.EINVAL, f"the order cannot be understood: {error}") from error
 
     def _inject(self, order: Order) -> None:
         kind, target = str(order["kind"]), str(order.get("target") or "")
         if kind not in KINDS:
             raise NodeError(errno.EINVAL, f"no fault is called {kind}")
+        if target:
+            self._check_target(kind, target)
         self._machine.faults.inject(kind, target, int(order.get("value", 0)), int(order.get("count", 1)))
+
+    def _check_target(self, kind: str, target: str) -> None:
+        """Raise NodeError for a target that the board does not have: the fault would wait for ever."""
+        spec, what = self._machine.fabric.spec, target_of(kind)
+        if not what:
+            raise NodeError(errno.EINVAL, f"{kind} has no target, so {target!r} cannot be one; a value follows ''")
+        known = {
+            "channel": set(self._machine.links),
+            "interrupt": set(spec.interrupts),
+            "register": {register.name for register in spec.registers},
+        }
+        if what in known and target not in known[what]:
+            raise NodeError(errno.ENOENT, f"no {what} is called {target}{_there(known[what])}")
 
     def _clear(self, order: Order) -> None:
         self._machine.faults.clear(str(order.get("kind") or ""), str(order.get("target") or ""))
@@ -97,7 +114,8 @@ class ControlNode:
 
     def _interrupt(self, order: Order) -> None:
         if not self._machine.interrupts.fire(str(order["name"])):
-            raise NodeError(errno.ENOENT, f"no interrupt is called {order['name']}")
+            there = _there(self._machine.fabric.spec.interrupts)
+            raise NodeError(errno.ENOENT, f"no interrupt is called {order['name']}{there}")
 
     def _pause(self, order: Order) -> None:
         self._camera(order).pause()
@@ -131,5 +149,12 @@ class ControlNode:
     def _camera(self, order: Order) -> CameraLink:
         link = self._machine.links.get(str(order["channel"]))
         if not isinstance(link, CameraLink):
-            raise NodeError(errno.ENOENT, f"no camera is called {order['channel']}")
+            there = _there(name for name, link in self._machine.links.items() if isinstance(link, CameraLink))
+            raise NodeError(errno.ENOENT, f"no camera is called {order['channel']}{there}")
         return link
+
+
+def _there(names: Iterable[str]) -> str:
+    """Which there are, for the end of a sentence."""
+    found = sorted(names)
+    return f"; there are {', '.join(found)}" if found else ""

@@ -26,14 +26,15 @@ class Control:
         """Order a fault, `count` times (0: until cleared). See `KINDS` for names, targets and values.
 
         Raises:
-            SimError: there is no such fault, or no simulator at the root.
+            SimError: there is no such fault or target, or no simulator at the root.
         """
-        if name not in KINDS:
-            raise SimError(f"no fault is called {name}; there are {', '.join(KINDS)}")
+        _check_kind(name)
         self._order("inject", kind=name, target=target, count=count, value=value)
 
     def clear(self, name: str | None = None, target: str | None = None) -> None:
-        """Forget the faults of that name and target that still wait (None: all)."""
+        """Forget the faults of that name and target that still wait (None: all). Raises SimError as `inject` does."""
+        if name:
+            _check_kind(name)
         self._order("clear", kind=name, target=target)
 
     def interrupt(self, name: str) -> None:
@@ -112,6 +113,11 @@ class Control:
         return sock
 
 
+def _check_kind(name: str) -> None:
+    if name not in KINDS:
+        raise SimError(f"no fault is called {name}; there are {', '.join(KINDS)}")
+
+
 def _receive(sock: socket.socket) -> bytes:
     data, fds, _, _ = socket.recv_fds(sock, protocol.PAYLOAD_MAX + protocol.REPLY.size, 1)
     for fd in fds:
@@ -120,5 +126,6 @@ def _receive(sock: socket.socket) -> bytes:
         raise ConnectionResetError("the connection ended")
     _, error, _, _ = protocol.REPLY.unpack_from(data)
     if error:
-        raise SimError(f"the simulator refuses: {os.strerror(error)}")
+        why = data[protocol.REPLY.size :].decode(errors="replace")
+        raise SimError(why or f"the simulator refuses: {os.strerror(error)}")
     return data[protocol.REPLY.size :]

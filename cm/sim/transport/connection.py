@@ -135,7 +135,7 @@ class NodeConnection:
         try:
             answer = self._session.request(op, data[protocol.REQUEST.size :], fds)
         except NodeError as error:
-            self._reply(op, error.number)
+            self._reply(op, error.number, str(error.strerror).encode() if error.said else b"")
         except Exception:  # noqa: BLE001 - one client's request must not end the board
             _log.exception("request %#x failed", op)
             self._reply(op, errno.EIO)

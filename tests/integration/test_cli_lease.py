@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm lease take``: what a shell script holds, others do not change meanwhile."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+
+import pytest
+from manager_process import REPOSITORY, Manager, environment, until
+
+import cm
+from cm.cli.main import main
+from cm.client.errors import RequestBusy
+
+AS_HOLDER_AND_AS_ANOTHER = """
+import os, sys
+from cm.cli.main import main
+mine = main(["reg", "write", "focus=3", "--runtime-dir", sys.argv[1]])
+del os.environ["CM_LEASE"]
+sys.exit(40 + 10 * mine + main(["reg", "write", "focus=4", "--runtime-dir", sys.argv[1]]))
+"""
+
+
+@pytest.fixture(autouse=True)
+def _ours_is_no_lease(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("CM_LEASE", raising=False)
+
+
+def test_a_command_runs_under_a_lease_that_keeps_others_out_and_ends_with_it(
+    board: cm.Board, manager: Manager, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(REPOSITORY))
+    place = str(manager.runtime)
+    program = [sys.executable, "-c", AS_HOLDER_AND_AS_ANOTHER, place]
+    assert main(["lease", "take", "registers:focus", "--holder", "night", "--runtime-dir", place, "--", *program]) == 41
+    assert "registers:focus is held by night" in capfd.readouterr().err
+    assert board.registers["focus"] == 3
+    assert not board.status.leases
+
+
+def test_a_lease_for_a_time_outlives_the_command_and_is_given_back_by_its_id(
+    board: cm.Board, manager: Manager, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place = ["--runtime-dir", str(manager.runtime)]
+    assert main(["lease", "take", "board", "--seconds", "600", *place]) == 0
+    monkeypatch.setenv("CM_LEASE", capsys.readouterr().out.strip())
+    with pytest.raises(RequestBusy):
+        board.registers["focus"] = 2
+    assert main(["reg", "write", "focus=5", *place]) == 0
+    assert main(["mode", "edge_detection", *place]) == 0
+    assert main(["lease", "give", *place]) == 0
+    assert capsys.readouterr().out.endswith("board is given back\n")
+    board.registers["focus"] = 2
+    assert main(["lease", "give", *place]) == 1
+    assert "it may have ended after its time" in capsys.readouterr().err
+
+
+def test_without_a_command_it_is_held_until_ctrl_c(board: cm.Board, manager: Manager) -> None:
+    command = [sys.executable, "-m", "cm", "lease", "take", "region:prr0", "--runtime-dir", str(manager.runtime)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment()) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline().endswith(" holds region:prr0 until Ctrl-C\n")
+        assert [lease.scope for lease in board.status.leases] == ["region:prr0"]
+        holder.send_signal(signal.SIGINT)
+        assert holder.wait(60) == 130
+    until(lambda: not board.status.leases)
+
+
+def test_a_command_that_does_not_exist_holds_nothing(
+    board: cm.Board, manager: Manager, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["lease", "take", "board", "--runtime-dir", str(manager.runtime), "--", "no-such-command"]) == 1
+    assert "no command 'no-such-command'" in capsys.readouterr().err
+    assert not board.status.leases

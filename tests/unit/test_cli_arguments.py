@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers on the command line that cannot be meant are refused as wrong usage, before a manager is asked."""
+
+from __future__ import annotations
+
+import pytest
+
+from cm.cli.main import main
+
+WHOLE = "is not a whole number, 0 or more"
+TIME = "is not a time in seconds"
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        ("watch --count -1", WHOLE),
+        ("reg watch --count -1", WHOLE),
+        ("reg watch --every soon", TIME),
+        ("reg watch --every 0", "more than 0"),
+        ("irq wait frame_done --count -1", WHOLE),
+        ("irq wait frame_done --timeout -1", TIME),
+        ("irq wait frame_done --timeout nan", TIME),
+        ("stream capture camera x.npy --count -1", WHOLE),
+        ("stream capture camera x.npy --count 1.5", WHOLE),
+        ("stream ping camera --count 0", "is not a whole number, 1 or more"),
+        ("stream set camera --slots -1", WHOLE),
+        ("data camera --slots many", WHOLE),
+        ("view camera --count -1", WHOLE),
+        ("status --wait -1", TIME),
+        ("status --wait inf", TIME),
+        ("lease take board --seconds -1", TIME),
+        ("lease take board --seconds 5 -- true", "is held for as long as that runs"),
+        ("lease give", "which lease?"),
+        ("sim inject hang camera --count -1", WHOLE),
+        ("sim step camera 0", "is not a whole number, 1 or more"),
+    ],
+)
+def test_what_cannot_be_meant_is_wrong_usage(
+    words: str, why: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("CM_LEASE", raising=False)
+    monkeypatch.setenv("CM_RUNTIME_DIR", "/nonexistent")
+    with pytest.raises(SystemExit) as end:
+        main(words.split())
+    assert end.value.code == 2
+    assert why in capsys.readouterr().err
