@@ -10,6 +10,8 @@ from __future__ import annotations
 import random
 from dataclasses import dataclass
 
+from verilog_ports import AXI_LITE, STREAMS
+
 # What a region must have for a kind of block: 'M' slices with memory, 'B' block RAM, 'D' DSP48
 NEEDS = {"shift": "M", "tap": "M", "memory": "M", "block": "B", "product": "D"}
 
@@ -201,35 +203,16 @@ def draw_module(source: random.Random, name: str, ports: Ports, has: str, blocks
     return Drawing(source, has).text(name, ports, blocks)
 
 
-_MODULE = """\
+_MODULE = (
+    """\
 module {name} (
     input  wire        aclk,
     input  wire        aresetn,
-    input  wire [{high_in}:0] s_axis_tdata,
-    input  wire        s_axis_tvalid,
-    output wire        s_axis_tready,
-    input  wire        s_axis_tlast,
-    output wire [{high_out}:0] m_axis_tdata,
-    output wire        m_axis_tvalid,
-    input  wire        m_axis_tready,
-    output wire        m_axis_tlast,
-    input  wire [7:0]  s_axi_awaddr,
-    input  wire        s_axi_awvalid,
-    output wire        s_axi_awready,
-    input  wire [31:0] s_axi_wdata,
-    input  wire [3:0]  s_axi_wstrb,
-    input  wire        s_axi_wvalid,
-    output wire        s_axi_wready,
-    output wire [1:0]  s_axi_bresp,
-    output wire        s_axi_bvalid,
-    input  wire        s_axi_bready,
-    input  wire [7:0]  s_axi_araddr,
-    input  wire        s_axi_arvalid,
-    output wire        s_axi_arready,
-    output wire [31:0] s_axi_rdata,
-    output wire [1:0]  s_axi_rresp,
-    output wire        s_axi_rvalid,
-    input  wire        s_axi_rready
+"""
+    + STREAMS.rstrip()
+    + ",\n"
+    + AXI_LITE
+    + """\
 );
     integer k;
     wire take = s_axis_tvalid && s_axis_tready;
@@ -283,3 +266,4 @@ module {name} (
         end
 endmodule
 """
+)

@@ -8,6 +8,7 @@ import textwrap
 from pathlib import Path
 
 import pytest
+from verilog_ports import AXI_LITE, STREAMS
 
 import cm
 from cm.build.generate.tree import Design, generate, load_design, output_folder
@@ -49,18 +50,14 @@ modules:
     sources: [one.v]
 """
 
-STREAM_MODULE = """\
+STREAM_MODULE = (
+    """\
 module {name} (
     input  wire        clk,
     input  wire        resetn,
-    input  wire [{high}:0] s_axis_tdata,
-    input  wire        s_axis_tvalid,
-    output wire        s_axis_tready,
-    input  wire        s_axis_tlast,
-    output wire [{high}:0] m_axis_tdata,
-    output wire        m_axis_tvalid,
-    input  wire        m_axis_tready,
-    output wire        m_axis_tlast
+"""
+    + STREAMS.replace("high_in", "high").replace("high_out", "high")
+    + """\
 );
     assign m_axis_tdata = s_axis_tdata;
     assign m_axis_tvalid = s_axis_tvalid;
@@ -68,6 +65,7 @@ module {name} (
     assign m_axis_tlast = s_axis_tlast;
 endmodule
 """
+)
 
 
 def project(folder: Path, text: str = MINIMAL, **files: str) -> Path:
@@ -80,27 +78,15 @@ def project(folder: Path, text: str = MINIMAL, **files: str) -> Path:
     return path
 
 
-AXIL_MODULE = """\
+AXIL_MODULE = (
+    """\
 module one (
     input  wire        clk,
     input  wire        resetn,
-    input  wire [7:0]  s_axi_awaddr,
-    input  wire        s_axi_awvalid,
-    output wire        s_axi_awready,
-    input  wire [31:0] s_axi_wdata,
-    input  wire [3:0]  s_axi_wstrb,
-    input  wire        s_axi_wvalid,
-    output wire        s_axi_wready,
-    output wire [1:0]  s_axi_bresp,
-    output wire        s_axi_bvalid,
-    input  wire        s_axi_bready,
-    input  wire [7:0]  s_axi_araddr,
-    input  wire        s_axi_arvalid,
-    output wire        s_axi_arready,
-    output wire [31:0] s_axi_rdata,
-    output wire [1:0]  s_axi_rresp,
-    output wire        s_axi_rvalid,
-    input  wire        s_axi_rready
+"""
+    + AXI_LITE
+    + """\
 );
 endmodule
 """
+)

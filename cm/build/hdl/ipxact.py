@@ -12,6 +12,7 @@ from types import MappingProxyType
 from xml.etree import ElementTree
 
 from cm.build.hdl.buses import axi_flavour, aximm
+from cm.build.hdl.elements import children, component_root, local, text_of
 from cm.build.hdl.errors import HdlError
 from cm.build.hdl.model import (
     FoundBy,
@@ -28,7 +29,6 @@ from cm.build.hdl.model import (
     PortDirection,
     Reset,
 )
-from cm.hwh.markup import root_of
 
 _DIRECTIONS = {"in": PortDirection.IN, "out": PortDirection.OUT, "inout": PortDirection.INOUT}
 _MODES = {
@@ -40,14 +40,6 @@ _MODES = {
 }
 _SIGNALS = ("clock", "reset", "interrupt")
 _LEFT_OVER = "belongs to no bus interface of the component"
-
-
-def component_root(data: bytes) -> ElementTree.Element:
-    """Parse a file's bytes and return the root element. Raises ValueError for what is not XML.
-
-    Real files have licence comments before the XML declaration, although XML does not allow that.
-    """
-    return root_of(data[max(data.find(b"<?xml"), 0) :])
 
 
 def load_component_xml(path: str | Path) -> ModuleInfo:
@@ -62,8 +54,8 @@ def load_component_xml(path: str | Path) -> ModuleInfo:
         raise HdlError(f"{path}: cannot be read: {error.strerror}") from error
     except ValueError as error:
         raise HdlError(f"{path}: not XML: {error}") from error
-    if _local(root.tag) != "component":
-        raise HdlError(f"{path}: not an IP-XACT component: its root is <{_local(root.tag)}>, not <spirit:component>")
+    if local(root.tag) != "component":
+        raise HdlError(f"{path}: not an IP-XACT component: its root is <{local(root.tag)}>, not <spirit:component>")
     return _Component(root, str(path)).info()
 
 
@@ -76,7 +68,7 @@ class _Component:
         self._ports = {port.name: port for port in self._read_ports()}
 
     def info(self) -> ModuleInfo:
-        buses = [bus for group in _children(self._root, "busInterfaces") for bus in _children(group, "busInterface")]
+        buses = [bus for group in children(self._root, "busInterfaces") for bus in children(group, "busInterface")]
         buses = [bus for bus in buses if not _disabled(bus, "BUSIF_ENABLEMENT")]
         kinds = {id(bus): _bus_type(bus) for bus in buses}
         plain = [bus for bus in buses if kinds[id(bus)].get("library") != "signal" or not self._signal(bus)]
@@ -104,43 +96,45 @@ class _Component:
         return kind["name"] if kind.get("library") == "signal" and kind.get("name") in _SIGNALS else ""
 
     def _model_name(self) -> str:
-        views = [view for node in self._root.iter() if _local(node.tag) == "view" for view in (node,)]
+        views = [view for node in self._root.iter() if local(node.tag) == "view" for view in (node,)]
         for wanted in ("synthesis", ""):
             for view in views:
-                name = _text(view, "modelName")
-                if name and wanted in _text(view, "envIdentifier"):
+                name = text_of(view, "modelName")
+                if name and wanted in text_of(view, "envIdentifier"):
                     return name
-        return _text(self._root, "name")
+        return text_of(self._root, "name")
 
     def _read_ports(self) -> Iterator[Port]:
-        for model in _children(self._root, "model"):
-            for group in _children(model, "ports"):
-                for node in _children(group, "port"):
+        for model in children(self._root, "model"):
+            for group in children(model, "ports"):
+                for node in children(group, "port"):
                     if not _disabled(node, "PORT_ENABLEMENT"):
                         yield self._port(node)
 
     def _port(self, node: ElementTree.Element) -> Port:
-        wire = next(_children(node, "wire"), node)
+        wire = next(children(node, "wire"), node)
         width: int | None = 1
         text = ""
-        for vector in (child for child in wire.iter() if _local(child.tag) == "vector"):
-            left, right = _text(vector, "left"), _text(vector, "right")
+        for vector in (child for child in wire.iter() if local(child.tag) == "vector"):
+            left, right = text_of(vector, "left"), text_of(vector, "right")
             width, text = _span(left, right), f"[{left}:{right}]"
-        kind = next((_text(child, "typeName") for child in wire.iter() if _local(child.tag) == "wireTypeDef"), "")
-        direction = _DIRECTIONS.get(_text(wire, "direction"), PortDirection.UNKNOWN)
-        return Port(_text(node, "name"), direction, width, self._file, range=text, type=kind)
+        kind = next((text_of(child, "typeName") for child in wire.iter() if local(child.tag) == "wireTypeDef"), "")
+        direction = _DIRECTIONS.get(text_of(wire, "direction"), PortDirection.UNKNOWN)
+        return Port(text_of(node, "name"), direction, width, self._file, range=text, type=kind)
 
     def _parameters(self) -> Iterator[Parameter]:
-        for model in _children(self._root, "model"):
-            for group in _children(model, "modelParameters"):
-                for node in _children(group, "modelParameter"):
-                    text = _text(node, "value")
-                    yield Parameter(_text(node, "name"), _number(text) if _number(text) is not None else text, text)
+        for model in children(self._root, "model"):
+            for group in children(model, "modelParameters"):
+                for node in children(group, "modelParameter"):
+                    value = text_of(node, "value")
+                    yield Parameter(
+                        text_of(node, "name"), _number(value) if _number(value) is not None else value, value
+                    )
 
     def _interface(
         self, bus: ElementTree.Element, clocks: tuple[ModuleClock, ...], resets: tuple[Reset, ...]
     ) -> Interface:
-        name, kind, ports = _text(bus, "name"), _bus_type(bus), _port_map(bus)
+        name, kind, ports = text_of(bus, "name"), _bus_type(bus), _port_map(bus)
         parameters = _bus_parameters(bus)
         clock = next((c for c in clocks if name in c.interfaces), None)
         reset = clock.reset if clock else None
@@ -172,7 +166,7 @@ class _Component:
         port = next(iter(_port_map(bus).values()))
         frequency = parameters.get("FREQ_HZ", "")
         return ModuleClock(
-            _text(bus, "name"),
+            text_of(bus, "name"),
             port,
             self._direction(port),
             int(frequency) if frequency.isdigit() else None,
@@ -185,46 +179,33 @@ class _Component:
         port = next(iter(_port_map(bus).values()))
         word = _bus_parameters(bus).get("POLARITY", "").upper()
         polarity = {"ACTIVE_LOW": Polarity.LOW, "ACTIVE_HIGH": Polarity.HIGH}.get(word)
-        return Reset(_text(bus, "name"), port, polarity, self._direction(port), FoundBy.IPXACT)
+        return Reset(text_of(bus, "name"), port, polarity, self._direction(port), FoundBy.IPXACT)
 
     def _interrupt(self, bus: ElementTree.Element) -> Interrupt:
         port = next(iter(_port_map(bus).values()))
         sense = _bus_parameters(bus).get("SENSITIVITY", "")
         width = self._ports[port].width if port in self._ports else None
-        return Interrupt(_text(bus, "name"), port, _mode(bus), width, sense, FoundBy.IPXACT)
+        return Interrupt(text_of(bus, "name"), port, _mode(bus), width, sense, FoundBy.IPXACT)
 
     def _direction(self, port: str) -> PortDirection:
         return self._ports[port].direction if port in self._ports else PortDirection.UNKNOWN
 
 
-def _local(tag: str) -> str:
-    return tag.rpartition("}")[2] if isinstance(tag, str) else ""
-
-
-def _children(node: ElementTree.Element, name: str) -> Iterator[ElementTree.Element]:
-    return (child for child in node if _local(child.tag) == name)
-
-
-def _text(node: ElementTree.Element, name: str) -> str:
-    found = next(_children(node, name), None)
-    return (found.text or "").strip() if found is not None else ""
-
-
 def _bus_type(bus: ElementTree.Element) -> dict[str, str]:
-    found = next(_children(bus, "busType"), None)
-    return {_local(key): value for key, value in found.attrib.items()} if found is not None else {}
+    found = next(children(bus, "busType"), None)
+    return {local(key): value for key, value in found.attrib.items()} if found is not None else {}
 
 
 def _mode(bus: ElementTree.Element) -> Mode:
-    return next((_MODES[_local(child.tag)] for child in bus if _local(child.tag) in _MODES), Mode.SLAVE)
+    return next((_MODES[local(child.tag)] for child in bus if local(child.tag) in _MODES), Mode.SLAVE)
 
 
 def _port_map(bus: ElementTree.Element) -> dict[str, str]:
     found = {}
     for node in bus.iter():
-        if _local(node.tag) == "portMap":
-            logical = next((_text(child, "name") for child in _children(node, "logicalPort")), "")
-            physical = next((_text(child, "name") for child in _children(node, "physicalPort")), "")
+        if local(node.tag) == "portMap":
+            logical = next((text_of(child, "name") for child in children(node, "logicalPort")), "")
+            physical = next((text_of(child, "name") for child in children(node, "physicalPort")), "")
             if logical and physical:
                 found[logical.upper()] = physical
     return found
@@ -233,9 +214,9 @@ def _port_map(bus: ElementTree.Element) -> dict[str, str]:
 def _bus_parameters(bus: ElementTree.Element) -> dict[str, str]:
     """The interface's parameters."""
     found = {}
-    for group in _children(bus, "parameters"):
-        for node in _children(group, "parameter"):
-            found[_text(node, "name").upper()] = _text(node, "value")
+    for group in children(bus, "parameters"):
+        for node in children(group, "parameter"):
+            found[text_of(node, "name").upper()] = text_of(node, "value")
     return found
 
 
@@ -245,8 +226,8 @@ def _disabled(node: ElementTree.Element, what: str) -> bool:
     Parameters of an interface have an enablement too, but that one says whether they may be changed.
     """
     for child in node.iter():
-        if _local(child.tag) == "isEnabled" and (child.text or "").strip() == "false":
-            named = next((value for key, value in child.attrib.items() if _local(key) == "id"), what)
+        if local(child.tag) == "isEnabled" and (child.text or "").strip() == "false":
+            named = next((value for key, value in child.attrib.items() if local(key) == "id"), what)
             if named.startswith(what):
                 return True
     return False

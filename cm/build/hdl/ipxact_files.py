@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree import ElementTree
 
+from cm.build.hdl.elements import component_root, descendants, local, text_of
 from cm.build.hdl.errors import HdlError
-from cm.build.hdl.ipxact import component_root
 
 _SOURCES = ("verilogSource", "systemVerilogSource", "vhdlSource")
 
@@ -33,15 +32,15 @@ def component_files(path: Path) -> ComponentFiles:
     except (OSError, ValueError) as error:
         raise HdlError(f"{path}: cannot be read: {error}") from None
     found = ComponentFiles()
-    sets = {_text(node, "name"): node for node in _all(root, "fileSet")}
+    sets = {text_of(node, "name"): node for node in descendants(root, "fileSet")}
     for name in _synthesis(root):
         if name not in sets:
             continue
-        for node in _all(sets[name], "componentRef"):
-            other = next((value for key, value in node.attrib.items() if _local(key) == "name"), "another component")
+        for node in descendants(sets[name], "componentRef"):
+            other = next((value for key, value in node.attrib.items() if local(key) == "name"), "another component")
             what = f"needs other IP ({other}): make an instance of it in Vivado, and give its .xci"
             raise HdlError(f"{path}: {what}")
-        for node in _all(sets[name], "file"):
+        for node in descendants(sets[name], "file"):
             _add(found, path, node)
     return found
 
@@ -49,27 +48,27 @@ def component_files(path: Path) -> ComponentFiles:
 def _synthesis(root: ElementTree.Element) -> list[str]:
     """Names of the file sets for synthesis, each once; Verilog's, for a component in both languages."""
     names: dict[str, None] = {}
-    kinds = [_text(view, "envIdentifier") for view in _all(root, "view")]
+    kinds = [text_of(view, "envIdentifier") for view in descendants(root, "view")]
     both = any(kind.startswith("verilogSource") and kind.endswith(":synthesis") for kind in kinds)
-    for view in _all(root, "view"):
-        kind = _text(view, "envIdentifier")
+    for view in descendants(root, "view"):
+        kind = text_of(view, "envIdentifier")
         if both and kind.startswith("vhdlSource"):
             continue
         if kind.endswith((":synthesis", "synthesis.constraints")):
-            names |= dict.fromkeys(_text(ref, "localName") for ref in _all(view, "fileSetRef"))
+            names |= dict.fromkeys(text_of(ref, "localName") for ref in descendants(view, "fileSetRef"))
     return list(names)
 
 
 def _add(found: ComponentFiles, component: Path, node: ElementTree.Element) -> None:
-    path = component.parent / _text(node, "name")
-    kinds = [(child.text or "").strip() for child in node if _local(child.tag) in ("fileType", "userFileType")]
+    path = component.parent / text_of(node, "name")
+    kinds = [(child.text or "").strip() for child in node if local(child.tag) in ("fileType", "userFileType")]
     if not path.exists():
-        raise HdlError(f"{component}: lists {_text(node, 'name')}, which is not there")
-    if _text(node, "isIncludeFile") == "true":
+        raise HdlError(f"{component}: lists {text_of(node, 'name')}, which is not there")
+    if text_of(node, "isIncludeFile") == "true":
         if path.parent not in found.include_dirs:
             found.include_dirs.append(path.parent)
     elif any(kind.startswith(_SOURCES) for kind in kinds):
-        library = _text(node, "logicalName")
+        library = text_of(node, "logicalName")
         vhdl = any(kind.startswith("vhdl") for kind in kinds)
         named = vhdl and library not in ("", "work", "xil_defaultlib")
         (found.libraries.setdefault(library, []) if named else found.sources).append(path)
@@ -77,15 +76,3 @@ def _add(found: ComponentFiles, component: Path, node: ElementTree.Element) -> N
         found.ip.append(path)
     elif path.suffix == ".xdc" and not any(kind.startswith("USED_IN_implementation") for kind in kinds):
         found.constraints.append(path)
-
-
-def _all(node: ElementTree.Element, name: str) -> Iterator[ElementTree.Element]:
-    return (child for child in node.iter() if _local(child.tag) == name)
-
-
-def _text(node: ElementTree.Element, name: str) -> str:
-    return next(((child.text or "").strip() for child in node if _local(child.tag) == name), "")
-
-
-def _local(tag: str) -> str:
-    return tag.rpartition("}")[2]

@@ -10,7 +10,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from cm.build.errors import BuildError, MissingTool
-from cm.build.hdl.ipxact import component_root
+from cm.build.hdl.elements import component_root, descendants, text_of
 from cm.build.project.model import FieldSpec, RegisterSpec
 from cm.schema.model import Access
 
@@ -58,9 +58,9 @@ def _ipxact(path: Path, module: str) -> Registers:
     except ValueError as error:
         raise BuildError(f"{path}: not XML: {error}") from None
     found: Registers = {}
-    for block in _all(root, "addressBlock"):
-        base = _number(_text(block, "baseAddress"))
-        for node in _all(block, "register"):
+    for block in descendants(root, "addressBlock"):
+        base = _number(text_of(block, "baseAddress"))
+        for node in descendants(block, "register"):
             spec = _ipxact_register(node, base)
             found[spec.name] = spec
     return found
@@ -69,30 +69,21 @@ def _ipxact(path: Path, module: str) -> Registers:
 def _ipxact_register(node: ElementTree.Element, base: int) -> RegisterSpec:
     fields = {}
     clearing = False
-    for part in _all(node, "field"):
-        name = identifier(_text(part, "name"))
-        fields[name] = FieldSpec(name, _number(_text(part, "bitOffset")), _number(_text(part, "bitWidth")) or 1)
-        clearing = clearing or _text(part, "modifiedWriteValue") == "oneToClear"
-    reset = next((_text(entry, "value") for entry in _all(node, "reset")), "")
+    for part in descendants(node, "field"):
+        name = identifier(text_of(part, "name"))
+        fields[name] = FieldSpec(name, _number(text_of(part, "bitOffset")), _number(text_of(part, "bitWidth")) or 1)
+        clearing = clearing or text_of(part, "modifiedWriteValue") == "oneToClear"
+    reset = next((text_of(entry, "value") for entry in descendants(node, "reset")), "")
     return RegisterSpec(
-        name=identifier(_text(node, "name")),
-        offset=base + _number(_text(node, "addressOffset")),
-        width=_width(_number(_text(node, "size")) or 32),
-        access=access_of(_text(node, "access"), clearing),
+        name=identifier(text_of(node, "name")),
+        offset=base + _number(text_of(node, "addressOffset")),
+        width=_width(_number(text_of(node, "size")) or 32),
+        access=access_of(text_of(node, "access"), clearing),
         reset=_number(reset) if reset else None,
-        volatile=_text(node, "volatile") == "true",
+        volatile=text_of(node, "volatile") == "true",
         fields=fields,
-        doc=" ".join(_text(node, "description").split()),
+        doc=" ".join(text_of(node, "description").split()),
     )
-
-
-def _all(node: ElementTree.Element, name: str) -> list[ElementTree.Element]:
-    return [entry for entry in node.iter() if entry.tag.rsplit("}", 1)[-1] == name]
-
-
-def _text(node: ElementTree.Element, name: str) -> str:
-    """Text of a direct child; names are compared without namespace."""
-    return next((entry.text or "" for entry in node if entry.tag.rsplit("}", 1)[-1] == name), "").strip()
 
 
 def _number(text: str) -> int:

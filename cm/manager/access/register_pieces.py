@@ -34,13 +34,11 @@ class _Some:
             self.count = min(_SOME, self.count * 2)
 
 
-class ReadPieces:
-    """A read; without names, of all readable registers: those that have gone meanwhile are then left out."""
+class _Pieces:
+    """The progress of a request, of which `step` does one piece."""
 
-    def __init__(self, service: RegisterService, names: tuple[str, ...]) -> None:
+    def __init__(self, service: RegisterService) -> None:
         self._service = service
-        self._strict = bool(names)
-        self._names = names or service.readable_names()
         self._values: list[RegValue] = []
         self._at = 0
         self._some = _Some()
@@ -49,8 +47,17 @@ class ReadPieces:
 
     @property
     def result(self) -> RegValues:
-        """What was read."""
+        """What has been read or written so far."""
         return self._last._replace(values=tuple(self._values))
+
+
+class ReadPieces(_Pieces):
+    """A read; without names, of all readable registers: those that have gone meanwhile are then left out."""
+
+    def __init__(self, service: RegisterService, names: tuple[str, ...]) -> None:
+        super().__init__(service)
+        self._strict = bool(names)
+        self._names = names or service.readable_names()
 
     def step(self) -> bool:
         """Read the next registers; returns whether they were the last. Raises as `RegisterService.read`."""
@@ -66,23 +73,13 @@ class ReadPieces:
         return self._at >= len(self._names)
 
 
-class WritePieces:
+class WritePieces(_Pieces):
     """A write, all of which is checked before it begins; each piece is checked again, in case something has changed."""
 
     def __init__(self, service: RegisterService, writes: tuple[RegWrite, ...], lease: str) -> None:
-        self._service = service
+        super().__init__(service)
         self._lease = lease
         self._checked = service.checked(writes, lease)
-        self._values: list[RegValue] = []
-        self._at = 0
-        self._some = _Some()
-        self._last = RegValues(())
-        self.newest: tuple[RegValue, ...] = ()  # of the last piece
-
-    @property
-    def result(self) -> RegValues:
-        """What was written, as far as it was."""
-        return self._last._replace(values=tuple(self._values))
 
     def step(self) -> bool:
         """Write the next registers; returns whether they were the last. Raises as `RegisterService.write`."""
