@@ -19,6 +19,7 @@ MESSAGE_BYTES = 128 << 10  # of the second frame, unless it holds a schema
 TEXT_BYTES = 64 << 10
 BITS = 64
 _DIGITS = {16: 16, 10: 20, 8: 22, 2: 64}  # most digits of 64 bits, by the base
+WAIT_SECONDS = 86_400.0  # that a request waits for a frame; longer ones, and infinity, are taken as this
 SLICE = 64  # listed things that one turn of the manager's loop reads
 _ALWAYS_FINE = 256  # bytes of a message that is too short to break any bound
 _LIMITS = {"schema": SCHEMA_BYTES, "lease": LEASES_BYTES}

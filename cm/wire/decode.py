@@ -160,7 +160,9 @@ def _configure_stream(m: pb.DataConfig) -> rq.ConfigureStream:
 def _read_data(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     _no_payload("cm_read_data", payload)
     m = parse.parse(pb.ReadData, "cm_read_data", message)
-    return rq.ReadData(m.stream, m.timeout, m.offset, m.length)
+    if not m.timeout >= 0:  # nor is what is not a number
+        raise InvalidRequest(f"cm_read_data: a time-out of {m.timeout} s; seconds are 0 (which stands for 1) or more")
+    return rq.ReadData(m.stream, min(m.timeout, bounds.WAIT_SECONDS), m.offset, m.length)
 
 
 def _write_data(message: bytes, payload: Sequence[Frame]) -> rq.Request:

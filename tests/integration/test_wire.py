@@ -240,3 +240,17 @@ def test_a_lease_without_seconds_is_shared_and_lasts_half_a_minute(peer: Peer) -
     assert (first.seconds, first.exclusive, second.ok) == (30.0, False, True)
     for lease in (first.id, second.lease.id):
         assert peer.ask(b"cm_lease", pb.Lease(id=lease, release=True).SerializeToString()).ok
+
+
+@pytest.mark.parametrize("timeout", [float("nan"), float("inf"), -1.0, 1e300])
+def test_a_time_that_is_none_does_not_stop_the_managers_clock(peer: Peer, manager: Manager, timeout: float) -> None:
+    """The manager counts down the milliseconds until its next timer, and of NaN there is no such number."""
+    dealer = peer.dealer(manager)
+    asked = pb.ReadData(stream="from_pl", timeout=timeout).SerializeToString()
+    assert peer.ask(b"cm_write_config", pb.WriteConfig(mode="loopback").SerializeToString()).ok
+    for _ in range(3):
+        dealer.send_multipart([b"cm_read_data", asked])
+    late = pb.ReadData(stream="from_pl", timeout=0.2).SerializeToString()
+    for _ in range(3):
+        assert peer.ask(b"cm_read_data", late).error.code == "timeout"  # by a timer
+    assert peer.ask(b"cm_status", b"").ok

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 
 import cm
 from cm.errors import InvalidRequest
-from cm.messages.requests import RegWrite, WriteReg
+from cm.messages.requests import ReadData, RegWrite, WriteReg
 from cm.wire import bounds
 from cm.wire import cm_pb2 as pb
 from cm.wire.decode import decode_request
@@ -103,6 +104,19 @@ def test_a_text_is_read_in_a_single_pass_whatever_it_contains(monkeypatch: pytes
     assert calls == list(range(1, bounds.ENTRIES + 2))
 
 
+@pytest.mark.parametrize("given", [math.nan, -1.0, -math.inf])
+def test_a_manager_refuses_what_is_no_time(given: float) -> None:
+    """One that is not a number would end it: there is no number of milliseconds until then."""
+    with pytest.raises(InvalidRequest, match="time-out"):
+        decode_request([b"cm_read_data", pb.ReadData(stream="camera", timeout=given).SerializeToString()])
+
+
+@pytest.mark.parametrize("given", [math.inf, 1e300])
+def test_a_manager_waits_for_a_frame_for_a_day_at_most(given: float) -> None:
+    message = pb.ReadData(stream="camera", timeout=given).SerializeToString()
+    assert decode_request([b"cm_read_data", message]) == ReadData("camera", bounds.WAIT_SECONDS)
+
+
 def test_the_page_has_every_bound() -> None:
     page = PAGE.read_text("utf-8")
     told = dict(re.findall(r"^\| ([^|]*?) \| ([^|]*?) \| `[a-z_]+` \|", page, re.MULTILINE))
@@ -110,6 +124,8 @@ def test_the_page_has_every_bound() -> None:
     assert told["registers, writes and other things that one request lists"] == str(bounds.ENTRIES)
     assert told["files of a configuration"] == str(bounds.FILES)
     assert told["bytes of a message (second frame)"] == f"{bounds.MESSAGE_BYTES >> 10} KiB; with a schema 1152 KiB"
+    assert "| seconds that a request waits for a frame | 86,400;" in page
+    assert bounds.WAIT_SECONDS == 86_400
     assert told["bytes of a text mapping"] == f"{bounds.TEXT_BYTES >> 10} KiB"
 
 
