@@ -8,13 +8,28 @@ Subpackages subclass `CmError`; they never raise a bare builtin for a condition 
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 
 class CmError(Exception):
     """Base of all errors; ``code`` is stable, the sentence is for people."""
 
     code: ClassVar[str] = "internal"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled and copied without `__init__`, which in many of them takes something else than the sentence.
+
+        An error that cannot be unpickled ends a whole pool of processes in place of one task.
+        """
+        made: Any = super().__reduce__()
+        return (_again, made[:2], *made[2:])
+
+
+def _again(kind: type[CmError], arguments: tuple[Any, ...]) -> CmError:
+    error = kind.__new__(kind, *arguments)
+    if not error.args:  # builtin system errors leave that to their `__init__`
+        error.args = arguments
+    return error
 
 
 class InvalidRequest(CmError, ValueError):

@@ -111,7 +111,7 @@ def run_write(args: argparse.Namespace) -> int:
     """Write values and print what the registers hold then; the exit status."""
     if args.mask is None:
         with connected(args) as board:
-            return _show(args, board.registers.write(dict(args.writes), args.lease))
+            return _show(args, board.registers.write(args.writes, args.lease))
     if len(args.writes) != 1:
         args.refuse("--mask goes with one register")
     name, value = args.writes[0]

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,15 +14,23 @@ from cm.errors import InvalidRequest, NotFound
 from cm.wire.topics import Endpoints, ipc_endpoints, tcp_endpoints
 
 SYSTEM_DIR = Path("/run/cm")
+_Z85 = re.compile(rb"[0-9a-zA-Z.\-:+=^!/*?&<>()\[\]{}@%$#]{40}")
 
 
 @dataclass(frozen=True, slots=True)
 class Keys:
-    """CURVE keys of a client, and the manager's public key (Z85, 40 characters each)."""
+    """CURVE keys of a client, and the manager's public key (Z85, 40 characters each). Raises InvalidRequest."""
 
     server_public: bytes
     public: bytes
     secret: bytes
+
+    def __post_init__(self) -> None:
+        for name in ("server_public", "public", "secret"):
+            if not _Z85.fullmatch(getattr(self, name)):
+                raise InvalidRequest(
+                    f"the key {name} is not one: keys are 40 characters of Z85, as 'cm keygen' makes them"
+                )
 
 
 def default_runtime_dir() -> Path:
@@ -67,7 +76,7 @@ def _serves(folder: Path) -> bool | None:
         return None
 
 
-def resolve(endpoint: str | None, runtime_dir: str | os.PathLike[str] | None) -> Endpoints:
+def resolve(endpoint: str | os.PathLike[str] | None, runtime_dir: str | os.PathLike[str] | None) -> Endpoints:
     """The three ZeroMQ endpoints of a manager.
 
     `endpoint` is ``tcp://host[:port]`` or a runtime folder (``ipc://…`` too). Raises InvalidRequest, and NotFound if
@@ -75,12 +84,18 @@ def resolve(endpoint: str | None, runtime_dir: str | os.PathLike[str] | None) ->
     """
     if endpoint is not None and runtime_dir is not None:
         raise InvalidRequest("give an endpoint or a runtime folder, not both")
+    endpoint = os.fspath(endpoint) if endpoint is not None else None
     if endpoint is not None and endpoint.startswith("tcp://"):
         return tcp_endpoints(endpoint)
+    if endpoint is not None and "://" in endpoint.removeprefix("ipc://"):
+        raise InvalidRequest(f"endpoint {endpoint!r}: it is tcp://host[:port], or the runtime folder of a manager here")
     folder = Path(endpoint.removeprefix("ipc://") if endpoint else runtime_dir or default_runtime_dir())
     serves = _serves(folder)
     if serves is False:
-        raise NotFound(f"no configuration manager serves {folder}: start one ('cm serve'), or name its --runtime-dir")
+        other = f"; a manager on another machine is tcp://{endpoint}" if endpoint and os.sep not in endpoint else ""
+        raise NotFound(
+            f"no configuration manager serves {folder}: start one ('cm serve'), or name its --runtime-dir{other}"
+        )
     if serves is None or not os.access(folder / "req", os.W_OK):
         raise NotAdmitted(_not_for_us(folder))
     if not endpoint and not runtime_dir and _is_of_another_user(folder):
@@ -112,10 +127,16 @@ def _group(folder: Path) -> str:
 
 def load_keys(path: str | os.PathLike[str]) -> Keys:
     """Keys from a file that ``cm keygen`` wrote: lines ``name: value``. Raises InvalidRequest."""
-    lines = Path(path).read_text(encoding="ascii").splitlines()
+    try:
+        lines = Path(path).read_text(encoding="ascii").splitlines()
+    except UnicodeDecodeError:
+        raise InvalidRequest(f"{path} is not a key file: 'cm keygen' writes lines 'name: value' in ASCII") from None
     pairs = dict(line.split(":", 1) for line in lines if ":" in line and not line.startswith("#"))
     try:
         found = [pairs[n].strip().encode() for n in ("server-public", "public", "secret")]
     except KeyError as missing:
         raise InvalidRequest(f"{path}: no {missing} key; a client's file has server-public, public, secret") from None
-    return Keys(*found)
+    try:
+        return Keys(*found)
+    except InvalidRequest as error:
+        raise InvalidRequest(f"{path}: {error}") from None

@@ -15,6 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from cm.client.errors import ConnectionLost, LateRelease, NotAdmitted, request_error
+from cm.client.forks import not_for_children
 from cm.client.mapping import LocalFrame, SlotMappings, lend
 from cm.errors import NotFound
 from cm.messages.status import ErrorInfo
@@ -40,6 +41,8 @@ class DataConnection:
         self.wanted = wanted
         self.memory: SlotMappings | None = None
         self._left: SlotMappings | None = None  # of frames that are still held after `close`
+        self._owner = os.getpid()
+        self._disowned = False
         self.names = ("", "", "")
         self.generation = 0  # of the registers, under which the frames that come began; 0: not known
         self.address = 0  # of memory that was asked for, as devices see it
@@ -73,6 +76,16 @@ class DataConnection:
         except BaseException:
             self.socket.close()
             raise
+        not_for_children(self)
+
+    def disown(self) -> None:
+        """This process was forked: it hangs up by closing its copy of the socket, which its parent does not notice."""
+        self._disowned = True
+        memory, self.memory, self._left = self.memory or self._left, None, None
+        self.granted.clear()
+        if memory is not None:
+            memory.disown()
+        self.socket.close()
 
     @property
     def geometry(self) -> Geometry | None:
@@ -124,6 +137,8 @@ class DataConnection:
 
     def give_back(self, memory: SlotMappings, frame: Descriptor) -> None:
         """Release a frame; if the stream was stopped meanwhile nothing is sent: its memory is not used again."""
+        if self._disowned:  # the parent may still look at it
+            return
         memory.end(frame.slot)
         if memory is not self.memory and memory is not self._left:
             return
@@ -148,7 +163,9 @@ class DataConnection:
 
     def close(self) -> None:
         """Disconnect; frames that are held remain valid until they are given back. Twice is fine."""
-        if self._left is not None:
+        if os.getpid() != self._owner:
+            self.disown()
+        if self._left is not None or self._disowned:
             return
         memory = self._left = self.memory  # in this order: another thread may give back its last frame just now
         self.memory = None

@@ -12,6 +12,8 @@ from cm.client.picture import has_rows, png
 from cm.errors import InvalidRequest
 from cm.messages.status import FrameInfo
 
+NO_INFO = "a view of a frame has no info and no sequence of its own; ask the frame"
+
 
 class Frame(np.ndarray[Any, np.dtype[Any]]):
     """A read-only array over the frame's memory, with `info`: sequence, time, mode.
@@ -19,11 +21,13 @@ class Frame(np.ndarray[Any, np.dtype[Any]]):
     Slices and results of arithmetic are plain arrays without `info`; `copy()` makes one to keep.
     """
 
-    _info: FrameInfo
+    _info: FrameInfo | None = None
 
     @property
     def info(self) -> FrameInfo:
         """What is known about the frame besides its bytes."""
+        if self._info is None:
+            raise AttributeError(NO_INFO)
         return self._info
 
     @property
@@ -58,8 +62,11 @@ class Frame(np.ndarray[Any, np.dtype[Any]]):
     def __getitem__(self, key: Any) -> Any:
         return np.asarray(self)[key]
 
+    def _is_view(self) -> bool:
+        return self._info is None
+
     def __reduce__(self) -> Any:
-        return _framed, (self.copy(), self.info)
+        return np.asarray(self).__reduce__() if self._is_view() else (_framed, (self.copy(), self.info))
 
 
 def frame_of(info: FrameInfo, payload: Any) -> Frame:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 
 class Guarded:
@@ -24,6 +24,11 @@ class Guarded:
                 object.__setattr__(self, name, value)
                 return
             raise AttributeError(_refusal(self, name))
+
+    def __reduce__(self) -> NoReturn:
+        raise TypeError(
+            "a board is a connection of this process and can be neither pickled nor copied: connect() there"
+        )
 
 
 def _refusal(guarded: Guarded, name: str) -> str:

@@ -6,7 +6,6 @@ from __future__ import annotations
 import struct
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from typing import Any, TypeVar
 
 import zmq
@@ -16,7 +15,7 @@ from cm import multipart
 from cm.client.core.calls import Call
 from cm.client.core.effects import AskBeside, Deadline, Flow, Pause, Receive, seconds
 from cm.client.core.requests import Requests, result
-from cm.client.sockets import Socket, Sockets, closed, not_subscribed
+from cm.client.sockets import Socket, Sockets, not_subscribed
 
 _T = TypeVar("_T")
 _TOLD = struct.Struct("=Hi")  # event and value, zmq_socket_monitor(3); pyzmq's own reader of it imports asyncio
@@ -36,9 +35,10 @@ class Subscription:
 
     def receive(self, timeout: float | None) -> list[bytes] | None:
         """The next message; None if there is none within `timeout` seconds. Raises BoardClosed, NotAdmitted."""
+        if self._sockets.closed:  # before the turn too: after a fork it may never come
+            raise self._sockets.gone()
         with self._turn:
-            if self.socket.closed or self._sockets.closed:
-                raise closed(self._sockets.endpoints.req)
+            self._check_open()
             with self._sockets.ending():
                 ready = dict(zmq_poll(self._sources, -1 if timeout is None else _milliseconds(timeout)))
                 if self.socket in ready:
@@ -46,6 +46,10 @@ class Subscription:
         if ready:
             raise not_subscribed(self._sockets.endpoints.pub)
         return None
+
+    def _check_open(self) -> None:
+        if self.socket.closed or self._sockets.closed:
+            raise self._sockets.gone()
 
     def fileno(self) -> int:
         """Readable when something may have come; then take all there is (zmq_getsockopt(3), ZMQ_FD)."""
@@ -58,14 +62,13 @@ class Subscription:
 
     def close(self) -> None:
         """Twice is fine."""
-        _unwatched(self.socket)
-        self._sockets.end(self._monitor, self.socket)
+        self._sockets.hang_up(self.socket, self._monitor)
 
 
 class Link:
     """One connection for requests; threads take turns."""
 
-    def __init__(self, sockets: Sockets, timeout: float, guest: str = "") -> None:
+    def __init__(self, sockets: Sockets, timeout: float | None, guest: str = "") -> None:
         self.timeout = timeout  # seconds, for requests without a time-out of their own
         self._sockets = sockets
         self._requests = Requests(sockets.endpoints.req, guest)
@@ -83,14 +86,19 @@ class Link:
         Raises NoAnswer after `timeout` seconds (None: never), ConnectionLost if the manager goes away, NotAdmitted if
         it does not admit us, BoardClosed, and the manager's refusal.
         """
+        if self._sockets.closed:  # before the turn too: after a fork it may never come
+            raise self._sockets.gone()
         with self._turn:
-            if self._socket.closed or self._sockets.closed:
-                raise closed(self._requests.address)
+            self._check_open()
             try:
                 reply = self._exchange(call, timeout, beside)
             except zmq.ContextTerminated:  # closed by another thread
-                raise closed(self._requests.address) from None
+                raise self._sockets.gone() from None
         return result(call, reply)
+
+    def _check_open(self) -> None:
+        if self._socket.closed or self._sockets.closed:
+            raise self._sockets.gone()
 
     def _exchange(self, call: Call[Any], timeout: float | None, beside: AskBeside | None) -> list[bytes | memoryview]:
         number, frames = self._requests.begin(call)
@@ -166,14 +174,7 @@ class Link:
 
     def close(self) -> None:
         """Disconnect; twice is fine."""
-        _unwatched(self._socket)
-        self._sockets.end(self._monitor, self._socket)
-
-
-def _unwatched(socket: Socket) -> None:
-    if not socket.closed:
-        with suppress(zmq.ZMQError):  # the board is being closed by another thread
-            socket.disable_monitor()
+        self._sockets.hang_up(self._socket, self._monitor)
 
 
 def _milliseconds(left: float) -> int:

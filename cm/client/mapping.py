@@ -15,7 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from cm.client.errors import FrameReleased
-from cm.client.frame import Frame
+from cm.client.frame import NO_INFO, Frame
+from cm.client.frame_methods import checked
 from cm.errors import InvalidRequest
 from cm.messages.status import FrameInfo
 from cm.wire.plane_packets import Descriptor, Geometry
@@ -38,6 +39,7 @@ class SlotMappings:
         self._fds: list[int] = []  # kept where the memory needs synchronising
         self._begun: set[int] = set()  # slots that the processor uses now, where that matters
         self._closed = False
+        self._syncs = not geometry.coherent
 
     def _strides(self) -> tuple[int, ...] | None:
         shape = self.geometry.shape
@@ -75,13 +77,13 @@ class SlotMappings:
 
     def begin(self, slot: int) -> None:
         """Announce that the processor is about to read or write."""
-        if not self.geometry.coherent:
+        if self._syncs:
             self._sync(slot, 0)
             self._begun.add(slot)
 
     def end(self, slot: int) -> None:
         """The processor is done."""
-        if not self.geometry.coherent:
+        if self._syncs:
             self._end(slot)
 
     def _end(self, slot: int) -> None:
@@ -123,6 +125,12 @@ class SlotMappings:
         if not self._begun:
             self._close_fds()
 
+    def disown(self) -> None:
+        """This process was forked: slots that its parent uses stay as they are."""
+        self._closed, self._syncs = True, False
+        self._begun.clear()
+        self._close_fds()
+
     def _close_fds(self) -> None:
         fds, self._fds = self._fds, []
         for fd in fds:
@@ -139,6 +147,7 @@ def _packed(shape: tuple[int, ...], size: int) -> tuple[int, ...]:
     return tuple(strides)
 
 
+@checked
 class LocalFrame(Frame):
     """A frame in DMA memory, leased until it and every array made from it are gone, or `release` is called."""
 
@@ -178,7 +187,8 @@ class LocalFrame(Frame):
     def release(self) -> None:
         """Give the slot back now; any use of the frame raises FrameReleased from here on. Twice is fine.
 
-        Arrays made from it (`np.asarray(frame)`, `frame[0]`) show whatever comes into the slot next.
+        Arrays and buffers made from it, even now (`np.asarray(frame)`, `frame[0]`, `memoryview(frame)`), show whatever
+        comes into the slot next.
         """
         if self._lease is not None:
             self._lease.end()
@@ -190,7 +200,7 @@ class LocalFrame(Frame):
 
     def _held(self) -> Lease:
         if self._lease is None:
-            raise AttributeError("a view of a frame has no sequence of its own; ask the frame")
+            raise AttributeError(NO_INFO)
         return self._lease
 
     def _check(self) -> None:
@@ -228,8 +238,8 @@ class LocalFrame(Frame):
         self._check()
         return np.asarray(self).__dlpack__(*args, **kwargs)
 
-    def __reduce__(self) -> Any:
-        return super().__reduce__() if self._lease is not None else np.asarray(self).__reduce__()
+    def _is_view(self) -> bool:
+        return self._lease is None
 
     def __repr__(self) -> str:
         lease = self._lease

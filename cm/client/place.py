@@ -51,7 +51,7 @@ class Place:
 
 
 def find(
-    endpoint: str | None,
+    endpoint: str | os.PathLike[str] | None,
     runtime_dir: str | os.PathLike[str] | None,
     keys: str | os.PathLike[str] | Keys | None,
     guest: str = "",

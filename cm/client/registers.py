@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, MutableMapping
+from collections.abc import Iterable, Iterator, Mapping, MutableMapping
 from typing import TYPE_CHECKING, Any
 
 from cm.client.core import calls, registers
@@ -64,13 +64,20 @@ class Registers(MutableMapping[str, int]):
         """Values of several registers at once; by default of all that can be read."""
         return registers.values(self._board.ask(calls.read_registers(names)))
 
-    def write(self, values: Mapping[str, int | str], lease: str = "") -> Written:
+    def write(self, values: Mapping[str, int | str] | Iterable[tuple[str, int | str]], lease: str = "") -> Written:
         """Write several registers in order; all are checked before the first is written. Returns the new values.
 
+        Pairs can name a register several times: ``[("control.start", 1), ("control.start", 0)]`` is a pulse.
         Values are integers, or names that the schema gives to a field's values: ``{"led.colour": "red"}``. The result's
         `generation` is what frames after the write have at least (`stream.after`).
         """
         return Written(self._board.ask(calls.write_registers(values, lease)))
+
+    def update(self, values: Any = (), /, **named: int | str) -> None:
+        """Write several registers as `write` does, in one request."""
+        pairs = [*(values.items() if isinstance(values, Mapping) else values), *named.items()]
+        if pairs:
+            self.write(pairs)
 
     def write_masked(self, name: str, value: int, mask: int, lease: str = "") -> int:
         """Write only the bits in `mask`; returns the register's value."""

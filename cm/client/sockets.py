@@ -14,6 +14,7 @@ import zmq
 from cm.client.address import Keys
 from cm.client.core.handshake import EVENTS, Handshake
 from cm.client.errors import BoardClosed, NotAdmitted
+from cm.client.forks import not_for_children
 from cm.wire.topics import Endpoints
 
 Socket = zmq.Socket[bytes]
@@ -47,15 +48,28 @@ class Sockets:
         self._context = context
         self._keys = keys
         self._open: set[Any] = set()
+        self.users: weakref.WeakSet[Any] = weakref.WeakSet()  # of the data socket: they end with the board
         self._turns: weakref.WeakSet[Any] = weakref.WeakSet()
         self._over = False
+        self._disowned = False
         self._ending: threading.Thread | None = None
         self.closing = threading.RLock()  # for one thread at a time, and again for a signal handler in it
+        not_for_children(self)
 
     @property
     def closed(self) -> bool:
-        """Whether the board has been closed."""
+        """Whether the board has been closed, or belongs to the process that this one was forked from."""
         return self._over
+
+    def disown(self) -> None:
+        """This process was forked: all is the parent's, and locks that its other threads held will never be free."""
+        self._over = self._disowned = True
+        self.closing = threading.RLock()
+        self.end_users()
+
+    def gone(self) -> BoardClosed:
+        """The error for any use from now on."""
+        return (inherited if self._disowned else closed)(self.endpoints.req)
 
     @contextmanager
     def ending(self) -> Iterator[None]:
@@ -65,7 +79,12 @@ class Sockets:
         except zmq.ZMQError:
             if not self.closed:
                 raise
-            raise closed(self.endpoints.req) from None
+            raise self.gone() from None
+
+    def end_users(self) -> None:
+        """End what uses the data socket; any later use of it raises `gone`."""
+        for user in tuple(self.users):
+            user.end(self.gone())
 
     def turn(self) -> Any:
         """A lock to be held by a thread that uses sockets, so that `free` knows of it."""
@@ -79,6 +98,8 @@ class Sockets:
         What is left to do is to close.
         """
         self._over = True  # who gets a turn from here on sees that
+        if self._disowned:
+            return
         with self.closing:
             waiting = [turn for turn in tuple(self._turns) if not _left(turn, 0.0)]
             if waiting and self._ending is None and not self._context.closed:
@@ -120,10 +141,19 @@ class Sockets:
 
     def _new(self, kind: int, depth: int = 0) -> Any:
         if self.closed:
-            raise closed(self.endpoints.req)
+            raise self.gone()
         socket = prepare(self._context.socket(kind), self._keys, depth)
         self._open.add(socket)
         return socket
+
+    def hang_up(self, socket: Any, monitor: Any) -> None:
+        """Close a socket and its monitor; twice is fine."""
+        if self._disowned:
+            return
+        if not socket.closed:
+            with suppress(zmq.ZMQError):  # the board is being closed by another thread
+                socket.disable_monitor()
+        self.end(monitor, socket)
 
     def end(self, *sockets: Any) -> None:
         """Close sockets before the rest; twice is fine."""
@@ -134,6 +164,8 @@ class Sockets:
     def close(self) -> None:
         """Close all; twice is fine."""
         self._over = True
+        if self._disowned:
+            return
         with self.closing:
             self.end(*self._open)
             if self._ending is None:
@@ -162,3 +194,8 @@ def not_subscribed(address: str) -> NotAdmitted:
 def closed(address: str) -> BoardClosed:
     """The error for any use of a board after it was closed."""
     return BoardClosed(f"the board at {address} was closed: connect() again")
+
+
+def inherited(address: str) -> BoardClosed:
+    """The error for any use of a board in a child process of the one that connected."""
+    return BoardClosed(f"the board at {address} belongs to the process that this one was forked from: connect() here")

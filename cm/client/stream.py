@@ -8,7 +8,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from cm.client.core.effects import DEFAULT, Deadline, Flow, Limit, seconds
+from cm.client.core.effects import DEFAULT, Deadline, Flow, Limit, at_least, seconds, time_limit
 from cm.client.core.generations import FirstAfter, Written
 from cm.client.core.remote_stream import NewestReader, PublishedReader, Reader
 from cm.client.errors import BoardClosed, ConnectionLost
@@ -89,11 +89,11 @@ class LocalStream(Stream):
         self, folder: Path, wanted: Open, timeout: float | None, newest: bool = False, owner: Any = None
     ) -> None:
         self._connection: DataConnection | None = None
+        self._timeout = time_limit(timeout)
         self._folder = folder
         self._owner = owner  # the board, which this keeps alive
         self._wanted = wanted
         self.name = wanted.name
-        self._timeout = timeout
         self._newest = newest
         self._lost_before = 0
         self._ended: BoardClosed | None = None
@@ -123,7 +123,7 @@ class LocalStream(Stream):
 
         connection = DataConnection(self._folder, self._wanted)
         try:
-            connection.set_timeout(None if self._timeout is None else max(self._timeout, _ANSWER))
+            connection.set_timeout(at_least(self._timeout, _ANSWER))
             while connection.geometry is None and not connection.stopped:
                 connection.receive()
         except BlockingIOError:
@@ -208,7 +208,7 @@ class RemoteStream(Stream):
 
     def __init__(self, board: Board, wanted: Wanted) -> None:
         self.name = wanted.name
-        self._timeout = wanted.timeout
+        self._timeout = time_limit(wanted.timeout)
         self._board = board  # keeps the board alive
         self._reader: Reader = self._made(wanted)
 

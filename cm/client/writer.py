@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cm.client.core.effects import DEFAULT, Deadline, Limit, seconds
+from cm.client.core.effects import DEFAULT, Deadline, Limit, seconds, time_limit
 from cm.client.data_connection import DataConnection
 from cm.client.errors import BoardClosed, ConnectionLost, TransferFailed
 from cm.errors import CmError, InvalidRequest, Timeout
@@ -30,9 +30,9 @@ class Writer:
     def __init__(self, folder: Path, wanted: Open, timeout: float | None, owner: Any = None) -> None:
         self._owner = owner  # the board, which this keeps alive
         self._closed: CmError | None = None
+        self._timeout = timeout = time_limit(timeout)
         self._connection = DataConnection(folder, wanted)
         self.name = wanted.name
-        self._timeout = timeout
         self._next = 0
         self._under_way: set[int] = set()  # sequences
         self._failed: list[Descriptor] = []
@@ -98,8 +98,9 @@ class Writer:
             raise
 
     def write(self, data: npt.ArrayLike, timeout: Limit = DEFAULT) -> None:
-        """Copy a frame into a slot and send it; returns at once. Raises as `slot` does."""
-        array = np.asarray(data)
+        """Copy a frame, as an array or its bytes, into a slot and send it; returns at once. Raises as `slot` does."""
+        plain = isinstance(data, (bytes, bytearray, memoryview))
+        array = np.frombuffer(data, np.uint8) if plain else np.asarray(data)  # type: ignore[arg-type]
         geometry = self.geometry
         if geometry is not None and geometry.frame_length and array.nbytes != geometry.frame_length:
             raise InvalidRequest(
@@ -107,7 +108,17 @@ class Writer:
             )
         length = 0 if geometry is not None and geometry.frame_length else array.nbytes
         with self.slot(length, timeout) as slot:
-            slot[...] = array.reshape(slot.shape) if not length else np.frombuffer(array.tobytes(), np.uint8)
+            slot[...] = self._fitted(array, slot, as_bytes=bool(length) or array.dtype == np.uint8)
+
+    def _fitted(self, array: npt.NDArray[Any], slot: npt.NDArray[Any], as_bytes: bool) -> npt.NDArray[Any]:
+        if as_bytes:
+            array = np.frombuffer(array.tobytes(), slot.dtype)
+        if array.size != slot.size:
+            raise InvalidRequest(
+                f"stream {self.name!r} takes frames of {slot.shape} {slot.dtype}; "
+                f"this one is {array.shape} {array.dtype}"
+            )
+        return array.reshape(slot.shape)
 
     def flush(self, timeout: Limit = DEFAULT) -> None:
         """Wait until the hardware has taken all frames. Raises Timeout, TransferFailed."""

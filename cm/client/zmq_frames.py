@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
+from cm.client.core.effects import time_limit
 from cm.client.errors import RequestFailed
 from cm.client.frame import Frame, frame_of
 from cm.errors import InvalidRequest
@@ -31,6 +32,7 @@ class Wanted:
 
     def __post_init__(self) -> None:
         """Refuse impossible combinations. Raises InvalidRequest, also if a package is missing here."""
+        time_limit(self.timeout)
         if self.depth < 0:
             raise InvalidRequest(f"a stream of depth {self.depth}: frames that may wait are 1 or more")
         if self.compression and self.newest:

@@ -18,8 +18,13 @@ Frame = bytes | memoryview
 
 
 def encode_request(request: rq.Request) -> list[Frame]:
-    """A request → ``[topic][message][payload…]``."""
-    return _REQUESTS[type(request)](request)
+    """A request → ``[topic][message][payload…]``. Raises InvalidRequest for what no message can hold."""
+    try:
+        return _REQUESTS[type(request)](request)
+    except InvalidRequest:
+        raise
+    except (TypeError, ValueError, OverflowError) as error:  # protobuf's: wrong types, numbers out of range, half pairs
+        raise InvalidRequest(f"{type(request).__name__}: {error}") from None
 
 
 def _change_mode(r: rq.ChangeMode) -> list[Frame]:

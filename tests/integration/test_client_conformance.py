@@ -334,6 +334,14 @@ def test_writes_are_published_to_subscribers(board: Any, other: Any) -> None:
         assert {v.name for values in heard for v in values.values} == {"focus"}
 
 
+def test_several_registers_are_written_as_pairs_in_their_order(board: Any) -> None:
+    with board.registers.events("focus", timeout=60) as listening:
+        assert board.registers.write([("focus", 3), ("zoom", 1), ("focus", 2)]) == {"focus": 2, "zoom": 1}
+        assert [(v.name, v.value) for v in listening.next().values][-1] == ("focus", 2)
+    with pytest.raises(InvalidRequest, match="or pairs"):
+        board.registers.write("focus")
+
+
 # ---- interrupts -----------------------------------------------------------------------------------
 
 
@@ -422,6 +430,52 @@ def test_a_stream_without_frames_tells_its_own_time_out(board: Any) -> None:
             frames.read()
         with pytest.raises(Timeout, match=r"0\.1 s"):
             frames.read(timeout=0.1)
+
+
+def test_without_waiting_one_gets_what_is_there(board: Any, reach: tuple[str, dict[str, Any]]) -> None:
+    def at_once(read: Callable[..., Any]) -> Any:
+        try:
+            return read(timeout=0).shape
+        except Timeout:
+            return None
+
+    with board.stream("camera", timeout=60) as frames:
+        frames.read()
+        assert until(lambda: at_once(frames.read)) == (480, 640)
+    if "endpoint" not in reach[1]:
+        with board.echo(4096, timeout=60) as echo:
+            echo.flush(timeout=0)
+            echo.round_trip()  # then its slot is free again
+            with echo.slot(timeout=0) as slot:
+                slot[:] = 7
+            echo.flush()
+            echo.write(bytes(4096), timeout=0)
+            with pytest.raises(InvalidRequest, match=r"frames of \(4096,\) uint8; this one is \(512,\) float64"):
+                echo.write(np.zeros(512))
+
+
+def test_a_time_out_may_be_none_or_infinite_and_nothing_else_but_a_number(board: Any) -> None:
+    for forever in (None, float("inf"), 1e9):
+        board.timeout = forever
+        assert board.timeout is None
+        assert board.plan("edge_detection").bytes > 0
+        assert board.read("camera", timeout=forever).shape == (480, 640)
+        with board.stream("camera", timeout=forever) as frames:
+            frames.read()
+            assert frames.read(timeout=forever).shape == (480, 640)
+        with board.registers.events("focus", timeout=forever) as listening:
+            board.registers.write({"focus": 2})
+            listening.next(forever)
+        assert board.load_async("camera", "default").wait(timeout=forever) >= 0
+    for wrong in (float("nan"), "5"):
+        with pytest.raises(InvalidRequest, match="number of seconds"):
+            board.timeout = wrong
+        with pytest.raises(InvalidRequest, match="number of seconds"):
+            board.stream("camera", timeout=wrong).open()
+        with pytest.raises(InvalidRequest, match="number of seconds"):
+            board.read("camera", timeout=wrong)
+    with pytest.raises(Timeout):
+        board.interrupts["frame_done"].wait(timeout=-1)
 
 
 def test_an_unknown_stream_is_an_error_when_it_is_opened(board: Any) -> None:

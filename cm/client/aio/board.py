@@ -27,14 +27,14 @@ from cm.client.aio.stream import AsyncLocalStream, AsyncRemoteStream, Stream
 from cm.client.aio.writer import AsyncWriter
 from cm.client.core import calls, change, leases, uploads
 from cm.client.core.calls import Call
-from cm.client.core.effects import DEFAULT, Flow, Limit, seconds
+from cm.client.core.effects import DEFAULT, Flow, Limit, at_least, later, seconds, time_limit
 from cm.client.core.events import StatusEvents
 from cm.client.core.leases import HeldLeases
 from cm.client.core.values import mode_name
 from cm.client.frame import Frame
 from cm.client.guard import Guarded
 from cm.client.progress import OnProgress, Shown
-from cm.client.sockets import Sockets, closed
+from cm.client.sockets import Sockets
 from cm.client.zmq_frames import Wanted
 from cm.messages import requests as rq
 from cm.messages.requests import ConfigureStream, DefineMemory
@@ -57,10 +57,10 @@ _T = TypeVar("_T")
 
 
 def connect(
-    endpoint: str | None = None,
+    endpoint: str | os.PathLike[str] | None = None,
     *,
     runtime_dir: str | os.PathLike[str] | None = None,
-    timeout: float = 5.0,
+    timeout: float | None = 5.0,
     keys: str | os.PathLike[str] | Keys | None = None,
     guest: str = "",
 ) -> Board:
@@ -83,33 +83,33 @@ class Board(Guarded):
 
     def __init__(
         self,
-        endpoint: str | None = None,
+        endpoint: str | os.PathLike[str] | None = None,
         *,
         runtime_dir: str | os.PathLike[str] | None = None,
-        timeout: float = 5.0,
+        timeout: float | None = 5.0,
         keys: str | os.PathLike[str] | Keys | None = None,
         guest: str = "",
     ) -> None:
+        timeout = time_limit(timeout)
         self._place = place.find(endpoint, runtime_dir, keys, guest)
         self._sockets = Sockets(zmq.asyncio.Context(), self._place.endpoints, self._place.keys)
         # Not __del__: a finalizer also runs when the interpreter ends, before modules that it needs are taken apart.
         self._close = weakref.finalize(self, self._sockets.close)
         self._link = Link(self._sockets, timeout, guest)
         self._leases = HeldLeases()
-        self._users: weakref.WeakSet[Any] = weakref.WeakSet()  # of the data socket: they end with the board
         # Set directly, because Guarded refuses to; not properties, since each access to a register would run them.
         object.__setattr__(self, "registers", Registers(self))
         object.__setattr__(self, "interrupts", Interrupts(self))
         object.__setattr__(self, "memories", Memories(self))
 
     @property
-    def timeout(self) -> float:
-        """Seconds to wait for the answer to any request but `load`."""
+    def timeout(self) -> float | None:
+        """Seconds to wait for the answer to any request but `load`; None waits for ever."""
         return self._link.timeout
 
     @timeout.setter
-    def timeout(self, seconds: float) -> None:
-        self._link.timeout = seconds
+    def timeout(self, seconds: float | None) -> None:
+        self._link.timeout = time_limit(seconds)
 
     # ---- asking ---------------------------------------------------------------------
 
@@ -166,7 +166,7 @@ class Board(Guarded):
 
     async def remove_config(self, name: str, lease: str = "") -> None:
         """Remove a configuration that a client sent, with its files: your own, or with the role admin anyone's."""
-        await self.ask(calls.remove_config(name, lease), timeout=max(self.timeout, 60.0))
+        await self.ask(calls.remove_config(name, lease), timeout=at_least(self.timeout, 60.0))
 
     async def config(self, name: str = "") -> ConfigInfo:
         """A configuration's modes, registers, streams and interrupts; the loaded one's if no name is given."""
@@ -223,14 +223,14 @@ class Board(Guarded):
 
     async def plan(self, mode: str = "", config: str = "") -> PlanInfo:
         """What a change to a mode would do, and how long it would take; changes nothing."""
-        return await self.ask(calls.plan(mode, config), timeout=max(self.timeout, 30.0))
+        return await self.ask(calls.plan(mode, config), timeout=at_least(self.timeout, 30.0))
 
     async def provision(
         self, schema: str | os.PathLike[str], *files: str | os.PathLike[str], lease: str = ""
     ) -> ConfigInfo:
         """Send a schema file with the bitstreams and overlays that belong to it; it can then be loaded."""
         call = await self.run(uploads.provision(Path(schema), tuple(map(Path, files)), lease))
-        return await self.ask(call, timeout=max(self.timeout, 60.0))
+        return await self.ask(call, timeout=at_least(self.timeout, 60.0))
 
     def lease(
         self, scope: str = "board", *, exclusive: bool = True, seconds: float = 30.0, holder: str = ""
@@ -273,11 +273,11 @@ class Board(Guarded):
 
     def _check_open(self) -> None:
         if self._sockets.closed:
-            raise closed(self._place.endpoints.req)
+            raise self._sockets.gone()
 
     def _using(self, user: _T) -> _T:
         self._check_open()
-        self._users.add(user)
+        self._sockets.users.add(user)
         return user
 
     def writer(self, name: str, timeout: float | None = 5.0, *, depth: int = 0, lease: str = "") -> AsyncWriter:
@@ -294,14 +294,16 @@ class Board(Guarded):
         wanted = Open("", depth=depth, echo=True, length=length)
         return self._using(AsyncWriter(self, self._place.data_folder("an echo"), wanted, timeout))
 
-    async def read(self, stream: str = "", timeout: float = 1.0) -> Frame:
-        """The next frame of a stream."""
-        return await self.ask(calls.read_data(stream, timeout), timeout=timeout + self.timeout)
+    async def read(self, stream: str = "", timeout: float | None = 1.0) -> Frame:
+        """The next frame of a stream; `timeout` in seconds, None waits for ever. Raises RequestTimeout."""
+        from cm.client.core.remote_stream import reading_next  # imported here: it needs numpy
+
+        return await self.run(reading_next(stream, timeout, self.timeout))
 
     async def write(self, stream: str, data: Any, lease: str = "") -> FrameInfo:
         """Send an array or bytes to the hardware; returns when the hardware has taken them."""
         call = await self.run(uploads.write_data(stream, data, lease))
-        return await self.ask(call, timeout=self.timeout + 5.0)
+        return await self.ask(call, timeout=later(self.timeout, 5.0))
 
     async def allocate(
         self, shape: int | Sequence[int], dtype: npt.DTypeLike = "uint8", timeout: Limit = DEFAULT
@@ -317,13 +319,36 @@ class Board(Guarded):
 
         return await asyncio.get_running_loop().run_in_executor(None, allocated, folder, shape, dtype, limit)
 
-    async def configure_stream(self, stream: str, **settings: Any) -> StreamStatus:
-        """Set shape, dtype, slots, rate, stride, cyclic, backpressure, enable of a stream; others stay as they are.
+    async def configure_stream(
+        self,
+        stream: str,
+        *,
+        shape: Sequence[int] = (),
+        dtype: str = "",
+        slots: int = 0,
+        direction: str = "",
+        rate: float = 0.0,
+        stride: int = 0,
+        cyclic: bool | None = None,
+        backpressure: bool | None = None,
+        enable: bool | None = None,
+        automatic: bool = False,
+        compression: str = "",
+        force: bool = False,
+        lease: str = "",
+    ) -> StreamStatus:
+        """Change settings of a stream; those that are left out, empty, 0 or None stay as they are.
 
-        `cm.messages.requests.ConfigureStream` has them all. Raises RequestBusy while it is in use, without `force`,
-        and InvalidRequest for impossible settings; then nothing has changed.
+        `rate`: frames handed on per second at most; infinity: all that come. `stride`: bytes from line to line.
+        `enable`: start or stop it for all; `automatic`: it runs while a client uses it, as it does before any `enable`.
+        `compression` changes nothing, but is refused unless frames can be published that way. Raises RequestBusy while
+        it is in use, without `force`, and InvalidRequest for impossible settings; then nothing has changed.
         """
-        return await self.ask(calls.configure_stream(ConfigureStream(stream, **settings)))
+        request = ConfigureStream(
+            stream, tuple(shape), dtype, slots, direction, rate, cyclic, enable, force, lease, backpressure, stride,
+            automatic, compression,
+        )  # fmt: skip
+        return await self.ask(calls.configure_stream(request))
 
     async def configure_memory(
         self,
@@ -354,8 +379,7 @@ class Board(Guarded):
 
         Twice is fine.
         """
-        for user in tuple(self._users):
-            user.end(closed(self._place.endpoints.req))
+        self._sockets.end_users()
         await self._link.close()
         self._close()
 

@@ -16,7 +16,7 @@ from cm.client.core.calls import Call
 from cm.client.core.effects import Ask, AskBeside, Flow, Pause, Receive, seconds
 from cm.client.core.handshake import Handshake
 from cm.client.core.requests import Requests, result
-from cm.client.sockets import Sockets, closed, not_subscribed
+from cm.client.sockets import Sockets, not_subscribed
 
 _T = TypeVar("_T")
 
@@ -34,8 +34,8 @@ class Subscription:
 
     async def receive(self, timeout: float | None) -> list[bytes] | None:
         """The next message; None if there is none within `timeout` seconds. Raises BoardClosed, NotAdmitted."""
-        if self.socket.closed:
-            raise closed(self._sockets.endpoints.req)
+        if self.socket.closed or self._sockets.closed:
+            raise self._sockets.gone()
         ready = dict(await self._poller.poll(-1 if timeout is None else int(timeout * 1000) + (timeout > 0)))
         if self.socket in ready:
             return await self.socket.recv_multipart()
@@ -53,15 +53,13 @@ class Subscription:
 
     def close(self) -> None:
         """Twice is fine."""
-        if not self.socket.closed:
-            self.socket.disable_monitor()
-        self._sockets.end(self._monitor, self.socket)
+        self._sockets.hang_up(self.socket, self._monitor)
 
 
 class Link:
     """One connection for requests, made by `open` in the event loop that uses it."""
 
-    def __init__(self, sockets: Sockets, timeout: float, guest: str = "") -> None:
+    def __init__(self, sockets: Sockets, timeout: float | None, guest: str = "") -> None:
         self.timeout = timeout  # seconds, for requests without a time-out of their own
         self._sockets = sockets
         self._requests = Requests(sockets.endpoints.req, guest)
@@ -74,7 +72,7 @@ class Link:
     def open(self) -> None:
         """Connect; again is fine. Raises BoardClosed."""
         if self._sockets.closed:
-            raise closed(self._requests.address)
+            raise self._sockets.gone()
         if self._socket is None:
             self._socket, self._monitor, self._handshake = self._sockets.requests()
             self._tasks = (asyncio.create_task(self._read()), asyncio.create_task(self._look()))
@@ -105,9 +103,8 @@ class Link:
         self._socket, self._tasks = None, ()
 
     def _hang_up(self) -> None:
-        if self._socket is not None and not self._socket.closed:
-            self._socket.disable_monitor()
-            self._sockets.end(self._monitor, self._socket)
+        if self._socket is not None:
+            self._sockets.hang_up(self._socket, self._monitor)
 
     def _fail(self, problem: Callable[[], Exception]) -> None:
         pending, self._pending = self._pending, {}
@@ -179,7 +176,7 @@ class Link:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
-        self._fail(lambda: closed(self._requests.address))
+        self._fail(self._sockets.gone)
         self._hang_up()
 
 

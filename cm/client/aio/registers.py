@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from cm.client.aio.events import EventStream
@@ -42,9 +42,12 @@ class Registers:
         """Values of several registers at once; by default of all that can be read."""
         return registers.values(await self._board.ask(calls.read_registers(names)))
 
-    async def write(self, values: Mapping[str, int | str], lease: str = "") -> Written:
+    async def write(
+        self, values: Mapping[str, int | str] | Iterable[tuple[str, int | str]], lease: str = ""
+    ) -> Written:
         """Write several registers in order; all are checked before the first is written. Returns the new values.
 
+        Pairs can name a register several times: ``[("control.start", 1), ("control.start", 0)]`` is a pulse.
         Values are integers, or names that the schema gives to a field's values: ``{"led.colour": "red"}``. The result's
         `generation` is what frames after the write have at least (`stream.after`).
         """

@@ -33,7 +33,7 @@ class Relay:
 
     def __init__(
         self,
-        endpoint: str | None = None,
+        endpoint: str | os.PathLike[str] | None = None,
         runtime_dir: str | os.PathLike[str] | None = None,
         keys: str | os.PathLike[str] | Keys | None = None,
         changed: Callable[[bool], None] = lambda _: None,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from cm.client.aio.link import Subscription
 from cm.client.aio.waiting import readable
-from cm.client.core.effects import DEFAULT, Limit, seconds
+from cm.client.core.effects import DEFAULT, Limit, seconds, time_limit
 from cm.client.core.generations import FirstAfter, Written
 from cm.client.core.remote_stream import NewestReader, PublishedReader, Reader
 from cm.client.errors import BoardClosed
@@ -88,7 +88,7 @@ class AsyncLocalStream(Stream):
 
     def __init__(self, board: Board, folder: Path, wanted: Open, timeout: float | None, newest: bool = False) -> None:
         self._stream = LocalStream(folder, wanted, timeout, newest, owner=board)
-        self._timeout = timeout
+        self._timeout = time_limit(timeout)
         self.name = wanted.name
 
     async def open(self) -> None:
@@ -108,9 +108,17 @@ class AsyncLocalStream(Stream):
             await self.open()
         limit = seconds(timeout, self._timeout)
         try:
+            if limit == 0:  # with which asyncio would not even look
+                return self._waiting(limit)
             return await asyncio.wait_for(self._next(), limit)
         except asyncio.TimeoutError:
             raise Timeout(self._stream.nothing(limit)) from None
+
+    def _waiting(self, limit: float) -> Frame:
+        frame = self._stream.poll()
+        if frame is None:
+            raise Timeout(self._stream.nothing(limit))
+        return frame
 
     async def _next(self) -> Frame:
         while (frame := self._stream.poll()) is None:
@@ -130,7 +138,7 @@ class AsyncRemoteStream(Stream):
 
     def __init__(self, board: Board, wanted: Wanted) -> None:
         self.name = wanted.name
-        self._timeout = wanted.timeout
+        self._timeout = time_limit(wanted.timeout)
         self._board = board  # keeps the board alive
         self._reader: Reader = NewestReader(wanted) if wanted.newest else PublishedReader(wanted, self._listen)
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy.typing as npt
 
 from cm.client.aio.waiting import readable
-from cm.client.core.effects import DEFAULT, Limit, seconds
+from cm.client.core.effects import DEFAULT, Limit, seconds, time_limit
 from cm.client.errors import BoardClosed
 from cm.errors import InvalidRequest, Timeout
 from cm.wire.plane_packets import Descriptor, Geometry, Open
@@ -28,7 +28,7 @@ class AsyncWriter:
 
     def __init__(self, board: Board, folder: Path, wanted: Open, timeout: float | None) -> None:
         self._board = board  # keeps the board alive
-        self._folder, self._wanted, self._timeout = folder, wanted, timeout
+        self._folder, self._wanted, self._timeout = folder, wanted, time_limit(timeout)
         self.name = wanted.name
         self._ended: BoardClosed | None = None
         self._writer: Writer | None = None
@@ -112,6 +112,11 @@ class AsyncWriter:
                 if not writer.poll():
                     await readable(writer.fileno())
 
+        if limit == 0:  # with which asyncio would not even look
+            while not ready() and writer.poll():
+                pass
+            if ready():
+                return
         try:
             await asyncio.wait_for(wait(), limit)
         except asyncio.TimeoutError:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from cm.client.frame import Frame
 
 _T = TypeVar("_T")
+Writes = Mapping[str, int | str] | Iterable[tuple[str, int | str]]  # values by name, in their order
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,9 +118,15 @@ def read_registers(names: tuple[str, ...]) -> Call[RegValues]:
     return Call(rq.ReadReg(names), lambda r: _body(r, RegValues))
 
 
-def write_registers(values: Mapping[str, int | str], lease: str = "") -> Call[RegValues]:
+def write_registers(values: Writes, lease: str = "") -> Call[RegValues]:
     """Registers by name, in order, all checked before the first is written; a field's value may be named."""
-    writes = tuple(register_write(name, value) for name, value in values.items())
+    pairs = values.items() if isinstance(values, Mapping) else values
+    try:
+        writes = tuple(register_write(name, value) for name, value in pairs)
+    except (TypeError, ValueError) as error:
+        if isinstance(error, InvalidRequest):
+            raise
+        raise InvalidRequest(f"registers are written as {{name: value}}, or pairs of these, not {values!r}") from None
     return Call(rq.WriteReg(writes, lease), lambda r: _body(r, RegValues))
 
 

@@ -10,6 +10,7 @@ from enum import Enum
 from typing import Any, Protocol, TypeVar
 
 from cm.client.core.calls import Call
+from cm.errors import InvalidRequest
 
 _T = TypeVar("_T")
 
@@ -25,11 +26,37 @@ class Default(Enum):
 
 DEFAULT = Default.DEFAULT
 Limit = float | None | Default  # seconds; None waits for ever
+_EVER = 2e6  # seconds, 23 days: poll(2) takes milliseconds as an int
 
 
 def seconds(limit: Limit, default: float | None) -> float | None:
-    """A time-out in seconds; None waits for ever."""
-    return default if isinstance(limit, Default) else limit
+    """A time-out in seconds; None waits for ever. Raises InvalidRequest."""
+    return time_limit(default if isinstance(limit, Default) else limit)
+
+
+def time_limit(limit: float | None) -> float | None:
+    """A time-out as every way of waiting takes it: None waits for ever, as infinity does; what is over is 0.
+
+    Raises InvalidRequest for what is not a time.
+    """
+    try:
+        if limit is None or 0.0 <= limit < _EVER:
+            return limit
+        if limit == limit:  # not NaN
+            return 0.0 if limit < 0 else None
+    except TypeError:
+        pass
+    raise InvalidRequest(f"a time-out is a number of seconds, or None to wait for ever; not {limit!r}")
+
+
+def at_least(limit: float | None, least: float) -> float | None:
+    """A time-out for what may take longer than other requests."""
+    return None if limit is None else max(limit, least)
+
+
+def later(limit: float | None, by: float) -> float | None:
+    """A time-out for an answer that comes `by` seconds later than others."""
+    return None if limit is None else limit + by
 
 
 class Subscription(Protocol):
@@ -80,12 +107,12 @@ Flow = Generator[Effect, Any, _T]
 
 
 class Deadline:
-    """A time-out that messages in between do not prolong. Seconds of CLOCK_MONOTONIC."""
+    """A time-out that messages in between do not prolong. Seconds of CLOCK_MONOTONIC. Raises InvalidRequest."""
 
     def __init__(self, limit: float | None, clock: Callable[[], float] = time.monotonic) -> None:
-        self.limit = limit
+        self.limit = time_limit(limit)
         self._clock = clock
-        self._until = None if limit is None else clock() + limit
+        self._until = None if self.limit is None else clock() + self.limit
 
     @property
     def left(self) -> float | None:

@@ -6,13 +6,14 @@ from __future__ import annotations
 from typing import Any, Generic, TypeVar
 
 from cm.client.core import calls
-from cm.client.core.effects import DEFAULT, Ask, Deadline, Flow, Limit, Receive, Subscription, seconds
+from cm.client.core.effects import DEFAULT, Ask, Deadline, Flow, Limit, Receive, Subscription, at_least, seconds
 from cm.errors import Timeout
 from cm.messages.status import Irq, RegValues, Status
 from cm.wire import topics
 from cm.wire.encode import decode_event
 
 T = TypeVar("T")
+_ANSWER = 5.0  # least seconds that subscribing waits for the manager's answer
 
 
 class Events(Generic[T]):
@@ -55,9 +56,10 @@ class Events(Generic[T]):
         """Wait until the manager has our subscriptions.
 
         It applies them in order, and sends the current status at once to a new subscriber to it, so when this comes,
-        the topics subscribed to before it are in effect (docs/protocol.md).
+        the topics subscribed to before it are in effect (docs/protocol.md). That is the manager's answer, so a
+        time-out that is meant for events does not cut it short.
         """
-        deadline = Deadline(self._timeout)
+        deadline = Deadline(at_least(self._timeout, _ANSWER))
         while True:
             frames = yield Receive(self.subscription, deadline.left)
             if frames is None:

@@ -110,6 +110,8 @@ def _converted(data: Any, info: MemoryInfo) -> Any:
         array = np.ascontiguousarray(given, dtype)
     if dtype.kind in "iub" and not np.array_equal(array, given):
         raise InvalidRequest(f"memory {info.name!r} has {info.dtype}: a value does not fit")
+    if dtype.kind in "fc" and not np.array_equal(np.isfinite(array), np.isfinite(given)):
+        raise InvalidRequest(f"memory {info.name!r} has {info.dtype}: a value is beyond its range")
     return array.reshape(-1).view(np.uint8).data if array.size else b""
 
 

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import Protocol
 
 from cm.client.core import calls
-from cm.client.core.effects import Ask, Deadline, Flow, Limit, Pause, Receive, Subscription, seconds
-from cm.client.errors import RequestFailed
+from cm.client.core.effects import Ask, Deadline, Flow, Limit, Pause, Receive, Subscription, later, seconds
+from cm.client.errors import RequestFailed, RequestTimeout
 from cm.client.frame import Frame
 from cm.client.zmq_frames import ASK_FOR, STOPPED_PAUSE, Arrivals, Wanted, is_stopped
 from cm.errors import Timeout
@@ -16,6 +16,7 @@ from cm.messages.requests import ConfigureStream
 
 STREAM_HWM = 4  # frames that wait in a slow reader's socket before newer ones are lost
 _ANSWER = 5.0  # seconds beyond a frame's own time-out until its reply counts as missing
+_LEAST = 1e-3  # seconds that the manager is asked to wait at least: 0 would mean its own default
 
 
 class Reader(Protocol):
@@ -101,6 +102,20 @@ class NewestReader:
 
     def close(self) -> None:
         """Nothing is open between two reads."""
+
+
+def reading_next(name: str, timeout: float | None, answer: float | None) -> Flow[Frame]:
+    """The next frame in one request; without a time-out in as many as it takes. `answer`: as long as others take."""
+    deadline = Deadline(timeout)
+    part = ASK_FOR if deadline.limit is None else max(deadline.limit, _LEAST)
+    while True:
+        try:
+            frame: Frame = yield Ask(calls.read_data(name, part), later(answer, part))
+        except RequestTimeout:
+            if deadline.limit is not None:
+                raise
+        else:
+            return frame
 
 
 def _nothing(name: str, limit: float | None) -> Timeout:
