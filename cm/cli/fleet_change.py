@@ -7,7 +7,7 @@ import argparse
 import sys
 from typing import TYPE_CHECKING, Any
 
-from cm.cli.common import add_json_option, print_json, print_table
+from cm.cli.common import add_json_option, print_json, print_table, seconds
 from cm.cli.fleet_options import add_fleet_options, connected_fleet
 
 if TYPE_CHECKING:
@@ -38,10 +38,12 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
             default="all",
             help="how many boards must succeed for the change to be kept (all)",
         )
-        parser.add_argument("--phase", type=float, default=60.0, metavar="SECONDS", help="time-out of each phase (60)")
+        parser.add_argument(
+            "--phase", type=seconds, default=60.0, metavar="SECONDS", help="time-out of each phase (60)"
+        )
         parser.add_argument(
             "--settle",
-            type=float,
+            type=seconds,
             default=0.0,
             metavar="SECONDS",
             help="how long a board waits for the decision before it asks for it (twice --phase)",

@@ -7,6 +7,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cm.cli.common import seconds
+
 if TYPE_CHECKING:
     from cm.fleet.blocking import Fleet
     from cm.fleet.network import Network
@@ -70,7 +72,7 @@ def add_fleet_options(parser: argparse.ArgumentParser, boards: bool = True) -> N
         help="your name in the fleet (default: the one in the certificate, else this user's)",
     )
     group.add_argument(
-        "--timeout", type=float, default=10.0, metavar="SECONDS", help="how long to wait for an answer (10)"
+        "--timeout", type=seconds, default=10.0, metavar="SECONDS", help="how long to wait for an answer (10)"
     )
 
 

@@ -38,11 +38,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Wrong usage ends in SystemExit(2), as argparse has it.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
-    as_json = "--json" in words
     _print_anything()
     try:
-        status = _run(words)
-        sys.stdout.flush()  # a reader that is gone shows here, not at the interpreter's end
+        try:
+            return _outcome(words, "--json" in words)
+        finally:
+            if sys.stdout is not None:  # as it is if the shell has closed it
+                sys.stdout.flush()  # a reader that is gone, or a full disk, shows here, not at the interpreter's end
+    except BrokenPipeError:
+        _drop_output()
+        return EXIT_PIPE
+    except OSError as error:
+        _drop_output()
+        return _fail(f"standard output: {_sentence(error)}", "io", as_json=False)
+
+
+def _outcome(words: list[str], as_json: bool) -> int:
+    """Run; the exit status, where errors have been told."""
+    try:
+        return _run(words)
     except CmError as error:
         return _fail(str(error), error.code, as_json)
     except ModuleNotFoundError as error:
@@ -53,11 +67,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
     except BrokenPipeError:
-        _drop_output()
-        return EXIT_PIPE
+        raise
     except OSError as error:
         return _fail(_sentence(error), "io", as_json)
-    return status
 
 
 def _absent(part: str) -> str:

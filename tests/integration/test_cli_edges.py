@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command at its edges: numbers that are none, readers that go away, disks that are full."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from manager_process import Manager, environment
+
+import cm
+from cm.cli.main import main
+
+PROGRAM = f"{sys.executable} -m cm"
+
+
+def shell(line: str, manager: Manager | None = None) -> subprocess.CompletedProcess[str]:
+    env = environment() | ({"CM_RUNTIME_DIR": str(manager.runtime)} if manager else {})
+    return subprocess.run(
+        ["bash", "-c", f'set -o pipefail; cm() {{ {PROGRAM} "$@"; }}; {line}'],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        env=env,
+    )
+
+
+@pytest.mark.parametrize("words", [["ls", "--timeout", "nan"], ["mode", "edge", "--phase", "soon"]], ids=" ".join)
+def test_a_time_that_is_none_is_wrong_usage_for_a_fleet_too(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["fleet", *words])
+    assert end.value.code == 2
+    assert f"{words[-1]!r} is not a time in seconds" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("timeout", ["0", "0.05"])
+def test_an_interrupt_is_waited_for_no_longer_than_was_said(
+    board: cm.Board, manager: Manager, timeout: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    board.mode = "loopback"
+    place = ["--runtime-dir", str(manager.runtime)]
+    assert main(["irq", "wait", "loop_done", "--timeout", timeout, "--json", *place]) == 1
+    said = json.loads(capsys.readouterr().out)["error"]
+    assert (said["code"], said["message"]) == ("timeout", f"interrupt 'loop_done' did not come within {timeout} s")
+
+
+def test_a_pulse_is_written_as_it_stands(board: cm.Board, manager: Manager) -> None:
+    """Each write, in its order: not only the last value of a register that is named twice."""
+    with board.registers.events("focus", "zoom", timeout=60) as events:
+        done = shell("cm reg write focus=5 zoom=2 focus=1 --json", manager)
+        assert (done.returncode, done.stderr) == (0, "")
+        assert json.loads(done.stdout) == {"focus": 1, "zoom": 2}
+        assert [(v.name, v.value) for v in events.next().values][-2:] == [("zoom", 2), ("focus", 1)]
+
+
+@pytest.mark.parametrize("line", ["cm --help", "cm help serve", "cm completion bash", "cm check --print-schema"])
+def test_a_reader_that_has_gone_is_no_error_that_is_told(line: str) -> None:
+    done = shell(f"{line} | true; exit ${{PIPESTATUS[0]}}")
+    assert done.returncode in (0, 141)  # it may have read in time
+    assert done.stderr == ""
+
+
+def test_a_full_disk_is_told_in_one_line(board: cm.Board, manager: Manager) -> None:
+    for words in ("status", "status --json", "reg list"):
+        done = shell(f"cm {words} >/dev/full", manager)
+        assert done.returncode == 1, words
+        assert done.stderr in (f"cm: {where}No space left on device\n" for where in ("", "standard output: ")), words
+
+
+def test_a_command_without_standard_output_still_does_its_work(board: cm.Board, manager: Manager) -> None:
+    done = shell("cm reg write focus=7 >&-", manager)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert board.registers["focus"] == 7
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "cm stream set camera --shape=-4x4",
+        "cm mem read scratchpad --offset -4",
+        "cm mem read scratchpad --length -4",
+        "cm lease break -1",
+        "cm lease break 99999999999999999999999",
+        "cm status --connect tcp://127.0.0.1:1 --keys /bin/true",
+        "cm status --connect http://127.0.0.1",
+        "cm status --connect tcp://127.0.0.1:99999",
+        "cm load $'\\xff'",
+    ],
+)
+def test_what_cannot_be_asked_for_is_refused_in_one_line(board: cm.Board, manager: Manager, line: str) -> None:
+    given = "" if "--connect" in line else f" --runtime-dir {manager.runtime}"
+    done = shell(line.replace("cm status --connect", "env -u CM_RUNTIME_DIR true; cm status --connect") + given)
+    assert done.returncode == 1, done.stderr
+    assert done.stderr.startswith("cm: ")
+    assert done.stderr.count("\n") == 1, done.stderr
+    as_json = shell(f"{line}{given} --json")
+    assert (as_json.returncode, as_json.stderr) == (1, "")
+    assert set(json.loads(as_json.stdout)["error"]) == {"code", "message"}
+
+
+def test_a_folder_of_keys_that_is_missing_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["status", "--connect", "tcp://127.0.0.1:1", "--keys", str(tmp_path / "no.key")]) == 1
+    assert f"{tmp_path}/no.key: No such file or directory" in capsys.readouterr().err
