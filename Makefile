@@ -32,7 +32,7 @@ check-system:
 
 # pip's own chatter goes to a file, which is shown if it fails
 define install
-	@echo "setting up $(VENV) with $(EXTRAS)$(if $(1),$(COMMA)$(1))"
+	@echo "setting up $(VENV) with $(EXTRAS)$(if $(1),$(COMMA)$(1)) (once; a minute or two)"
 	@$(BIN)/python -m pip install --disable-pip-version-check --editable '.[$(EXTRAS)$(if $(1),$(COMMA)$(1))]' >$(VENV)/install.log 2>&1 || \
 		{ cat $(VENV)/install.log; exit 1; }
 endef

@@ -101,4 +101,7 @@ def _finished(out: Path) -> Path:
         raise BuildError(
             f"the flow in {out} is not finished, {', '.join(left)} must run: cm build run, or name the files to collect"
         )
-    return out / "bitstreams"
+    found = out / "bitstreams"
+    if not found.is_dir():
+        raise BuildError(f"{found} does not exist: cm build run makes it, or name the files to collect")
+    return found

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 from cm.cli.client import connected
@@ -45,6 +46,8 @@ def run_versions(args: argparse.Namespace) -> int:
     if args.json:
         print_json({"versions": [{"number": v.number, "folder": str(v.folder)} for v in found]})
         return 0
+    if not found:
+        print(f"no earlier version of configuration {args.config} in {args.out}", file=sys.stderr)
     for version in found:
         print(f"{version.number:>4}  {version.folder}")
     return 0

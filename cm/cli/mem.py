@@ -159,10 +159,13 @@ def run_write(args: argparse.Namespace) -> int:
 def _values(texts: list[str], dtype: str) -> np.ndarray[Any, Any]:
     """Texts as elements: integers as people write them, other numbers as Python does."""
     kinds: dict[str, Callable[[str], Any]] = {"f": float, "c": complex}
-    try:
-        return np.array([kinds.get(np.dtype(dtype).kind, number)(text) for text in texts])
-    except ValueError as error:
-        raise InvalidRequest(f"{' '.join(texts)!r}: {error}; the memory has {dtype}") from None
+    values = []
+    for text in texts:
+        try:
+            values.append(kinds.get(np.dtype(dtype).kind, number)(text))
+        except ValueError:
+            raise InvalidRequest(f"{text!r} is no number for a memory of {dtype}") from None
+    return np.array(values)
 
 
 def _loaded(path: Path) -> Any:

@@ -70,6 +70,8 @@ def _assignment(text: str) -> tuple[str, int | str]:
     try:
         return name, number(value)
     except ValueError:
+        if value.isdecimal():  # as schemas have it: some take 010 for eight
+            raise argparse.ArgumentTypeError(f"{value} is ambiguous: {name}={int(value)}, or 0o… for octal") from None
         return name, value  # a field's value by its name
 
 

@@ -32,6 +32,7 @@ from cm.settings.model import FILE as SETTINGS_FILE
 from cm.settings.model import Settings as Defaults
 
 _SWITCH = 0.0005  # seconds, a tenth of Python's own
+_SILENCE = 3.0  # seconds of a start without a word
 _HDL = ("rtl", "bits")  # kinds of simulated board that run a design's HDL
 
 if TYPE_CHECKING:
@@ -211,9 +212,11 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
     from cm.manager.manager import Settings as ManagerSettings
 
     configs, left_out = configs_of(paths, settings)
+    if not configs and sys.stderr.isatty():
+        _say("cm serve: no configuration was found: --config DIR names some, --sim brings a simulated board with one")
     for sentence in left_out:
         logging.getLogger("cm").error("left out: %s", sentence)
-    root = Root.of(args.root) if board is None else board.result()
+    root = Root.of(args.root) if board is None else _started(board, args.sim)
     listen, keys, insecure = secure_as(args, settings)
     access, notes = access_of(settings, keys)
     for sentence in notes:
@@ -253,6 +256,15 @@ def _simulated_schemas(args: argparse.Namespace, runtime: Path) -> list[Path]:
 
         return [schema_of_build(args.build, runtime, args.sim)]
     return [data / ("examples/camera/config" if args.sim == "rtl" else "camera")]
+
+
+def _started(board: Future[Root], kind: str) -> Root:
+    """The board, when it is there; says so where that takes long."""
+    from concurrent.futures import wait
+
+    if kind in _HDL and not wait([board], _SILENCE).done:
+        _say("cm serve: the design is being prepared; the first time its HDL is compiled, which takes a minute or more")
+    return board.result()
 
 
 def _absolute(source: str) -> str:

@@ -9,6 +9,7 @@ from cm.cli.client import awaited, connected, plain, settled
 from cm.cli.common import add_connection_options, add_json_option, print_json, print_table, seconds
 from cm.messages.status import Status
 
+_NOTICES = ("reconciled", "slept")  # what the manager found out, where nothing failed
 _UNITS = {"temperature": "°C", "voltage": "V", "current": "A", "power": "W"}
 
 
@@ -83,7 +84,8 @@ def show(status: Status) -> None:
     loaded = f"{status.config_name}/{status.mode}" if status.config_name else "nothing loaded"
     print(f"{f'{status.board}: ' if status.board else ''}{loaded}   {headline(status)}")
     if status.last_error:
-        print(f"last error: {status.last_error.code}: {status.last_error.message}")
+        what = "note" if status.last_error.code in _NOTICES else "last error"
+        print(f"{what}: {status.last_error.code}: {status.last_error.message}")
     if status.regions:
         print()
         print_table([(r.name, r.module or "-", r.state) for r in status.regions], ("REGION", "MODULE", "STATE"))

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from cm.cli.common import add_connection_options
 from cm.cli.fleet_options import add_network_options
-from cm.errors import InvalidRequest
+from cm.errors import CmError, InvalidRequest, NotFound
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -56,9 +56,27 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Serve until interrupted; the exit status."""
+    options = _options(args)
+    _note_absence(args, options)
     with suppress(asyncio.CancelledError):
-        asyncio.run(_serve(_options(args)))
+        asyncio.run(_serve(options))
     return 0
+
+
+def _note_absence(args: argparse.Namespace, options: Options) -> None:
+    """Say that no manager is there yet, where that shows at once; the page waits for it."""
+    from cm.client import place
+
+    with suppress(CmError, OSError):  # what else is wrong, the page says
+        try:
+            place.find(args.connect, args.runtime_dir, args.keys)
+        except NotFound as error:
+            if options.fleet is None:
+                _say(f"{error}; the page waits for it")
+
+
+def _say(words: str) -> None:
+    print(f"cm web: {words}", file=sys.stderr, flush=True)
 
 
 async def _serve(options: Options) -> None:
@@ -68,7 +86,7 @@ async def _serve(options: Options) -> None:
     assert task is not None
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, task.cancel)
-    await PageServer(options).serve(lambda address: print(f"cm web: {address}", file=sys.stderr, flush=True))
+    await PageServer(options).serve(_say)
 
 
 def _options(args: argparse.Namespace) -> Options:

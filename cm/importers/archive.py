@@ -119,7 +119,8 @@ def _opened(archive: Path) -> Iterator[tarfile.TarFile]:
         with tarfile.open(archive, "r:*") as tar:
             yield tar
     except (tarfile.TarError, zlib.error, LZMAError, EOFError, ValueError) as problem:  # also in the middle of a file
-        raise ImportRefused(f"{archive}: no whole tar archive ({problem})") from problem
+        why = str(problem).split("\n", 1)[0].strip("(: ")  # tarfile lists every compression that it is not
+        raise ImportRefused(f"{archive}: no whole tar archive ({why})") from problem
     except OSError as problem:
         if problem.errno is not None:
             raise

@@ -85,8 +85,8 @@ def roll_back(place: Path, number: int | None = None) -> Version:
     chosen = next((version for version in there if number in (None, version.number)), None)
     if chosen is None:
         known = ", ".join(str(version.number) for version in there) or "none"
-        raise NoSuchVersion(f"no earlier version {number or ''} of configuration {place.name} in {place.parent}"
-                            f" (there: {known})")  # fmt: skip
+        wanted = f"version {number}" if number else "version"
+        raise NoSuchVersion(f"no earlier {wanted} of configuration {place.name} in {place.parent} (there: {known})")
     if place.exists():
         _exchange(chosen.folder, place)
     else:

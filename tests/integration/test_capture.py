@@ -8,12 +8,13 @@ import json
 import resource
 import signal
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from manager_process import Manager, environment, until
+from manager_process import REPOSITORY, Manager, environment, until
 
 import cm
 from cm import child
@@ -142,3 +143,18 @@ def test_a_name_without_a_format_is_refused_before_anything_is_read(
 ) -> None:
     assert main(["stream", "capture", "camera", str(tmp_path / "x.jpg"), "--runtime-dir", str(manager.runtime)]) == 1
     assert "written as .npy, .png or .raw" in capsys.readouterr().err
+
+
+def test_a_program_behind_a_pipe_reads_frame_after_frame(board: cm.Board, manager: Manager) -> None:
+    frame = "np.frombuffer(sys.stdin.buffer.read(480 * 640), np.uint8)"
+    reader = f"import sys, numpy as np; print([{frame}.shape for _ in range(2)])"
+    assert frame in (REPOSITORY / "docs/streams.md").read_text()
+    with subprocess.Popen(
+        command(manager, "camera", "-", "--count", "2", "--format", "raw"), stdout=subprocess.PIPE
+    ) as capture:
+        read = subprocess.run(
+            [sys.executable, "-c", reader], stdin=capture.stdout, capture_output=True, text=True, check=True
+        )
+        assert capture.stdout is not None
+        capture.stdout.close()
+    assert read.stdout == "[(307200,), (307200,)]\n"

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a mistake on the command line is answered with: what was wrong, and what would be right."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from cm.cli.main import main
+
+
+def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    """What a refused command prints on stderr."""
+    assert main(words) == 1
+    return capsys.readouterr().err
+
+
+def test_a_host_without_tcp_is_no_folder_that_lacks_a_manager(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert "a manager on that machine is tcp://kria.local" in said(capsys, "status", "--connect", "kria.local")
+    (tmp_path / "run").mkdir()
+    assert "no configuration manager serves run" in said(capsys, "status", "--connect", "run")
+
+
+def test_a_leading_zero_is_not_taken_for_the_name_of_a_value(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["reg", "write", "focus=010"])
+    assert end.value.code == 2
+    assert "010 is ambiguous: focus=10, or 0o… for octal" in capsys.readouterr().err
+
+
+def test_a_file_that_is_no_archive_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "x.tar.gz").write_text("no archive\n" * 200)
+    told = said(capsys, "import", "archive", str(tmp_path / "x.tar.gz"), "--out", str(tmp_path / "out"))
+    assert told.endswith("x.tar.gz: no whole tar archive (file could not be opened successfully)\n")
+    assert told.count("\n") == 1
+
+
+def test_a_configuration_without_earlier_versions_is_no_silence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["config", "versions", "vision", "--out", str(tmp_path)]) == 0
+    assert capsys.readouterr().err == f"no earlier version of configuration vision in {tmp_path}\n"
+    assert "no earlier version of configuration vision in" in said(
+        capsys, "config", "rollback", "vision", "--out", str(tmp_path)
+    )
+    assert "no earlier version 7 of configuration vision" in said(
+        capsys, "config", "rollback", "vision", "--to", "7", "--out", str(tmp_path)
+    )
