@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import os
 import re
+import signal
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -27,14 +29,14 @@ CAMERA = Path(__file__).resolve().parents[1] / "cm" / "data" / "camera" / "camer
 
 
 class Clock:
-    """The system's, but tests may put it forward, or have no other time than that."""
+    """The system's clock, which tests may advance, or replace by a clock that only they advance."""
 
     def __init__(self) -> None:
         self.ahead = 0.0
         self._standing: float | None = None
 
     def stand_still(self) -> None:
-        """Only `ahead` moves it from now on: what the machine takes does not count."""
+        """Stop it: only `ahead` advances it from now on, so that real time does not matter."""
         self._standing = time.monotonic()
 
     def monotonic(self) -> float:
@@ -42,7 +44,7 @@ class Clock:
 
 
 class Nobody:
-    """Neither listens nor streams; remembers what it was asked."""
+    """A listener and data plane that do nothing but record the calls."""
 
     def __init__(self) -> None:
         self.calls: list[tuple[str, Any]] = []
@@ -81,7 +83,7 @@ class Fault:
 
 
 class Watched:
-    """Passes everything on, but lets a fault have the first word on some calls."""
+    """Passes all calls on, but some of them first to a fault, which may fail them."""
 
     def __init__(self, inner: Any, fault: Fault, label: str, names: Collection[str]) -> None:
         self._inner, self._fault, self._label, self._names = inner, fault, label, names
@@ -226,7 +228,7 @@ class Rig:
         return change.error
 
     def arm(self, at: int, times: int = 1) -> None:
-        """From here on count operations anew, and fail number `at`."""
+        """Restart counting operations, and fail number `at`."""
         self.fault.names.clear()
         self.fault.at, self.fault.times = at, times
 
@@ -270,3 +272,19 @@ def make_rig(root: Path, state: Path, *configs: Config, prefetch: int = 0, files
     env = Environment(*given, settings=Settings(prefetch_bytes=prefetch))
     known = {config.name: config for config in configs or (camera(),)}
     return Rig(Manager(known, env), devices, fault, nobody, journal, clock, opened)
+
+
+def killed_at(root: Path, state: Path, configs: Iterable[Config], goal: tuple[str, str], number: int) -> bool:
+    """Go to `goal` (configuration, mode) in a child process that is killed at an operation; False if it survived."""
+    pid = os.fork()
+    if pid == 0:
+        try:
+            made = make_rig(root, state, *configs)
+            made.fault.make = lambda _: os.kill(os.getpid(), signal.SIGKILL)  # type: ignore[assignment,return-value]
+            made.manager.start()
+            made.manager.wait_idle()
+            made.arm(number)
+            made.go(goal[1], config=goal[0])
+        finally:
+            os._exit(0)
+    return os.WIFSIGNALED(os.waitpid(pid, 0)[1])

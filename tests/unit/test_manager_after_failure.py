@@ -3,14 +3,12 @@
 
 from __future__ import annotations
 
-import os
-import signal
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import pytest
 from manager_schemas import REGIONS, written
-from manager_support import Rig, make_rig, rig
+from manager_support import Rig, killed_at, rig
 
 from cm.device import Root, Uio
 from cm.messages.requests import RegWrite
@@ -81,21 +79,6 @@ def failing_at(made: Rig, number: int, config: str, mode: str) -> ErrorInfo | No
     return error
 
 
-def killed_at(sim: SimBoard, configs: dict[str, Config], state: Path, goal: tuple[str, str], number: int) -> bool:
-    """Die at an operation of the change, in a child process; return False if it survived."""
-    pid = os.fork()
-    if pid == 0:
-        try:
-            made = make_rig(sim.root, state, *configs.values())
-            made.fault.make = lambda _: os.kill(os.getpid(), signal.SIGKILL)  # type: ignore[assignment,return-value]
-            made.manager.start()
-            made.manager.wait_idle()
-            failing_at(made, number, *goal)
-        finally:
-            os._exit(0)
-    return os.WIFSIGNALED(os.waitpid(pid, 0)[1])
-
-
 # ---- registers --------------------------------------------------------------------------
 
 
@@ -129,7 +112,7 @@ def test_registers_are_what_they_were_after_a_kill(
         written_by_hand(first)
         before = held(sim)
     number, back = 0, 0
-    while killed_at(sim, configs, tmp_path, goal, number):
+    while killed_at(sim.root, tmp_path, configs.values(), goal, number):
         with rig(sim.root, tmp_path, *configs.values()) as again:
             again.manager.wait_idle()
             status = again.manager.status()
@@ -200,7 +183,7 @@ def test_a_region_that_the_mode_before_leaves_alone_is_whole_after_a_kill(
         for before in ("default", "other"):
             assert first.go(before, config="duo") is None
     number = 0
-    while killed_at(sim, configs, tmp_path, ("duo", mode), number):
+    while killed_at(sim.root, tmp_path, configs.values(), ("duo", mode), number):
         with rig(sim.root, tmp_path, *configs.values()) as again:
             again.manager.wait_idle()
             there, real = again.manager.status(), sim.control.state()["regions"]
@@ -225,7 +208,7 @@ def test_what_was_found_at_start_is_reported_until_a_client_has_read_it(
 ) -> None:
     with rig(sim.root, tmp_path, *configs.values()) as first:
         assert first.go("default", config="duo") is None
-    assert killed_at(sim, configs, tmp_path, ("duo", "both"), 20)
+    assert killed_at(sim.root, tmp_path, configs.values(), ("duo", "both"), 20)
     with rig(sim.root, tmp_path, *configs.values()) as again:
         again.manager.wait_idle()
         assert again.go("other", config="duo") is None

@@ -3,15 +3,13 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import signal
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from manager_support import Rig, make_rig, rig
+from manager_support import Rig, killed_at, rig
 
 from cm.device import DeviceNotFound, PlClocks
 from cm.messages.requests import ChangeMode
@@ -187,19 +185,7 @@ def test_a_manager_that_is_killed_while_it_sets_clocks_brings_them_back(
     assert made.go("default", config="slow") is None
     made.close()
     number, back = 0, 0
-    while True:
-        pid = os.fork()
-        if pid == 0:
-            try:
-                child = make_rig(sim.root, tmp_path, *configs.values())
-                child.fault.make = lambda _: os.kill(os.getpid(), signal.SIGKILL)  # type: ignore[assignment,return-value]
-                child.manager.start()
-                child.arm(number)
-                child.go("default", config="fast")
-            finally:
-                os._exit(0)
-        if not os.WIFSIGNALED(os.waitpid(pid, 0)[1]):
-            break
+    while killed_at(sim.root, tmp_path, configs.values(), ("fast", "default"), number):
         with rig(sim.root, tmp_path, *configs.values()) as again:
             again.manager.wait_idle()
             status = again.manager.status()

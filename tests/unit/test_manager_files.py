@@ -22,7 +22,7 @@ from cm.bitstream import Container, assemble_module, convert
 from cm.bitstream.errors import BadContainer, FootprintOutside, Sha256Mismatch
 from cm.daemon.folders import UnsafeFolder
 from cm.daemon.host.bitstreams import MAX_BYTES
-from cm.daemon.host.files import BoardFiles, Footprints, Lesson
+from cm.daemon.host.files import BoardFiles, Footprints, LearnedFootprint
 from cm.errors import InvalidRequest
 from cm.manager.errors import BadOverlay
 from cm.manager.ports import Image
@@ -102,7 +102,7 @@ def test_a_module_that_left_the_schema_teaches_nothing(duo: Config, tmp_path: Pa
     assert image(opened(tmp_path), without, "b0")
 
 
-LESSON = Lesson("a0", "ab", (FrameRange(0, 1, 2, 3), FrameRange(1, 1, 2, 2)))
+FOOTPRINT = LearnedFootprint("a0", "ab", (FrameRange(0, 1, 2, 3), FrameRange(1, 1, 2, 2)))
 
 
 def learned(path: Path, config: Config) -> tuple[FrameRange, ...]:
@@ -111,17 +111,17 @@ def learned(path: Path, config: Config) -> tuple[FrameRange, ...]:
 
 def test_a_file_damaged_anywhere_counts_as_unknown(duo: Config, tmp_path: Path) -> None:
     path = tmp_path / "footprints"
-    Footprints(path).learn("duo", "prr0", LESSON)
-    assert learned(path, duo) == LESSON.frames
+    Footprints(path).learn("duo", "prr0", FOOTPRINT)
+    assert learned(path, duo) == FOOTPRINT.frames
     whole = path.read_bytes()
     for length in range(len(whole) - 1):
         path.write_bytes(whole[:length])
         assert learned(path, duo) == ()
     for at in range(len(whole) - 1):
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 2]) + whole[at + 1 :])
-        assert learned(path, duo) in ((), LESSON.frames)  # a digit of the CRC may be in the other case
-    Footprints(path).learn("duo", "prr0", LESSON)
-    assert learned(path, duo) == LESSON.frames
+        assert learned(path, duo) in ((), FOOTPRINT.frames)  # a digit of the CRC may be in the other case
+    Footprints(path).learn("duo", "prr0", FOOTPRINT)
+    assert learned(path, duo) == FOOTPRINT.frames
 
 
 @pytest.mark.parametrize(
@@ -143,12 +143,12 @@ def test_a_kill_while_it_is_written_leaves_the_old_one(
         raise Killed
 
     path = tmp_path / "footprints"
-    Footprints(path).learn("duo", "prr0", LESSON)
+    Footprints(path).learn("duo", "prr0", FOOTPRINT)
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", dies)
         with pytest.raises(Killed):
             Footprints(path).forget("duo")
-    assert learned(path, duo) == LESSON.frames
+    assert learned(path, duo) == FOOTPRINT.frames
 
 
 def test_if_the_file_cannot_be_written_a_footprint_is_known_until_the_manager_ends(duo: Config, tmp_path: Path) -> None:

@@ -7,13 +7,11 @@ They resemble those of PYNQ and dfx-mgr: an image, and an overlay of the same na
 
 from __future__ import annotations
 
-import os
-import signal
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from manager_support import Rig, make_rig, rig
+from manager_support import Rig, killed_at, rig
 
 from cm import fdt
 from cm.bitstream import Container, FrameAddress, FrameRun, assemble, convert, device_by_name
@@ -271,19 +269,7 @@ def test_a_manager_killed_at_any_operation_comes_back_knowing(
     ends, number = set(), 0
     with rig(sim.root, tmp_path, *configs.values()) as first:
         begin(first)
-    while True:
-        pid = os.fork()
-        if pid == 0:
-            try:
-                child = make_rig(sim.root, tmp_path, *configs.values())
-                child.fault.make = lambda _: os.kill(os.getpid(), signal.SIGKILL)  # type: ignore[assignment,return-value]
-                child.manager.start()
-                child.arm(number)
-                child.go(GOAL[1], config=GOAL[0])
-            finally:
-                os._exit(0)
-        if not os.WIFSIGNALED(os.waitpid(pid, 0)[1]):
-            break
+    while killed_at(sim.root, tmp_path, configs.values(), GOAL, number):
         with rig(sim.root, tmp_path, *configs.values()) as again:
             again.manager.wait_idle()
             lost = again.manager.state.static_lost

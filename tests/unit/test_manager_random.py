@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import os
 import random
-import signal
 from collections import Counter
 from pathlib import Path
 
 import pytest
-from manager_support import Rig, make_rig, rig
+from manager_support import Rig, killed_at, rig
 
 from cm.schema.model import Config
 from cm.sim import Board as SimBoard
@@ -49,22 +48,6 @@ def where(made: Rig, sim: SimBoard, configs: dict[str, Config]) -> str:
     return f"{state.config}/{state.mode}" if all(there.get(m.region) == m.name for m in modules) else ""
 
 
-def dies(sim: SimBoard, configs: dict[str, Config], state: Path, goal: str, number: int) -> None:
-    """In a child process, go to a mode and be killed at an operation, if there are that many."""
-    pid = os.fork()
-    if pid == 0:
-        try:
-            made = make_rig(sim.root, state, *configs.values())
-            made.fault.make = lambda _: os.kill(os.getpid(), signal.SIGKILL)  # type: ignore[assignment,return-value]
-            made.manager.start()
-            made.manager.wait_idle()
-            made.arm(number)
-            go(made, goal)
-        finally:
-            os._exit(0)
-    os.waitpid(pid, 0)
-
-
 @pytest.mark.parametrize("seed", [SEED, SEED + 1])
 def test_the_board_is_where_the_manager_says_it_is(
     sim: SimBoard, configs: dict[str, Config], tmp_path: Path, seed: int
@@ -75,8 +58,8 @@ def test_the_board_is_where_the_manager_says_it_is(
     before = ""
     for _ in range(CHANGES // 10):
         if chance.random() < 0.7:
-            goal = chance.choice(places)
-            dies(sim, configs, tmp_path, goal, chance.randrange(60))
+            config, _, mode = chance.choice(places).partition("/")
+            killed_at(sim.root, tmp_path, configs.values(), (config, mode), chance.randrange(60))
         with rig(sim.root, tmp_path, *configs.values()) as made:
             made.manager.wait_idle()
             before = where(made, sim, configs)

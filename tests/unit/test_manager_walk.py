@@ -7,15 +7,13 @@ Whatever the outcome, the board is in the mode that the manager states, or the m
 from __future__ import annotations
 
 import errno
-import os
-import signal
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 from manager_process import until
-from manager_support import Rig, make_rig, rig
+from manager_support import Rig, killed_at, make_rig, rig
 
 from cm.device import DeviceError, DevicePermission, Overlays
 from cm.device.errors import device_error
@@ -277,21 +275,6 @@ def test_register_values_that_are_recorded_during_a_change_do_not_hide_it(made: 
     assert last.pending is None
 
 
-def killed_at(sim: SimBoard, configs: dict[str, Config], state: Path, way: Way, number: int) -> bool:
-    """In a child process with the board in the start mode, die at an operation; return False if it survived."""
-    pid = os.fork()
-    if pid == 0:
-        try:
-            made = make_rig(sim.root, state, *configs.values())
-            made.fault.make = lambda _: os.kill(os.getpid(), signal.SIGKILL)  # type: ignore[assignment,return-value]
-            made.manager.start()
-            made.arm(number)
-            go(made, way.goal)
-        finally:
-            os._exit(0)
-    return os.WIFSIGNALED(os.waitpid(pid, 0)[1])
-
-
 @pytest.mark.parametrize(("way", "stride"), [(TWO_REGIONS, 1), (TO_FULL, 1), (TO_PARTIAL, 4), (BY_OVERLAY, 4)], ids=str)
 def test_a_manager_killed_at_any_operation_comes_back_knowing(
     sim: SimBoard, configs: dict[str, Config], tmp_path: Path, way: Way, stride: int
@@ -300,8 +283,9 @@ def test_a_manager_killed_at_any_operation_comes_back_knowing(
     with rig(sim.root, tmp_path, *configs.values()) as first:
         begin(first, way)
     number = 0
+    config, _, mode = way.goal.partition("/")
     loaded = sim.control.state()["loads"]
-    while killed_at(sim, configs, tmp_path, way, number):
+    while killed_at(sim.root, tmp_path, configs.values(), (config, mode), number):
         forth = sim.control.state()["loads"] - loaded
         with rig(sim.root, tmp_path, *configs.values()) as again:
             again.manager.wait_idle()
