@@ -27,8 +27,8 @@ import zmq
 from zmq import zmq_poll
 
 from cm import multipart
-from cm.budgets.brakes import Brakes, Connections
 from cm.budgets.budget import LITTLE, Budget, TooMuchWaiting
+from cm.budgets.paused import Connections, PausedConnections
 from cm.budgets.registry import Budgets
 from cm.budgets.rounds import Round
 from cm.budgets.turns import Turns
@@ -77,7 +77,7 @@ class Intake:
     def __init__(self, budgets: Budgets, loop: Loop, connections: Connections) -> None:
         self._budgets = budgets
         self._loop = loop
-        self._brakes = Brakes(connections)
+        self._paused = PausedConnections(connections)
         self._looking = False  # a timer runs, because a client does not read its answers
         self._sources: list[_Source] = []
         self._turns: Turns[Budget, tuple[Hashable, _Serve, Message, int]] = Turns()
@@ -178,12 +178,12 @@ class Intake:
             if budget.reads(sender):
                 source.refuse(message, budget, error)
             elif message.source >= 0:  # the connection would not even read the refusal
-                self._brakes.cut(budget, message.source)
+                self._paused.cut(budget, message.source)
         else:
             key = source, sender
             news = self._turns.add(budget, key, (key, source.serve, message, size))
         if message.source >= 0 and self._has_enough(budget, source, sender):
-            self._brakes.hold(budget, message.source)
+            self._paused.hold(budget, message.source)
         budget.charge(monotonic_ns() - began)
         return source.round.came(sender, news)
 
@@ -239,8 +239,8 @@ class Intake:
         if not budget.waiting:  # it may have sent more
             for each in self._sources:
                 each.round.quiet = 0
-        if self._brakes.held and budget in self._brakes.held:
-            self._brakes.release(budget)
+        if self._paused.held and budget in self._paused.held:
+            self._paused.release(budget)
         rest = self._serve(budget, monotonic_ns(), serve, message)
         if rest is not None:
             self._leave(rest, budget, key, size)

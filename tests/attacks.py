@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a client can try to keep a manager from serving others; each bounded in count, and for this machine only.
+"""Ways in which a client can try to keep a manager from serving others; bounded in count, for this machine only.
 
 ``python tests/attacks.py NAME RUNTIME_DIR ROUNDS [ADDRESS KEYS]``: prints how often it did what, as JSON.
 """
@@ -31,7 +31,7 @@ MODES = ("default", "edge_detection", "colorise")
 SHAPES = ((480, 640), (240, 320), (1080, 1920), (1, 64), (100,))
 CAMERA = Path(__file__).resolve().parents[1] / "cm" / "data" / "camera" / "camera.yaml"
 
-# Reads some frames, or asks and reads nothing, and stops where it is.
+# Reads some frames, or sends requests and reads nothing, and then stops.
 STOPS = {
     "reader": "board = cm.connect(runtime_dir=sys.argv[1], timeout=60); stream = board.stream('camera', depth=64); "
     "frames = [stream.read() for _ in range(3)]",
@@ -47,13 +47,13 @@ def greeting(mechanism: bytes) -> bytes:
 
 
 def handshake(kind: bytes) -> bytes:
-    """A peer's half of it without keys."""
+    """A peer's half of the handshake without keys."""
     ready = b"\x05READY\x0bSocket-Type" + len(kind).to_bytes(4, "big") + kind
     return greeting(b"NULL") + bytes([4, len(ready)]) + ready
 
 
 class Attacker:
-    """One process's."""
+    """The attacks of one process."""
 
     def __init__(self, runtime: str, rounds: int, address: str = "", keys: str = "") -> None:
         self.runtime, self.rounds = runtime, rounds
@@ -97,7 +97,7 @@ class Attacker:
         return socket.create_connection(("127.0.0.1", self.port), timeout=60)
 
     def asking(self, make: Callable[[int], rq.Request], ahead: int = 16, connections: int = 2) -> None:
-        """Ask so often, with so much asked ahead over each connection; what became of it is counted."""
+        """Send requests, several ahead over each connection, and count the outcomes."""
         made = [self.dealer() for _ in range(connections)]
         poller, asked, answered = zmq.Poller(), 0, 0
         for one in made:
@@ -215,7 +215,7 @@ class Attacker:
                 monitor.close(0)
 
     def begin_with_keys(self) -> None:
-        """HELLOs that a client sent, again and again, whole or in pieces; who gets an answer leaves."""
+        """Send a client's HELLO again and again, whole or in pieces; a connection that gets an answer is closed."""
         whole = greeting(b"CURVE") + self._hello()
         held = [self.tcp() for _ in range(100)]
         for peer in held:
@@ -242,7 +242,7 @@ class Attacker:
                 return got[64:]
 
     def stop(self) -> None:
-        """Processes that hold slots, or leave replies unread, and run no further."""
+        """Stop processes that hold slots or leave replies unread."""
         then = f"os.kill({os.getpid()}, signal.SIGUSR1); signal.raise_signal(signal.SIGSTOP)"
         words = f"import cm, os, signal, sys; {{}}; {then}"
         stopped = [signal.SIGUSR1]
@@ -266,12 +266,12 @@ ATTACKS = (
 
 
 def main(name: str, runtime: str, rounds: str, *more: str) -> None:
-    """Do one of them."""
+    """Run one attack."""
     attacker = Attacker(runtime, int(rounds), *more)
     print("begun", flush=True)
     getattr(attacker, name)()
     print(json.dumps(attacker.did), flush=True)
-    os._exit(0)  # what it holds is not given back in order
+    os._exit(0)  # so that what it holds is not given back properly
 
 
 if __name__ == "__main__":

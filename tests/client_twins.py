@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One way to speak to both clients: the asyncio one behind the blocking one's face, in an event loop of its own."""
+"""One interface to both clients: the asyncio client wrapped as a blocking one, with its own event loop."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 
 import cm
 
-# what is a property of the blocking client is a method without arguments of the other
+# a property of the blocking client is a method without arguments of the other
 PROPERTIES = {"status", "mode", "configs", "info", "names", "count", "done", "generation"}
 
 
@@ -26,7 +26,7 @@ class EventLoop:
         self._thread.start()
 
     def run(self, awaitable: Any) -> Any:
-        """The result of an awaitable, waited for here."""
+        """Wait for an awaitable and return its result."""
 
         async def wait() -> Any:
             return await awaitable
@@ -34,7 +34,7 @@ class EventLoop:
         return asyncio.run_coroutine_threadsafe(wait(), self.loop).result(120)
 
     def call(self, function: Any, *args: Any, **kwargs: Any) -> Any:
-        """The result of a function that is called there."""
+        """Call a function in the loop's thread and return its result."""
 
         async def wait() -> Any:
             return function(*args, **kwargs)
@@ -48,7 +48,7 @@ class EventLoop:
 
 
 class Awaited:
-    """An object of the asyncio client, used as one of the blocking client."""
+    """Wraps an object of the asyncio client so that it is used like the blocking one."""
 
     def __init__(self, loop: EventLoop, target: Any) -> None:
         self._loop, self._target = loop, target

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What holds for all tests."""
+"""Settings of all tests."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ settings.register_profile(
 settings.register_profile("cm", settings.get_profile("search"), derandomize=True)
 settings.load_profile("cm")
 
-# Nor do simulators that get no processor time; tests of silent ones say their own (seconds).
+# Nor must simulators that get no processor time; tests of silent ones set their own limit (seconds).
 os.environ.setdefault("CM_SIM_TIMEOUT", "60")
 
-# `make -j4 test` and `make -C folder test` tell the makes below them so; those that tests run are none of these.
+# `make -j4 test` and `make -C folder test` set variables for sub-makes; those that tests run are not sub-makes.
 for _name in ("MAKEFLAGS", "MAKELEVEL", "MFLAGS"):
     os.environ.pop(_name, None)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The daemon in a thread of the test's own process, spoken to over its sockets as any client does."""
+"""The daemon in a thread of the test's process, used over its sockets like by any client."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Daemon:
             self._ready.set()
 
     def close(self) -> None:
-        """Harmless twice."""
+        """Close it; calling this twice is harmless."""
         if self._context.closed:
             return
         self.server.stop()
@@ -60,7 +60,7 @@ class Daemon:
         assert not self._thread.is_alive()
 
     def connect(self, kind: int, name: str) -> Any:
-        """A socket of a client: `req`, `pub` (what is told) or `sub` (what is taken without a reply)."""
+        """A socket of a client: `req`, `pub` (publications) or `sub` (requests without a reply)."""
         made = self._context.socket(kind)
         made.rcvtimeo = HUNG
         made.connect(f"ipc://{self.folder}/run/{name}")
@@ -77,7 +77,7 @@ class Daemon:
         return self.reply()
 
     def done(self, request: rq.Request) -> Any:
-        """The body of a reply, which must be none of an error."""
+        """The body of a reply, which must not be an error."""
         reply = self.ask(request)
         assert reply.error is None, reply.error
         return reply.body
@@ -104,14 +104,14 @@ class Daemon:
 
 
 class Subscriber:
-    """A SUB socket whose subscriptions have arrived when they are made."""
+    """A SUB socket whose subscriptions are in effect once they are made."""
 
     def __init__(self, daemon: Daemon, *subscribed: bytes) -> None:
         self._socket = daemon.connect(zmq.SUB, "pub")
         for topic in subscribed:
             self._socket.setsockopt(zmq.SUBSCRIBE, topic)
         self._socket.setsockopt(zmq.SUBSCRIBE, b"cm_status")
-        self.first: Status = self.event()  # the status comes at once, behind the subscriptions
+        self.first: Status = self.event()  # the status comes at once, after the subscriptions
 
     def event(self) -> Any:
         return self.frames()[0]

@@ -17,7 +17,7 @@ class Client:
 
     def __init__(self, daemon: Daemon, wanted: Open | bytes) -> None:
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self.socket.connect(str(daemon.folder / "run" / packets.SOCKET))  # blocks where the backlog is full
+        self.socket.connect(str(daemon.folder / "run" / packets.SOCKET))  # blocks if the backlog is full
         self.socket.settimeout(HUNG / 1000)
         self.socket.send(packets.encode_open(wanted) if isinstance(wanted, Open) else wanted)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A peer on DDS for tests of the bridge: listens, publishes and calls services, on this machine's loopback alone."""
+"""A peer on DDS for tests of the bridge: listens, publishes and calls services, on this machine's loopback only."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from cm.ros.node import NodeName
 from cm.ros.transport import SERVICES
 from cm.ros.typehash import type_hash
 
-_CLAIM = socket.socket(socket.AF_UNIX)  # its name is the claim, as long as this process lives
+_CLAIM = socket.socket(socket.AF_UNIX)  # its name claims a domain for as long as this process lives
 
 
 @functools.cache
 def domain() -> int:
-    """One that no other run of tests on this machine uses: two nodes of one name in a domain answer for each other.
+    """A domain that no other test run on this machine uses: nodes of the same name would answer for each other.
 
     From 102 on a domain has ports that Linux hands out by itself.
     """
@@ -51,7 +51,7 @@ class Bridge(BridgeProcess):
 
 
 class Peer(ListeningPeer):
-    """A node of ours on DDS."""
+    """One of our nodes on DDS."""
 
     transport: DdsTransport
 
@@ -70,7 +70,7 @@ class Peer(ListeningPeer):
 
 
 class Client:
-    """A service's client as rmw_cyclonedds is one: its writer's number and a count stand before each request."""
+    """A service's client like rmw_cyclonedds': its writer's id and a count precede each request."""
 
     def __init__(self, peer: Peer, name: str, kind: str) -> None:
         self._asked, self._replied = f"{kind}_Request", f"{kind}_Response"
@@ -100,7 +100,7 @@ class Client:
         until(matched, PATIENCE)
 
     def send(self, request: dict[str, Any]) -> int:
-        """Ask; the request's number."""
+        """Send a request and return its number."""
         from cyclonedds._clayer import ddspy_write
 
         self._count += 1
@@ -110,7 +110,7 @@ class Client:
         return self._count
 
     def receive(self, number: int, seconds: float = PATIENCE) -> dict[str, Any] | None:
-        """The reply to one; None if none comes."""
+        """The reply to a request; None if none comes."""
         from cyclonedds.util import duration
 
         for sample in self._reader.take_iter(timeout=duration(seconds=seconds)):
@@ -120,7 +120,7 @@ class Client:
         return None
 
     def call(self, request: dict[str, Any]) -> dict[str, Any]:
-        """Ask and wait; ask again as users do, for the service may not have met us when we first asked."""
+        """Ask and wait; repeat, as users do, because the service may not have discovered us at first."""
         for _ in range(4):
             reply = self.receive(self.send(request), PATIENCE / 4)
             if reply is not None:

@@ -103,7 +103,7 @@ class Bridge:
 
 
 class FleetBoard:
-    """A simulated board with all that it takes to be one of a fleet."""
+    """A simulated board with everything that it needs to be part of a fleet."""
 
     def __init__(self, manager: Manager, sim: SimBoard, bridge: Bridge) -> None:
         self.manager = manager
@@ -144,7 +144,7 @@ def fleet_board(
 def fleet_boards(
     router: Sequence[str], arguments: dict[str, Sequence[str]], guests: str = '{"*": operate}'
 ) -> Iterator[dict[str, FleetBoard]]:
-    """Boards by name, each with further arguments of its bridge, started at once."""
+    """Boards by name, each with further arguments of its bridge, started together."""
     with contextlib.ExitStack() as stack:
         contexts = {name: fleet_board(name, router, more, guests=guests) for name, more in arguments.items()}
         with ThreadPoolExecutor(len(contexts)) as threads:
@@ -160,7 +160,7 @@ def fleet_boards(
 def fleet_of(
     arguments: dict[str, Sequence[str]], guests: str = '{"*": operate}'
 ) -> Iterator[tuple[Router, dict[str, FleetBoard], Fleet]]:
-    """A router, boards by name with further arguments of their bridges, and a client who is called anna."""
+    """A router, boards by name with further arguments of their bridges, and a client named anna."""
     with contextlib.ExitStack() as stack:
         router = Router()
         stack.callback(router.kill)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A fleet without processes: the shipped code of boards and clients over a network that does whatever chance wants.
+"""A fleet without processes: the shipped code of boards and clients over a random simulated network.
 
-Every call that leaves a process waits its turn; a scheduler with a seed takes one at a time, and between two lets time
-pass, kills boards and clients, loses and repeats messages. What is on a board's disk is bytes, as on a real one.
+Every call that leaves a process waits its turn; a seeded scheduler takes one at a time, and in between lets time
+pass, kills boards and clients, loses and repeats messages. A board's disk is bytes, as on a real one.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from cm.fleet import names
 from cm.fleet.bridge.commands import Commands
 from cm.fleet.change.asks import Ask
 from cm.fleet.change.coordinator import Outcome, first_step
-from cm.fleet.change.given import Planned, Unsettled
 from cm.fleet.change.participant import Participant
+from cm.fleet.change.ports import Planned, Unsettled
 from cm.fleet.changing import Course, carried_out
 from cm.fleet.recovering import recovered
 from cm.messages.fleet import Decision, FleetRecord, Policy
@@ -37,7 +37,7 @@ class LoadFailed(CmError):
 
 
 class Network:
-    """Where everything waits for its turn."""
+    """Where every call waits for its turn."""
 
     def __init__(self, chance: random.Random) -> None:
         self.chance = chance
@@ -53,17 +53,17 @@ class Network:
         return self.lossy and self.chance.random() < 0.04
 
     async def go_on(self) -> bool:
-        """Somebody's turn; whether more wait for theirs."""
+        """Take one turn; return whether more are waiting."""
         self.waiting = [future for future in self.waiting if not future.done()]
         if self.waiting:
             self.waiting.pop(self.chance.randrange(len(self.waiting))).set_result(None)
-        for _ in range(4):  # until whoever it was waits again
+        for _ in range(4):  # until the task waits again
             await asyncio.sleep(0)
         return bool(self.waiting)
 
 
 class Disk:
-    """What a loss of power leaves."""
+    """What survives a loss of power."""
 
     def __init__(self) -> None:
         self.files: dict[str, bytes] = {}
@@ -82,7 +82,7 @@ class Disk:
 
 
 class Board:
-    """A bridge with its manager behind it; the manager itself is not killed, but may be away amid a load."""
+    """A bridge with its manager; the manager is not killed, but may be away during a load."""
 
     def __init__(self, world: World, name: str) -> None:
         self.world, self.name = world, name
@@ -163,7 +163,7 @@ class World:
         self.now = 0.0
         self.boards = {f"b{n}": Board(self, f"b{n}") for n in range(size)}
         self.seats = seats
-        self.said: list[Decision] = []  # what any client was told is decided
+        self.said: list[Decision] = []  # the decisions that clients were told
 
     async def ask(self, ask: Ask, caller: str) -> FleetRecord | ErrorInfo:
         """As the network carries it: late, twice, or not at all."""
@@ -172,7 +172,7 @@ class World:
             return SILENT
         answer = await self._delivered(ask, caller)
         if self.network.lossy and self.chance.random() < 0.04:
-            self.boards[ask.board].start(self._delivered(ask, caller))  # it comes once more, some time
+            self.boards[ask.board].start(self._delivered(ask, caller))  # it is delivered once more, later
         await self.network.turn()
         return SILENT if self.network.lost() else answer
 
@@ -233,7 +233,7 @@ class World:
             self.chance.choice(there).kill(for_good=gone < lost and self.chance.random() < 0.5)
 
     async def heal(self) -> None:
-        """Nothing goes wrong any more, and time passes: every board does what its record says."""
+        """Let time pass without further faults: every board does what its record says."""
         self.network.lossy = False
         for board in self.boards.values():
             board.away = 0.0
@@ -252,13 +252,13 @@ class World:
     # ---- what holds -----------------------------------------------------------------------
 
     def decisions(self) -> set[Decision]:
-        """All that anybody holds to be decided: boards that are there, and clients."""
+        """All decisions known to anybody: remaining boards and clients."""
         records = [board.record for board in self.boards.values() if not board.gone]
         return {r.decision for r in records if r is not None and r.decision is not None} | set(self.said)
 
 
 async def ended(task: asyncio.Task[Any]) -> None:
-    """Killed, wherever it is."""
+    """Kill a task, wherever it is."""
     task.cancel()
     with contextlib.suppress(asyncio.CancelledError):
         await task

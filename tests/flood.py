@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clients that ask a lot, as processes of their own: how many of what is bounded, and all of it on this machine."""
+"""Clients that send many requests, as separate processes: bounded in number, and on this machine only."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 
 from manager_process import environment
 
-# Connects so often, says how many of them were not hung up on, and holds them until its input ends.
+# Opens connections, says how many of them were not closed, and holds them until its input ends.
 _IDLE = """
 import select, socket, sys
 family, count = sys.argv[1], int(sys.argv[2])
@@ -34,7 +34,7 @@ sys.stdin.read()
 
 @contextlib.contextmanager
 def idle_connections(where: Path | tuple[str, int], count: int, processes: int) -> Iterator[list[int]]:
-    """`count` connections of each of so many processes; how many of each were kept."""
+    """`count` connections of each of several processes; yields how many each one kept."""
     place = ["unix", str(count), str(where)] if isinstance(where, Path) else ["inet", str(count), *map(str, where)]
     command = [sys.executable, "-S", "-E", "-c", _IDLE, *place]
     made = [subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) for _ in range(processes)]
@@ -46,7 +46,7 @@ def idle_connections(where: Path | tuple[str, int], count: int, processes: int) 
             process.wait()
 
 
-# Asks for the configuration, which has to take some 15 KiB, over so many connections, and reads once it is told to.
+# Requests the configuration, which must have some 15 KiB, over its connections, and reads when it is told to.
 _UNREAD = """
 import sys
 import zmq
@@ -74,7 +74,7 @@ while read < connections * each and (ready := poller.poll(60_000)):
 print(read, flush=True)
 """
 
-# Sends seven MiB of a message of eight over so many connections, as far as they are taken, and holds them.
+# Sends seven MiB of a message of eight over its connections, as far as they are accepted, and holds them.
 _HALVES = """
 import socket, sys
 path, before, connections = sys.argv[1], bytes.fromhex(sys.argv[2]), int(sys.argv[3])
@@ -101,7 +101,7 @@ sys.stdin.read()
 
 @contextlib.contextmanager
 def running(*words: object, first: str) -> Iterator[subprocess.Popen[str]]:
-    """Python with these words, from the line that it says first until the block ends."""
+    """Run Python with these arguments, from its first line of output until the block ends."""
     command = [sys.executable, *map(str, words)]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     with subprocess.Popen(command, text=True, env=environment(), **pipes) as process:  # type: ignore[call-overload]
@@ -114,9 +114,9 @@ def running(*words: object, first: str) -> Iterator[subprocess.Popen[str]]:
 
 @contextlib.contextmanager
 def unread_replies(runtime: Path, connections: int, each: int) -> Iterator[subprocess.Popen[str]]:
-    """A process that asks `each` times for the configuration, of 15 KiB, over each of its connections, and reads none.
+    """A process that requests the configuration, of 15 KiB, `each` times over each connection, and reads no reply.
 
-    To a line on its input it reads them, and says how many came.
+    When it gets a line on its input, it reads them and prints how many came.
     """
     with running("-c", _UNREAD, runtime, connections, each, first="asked") as process:
         yield process
@@ -130,7 +130,7 @@ def half_messages(where: Path | int, before: bytes, connections: int) -> Iterato
 
 
 def descriptors(pid: int) -> int:
-    """How many a process has."""
+    """How many descriptors a process has."""
     return sum(1 for _ in Path(f"/proc/{pid}/fd").iterdir())
 
 
@@ -147,7 +147,7 @@ def _link(path: Path) -> str:
 
 
 def resident_mib(pid: int) -> float:
-    """Its memory."""
+    """The resident memory of a process."""
     for line in Path(f"/proc/{pid}/status").read_text("ascii").splitlines():
         if line.startswith("VmRSS:"):
             return int(line.split()[1]) / 1024

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who imports whom, read from the source: every form of import, wherever in a file it stands."""
+"""Which module imports which, read from the source: every form of import, anywhere in a file."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class ImportGraph:
         self.modules = {self._name(path): path for path in sorted(package.rglob("*.py"))}
         self.inside: dict[str, set[str]] = {}
         self.outside: dict[str, set[str]] = {}
-        self.types: dict[str, set[str]] = {}  # of both, what is imported for the type checker alone
+        self.types: dict[str, set[str]] = {}  # imports for the type checker only
         for name, path in self.modules.items():
             syntax = ast.parse(path.read_text(encoding="utf-8"))
             found = set(self._imports(name, path, ast.walk(syntax)))
@@ -40,7 +40,7 @@ class ImportGraph:
                 yield from (self._target(base, alias.name) for alias in node.names)
 
     def _target(self, base: str, name: str) -> str:
-        """``from cm import daemon`` is of the module cm.daemon, ``from cm import connect`` of cm itself."""
+        """``from cm import daemon`` imports the module cm.daemon, ``from cm import connect`` only cm."""
         inner = f"{base}.{name}"
         return inner if inner in self.modules or base.partition(".")[0] != self.package.name else base
 

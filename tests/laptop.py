@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Python on macOS or Windows, as far as it can be had on Linux: ``python laptop.py win32|darwin SCRIPT ARGUMENT…``.
 
-Whoever imports a module from here on finds none of what the standard library does not have there; other people's
-libraries are imported before. `sys.platform` says that system. What is left out here is the
-system itself: paths, the event loop, the sockets' own behaviour. Names by the library reference ("Availability").
+From here on, imports do not find what the standard library lacks on that system; third-party libraries are imported
+before. `sys.platform` names that system. The system itself is not imitated: paths, the event loop, the behaviour of
+sockets. Names are those of the library reference ("Availability").
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ UNIX = {
 
 
 class Refusing:
-    """A finder that comes first, and finds none of some modules."""
+    """A finder that comes first, and refuses some modules."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self._names = frozenset(names)
@@ -48,7 +48,7 @@ class Refusing:
 
 
 def _without(module: ModuleType, names: set[str]) -> ModuleType:
-    """A module less some names; who has imported the module itself keeps it."""
+    """A module without some names; earlier importers keep the original."""
     less = ModuleType(module.__name__, module.__doc__)
     less.__dict__.update({name: value for name, value in module.__dict__.items() if name not in names})
     return less

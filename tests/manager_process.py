@@ -25,12 +25,12 @@ _T = TypeVar("_T")
 
 
 def environment() -> dict[str, str]:
-    """Ours, with the package importable from the work tree."""
+    """The test's environment, with the package importable from the work tree."""
     return {**os.environ, "PYTHONPATH": str(REPOSITORY)}
 
 
 def until(condition: Callable[[], _T], timeout: float = 60.0) -> _T:
-    """Poll for what nothing announces; returns the first true value."""
+    """Poll for a condition that nothing announces; return its first true value."""
     end = time.monotonic() + timeout
     while time.monotonic() < end:
         value = condition()
@@ -57,7 +57,7 @@ def patient(folder: Path) -> Path:
 
 @contextlib.contextmanager
 def stalled(sim: SimBoard) -> Iterator[None]:
-    """The board's configuration port takes nothing meanwhile: a load is under way for as long as a test wants."""
+    """Stall the board's configuration port, so that a load lasts as long as the test wants."""
     sim.control.inject("icap_stall")
     try:
         yield
@@ -81,7 +81,7 @@ class Manager:
 
     @property
     def pid(self) -> int:
-        """Of the process, which has been started."""
+        """The id of the process, which must have been started."""
         assert self.process is not None
         return self.process.pid
 

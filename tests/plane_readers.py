@@ -23,7 +23,7 @@ from cm.client.stream import LocalStream
 from cm.wire.plane_packets import Open
 
 TORN = 3
-FRAMES, KILLS = 100, 20  # more than these, however long it takes
+FRAMES, KILLS = 100, 20  # at least this many, however long it takes
 
 
 def number_of(frame: np.ndarray) -> int:

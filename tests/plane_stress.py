@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A producer that nobody may stall, readers that are killed at random, and what must be left afterwards: nothing."""
+"""A producer that must not stall, and readers that are killed at random and must leave nothing behind."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ HUNG = 30.0  # seconds; a busy machine may well take some between two frames
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a stress run came to."""
+    """The outcome of a stress run."""
 
     produced: int
     longest_gap: float  # seconds between two frames that the hardware took
@@ -53,7 +53,7 @@ def held(manager: Manager, sim: SimBoard) -> Held:
 
 
 def _nothing_is_left(manager: Manager, sim: SimBoard, before: Held) -> None:
-    """Nobody holds more than before; less may be: connections of earlier tests end meanwhile."""
+    """Check that nobody holds more than before; less is possible, as connections of earlier tests end meanwhile."""
     left = {}
 
     def gone() -> bool:
@@ -69,7 +69,7 @@ def _nothing_is_left(manager: Manager, sim: SimBoard, before: Held) -> None:
 
 
 def _all_is_given_back(board: cm.Board) -> None:
-    """The dead hold no slots: nobody is left, there are no more than so many readers can need, and all are used."""
+    """Check that dead readers hold no slots: no client is left, there are no surplus slots, and all are in use."""
 
     def alone() -> StreamStatus | None:
         stream = next(s for s in board.status.streams if s.name == "from_pl")

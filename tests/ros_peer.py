@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What tests of the bridges to ROS 2 nodes have in common, whatever carries the messages."""
+"""Shared by tests of the bridges to ROS 2, whatever the transport."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ class BridgeProcess:
             self.log += piece
 
     def stop(self, number: int = signal.SIGINT) -> tuple[int, str]:
-        """Its status, and what it said."""
+        """Stop it; return its exit status and its output."""
         self.process.send_signal(number)
         _, rest = self.process.communicate(timeout=PATIENCE)
         return self.process.returncode, (self.log + rest).decode()
 
     def end(self) -> None:
-        """However it is; twice is fine."""
+        """End it in any state; calling this twice is harmless."""
         assert self.process.stderr is not None
         self.process.kill()
         self.process.wait()
@@ -48,13 +48,13 @@ class BridgeProcess:
 
 
 class ListeningPeer:
-    """A node of ours on the other side."""
+    """One of our nodes on the other side."""
 
     transport: Transport
 
     @contextmanager
     def listening(self, topic: str, kind: str, quality: Qos) -> Iterator[queue.Queue[dict[str, Any]]]:
-        """What comes on a topic."""
+        """Listen to a topic."""
         found: queue.Queue[dict[str, Any]] = queue.Queue()
         subscription = self.transport.subscription(topic, kind, quality, found.put)
         try:

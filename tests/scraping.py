@@ -31,7 +31,7 @@ class Scrape:
         return {dict(labels)[label]: value for (found, labels), value in self.samples.items() if found == name}
 
     def counters(self) -> dict[tuple[str, Labels], float]:
-        """What can only grow."""
+        """The values that can only grow."""
         parts = ("_total", "_count", "_bucket")
         return {key: value for key, value in self.samples.items() if key[0].endswith(parts)}
 
@@ -50,7 +50,7 @@ def scrape(runtime: Path) -> Scrape:
 
 @contextmanager
 def scraped_meanwhile(runtime: Path, every: float) -> Iterator[list[Scrape]]:
-    """What a scraper saw meanwhile."""
+    """Scrape during a block; yields the pages."""
     seen: list[Scrape] = []
     ended = threading.Event()
 

@@ -41,7 +41,7 @@ paths = st.text("ab. /", max_size=8).map(lambda middle: f"x{middle}.bit")
 sums = st.sampled_from(["0" * 64, "0123456789abcdef" * 4])
 addresses = st.integers(0, (1 << 32) - 1).map(lambda value: value << 12)
 
-_WHOLE = tuple(kind for kind in LoaderKind if kind is not LoaderKind.AUTO)  # what loads the whole device is said
+_WHOLE = tuple(kind for kind in LoaderKind if kind is not LoaderKind.AUTO)  # the loader of a whole device must be given
 
 
 def maybe(strategy: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A shell on a terminal, as people have it: keys go in, and what they led to is waited for."""
+"""A shell on a terminal, as people use it: type keys, and wait for their effect."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pathlib import Path
 
 
 class Terminal:
-    """The outer end of a terminal; `shown` is all that has been seen on it."""
+    """The controlling end of a terminal; `shown`: everything that it has shown."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor

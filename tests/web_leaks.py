@@ -51,5 +51,5 @@ _CLICKS = """async (modes) => {
 
 
 def changed(page: Any, count: int) -> None:
-    """So many changes by clicks; the board is in its default mode before, and in another after."""
+    """Make changes by clicks; the board is in its default mode before, and in another one afterwards."""
     page.evaluate(_CLICKS, list(islice(cycle(MODES), count)))

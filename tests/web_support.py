@@ -39,13 +39,13 @@ class WebServer:
         self.host = urlsplit(self.origin).netloc
 
     def stop(self) -> tuple[int, str]:
-        """Its exit status and what it said on stderr."""
+        """Stop it; return its exit status and its stderr."""
         self.process.send_signal(signal.SIGTERM)
         _, said = self.process.communicate(timeout=60)
         return self.process.returncode, said.decode()
 
     def resident(self) -> int:
-        """KiB of its own memory, without the slots that it has mapped: how many those are, is a matter of speed."""
+        """KiB of its own memory, without mapped slots, whose number depends on speed."""
         text = Path(f"/proc/{self.process.pid}/status").read_text(encoding="ascii")
         return int(text.partition("RssAnon:")[2].split()[0])
 

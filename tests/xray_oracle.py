@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Project X-Ray's own programs, run on bitstreams: what they read and write."""
+"""Runs Project X-Ray's own programs on bitstreams."""
 
 from __future__ import annotations
 

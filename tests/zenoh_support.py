@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A zenoh router and peers for tests of the bridge to nodes of rmw_zenoh, on this machine's loopback alone."""
+"""A zenoh router and peers for tests of the bridge to nodes of rmw_zenoh, on this machine's loopback only."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ DOMAIN = 7
 
 
 class Router:
-    """zenoh's, in this process."""
+    """A zenoh router in this process."""
 
     def __init__(self) -> None:
         self.port = free_ports()
@@ -40,7 +40,7 @@ class Bridge(BridgeProcess):
 
     def __init__(self, runtime: Path, router: str, *arguments: str, direct: bool = False) -> None:
         environment = {**child.environment(), "ROS_DOMAIN_ID": str(DOMAIN)}
-        environment.pop("ZENOH_CONFIG_OVERRIDE", None)  # of a ROS that runs these tests
+        environment.pop("ZENOH_CONFIG_OVERRIDE", None)  # set by a ROS environment in which these tests run
         if direct:
             environment["ZENOH_CONFIG_OVERRIDE"] = f'connect/endpoints=["tcp/{router}"]'
         else:
@@ -49,7 +49,7 @@ class Bridge(BridgeProcess):
 
 
 class Peer(ListeningPeer):
-    """A node of ours on zenoh."""
+    """One of our nodes on zenoh."""
 
     transport: ZenohTransport
 

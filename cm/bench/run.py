@@ -45,8 +45,8 @@ class Run:
         return path
 
 
-class Rivals:
-    """The baselines of one measurement that can be had here; `missing` says why the others cannot."""
+class Baselines:
+    """The baselines of one measurement that are available here; `missing` says why the others are not."""
 
     def __init__(self, run: Run, stack: ExitStack) -> None:
         self._run = run

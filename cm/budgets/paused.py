@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Connections that are not read for a while, so that what their clients send waits in their own sockets."""
+"""Connections whose reading is paused, so that what their clients send waits in the clients' own sockets."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class Connections(Protocol):
         """End it."""
 
 
-class Brakes:
-    """The connections that are not read, and the clients they belong to."""
+class PausedConnections:
+    """The connections that are paused, by the clients that they belong to."""
 
     def __init__(self, connections: Connections) -> None:
         self._connections = connections

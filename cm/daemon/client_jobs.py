@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Work that reads or writes files: one job after the other, in a thread of its own, while the loop goes on."""
+"""Clients' jobs that read or write files: one after another, in a separate thread, while the loop goes on."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ Result = Callable[[], _T]  # returns the job's result, or raises what it raised
 _Job = tuple[Callable[[], Any], Callable[[Result[Any]], None]]
 
 
-class Aside:
-    """A client's jobs in the order of its requests; of several clients, the one that has used least comes next.
+class ClientJobs:
+    """Runs each client's jobs in the order of its requests, next that of the client that has used least.
 
-    The processor time of a job counts as used, because the loop cannot have it meanwhile. In the loop's thread; jobs
-    run in another.
+    The processor time of a job counts as used, because the loop cannot have it meanwhile. Used in the loop's thread;
+    jobs run in another.
     """
 
     def __init__(self, loop: Loop) -> None:
         self._loop = loop
-        self.thread = ThreadPoolExecutor(1, "cm-files")  # work that is given to it directly waits for one job at most
+        self.thread = ThreadPoolExecutor(1, "cm-files")  # other work submitted to it waits for at most one job
         self._waiting: dict[Budget, deque[_Job]] = {}
         self._runs = False
 
     def submit(self, client: Budget, work: Callable[[], _T], then: Callable[[Result[_T]], None]) -> None:
-        """Have something done for a client, and go on with `then` in the loop's thread. Raises Busy."""
+        """Queue a client's job, and call `then` with its result in the loop's thread. Raises Busy."""
         jobs = self._waiting.get(client)
         if jobs is None:
             client.comes()
@@ -44,7 +44,7 @@ class Aside:
         self._go_on()
 
     def close(self) -> None:
-        """Forget the jobs that wait, and let the running one end."""
+        """Drop waiting jobs, and let the running one end."""
         self._waiting.clear()
         self.thread.shutdown()
 

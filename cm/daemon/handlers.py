@@ -11,8 +11,8 @@ from typing import TypeVar
 from cm.budgets.budget import Budget
 from cm.budgets.places import Places
 from cm.budgets.registry import with_holdings
-from cm.daemon.aside import Aside, Result
 from cm.daemon.board_watch import BoardWatch
+from cm.daemon.client_jobs import ClientJobs, Result
 from cm.daemon.config_handlers import Description, SentConfigs
 from cm.daemon.connections import Connections
 from cm.daemon.data_handlers import DataHandlers
@@ -67,7 +67,7 @@ class Services:
     sessions: Sessions
     pieces: Pieces
     connections: Connections
-    aside: Aside  # for work that reads or writes files, so that the loop goes on
+    jobs: ClientJobs  # for work that reads or writes files, so that the loop goes on
     changes: Places  # in the queue of changes
 
 
@@ -141,13 +141,13 @@ class Handlers:
         except Exception as error:  # noqa: BLE001 (every request gets an answer)
             self._failed(error, respond)
 
-    def _aside(self, client: Budget, work: Callable[[], _T], then: Callable[[_T], None], respond: Respond) -> None:
+    def _run_job(self, client: Budget, work: Callable[[], _T], then: Callable[[_T], None], respond: Respond) -> None:
         """Do `work` in another thread and continue with `then` in the loop's."""
 
         def finish(result: Result[_T]) -> None:
             self._guarded(lambda: then(result()), respond)
 
-        self._s.aside.submit(client, work, finish)
+        self._s.jobs.submit(client, work, finish)
 
     # ---- status and configurations ------------------------------------------------------
 
@@ -163,7 +163,7 @@ class Handlers:
         counts = dict(self._s.interrupts.counts)
         description = Description(self._s.manager, self._s.memories, request.config_name, counts)
         if description.is_long:
-            self._aside(client, description.encoded, lambda made: respond(Reply(encoded=made)), respond)
+            self._run_job(client, description.encoded, lambda made: respond(Reply(encoded=made)), respond)
         else:
             respond(Reply(description.info()))
 
@@ -172,7 +172,7 @@ class Handlers:
 
     def _plan_change(self, request: rq.PlanChange, respond: Respond, client: Budget) -> None:
         change = rq.ChangeMode(request.config_name, request.mode)
-        self._aside(client, lambda: self._s.manager.plan(change), lambda plan: respond(Reply(plan)), respond)
+        self._run_job(client, lambda: self._s.manager.plan(change), lambda plan: respond(Reply(plan)), respond)
 
     def _change_mode(self, request: rq.ChangeMode, respond: Respond, began: Began, connection: str) -> None:
         give_back = self._s.changes.take(self._s.connections.budgets.of(connection))
@@ -203,7 +203,7 @@ class Handlers:
         store = partial(self._s.provisioner.store, request.schema, request.files, *whose)
         client = self._s.connections.budgets.of(connection)
         then = partial(self._provisioned, request, respond, began, connection)
-        self._aside(client, store, then, respond)
+        self._run_job(client, store, then, respond)
 
     def _provisioned(
         self, request: rq.Provision, respond: Respond, began: Began, connection: str, config: Config
@@ -219,7 +219,7 @@ class Handlers:
         self._sent.check_removable(request.config_name)
         remove = partial(self._s.provisioner.remove, request.config_name, self._sent.sender(connection))
         client = self._s.connections.budgets.of(connection)
-        self._aside(client, remove, lambda _: self._removed(request.config_name, respond), respond)
+        self._run_job(client, remove, lambda _: self._removed(request.config_name, respond), respond)
 
     def _removed(self, name: str, respond: Respond) -> None:
         self._s.manager.forget_config(name)

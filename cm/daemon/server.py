@@ -12,8 +12,8 @@ from functools import partial
 import zmq
 
 from cm.budgets.places import Places
-from cm.daemon.aside import Aside
 from cm.daemon.board_watch import BoardWatch
+from cm.daemon.client_jobs import ClientJobs
 from cm.daemon.connections import Connections
 from cm.daemon.dispatcher import Dispatcher
 from cm.daemon.endpoints import Locks, Sockets
@@ -22,7 +22,7 @@ from cm.daemon.handlers import Handlers, Services
 from cm.daemon.host.devices import BoardDevices
 from cm.daemon.host.files import BoardFiles, Footprints
 from cm.daemon.host.provision import Provisioner
-from cm.daemon.host.reload import Reloader, Surroundings, renewal
+from cm.daemon.host.reload import ReloadContext, Reloader, renewal
 from cm.daemon.host.systemd import ServiceManager
 from cm.daemon.interrupts import InterruptWatch
 from cm.daemon.lease_watch import LeaseWatch
@@ -70,7 +70,7 @@ class Server:
         own_folder(options.state_dir)
         self._provisioner = Provisioner(options.state_dir / "configs", options.unsigned, options.quota)
         self._journal = Journal(options.state_dir)
-        self._aside = Aside(self._loop)
+        self._jobs = ClientJobs(self._loop)
         waiting = mark((configs := self._configs()).values(), options.queue_bytes)
         self._sockets = Sockets(self._context, options.runtime_dir, waiting, options.limits, options.group)
         self._authenticator = Authenticator(self._context, gate.enter)
@@ -110,10 +110,10 @@ class Server:
     def _make_reloader(self) -> Reloader:
         loop, o = self._loop, self._options
         standing = partial(self._provisioner.standing, example=o.example)
-        aside = self._aside.thread, loop.call_threadsafe, standing, self._with_channels
+        running = self._jobs.thread, loop.call_threadsafe, standing, self._with_channels
         bounded = self._connections, self._streams
         renew = renewal(self._sessions.renew, bounded, self._manager.leases, self._provisioner)
-        return Reloader(Surroundings(self._manager, renew, self._service, *aside, o.reload, o.changed), o.configs)
+        return Reloader(ReloadContext(self._manager, renew, self._service, *running, o.reload, o.changed), o.configs)
 
     def _make_dispatcher(self) -> Dispatcher:
         handlers, cache = Handlers(self._services()), ReadCache(self._manager.registers.prepare)
@@ -135,7 +135,7 @@ class Server:
             status=self._status,
             connections=self._connections,
             complete=self._with_channels,
-            aside=self._aside,
+            jobs=self._jobs,
             changes=Places(1 + QUEUE_LENGTH, "changes"),
         )
 
@@ -189,7 +189,7 @@ class Server:
     def _close(self) -> None:
         self._service.stopping()
         users = (self._connections.close, self._streams.end, self._pieces.close, self._interrupts.close)
-        watches = (self._metrics.close, self._sensors.close, self._leases.close, self._aside.close)
+        watches = (self._metrics.close, self._sensors.close, self._leases.close, self._jobs.close)
         board = (self._publisher.close, self._devices.lost, self._journal.close, self._sockets.close)
         last = (self._authenticator.close, self._context.term, self._loop.close, self._locks.release)
         for end in (self._manager.stop, self._acceptor.close, *users, *watches, *board, *last):

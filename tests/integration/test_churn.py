@@ -21,7 +21,7 @@ from flood import running
 from manager_process import CAMERA, environment, until
 
 from cm.budgets.budget import Budget
-from cm.daemon.aside import Aside
+from cm.daemon.client_jobs import ClientJobs
 from cm.manager.execution.worker import Change, Worker
 from cm.manager.manager import Manager
 from cm.messages import requests as rq
@@ -114,19 +114,19 @@ def test_a_client_that_fills_the_queue_of_changes_leaves_places_to_others(
 def test_a_plan_waits_for_one_task_of_another_client_and_not_for_all(
     served: Daemon, hostile: Client, other: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    goes_on, began, done, run = threading.Event(), threading.Event(), [], Aside._run
+    goes_on, began, done, run = threading.Event(), threading.Event(), [], ClientJobs._run
 
-    def noted(aside: Aside, client: Budget, *work: Any) -> None:
+    def noted(jobs: ClientJobs, client: Budget, *work: Any) -> None:
         began.set()
         assert goes_on.wait(60)
         done.append(client.account.name)
-        run(aside, client, *work)
+        run(jobs, client, *work)
 
-    monkeypatch.setattr(Aside, "_run", noted)
+    monkeypatch.setattr(ClientJobs, "_run", noted)
     hostile.ask(*[rq.PlanChange("camera", "edge_detection")] * 60)
     assert began.wait(60)
     other.ask(rq.PlanChange("camera", "colorise"))
-    until(lambda: len(served.server._aside._waiting) == 2)
+    until(lambda: len(served.server._jobs._waiting) == 2)
     goes_on.set()
     assert other.codes(1) == ["ok"]
     assert hostile.codes(60) == ["ok"] * 60
@@ -171,19 +171,19 @@ def test_settings_are_reread_after_one_task_however_many_wait(
     served: Daemon, hostile: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Otherwise a client that is about to lose a right could delay that."""
-    goes_on, began, order, run = threading.Event(), threading.Event(), [], Aside._run
+    goes_on, began, order, run = threading.Event(), threading.Event(), [], ClientJobs._run
 
-    def noted(aside: Aside, *work: Any) -> None:
+    def noted(jobs: ClientJobs, *work: Any) -> None:
         began.set()
         assert goes_on.wait(60)
         order.append("work")
-        run(aside, *work)
+        run(jobs, *work)
 
-    monkeypatch.setattr(Aside, "_run", noted)
+    monkeypatch.setattr(ClientJobs, "_run", noted)
     schema = (CAMERA / "camera.yaml").read_text("utf-8").replace("name: camera", "name: mine", 1)
     hostile.ask(*[rq.Provision(schema)] * 30)
     assert began.wait(60)
-    read = served.server._aside.thread.submit(order.append, "settings")
+    read = served.server._jobs.thread.submit(order.append, "settings")
     goes_on.set()
     read.result(60)
     assert order.index("settings") == 1

@@ -18,9 +18,9 @@ from cm.errors import Busy, CmError, InvalidRequest
 from cm.fleet.change import member
 from cm.fleet.change.asks import Ask, Verb
 from cm.fleet.change.coordinator import Coordinator, first_step
-from cm.fleet.change.given import Planned, Unsettled
 from cm.fleet.change.member import NotNow
 from cm.fleet.change.participant import Participant
+from cm.fleet.change.ports import Planned, Unsettled
 from cm.fleet.change.seats import agreed
 from cm.messages.fleet import Decision, FleetRecord, FleetStep, Policy
 from cm.messages.status import ErrorInfo

@@ -10,7 +10,7 @@ from cm.bench.loop import looped
 from cm.bench.peer import Unavailable
 from cm.bench.result import Result
 from cm.bench.rounds import Batch, Plan, interleave
-from cm.bench.run import IMAGE, IMAGES, Rivals, Run
+from cm.bench.run import IMAGE, IMAGES, Baselines, Run
 
 TRIPS = 1000
 NAMES = {"ours": "through the simulated PL", "zmq": "pyzmq ipc echo", "c": "C, two copies"}
@@ -24,9 +24,9 @@ def run(bench: Run) -> list[Result]:
     missing: dict[str, str] = {}
     for size in IMAGES:
         with ExitStack() as stack:
-            rivals = Rivals(bench, stack)
-            rivals.add(["zmq"], size)
-            contestants: dict[str, Batch] = {"ours": stack.enter_context(looped(bench, size)), **rivals.batches}
+            baselines = Baselines(bench, stack)
+            baselines.add(["zmq"], size)
+            contestants: dict[str, Batch] = {"ours": stack.enter_context(looped(bench, size)), **baselines.batches}
             try:
                 contestants["c"] = stack.enter_context(Copies(bench.place("c"), size)).batch
             except Unavailable as why:

@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager, ExitStack
 from cm.bench.loop import echoed, looped, looped_over_tcp
 from cm.bench.result import Result
 from cm.bench.rounds import Batch, Samples, interleave
-from cm.bench.run import IMAGE, IMAGES, Rivals, Run
+from cm.bench.run import IMAGE, IMAGES, Baselines, Run
 
 SIZES = (64, 4096, 65536, 1 << 20, *sorted(IMAGES))
 KINDS = ("zmq", "zmq_tcp", "zenoh", "cyclonedds", "iceoryx2")
@@ -34,11 +34,11 @@ def run(bench: Run) -> list[Result]:
     at_image: Samples | None = None
     for size in SIZES[:: 3 if bench.quick else 1]:
         with ExitStack() as stack:
-            rivals = Rivals(bench, stack)
-            rivals.add(KINDS, size)
-            missing.update(rivals.missing)
+            baselines = Baselines(bench, stack)
+            baselines.add(KINDS, size)
+            missing.update(baselines.missing)
             ours = {name: stack.enter_context(make(bench, size)) for name, make in OURS.items()}
-            found = _timed(bench, size, {**rivals.batches, **ours})
+            found = _timed(bench, size, {**baselines.batches, **ours})
         for name, samples in found.items():
             series.setdefault(NAMES.get(name, name), []).append({"bytes": size, **samples.plain()})
         at_image = found["zmq"] if size == IMAGE or at_image is None else at_image

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 
 from cm.bench.result import Goal, Result, unavailable
 from cm.bench.rounds import Samples, interleave, timed
-from cm.bench.run import IMAGE, Rivals, Run
+from cm.bench.run import IMAGE, Baselines, Run
 from cm.bench.serving import PATIENCE, serve
 
 GOALS = {
@@ -26,12 +26,12 @@ BASELINES = {
 def run(bench: Run) -> list[Result]:
     """Measure `frame_local_vs_*`."""
     with ExitStack() as stack:
-        rivals = Rivals(bench, stack)
-        rivals.add(("zmq", "iceoryx2"), IMAGE)
+        baselines = Baselines(bench, stack)
+        baselines.add(("zmq", "iceoryx2"), IMAGE)
         board = stack.enter_context(stack.enter_context(serve(bench)).connect())
         image, small = (stack.enter_context(board.echo(size, PATIENCE)) for size in (IMAGE, 64))
-        few = {"zmq": rivals.batches["zmq"]}
-        many = {name: batch for name, batch in rivals.batches.items() if name != "zmq"}
+        few = {"zmq": baselines.batches["zmq"]}
+        many = {name: batch for name, batch in baselines.batches.items() if name != "zmq"}
         ours = {"image": timed(image.round_trip), "64b": timed(small.round_trip)}
         slow = interleave({**few, "image": ours["image"]}, bench.plan(10))
         fast = interleave({**ours, **many}, bench.plan(300))
@@ -40,7 +40,7 @@ def run(bench: Run) -> list[Result]:
         "frame_local_vs_64b": (fast["image"], fast["64b"]),
         "frame_local_vs_iceoryx2": (fast["image"], fast.get("iceoryx2")),
     }
-    return [_result(name, *pair, rivals.missing) for name, pair in samples.items()]
+    return [_result(name, *pair, baselines.missing) for name, pair in samples.items()]
 
 
 def _result(name: str, ours: Samples, theirs: Samples | None, missing: dict[str, str]) -> Result:

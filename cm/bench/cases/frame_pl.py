@@ -10,7 +10,7 @@ from cm.bench.loop import looped
 from cm.bench.peer import Unavailable
 from cm.bench.result import Goal, Result, unavailable
 from cm.bench.rounds import Batch, Samples, interleave
-from cm.bench.run import IMAGE, Rivals, Run
+from cm.bench.run import IMAGE, Baselines, Run
 
 GOALS = {
     "frame_pl_vs_zmq": Goal(7, at_least=True),
@@ -31,16 +31,16 @@ BASELINES = {
 def run(bench: Run) -> list[Result]:
     """Measure `frame_pl_vs_*`."""
     with ExitStack() as stack:
-        rivals = Rivals(bench, stack)
-        rivals.add(("zmq", "zenoh"), IMAGE)
-        contestants: dict[str, Batch] = dict(rivals.batches)
+        baselines = Baselines(bench, stack)
+        baselines.add(("zmq", "zenoh"), IMAGE)
+        contestants: dict[str, Batch] = dict(baselines.batches)
         try:
             contestants["c"] = stack.enter_context(Copies(bench.place("c"), IMAGE)).batch
         except Unavailable as why:
-            rivals.missing["c"] = str(why)
+            baselines.missing["c"] = str(why)
         contestants["ours"] = stack.enter_context(looped(bench, IMAGE))
         found = interleave(contestants, bench.plan(20))
-    return [_result(name, found["ours"], found.get(_rival(name)), rivals.missing) for name in GOALS]
+    return [_result(name, found["ours"], found.get(_rival(name)), baselines.missing) for name in GOALS]
 
 
 def _rival(name: str) -> str:

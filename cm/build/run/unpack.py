@@ -102,7 +102,7 @@ def _find(folder: Path) -> tuple[Path, dict[str, Any]]:
         if told["version"] != VERSION or not all(isinstance(told[key], kind) for key, kind in _KEYS.items()):
             raise ValueError(f"version {told['version']}")
     except (ValueError, KeyError, TypeError) as error:
-        raise BuildError(f"{found[0]} is none of ours: {error}") from None
+        raise BuildError(f"{found[0]} was not written by cm build pack: {error}") from None
     return found[0].parent, told
 
 

@@ -34,7 +34,7 @@ _Key = tuple[str, str]  # configuration, region
 
 
 @dataclass(frozen=True, slots=True)
-class Lesson:
+class LearnedFootprint:
     """A region's frames, and the module and bitstream that showed them."""
 
     module: str
@@ -43,13 +43,13 @@ class Lesson:
 
 
 class Footprints:
-    """Lessons by configuration and region; in a file of their own, if a path is given. Any thread."""
+    """Learned footprints by configuration and region; in a file of their own, if a path is given. Any thread."""
 
     def __init__(self, path: Path | None = None) -> None:
         self._path = path
         self._lock = threading.Lock()
-        self._lessons: dict[_Key, Lesson] = dict(_read(path)) if path is not None else {}
-        self._untested = set(self._lessons)  # of an earlier run
+        self._learned: dict[_Key, LearnedFootprint] = dict(_read(path)) if path is not None else {}
+        self._untested = set(self._learned)  # of an earlier run
 
     def of(self, config: Config, region: str, sha256_of: Callable[[str], str | None]) -> Frames:
         """What was learned about a region; empty if nothing was.
@@ -57,30 +57,30 @@ class Footprints:
         `sha256_of` returns the present hash of a module's bitstream, None if it has none.
         """
         key = (config.name, region)
-        lesson = self._lessons.get(key)
-        if lesson is None:
+        learned = self._learned.get(key)
+        if learned is None:
             return ()
-        if key in self._untested and not _holds(lesson, config, region, sha256_of):
+        if key in self._untested and not _holds(learned, config, region, sha256_of):
             self._drop([key])
             return ()
         self._untested.discard(key)
-        return lesson.frames
+        return learned.frames
 
-    def learn(self, config: str, region: str, lesson: Lesson) -> None:
-        """Keep the first lesson of a region."""
+    def learn(self, config: str, region: str, learned: LearnedFootprint) -> None:
+        """Keep the first footprint learned of a region."""
         with self._lock:
-            if (config, region) not in self._lessons:
-                self._lessons = {**self._lessons, (config, region): lesson}
+            if (config, region) not in self._learned:
+                self._learned = {**self._learned, (config, region): learned}
                 self._save()
 
     def forget(self, config: str) -> None:
         """The configuration was replaced: its regions may lie elsewhere now."""
-        self._drop([key for key in self._lessons if key[0] == config])
+        self._drop([key for key in self._learned if key[0] == config])
 
     def _drop(self, keys: list[_Key]) -> None:
         with self._lock:
             if keys:
-                self._lessons = {key: lesson for key, lesson in self._lessons.items() if key not in keys}
+                self._learned = {key: learned for key, learned in self._learned.items() if key not in keys}
                 self._untested.difference_update(keys)
                 self._save()
 
@@ -89,14 +89,14 @@ class Footprints:
         if self._path is None:
             return
         try:
-            _write(self._path, _encode(self._lessons))
+            _write(self._path, _encode(self._learned))
         except OSError as error:
             _LOG.warning("learned footprints could not be written: %s", error)
 
 
-def _holds(lesson: Lesson, config: Config, region: str, sha256_of: Callable[[str], str | None]) -> bool:
-    module = config.modules.get(lesson.module)
-    return module is not None and module.region == region and sha256_of(lesson.module) == lesson.sha256
+def _holds(learned: LearnedFootprint, config: Config, region: str, sha256_of: Callable[[str], str | None]) -> bool:
+    module = config.modules.get(learned.module)
+    return module is not None and module.region == region and sha256_of(learned.module) == learned.sha256
 
 
 def _write(path: Path, data: bytes) -> None:
@@ -110,8 +110,8 @@ def _write(path: Path, data: bytes) -> None:
     new.replace(path)
 
 
-def _encode(lessons: Mapping[_Key, Lesson]) -> bytes:
-    rows = [[*key, x.module, x.sha256, [_row(f) for f in x.frames]] for key, x in lessons.items()]
+def _encode(learned: Mapping[_Key, LearnedFootprint]) -> bytes:
+    rows = [[*key, x.module, x.sha256, [_row(f) for f in x.frames]] for key, x in learned.items()]
     body = json.dumps({"version": _VERSION, "regions": rows})
     return f"{zlib.crc32(body.encode()):08x} {body}\n".encode()
 
@@ -120,7 +120,7 @@ def _row(f: FrameRange) -> list[int]:
     return [f.block_type, f.row, f.column_first, f.column_last]
 
 
-def _read(path: Path) -> Mapping[_Key, Lesson]:
+def _read(path: Path) -> Mapping[_Key, LearnedFootprint]:
     """The content of the file; nothing if it is missing, damaged or of another version."""
     try:
         return _decode(path.read_bytes())
@@ -131,14 +131,17 @@ def _read(path: Path) -> Mapping[_Key, Lesson]:
         return {}
 
 
-def _decode(data: bytes) -> Mapping[_Key, Lesson]:
+def _decode(data: bytes) -> Mapping[_Key, LearnedFootprint]:
     crc, _, body = data.strip().partition(b" ")
     if int(crc, 16) != zlib.crc32(body):
         raise ValueError("wrong CRC")
     plain: dict[str, Any] = json.loads(body)
     if plain["version"] != _VERSION:
         raise ValueError(f"version {plain['version']}")
-    return {(c, r): Lesson(m, h, tuple(FrameRange(*map(int, f)) for f in fs)) for c, r, m, h, fs in plain["regions"]}
+    return {
+        (c, r): LearnedFootprint(m, h, tuple(FrameRange(*map(int, f)) for f in fs))
+        for c, r, m, h, fs in plain["regions"]
+    }
 
 
 class BoardFiles:
@@ -166,8 +169,8 @@ class BoardFiles:
         path = bitstream_path(config, module, self._root)
         report = self._reader.validated(path, expect)
         if not (region.footprint or learned):
-            lesson = Lesson(module.name, report.sha256, footprint_of(report))
-            self._footprints.learn(config.name, region.name, lesson)
+            shown = LearnedFootprint(module.name, report.sha256, footprint_of(report))
+            self._footprints.learn(config.name, region.name, shown)
         return image_of(path, report)
 
     def _learned(self, config: Config, region: Region) -> Frames:

@@ -35,13 +35,13 @@ class Reloaded:
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
-    """What a reloader works with. `read` runs in another thread; None: there is nothing to read again."""
+class ReloadContext:
+    """What a reloader works with. `read` runs in another thread; None: there is nothing to reread."""
 
     manager: Manager
     renew: Callable[[Reloaded], None]  # applies settings to what they bound
     service: ServiceManager
-    aside: Executor
+    thread: Executor
     in_loop: Callable[[Callable[[], None]], None]
     standing: Callable[[Mapping[str, Config]], Mapping[str, Config]]  # together with those that clients sent
     complete: Callable[[Config], Config]
@@ -78,7 +78,7 @@ class Reloader:
     until the board holds another configuration.
     """
 
-    def __init__(self, surroundings: Surroundings, configs: Mapping[str, Config]) -> None:
+    def __init__(self, surroundings: ReloadContext, configs: Mapping[str, Config]) -> None:
         """`configs`: those of the start; configurations that a later reading lacks are forgotten."""
         self._s = surroundings
         self._waiting: dict[str, Config | None] = {}  # None: to be forgotten
@@ -90,7 +90,7 @@ class Reloader:
         """Read, then apply; the service manager is told of the beginning and the end."""
         if self._s.read is not None:
             self._s.service.reloading()
-            self._s.aside.submit(self._read, self._s.read)
+            self._s.thread.submit(self._read, self._s.read)
 
     def look(self) -> None:
         """Begin by itself once settings or keys have changed, and then not for the time between two looks."""

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from cm.daemon.loop import Loop
 
 
-class Beside:
+class BackgroundSteps:
     """Runs iterators that do one step per `next`; one of them takes one step per turn. Used in the loop's thread."""
 
     def __init__(self, loop: Loop) -> None:

@@ -87,18 +87,18 @@ class LocalClients:
         return local.stream if local else None
 
 
-SeeTo = Callable[[OpenStream, Iterator[None], Callable[[CmError | OSError], object]], None]
+TakeSteps = Callable[[OpenStream, Iterator[None], Callable[[CmError | OSError], object]], None]
 
 
 class ZmqClients:
     """The daemon's own clients for ZeroMQ: at most one per stream, made when it is needed."""
 
-    def __init__(self, loop: Loop, plane: Plane, deliver: Callable[[Frame], None], see_to: SeeTo) -> None:
-        """`see_to` takes the steps by which a client joins a stream; it passes an error to the function given."""
+    def __init__(self, loop: Loop, plane: Plane, deliver: Callable[[Frame], None], take_steps: TakeSteps) -> None:
+        """`take_steps` takes the steps by which a client joins a stream; it passes an error to the function given."""
         self._loop = loop
         self._plane = plane
         self._deliver = deliver
-        self._see_to = see_to
+        self._take_steps = take_steps
         self._clients: dict[str, ZmqReader | ZmqWriter] = {}
 
     def reader(self, opened: OpenStream) -> ZmqReader:
@@ -119,7 +119,7 @@ class ZmqClients:
 
     def _joins(self, opened: OpenStream, made: ZmqReader | ZmqWriter) -> None:
         self._clients[opened.stream.name] = made
-        self._see_to(opened, made.steps, lambda error: self._refused(opened, made, error))
+        self._take_steps(opened, made.steps, lambda error: self._refused(opened, made, error))
 
     def _refused(self, opened: OpenStream, made: ZmqReader | ZmqWriter, error: CmError | OSError) -> None:
         """There are no slots for this client: its waiting requests get the error."""

@@ -14,7 +14,7 @@ from cm.daemon.host.devices import BoardDevices
 from cm.daemon.loop import Loop
 from cm.daemon.streams.allocations import Allocations
 from cm.daemon.streams.audience import Audience
-from cm.daemon.streams.beside import Beside
+from cm.daemon.streams.background import BackgroundSteps
 from cm.daemon.streams.clients import LocalClients, ZmqClients
 from cm.daemon.streams.echo import Echoes
 from cm.daemon.streams.memory_thread import MemoryThread
@@ -58,8 +58,8 @@ class StreamDriver:
         self._totals = StreamTotals()
         self.failures: dict[str, ErrorInfo] = {}  # by stream of this mode: why it last failed
         self.locals = LocalClients(self.plane, on_error)
-        self.zmq = ZmqClients(loop, self.plane, audience.frame, self._see_to)
-        self._beside = Beside(loop)
+        self.zmq = ZmqClients(loop, self.plane, audience.frame, self._take)
+        self._background = BackgroundSteps(loop)
         self._stalled = StalledChannels(devices.probe_dma)
         loop.add(self.plane.fileno(), self._plane_event)
 
@@ -129,9 +129,9 @@ class StreamDriver:
             if failed is None:
                 raise
 
-    def _see_to(self, opened: OpenStream, steps: Iterator[None], failed: Callable[[CmError | OSError], object]) -> None:
+    def _take(self, opened: OpenStream, steps: Iterator[None], failed: Callable[[CmError | OSError], object]) -> None:
         """Take the steps as `_watched` does, in turns of the loop that belong to no client's request."""
-        self._beside.run(self._watched(opened, steps, failed))
+        self._background.run(self._watched(opened, steps, failed))
 
     def _not_started(self, opened: OpenStream, error: CmError | OSError) -> None:
         """Close a stream that could not get its first slots; a running one goes on without its new client."""
@@ -183,9 +183,9 @@ class StreamDriver:
             first(opened)
             self.zmq.refresh(opened, self.has_subscriber(stream))
             for client, steps in waiting:
-                self._see_to(opened, steps, partial(self.locals.refused, opened, client))
+                self._take(opened, steps, partial(self.locals.refused, opened, client))
             if not paid:
-                self._see_to(opened, opened.joiners.begin(), partial(self._unopened, stream.name))
+                self._take(opened, opened.joiners.begin(), partial(self._unopened, stream.name))
         except BaseException:
             self.stop(stream.name)
             raise

@@ -11,8 +11,8 @@ from cm.errors import Busy, CmError, NotFound
 from cm.fleet import names
 from cm.fleet.bridge.managed import ManagedBoard
 from cm.fleet.change import member
-from cm.fleet.change.given import Unsettled
 from cm.fleet.change.participant import Participant
+from cm.fleet.change.ports import Unsettled
 from cm.fleet.verbs import VERBS
 from cm.messages.fleet import BundleState, FetchBundle, FleetRecord, FleetStep
 from cm.messages.status import ErrorInfo

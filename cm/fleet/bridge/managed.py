@@ -11,7 +11,7 @@ from cm.client.core import calls
 from cm.client.errors import ConnectionLost, NoAnswer, RequestFailed
 from cm.errors import CmError
 from cm.fleet.bridge.records import Records
-from cm.fleet.change.given import Planned, Unsettled
+from cm.fleet.change.ports import Planned, Unsettled
 from cm.messages import requests as rq
 from cm.messages.fleet import FleetRecord
 

@@ -14,8 +14,8 @@ from dataclasses import replace
 from cm.errors import Busy, CmError, InvalidRequest
 from cm.fleet.change import member, seats
 from cm.fleet.change.asks import Ask, Verb
-from cm.fleet.change.given import Others, OwnBoard, Store, Unsettled, WallClock
 from cm.fleet.change.member import Event, NotNow, Todo
+from cm.fleet.change.ports import Others, OwnBoard, Store, Unsettled, WallClock
 from cm.messages.fleet import Decision, FleetRecord, FleetStep, Policy
 from cm.messages.status import ErrorInfo
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a participant is given: records on disk, the manager, the other boards, a clock."""
+"""Protocols of what a participant is given: records on disk, the manager, the other boards, a clock."""
 
 from __future__ import annotations
 

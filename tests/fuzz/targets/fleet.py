@@ -18,9 +18,9 @@ from cm.fleet import names
 from cm.fleet.bridge.commands import Commands
 from cm.fleet.bridge.queries import Queries
 from cm.fleet.bridge.reading import Reader
-from cm.fleet.change.given import Planned
 from cm.fleet.change.member import OPEN
 from cm.fleet.change.participant import Participant
+from cm.fleet.change.ports import Planned
 from cm.messages.fleet import FetchBundle, FleetRecord, FleetStep
 from cm.messages.status import ErrorInfo
 from cm.wire import cm_pb2 as pb

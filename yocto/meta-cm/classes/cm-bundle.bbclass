@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: MIT
-# A configuration for the configuration manager: the archive that `cm build collect` wrote, put where it is looked for.
+# Installs a configuration for the configuration manager: the archive that `cm build collect` wrote.
 #
 #   SRC_URI = "file://camera.tar.gz;subdir=${BP}"
 #   CM_CONFIG = "camera"
 #   inherit cm-bundle
 #
-# The runtime schema is checked with `cm check`, and every file that it names must have come with it.
+# The runtime schema is checked with `cm check`, and every file that it names must be in the archive.
 
 CM_CONFIG ??= "${@d.getVar('BPN').replace('cm-config-', '', 1)}"
 S = "${UNPACKDIR}/${BP}"
 
-# a package for all machines: so it cannot depend on the manager, which is one of an architecture
+# a package for all machines cannot depend on the manager, whose package is for one architecture
 inherit allarch
 
 DEPENDS += "python3-fpga-cm-native"
@@ -19,7 +19,7 @@ do_configure[noexec] = "1"
 
 do_compile() {
     if [ ! -d "${S}/${CM_CONFIG}" ]; then
-        bbfatal "the archive holds no folder ${CM_CONFIG}: CM_CONFIG names the configuration that cm build collect packed"
+        bbfatal "the archive has no folder ${CM_CONFIG}: CM_CONFIG names the configuration that cm build collect packed"
     fi
     nativepython3 -m cm check "${S}/${CM_CONFIG}"
 }

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
 SUMMARY = "Kernel modules of the configuration manager"
-DESCRIPTION = "Each module is a package of its own, kernel-module-cm-*; this one is empty and names them all."
+DESCRIPTION = "Each module has its own package, kernel-module-cm-*; this package is empty and depends on all of them."
 SECTION = "kernel/modules"
 CVE_PRODUCT = "fpga-cm"
 LICENSE = "GPL-2.0-only"
@@ -12,7 +12,7 @@ S = "${UNPACKDIR}/fpga_cm-${PV}/kmod"
 
 inherit module
 
-# the modules' packages are made in do_package: this says beforehand that they will be here
+# the modules' packages are made only in do_package: declare beforehand that they will exist
 PACKAGES_DYNAMIC += "^kernel-module-cm-.*"
 
 MODULES_MODULE_SYMVERS_LOCATION = "."

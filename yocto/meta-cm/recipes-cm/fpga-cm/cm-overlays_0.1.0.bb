@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
 SUMMARY = "Device-tree overlays of the configuration manager's examples"
-DESCRIPTION = "For boards whose trees have no symbols: their targets are named by path, or by labels of the base."
+DESCRIPTION = "Also for boards whose trees have no symbols: targets are given by path, or by labels of the base tree."
 SECTION = "bsp"
 LICENSE = "(GPL-2.0-only | BSD-2-Clause) & Apache-2.0"
 LIC_FILES_CHKSUM = "file://LICENSES/GPL-2.0-only.txt;md5=b234ee4d69f5fce4486a80fdaf4a4263 \
@@ -18,7 +18,7 @@ inherit allarch
 
 do_configure[noexec] = "1"
 
-# the preprocessor of the build host: nothing of the target is in these files
+# the build host's preprocessor: these files contain nothing that depends on the target
 do_compile() {
     oe_runmake -C ${S}/dts O=${B} CPP="${BUILD_CPP}" dtbo
 }

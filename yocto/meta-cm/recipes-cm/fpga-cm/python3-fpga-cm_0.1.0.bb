@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
 SUMMARY = "Configuration manager for adaptive FPGA systems"
-DESCRIPTION = "The daemon and its service; client library, simulated board, build tool and measurements are packages beside it."
+DESCRIPTION = "The daemon and its service; client library, simulated board, build tool and benchmarks are separate packages."
 SECTION = "devel/python"
 LICENSE = "Apache-2.0"
 LIC_FILES_CHKSUM = "file://LICENSE;md5=3b83ef96387f14655fc854ddc3c6bd57"
@@ -73,7 +73,7 @@ CONFFILES:${PN} = "${sysconfdir}/cm/cm.yaml"
 CONFFILES:${PN}-bridge = "${sysconfdir}/cm/bridge-dds.conf ${sysconfdir}/cm/bridge-rmw-zenoh.conf \
                           ${sysconfdir}/cm/bridge-zenoh.conf"
 
-# What the modules of each package import; a test compares. None of it is wanted of the native variant.
+# What the modules of each package import, as a test verifies. The native variant needs none of it.
 CM_NEEDS_CLIENT = "python3-asyncio \
                    python3-cffi \
                    python3-core \
@@ -99,7 +99,7 @@ CM_NEEDS_DAEMON = "python3-compression \
                    python3-resource \
                    python3-threading \
                    python3-xml"
-# the script of an older init gives the manager its user and its one capability by setpriv
+# the script for an older init gives the manager its user and its one capability with setpriv
 CM_NEEDS_INIT = "${@bb.utils.contains('DISTRO_FEATURES', 'systemd', '', 'util-linux-setpriv', d)}"
 RDEPENDS:${PN}-client:append:class-target = " ${CM_NEEDS_CLIENT}"
 RDEPENDS:${PN}:append:class-target = " ${PN}-client (= ${EXTENDPKGV}) ${CM_NEEDS_DAEMON} ${CM_NEEDS_INIT}"

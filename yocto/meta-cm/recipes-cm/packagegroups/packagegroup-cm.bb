@@ -4,7 +4,7 @@ SUMMARY:${PN}-sim = "The configuration manager without hardware: simulated board
 DESCRIPTION = "Daemon, command, rules and kernel modules. The simulated PL and the simulated board are in packagegroup-cm-sim."
 SECTION = "base"
 
-# kernel modules are packages of a machine
+# kernel modules are machine-specific packages
 PACKAGE_ARCH = "${MACHINE_ARCH}"
 
 inherit packagegroup

@@ -2,7 +2,7 @@
 require cm-ros2.inc
 
 SUMMARY = "ROS 2 messages, services and action of the FPGA configuration manager"
-DESCRIPTION = "What bridges and the node speak; whoever subscribes to a board needs it too."
+DESCRIPTION = "The messages of bridges and of the node; subscribers to a board need them too."
 
 ROS_BPN = "cm_interfaces"
 ROS_BUILD_DEPENDS = "action-msgs std-msgs"

@@ -2,7 +2,7 @@
 require cm-ros2.inc
 
 SUMMARY = "A board under the FPGA configuration manager as a ROS 2 lifecycle node"
-DESCRIPTION = "Topics, services, the action and the parameters of a board as one node over rclpy, with launch files."
+DESCRIPTION = "The topics, services, action and parameters of a board in one rclpy node, with launch files."
 
 ROS_BPN = "cm_ros2"
 ROS_EXEC_DEPENDS = "action-msgs cm-interfaces diagnostic-msgs launch launch-ros python3-numpy rcl-interfaces rclpy sensor-msgs"
