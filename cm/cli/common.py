@@ -76,6 +76,14 @@ def seconds(text: str) -> float:
     return value
 
 
+def interval(text: str) -> float:
+    """A time in seconds of more than 0; for argparse."""
+    value = seconds(text)
+    if not value:
+        raise argparse.ArgumentTypeError(f"{text!r}: a time of more than 0 is wanted")
+    return value
+
+
 def print_json(value: Any, lines: bool = False) -> None:
     """Print `value` as JSON; with `lines` on one line, for continuing output (JSON Lines)."""
     text = json.dumps(value, default=_plain, ensure_ascii=False, indent=None if lines else 2)

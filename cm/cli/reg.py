@@ -16,10 +16,10 @@ from cm.cli.common import (
     add_json_option,
     add_lease_option,
     completes,
+    interval,
     natural,
     print_json,
     print_table,
-    seconds,
 )
 from cm.cli.following import followed
 from cm.client.core import registers
@@ -54,7 +54,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     completes(watch.add_argument("names", metavar="NAME", nargs="*", help="only these (default: all)"), "<register>")
     watch.add_argument(
-        "--every", type=_interval, metavar="SECONDS", help="read at this interval, and print what has changed"
+        "--every", type=interval, metavar="SECONDS", help="read at this interval, and print what has changed"
     )
     watch.add_argument("--count", type=natural, default=0, metavar="N", help="stop after N lines (default: 0, never)")
     watch.set_defaults(run=run_watch)
@@ -73,13 +73,6 @@ def _assignment(text: str) -> tuple[str, int | str]:
         if value.isdecimal():  # as schemas have it: some take 010 for eight
             raise argparse.ArgumentTypeError(f"{value} is ambiguous: {name}={int(value)}, or 0o… for octal") from None
         return name, value  # a field's value by its name
-
-
-def _interval(text: str) -> float:
-    value = seconds(text)
-    if not value:
-        raise argparse.ArgumentTypeError(f"{text!r}: the time between two looks is more than 0")
-    return value
 
 
 def run_list(args: argparse.Namespace) -> int:

@@ -110,5 +110,5 @@ def _ready(request: pytest.FixtureRequest, kind: str, configs: tuple[str, ...], 
         boards[key] = Served(kind, configs, build, str(Path(coverage).absolute()) if coverage else "")
     served = boards["now"] = boards[key]
     served.begin(str(request.config.getini("cm_load")))
-    with connect(str(served.runtime)) as connected:
+    with connect(str(served.runtime), timeout=60.0) as connected:
         yield connected

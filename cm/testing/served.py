@@ -16,6 +16,7 @@ from cm.sim import Control
 
 START_TIMEOUT = 300.0  # seconds: HDL may have to be compiled
 STOP_TIMEOUT = 60.0
+PATIENCE = "60"  # seconds for an answer of the simulated board: a machine that runs tests may be busy
 
 
 class NotServed(CmError):
@@ -38,7 +39,7 @@ class Served:
         arguments += ["--sim-coverage", coverage] if coverage else []
         self._process = subprocess.Popen(
             child.command("cm.cli.main", "serve", *arguments), stdin=subprocess.DEVNULL, stderr=subprocess.PIPE,
-            env=child.environment(), start_new_session=True,
+            env={"CM_SIM_TIMEOUT": PATIENCE} | child.environment(), start_new_session=True,
         )  # fmt: skip
         try:
             self._await_ready()
