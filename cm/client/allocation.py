@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import math
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cm.client.data_connection import DataConnection
+from cm.client.errors import BoardClosed
 from cm.client.mapping import SlotMappings
 from cm.errors import InvalidRequest, Timeout
 from cm.wire.plane_packets import Open
@@ -87,21 +88,59 @@ def nbytes(shape: int | Sequence[int], dtype: Any) -> int:
     return length
 
 
-def allocated(folder: Path, shape: int | Sequence[int], dtype: Any, timeout: float | None) -> DeviceArray:
-    """Allocate from the manager that serves `folder`. Raises InvalidRequest, RequestFailed, Timeout, ConnectionLost."""
+class _Request:
+    """A request for memory. Memory that has come outlives the board."""
+
+    def __init__(self, folder: Path, length: int) -> None:
+        self._connection = DataConnection(folder, Open("", length=length, allocate=True))
+        self._ended: BoardClosed | None = None
+        self._answered = False
+
+    def end(self, because: BoardClosed) -> None:
+        """The board is closed: a thread that still waits raises BoardClosed."""
+        self._ended = because
+        if not self._answered:
+            self._connection.close()
+
+    def answer(self, timeout: float | None) -> tuple[DataConnection, SlotMappings]:
+        """The memory, and the connection that holds it. Raises the manager's refusal, Timeout, BoardClosed."""
+        connection, memory = self._connection, None
+        try:
+            connection.set_timeout(timeout)
+            while connection.memory is None or not connection.address:
+                connection.receive()
+            self._answered = True
+            self._check()  # an end() from here on leaves the memory to its owner
+            memory = connection.memory
+        except BlockingIOError:
+            raise Timeout(f"memory: the manager did not answer within {timeout or 0:g} s") from None
+        except Exception:
+            self._check()  # closed by another thread
+            raise
+        finally:
+            if memory is None:
+                connection.close()
+        return connection, memory
+
+    def _check(self) -> None:
+        if self._ended is not None:
+            raise self._ended from None
+
+
+def allocated(
+    folder: Path,
+    shape: int | Sequence[int],
+    dtype: Any,
+    timeout: float | None,
+    using: Callable[[_Request], _Request],
+) -> DeviceArray:
+    """Allocate from the manager that serves `folder`; `using` makes the request known to the board.
+
+    Raises InvalidRequest, RequestFailed, Timeout, ConnectionLost, BoardClosed.
+    """
     length = nbytes(shape, dtype)
-    connection = DataConnection(folder, Open("", length=length, allocate=True))
-    try:
-        connection.set_timeout(timeout)
-        while connection.memory is None or not connection.address:
-            connection.receive()
-    except BlockingIOError:
-        connection.close()
-        raise Timeout(f"memory: the manager did not answer within {timeout or 0:g} s") from None
-    except BaseException:
-        connection.close()
-        raise
-    return _array(connection, connection.memory, shape, dtype, length)
+    connection, memory = using(_Request(folder, length)).answer(timeout)
+    return _array(connection, memory, shape, dtype, length)
 
 
 def _array(

@@ -291,7 +291,7 @@ class Board(Guarded):
 
         if self._place.data is not None and not copy:
             wanted = Open(name, depth=depth, lease=self._leases.named(lease))
-            return self._using(LocalStream(self._place.data, wanted, timeout, newest, owner=self))
+            return self._sockets.using(LocalStream(self._place.data, wanted, timeout, newest, owner=self))
         published = Wanted(name, timeout, newest or bool(self._place.guest), compression, depth)
         if published.newest:
             return NewestStream(self, published, self._new_link)
@@ -303,11 +303,6 @@ class Board(Guarded):
     def _check_open(self) -> None:
         if self._sockets.closed:
             raise self._sockets.gone()
-
-    def _using(self, user: _T) -> _T:
-        self._check_open()
-        self._sockets.users.add(user)
-        return user
 
     def writer(self, name: str, timeout: float | None = 5.0, *, depth: int = 0, lease: str = "") -> Writer:
         """Write a stream without copies: ``with writer.slot() as array: array[...] = frame``.
@@ -326,7 +321,9 @@ class Board(Guarded):
     def _writer(self, folder: Path, wanted: Open, timeout: float | None) -> Writer:
         from cm.client.writer import Writer  # here: other systems than Linux have no such sockets
 
-        return self._using(Writer(folder, wanted, timeout, owner=self))
+        writer = self._sockets.using(Writer(folder, wanted, timeout, owner=self))
+        writer.open()
+        return writer
 
     def read(self, stream: str = "", timeout: float | None = 1.0) -> Frame:
         """The next frame of a stream; `timeout` in seconds, None waits for ever. Raises RequestTimeout."""
@@ -351,7 +348,7 @@ class Board(Guarded):
         folder = self._place.data_folder("memory for the PL")
         from cm.client.allocation import allocated  # here: other systems than Linux have no such sockets
 
-        return allocated(folder, shape, dtype, seconds(timeout, self.timeout))
+        return allocated(folder, shape, dtype, seconds(timeout, self.timeout), self._sockets.using)
 
     def configure_stream(
         self,
@@ -413,7 +410,7 @@ class Board(Guarded):
 
         So do calls that wait in other threads. Twice is fine.
         """
-        self._sockets.end_users()
+        self._sockets.refuse()
         with self._sockets.closing:
             self._sockets.free()
             self._link.close()

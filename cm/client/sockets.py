@@ -7,7 +7,7 @@ import threading
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import zmq
 
@@ -19,6 +19,7 @@ from cm.wire.topics import Endpoints
 
 Socket = zmq.Socket[bytes]
 _Socket = TypeVar("_Socket", bound="zmq.Socket[Any]")
+_User = TypeVar("_User", bound="User")
 _LEAVES = 5.0  # seconds at most until a thread that was sent out of its socket has left it
 
 
@@ -35,6 +36,31 @@ def prepare(socket: _Socket, keys: Keys | None, depth: int = 0) -> _Socket:
     return socket
 
 
+class User(Protocol):
+    """Has sockets of its own; threads may wait in it."""
+
+    def end(self, because: BoardClosed) -> None:
+        """Close them: whoever waits there, or comes later, raises `because`."""
+
+
+class Living:
+    """Things for as long as they live. One thread may add one while another goes through them."""
+
+    def __init__(self) -> None:
+        self._refs: set[weakref.ref[Any]] = set()
+
+    def add(self, thing: Any) -> None:
+        """From now on, until it is garbage."""
+        self._refs.add(weakref.ref(thing, self._refs.discard))
+
+    def __iter__(self) -> Iterator[Any]:
+        """Those that are there now."""
+        for ref in self._refs.copy():  # a WeakSet raises RuntimeError if another thread adds something
+            thing = ref()
+            if thing is not None:
+                yield thing
+
+
 class Sockets:
     """Makes sockets, and holds them until they are closed.
 
@@ -48,8 +74,8 @@ class Sockets:
         self._context = context
         self._keys = keys
         self._open: set[Any] = set()
-        self.users: weakref.WeakSet[Any] = weakref.WeakSet()  # of the data socket: they end with the board
-        self._turns: weakref.WeakSet[Any] = weakref.WeakSet()
+        self._turns = Living()
+        self._users = Living()
         self._over = False
         self._disowned = False
         self._ending: threading.Thread | None = None
@@ -83,7 +109,7 @@ class Sockets:
 
     def end_users(self) -> None:
         """End what uses the data socket; any later use of it raises `gone`."""
-        for user in tuple(self.users):
+        for user in self._users:
             user.end(self.gone())
 
     def turn(self) -> Any:
@@ -91,6 +117,19 @@ class Sockets:
         turn = threading.RLock()  # the thread itself may close, in a signal handler
         self._turns.add(turn)
         return turn
+
+    def using(self, user: _User) -> _User:
+        """Note who uses the manager's data socket, and ends with the board. Raises BoardClosed."""
+        self._users.add(user)
+        if self._over:  # looked at last: a `refuse` that did not find the user has said so before
+            user.end(self.gone())
+            raise self.gone()
+        return user
+
+    def refuse(self) -> None:
+        """End all users of the data socket; whoever asks for any socket from here on gets BoardClosed."""
+        self._over = True
+        self.end_users()
 
     def free(self) -> None:
         """Send all other threads out of their sockets, at once, by zmq.ContextTerminated (zmq_ctx_term(3)).
@@ -101,7 +140,7 @@ class Sockets:
         if self._disowned:
             return
         with self.closing:
-            waiting = [turn for turn in tuple(self._turns) if not _left(turn, 0.0)]
+            waiting = [turn for turn in self._turns if not _left(turn, 0.0)]
             if waiting and self._ending is None and not self._context.closed:
                 self._ending = threading.Thread(target=self._context.term, name="end of a board", daemon=True)
                 self._ending.start()  # it waits until the last socket is closed

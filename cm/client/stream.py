@@ -90,6 +90,7 @@ class LocalStream(Stream):
     ) -> None:
         self._connection: DataConnection | None = None
         self._timeout = time_limit(timeout)
+        self._opening: DataConnection | None = None  # the manager has not answered on it yet
         self._folder = folder
         self._owner = owner  # the board, which this keeps alive
         self._wanted = wanted
@@ -108,30 +109,40 @@ class LocalStream(Stream):
     def end(self, because: BoardClosed) -> None:
         """The board is closed; any later use raises BoardClosed."""
         self._ended = because
+        opening = self._opening
+        if opening is not None:
+            opening.close()  # its thread raises `because`
         self.close()
 
     def _connected(self) -> DataConnection:
         if self._ended is not None:
             raise self._ended
-        if self._connection is None:
-            self._connection = self._opened()
-        return self._connection
+        return self._connection or self._opened()
+
+    def _check(self) -> None:
+        if self._ended is not None:
+            raise self._ended from None
 
     def _opened(self) -> DataConnection:
         """Connect; the manager's refusal is raised here. If the stream is stopped just now, its frames come later."""
         from cm.client.data_connection import DataConnection  # imported here: only Linux has such sockets
 
-        connection = DataConnection(self._folder, self._wanted)
+        connection = self._opening = DataConnection(self._folder, self._wanted)
         try:
+            self._check()  # an end() from here on finds the connection
             connection.set_timeout(at_least(self._timeout, _ANSWER))
             while connection.geometry is None and not connection.stopped:
                 connection.receive()
+            self._connection = connection
         except BlockingIOError:
-            connection.close()
             raise Timeout(f"stream {self.name!r}: the manager did not answer on its data socket") from None
-        except BaseException:
-            connection.close()
+        except Exception:
+            self._check()  # closed by another thread
             raise
+        finally:
+            self._opening = None
+            if self._connection is not connection:
+                connection.close()
         return connection
 
     @property

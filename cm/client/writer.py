@@ -36,8 +36,11 @@ class Writer:
         self._next = 0
         self._under_way: set[int] = set()  # sequences
         self._failed: list[Descriptor] = []
+
+    def open(self) -> None:
+        """Wait for the first slot, as `Board.writer` does. Raises the manager's refusal, Timeout."""
         try:
-            self._wait(lambda: bool(self._connection.granted), timeout)
+            self._wait(lambda: bool(self._connection.granted), self._timeout)
         except BaseException:
             self._connection.close()
             raise

@@ -717,7 +717,7 @@ ONLY = {  # for mappings, for event loops, and for what a thread has to do itsel
     "Memories": {"get", "items", "keys", "values"},
     "EventStream": {"open"},
     "Stream": {"aclose"},
-    "Writer": {"poll", "fileno"},
+    "Writer": {"poll", "fileno", "open"},
 }
 
 

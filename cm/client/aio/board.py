@@ -267,18 +267,13 @@ class Board(Guarded):
         """
         if self._place.data is not None and not copy:
             wanted = Open(name, depth=depth, lease=self._leases.named(lease))
-            return self._using(AsyncLocalStream(self, self._place.data, wanted, timeout, newest))
+            return self._sockets.using(AsyncLocalStream(self, self._place.data, wanted, timeout, newest))
         published = Wanted(name, timeout, newest or bool(self._place.guest), compression, depth)
         return AsyncRemoteStream(self, published)
 
     def _check_open(self) -> None:
         if self._sockets.closed:
             raise self._sockets.gone()
-
-    def _using(self, user: _T) -> _T:
-        self._check_open()
-        self._sockets.users.add(user)
-        return user
 
     def writer(self, name: str, timeout: float | None = 5.0, *, depth: int = 0, lease: str = "") -> AsyncWriter:
         """Write a stream without copies: ``async with writer.slot() as array: array[...] = frame``.
@@ -287,12 +282,12 @@ class Board(Guarded):
         `lease`: your lease's id, if the stream's region is under a lease.
         """
         wanted = Open(name, write=True, depth=depth, lease=self._leases.named(lease))
-        return self._using(AsyncWriter(self, self._place.data_folder("a writer"), wanted, timeout))
+        return self._sockets.using(AsyncWriter(self, self._place.data_folder("a writer"), wanted, timeout))
 
     def echo(self, length: int, timeout: float | None = 5.0, *, depth: int = 2) -> AsyncWriter:
         """Slots of `length` bytes that need no hardware: what is sent is done at once. For measuring."""
         wanted = Open("", depth=depth, echo=True, length=length)
-        return self._using(AsyncWriter(self, self._place.data_folder("an echo"), wanted, timeout))
+        return self._sockets.using(AsyncWriter(self, self._place.data_folder("an echo"), wanted, timeout))
 
     async def read(self, stream: str = "", timeout: float | None = 1.0) -> Frame:
         """The next frame of a stream; `timeout` in seconds, None waits for ever. Raises RequestTimeout."""
@@ -317,7 +312,8 @@ class Board(Guarded):
         folder, limit = self._place.data_folder("memory for the PL"), seconds(timeout, self.timeout)
         from cm.client.allocation import allocated  # imported here: only Linux has such sockets
 
-        return await asyncio.get_running_loop().run_in_executor(None, allocated, folder, shape, dtype, limit)
+        wait = asyncio.get_running_loop().run_in_executor
+        return await wait(None, allocated, folder, shape, dtype, limit, self._sockets.using)
 
     async def configure_stream(
         self,
@@ -379,7 +375,7 @@ class Board(Guarded):
 
         Twice is fine.
         """
-        self._sockets.end_users()
+        self._sockets.refuse()
         await self._link.close()
         self._close()
 

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 import zmq.asyncio
 from zmq.utils.monitor import parse_monitor_message
 
+from cm.client.aio.waiting import wake
 from cm.client.core.calls import Call
 from cm.client.core.effects import Ask, AskBeside, Flow, Pause, Receive, seconds
 from cm.client.core.handshake import Handshake
@@ -36,12 +37,25 @@ class Subscription:
         """The next message; None if there is none within `timeout` seconds. Raises BoardClosed, NotAdmitted."""
         if self.socket.closed or self._sockets.closed:
             raise self._sockets.gone()
-        ready = dict(await self._poller.poll(-1 if timeout is None else int(timeout * 1000) + (timeout > 0)))
+        ready = await self._polled(-1 if timeout is None else int(timeout * 1000) + (timeout > 0))
         if self.socket in ready:
             return await self.socket.recv_multipart()
         if ready:
             raise not_subscribed(self._sockets.endpoints.pub)
         return None
+
+    async def _polled(self, milliseconds: int) -> dict[Any, int]:
+        """Which sockets are readable. Raises BoardClosed; pyzmq cancels what waits for a socket that is closed."""
+        polled = asyncio.ensure_future(self._poller.poll(milliseconds))
+        over: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        polled.add_done_callback(lambda _: wake(over))
+        try:
+            await over  # awaiting `polled` itself would look as if this task had been cancelled
+        finally:
+            polled.cancel()
+        if polled.cancelled():
+            raise self._sockets.gone()
+        return dict(polled.result())
 
     def fileno(self) -> int:
         """A descriptor that is readable when something may have come; then take all (zmq_getsockopt(3), ZMQ_FD)."""

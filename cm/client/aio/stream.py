@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, TypeVar
 
 from cm.client.aio.link import Subscription
-from cm.client.aio.waiting import readable
+from cm.client.aio.waiting import Waits
 from cm.client.core.effects import DEFAULT, Limit, seconds, time_limit
 from cm.client.core.generations import FirstAfter, Written
 from cm.client.core.remote_stream import NewestReader, PublishedReader, Reader
@@ -88,6 +88,7 @@ class AsyncLocalStream(Stream):
 
     def __init__(self, board: Board, folder: Path, wanted: Open, timeout: float | None, newest: bool = False) -> None:
         self._stream = LocalStream(folder, wanted, timeout, newest, owner=board)
+        self._waits = Waits()
         self._timeout = time_limit(timeout)
         self.name = wanted.name
 
@@ -122,14 +123,15 @@ class AsyncLocalStream(Stream):
 
     async def _next(self) -> Frame:
         while (frame := self._stream.poll()) is None:
-            await readable(self._stream.fileno())
+            await self._waits.readable(self._stream.fileno())
         return frame
 
     async def close(self) -> None:
         self._stream.close()
 
     def end(self, because: BoardClosed) -> None:
-        """The board is closed; any later use raises BoardClosed."""
+        """The board is closed; any later use, and tasks that wait for a frame, raise BoardClosed."""
+        self._waits.end()
         self._stream.end(because)
 
 

@@ -6,17 +6,36 @@ from __future__ import annotations
 import asyncio
 
 
-async def readable(fd: int) -> None:
-    """Wait until a descriptor is readable."""
-    loop = asyncio.get_running_loop()
-    ready: asyncio.Future[None] = loop.create_future()
+class Waits:
+    """Tasks that wait until a descriptor is readable, and those who close it send them away first."""
 
-    def wake() -> None:
-        if not ready.done():
-            ready.set_result(None)
+    def __init__(self) -> None:
+        self._waiting: dict[asyncio.Future[None], int] = {}  # the descriptor of each
 
-    loop.add_reader(fd, wake)
-    try:
-        await ready
-    finally:
-        loop.remove_reader(fd)
+    async def readable(self, fd: int) -> None:
+        """Wait until a descriptor is readable, or is about to be closed."""
+        loop = asyncio.get_running_loop()
+        ready: asyncio.Future[None] = loop.create_future()
+        self._waiting[ready] = fd
+        loop.add_reader(fd, wake, ready)
+        try:
+            await ready
+        finally:
+            self._forget(ready)
+
+    def end(self) -> None:
+        """Their descriptors are about to be closed, of which an event loop says nothing."""
+        for ready in tuple(self._waiting):
+            self._forget(ready)
+            wake(ready)
+
+    def _forget(self, ready: asyncio.Future[None]) -> None:
+        fd = self._waiting.pop(ready, None)
+        if fd is not None:
+            ready.get_loop().remove_reader(fd)
+
+
+def wake(ready: asyncio.Future[None]) -> None:
+    """Let the task go on that waits for a future; twice is fine."""
+    if not ready.done():
+        ready.set_result(None)

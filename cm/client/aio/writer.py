@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy.typing as npt
 
-from cm.client.aio.waiting import readable
+from cm.client.aio.waiting import Waits
 from cm.client.core.effects import DEFAULT, Limit, seconds, time_limit
 from cm.client.errors import BoardClosed
 from cm.errors import InvalidRequest, Timeout
@@ -32,12 +32,18 @@ class AsyncWriter:
         self.name = wanted.name
         self._ended: BoardClosed | None = None
         self._writer: Writer | None = None
+        self._waits = Waits()
 
     async def __aenter__(self) -> AsyncWriter:
         from cm.client.writer import Writer  # imported here: only Linux has such sockets
 
-        make = asyncio.get_running_loop().run_in_executor
-        self._writer = await make(None, Writer, self._folder, self._wanted, self._timeout)
+        def opened() -> None:
+            writer = self._writer = Writer(self._folder, self._wanted, self._timeout)
+            if self._ended is not None:  # an end() from here on finds the writer
+                writer.end(self._ended)
+            writer.open()
+
+        await asyncio.get_running_loop().run_in_executor(None, opened)
         return self
 
     async def __aexit__(
@@ -51,8 +57,9 @@ class AsyncWriter:
             self._writer.close()
 
     def end(self, because: BoardClosed) -> None:
-        """The board is closed; any later use raises BoardClosed."""
+        """The board is closed; any later use, and tasks that wait for a slot, raise BoardClosed."""
         self._ended = because
+        self._waits.end()
         if self._writer is not None:
             self._writer.end(because)
 
@@ -110,7 +117,7 @@ class AsyncWriter:
         async def wait() -> None:
             while not ready():
                 if not writer.poll():
-                    await readable(writer.fileno())
+                    await self._waits.readable(writer.fileno())
 
         if limit == 0:  # with which asyncio would not even look
             while not ready() and writer.poll():
