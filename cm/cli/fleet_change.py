@@ -34,6 +34,7 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
         add_json_option(parser)
         parser.add_argument(
             "--policy",
+            type=_policy,
             choices=("all", "quorum", "best-effort"),
             default="all",
             help="how many boards must succeed for the change to be kept (all)",
@@ -75,6 +76,10 @@ def _add_ends(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     settle.add_argument("decision", choices=("keep", "revert"), help="stay in the new mode, or go back")
     add_fleet_options(settle)
     settle.set_defaults(run=run_settle)
+
+
+def _policy(said: str) -> str:
+    return said.replace("_", "-")
 
 
 def run(args: argparse.Namespace) -> int:

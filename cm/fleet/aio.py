@@ -29,9 +29,9 @@ from cm.fleet.recovering import open_changes, recovered, refuse_other, useful_se
 from cm.messages.fleet import BundleState, FleetRecord, FleetStep, Policy
 from cm.messages.status import ErrorInfo, FrameInfo, RegValues
 from cm.wire import fleet as wire
+from cm.wire import fleet_records as records
 from cm.wire import topics
 from cm.wire.encode import decode_event, decode_reply, encode_request
-from cm.wire.fleet_records import encode_step
 
 
 def connect(
@@ -144,14 +144,14 @@ class Fleet(Looker):
     ) -> Course:
         """Take all boards to a mode, or none: plan on all, prepare all, change all, then keep the new mode or go back.
 
-        `policy`: ``all``, ``quorum`` or ``best_effort``: how many boards must succeed for the change to be kept.
+        `policy`: ``all``, ``quorum`` or ``best-effort``: how many boards must succeed for the change to be kept.
         `timeout`: seconds for each phase. `settle`: seconds after which a board that hears nothing asks what was
         decided (0: twice `timeout`). `tell` is called with the phase, a board, and its answer. Returns the outcome with
         the critical path. Raises NoSuchBoard, FleetRefused (nothing was touched), ChangeFailed (its outcome names each
         board that differs). If this is cancelled or killed at any moment, the boards end the change by themselves;
         `recover` hastens that.
         """
-        rule = answers.policy(policy)
+        rule = records.policy(policy)
         chosen = await self.chosen(boards)
         plans = await self.plan(mode, config, chosen)
         problems = {name: plan for name, plan in plans.items() if isinstance(plan, ErrorInfo)}
@@ -180,7 +180,7 @@ class Fleet(Looker):
         return await self.load("", mode, boards, policy=policy, timeout=timeout, settle=settle, tell=tell)
 
     async def _step(self, ask: Ask, timeout: float) -> FleetRecord | ErrorInfo:
-        answer = await self.do(ask.verb.value, ask.board, encode_step(ask.step), timeout=timeout)
+        answer = await self.do(ask.verb.value, ask.board, records.encode_step(ask.step), timeout=timeout)
         return answers.record(answer)
 
     async def _ask(self, ask: Ask) -> FleetRecord | ErrorInfo:

@@ -5,18 +5,10 @@ from __future__ import annotations
 
 from cm.errors import CmError, InvalidRequest
 from cm.fleet.asking import Answer
-from cm.messages.fleet import BundleState, FleetRecord, Policy
+from cm.messages.fleet import BundleState, FleetRecord
 from cm.messages.status import ErrorInfo, RegValues
 from cm.wire import fleet as wire
 from cm.wire.encode import decode_reply
-
-
-def policy(said: Policy | str) -> Policy:
-    """A policy by its name, as people spell it. Raises InvalidRequest."""
-    try:
-        return Policy(str(getattr(said, "value", said)).replace("-", "_").replace(" ", "_"))
-    except ValueError:
-        raise InvalidRequest(f"policy {said!r}: one of {', '.join(p.value for p in Policy)} is wanted") from None
 
 
 def registers(answer: Answer) -> RegValues | ErrorInfo:

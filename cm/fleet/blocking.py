@@ -156,7 +156,7 @@ class Fleet:
     ) -> Course:
         """Take all boards to a mode, or none: plan on all, prepare all, change all, then keep the new mode or go back.
 
-        `policy`: ``all``, ``quorum`` or ``best_effort``: how many boards must succeed for the change to be kept.
+        `policy`: ``all``, ``quorum`` or ``best-effort``: how many boards must succeed for the change to be kept.
         `timeout`: seconds for each phase. `settle`: seconds after which a board that hears nothing asks what was
         decided (0: twice `timeout`). `tell` is called with the phase, a board, and its answer, in another thread.
         Returns the outcome with the critical path. Raises NoSuchBoard, FleetRefused (nothing was touched), ChangeFailed

@@ -16,6 +16,21 @@ class Policy(str, Enum):
     QUORUM = "quorum"
     BEST_EFFORT = "best_effort"
 
+    @classmethod
+    def of(cls, said: Policy | str) -> Policy:
+        """A policy by its name, also with a hyphen or a space in it. Raises ValueError."""
+        name = str(getattr(said, "value", said))
+        try:
+            return cls(name.replace("-", "_").replace(" ", "_"))
+        except ValueError:
+            known = ", ".join(policy.spelt for policy in cls)
+            raise ValueError(f"policy {name!r}: one of {known} is wanted") from None
+
+    @property
+    def spelt(self) -> str:
+        """The name as users type it."""
+        return self.value.replace("_", "-")
+
     def holds(self, members: int, there: int) -> bool:
         """Whether `there` boards out of `members` are enough."""
         if self is Policy.ALL:

@@ -53,20 +53,20 @@ def decode_step(data: bytes) -> fl.FleetStep:
         )
     if m.ballot >= BALLOTS:
         raise InvalidRequest(f"ballot {m.ballot} of change {m.id}: they go up one by one, to below {BALLOTS}")
-    where, members = _seats(m), tuple(m.members)
-    return fl.FleetStep(m.id, m.config_name, m.mode, where, members, _policy(m.policy), m.seconds, m.keep, m.ballot)
+    where, members, rule = _seats(m), tuple(m.members), policy(m.policy or "all")
+    return fl.FleetStep(m.id, m.config_name, m.mode, where, members, rule, m.seconds, m.keep, m.ballot)
 
 
 def _seats(m: pb.FleetStep | pb.FleetRecord) -> tuple[str, ...]:
     return tuple(m.seats) or ((m.seat,) if m.seat else ())
 
 
-def _policy(text: str) -> fl.Policy:
+def policy(said: fl.Policy | str) -> fl.Policy:
+    """A policy by its name. Raises InvalidRequest."""
     try:
-        return fl.Policy(text or "all")
-    except ValueError:
-        known = ", ".join(p.value for p in fl.Policy)
-        raise InvalidRequest(f"policy {text!r}: one of {known} is wanted") from None
+        return fl.Policy.of(said)
+    except ValueError as unknown:
+        raise InvalidRequest(str(unknown)) from None
 
 
 def record_to_pb(r: fl.FleetRecord) -> pb.FleetRecord:
@@ -114,7 +114,7 @@ def record_from_pb(m: pb.FleetRecord) -> fl.FleetRecord:
         seconds=m.seconds,
         caller=m.caller,
         members=tuple(m.members),
-        policy=_policy(m.policy),
+        policy=policy(m.policy or "all"),
         deadline=m.deadline,
         promised=m.promised,
         vote=_decision(m.vote),

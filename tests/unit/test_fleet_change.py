@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import random
 from collections.abc import Coroutine, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import pytest
 
+from cm.cli.parser import build_parser
 from cm.errors import Busy, CmError, InvalidRequest
 from cm.fleet.change import member
 from cm.fleet.change.asks import Ask, Verb
@@ -255,6 +256,18 @@ def test_a_load_that_fails_takes_all_back() -> None:
     outcome = coordinator.outcome()
     assert (outcome.decision, outcome.differing, world.places) == (Decision.REVERT, {}, {OLD})
     assert outcome.causes["b2"].code == "load_failed"
+
+
+def test_a_board_with_nothing_loaded_is_refused_with_the_policy_that_takes_it() -> None:
+    world = World(1)
+    board = world.boards["b0"]
+    board.place = ("", "")
+    step = FleetStep("c1", "camera", "edge", ("b0",), ("b0",))
+    with pytest.raises(InvalidRequest, match="no way back") as refused:
+        done(board.participant.prepare(step, "anna"))
+    policy = str(refused.value).split()[-1]
+    taken = build_parser("fleet").parse_args(["fleet", "load", "camera", "edge", "--policy", policy])
+    done(board.participant.prepare(replace(step, policy=Policy.of(taken.policy)), "anna"))
 
 
 ENOUGH = [("quorum", 1, True), ("quorum", 2, False), ("best_effort", 3, True), ("best_effort", 4, False)]

@@ -62,6 +62,15 @@ def test_a_time_after_which_no_board_would_ever_ask_is_refused(seconds: float) -
         records.decode_step(records.encode_step(FleetStep("c1", seconds=seconds)))
 
 
+def test_a_policy_is_known_by_what_users_type_and_by_what_messages_hold() -> None:
+    spellings = ("best-effort", "best_effort", "best effort", Policy.BEST_EFFORT)
+    assert {Policy.of(said) for said in spellings} == {Policy.BEST_EFFORT}
+    sent = pb.FleetStep(id="c1", policy="best-effort").SerializeToString()
+    assert records.decode_step(sent).policy.spelt == "best-effort"
+    with pytest.raises(InvalidRequest, match=r"policy 'most': one of all, quorum, best-effort is wanted"):
+        records.policy("most")
+
+
 def test_a_record_with_an_invalid_decision_is_refused() -> None:
     with pytest.raises(InvalidRequest, match="keep or revert is wanted"):
         records.decode_record(pb.FleetRecord(id="c1", decision="maybe").SerializeToString())

@@ -49,7 +49,7 @@ class Participant:
         old_config, old_mode = await self._board.where()
         if not old_mode and step.policy is not Policy.BEST_EFFORT:
             raise InvalidRequest(
-                "nothing is loaded, so there is no way back: load a configuration first, or take the policy best_effort"
+                "nothing is loaded, so there is no way back: load a configuration first, or take the policy best-effort"
             )
         planned = await self._board.plan(step.config_name, step.mode, caller)
         record = FleetRecord(
