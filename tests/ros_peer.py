@@ -8,6 +8,7 @@ import queue
 import select
 import signal
 import subprocess
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -45,6 +46,26 @@ class BridgeProcess:
         self.process.kill()
         self.process.wait()
         self.process.stderr.close()
+
+
+@contextmanager
+def unanswered(transport: Transport, name: str, kind: str) -> Iterator[threading.Semaphore]:
+    """A service that answers nobody before the end of the block, as get_result of a goal that goes on.
+
+    Counts the requests that have reached it.
+    """
+    asked, let = threading.Semaphore(0), threading.Event()
+
+    def answer(_: dict[str, Any]) -> dict[str, Any]:
+        asked.release()
+        let.wait()
+        return {}
+
+    transport.service(name, kind, answer)
+    try:
+        yield asked
+    finally:
+        let.set()
 
 
 class ListeningPeer:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from manager_process import Manager, until
+from manager_process import Manager, served, until
 
 from cm.fleet.bundles import described, part_key
 from cm.fleet.network import Network, session
@@ -74,12 +74,19 @@ class OverZenoh:
         self._router.close()
 
 
+@pytest.fixture(scope="module")
+def both() -> Iterator[tuple[Manager, SimBoard]]:
+    """One manager with its board for all nodes in this file; the tests stop and continue them."""
+    with served() as found:
+        yield found
+
+
 @pytest.fixture(params=[OverDds, OverZenoh], ids=["dds", "rmw-zenoh"])
-def node(request: pytest.FixtureRequest, own: tuple[Manager, SimBoard]) -> Iterator[Any]:
-    """A node with its own manager, on which camera is loaded."""
-    with own[0].connected() as board:
-        board.load("camera", "default")
-    made = request.param(own[0].runtime)
+def node(request: pytest.FixtureRequest, both: tuple[Manager, SimBoard]) -> Iterator[Any]:
+    """A node, with camera loaded."""
+    with both[0].connected() as board:
+        board.load("camera", "default", force=True)
+    made = request.param(both[0].runtime)
     yield made
     made.bridge.end()
     made.close()
@@ -106,9 +113,9 @@ def _until_busy(manager: Manager) -> None:
 
 
 def test_a_bridge_ends_while_many_wait_for_a_change_and_answers_others_until_then(
-    node: Any, own: tuple[Manager, SimBoard]
+    node: Any, both: tuple[Manager, SimBoard]
 ) -> None:
-    manager, sim = own
+    manager, sim = both
     goal = {"goal_id": {"uuid": bytes(range(16))}, "goal": {"mode": "edge_detection"}}
     with _stopped(sim.pid):  # the change begins, but does not end
         assert node.call(f"{ACTION}/send_goal", f"{KIND}_SendGoal", **goal)["accepted"]
@@ -121,23 +128,23 @@ def test_a_bridge_ends_while_many_wait_for_a_change_and_answers_others_until_the
         _ended_by_sigterm(node.bridge)
 
 
-def test_a_bridge_ends_while_many_wait_for_a_manager_that_hangs(node: Any, own: tuple[Manager, SimBoard]) -> None:
+def test_a_bridge_ends_while_many_wait_for_a_manager_that_hangs(node: Any, both: tuple[Manager, SimBoard]) -> None:
     assert node.call("/cm/plan", "cm_interfaces/srv/Plan", mode="colorise")["success"]
-    with _stopped(own[0].process.pid):  # type: ignore[union-attr]
+    with _stopped(both[0].pid):
         for _ in range(MANY):
             node.send("/cm/plan", "cm_interfaces/srv/Plan", mode="colorise")
         _ended_by_sigterm(node.bridge)
 
 
-def test_a_bridge_ends_whose_manager_has_gone_amid_a_change(node: Any, own: tuple[Manager, SimBoard]) -> None:
-    manager, sim = own
+def test_a_bridge_ends_whose_manager_has_gone_amid_a_change(node: Any, both: tuple[Manager, SimBoard]) -> None:
+    manager, sim = both
     assert node.call("/cm/plan", "cm_interfaces/srv/Plan", mode="colorise")["success"]
     with _stopped(sim.pid):
         node.send("/cm/set_mode", "cm_interfaces/srv/SetMode", mode="colorise")
         _until_busy(manager)
         manager.kill()
-        manager.process = None
         _ended_by_sigterm(node.bridge)
+    manager.start()
 
 
 # ---- the fleet's bridge ---------------------------------------------------------------------------
@@ -191,7 +198,7 @@ def test_a_fleets_bridge_ends_while_many_wait_for_a_change(met: tuple[FleetBoard
 
 def test_a_fleets_bridge_ends_while_many_wait_for_a_manager_that_hangs(met: tuple[FleetBoard, Any]) -> None:
     board, there = met
-    with _stopped(board.manager.process.pid):  # type: ignore[union-attr]
+    with _stopped(board.manager.pid):
         for _ in range(MANY):
             _ask(there, "cm/b1/reg/*")
             _ask(there, "cm/b1/do/mode/anna?format=json", b'{"mode": "default"}')

@@ -6,7 +6,6 @@ from __future__ import annotations
 import sys
 import threading
 from types import FrameType
-from typing import Any
 
 import pytest
 
@@ -14,6 +13,7 @@ pytest.importorskip("cyclonedds.domain")
 
 from dds_support import PATIENCE, Peer
 from manager_process import until
+from ros_peer import unanswered
 
 PLAN = "cm_interfaces/srv/Plan"
 
@@ -21,25 +21,17 @@ PLAN = "cm_interfaces/srv/Plan"
 def test_closing_does_not_wait_for_answers_that_never_come() -> None:
     """More of them than are worked on at a time, so that the thread that takes requests waits, too."""
     server, client = Peer(), Peer()
-    asked, never = threading.Semaphore(0), threading.Event()
-
-    def answer(_: dict[str, Any]) -> dict[str, Any]:
-        asked.release()
-        never.wait()
-        return {}
-
-    server.transport.service("/plan", PLAN, answer)
-    plan = client.client("/plan", PLAN)
-    for _ in range(32):
+    with unanswered(server.transport, "/plan", PLAN) as asked:
+        plan = client.client("/plan", PLAN)
+        for _ in range(32):
+            plan.send({})
+            assert asked.acquire(timeout=PATIENCE)
         plan.send({})
-        assert asked.acquire(timeout=PATIENCE)
-    plan.send({})
-    until(lambda: _runs("services", "service.py"), PATIENCE)
-    closing = threading.Thread(target=server.close, daemon=True)
-    closing.start()
-    closing.join(timeout=PATIENCE)
-    assert not closing.is_alive()
-    never.set()
+        until(lambda: _runs("services", "service.py"), PATIENCE)
+        closing = threading.Thread(target=server.close, daemon=True)
+        closing.start()
+        closing.join(timeout=PATIENCE)
+        assert not closing.is_alive()
     client.close()
 
 

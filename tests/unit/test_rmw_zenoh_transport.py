@@ -16,6 +16,7 @@ pytest.importorskip("zenoh")
 pytest.importorskip("xxhash")
 
 from manager_process import until
+from ros_peer import unanswered
 from zenoh_support import PATIENCE, Peer, Router
 
 from cm import child
@@ -104,25 +105,17 @@ def test_a_frame_with_gaps_between_its_rows_is_sent_without_them(peers: tuple[Pe
 
 
 def test_closing_does_not_wait_for_answers_that_never_come(router: Router) -> None:
-    """As those to get_result of a goal that goes on, more of them than are worked on at a time."""
+    """More of them than are worked on at a time."""
     server, client = Peer(router.where), Peer(router.where)
-    asked, never = threading.Semaphore(0), threading.Event()
-
-    def answer(_: dict[str, Any]) -> dict[str, Any]:
-        asked.release()
-        never.wait()
-        return {}
-
-    server.transport.service("/plan", PLAN, answer)
-    key = server.transport._queryables[0].key_expr
-    attachment = Attachment(1, 2, bytes(16)).to_bytes()
-    until(lambda: client.session.declare_querier(key).matching_status.matching, PATIENCE)
-    for _ in range(40):
-        client.session.get(key, lambda _: None, payload=cdr.encode(f"{PLAN}_Request", {}), attachment=attachment)
-    for _ in range(32):
-        assert asked.acquire(timeout=PATIENCE)
-    server.close()
-    never.set()
+    with unanswered(server.transport, "/plan", PLAN) as asked:
+        key = server.transport._queryables[0].key_expr
+        attachment = Attachment(1, 2, bytes(16)).to_bytes()
+        until(lambda: client.session.declare_querier(key).matching_status.matching, PATIENCE)
+        for _ in range(40):
+            client.session.get(key, lambda _: None, payload=cdr.encode(f"{PLAN}_Request", {}), attachment=attachment)
+        for _ in range(32):
+            assert asked.acquire(timeout=PATIENCE)
+        server.close()
     client.close()
 
 
