@@ -28,6 +28,7 @@ from fleet_support import FleetBoard, fleet_board
 from ros_peer import PATIENCE, BridgeProcess
 
 MANY = 40  # more than are worked on at a time
+PARAMETERS = "/cm/list_parameters", "rcl_interfaces/srv/ListParameters"
 ACTION, KIND = "/cm/change_mode/_action", "cm_interfaces/action/ChangeMode"
 
 
@@ -83,10 +84,11 @@ def both() -> Iterator[tuple[Manager, SimBoard]]:
 
 @pytest.fixture(params=[OverDds, OverZenoh], ids=["dds", "rmw-zenoh"])
 def node(request: pytest.FixtureRequest, both: tuple[Manager, SimBoard]) -> Iterator[Any]:
-    """A node, with camera loaded."""
+    """A node that knows its board, with camera loaded."""
     with both[0].connected() as board:
         board.load("camera", "default", force=True)
     made = request.param(both[0].runtime)
+    until(lambda: made.call(*PARAMETERS)["result"]["names"], PATIENCE)
     yield made
     made.bridge.end()
     made.close()
@@ -122,7 +124,7 @@ def test_a_bridge_ends_while_many_wait_for_a_change_and_answers_others_until_the
         _until_busy(manager)
         for _ in range(MANY):
             node.send(f"{ACTION}/get_result", f"{KIND}_GetResult", goal_id=goal["goal_id"])
-            assert node.call("/cm/list_parameters", "rcl_interfaces/srv/ListParameters")["result"]["names"]
+            assert node.call(*PARAMETERS)["result"]["names"]
         refused = node.call("/cm/set_mode", "cm_interfaces/srv/SetMode", mode="colorise")
         assert (refused["code"], "24 requests wait" in refused["message"]) == ("busy", True)
         _ended_by_sigterm(node.bridge)
