@@ -6,7 +6,7 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from board import RELEASE, Board
+from board import RELEASE, Board, documented
 
 _SIMULATED = """
 cm serve --sim --runtime-dir $HOME/sim --state-dir $HOME/state 2>log &
@@ -22,12 +22,33 @@ export PYTHONPATH=wheel
 python3 -c "import cm.native._cm as m; print(m.__file__)"
 python3 -m cm check /usr/lib/firmware/cm/camera/camera.yaml
 """
+# The keys of a fleet whose router runs on the board, and what the page has a board's owner do before the unit starts.
+_FLEET = """
+cm fleet keys fleet router --host 127.0.0.1
+cm fleet keys fleet board b1
+for name in anna olga; do cm fleet keys fleet client $name --role operate; done
+cd fleet
+"""
+_INDEX = "printf '[global]\\nno-index = true\\nfind-links = /opt/cm/wheels\\n' >/etc/pip.conf"
+
+
+def library(bridge: str) -> str:
+    """What the owner of a board edits where pip has put the bridge's library."""
+    return f"sudo sed -i 's,^#PYTHONPATH,PYTHONPATH,' /etc/cm/bridge-{bridge}.conf"
 
 
 class Beside:
-    """The simulated board, asked for without its package and installed then (bob); the wheel by pip (carol)."""
+    """The simulated board, asked for without its package and installed then (bob); the wheel by pip (carol).
+
+    Keys of a fleet, and the library of its bridge (alice).
+    """
 
     def __init__(self, board: Board) -> None:
+        board.do(_INDEX)  # pip finds what the disk has
+        block = documented("docs/fleet.md", "enable --now cm-bridge@zenoh")
+        edit = next(line for line in block.splitlines() if "sudo editor" in line)
+        before, self.starting_the_bridge = block.replace(edit, library("zenoh")).split("sudo systemctl", 1)
+        self.fleet = board.booted.begin("bash -exs", "alice", given=_FLEET + before)
         self.wheel = board.booted.begin("bash -s", "carol", given=_WHEEL)
         self.refused = board.run("cm serve --sim --runtime-dir /tmp/sim", "bob")
         install = f"apt-get install -y {RELEASE}/fpga-cm-sim_*.deb && runuser -l bob -c 'bash -s'"

@@ -18,7 +18,7 @@ from board import RELEASE, Board, documented
 from vmboard.booted import Booted
 
 # One board for nearly all: what was begun beside it goes on while others are tried.
-ORDER = ("installed", "users", "service", "beside", "upgrade", "power_cut", "write_protected")
+ORDER = ("installed", "users", "bridges", "service", "beside", "upgrade", "power_cut", "write_protected")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -23,6 +23,11 @@ BOARD = REPOSITORY / "tests/vm/guest/installed"  # what stands in for the PL, an
 SHARED = REPOSITORY / "tests/vm/guest/board.sh"
 SOURCES = ("cm", "csrc", "kmod", "debian", "release", "system", "setup.py", "pyproject.toml", "MANIFEST.in")
 WHEELS = {"arm64": "aarch64", "armhf": "armv7l"}
+BRIDGES = REPOSITORY / "tests/vm/wheels.txt"
+PLATFORMS = {  # whose wheels run on the board
+    "arm64": ("manylinux2014_aarch64", "manylinux_2_28_aarch64"),
+    "armhf": ("manylinux2014_armv7l", "manylinux_2_17_armv7l", "manylinux_2_31_armv7l"),
+}
 MODULES = "fpga-cm-dkms_*.deb"
 COMPILING_S = 3600.0  # an emulated processor compiles for minutes
 MOUNT = "mount -o ro /dev/disk/by-id/virtio-cm-payload /opt/cm"
@@ -48,8 +53,26 @@ def _found(arch: Arch) -> list[Path]:
     return sorted(path for pattern in patterns for path in RELEASE.glob(pattern))
 
 
-def disk(files: list[Path], place: Path) -> Path:
-    """A disk with the artefacts, the configuration's archive, the upgrade, and what a board has instead of a PL."""
+def wheels(cache: Cache, arch: Arch) -> Path:
+    """A folder of what the bridges need and Debian has no package of, for its Python; fetched when the pins change."""
+    inputs = [BRIDGES, arch.python, *PLATFORMS[arch.debian]]
+    return cache.entry(f"wheels-{arch.label}", inputs, lambda out: _fetch(arch, out))
+
+
+def _fetch(arch: Arch, out: Path) -> None:
+    options = ["--require-hashes", "--no-deps", "--only-binary=:all:", "--python-version", arch.python]
+    options += [word for platform in PLATFORMS[arch.debian] for word in ("--platform", platform)]
+    try:
+        run([sys.executable, "-m", "pip", "download", "--quiet", *options, "--dest", out, "-r", BRIDGES])
+    except VmError as error:
+        raise MissingError(f"the wheels in {BRIDGES.name} cannot be fetched: {str(error).splitlines()[-1]}") from None
+
+
+def disk(files: list[Path], place: Path, bridges: Path | None = None) -> Path:
+    """A disk with the artefacts, the configuration's archive, the upgrade, and what a board has instead of a PL.
+
+    `bridges` is the folder of wheels for them.
+    """
     from vmboard.camera import archive
 
     root = place / "disk"
@@ -59,6 +82,8 @@ def disk(files: list[Path], place: Path) -> Path:
         shutil.copy2(path, root / "release" / path.name)
     (root / "release/camera.tar.gz").write_bytes(archive())
     _newer(next(path for path in files if path.name.startswith("fpga-cm_")), root)
+    if bridges is not None:
+        shutil.copytree(bridges, root / "wheels")
     (root / "second.tar.gz").write_bytes(archive("second"))
     shutil.copy2(REPOSITORY / "system/sysv/cm", root / "sysv")
     shutil.copytree(BOARD, root / "board")
@@ -78,6 +103,12 @@ def _newer(deb: Path, root: Path) -> None:
     control.write_text("".join(f"{line[:-1]}+later\n" if line.startswith("Version: ") else line for line in lines))
     (root / "later").mkdir()
     run(["dpkg-deb", "--root-owner-group", "-b", unpacked, root / "later"])
+
+
+def prepared(cache: Cache, tier: Tier) -> tuple[System, Path]:
+    """The board's Debian with our kernel modules, and the wheels for its bridges."""
+    fetched = wheels(cache, tier.arch)  # seconds, so it is known at once where they cannot be had
+    return with_modules(cache, tier), fetched
 
 
 def with_modules(cache: Cache, tier: Tier) -> System:

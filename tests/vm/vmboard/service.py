@@ -21,10 +21,10 @@ TESTS = REPOSITORY / "tests/vm/service"
 
 def machine(cache: Cache, tier: Tier, place: Path, forwards: dict[int, int]) -> Machine:
     """The board with a root disk of its own in `place`, and the artefacts on the other disk."""
-    made = installed.with_modules(cache, tier)
+    made, wheels = installed.prepared(cache, tier)
     place.mkdir(parents=True, exist_ok=True)
     installed.copy(made.root, place / "root.ext4")
-    payload = installed.disk(installed.release(tier.arch, made), place)
+    payload = installed.disk(installed.release(tier.arch, made), place, wheels)
     return installed.machine(cache, tier, System(made.kernel, place / "root.ext4"), payload, forwards)
 
 

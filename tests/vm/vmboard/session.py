@@ -50,7 +50,7 @@ def _out_of_reach(cache: Cache, tier: Tier) -> str:
 
 def build(cache: Cache, names: list[str]) -> None:
     """Everything the named boards need, from the cache or now."""
-    make: dict[bool, Callable[[Cache, Tier], object]] = {True: installed.with_modules, False: machine}
+    make: dict[bool, Callable[[Cache, Tier], object]] = {True: installed.prepared, False: machine}
     with ThreadPoolExecutor(2) as pool:
         for made in [pool.submit(_all, make[kind], cache, tiers) for kind, tiers in _kinds(names).items()]:
             made.result()
