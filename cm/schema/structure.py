@@ -132,14 +132,15 @@ class _Walk:
         return result
 
     def _named(self, table: Table, shape: dict[str, Any], path: KeyPath) -> Table:
-        pattern = self._resolve(shape["propertyNames"])["pattern"]
+        names = self._resolve(shape.get("propertyNames", {}))
+        pattern = names.get("pattern", ".+")
         result = Table(table.mark)
         for name, entry in table.entries.items():
             if re.fullmatch(pattern.strip("^$"), name):
                 node = self.node(entry.node, shape["additionalProperties"], (*path, name))
                 result.add(name, Entry(entry.mark, node))
             else:
-                hint = joined(name_form(pattern), _description(self._resolve(shape["propertyNames"])))
+                hint = joined(name_form(pattern), _description(names))
                 self._report(entry.mark, (*path, name), "bad_name", f"{name[:80]!r} is not a name", hint)
         return result
 

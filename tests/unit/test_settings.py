@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
+import textwrap
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 
@@ -35,6 +37,22 @@ def test_every_example_in_the_shipped_file_is_good() -> None:
     examples = [line[1:] for line in lines if line.startswith("#") and not line.startswith("# ")]
     assert len(examples) >= 8
     assert parse_settings("\n".join(examples)).load == "camera/default"
+
+
+EXAMPLE = re.compile(r"^    (?:listen|access|limits|policy):.*\n(?:^    .*\n)*", re.MULTILINE)
+
+
+@pytest.mark.parametrize("page", ["import", "limits", "security", "service"])
+def test_every_example_of_settings_in_the_docs_is_good(page: str) -> None:
+    examples = EXAMPLE.findall((ROOT / f"docs/{page}.md").read_text())
+    assert examples
+    for example in examples:
+        assert parse_settings(textwrap.dedent(example)) != Settings()
+
+
+def test_shares_are_numbers_by_name() -> None:
+    assert parse_settings("limits: {shares: {anna: 4, laptop: 0.5}}").limits.shares == {"anna": 4, "laptop": 0.5}
+    assert problems("limits: {shares: {anna: four}}") == [(1, 19, "limits.shares.anna", "bad_type")]
 
 
 def test_schema_and_data_name_the_same_keys_with_the_same_defaults() -> None:
