@@ -60,7 +60,8 @@ def serve(run: Run, *arguments: str, sim: bool = True) -> Iterator[Served]:
 def environment(run: Run) -> dict[str, str]:
     """Our environment, with bytecode kept in the run's folder, as an installed package has its own."""
     kept = {name: value for name, value in child.environment().items() if name != "PYTHONDONTWRITEBYTECODE"}
-    return {**kept, "PYTHONPYCACHEPREFIX": str(run.bytecode)}
+    # A busy machine makes the simulated board slow, and a slow one is no reason to fail.
+    return {"CM_SIM_TIMEOUT": "60", **kept, "PYTHONPYCACHEPREFIX": str(run.bytecode)}
 
 
 def _await_reply(process: subprocess.Popen[bytes], folder: Path) -> None:
