@@ -91,8 +91,6 @@ def resolve(endpoint: str | os.PathLike[str] | None, runtime_dir: str | os.PathL
         raise InvalidRequest(f"endpoint {endpoint!r}: it is tcp://host[:port], or the runtime folder of a manager here")
     folder = Path(endpoint.removeprefix("ipc://") if endpoint else runtime_dir or default_runtime_dir())
     serves = _serves(folder)
-    if endpoint and serves is False and "/" not in endpoint and not folder.exists():
-        raise NotFound(f"no folder {endpoint} with a manager's sockets; a manager on that machine is tcp://{endpoint}")
     if serves is False:
         other = f"; a manager on another machine is tcp://{endpoint}" if endpoint and os.sep not in endpoint else ""
         raise NotFound(

@@ -20,7 +20,7 @@ def test_a_host_without_tcp_is_no_folder_that_lacks_a_manager(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert "a manager on that machine is tcp://kria.local" in said(capsys, "status", "--connect", "kria.local")
+    assert "a manager on another machine is tcp://kria.local" in said(capsys, "status", "--connect", "kria.local")
     (tmp_path / "run").mkdir()
     assert "no configuration manager serves run" in said(capsys, "status", "--connect", "run")
 
