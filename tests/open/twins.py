@@ -22,12 +22,12 @@ from cm.xray import Database, Feature, Wires, decode
 
 # Random beats and accesses, seldom a reset; TLAST about once in a line.
 _TWIN = """
-module twin_@NAME@ (input wire clk, output reg [31:0] wrong, output reg [31:0] changes);
+module twin_@NAME@ (input wire clk, input wire begun, output reg [31:0] wrong, output reg [31:0] changes);
     reg [127:0] noise = 128'h0123456789abcdef_fedcba9876543210;
     reg [31:0] cycle = 0;
     initial wrong = 0;
     initial changes = 0;
-    wire resetn = cycle > 20 && noise[127:116] != 12'd0;
+    wire resetn = !begun || (cycle > 20 && noise[127:116] != 12'd0);  // falls before the first clock
 @WIRES@
     rtl_@NAME@ rtl (@RTL@);
     bits_@NAME@ frames (@BITS@);
@@ -50,6 +50,7 @@ _MAIN = """
 int main() {
     Vtwins top;
     top.clk = 0; top.eval();  // first values, before the first edge
+    top.begun = 1; top.eval();  // Verilog resets at an edge, a flip-flop as long as it lasts
     for (long cycle = 0; cycle < @CYCLES@; cycle++) {
         top.clk = 1; top.eval();
         top.clk = 0; top.eval();
@@ -155,9 +156,10 @@ def _renamed(twin: Twin, folder: Path) -> Iterator[Path]:
 def _top(names: Sequence[str]) -> str:
     ports = [f"output wire [31:0] {what}_{name}" for name in names for what in ("wrong", "changes")]
     cells = [
-        f"    twin_{name} pair_{name} (.clk(clk), .wrong(wrong_{name}), .changes(changes_{name}));" for name in names
+        f"    twin_{name} pair_{name} (.clk(clk), .begun(begun), .wrong(wrong_{name}), .changes(changes_{name}));"
+        for name in names
     ]
-    head = ["module twins (input wire clk,", ",\n".join(ports), ");"]
+    head = ["module twins (input wire clk, input wire begun,", ",\n".join(ports), ");"]
     return "\n".join([*head, *cells, "endmodule\n"])
 
 

@@ -79,7 +79,7 @@ class Attempt:
         features = static_features(one.database, one.layouts.values(), static)
         buffer = static.routed.place(CLOCK)
         jobs = {
-            name: module_job(one.database, one.wires, layout, static.routed, buffer)
+            name: module_job(one.database, one.wires, layout, static.routed, features, buffer)
             for name, layout in one.layouts.items()
         }
         _complete("the static part", left_out(one.database, static, features, one.database.tiles))

@@ -8,11 +8,10 @@ from typing import Any
 
 from cm.build.openflow.enables import Cell, shares
 from cm.build.openflow.layout import Layout
-from cm.build.openflow.merge import CLOCK
 from cm.build.openflow.netlists import ANCHOR, HARNESS
 from cm.build.openflow.routed import PASSED, Routed, tile_of
 from cm.build.plan.pins import Placement
-from cm.xray import Database, Tile, Wires
+from cm.xray import Database, Feature, Tile, Wires
 
 Job = dict[str, Any]
 _INTO_SLICES = ("BYP", "FAN", "IMUX", "CTRL", "CLK", "GFAN")
@@ -29,13 +28,15 @@ def static_job(database: Database, layouts: Sequence[Layout]) -> Job:
     return {"bels": _anchor_bels(layouts), "areas": areas, "cells": cells, "blocked": []}
 
 
-def module_job(database: Database, wires: Wires, layout: Layout, static: Routed, clock_buffer: str) -> Job:
+def module_job(
+    database: Database, wires: Wires, layout: Layout, static: Routed, features: Iterable[Feature], clock_buffer: str
+) -> Job:
     """Keep a module inside its region and away from what the static part uses there."""
     passed = passing(database, wires, layout, static)
     areas = {_harness(layout): _free_places(layout, passed), _MODULE: [_at(tile) for tile in layout.logic_tiles]}
     bels = [*_anchor_bels([layout]), ["cm_clock_buffer", clock_buffer]]
     blocked = fence(database, wires, layout) | passed
-    blocked |= other_lanes(database, wires, layout, static)
+    blocked |= other_lanes(database, wires, layout, features)
     cells = [[_harness(layout), _harness(layout)], ["", _MODULE]]
     return {"bels": bels, "areas": areas, "cells": cells, "blocked": sorted(blocked)}
 
@@ -82,25 +83,22 @@ def passing(database: Database, wires: Wires, layout: Layout, static: Routed) ->
     return found
 
 
-def other_lanes(database: Database, wires: Wires, layout: Layout, static: Routed) -> set[str]:
-    """Lanes into the clock rows, and leaves outside the region, that the static part's clock does not use.
+def other_lanes(database: Database, wires: Wires, layout: Layout, static: Iterable[Feature]) -> set[str]:
+    """Lanes into the clock rows, and leaves outside the region, that the static part does not switch on.
 
-    A module's clock must take the same ones: the frames that switch them do not belong to the module.
+    A module's clock must take the same ones: the frames that switch them do not belong to the module. A leaf between
+    two regions is the other's, though its harness may use it: what counts is the features of the static part.
     """
-    clocks = [net["wires"] for net in static.nets.values() if net["driver"].endswith(CLOCK)]
-    used = {
-        name for net in clocks for wire, way in net.items() for name in (wire, way[0].rpartition("/")[0] if way else "")
-    }
     kinds = {"CLK_HROW_": "CLK_HROW_CK_MUX_OUT_", "HCLK_L": _LEAF, "HCLK_R": _LEAF}
-    every = {
+    switched = {(tile, name.partition(".")[0]) for tile, name in static}
+    return {
         f"{_at(tile)}/{wire}"
         for tile in database.tiles.values()
         for kind, start in kinds.items()
         if tile.kind.startswith(kind) and tile.name not in layout.tiles
         for wire in wires.kind(tile.kind).wires
-        if wire.startswith(start)
+        if wire.startswith(start) and (tile.name, wire) not in switched
     }
-    return every - used
 
 
 def pins_xdc(placements: Iterable[Placement]) -> str:
