@@ -86,7 +86,7 @@ test-node: $(STAMP) ## the client for Node.js: built, and its tour over ipc and 
 	$(OTHER_NODE) $(BIN)/cm conformance -- node clients/node/dist/test/driver.js
 
 test-open: $(VENV)/.installed-rtl ## modules by their bits, and the flow of open tools (nextpnr and Project X-Ray are fetched from Debian)
-	$(PYTEST) tests/open $(PYTEST_ARGS)
+	$(PYTEST) tests/open -n $(JOBS) --dist loadfile $(PYTEST_ARGS)
 
 test-rtl: $(VENV)/.installed-rtl ## the HDL and what is generated from it, on Verilator or Icarus with cocotb
 	$(PYTEST) tests/rtl $(PYTEST_ARGS)
