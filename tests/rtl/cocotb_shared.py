@@ -6,38 +6,18 @@ from __future__ import annotations
 import random
 
 import cocotb
-from cocotb.clock import Clock
 from cocotb.triggers import ClockCycles, with_timeout
-from cocotbext.axi import AxiLiteBus, AxiLiteMaster, AxiStreamBus, AxiStreamFrame, AxiStreamSink, AxiStreamSource
-from protocol import Handshake, quiet
+from cocotbext.axi import AxiStreamFrame
+from stream_board import StreamBoard
 
 ADDED = (1, 2, 3)
 SIZES = (4, 1, 3)  # bytes of a beat of each region
 DECOUPLE = 0x4000_0100
 
 
-class Board:
+class Board(StreamBoard):
     def __init__(self, dut: object) -> None:
-        quiet()
-        self.clk, self.reset = dut.clk_fclk0, dut.resetn_fclk0
-        cocotb.start_soon(Clock(self.clk, 10, "ns").start())
-        self.reset.value = 0
-        dut.axis_icap_tvalid.value = 0
-        ends = {"clock": self.clk, "reset": self.reset, "reset_active_level": False}
-        self.registers = AxiLiteMaster(AxiLiteBus.from_prefix(dut, "s_axi_fclk0"), **ends)
-        self.source = AxiStreamSource(AxiStreamBus.from_prefix(dut, "axis_all_mm2s"), **ends)
-        self.sink = AxiStreamSink(AxiStreamBus.from_prefix(dut, "axis_all_s2mm"), **ends)
-        prefix = "axis_all_s2mm"
-        payload = [f"{prefix}_{name}" for name in ("tdata", "tkeep", "tlast", "tdest")]
-        self.out = Handshake(dut, self.clk, self.reset, prefix, f"{prefix}_tvalid", f"{prefix}_tready", payload)
-        chance = random.Random(7)
-        for end in (self.source, self.sink):
-            end.set_pause_generator(iter(lambda: chance.random() < 0.3, None))
-
-    async def start(self) -> None:
-        await ClockCycles(self.clk, 5)
-        self.reset.value = 1
-        await ClockCycles(self.clk, 40)
+        super().__init__(dut, "axis_all_mm2s", "axis_all_s2mm", seed=7, payload=("tdest",))
 
     async def receive(self) -> tuple[int, bytes]:
         frame = await with_timeout(self.sink.recv(compact=False), 2000, "us")

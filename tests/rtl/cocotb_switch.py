@@ -9,10 +9,9 @@ from __future__ import annotations
 import random
 
 import cocotb
-from cocotb.clock import Clock
 from cocotb.triggers import ClockCycles, with_timeout
-from cocotbext.axi import AxiLiteBus, AxiLiteMaster, AxiStreamBus, AxiStreamFrame, AxiStreamSink, AxiStreamSource
-from protocol import Handshake, quiet
+from cocotbext.axi import AxiStreamFrame
+from stream_board import StreamBoard
 
 SWITCH, DECOUPLE = 0x4000_1000, 0x4000_0100
 NONE = 0x8000_0000
@@ -22,28 +21,9 @@ CHAIN = {LEFT_IN: TO_CHAIN, RIGHT_IN: LEFT_OUT, FROM_CHAIN: RIGHT_OUT}
 ADDED = {"left": 1, "right": 3}
 
 
-class Board:
+class Board(StreamBoard):
     def __init__(self, dut: object) -> None:
-        quiet()
-        self.clk, self.reset = dut.clk_fclk0, dut.resetn_fclk0
-        cocotb.start_soon(Clock(self.clk, 10, "ns").start())
-        self.reset.value = 0
-        dut.axis_icap_tvalid.value = 0
-        ends = {"clock": self.clk, "reset": self.reset, "reset_active_level": False}
-        self.registers = AxiLiteMaster(AxiLiteBus.from_prefix(dut, "s_axi_fclk0"), **ends)
-        self.source = AxiStreamSource(AxiStreamBus.from_prefix(dut, "axis_to_chain"), **ends)
-        self.sink = AxiStreamSink(AxiStreamBus.from_prefix(dut, "axis_from_chain"), **ends)
-        prefix = "axis_from_chain"
-        payload = [f"{prefix}_{name}" for name in ("tdata", "tkeep", "tlast")]
-        self.out = Handshake(dut, self.clk, self.reset, prefix, f"{prefix}_tvalid", f"{prefix}_tready", payload)
-        chance = random.Random(3)
-        for end in (self.source, self.sink):
-            end.set_pause_generator(iter(lambda: chance.random() < 0.3, None))
-
-    async def start(self) -> None:
-        await ClockCycles(self.clk, 5)
-        self.reset.value = 1
-        await ClockCycles(self.clk, 40)
+        super().__init__(dut, "axis_to_chain", "axis_from_chain", seed=3)
 
     async def write(self, address: int, value: int) -> None:
         await self.registers.write(address, value.to_bytes(4, "little"))
