@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import math
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from operator import index
 from pathlib import Path
 from typing import Any
 
@@ -79,10 +80,15 @@ class _Memory:
 def nbytes(shape: int | Sequence[int], dtype: Any) -> int:
     """Bytes of an array. Raises InvalidRequest for an impossible shape or dtype."""
     try:
-        extents = (shape,) if isinstance(shape, int) else tuple(shape)
-        length: int = math.prod(int(extent) for extent in extents) * int(np.dtype(dtype).itemsize)
+        extents = tuple(map(index, shape)) if isinstance(shape, Iterable) else (index(shape),)
+        kind = np.dtype(dtype)
     except (TypeError, ValueError) as error:
         raise InvalidRequest(f"an array of shape {shape!r} and type {dtype!r}: {error}") from error
+    if kind.hasobject:
+        raise InvalidRequest(
+            f"an array of type {kind}: it would hold addresses of Python's objects, which devices do not know"
+        )
+    length: int = math.prod(extents) * int(kind.itemsize)
     if length <= 0 or min(extents, default=1) <= 0:
         raise InvalidRequest(f"an array of shape {shape!r} has no bytes")
     return length

@@ -287,9 +287,10 @@ class Board(Guarded):
         Guests of a bridge request each frame (`newest`), in their own name.
         """
         from cm.client.stream import LocalStream, NewestStream, RemoteStream  # imported here: they need numpy
-        from cm.client.zmq_frames import Wanted
+        from cm.client.zmq_frames import Wanted, check_compression
 
         if self._place.data is not None and not copy:
+            check_compression(compression)
             wanted = Open(name, depth=depth, lease=self._leases.named(lease))
             return self._sockets.using(LocalStream(self._place.data, wanted, timeout, newest, owner=self))
         published = Wanted(name, timeout, newest or bool(self._place.guest), compression, depth)

@@ -25,7 +25,7 @@ class BoardLease:
         self._board = board
         self._held = held
         self._wanted = request
-        self.id = ""
+        self.id: str = ""
 
     @property
     def scope(self) -> str:

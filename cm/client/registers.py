@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, MutableMapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from cm.client.core import calls, registers
 from cm.client.core.events import RegisterEvents
@@ -16,6 +16,8 @@ from cm.messages.status import RegisterInfo, RegValues
 
 if TYPE_CHECKING:
     from cm.client.board import Board
+
+_T = TypeVar("_T")
 
 
 class Registers(MutableMapping[str, int]):
@@ -43,6 +45,10 @@ class Registers(MutableMapping[str, int]):
     def __contains__(self, name: object) -> bool:
         return registers.has(self.info, name)
 
+    @overload
+    def get(self, name: str, default: None = None) -> int | None: ...
+    @overload
+    def get(self, name: str, default: _T) -> int | _T: ...
     def get(self, name: str, default: Any = None) -> Any:
         """The value of a register or field; `default` if the current mode has none of that name."""
         try:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import threading
 import weakref
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from typing import Any, Protocol, TypeVar
 
 import zmq
@@ -79,7 +79,9 @@ class Sockets:
         self._over = False
         self._disowned = False
         self._ending: threading.Thread | None = None
-        self.closing = threading.RLock()  # for one thread at a time, and again for a signal handler in it
+        self.closing: AbstractContextManager[Any] = (
+            threading.RLock()
+        )  # for one thread at a time, and again for a signal handler in it
         not_for_children(self)
 
     @property

@@ -65,6 +65,9 @@ class Stream:
         """Frames that came while we were too slow."""
         raise NotImplementedError
 
+    def __repr__(self) -> str:
+        return f"<stream {self.name}>"
+
     def __iter__(self) -> Iterator[Frame]:
         while True:
             yield self.read()

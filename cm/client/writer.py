@@ -32,7 +32,7 @@ class Writer:
         self._closed: CmError | None = None
         self._timeout = timeout = time_limit(timeout)
         self._connection = DataConnection(folder, wanted)
-        self.name = wanted.name
+        self.name: str = wanted.name
         self._next = 0
         self._under_way: set[int] = set()  # sequences
         self._failed: list[Descriptor] = []
@@ -220,3 +220,6 @@ class Writer:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
         self.close()
+
+    def __repr__(self) -> str:
+        return f"<writer of {self.name or 'an echo'}>"

@@ -37,8 +37,7 @@ class Wanted:
             raise InvalidRequest(f"a stream of depth {self.depth}: frames that may wait are 1 or more")
         if self.compression and self.newest:
             raise InvalidRequest("newest=True requests each frame as it is, without compression: leave out one of them")
-        if self.compression not in ("", "lz4"):
-            raise InvalidRequest(f"frames cannot be compressed with {self.compression!r}; there is 'lz4'")
+        check_compression(self.compression)
         if self.compression:
             lz4_frame()
 
@@ -46,6 +45,12 @@ class Wanted:
     def topic(self) -> bytes:
         """What to subscribe to."""
         return (topics.LZ4_PREFIX if self.compression else topics.STREAM_PREFIX) + self.name.encode()
+
+
+def check_compression(name: str) -> None:
+    """Raise InvalidRequest for one that there is not."""
+    if name not in ("", "lz4"):
+        raise InvalidRequest(f"frames cannot be compressed with {name!r}; there is 'lz4'")
 
 
 class Arrivals:

@@ -205,7 +205,7 @@ class Upload:
 
 @dataclass(frozen=True, slots=True)
 class ReadIrq:
-    """An interrupt's count and last time; those of all if no name is given."""
+    """An interrupt's count and last time."""
 
     name: str = ""
 

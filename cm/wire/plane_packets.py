@@ -73,11 +73,16 @@ class Geometry:
 
 
 def encode_open(wanted: Open) -> bytes:
-    """The first packet of a client."""
+    """The first packet of a client. Raises InvalidRequest for what no packet can hold."""
     flags = (OPEN_WRITE if wanted.write else 0) | (OPEN_ECHO if wanted.echo else 0)
     flags |= OPEN_ALLOCATE if wanted.allocate else 0
     text = f"{wanted.name}\0{wanted.lease}" if wanted.lease else wanted.name
-    return Descriptor(wanted.depth, OPEN, flags, length=wanted.length).pack() + text.encode()
+    try:
+        return Descriptor(wanted.depth, OPEN, flags, length=wanted.length).pack() + text.encode()
+    except struct.error:
+        raise InvalidRequest(
+            f"stream {wanted.name!r}: a depth of {wanted.depth}, {wanted.length} bytes: not below 0, and whole"
+        ) from None
 
 
 def decode_open(packet: bytes) -> Open:

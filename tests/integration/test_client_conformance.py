@@ -454,6 +454,33 @@ def test_without_waiting_one_gets_what_is_there(board: Any, reach: tuple[str, di
                 echo.write(np.zeros(512))
 
 
+def test_what_a_stream_cannot_have_is_refused_whichever_way_its_frames_come(
+    board: Any, reach: tuple[str, dict[str, Any]]
+) -> None:
+    with pytest.raises(InvalidRequest, match="'gzip'"):
+        board.stream("camera", compression="gzip").open()
+    with pytest.raises(InvalidRequest, match=r"depth (of )?-1"):
+        board.stream("camera", depth=-1).open()
+    if "endpoint" not in reach[1]:
+        with pytest.raises(InvalidRequest, match="-1 bytes"), board.echo(-1):
+            pass
+        with pytest.raises(InvalidRequest, match="Python's objects"):
+            board.allocate(3, "O")
+        assert board.allocate(np.int64(3), "uint16").nbytes == 6
+    assert repr(board.stream("camera")) == "<stream camera>"
+
+
+def test_a_lease_that_was_not_taken_is_not_renewed(board: Any) -> None:
+    with pytest.raises(InvalidRequest, match="lease on board is not held"):
+        board.lease().renew()
+
+
+def test_a_file_that_is_no_text_is_not_sent(board: Any, tmp_path: Path) -> None:
+    (tmp_path / "camera.yaml").write_bytes(b"\x7fELF\xff")
+    with pytest.raises(InvalidRequest, match=r"camera\.yaml is no runtime schema"):
+        board.provision(tmp_path / "camera.yaml")
+
+
 def test_a_time_out_may_be_none_or_infinite_and_nothing_else_but_a_number(board: Any) -> None:
     for forever in (None, float("inf"), 1e9):
         board.timeout = forever

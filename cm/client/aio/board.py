@@ -35,7 +35,7 @@ from cm.client.frame import Frame
 from cm.client.guard import Guarded
 from cm.client.progress import OnProgress, Shown
 from cm.client.sockets import Sockets
-from cm.client.zmq_frames import Wanted
+from cm.client.zmq_frames import Wanted, check_compression
 from cm.messages import requests as rq
 from cm.messages.requests import ConfigureStream, DefineMemory
 from cm.messages.status import (
@@ -266,6 +266,7 @@ class Board(Guarded):
         Guests of a bridge request each frame (`newest`), in their own name.
         """
         if self._place.data is not None and not copy:
+            check_compression(compression)
             wanted = Open(name, depth=depth, lease=self._leases.named(lease))
             return self._sockets.using(AsyncLocalStream(self, self._place.data, wanted, timeout, newest))
         published = Wanted(name, timeout, newest or bool(self._place.guest), compression, depth)

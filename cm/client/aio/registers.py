@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from cm.client.aio.events import EventStream
 from cm.client.core import calls, registers
@@ -16,6 +16,8 @@ from cm.messages.status import RegisterInfo, RegValues
 if TYPE_CHECKING:
     from cm.client.aio.board import Board
 
+_T = TypeVar("_T")
+
 
 class Registers:
     """Registers (``"focus"``) and fields (``"control.enable"``) of the current mode by name."""
@@ -23,6 +25,10 @@ class Registers:
     def __init__(self, board: Board) -> None:
         self._board = board
 
+    @overload
+    async def get(self, name: str, default: None = None) -> int | None: ...
+    @overload
+    async def get(self, name: str, default: _T) -> int | _T: ...
     async def get(self, name: str, default: Any = None) -> Any:
         """The value of a register or field; `default` if the current mode has none of that name."""
         try:

@@ -69,6 +69,9 @@ class Stream:
         """Frames that came while we were too slow."""
         raise NotImplementedError
 
+    def __repr__(self) -> str:
+        return f"<stream {self.name}>"
+
     async def __aiter__(self) -> AsyncIterator[Frame]:
         while True:
             yield await self.read()

@@ -29,7 +29,7 @@ class AsyncWriter:
     def __init__(self, board: Board, folder: Path, wanted: Open, timeout: float | None) -> None:
         self._board = board  # keeps the board alive
         self._folder, self._wanted, self._timeout = folder, wanted, time_limit(timeout)
-        self.name = wanted.name
+        self.name: str = wanted.name
         self._ended: BoardClosed | None = None
         self._writer: Writer | None = None
         self._waits = Waits()
@@ -128,3 +128,6 @@ class AsyncWriter:
             await asyncio.wait_for(wait(), limit)
         except asyncio.TimeoutError:
             raise Timeout(f"stream {self._wanted.name!r}: the hardware took nothing within {limit or 0:g} s") from None
+
+    def __repr__(self) -> str:
+        return f"<writer of {self.name or 'an echo'}>"

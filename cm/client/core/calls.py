@@ -104,7 +104,13 @@ def cancel() -> Call[Status]:
 def provision(schema: Path, files: tuple[Path, ...], lease: str) -> Call[ConfigInfo]:
     """Send a schema file and the files that belong to it."""
     sent = tuple(rq.File(path.name, path.read_bytes()) for path in files)
-    request = rq.Provision(schema.read_text(encoding="utf-8"), sent, lease=lease)
+    try:
+        text = schema.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise InvalidRequest(
+            f"{schema} is no runtime schema: it is not UTF-8 ({error.reason} at byte {error.start})"
+        ) from None
+    request = rq.Provision(text, sent, lease=lease)
     return Call(request, lambda r: _body(r, ConfigInfo))
 
 

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 from cm.client.core.calls import Call
 from cm.client.place import Place
+from cm.errors import InvalidRequest
 from cm.messages.requests import ReleaseLease, RenewLease, TakeLease
 
 _T = TypeVar("_T")
@@ -48,7 +49,9 @@ def wanted(scope: str, exclusive: bool, seconds: float, holder: str, place: Plac
 
 
 def renewal(lease: TakeLease, identity: str) -> RenewLease:
-    """The request that restarts its time."""
+    """The request that restarts its time. Raises InvalidRequest if it was not taken, or was given back."""
+    if not identity:
+        raise InvalidRequest(f"the lease on {lease.scope} is not held: take() it, or enter it as a context manager")
     return RenewLease(identity, lease.seconds)
 
 
