@@ -160,9 +160,11 @@ class Intake:
             self._loop.call_soon(self._go_on)
 
     def _serve(self, budget: Budget, began: int, serve: _Serve, message: Message) -> Rest:
+        self._budgets.served = budget
         try:
             return serve(message, budget)
         finally:
+            self._budgets.served = None
             took = monotonic_ns() - began
             self._blind += took
             budget.charge(took)

@@ -92,6 +92,14 @@ def receive_from(socket: zmq.Socket[bytes], routed: bool, known: bool = False) -
     return _new(Message, (connection, frames, source, large))
 
 
+def connection_of(frame: zmq.Frame) -> str:
+    """The id that authentication gave the connection of a frame; empty if it gave none."""
+    try:
+        return str(frame.get(_USER))
+    except zmq.ZMQError:
+        return ""
+
+
 def _source(frame: zmq.Frame) -> int:
     try:
         return int(frame.get(_SOURCE))

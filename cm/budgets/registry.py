@@ -5,11 +5,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from time import monotonic_ns, thread_time_ns
 from types import MappingProxyType
 from typing import Protocol
 
+from cm.budgets.bill import Bill, Payer
 from cm.budgets.budget import Bounds, Budget
 from cm.budgets.names import Peer, Who, name_of, place_of
 from cm.budgets.turns import Account, VirtualTime
@@ -63,6 +65,7 @@ class Budgets:
         self._next_look = 0  # when, in nanoseconds
         self.queued_bytes = 0  # of messages that wait for their turn
         self.leaving_bytes = 0  # of replies that are being made, or were not read
+        self.served: Payer | None = None  # who pays also for what is begun now and done later
 
     def renew(self, bounds: Bounds, shares: Mapping[str, float]) -> None:
         """Use other bounds and shares from now on; what waits is kept."""
@@ -87,6 +90,17 @@ class Budgets:
     def of(self, connection: str) -> Budget:
         """The budget of the client that a connection belongs to."""
         return self.known.get(connection) or self._admit(connection)
+
+    @contextmanager
+    def bill(self) -> Iterator[Bill]:
+        """What is done meanwhile, and what that begins, is charged to the connections that are added."""
+        began = monotonic_ns()
+        self.served = bill = Bill(self.of)
+        try:
+            yield bill
+        finally:
+            self.served = None
+            bill.charge(monotonic_ns() - began)
 
     def _admit(self, connection: str) -> Budget:
         who = self._who(connection)

@@ -22,12 +22,14 @@ from cm.daemon.queue_limit import BYTES, Kept
 from cm.daemon.streams.compression import Compressor, compressions
 from cm.daemon.streams.stream import Frame
 from cm.messages.status import ErrorInfo, FrameInfo, Irq, RegValues, SensorStatus, Status
+from cm.multipart import connection_of
 from cm.native import guard
 from cm.wire import encode, topics
 
 _LOG = logging.getLogger("cm")
 _AT_ONCE = 32  # subscriptions that are read before others get their turn
 TOPICS_EACH, TOPICS_ALL = 64 << 10, 1 << 20  # bytes of the topics of one connection, and of all
+_Owner = tuple[int, int, str]  # serial, descriptor and id of a connection
 _FRAME_TOPICS = (topics.READ_DATA, topics.DATA_READ)
 
 
@@ -50,15 +52,15 @@ class Subscriptions:
 
     def __init__(self, wires: Wires) -> None:
         self._wires = wires
-        self._owners: dict[bytes, tuple[int, int]] = {}  # serial and descriptor
-        self._bytes: Counter[tuple[int, int]] = Counter()
+        self._owners: dict[bytes, _Owner] = {}
+        self._bytes: Counter[_Owner] = Counter()
         self._peak = 0  # most topics since the table was last rebuilt
 
-    def add(self, topic: bytes, source: int) -> None:
-        """Add a subscription of a connection."""
+    def add(self, topic: bytes, source: int, name: str = "") -> None:
+        """Add a subscription of a connection, which has this id."""
         if topic in self._owners:
             return
-        owner = self._owners[topic] = self._wires.serial(source), source
+        owner = self._owners[topic] = self._wires.serial(source), source, name
         self._bytes[owner] += len(topic) + 1
         self._peak = max(self._peak, len(self._owners))
         if self._bytes[owner] > TOPICS_EACH:
@@ -66,22 +68,23 @@ class Subscriptions:
         elif self._bytes.total() > TOPICS_ALL:
             self._end(max(self._bytes, key=self._bytes.__getitem__))
 
-    def _end(self, owner: tuple[int, int]) -> None:
+    def _end(self, owner: _Owner) -> None:
         """End a connection; its topics go as libzmq reports their end."""
         if self._wires.serial(owner[1]) == owner[0]:
             with suppress(OSError):
                 self._wires.cut(owner[1])
 
-    def discard(self, topic: bytes) -> None:
-        """The last subscription to it is gone."""
+    def discard(self, topic: bytes) -> str:
+        """The last subscription to it is gone; the id of the connection that it counted for."""
         owner = self._owners.pop(topic, None)
         if owner is None:
-            return
+            return ""
         self._bytes[owner] -= len(topic) + 1
         if not self._bytes[owner]:
             del self._bytes[owner]
         if len(self._owners) < self._peak // 8:  # a dict does not shrink by itself
             self._owners, self._peak = dict(self._owners), len(self._owners)
+        return owner[2]
 
     def covers(self, topic: bytes, least: int = 0) -> bool:
         """Whether one of `least` bytes or more is a prefix of a topic; its time depends on the topic's length only."""
@@ -112,21 +115,26 @@ class Publisher:
         self._sensors: tuple[SensorStatus, ...] = ()
         self.sequence = 0
 
-    def take_subscriptions(self) -> bool:
-        """Read some subscription messages; returns whether one wants the status, which it gets at once."""
+    def take_subscriptions(self, came: Callable[[str], None] = lambda _: None) -> bool:
+        """Read some subscription messages; returns whether one wants the status, which it gets at once.
+
+        `came` is told the id of the connection of each, empty if that is not known.
+        """
         wanted = False
         for _ in range(_AT_ONCE):
             try:
                 frame = self._socket.recv(zmq.NOBLOCK, copy=False)
             except zmq.Again:
                 break
-            message = frame.bytes
+            message, name = frame.bytes, connection_of(frame)
             topic = message[1:]
             if message[:1] == b"\x01":
-                self._subscriptions.add(topic, frame.get(zmq.SRCFD))
+                self._subscriptions.add(topic, frame.get(zmq.SRCFD), name)
                 wanted = wanted or topics.STATUS.startswith(topic)
             else:
-                self._subscriptions.discard(topic)
+                owner = self._subscriptions.discard(topic)
+                name = name or owner  # at the end of a connection, libzmq does not say whose it was
+            came(name)
         return wanted
 
     def has_subscriber(self, topic: bytes) -> bool:

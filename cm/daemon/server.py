@@ -76,7 +76,7 @@ class Server:
         self._authenticator = Authenticator(self._context, gate.enter)
         self._publisher = Publisher(self._loop, self._sockets.pub, options.name, limit=options.queue_bytes)
         leases = Leases(time, options.limits.leases, options.limits.leases_each)
-        told = self._publisher, leases, self._note_error, options.limits
+        told = self._publisher, leases, self._note_error, self._connections.budgets, options.limits
         self._streams = Streams(self._loop, self._devices, *told)
         self._manager = Manager(configs, self._environment(), leases)
         self._sessions = Sessions(gate, options.runtime_dir, self._sockets.tcp, self._manager)
@@ -196,9 +196,10 @@ class Server:
             end()
 
     def _on_subscription(self) -> None:
-        if self._publisher.take_subscriptions():
-            self._publisher.status(self._status)
-        self._streams.refresh()
+        with self._connections.budgets.bill() as bill:
+            if self._publisher.take_subscriptions(bill.add):
+                self._publisher.status(self._status)
+            self._streams.refresh()
 
     # ---- observer: any thread ---------------------------------------------------------
 

@@ -14,7 +14,7 @@ from cm.daemon.host.devices import BoardDevices
 from cm.daemon.loop import Loop
 from cm.daemon.streams.allocations import Allocations
 from cm.daemon.streams.audience import Audience
-from cm.daemon.streams.background import BackgroundSteps
+from cm.daemon.streams.background import BackgroundSteps, Served
 from cm.daemon.streams.clients import LocalClients, ZmqClients
 from cm.daemon.streams.echo import Echoes
 from cm.daemon.streams.memory_thread import MemoryThread
@@ -43,6 +43,7 @@ class StreamDriver:
         policy: StreamPolicy,
         on_error: Callable[[ErrorInfo], None],
         slots_each: int,
+        clients: Served,
     ) -> None:
         self._slots_each = slots_each
         self._loop = loop
@@ -59,7 +60,7 @@ class StreamDriver:
         self.failures: dict[str, ErrorInfo] = {}  # by stream of this mode: why it last failed
         self.locals = LocalClients(self.plane, on_error)
         self.zmq = ZmqClients(loop, self.plane, audience.frame, self._take)
-        self._background = BackgroundSteps(loop)
+        self._background = BackgroundSteps(loop, clients)
         self._stalled = StalledChannels(devices.probe_dma)
         loop.add(self.plane.fileno(), self._plane_event)
 
@@ -148,8 +149,7 @@ class StreamDriver:
             return
         self._policy.after(name, StreamEvent.CLOSE)
         self._totals.add(name, opened.moved())
-        failure = opened.failure()
-        if failure is not None:
+        if (failure := opened.failure()) is not None:
             self.failures[name] = failure
         try:
             opened.close(error)
@@ -183,7 +183,8 @@ class StreamDriver:
             first(opened)
             self.zmq.refresh(opened, self.has_subscriber(stream))
             for client, steps in waiting:
-                self._take(opened, steps, partial(self.locals.refused, opened, client))
+                refused = partial(self.locals.refused, opened, client)
+                self._background.run(self._watched(opened, steps, refused), paid=False)
             if not paid:
                 self._take(opened, opened.joiners.begin(), partial(self._unopened, stream.name))
         except BaseException:

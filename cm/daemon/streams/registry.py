@@ -14,6 +14,7 @@ from cm.daemon.host.devices import BoardDevices
 from cm.daemon.limits import Limits
 from cm.daemon.loop import Loop
 from cm.daemon.streams.audience import Audience
+from cm.daemon.streams.beside import Served
 from cm.daemon.streams.compression import check_compression
 from cm.daemon.streams.driver import StreamDriver
 from cm.daemon.streams.peer import Peer
@@ -41,14 +42,16 @@ class Streams:
         audience: Audience,
         leases: Leases,
         on_error: Callable[[ErrorInfo], None],
+        clients: Served,
         limits: Limits = Limits(),  # noqa: B008 (frozen)
     ) -> None:
+        """`clients`: who pays for the slots of streams that are opened for a request or a subscription."""
         self._loop = loop
         self._devices = devices
         self._audience = audience
         self._leases = leases
         self._policy = StreamPolicy()
-        self._driver = StreamDriver(loop, devices, audience, self._policy, on_error, limits.slots_each)
+        self._driver = StreamDriver(loop, devices, audience, self._policy, on_error, limits.slots_each, clients)
         self.memories = self._driver.echoes, self._driver.allocations  # for clients that want no stream
         self.moved = self._driver.moved
         self._idle: dict[str, tuple[Stream, StreamStatus]] = {}
