@@ -52,17 +52,14 @@ static void note_address(struct cm_guard_peer *peer, const struct sockaddr_stora
 	}
 }
 
-struct cm_guard_peer cm_guard_look(int fd, uint32_t kind)
+struct cm_guard_peer cm_guard_look(int fd, uint32_t kind, const struct sockaddr_storage *from)
 {
 	struct cm_guard_peer peer = { .fd = fd, .kind = kind };
-	struct sockaddr_storage from = { 0 };
 	struct ucred who = { 0 };
-	socklen_t length = sizeof(from), size = sizeof(who);
+	socklen_t size = sizeof(who);
 
-	if (getpeername(fd, (struct sockaddr *)&from, &length))
-		return peer;
-	if (from.ss_family != AF_UNIX) {
-		note_address(&peer, &from);
+	if (from->ss_family != AF_UNIX) {
+		note_address(&peer, from);
 	} else if (!getsockopt(fd, SOL_SOCKET, SO_PEERCRED, &who, &size)) {
 		peer.pid = who.pid ? who.pid
 				   : -1; /* in another PID namespace: all of those count as one */
@@ -122,17 +119,18 @@ static bool enter(const struct cm_guard_peer *peer)
 	return true;
 }
 
-bool cm_guard_admit(int fd, uint32_t kind)
+bool cm_guard_admit(const struct cm_guard_peer *peer, int64_t now_ms, bool crowded)
 {
-	struct cm_guard_peer peer = cm_guard_look(fd, kind);
+	bool often;
 	int cause;
 
 	pthread_mutex_lock(&cm_guard_lock);
-	cause = cause_against(&peer);
-	if (cause < 0 && !enter(&peer))
+	often = cm_guard_limits.each && !cm_guard_connects(peer, cm_guard_limits.each, now_ms);
+	cause = often && crowded ? CM_GUARD_OFTEN : cause_against(peer);
+	if (cause < 0 && !enter(peer))
 		cause = CM_GUARD_FULL;
 	if (cause >= 0)
-		cm_guard_refuse(&peer, cause);
+		cm_guard_refuse(peer, cause);
 	pthread_mutex_unlock(&cm_guard_lock);
 	return cause < 0;
 }

@@ -35,12 +35,14 @@ enum cm_guard_cause {
 	CM_GUARD_CUT,	      /* by cm_guard_cut() */
 	CM_GUARD_SLOW,	      /* kept others with long messages waiting */
 	CM_GUARD_UNREAD,      /* by cm_guard_cut_slowest() */
+	CM_GUARD_OFTEN,	      /* connects too often, while many wait */
 	CM_GUARD_CAUSES,
 };
 
 struct cm_guard_limits {
 	uint32_t connections; /* in all; three quarters of them for the processes of one user */
-	uint32_t each;	      /* of one peer: a process of this machine, or an address */
+	uint32_t
+		each; /* of one peer: a process of this machine, or an address; and new ones a second */
 	uint32_t newcomers;   /* of all, for peers with few */
 	uint32_t descriptors; /* of the process, that no connection may take */
 	uint32_t parts;	      /* of a message */

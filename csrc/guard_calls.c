@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /* The functions that libzmq calls in place of the C library's. */
 #include <errno.h>
-#include <fcntl.h>
 #include <poll.h>
 #include <time.h>
 #include <unistd.h>
@@ -9,62 +8,6 @@
 #include "guard_private.h"
 
 #define FRAMES 32768 /* unread: more than libzmq lets wait, unless their message has no end */
-
-/* No descriptor is left: cm_guard_spare makes room to refuse those that wait, or libzmq would be called for ever. */
-static void turn_away(int listener)
-{
-	int fd;
-
-	pthread_mutex_lock(&cm_guard_lock);
-	if (cm_guard_spare >= 0)
-		close(cm_guard_spare);
-	fd = accept4(listener, NULL, NULL, SOCK_CLOEXEC | SOCK_NONBLOCK);
-	if (fd >= 0) {
-		struct cm_guard_peer peer = cm_guard_look(fd, cm_guard_place(listener)->listens);
-
-		cm_guard_refuse(&peer, CM_GUARD_DESCRIPTORS);
-		close(fd);
-	}
-	cm_guard_spare = open("/dev/null", O_RDONLY | O_CLOEXEC);
-	pthread_mutex_unlock(&cm_guard_lock);
-	if (fd < 0)
-		nanosleep(&(struct timespec){ .tv_nsec = 1000000 },
-			  NULL); /* libzmq will call again at once */
-}
-
-int cm_guard_accept4(int listener, struct sockaddr *address, socklen_t *length, int flags)
-{
-	struct cm_guard_place *place = cm_guard_place(listener);
-	int fd = accept4(listener, address, length, flags);
-
-	if (!place || !place->listens)
-		return fd;
-	if (fd >= 0 && cm_guard_admit(fd, place->listens))
-		return fd;
-	if (fd >= 0)
-		close(fd);
-	else if (errno == EMFILE || errno == ENFILE)
-		turn_away(listener);
-	else
-		return fd;
-	errno = ECONNABORTED; /* which libzmq ignores */
-	return -1;
-}
-
-int cm_guard_accept(int listener, struct sockaddr *address, socklen_t *length)
-{
-	return cm_guard_accept4(listener, address, length, 0);
-}
-
-int cm_guard_listen(int fd, int backlog)
-{
-	struct cm_guard_place *place = cm_guard_place(fd);
-	int result = listen(fd, backlog);
-
-	if (!result && place)
-		place->listens = cm_guard_expected;
-	return result;
-}
 
 int cm_guard_close(int fd)
 {

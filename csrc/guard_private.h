@@ -60,7 +60,9 @@ struct cm_guard_sum {
 
 /* What is known about a descriptor. */
 struct cm_guard_place {
-	uint32_t listens; /* enum cm_guard_kind of those that it takes */
+	uint32_t listens;   /* enum cm_guard_kind of those that it takes */
+	uint32_t in_a_row;  /* that it took, behind each of which another waited */
+	int64_t crowded_ms; /* until when it counts that many waited */
 	_Atomic uint32_t kind;
 	struct cm_guard_peer peer;
 	struct cm_guard_stream stream; /* of libzmq's thread for this connection */
@@ -98,13 +100,14 @@ struct cm_guard_limits cm_guard_bounds(void);
 /* NULL for a descriptor that is too high to be known. */
 struct cm_guard_place *cm_guard_place(int fd);
 
-struct cm_guard_peer cm_guard_look(int fd, uint32_t kind);
+/* The peer of a connection that was taken; @from: as accept() has it, since one that has gone has no name any more. */
+struct cm_guard_peer cm_guard_look(int fd, uint32_t kind, const struct sockaddr_storage *from);
 
 /* Whether two connections are of one process, or from one address. */
 bool cm_guard_same(const struct cm_guard_peer *a, const struct cm_guard_peer *b);
 
-/* A connection that was taken: whether it stays. */
-bool cm_guard_admit(int fd, uint32_t kind);
+/* A connection was taken, where others wait if it is @crowded: whether it stays. */
+bool cm_guard_admit(const struct cm_guard_peer *peer, int64_t now_ms, bool crowded);
 
 /* Count it; with the lock held, like the next function. */
 void cm_guard_refuse(const struct cm_guard_peer *peer, int cause);
@@ -127,6 +130,9 @@ void cm_guard_settle(struct cm_guard_place *place, const struct cm_guard_limits 
  * might, where one connection may send @each at once and a sixteenth of it in a second, and all of them four times that.
  */
 bool cm_guard_pay(const struct cm_guard_peer *peer, uint32_t topics, uint32_t each, int64_t now_s);
+
+/* A peer has connected once more; with the lock held. Whether it has no more than @each times within a second. */
+bool cm_guard_connects(const struct cm_guard_peer *peer, uint32_t each, int64_t now_ms);
 
 /* The replacements for the C library's functions in libzmq. */
 int cm_guard_accept4(int listener, struct sockaddr *address, socklen_t *length, int flags);

@@ -40,6 +40,31 @@ STOPS = {
     "[one.send_multipart([b'', b'cm_status', b'']) for one in made for _ in range(200)]",
 }
 
+# Connects so often, to a path, or from another address of this machine to a port, and hangs up at once.
+CONNECTS = """
+import socket, struct, sys
+family, place, count = (socket.AF_UNIX, socket.AF_INET)[sys.argv[1].isdigit()], sys.argv[1], int(sys.argv[2])
+if family == socket.AF_INET:
+    place = "127.0.0.1", int(place)
+done = 0
+for done in range(1, count + 1):
+    with socket.socket(family) as one:
+        try:
+            if family == socket.AF_INET:
+                one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # no port stays in use
+                one.bind(("127.0.0.2", 0))
+            one.connect(place)
+        except OSError:
+            pass
+print(done)
+"""
+
+
+def connecting(place: str, count: int) -> subprocess.Popen[str]:
+    """A process that does so."""
+    words = [sys.executable, "-S", "-E", "-c", CONNECTS, place, str(count)]
+    return subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+
 
 def greeting(mechanism: bytes) -> bytes:
     """ZMTP 3.0's."""
@@ -163,6 +188,14 @@ class Attacker:
                 peer.recv(64)
                 self.did["connected"] += 1
 
+    def connect_without_end(self) -> None:
+        """From several processes, to ipc and TCP."""
+        made = [connecting(f"{self.runtime}/req", self.rounds * 200) for _ in range(4)]
+        made += [connecting(str(self.port), self.rounds) for _ in range(2)]  # which takes longer, as TCP tries again
+        for process in made:
+            said, _ = process.communicate()
+            self.did["connected"] += int(said)
+
     def subscribe_again(self) -> None:
         topics = b"".join(bytes([0, 11]) + b"\x01cm_%07d" % i for i in range(1000))
         for _ in range(self.rounds):
@@ -259,9 +292,9 @@ class Attacker:
 
 ATTACKS = (
     "change_modes", "change_and_cancel", "plan", "configure_a_stream", "define_memories", "begin_uploads",
-    "take_leases", "send_configurations", "leave_amid_messages", "shake_hands", "subscribe_again", "open_streams",
-    "allocate", "connect_and_say_nothing", "read_nothing_through_tiny_buffers", "try_wrong_keys", "begin_with_keys",
-    "stop",
+    "take_leases", "send_configurations", "leave_amid_messages", "shake_hands", "connect_without_end",
+    "subscribe_again", "open_streams", "allocate", "connect_and_say_nothing", "read_nothing_through_tiny_buffers",
+    "try_wrong_keys", "begin_with_keys", "stop",
 )  # fmt: skip
 
 

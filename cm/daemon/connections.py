@@ -42,6 +42,7 @@ _CAUSES = {
     "rate": f"it subscribed to more than {_TOPICS} topics at once, or four times as many over all its connections",
     "cut": "it has lost its right to be connected, or does not read its answers and goes on asking",
     "unread": "it has read nothing for longest of those that leave frames unread, which are too many (--stream-queue)",
+    "often": "it connects more often than limits.connections_each times a second, while others wait to be let in",
     "slow": "others had long messages to send while it did not end one (64 KiB in a second, 10 s in all)",
 }
 

@@ -11,7 +11,7 @@ from cm.native.call import check
 NONE: int = lib.CM_GUARD_NONE
 REQUESTS: int = lib.CM_GUARD_REQUESTS
 TOPICS: int = lib.CM_GUARD_TOPICS
-CAUSES = ("full", "each", "descriptors", "protocol", "parts", "bytes", "rate", "cut", "slow", "unread")
+CAUSES = ("full", "each", "descriptors", "protocol", "parts", "bytes", "rate", "cut", "slow", "unread", "often")
 
 
 class Limits(NamedTuple):

@@ -25,7 +25,7 @@ TOPICS = 300
 @pytest.fixture
 def served(monkeypatch: pytest.MonkeyPatch) -> Iterator[Daemon]:
     clock = count(0, STEP)
-    monkeypatch.setattr("cm.daemon.streams.beside.monotonic_ns", lambda: next(clock))
+    monkeypatch.setattr("cm.daemon.streams.background.monotonic_ns", lambda: next(clock))
     with daemon(load="camera/default", listen=("tcp://127.0.0.1:0",)) as made:
         until(lambda: made.status.mode == "default" and not made.status.fpga_busy)
         yield made
@@ -83,10 +83,10 @@ def test_who_subscribes_to_a_stream_pays_for_its_slots(served: Daemon, subscribe
 
 def test_who_has_a_stream_run_pays_for_its_slots_and_nobody_when_it_runs_again(served: Daemon) -> None:
     served.done(rq.ConfigureStream("camera", slots=64, enable=True, force=True))
-    beside = served.server._streams._driver._beside
-    until(lambda: not beside._waiting)
+    background = served.server._streams._driver._background
+    until(lambda: not background._waiting)
     paid = steps(served, "pid")
     assert paid >= 64 // 8
     served.done(rq.ChangeMode("camera", "edge_detection"))
-    until(lambda: any(stream.open for stream in served.status.streams) and not beside._waiting)
+    until(lambda: any(stream.open for stream in served.status.streams) and not background._waiting)
     assert steps(served, "pid") == paid

@@ -89,3 +89,17 @@ def test_another_client_loses_nothing(guarded: KeyedManager, name: str) -> None:
     with guarded.manager.connected() as board:
         until(lambda: board.status.leases == (), KEPT)  # those of a process that is gone end by their time
         board.load("camera", "default", timeout=60)
+
+
+@pytest.mark.timeout(900)
+def test_new_clients_come_in_beside_processes_that_connect_without_end(guarded: KeyedManager) -> None:
+    words = [sys.executable, attacks.__file__, "connect_without_end", str(guarded.manager.runtime), "200"]
+    with subprocess.Popen([*words, guarded.manager.tcp("req")], env=environment(), stdout=subprocess.PIPE) as attacker:
+        came = 0
+        while attacker.poll() is None or came < 20:
+            with guarded.manager.connected() as board:
+                board.registers["scratch"] = came
+                assert board.registers["scratch"] == came
+            came += 1
+    print("new clients", came)
+    assert attacker.returncode == 0

@@ -9,8 +9,11 @@ from typing import Any
 
 import pytest
 import zmq
+from manager_process import short_folder
+from zmq.utils.monitor import recv_monitor_message
 
 from cm.client.sockets import Sockets
+from cm.wire.topics import Endpoints, ipc_endpoints, tcp_endpoints
 
 
 def test_a_signal_handler_may_close_what_its_thread_is_closing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -40,3 +43,24 @@ def test_a_signal_handler_may_close_what_its_thread_is_closing(monkeypatch: pyte
     user.join(60)
     sockets.close()
     assert sockets.closed
+
+
+def next_try(endpoints: Endpoints) -> int:
+    """Milliseconds after which a client tries again to connect to where nobody listens."""
+    context = zmq.Context()
+    sockets = Sockets(context, endpoints, None)
+    try:
+        socket, _ = sockets.subscriber((b"",))
+        socket.monitor("inproc://tries", zmq.EVENT_CONNECT_RETRIED)
+        with context.socket(zmq.PAIR) as monitor:
+            monitor.connect("inproc://tries")
+            assert monitor.poll(60_000)
+            return int(recv_monitor_message(monitor)["value"])
+    finally:
+        sockets.close()
+
+
+def test_a_client_tries_to_connect_again_sooner_over_ipc_than_over_tcp() -> None:
+    with short_folder() as folder:
+        assert 10 <= next_try(ipc_endpoints(folder)) < 20  # ZeroMQ adds some of its own
+    assert next_try(tcp_endpoints("tcp://127.0.0.1:1")) >= 100

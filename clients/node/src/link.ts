@@ -18,6 +18,9 @@ interface Pending {
 
 const EMPTY = Buffer.alloc(0);
 
+/** Over ipc the next try comes after 10 ms, not 100: where others connect without end, a place is free now and then. */
+const again = (address: string) => address.startsWith("ipc:") ? { reconnectInterval: 10 } : {};
+
 /** Requests on a DEALER, each with a number of its own, so that a late reply is never taken for that of another. */
 export class Link {
   readonly #socket: Dealer;
@@ -34,7 +37,7 @@ export class Link {
   ) {
     if (guest.length > 64) throw new RangeError(`${guest}: a guest's name has at most 64 characters`);
     this.#between = guest ? [`for=${guest}`, EMPTY] : [EMPTY];
-    this.#socket = new Dealer({ linger: 0, receiveHighWaterMark: 0, ...curve(keys) });
+    this.#socket = new Dealer({ linger: 0, receiveHighWaterMark: 0, ...again(endpoints.req), ...curve(keys) });
     const { events } = this.#socket;
     events.on("handshake", () => { this.#up = true; });
     events.on("disconnect", () => this.#lose());
@@ -70,7 +73,8 @@ export class Link {
       throw new Error(`what is published is handed to the bridge, not to ${this.guest}: subscribe without a guest, ` +
         "and hold back what is not for it");
     }
-    const socket = new Subscriber({ linger: 0, receiveHighWaterMark: depth, ...curve(this.keys) });
+    const options = { linger: 0, receiveHighWaterMark: depth, ...again(this.endpoints.pub), ...curve(this.keys) };
+    const socket = new Subscriber(options);
     socket.subscribe(...topics);
     socket.connect(this.endpoints.pub);
     return socket;

@@ -131,7 +131,7 @@ class StreamDriver:
                 raise
 
     def _take(self, opened: OpenStream, steps: Iterator[None], failed: Callable[[CmError | OSError], object]) -> None:
-        """Take the steps as `_watched` does, in turns of the loop that belong to no client's request."""
+        """Take the steps as `_watched` does, in turns of the loop of their own; whoever is served now pays."""
         self._background.run(self._watched(opened, steps, failed))
 
     def _not_started(self, opened: OpenStream, error: CmError | OSError) -> None:
@@ -183,8 +183,7 @@ class StreamDriver:
             first(opened)
             self.zmq.refresh(opened, self.has_subscriber(stream))
             for client, steps in waiting:
-                refused = partial(self.locals.refused, opened, client)
-                self._background.run(self._watched(opened, steps, refused), paid=False)
+                self._background.run(self._watched(opened, steps, partial(self.locals.refused, opened, client)), False)
             if not paid:
                 self._take(opened, opened.joiners.begin(), partial(self._unopened, stream.name))
         except BaseException:

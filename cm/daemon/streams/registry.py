@@ -14,7 +14,7 @@ from cm.daemon.host.devices import BoardDevices
 from cm.daemon.limits import Limits
 from cm.daemon.loop import Loop
 from cm.daemon.streams.audience import Audience
-from cm.daemon.streams.beside import Served
+from cm.daemon.streams.background import Served
 from cm.daemon.streams.compression import check_compression
 from cm.daemon.streams.driver import StreamDriver
 from cm.daemon.streams.peer import Peer
