@@ -163,6 +163,8 @@ static int add_icap(struct plsim_board *board)
 				    (struct property_entry[]){
 					PROPERTY_ENTRY_STRING("dma-names", "icap"),
 					PROPERTY_ENTRY_U32("fpga-cm,idcode", channel->idcode),
+					PROPERTY_ENTRY_U32("fpga-cm,timeout-ms",
+							   channel->timeout_ms),
 					{} },
 				    &data, sizeof(data));
 		if (IS_ERR(device))

@@ -14,6 +14,7 @@
 
 #define PLSIM_NAME_MAX 32
 #define PLSIM_UIO_MAX 16
+#define PLSIM_TIMEOUT_MS 2000 /* as of a port whose node says nothing */
 
 /**
  * struct plsim_board - a folder in configfs, and its devices while it is live
@@ -65,6 +66,7 @@ struct plsim_board {
  * @interval_us: source, cyclic: between frames
  * @fifo: loopback: bytes
  * @idcode: icap: of the device
+ * @timeout_ms: icap: longest load
  */
 struct plsim_channel_item {
 	struct config_item item;
@@ -79,6 +81,7 @@ struct plsim_channel_item {
 	u32 interval_us;
 	u32 fifo;
 	u32 idcode;
+	u32 timeout_ms;
 };
 
 /**

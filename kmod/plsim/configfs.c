@@ -86,6 +86,7 @@ CHANNEL_U32(frame_length);
 CHANNEL_U32(interval_us);
 CHANNEL_U32(fifo);
 CHANNEL_U32(idcode);
+CHANNEL_U32(timeout_ms);
 CHANNEL_U32(video);
 
 static ssize_t channel_kind_show(struct config_item *item, char *page)
@@ -155,6 +156,7 @@ static struct configfs_attribute *channel_attributes[] = {
 	&channel_attr_interval_us,
 	&channel_attr_fifo,
 	&channel_attr_idcode,
+	&channel_attr_timeout_ms,
 	NULL
 };
 
@@ -278,6 +280,7 @@ static struct config_item *make_channel(struct config_group *group, const char *
 	channel->direction = CM_DMA_S2MM;
 	channel->frame_length = PAGE_SIZE;
 	channel->fifo = SZ_64K;
+	channel->timeout_ms = PLSIM_TIMEOUT_MS;
 	strscpy(channel->kind, "source", sizeof(channel->kind));
 	ret = add_to(board, &board->channels, &channel->siblings);
 	if (ret) {

@@ -114,7 +114,7 @@ static void *memory(int device, size_t length)
 
 static void await_signals(int count)
 {
-	for (int i = 0; told < count && i < 200; i++)
+	for (int i = 0; told < count && i < 6000; i++)
 		usleep(10000);
 }
 

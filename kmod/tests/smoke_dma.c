@@ -86,7 +86,7 @@ static int next(int channel, struct cm_dma_completion *completion)
 {
 	struct pollfd waiter = { .fd = channel, .events = POLLIN };
 
-	if (poll(&waiter, 1, 5000) != 1 ||
+	if (poll(&waiter, 1, 60000) != 1 ||
 	    read(channel, completion, sizeof(*completion)) != sizeof(*completion))
 		return 1;
 	return completion->status;

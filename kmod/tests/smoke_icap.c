@@ -103,7 +103,7 @@ static int load_soon(int port, uint32_t handle, size_t length, uint64_t cookie)
 {
 	int i;
 
-	for (i = 0; i < 5000; i++) {
+	for (i = 0; i < 60000; i++) {
 		if (!load(port, handle, length, cookie))
 			return 0;
 		if (errno != EBUSY)
@@ -124,7 +124,7 @@ static void test_unread(int port, uint32_t handle, size_t length)
 		before = loads_ended(port);
 		if (load_soon(port, handle, length, i))
 			break;
-		for (k = 0; loads_ended(port) == before && k < 5000; k++)
+		for (k = 0; loads_ended(port) == before && k < 60000; k++)
 			usleep(1000);
 	}
 	CHECK(i == 64);
@@ -193,8 +193,8 @@ int main(int argc, char **argv)
 	fault("icap", "hang", 1);
 	CHECK(load(port, args.handle, length, 11) == 0);
 	CHECK(load(port, args.handle, length, 12) == -1 && errno == EBUSY);
-	CHECK(finished(port, &completion) == -ETIMEDOUT && completion.cookie == 11);
 	fault("icap", "hang", 0);
+	CHECK(finished(port, &completion) == 0 && completion.cookie == 11);
 	CHECK(load(port, args.handle, length, 13) == 0 && finished(port, &completion) == 0);
 
 	CHECK(load(port, args.handle, 6, 0) == -1 && errno == EINVAL);

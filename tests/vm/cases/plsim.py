@@ -5,13 +5,15 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
+from boardfile import write_bitstreams
 from capabilities import LOOK
-from served import pl, until
+from served import PATIENCE, pl, until
 
 from cm import device
+from cm.bitstream import to_dma_words
 
 ROOT = Path("/sys/kernel/config/cm_plsim")
 LIVE = ROOT / "board" / "live"  # of the board in configfs, where it comes from there
@@ -84,3 +86,14 @@ def board(channels: Mapping[str, Attributes], windows: Mapping[str, Attributes])
         (top / "live").write_text("0")
         for folder in reversed(folders):
             folder.rmdir()
+
+
+@contextlib.contextmanager
+def loading(folder: Path) -> Iterator[Callable[[], device.IcapCompletion]]:
+    """A load of a bitstream through the only port, under way; gives what waits for its end."""
+    write_bitstreams(folder)
+    words = to_dma_words((folder / "edge.bit").read_bytes())
+    with device.Icap.open() as port, port.allocate(len(words)) as buffer:
+        buffer.array(0, len(words))[:] = bytearray(words)
+        port.load(buffer, len(words))
+        yield lambda: port.wait(PATIENCE)

@@ -12,12 +12,10 @@ from pathlib import Path
 import numpy as np
 import plsim
 import pytest
-from boardfile import write_bitstreams
 from capabilities import LOOK
 from served import PATIENCE, until
 
 from cm import device
-from cm.bitstream import to_dma_words
 
 pytestmark = pytest.mark.needs("cm", "dma", "plsim")
 MODULES = ("cm_axidma_compat", "cm_plsim", "cm_icap", "cm_dma")  # in the order in which they can go
@@ -120,16 +118,12 @@ def unbound(driver: str, name: str) -> Iterator[None]:
 
 def load_ends(tmp_path: Path) -> int:
     """Load a bitstream through the only port; gives the verdict."""
-    write_bitstreams(tmp_path)
-    words = to_dma_words((tmp_path / "edge.bit").read_bytes())
-    with device.Icap.open() as port, port.allocate(len(words)) as buffer:
-        buffer.array(0, len(words))[:] = bytearray(words)
-        port.load(buffer, len(words))
-        return port.wait(PATIENCE).status
+    with plsim.loading(tmp_path) as end:
+        return end().status
 
 
 def test_a_port_asks_the_engine_that_is_there_now(tmp_path: Path) -> None:
-    channels = {"icap": {"kind": "icap", "idcode": "0x03727093"}}
+    channels = {"icap": {"kind": "icap", "idcode": "0x03727093", "timeout_ms": 600_000}}
     with plsim.nothing(), plsim.board(channels, {}) as engine:
         assert load_ends(tmp_path) == 0
         for _ in range(3):
