@@ -142,6 +142,18 @@ def test_bindings_are_good_schemas() -> None:
     assert run(sys.executable, tool, "-u", DTS / "bindings", *BINDINGS) == ""
 
 
+def test_examples_of_bindings_are_what_they_allow(tmp_path: Path) -> None:
+    """The other half of the kernel's `make dt_binding_check`."""
+    extract, validate = schema_tool("dt-extract-example"), schema_tool("dt-validate")
+    trees = []
+    for binding in BINDINGS:
+        source = tmp_path / f"{binding.stem}.dts"
+        source.write_text(run(sys.executable, extract, binding))
+        trees.append(source.with_suffix(".dtb"))
+        run("dtc", "-q", "-I", "dts", "-O", "dtb", "-o", trees[-1], source)
+    assert run(sys.executable, validate, "-s", DTS / "bindings", *trees) == ""
+
+
 def test_wrong_properties_are_reported(built: Path, tmp_path: Path) -> None:
     tool = schema_tool("dt-validate")
     text = run("dtc", "-q", "-I", "dtb", "-O", "dts", merged(built, "qemu-virt/static"))
