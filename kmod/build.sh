@@ -28,7 +28,8 @@ command -v "$triplet-gcc" >/dev/null || {
 
 # the headers' configuration is that of the compiler the kernel was built with
 if ! echo | "$triplet-gcc" -fmin-function-alignment=8 -E - >/dev/null 2>&1; then
-	set -- CONFIG_CC_HAS_MIN_FUNCTION_ALIGNMENT= "$@"
+	# what ftrace patches has to be aligned: without it, it stops the kernel when such a module is loaded
+	set -- CONFIG_CC_HAS_MIN_FUNCTION_ALIGNMENT= CC_FLAGS_FTRACE= "$@"
 fi
 
 # there is no vmlinux to take BTF from

@@ -33,12 +33,12 @@ static bool is_engine(struct dma_chan *chan, const char *compatible)
 	return of_device_is_compatible(chan->device->dev->of_node, compatible);
 }
 
-static struct cm_engine *find_locked(struct dma_device *device)
+static struct cm_engine *find_locked(struct device *provider)
 {
 	struct cm_engine *engine;
 
 	list_for_each_entry(engine, &engines, node) {
-		if (engine->device == device)
+		if (engine->provider == provider)
 			return engine;
 	}
 	return NULL;
@@ -53,7 +53,7 @@ static struct cm_engine *new_locked(struct dma_chan *chan)
 	kref_init(&engine->ref);
 	mutex_init(&engine->lock);
 	INIT_LIST_HEAD(&engine->channels);
-	engine->device = chan->device;
+	engine->provider = get_device(chan->device->dev);
 	engine->shared_reset = is_engine(chan, "xlnx,axi-dma-1.00.a") ||
 			       is_engine(chan, "xlnx,axi-mcdma-1.00.a");
 	list_add(&engine->node, &engines);
@@ -71,7 +71,7 @@ struct cm_engine *cm_engine_get(struct dma_chan *chan)
 	struct cm_engine *engine;
 
 	mutex_lock(&engines_lock);
-	engine = find_locked(chan->device);
+	engine = find_locked(chan->device->dev);
 	if (engine)
 		kref_get(&engine->ref);
 	else
@@ -87,6 +87,7 @@ static void engine_release(struct kref *ref)
 	list_del(&engine->node);
 	mutex_unlock(&engines_lock);
 	mutex_destroy(&engine->lock);
+	put_device(engine->provider);
 	kfree(engine);
 }
 

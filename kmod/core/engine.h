@@ -15,6 +15,7 @@
 #include <linux/mutex.h>
 #include <linux/types.h>
 
+struct device;
 struct device_node;
 struct dma_chan;
 
@@ -56,7 +57,8 @@ struct cm_traits {
  * struct cm_engine - what the channels of one provider share
  * @ref: one of each channel
  * @node: in the list of all that have channels
- * @device: the provider
+ * @provider: its device; a reference is held, so that no other is taken for it
+ *            while files of an engine that is gone are open
  * @lock: orders submit, cancel, claim and the end of all its channels
  * @channels: channels, by cm_channel.siblings; under @lock
  * @shared_reset: terminating one channel resets the others
@@ -64,7 +66,7 @@ struct cm_traits {
 struct cm_engine {
 	struct kref ref;
 	struct list_head node;
-	struct dma_device *device;
+	struct device *provider;
 	struct mutex lock; /* orders submit, cancel, claim and the end of its channels */
 	struct list_head channels;
 	bool shared_reset;

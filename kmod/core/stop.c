@@ -94,29 +94,6 @@ static struct cm_active *take_over(struct cm_channel *channel)
 	return active;
 }
 
-/**
- * cm_channel_stop() - end all requests of a channel
- * @channel: channel; its engine's lock is held
- */
-void cm_channel_stop(struct cm_channel *channel)
-{
-	struct cm_active *active, *next;
-	LIST_HEAD(cancelled);
-
-	quiesce(channel);
-	active = take_over(channel);
-	if (active)
-		cm_active_finish(active, active->length, active->status);
-	spin_lock_bh(&channel->active_lock);
-	list_splice_init(&channel->active, &cancelled);
-	spin_unlock_bh(&channel->active_lock);
-	list_for_each_entry_safe(active, next, &cancelled, node) {
-		channel->stats.cancelled++;
-		cm_active_finish(active, 0, -ECANCELED);
-	}
-	set_stopping(channel, false);
-}
-
 /* a frame that is repeated stays in the list, and its end is told as a period's */
 static void tell_over(struct cm_channel *channel)
 {
@@ -140,6 +117,28 @@ static void tell_over(struct cm_channel *channel)
 	spin_lock_bh(&channel->active_lock);
 	channel->over = NULL;
 	spin_unlock_bh(&channel->active_lock);
+}
+
+/**
+ * cm_channel_stop() - end all requests of a channel
+ * @channel: channel; its engine's lock is held
+ */
+void cm_channel_stop(struct cm_channel *channel)
+{
+	struct cm_active *active, *next;
+	LIST_HEAD(cancelled);
+
+	quiesce(channel);
+	if (channel->over)
+		tell_over(channel);
+	spin_lock_bh(&channel->active_lock);
+	list_splice_init(&channel->active, &cancelled);
+	spin_unlock_bh(&channel->active_lock);
+	list_for_each_entry_safe(active, next, &cancelled, node) {
+		channel->stats.cancelled++;
+		cm_active_finish(active, 0, -ECANCELED);
+	}
+	set_stopping(channel, false);
 }
 
 /**
@@ -197,15 +196,17 @@ static void fail(struct cm_channel *channel)
  * cm_channel_look() - look for an error that is not reported
  * @channel: channel
  * @delay: after this many jiffies; not later than asked for before
+ *
+ * Not while the system is suspended, when the engine's bus may not answer.
  */
 void cm_channel_look(struct cm_channel *channel, unsigned long delay)
 {
 	if (!channel->traits->registers)
 		return;
 	if (delay)
-		queue_delayed_work(system_wq, &channel->watch, delay);
+		queue_delayed_work(system_freezable_wq, &channel->watch, delay);
 	else
-		mod_delayed_work(system_wq, &channel->watch, 0);
+		mod_delayed_work(system_freezable_wq, &channel->watch, 0);
 }
 
 /**

@@ -312,7 +312,7 @@ static void active_done(void *param, const struct dmaengine_result *result)
 	spin_unlock_bh(&channel->active_lock);
 	switch (after) {
 	case AFTER_STOP:
-		queue_work(system_wq, &channel->settle);
+		queue_work(CM_SYSTEM_WQ, &channel->settle);
 		return;
 	case AFTER_PERIOD:
 		active_period(active, length, status);

@@ -64,7 +64,7 @@ static void dma_done(void *context, const struct cm_result *result)
 	last = --icap->dma_left == 0;
 	spin_unlock_bh(&icap->dma_lock);
 	if (last)
-		mod_delayed_work(system_wq, &icap->work, 0);
+		mod_delayed_work(CM_SYSTEM_WQ, &icap->work, 0);
 }
 
 static int dma_result(struct cm_icap *icap, bool *running)
@@ -137,7 +137,7 @@ void cm_icap_work(struct work_struct *work)
 	spin_lock_bh(&icap->dma_lock);
 	early = icap->dma_left && time_before(now, icap->deadline);
 	if (early)
-		queue_delayed_work(system_wq, &icap->work, icap->deadline - now);
+		queue_delayed_work(CM_SYSTEM_WQ, &icap->work, icap->deadline - now);
 	spin_unlock_bh(&icap->dma_lock);
 	if (!early)
 		finish(icap, load_errors(icap));
@@ -152,7 +152,7 @@ static void watch(struct cm_icap *icap)
 	icap->deadline = jiffies + timeout;
 	/* otherwise the end has queued the work, or will */
 	if (icap->dma_left)
-		mod_delayed_work(system_wq, &icap->work, timeout);
+		mod_delayed_work(CM_SYSTEM_WQ, &icap->work, timeout);
 	spin_unlock_bh(&icap->dma_lock);
 }
 

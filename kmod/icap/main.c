@@ -8,6 +8,7 @@
 #include <linux/mod_devicetable.h>
 #include <linux/module.h>
 #include <linux/platform_device.h>
+#include <linux/pm.h>
 #include <linux/property.h>
 #include <linux/slab.h>
 
@@ -93,6 +94,12 @@ static int add_channel(struct cm_icap *icap)
 	return ret ?: cm_channel_claim(channel);
 }
 
+/* bounded by the port's own timeout */
+static void await_idle(struct cm_icap *icap)
+{
+	wait_event(icap->idle, READ_ONCE(icap->status.state) != CM_ICAP_STATE_LOADING);
+}
+
 /* a load under way ends first; then nothing can be started any more */
 static void stop(void *data)
 {
@@ -102,7 +109,7 @@ static void stop(void *data)
 	WRITE_ONCE(icap->gone, true);
 	mutex_unlock(&icap->lock);
 	wake_up_all(&icap->idle);
-	wait_event(icap->idle, READ_ONCE(icap->status.state) != CM_ICAP_STATE_LOADING);
+	await_idle(icap);
 	cancel_delayed_work_sync(&icap->work);
 }
 
@@ -176,6 +183,7 @@ static int cm_icap_probe(struct platform_device *pdev)
 
 	if (!icap)
 		return -ENOMEM;
+	platform_set_drvdata(pdev, icap);
 	ret = devm_add_action_or_reset(&pdev->dev, put_icap, icap);
 	if (!ret)
 		ret = read_properties(icap, pdev);
@@ -193,6 +201,18 @@ static int cm_icap_probe(struct platform_device *pdev)
 		ret = cm_icap_manager_init(icap);
 	return ret ?: add_node(icap);
 }
+
+/*
+ * The engine and memory are there until this returns.  Who could start another
+ * load is frozen.
+ */
+static int __maybe_unused cm_icap_suspend(struct device *dev)
+{
+	await_idle(dev_get_drvdata(dev));
+	return 0;
+}
+
+static SIMPLE_DEV_PM_OPS(cm_icap_pm, cm_icap_suspend, NULL);
 
 static const struct of_device_id cm_icap_of_match[] = {
 	{ .compatible = "fpga-cm,icap-loader" },
@@ -212,6 +232,7 @@ static struct platform_driver cm_icap_driver = {
 	.driver = {
 		.name = "cm_icap",
 		.of_match_table = cm_icap_of_match,
+		.pm = &cm_icap_pm,
 	},
 };
 

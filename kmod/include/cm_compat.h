@@ -12,6 +12,7 @@
 #include <linux/mm.h>
 #include <linux/module.h>
 #include <linux/version.h>
+#include <linux/workqueue.h>
 
 /* cm/_version.py; all modules of one state of this tree have one */
 #define CM_VERSION "0.1.0"
@@ -77,6 +78,13 @@ static inline void cm_set_coherent(struct device *dev)
 
 /* UIO drivers prepare a mapping (seen in 7.2, not in 6.12) instead of making it */
 #define CM_UIO_MMAP_PREPARE (LINUX_VERSION_CODE >= KERNEL_VERSION(7, 1, 0))
+
+/* 6.17: its name says that it is one for each processor; 7.2 warns of the old name */
+#if LINUX_VERSION_CODE >= KERNEL_VERSION(6, 17, 0)
+#define CM_SYSTEM_WQ system_percpu_wq
+#else
+#define CM_SYSTEM_WQ system_wq
+#endif
 
 /* 6.3: vm_flags may only be changed through functions */
 static inline void cm_vm_flags_set(struct vm_area_struct *vma, unsigned long flags)

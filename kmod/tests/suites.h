@@ -9,5 +9,7 @@ extern struct kunit_suite cm_request_suite;
 extern struct kunit_suite cm_address_suite;
 extern struct kunit_suite cm_axidma_frame_suite;
 extern struct kunit_suite cm_axidma_video_suite;
+extern struct kunit_suite cm_engine_suite;
+extern struct kunit_suite cm_stop_suite;
 
 #endif /* _CM_TESTS_SUITES_H */

@@ -39,7 +39,7 @@ class Suite:
 
 
 KUNIT = {
-    *("cm_queue", "cm_request", "cm_address"),  # of cm_dma
+    *("cm_queue", "cm_request", "cm_address", "cm_engine", "cm_stop"),  # of cm_dma
     *("cm_axidma_frame", "cm_axidma_video"),
     *("cm_icap_verdict", "cm_configport", "cm_source"),
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import threading
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,8 @@ from vmboard.packages import Apt, unpack
 from vmboard.progress import say
 from vmboard.shell import require, run
 
-FRAGMENTS = Path(__file__).resolve().parents[1] / "kernel"
+REPOSITORY = Path(__file__).resolve().parents[3]
+FRAGMENTS = REPOSITORY / "tests/vm/kernel"
 SOURCE_PACKAGE = "linux-source-6.1"
 # Drivers without which the source is half the size; their Kconfig files stay.
 UNUSED = ("gpu", "media", "staging", "infiniband", "scsi", "net/wireless", "net/ethernet", "usb", "iio", "hwmon")
@@ -32,6 +34,7 @@ class Kernel:
     build: Path  # KDIR of modules built for it
     modules: Path  # root below which lib/modules/<release> lies
     prefix: str  # of the compiler's name
+    foreign: bool = False  # the compiler that it was built with is not the host's
 
     def make(self) -> list[str]:
         """The start of a make command line that builds modules for it."""
@@ -131,8 +134,10 @@ def _is_object(name: str) -> bool:
     return name.endswith((".o", ".a", ".cmd")) or name.startswith("vmlinux")
 
 
-def stock(cache: Cache, arch: Arch) -> Kernel:
-    """Debian's own kernel of the running release, with its headers."""
+def stock(cache: Cache, arch: Arch, suite: str = "") -> Kernel:
+    """Debian's own kernel, with its headers: of the running release, or of another suite."""
+    if suite:
+        return _of_suite(cache, arch, suite)
     foreign = Apt(cache.root, arch)
     meta = f"linux-image-{arch.debian}"
     place = cache.entry(
@@ -170,3 +175,27 @@ def _point_headers_home(sources: Path) -> None:
         text = makefile.read_text()
         if "include /usr/src/" in text:
             makefile.write_text(text.replace("/usr/src/", f"{sources}/"))
+
+
+def _of_suite(cache: Cache, arch: Arch, suite: str) -> Kernel:
+    kind = f"kernel-stock-{arch.debian}-{suite}"
+    place = cache.entry(kind, [arch.kernel_flavour, "layout 1"], lambda out: _fetch_of_suite(cache, arch, suite, out))
+    build = Path((place / "build").read_text())
+    release = build.name.removeprefix("linux-headers-")
+    image = next((place / "root").rglob("vmlinuz*"))  # in /boot, or from 7 on beside the modules
+    return Kernel(release, arch, image, build, place / "root", cross_prefix(arch), foreign=True)
+
+
+def _fetch_of_suite(cache: Cache, arch: Arch, suite: str, place: Path) -> None:
+    """The kernel that belongs to the headers which the modules are built against elsewhere, too."""
+    headers = [REPOSITORY / "kmod/headers.sh", suite, arch.debian]
+    build = run(headers, env={"CM_VM_CACHE": str(cache.root)}).splitlines()[-1]
+    release = Path(build).name.removeprefix("linux-headers-")
+    foreign = Apt(cache.root, arch, suite)
+    parts = foreign.known([f"linux-{part}-{release}" for part in ("image", "binary", "modules")])  # before 7: one
+    unpack(foreign.download(parts, place / "debs"), place / "root")
+    shutil.rmtree(place / "debs")
+    for module in (place / "root").rglob("*.ko.xz"):  # busybox loads them as they are
+        run(["xz", "-d", module])
+    run(["depmod", "-b", place / "root", release])
+    (place / "build").write_text(build)

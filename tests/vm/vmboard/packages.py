@@ -99,6 +99,12 @@ class Apt:
             run([*self._command("apt-get"), "download", "-q", *names], cwd=place, env=self._scratch)
         return sorted(place.glob("*.deb"))
 
+    def known(self, names: list[str]) -> list[str]:
+        """Those of the packages that there are."""
+        with self._lists():
+            there = set(run([*self._command("apt-cache"), "pkgnames"], env=self._scratch).split())
+        return [name for name in names if name in there]
+
     def depends_like(self, name: str, pattern: str) -> str:
         """The first dependency of a (meta) package that matches a pattern, such as the current kernel's."""
         with self._lists():

@@ -37,6 +37,7 @@ REPORTS = re.compile(
             r"sleeping function called",
             r"scheduling while atomic",
             r"OF: ERROR: ",
+            r"deprecated workqueue",
         )
     )
 )

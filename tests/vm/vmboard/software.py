@@ -84,6 +84,9 @@ def kernel_modules(cache: Cache, kernel: Kernel) -> Path:
 
 
 def _build_modules(kernel: Kernel, source: Path, place: Path) -> None:
+    if kernel.foreign:  # that is what build.sh knows about
+        run([source / "build.sh", kernel.build, kernel.arch.debian, place], log=place / "build.log")
+        return
     for path in source_files(source):
         target = place / path.relative_to(source)
         target.parent.mkdir(parents=True, exist_ok=True)

@@ -32,6 +32,7 @@ class Tier:
     dtb: str = "qemu-virt"  # tree, where the kernel is our own
     machine: str = ""  # more properties of QEMU's machine
     installed: bool = False  # a whole Debian, where our packages are installed; tests run on the host
+    suite: str = ""  # of Debian, whose kernel it is, where it is not the host's
     optional: bool = False  # only where it is asked for by name
     static: str = "static"  # overlay of the board's own engines, where the kernel takes overlays
     designs: str = "camera-kv260"  # of designs.py, that its memory map has room for
@@ -42,12 +43,13 @@ class Tier:
         """Build or fetch the kernel."""
         if self.fragments:
             return kernel.custom(cache, self.arch, self.fragments)
-        return kernel.stock(cache, self.arch)
+        return kernel.stock(cache, self.arch, self.suite)
 
 
 BASIC = ("cm", "dma", "uio", "plsim")
 FULL = (*BASIC, "overlay", "fpga", "uio_genirq", "kunit")
 SANITIZERS = ("kasan", "lockdep", "dma_debug")
+DEBIAN = (*BASIC, "suspend")  # what Debian's kernel has more than ours
 CUSTOM = ("custom.config",)
 SANITIZE = (*CUSTOM, "sanitize.config")
 SILICON_CASES = ("silicon", "generated", "shared", "overlays", "board", "manager")
@@ -83,7 +85,9 @@ ZYNQ = Tier(
 TIERS = {
     tier.name: tier
     for tier in (
-        Tier("stock", ARM64, (), BASIC, memory_mb=768, slow=6),
+        Tier("stock", ARM64, (), DEBIAN, memory_mb=768, slow=6),
+        Tier("stock-trixie", ARM64, (), DEBIAN, memory_mb=768, slow=6, suite="trixie", optional=True),
+        Tier("stock-sid", ARM64, (), DEBIAN, memory_mb=768, slow=6, suite="sid", optional=True),
         Tier("custom", ARM64, CUSTOM, (*FULL, "kmemleak"), memory_mb=512, slow=6, changes=1000, append="kmemleak=on"),
         Tier("sanitize", ARM64, SANITIZE, (*FULL, *SANITIZERS), memory_mb=768, slow=12),
         SILICON,
@@ -92,6 +96,6 @@ TIERS = {
         Tier("remote", ARM64, CUSTOM, FULL, memory_mb=512, slow=6, remote=True),
         Tier("service", ARM64, (), (), memory_mb=1024, slow=6, installed=True),
         Tier("service-armhf", ARMMP, (), (), memory_mb=1024, slow=6, installed=True, optional=True),
-        Tier("x86", AMD64, (), BASIC, memory_mb=768, slow=6, kvm=True),
+        Tier("x86", AMD64, (), DEBIAN, memory_mb=768, slow=6, kvm=True),
     )
 }
