@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 
 from vmboard import initrd, installed, kvm, payload, qemu, remote, report, rootfs, service, software, zynq
@@ -14,7 +14,7 @@ from vmboard.arch import ARMHF
 from vmboard.cache import Cache
 from vmboard.errors import EXIT_MISSING, MissingError, VmError
 from vmboard.kernel import Kernel
-from vmboard.progress import say, step
+from vmboard.progress import say
 from vmboard.shell import require
 from vmboard.tiers import TIERS, Tier
 
@@ -108,31 +108,33 @@ def _tree(cache: Cache, tier: Tier, kernel: Kernel) -> Path | None:
 
 def test(cache: Cache, names: list[str], output: Path, jobs: int, keyword: str) -> int:
     """Run the boards and print what they found: 0 where all are good, 1 where one is not, else 77 for a skipped one."""
-    with ThreadPoolExecutor(2) as pool:
-        made = [pool.submit(_machines, cache, tiers, keyword, output) for tiers in _kinds(names).values()]
-        machines = {name: board for some in made for name, board in some.result().items()}
-    if not machines:
-        raise MissingError("no board can run here")
-    with step(f"running {', '.join(machines)}"), ThreadPoolExecutor(jobs) as pool:
-        runs = {name: pool.submit(_run, name, board, output / name, keyword) for name, board in machines.items()}
+    with ThreadPoolExecutor(jobs) as boards, ThreadPoolExecutor(2) as makers:
+        started = [makers.submit(_start, cache, tiers, keyword, output, boards) for tiers in _kinds(names).values()]
+        runs = {name: run for some in started for name, run in some.result().items()}
+        if not runs:
+            raise MissingError("no board can run here")
         results = {name: run.result() for name, run in runs.items()}
     for name, result in results.items():
         _print(name, result, output / name)
     if not all(result.good for result in results.values()):
         return 1
-    return EXIT_MISSING if len(machines) < len(names) else 0
+    return EXIT_MISSING if len(results) < len(names) else 0
 
 
-def _machines(cache: Cache, tiers: list[Tier], keyword: str, output: Path) -> dict[str, qemu.Machine]:
-    """Those that can be had here; says which cannot."""
-    machines = {}
+def _start(
+    cache: Cache, tiers: list[Tier], keyword: str, output: Path, boards: Executor
+) -> dict[str, Future[report.Results]]:
+    """Run each board as soon as it is made, while the next one is being made; says which cannot be had here."""
+    runs = {}
     for tier in tiers:
+        place = output / tier.name
         try:
-            shutil.rmtree(output / tier.name, ignore_errors=True)
-            machines[tier.name] = _for_test(cache, tier, keyword, output / tier.name)
+            shutil.rmtree(place, ignore_errors=True)
+            board = _for_test(cache, tier, keyword, place)
+            runs[tier.name] = boards.submit(_run, tier.name, board, place, keyword)
         except MissingError as missing:
             say(f"SKIPPED {tier.name}: {missing}")
-    return machines
+    return runs
 
 
 def _for_test(cache: Cache, tier: Tier, keyword: str, place: Path) -> qemu.Machine:
