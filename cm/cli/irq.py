@@ -7,7 +7,7 @@ import argparse
 from itertools import islice
 
 from cm.cli.client import connected, plain
-from cm.cli.common import add_connection_options, add_json_option, completes, interval, natural, print_json, print_table
+from cm.cli.common import add_connection_options, add_json_option, completes, natural, print_json, print_table, seconds
 from cm.cli.following import followed
 
 
@@ -19,7 +19,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     listing.set_defaults(run=run_list)
     wait = actions.add_parser("wait", help="wait for an interrupt")
     completes(wait.add_argument("name", metavar="NAME"), "<interrupt>")
-    wait.add_argument("--timeout", type=interval, metavar="SECONDS", help="give up after this time (exit status 1)")
+    wait.add_argument("--timeout", type=seconds, metavar="SECONDS", help="give up after this time (exit status 1)")
     wait.add_argument("--count", type=natural, default=1, metavar="N", help="wait for N interrupts; 0: until Ctrl-C")
     wait.set_defaults(run=run_wait)
     for action in (listing, wait):
