@@ -62,7 +62,7 @@ def run_ls(args: argparse.Namespace) -> int:
     if args.json:
         print_json(found)
     else:
-        print("\n".join(found) if found else "no board's bridge is running")
+        print("\n".join(found) if found else NOBODY)
     return 0
 
 
@@ -77,11 +77,15 @@ def run_status(args: argparse.Namespace) -> int:
     if args.json:
         print_json({name: _plain(status) for name, status in found.items()})
         return int(failed)
+    if not found:
+        print(NOBODY)
+        return 0
     print_table([_row(name, status, apart.get(name, "")) for name, status in found.items()], HEADERS)
     print(clocks_line(found))
     return int(failed)
 
 
+NOBODY = "no board's bridge is running"
 HEADERS = ("BOARD", "CONFIG", "MODE", "STATE", "LABELS", "CLOCK", "NOTE")
 
 

@@ -20,6 +20,8 @@ EXIT_FAILED = 1
 EXIT_USAGE = 2
 EXIT_INTERRUPTED = 130
 EXIT_PIPE = 141
+# zenoh's threads may still call Python after its session was closed, and abort a process that is shutting Python down
+_AT_ONCE = ("bridge", "fleet")
 _PACKAGES = {
     "data": "sim",
     "demo": "sim",
@@ -38,6 +40,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Wrong usage ends in SystemExit(2), as argparse has it.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
+    status = _ended(words)
+    if arguments is None and "zenoh" in sys.modules and chosen_command(words) in _AT_ONCE:
+        if sys.stderr is not None:
+            sys.stderr.flush()
+        os._exit(status)
+    return status
+
+
+def _ended(words: list[str]) -> int:
+    """Run; the exit status, when all output has been written."""
     _print_anything()
     try:
         try:

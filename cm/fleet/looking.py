@@ -43,6 +43,8 @@ class Looker:
         if any(group.startswith("@") for group in groups):
             found = await self.status()
             labels = {n: s.labels for n, s in found.items() if isinstance(s, BoardStatus)}
+        if not there:
+            raise NoSuchBoard("no board's bridge is running")
         chosen: set[str] = set()
         for group in groups:
             if group.startswith("@"):

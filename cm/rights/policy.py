@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 
 from cm.rights.model import Access, Grant, Need, Rights, Role, role_named
 from cm.rights.principal import CURVE, DATA, IPC, TCP, Principal
@@ -64,8 +65,14 @@ def _of_user(principal: Principal, access: Access, users: Users) -> Rights:
 
 
 def of_guest(name: str, bridge: Rights, access: Access) -> Rights:
-    """The rights of a guest: those that `guests` gives to the name, and no more than those of the bridge."""
-    said = access.guests.get(name, access.guests.get("*", ()))
+    """The rights of a guest: those that `guests` gives to the name, and no more than those of the bridge.
+
+    A name counts before patterns such as ``zenoh:*``, and a longer pattern before shorter ones.
+    """
+    said = access.guests.get(name)
+    if said is None:
+        fitting = [pattern for pattern in access.guests if "*" in pattern and fnmatchcase(name, pattern)]
+        said = access.guests[max(fitting, key=len)] if fitting else ()
     return Rights(grants(said, access), bridge.until, bridge)
 
 

@@ -4,11 +4,14 @@
 from __future__ import annotations
 
 import socket
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 import cm.fleet
+from cm import child
 from cm.cli.parser import build_parser
 from cm.errors import InvalidRequest
 from cm.fleet.names import check
@@ -99,3 +102,12 @@ def test_registers_and_keys_have_actions_of_their_own_below() -> None:
     assert (args.name, args.value, args.boards, args.timeout) == ("led", "3", ["b1"], 2.0)
     args = build_parser("fleet").parse_args(["fleet", "keys", "DIR", "client", "anna", "--role", "operate"])
     assert (args.name, args.role) == ("anna", "operate")
+
+
+def test_a_command_that_used_zenoh_ends_without_shutting_python_down() -> None:
+    """Threads of zenoh that call Python meanwhile end the process by SIGABRT."""
+    code = "import atexit, sys; atexit.register(print, 'shut down'); from cm.cli.main import main; sys.exit(main())"
+    command = [sys.executable, "-c", code, "fleet", "ls", "--router", CLOSED]
+    done = subprocess.run(command, capture_output=True, text=True, env=child.environment(), check=False, timeout=60)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert "is it there?" in done.stderr

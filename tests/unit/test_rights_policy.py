@@ -321,6 +321,20 @@ def test_a_bridge_speaks_only_for_the_guests_that_its_role_names() -> None:
     assert gate.guest(bridge, "") == bridge
 
 
+def test_a_guests_own_name_counts_before_patterns_and_a_long_pattern_before_a_short_one() -> None:
+    guests = MappingProxyType({"*": (), "web:*": ("observe",), "web:a*": ("provision",), "web:ann": ("operate",)})
+    roles = MappingProxyType({"web": Grant(Role.ADMIN, guests=("*",))})
+    gate = Gate(Access(users=MappingProxyType({"anna": ("web",)}), roles=roles, guests=guests), USERS)
+    for name, role in (
+        ("web:ann", Role.OPERATE),
+        ("web:anna", Role.PROVISION),
+        ("web:bob", Role.OBSERVE),
+        ("ros:bob", Role.NONE),
+        ("WEB:bob", Role.NONE),
+    ):
+        assert gate.everywhere(gate.guest(user(1000).id, name)) is role, name
+
+
 def test_an_admin_speaks_for_every_guest_and_a_user_without_the_right_for_none() -> None:
     guests = MappingProxyType({"boss": ("admin",)})
     gate = Gate(Access(guests=guests), USERS)
