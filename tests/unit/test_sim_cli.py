@@ -63,11 +63,11 @@ def test_an_interrupt_that_does_not_exist_fails(root, capsys):
     assert capsys.readouterr().err
 
 
-def test_an_action_without_a_root_is_wrong_usage(capsys):
-    with pytest.raises(SystemExit) as caught:
-        main(["sim", "state"])
-    assert caught.value.code == 2
-    assert "--root" in capsys.readouterr().err
+def test_an_action_without_a_root_looks_where_a_manager_would_be(tmp_path, monkeypatch, capsys):
+    monkeypatch.delenv("CM_ROOT", raising=False)
+    monkeypatch.setenv("CM_RUNTIME_DIR", str(tmp_path))
+    assert main(["sim", "state"]) == 1
+    assert f"no simulated board in {tmp_path}/board" in capsys.readouterr().err
 
 
 def test_an_action_without_a_simulator_fails_and_says_how_to_start_one(tmp_path, capsys):

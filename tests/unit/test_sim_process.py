@@ -387,7 +387,7 @@ def orphaned(tmp_path):
     script = STARTER.format(repository=str(REPOSITORY), root=str(root), arguments=PATIENT)
     owner = subprocess.Popen([sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     assert owner.stdout.readline() == b"started\n"
-    with pytest.raises(SimError, match="busy"):
+    with pytest.raises(SimError, match="owns this simulator"):
         Control(root).adopt()
     with Icap(root, "dev/cm_icap0") as icap:
         assert icap.load(to_dma_words(root / "lib/firmware/cm/camera/edge.bit")) == (0, 0)
