@@ -178,8 +178,7 @@ class Server:
         self._loop.add_socket(self._sockets.req, self._dispatcher.on_request, foremost=True)
 
     def _start_manager(self) -> None:
-        for note in self._manager.start():
-            _LOG.warning("%s", note)
+        self._manager.start()  # what it finds out is logged with the status that tells it
         self._board.begin()
 
     def _autoload(self) -> None:

@@ -163,3 +163,13 @@ def test_the_simulated_board_of_this_machines_manager_is_found(
         manager.stop()
     assert main(["sim", "state"]) == 1
     assert f"no simulated board in {runtime / 'run'}/board: is `cm serve --sim` running?" in capsys.readouterr().err
+
+
+def test_what_a_manager_finds_out_at_its_start_is_logged_once(runtime: Path) -> None:
+    manager = Manager(runtime / "run", "--sim")
+    for _ in range(2):
+        manager.start()
+        with manager.connected() as board:
+            until(lambda: board.status.mode == "default" and not board.status.fpga_busy)
+        assert manager.stop() == 0
+    assert manager.log.count(b"what it held (camera/default) is gone") == 1
