@@ -41,7 +41,7 @@ def _table(graph: ImportGraph, package: str) -> str:
     def floor(name: str) -> int:
         if name not in floors:
             floors[name] = -1  # of one that is come upon again: parts that name the whole's type
-            floors[name] = 1 + max((floor(below) for below in between[name]), default=-1)
+            floors[name] = 1 + max((floor(below) for below in sorted(between[name])), default=-1)
         return floors[name]
 
     ordered = sorted(_children(graph, package), key=lambda name: (-floor(name), name))
