@@ -164,7 +164,7 @@ def _values(texts: list[str], dtype: str) -> np.ndarray[Any, Any]:
         try:
             values.append(kinds.get(np.dtype(dtype).kind, number)(text))
         except ValueError:
-            raise InvalidRequest(f"{text!r} is no number for a memory of {dtype}") from None
+            raise InvalidRequest(f"{text!r} is not a number; the memory has {dtype}") from None
     return np.array(values)
 
 
