@@ -143,7 +143,7 @@ def test_how_much_may_wait_is_a_setting(context: zmq.Context, mebibytes: str, fe
 def test_how_much_may_wait_at_the_client_is_the_streams_depth(far: cm.Board) -> None:
     far.load("camera", "loopback")
     for name in ("to_pl", "from_pl"):
-        far.configure_stream(name, shape=(1 << 20,))
+        far.configure_stream(name, shape=(1 << 20,), force=True)  # earlier readers may not be gone yet
     with far.stream("from_pl", depth=40, timeout=60) as deep, far.stream("from_pl", depth=1, timeout=60) as shallow:
         until(lambda: next(s for s in far.status.streams if s.name == "from_pl").open)
         assert isinstance(deep, RemoteStream)
