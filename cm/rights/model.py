@@ -129,8 +129,8 @@ class Access:
 
     `roles` are limited ones, with names of their own; lists of roles add up. `group` owns the sockets of the runtime
     folder; `local` is for all users that can connect to them and are not named; the manager's own user and root are
-    always admin. `insecure`: for clients over TCP without keys. `guests`: for those that a bridge speaks for, by name;
-    ``*`` for all others.
+    always admin. `insecure`: for clients over TCP without keys. `guests`: for those that a bridge speaks for, by name
+    or pattern; ``*`` for all others.
     """
 
     group: str = ""

@@ -6,7 +6,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
-from vmboard.software import REPOSITORY
+from vmboard.paths import REPOSITORY
 
 SCHEMA = REPOSITORY / "tests/vm/guest/system/camera.yaml"
 MODULES = {"default": 0, "edge": 0, "colorise": 0, "loopback": 1}  # and the index of their region

@@ -17,10 +17,10 @@ from vmboard.cache import Cache
 from vmboard.errors import VmError
 from vmboard.kernel import Kernel
 from vmboard.packages import Apt, inflated, unpack
+from vmboard.paths import REPOSITORY
 from vmboard.payload import copy_modules
 from vmboard.progress import say
 from vmboard.shell import run
-from vmboard.software import REPOSITORY
 
 GUEST = REPOSITORY / "tests/vm/guest"
 PACKAGES = (

@@ -14,8 +14,8 @@ import yaml
 
 from vmboard import hardware
 from vmboard.cache import Cache, source_files
+from vmboard.paths import REPOSITORY
 from vmboard.shell import require, run
-from vmboard.software import REPOSITORY
 
 EXAMPLE = REPOSITORY / "cm/data/examples/camera"
 LOOP = REPOSITORY / "tests/rtl/loop"

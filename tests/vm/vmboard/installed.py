@@ -13,9 +13,9 @@ from vmboard.booted import Booted
 from vmboard.cache import Cache, source_files
 from vmboard.debian import System, system
 from vmboard.errors import MissingError, VmError
+from vmboard.paths import REPOSITORY
 from vmboard.progress import say
 from vmboard.shell import run
-from vmboard.software import REPOSITORY
 from vmboard.tiers import Tier
 
 RELEASE = REPOSITORY / "build/release"

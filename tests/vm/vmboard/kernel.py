@@ -14,10 +14,10 @@ from vmboard.arch import Arch, cross_prefix, host
 from vmboard.cache import Cache
 from vmboard.errors import VmError
 from vmboard.packages import Apt, unpack
+from vmboard.paths import REPOSITORY
 from vmboard.progress import say
 from vmboard.shell import require, run
 
-REPOSITORY = Path(__file__).resolve().parents[3]
 FRAGMENTS = REPOSITORY / "tests/vm/kernel"
 SOURCE_PACKAGE = "linux-source-6.1"
 # Drivers without which the source is half the size; their Kconfig files stay.

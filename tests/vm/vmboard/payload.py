@@ -11,8 +11,8 @@ from vmboard import designs, software
 from vmboard import silicon as models
 from vmboard.cache import Cache
 from vmboard.kernel import Kernel
+from vmboard.paths import REPOSITORY
 from vmboard.shell import run
-from vmboard.software import REPOSITORY
 
 HERE = REPOSITORY / "tests/vm"
 # Drivers of the stock kernel that the board uses once its root file system is there.

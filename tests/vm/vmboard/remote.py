@@ -15,7 +15,7 @@ from pathlib import Path
 
 from vmboard import qemu, report
 from vmboard.errors import VmError
-from vmboard.software import REPOSITORY
+from vmboard.paths import REPOSITORY
 
 TESTS = REPOSITORY / "tests/vm/remote"
 BOOT_S = 50.0  # until the manager answers, times the board's slowness

@@ -12,8 +12,8 @@ from pathlib import Path
 from vmboard import installed, report
 from vmboard.cache import Cache
 from vmboard.debian import System
+from vmboard.paths import REPOSITORY
 from vmboard.qemu import Machine
-from vmboard.software import REPOSITORY
 from vmboard.tiers import Tier
 
 TESTS = REPOSITORY / "tests/vm/service"

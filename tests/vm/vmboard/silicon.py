@@ -13,8 +13,8 @@ from vmboard.cache import Cache
 from vmboard.errors import VmError
 from vmboard.kernel import Kernel
 from vmboard.packages import Apt, unpack
+from vmboard.paths import REPOSITORY
 from vmboard.shell import run
-from vmboard.software import REPOSITORY
 
 MODEL = REPOSITORY / "tests/vm/silicon"
 DRIVER = "drivers/dma/xilinx/xilinx_dma.c"

@@ -14,9 +14,9 @@ from vmboard import rootfs
 from vmboard.arch import ARMHF, Arch, cross_prefix
 from vmboard.cache import Cache, source_files
 from vmboard.kernel import Kernel
+from vmboard.paths import REPOSITORY
 from vmboard.shell import require, run
 
-REPOSITORY = Path(__file__).resolve().parents[3]
 TREES = REPOSITORY / "tests/vm/trees"  # of boards that are the virtual board's alone
 
 
