@@ -141,8 +141,8 @@ lint: $(LINT_STAMP) ## ruff, ruff format, mypy (strict; the client for macOS and
 	$(BIN)/clang-format --style=file:csrc/.clang-format --dry-run -Werror $(C_FILES)
 	$(BIN)/reuse lint --quiet || { $(BIN)/reuse lint; exit 1; }
 
-docs: $(LINT_STAMP) ## the pages that are made: the Python reference, the maps, the tables of keys and errors
-	@for script in reference maps schema_tables reconfiguration_tables; do $(BIN)/python docs/$$script.py || exit 1; done
+docs: $(LINT_STAMP) ## the pages that are made: the Python reference, the tables of keys and errors
+	@for script in reference schema_tables reconfiguration_tables; do $(BIN)/python docs/$$script.py || exit 1; done
 
 format: $(LINT_STAMP) ## format Python and C
 	$(BIN)/ruff format .
