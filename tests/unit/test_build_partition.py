@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import random
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,13 +13,13 @@ from build_support import EXAMPLES, NAMES, STREAM_MODULE, project
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cm.build.errors import BuildError
+from cm.build.errors import BuildError, MissingTool
 from cm.build.partition.advisor import advise
 from cm.build.partition.model import Part, Problem, Unit, UsedMode, compatible, evaluate, group_of
 from cm.build.partition.parts import part_of
 from cm.build.project.model import Resources
 
-pytest.importorskip("scipy", reason="needs scipy: the extra [build] is not installed")
+pytest.importorskip("scipy", reason="needs scipy: the extra [advise] is not installed")
 
 PART = Part("toy", Resources(1000, 2000, 100, 100), 1_000_000)
 
@@ -83,6 +84,12 @@ def test_modules_that_are_active_together_do_not_share_a_region() -> None:
     units = {name: Unit(name, Resources(10)) for name in "ab"}
     problem = Problem(PART, units, [UsedMode("both", frozenset("ab"))], 1e6)
     assert len(advise(problem).groups) == 2
+
+
+def test_without_the_solver_the_extra_that_brings_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "scipy.optimize", None)
+    with pytest.raises(MissingTool, match=r"fpga-cm\[advise\]"):
+        advise(Problem(PART, {"a": Unit("a", Resources(10))}, [UsedMode("a", frozenset("a"))], 1e6))
 
 
 def test_modules_that_change_often_do_not_share_with_a_big_one() -> None:

@@ -159,7 +159,7 @@ def solve(program: Program, seconds: float) -> Answer:
         from scipy.optimize import Bounds, LinearConstraint, milp
         from scipy.sparse import coo_array
     except ImportError:
-        raise MissingTool("the advisor needs scipy: pip install 'fpga-cm[build]'") from None
+        raise MissingTool("the advisor needs scipy: pip install 'fpga-cm[advise]'") from None
     cells = [(index, column, value) for index, (row, _, _) in enumerate(program.rows) for column, value in row.items()]
     lines, columns, values = (numpy.array(part) for part in zip(*cells, strict=True))
     matrix = coo_array((values, (lines, columns)), shape=(len(program.rows), program.width)).tocsr()
