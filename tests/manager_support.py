@@ -274,7 +274,9 @@ def make_rig(root: Path, state: Path, *configs: Config, prefetch: int = 0, files
     return Rig(Manager(known, env), devices, fault, nobody, journal, clock, opened)
 
 
-def killed_at(root: Path, state: Path, configs: Iterable[Config], goal: tuple[str, str], number: int) -> bool:
+def killed_at(
+    root: Path, state: Path, configs: Iterable[Config], goal: tuple[str, str] | ChangeMode, number: int
+) -> bool:
     """Go to `goal` (configuration, mode) in a child process that is killed at an operation; False if it survived."""
     pid = os.fork()
     if pid == 0:
@@ -284,7 +286,7 @@ def killed_at(root: Path, state: Path, configs: Iterable[Config], goal: tuple[st
             made.manager.start()
             made.manager.wait_idle()
             made.arm(number)
-            made.go(goal[1], config=goal[0])
+            made.manager.submit(goal if isinstance(goal, ChangeMode) else ChangeMode(*goal)).wait(30.0)
         finally:
             os._exit(0)
     return os.WIFSIGNALED(os.waitpid(pid, 0)[1])

@@ -48,6 +48,12 @@ class NothingLoaded(CmError):
     code = "nothing_loaded"
 
 
+class NothingToUndo(CmError):
+    """The change that is to be undone is not the last one, or its way back was not kept."""
+
+    code = "nothing_to_undo"
+
+
 class AccessDenied(InvalidRequest):
     """A write of a read-only register, or a read of a write-only one."""
 

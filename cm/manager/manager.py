@@ -22,7 +22,7 @@ from cm.manager.execution.worker import Change, Worker
 from cm.manager.loaders import Loaders
 from cm.manager.planning import goals
 from cm.manager.planning.goals import Goal
-from cm.manager.recovery.startup import destination, is_whole, repair, take_stock
+from cm.manager.recovery.startup import destination, is_whole, repair, take_stock, undo, way_back
 from cm.manager.reporting.descriptions import config_info
 from cm.manager.reporting.status import Moment, StatusReporter
 from cm.manager.state.board_state import ManagerState
@@ -204,6 +204,11 @@ class Manager:
             raise ChangeBusy(f"a change to {f'{running.config}/{running.mode}' if running else 'a mode'} is running")
         number = self._state.next_number()
         change = Change(number, config.name, mode, request.force, None, scopes, request.lease, on_done=on_done)
+        change.asked, change.undoable = True, request.undoable
+        if request.undo:
+            if self._worker.busy:
+                raise ChangeBusy("a change runs: only the last one that has ended can be undone")
+            undo(change, way_back(request.undo, config.name, mode, self._state), self._state)
         return self._worker.add(change)
 
     @property

@@ -59,7 +59,8 @@ class ChangeMode:
     `name_or_mode` carries the plain-text spelling of the paper's Listing 2, whose one word may be
     a mode, a module or a configuration; it is resolved against what is loaded. `no_wait`: reply when the change
     is accepted. `no_queue`: refuse rather than wait for a running change. `force`: load modules even if they are
-    loaded already.
+    loaded already. `undoable`: a name under which the way back is kept until the next change; `undo`: go that way,
+    to `config_name` and `mode` of before, with what registers and clocks had then.
     """
 
     config_name: str = ""
@@ -69,6 +70,8 @@ class ChangeMode:
     no_queue: bool = False
     force: bool = False
     lease: str = ""
+    undoable: str = ""
+    undo: str = ""
 
 
 @dataclass(frozen=True, slots=True)

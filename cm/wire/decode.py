@@ -86,7 +86,7 @@ def _write_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
         return rq.CancelChange()
     if m.remove:
         return _remove(m)
-    change = rq.ChangeMode(m.config_name, m.mode, "", m.no_wait, m.no_queue, m.force, m.lease)
+    change = rq.ChangeMode(m.config_name, m.mode, "", m.no_wait, m.no_queue, m.force, m.lease, m.undoable, m.undo)
     if not m.schema:
         return change
     data = iter(payload)

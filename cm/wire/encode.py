@@ -41,6 +41,8 @@ def _change(r: rq.ChangeMode) -> pb.WriteConfig:
         no_queue=r.no_queue,
         force=r.force,
         lease=r.lease,
+        undoable=r.undoable,
+        undo=r.undo,
     )
 
 

@@ -11,7 +11,8 @@ from manager_schemas import REGIONS, written
 from manager_support import Rig, killed_at, rig
 
 from cm.device import Root, Uio
-from cm.messages.requests import RegWrite
+from cm.manager.errors import NothingToUndo
+from cm.messages.requests import ChangeMode, RegWrite
 from cm.messages.status import ErrorInfo
 from cm.schema import load
 from cm.schema.model import Config
@@ -124,6 +125,65 @@ def test_registers_are_what_they_were_after_a_kill(
                 written_by_hand(again)
         number += 4
     assert back > 5
+
+
+def changed(made: Rig, request: ChangeMode) -> ErrorInfo | None:
+    change = made.manager.submit(request)
+    assert change.wait(30.0)
+    return change.error
+
+
+UNDO = ChangeMode("duo", "default", undo="c1")
+
+
+@pytest.mark.parametrize("restarted", [False, True])
+@pytest.mark.parametrize("goal", [("duo", "both"), ("second", "default")])
+def test_a_change_that_went_well_is_undone_with_all_registers_also_by_the_next_manager(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path, goal: tuple[str, str], restarted: bool
+) -> None:
+    with rig(sim.root, tmp_path, *configs.values()) as first:
+        written_by_hand(first)
+        before = held(sim)
+        assert changed(first, ChangeMode(*goal, undoable="c1")) is None
+        first.manager.write_registers((RegWrite("led", 3),))
+        assert held(sim) != before
+        if not restarted:
+            assert changed(first, UNDO) is None
+    if restarted:
+        with rig(sim.root, tmp_path, *configs.values()) as again:
+            assert changed(again, UNDO) is None
+    assert held(sim) == before
+
+
+def test_an_undo_that_is_killed_anywhere_can_be_asked_for_again(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
+    number = 0
+    while True:
+        with rig(sim.root, tmp_path, *configs.values()) as first:
+            written_by_hand(first)
+            before = held(sim)
+            assert changed(first, ChangeMode("duo", "both", undoable="c1")) is None
+        cut = killed_at(sim.root, tmp_path, configs.values(), UNDO, number)
+        with rig(sim.root, tmp_path, *configs.values()) as again:
+            again.manager.wait_idle()
+            if again.manager.state.mode != "default":
+                assert changed(again, UNDO) is None
+            assert held(sim) == before, f"killed at operation {number}: {again.notes}"
+        if not cut:
+            break
+        number += 5
+    assert number > 20
+
+
+def test_only_the_last_change_is_undone_and_only_if_its_way_back_was_kept(made: Rig) -> None:
+    written_by_hand(made)
+    assert changed(made, ChangeMode("duo", "both", undoable="c1")) is None
+    with pytest.raises(NothingToUndo, match="came from duo/default, and does not go back to duo/other"):
+        made.manager.submit(ChangeMode("duo", "other", undo="c1"))
+    assert changed(made, ChangeMode("duo", "other")) is None
+    with pytest.raises(NothingToUndo, match="the last change on this board is not 'c1'"):
+        made.manager.submit(UNDO)
 
 
 # ---- regions ----------------------------------------------------------------------------

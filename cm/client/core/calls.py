@@ -88,11 +88,11 @@ def plan(mode: str = "", config: str = "") -> Call[PlanInfo]:
     return Call(rq.PlanChange(config, mode), lambda r: _body(r, PlanInfo))
 
 
-def load(config: str, mode: str, *, wait: bool, queue: bool, force: bool, lease: str) -> Call[ChangeInfo]:
+def load(
+    config: str, mode: str, *, wait: bool, queue: bool, force: bool, lease: str, undoable: str = "", undo: str = ""
+) -> Call[ChangeInfo]:
     """Go to a mode."""
-    request = rq.ChangeMode(
-        config_name=config, mode=mode, no_wait=not wait, no_queue=not queue, force=force, lease=lease
-    )
+    request = rq.ChangeMode(config, mode, "", not wait, not queue, force, lease, undoable, undo)
     return Call(request, lambda r: _body(r, ChangeInfo))
 
 

@@ -17,7 +17,7 @@ from cm.manager.execution.rollback import Rollback, failure_of
 from cm.manager.execution.transaction import StepContext, Tools, plan_to, take_steps
 from cm.manager.planning import goals
 from cm.manager.planning.goals import Goal
-from cm.manager.state.record import Pending
+from cm.manager.state.record import Pending, WayBack
 from cm.manager.state.steps import Place
 from cm.manager.state.table import BoardState, RegionPhase
 from cm.messages.status import ChangeInfo, ErrorInfo, Reply
@@ -45,6 +45,9 @@ class Change:
     values: Mapping[str, int] = field(default_factory=dict)  # registers that it restores
     found: Mapping[Place, int] = field(default_factory=dict)  # others, likewise
     rates: Mapping[str, int] = field(default_factory=dict)  # clocks that it restores, in Hz
+    asked: bool = False  # by a client, so that the way back of the change before it is void
+    undoing: bool = False  # that change before it: void only once this one has ended well
+    undoable: str = ""  # the name under which its own way back is kept
     _cancel: threading.Event = field(default_factory=threading.Event)
     _done: threading.Event = field(default_factory=threading.Event)
 
@@ -153,6 +156,9 @@ class Worker:
         started = time.monotonic()
         self._begin(change)
         error = self._outcome(change)
+        if error is None and change.asked:
+            assert state.pending is not None
+            state.way_back = WayBack(change.undoable, state.pending) if change.undoable else None
         change.generation = state.written()
         self._tools.data_plane.wrote(change.generation)
         seconds = time.monotonic() - started
@@ -166,6 +172,8 @@ class Worker:
 
     def _begin(self, change: Change) -> None:
         state, self.running = self._tools.state, change
+        if change.asked and not change.undoing:
+            state.way_back = None
         board, whole = state.board, state.configs[change.config].type is ConfigType.FULL
         there = board.config == change.config and not change.force
         full = (whole and not there) or change.static is not None

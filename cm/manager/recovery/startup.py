@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from cm.manager.access.register_bus import RegisterBus
+from cm.manager.errors import NothingToUndo
 from cm.manager.execution.worker import Change
 from cm.manager.ports import Devices
 from cm.manager.recovery.reconcile import Finding, reconcile
@@ -65,20 +66,48 @@ def is_whole(state: BoardState, there: Destination) -> bool:
 def repair(number: int, there: Destination, cut: Pending | None, board: BoardState) -> Change:
     """The change that brings the board back, with all that the record holds of what was there before."""
     change = Change(number, there.config.name, there.mode, static=there.static, values=board.values)
-    if cut is None:
-        return change
-    change.also = tuple(_lost(there, cut, board))
-    change.found = {(address, width): value for address, width, value in cut.found}
-    change.rates = cut.rates
-    if cut.from_config == there.config.name:
-        change.values = {**board.values, **cut.values}
+    if cut is not None:
+        _restoring(change, there.config, cut, board)
     return change
 
 
-def _lost(there: Destination, cut: Pending, board: BoardState) -> Iterator[str]:
+def _restoring(change: Change, config: Config, cut: Pending, board: BoardState) -> None:
+    """Have a change restore what there was before another."""
+    change.also = tuple(_lost(config, change.mode, cut, board))
+    change.found = {(address, width): value for address, width, value in cut.found}
+    change.rates = cut.rates
+    if cut.from_config == config.name:
+        change.values = {**board.values, **cut.values}
+
+
+def way_back(name: str, config: str, mode: str, state: ManagerState) -> Destination:
+    """Where the last change came from, if it has that name and came from there. Raises NothingToUndo."""
+    kept = state.way_back
+    if kept is None or kept.name != name:
+        raise NothingToUndo(f"the last change on this board is not {name!r}, or its way back was not kept")
+    cut = kept.change
+    if (cut.from_config, cut.from_mode) != (config, mode):
+        came = f"{cut.from_config or 'nothing loaded'}/{cut.from_mode or ''}"
+        raise NothingToUndo(f"change {name!r} came from {came}, and does not go back to {config}/{mode}")
+    if state.board.static_config == cut.from_static:
+        return Destination(state.configs[config], mode)
+    there = _way_back(cut, state.configs)
+    if there is None:
+        raise NothingToUndo(f"change {name!r} came from an image that is gone, and is not the manager's to load")
+    return there
+
+
+def undo(change: Change, there: Destination, state: ManagerState) -> None:
+    """Have a change go back as the rollback of the last one would have, had it failed."""
+    assert state.way_back is not None
+    change.undoing = True
+    change.static = there.static
+    _restoring(change, there.config, state.way_back.change, state.board)
+
+
+def _lost(config: Config, mode: str, cut: Pending, board: BoardState) -> Iterator[str]:
     """Modules of regions that the mode leaves alone, but that the change that was cut short did not."""
-    config = there.config
-    named = {config.modules[m].region for m in config.modes[there.mode].modules}
+    named = {config.modules[m].region for m in config.modes[mode].modules}
     for region, name in cut.held.items():
         module = config.modules.get(name)
         if module is None or module.region != region or region in named:

@@ -15,7 +15,7 @@ from types import MappingProxyType
 from cm.manager.errors import RecordFailed, StoreCorrupt
 from cm.manager.state.choice import Choice
 from cm.manager.state.journal import Journal
-from cm.manager.state.record import Pending, Record, Throughput
+from cm.manager.state.record import Pending, Record, Throughput, WayBack
 from cm.manager.state.steps import ApplyOverlay, Place, RemoveOverlay, SetClock, Step
 from cm.manager.state.table import BoardState
 from cm.messages.status import ErrorInfo
@@ -45,6 +45,7 @@ class ManagerState:
         self.choices: Mapping[tuple[str, str], Choice] = MappingProxyType({})  # by configuration and region
         self.lock = threading.RLock()
         self.pending: Pending | None = None  # the change under way
+        self.way_back: WayBack | None = None  # of the last change, where its requester wanted it kept
         self.locked = LockedRegions()
         self.runtime_memories: Mapping[str, Memory] = MappingProxyType(
             {}
@@ -159,6 +160,7 @@ class ManagerState:
     def adopt(self, record: Record | None, board: BoardState, boot_id: str) -> None:
         """Begin with what was found at start: what the board holds, and what the record says beside it."""
         self.latest, self._written, self._boot_id = board, {}, boot_id
+        self.way_back = record.way_back if record is not None and record.boot_id == boot_id else None
         self.runtime_memories = MappingProxyType({})
         if record is not None:
             self.throughput, self._number = record.throughput, record.number
@@ -172,7 +174,8 @@ class ManagerState:
 
     def _write(self, pending: Pending | None) -> None:
         try:
-            self._journal.write(Record(self._boot_id, self.board, pending, self.throughput, self._number))
+            known = Record(self._boot_id, self.board, pending, self.throughput, self._number, self.way_back)
+            self._journal.write(known)
         except OSError as error:
             raise RecordFailed(f"the state record could not be written: {error}") from error
         self._recorded, self._dirty = pending, False

@@ -94,6 +94,14 @@ class Pending:
 
 
 @dataclass(frozen=True, slots=True)
+class WayBack:
+    """What it takes to undo the last change: who asked for that gave it the name."""
+
+    name: str
+    change: Pending
+
+
+@dataclass(frozen=True, slots=True)
 class Record:
     """One line of the journal."""
 
@@ -102,6 +110,7 @@ class Record:
     pending: Pending | None = None
     throughput: Throughput = field(default_factory=Throughput)
     number: int = 0  # of the last change
+    way_back: WayBack | None = None
 
 
 class OtherVersion(ValueError):
@@ -170,6 +179,7 @@ def _to_plain(r: Record) -> dict[str, Any]:
             "clocks": dict(r.state.clocks),
         },
         "pending": None if r.pending is None else _pending_to_plain(r.pending),
+        **({"way_back": [r.way_back.name, _pending_to_plain(r.way_back.change)]} if r.way_back else {}),
     }
 
 
@@ -190,6 +200,7 @@ def _from_plain(plain: Mapping[str, Any]) -> Record:
     if plain["version"] != _VERSION:
         raise ValueError(plain["version"])
     state = plain["state"]
+    back = plain.get("way_back")
     return Record(
         boot_id=plain["boot_id"],
         number=plain["number"],
@@ -211,6 +222,7 @@ def _from_plain(plain: Mapping[str, Any]) -> Record:
             MappingProxyType({LoaderKind(k): _several(v) for k, v in plain["throughput"].items()}),
             MappingProxyType({str(k): _several(v) for k, v in plain.get("seconds", {}).items()}),
         ),
+        way_back=None if back is None else WayBack(back[0], _pending_from_plain(back[1])),
     )
 
 
