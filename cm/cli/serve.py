@@ -235,7 +235,7 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
         access=access,
         group=group_of(settings),
         name=args.name or said.name,
-        metrics=args.metrics or said.metrics,
+        metrics=_metrics(args) or said.metrics,
         load=args.load or said.load or ("camera" if example else ""),
         settings=ManagerSettings(prefetch_bytes=prefetch << 20),
         queue_bytes=queue,
@@ -247,6 +247,18 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
         reload=partial(read_again, args, paths, settings),
         changed=partial(stamps, args, settings),
     )
+
+
+def _metrics(args: argparse.Namespace) -> str:
+    """Where to serve metrics, as this command was told: who asks here sees at once that a library is missing."""
+    if args.metrics:
+        from importlib.util import find_spec
+
+        from cm.daemon.options import NO_METRICS
+
+        if find_spec("prometheus_client") is None:
+            raise InvalidRequest(f"--metrics: {NO_METRICS}")
+    return args.metrics or ""
 
 
 def _simulated_schemas(args: argparse.Namespace, runtime: Path) -> list[Path]:

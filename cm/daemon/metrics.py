@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The metrics of `cm serve --metrics`, from manager, streams and the loop; docs/metrics.md lists them."""
+"""The metrics of `cm serve --metrics`, from manager, streams and the loop; docs/metrics.md lists them.
+
+Imported only where metrics are asked for. prometheus-client writes the text; its own server has no bounds, so
+`cm.daemon.metrics_server` hands it out.
+"""
 
 from __future__ import annotations
 
@@ -7,19 +11,28 @@ import logging
 import os
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Protocol
 
+from prometheus_client import generate_latest
+from prometheus_client.core import (
+    CollectorRegistry,
+    HistogramMetricFamily,
+    Metric,
+    SummaryMetricFamily,
+)
+
 from cm.budgets.registry import with_holdings
 from cm.daemon.handlers import Services
+from cm.daemon.metrics_server import MetricsServer
+from cm.daemon.streams.figures import Moved
+from cm.manager.state.totals import ChangeCounts, Distribution, Histogram, Times
 from cm.messages.status import SensorStatus, Status
-from cm.metrics.counts import LAG_SECONDS, ChangeCounts, Histogram, Moved
-from cm.metrics.http import MetricsServer
-from cm.metrics.text import Family, by_label, histogram, many, render, single, times
 
 _LOG = logging.getLogger("cm")
 _LAG_EVERY = 0.1  # seconds between two measurements of how late the loop's timers are
+_LAG_SECONDS = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 5.0)
 _UNITS = {"temperature": "celsius", "voltage": "volts", "current": "amperes", "power": "watts"}
 
 
@@ -30,30 +43,45 @@ class Requests(Protocol):
     refused: Counter[str]  # by the error's code
 
 
+class _Page(CollectorRegistry):
+    """What was collected, as a registry."""
+
+    def __init__(self, families: list[Metric]) -> None:
+        super().__init__()
+        self._families = families
+
+    def collect(self) -> Iterator[Metric]:
+        """All of it."""
+        return iter(self._families)
+
+
 class Metrics:
-    """Serves them from `open` on; costs nothing before. The loop's thread."""
+    """Serves them from `open` on. The loop's thread, but for `page`."""
 
     def __init__(self, services: Services, requests: Requests) -> None:
         self._s = services
         self._requests = requests
-        self._lag = Histogram(LAG_SECONDS)
+        self._lag = Histogram(_LAG_SECONDS)
         self._due = 0.0
-        self.address = ""  # where they are served
-        self._server = MetricsServer(services.loop, self.page)
+        self._server = MetricsServer(self.page)
 
-    def open(self, address: str) -> None:
-        """Listen, if there is an address. Raises InvalidRequest."""
-        if address:
-            self.address = self._server.open(address)
-            _LOG.info("metrics at http://%s/metrics", self.address)
-            self._wait()
+    def open(self, address: str) -> str:
+        """Listen; returns where. Raises InvalidRequest."""
+        bound = self._server.open(address)
+        _LOG.info("metrics at http://%s/metrics", bound)
+        self._wait()
+        return bound
 
     def close(self) -> None:
-        """Serve no more; fine before `open`."""
+        """Serve no more."""
         self._server.close()
 
     def page(self) -> bytes:
-        """The text, as it is now."""
+        """The text, as it is now; any thread. Raises TimeoutError if the loop does not answer."""
+        return generate_latest(_Page(self._s.loop.ask(self._families)))
+
+    def _families(self) -> list[Metric]:
+        """What there is at one moment; the loop's thread."""
         status = self._s.status()
         families = [
             *_of_board(status),
@@ -63,7 +91,7 @@ class Metrics:
             *self._of_requests(),
             *self._of_process(),
         ]
-        return render(families)
+        return [family for family in families if family.samples]
 
     def _wait(self) -> None:
         self._due = time.monotonic() + _LAG_EVERY
@@ -74,7 +102,7 @@ class Metrics:
         self._lag.add(max(0.0, time.monotonic() - self._due))
         self._wait()
 
-    def _of_streams(self, status: Status) -> Iterator[Family]:
+    def _of_streams(self, status: Status) -> Iterator[Metric]:
         told = {s.name: s for s in status.streams}
         moved = {**dict.fromkeys(told, Moved()), **self._s.streams.moved()}
         counted: dict[str, tuple[str, Mapping[str, float]]] = {
@@ -105,7 +133,7 @@ class Metrics:
         for name, (text, values) in now.items():
             yield by_label(f"cm_stream_{name}", "gauge", text, "stream", values)
 
-    def _of_requests(self) -> Iterator[Family]:
+    def _of_requests(self) -> Iterator[Metric]:
         requests = self._requests
         yield single("cm_requests_total", "counter", "Requests of clients.", requests.taken)
         yield by_label(
@@ -141,7 +169,7 @@ class Metrics:
             "cm_interrupts_total", "counter", "Interrupts since the configuration was loaded.", "interrupt", counts
         )
 
-    def _of_process(self) -> Iterator[Family]:
+    def _of_process(self) -> Iterator[Metric]:
         yield histogram(
             "cm_loop_lag_seconds", "How late the daemon's loop was, asked ten times a second.", self._lag.read()
         )
@@ -153,7 +181,7 @@ class Metrics:
         yield single("process_open_fds", "gauge", "Its descriptors.", len(os.listdir("/proc/self/fd")))  # noqa: PTH208
 
 
-def _of_board(status: Status) -> Iterator[Family]:
+def _of_board(status: Status) -> Iterator[Metric]:
     about = {"version": status.version, "board": status.board}
     yield many("cm_info", "gauge", "The manager's version and the board's name.", [(about, 1)])
     yield single("cm_start_time_seconds", "gauge", "When the manager started (Unix time).", status.started_ns / 1e9)
@@ -168,7 +196,7 @@ def _of_board(status: Status) -> Iterator[Family]:
     yield by_label("cm_clock_hertz", "gauge", "Clocks of the loaded configuration.", "clock", rates)
 
 
-def _of_changes(status: Status, counts: ChangeCounts) -> Iterator[Family]:
+def _of_changes(status: Status, counts: ChangeCounts) -> Iterator[Metric]:
     outcomes = {name: counts.outcomes.get(name, 0) for name in ("done", "failed", "cancelled")}
     yield by_label("cm_changes_total", "counter", "Changes of mode, by how they ended.", "outcome", outcomes)
     failures = dict(counts.failures)
@@ -186,8 +214,45 @@ def _of_changes(status: Status, counts: ChangeCounts) -> Iterator[Family]:
         yield by_label(name, "counter", text, "port", values)
 
 
-def _of_sensors(sensors: tuple[SensorStatus, ...]) -> Iterator[Family]:
+def _of_sensors(sensors: tuple[SensorStatus, ...]) -> Iterator[Metric]:
     for quantity, unit in _UNITS.items():
         found = {(s.device, s.name): s.value for s in sensors if s.quantity == quantity}
         samples = [({"device": device, "sensor": name}, value) for (device, name), value in found.items()]
         yield many(f"cm_{quantity}_{unit}", "gauge", f"What the board's sensors say, in {unit}.", samples)
+
+
+# ---- families -------------------------------------------------------------------
+
+
+def single(name: str, kind: str, help_text: str, value: float) -> Metric:
+    """A metric of one value."""
+    return many(name, kind, help_text, [({}, value)])
+
+
+def by_label(name: str, kind: str, help_text: str, label: str, values: Mapping[str, float]) -> Metric:
+    """A metric of one label."""
+    return many(name, kind, help_text, [({label: key}, values[key]) for key in sorted(values)])
+
+
+def many(name: str, kind: str, help_text: str, samples: Iterable[tuple[Mapping[str, str], float]]) -> Metric:
+    """A metric of several labels."""
+    family = Metric(name.removesuffix("_total"), help_text, kind)
+    for labels, value in samples:
+        family.add_sample(name, dict(labels), value)
+    return family
+
+
+def histogram(name: str, help_text: str, found: Distribution) -> Metric:
+    """A distribution."""
+    bounds = (*(f"{bound:g}" for bound in found.bounds), "+Inf")
+    return HistogramMetricFamily(
+        name, help_text, buckets=list(zip(bounds, found.at_most, strict=True)), sum_value=found.sum
+    )
+
+
+def times(name: str, help_text: str, label: str, found: Mapping[str, Times]) -> Metric:
+    """Seconds by label, as a summary without quantiles."""
+    family = SummaryMetricFamily(name, help_text, labels=[label])
+    for key in sorted(found):
+        family.add_metric([key], count_value=found[key].number, sum_value=found[key].seconds)
+    return family

@@ -17,6 +17,8 @@ from cm.manager.manager import Settings
 from cm.rights.model import Access
 from cm.schema.model import Config
 
+NO_METRICS = "they need prometheus-client: pip install 'fpga-cm[metrics]', or Debian's python3-prometheus-client"
+
 
 @dataclass(frozen=True, slots=True)
 class Options:

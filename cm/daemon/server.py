@@ -8,6 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from functools import partial
+from typing import TYPE_CHECKING
 
 import zmq
 
@@ -28,8 +29,7 @@ from cm.daemon.interrupts import InterruptWatch
 from cm.daemon.lease_watch import LeaseWatch
 from cm.daemon.loop import Loop
 from cm.daemon.memory_transfers import MemoryTransfers
-from cm.daemon.metrics import Metrics
-from cm.daemon.options import Options
+from cm.daemon.options import NO_METRICS, Options
 from cm.daemon.pieces import Pieces
 from cm.daemon.publisher import Publisher
 from cm.daemon.queue_limit import mark
@@ -50,6 +50,9 @@ from cm.rights.gate import Gate
 from cm.rights.users import system_users
 from cm.schema.model import Config
 from cm.zap import Authenticator
+
+if TYPE_CHECKING:
+    from cm.daemon.metrics import Metrics  # imports an HTTP server
 
 _LOG = logging.getLogger("cm")
 _TICK = 1.0  # seconds between two checks of streams, records and a lost board
@@ -91,7 +94,7 @@ class Server:
         self._memories = MemoryTransfers(self._pieces, self._manager.memories)
         self._board = BoardWatch(self._devices.boot_id, self._manager, self._streams, self._interrupts, self._autoload)
         self._dispatcher = self._make_dispatcher()
-        self._metrics = Metrics(self._services(), self._dispatcher)
+        self._metrics: Metrics | None = None
         self._sensors = SensorWatch(options.root, self._publisher.measured)
         self._statuses: deque[Moment] = deque()
         self._service = ServiceManager()
@@ -144,10 +147,10 @@ class Server:
     def serve(self, on_ready: Callable[[], None] = lambda: None) -> None:
         """Bind, reconcile, serve. Returns after `stop()`. Raises CmError if it cannot begin."""
         try:
-            self._bind()
+            metrics = self._bind()
             self._start_manager()
             self._loop.every(_TICK, self._tick)
-            self._sockets.announce(self._metrics.address)
+            self._sockets.announce(metrics)
             self._service.ready()
             if self._service.interval is not None:  # from the loop, so that one that hangs is restarted
                 self._loop.every(self._service.interval, self._service.alive)
@@ -164,18 +167,32 @@ class Server:
         """Read schemas, settings and keys again; what runs goes on. Safe in a signal handler."""
         self._loop.call_threadsafe(self._reloader.begin)
 
-    def _bind(self) -> None:
+    def _bind(self) -> str:
+        """Listen everywhere; returns where metrics are served."""
         self._loop.add_socket(self._authenticator.socket, self._authenticator.answer)
         self._sockets.bind_ipc()
         self._acceptor.open()
         for address in self._options.listen:
             bound = self._sockets.bind_tcp(address, self._options.security)
             _LOG.info("listening on %s, %s, %s", bound.pub, bound.sub, bound.req)
-        self._metrics.open(self._options.metrics)
+        metrics = self._open_metrics() if self._options.metrics else ""
         self._sensors.start()
         self._loop.add_socket(self._sockets.pub, self._on_subscription)
         self._loop.add_socket(self._sockets.sub, self._dispatcher.on_message)
         self._loop.add_socket(self._sockets.req, self._dispatcher.on_request, foremost=True)
+        return metrics
+
+    def _open_metrics(self) -> str:
+        """Serve them; returns where. Without the library the board is served all the same."""
+        try:
+            from cm.daemon.metrics import Metrics
+        except ModuleNotFoundError as error:
+            if error.name != "prometheus_client":
+                raise
+            _LOG.error("no metrics are served: %s", NO_METRICS)
+            return ""
+        self._metrics = Metrics(self._services(), self._dispatcher)
+        return self._metrics.open(self._options.metrics)
 
     def _start_manager(self) -> None:
         self._manager.start()  # what it finds out is logged with the status that tells it
@@ -187,8 +204,10 @@ class Server:
 
     def _close(self) -> None:
         self._service.stopping()
+        if self._metrics is not None:
+            self._metrics.close()
         users = (self._connections.close, self._streams.end, self._pieces.close, self._interrupts.close)
-        watches = (self._metrics.close, self._sensors.close, self._leases.close, self._jobs.close)
+        watches = (self._sensors.close, self._leases.close, self._jobs.close)
         board = (self._publisher.close, self._devices.lost, self._journal.close, self._sockets.close)
         last = (self._authenticator.close, self._context.term, self._loop.close, self._locks.release)
         for end in (self._manager.stop, self._acceptor.close, *users, *watches, *board, *last):

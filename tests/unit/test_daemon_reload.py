@@ -228,8 +228,8 @@ def page(daemon: Daemon) -> dict[str, Any]:
 
 
 def samples(family: Any) -> dict[tuple[str, ...], float]:
-    """Values by the values of their labels."""
-    return {tuple(sample.labels.values()): sample.value for sample in family.samples}
+    """Values by the values of their labels, in the order of the labels' names."""
+    return {tuple(value for _, value in sorted(sample.labels.items())): sample.value for sample in family.samples}
 
 
 def test_the_page_says_what_the_board_holds_and_what_was_done(served: Daemon) -> None:
@@ -241,10 +241,10 @@ def test_the_page_says_what_the_board_holds_and_what_was_done(served: Daemon) ->
     served.refused(ChangeMode("camera", "colorise"))
     lease = served.done(rq.TakeLease("registers:focus", holder="me"))
     told, status = page(served), served.status
-    assert samples(told["cm_info"]) == {(status.version, status.board): 1}
+    assert samples(told["cm_info"]) == {(status.board, status.version): 1}
     assert samples(told["cm_start_time_seconds"]) == {(): pytest.approx(status.started_ns / 1e9)}
     assert samples(told["cm_mode"]) == {("camera", "edge_detection"): 1}
-    held = {(r.name, r.module or "", r.state): 1.0 for r in status.regions}
+    held = {(r.module or "", r.name, r.state): 1.0 for r in status.regions}
     assert samples(told["cm_region"]) == held
     assert (samples(told["cm_busy"]), samples(told["cm_failed"])) == ({(): 0}, {(): 1})
     assert samples(told["cm_changes"]) == {("done",): 2, ("failed",): 1, ("cancelled",): 0}
@@ -259,7 +259,7 @@ def test_the_page_says_what_the_board_holds_and_what_was_done(served: Daemon) ->
     assert (loads["cm_loads"], loads["cm_loaded_bytes"]) == (3, planned + last)  # and the way back
     assert loads["cm_load_seconds"] > 0
     assert samples(told["cm_leases"]) == {(): 1}
-    assert samples(told["cm_leases_by_scope"]) == {("registers", "alone"): 1}
+    assert samples(told["cm_leases_by_scope"]) == {("alone", "registers"): 1}
     assert {
         quantity: len(samples(told[quantity])) for quantity in told if "_celsius" in quantity or "_watts" in quantity
     }

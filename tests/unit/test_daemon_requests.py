@@ -378,7 +378,7 @@ def test_the_page_of_metrics_counts_what_was_asked_and_changed() -> None:
             text = page.read().decode()
     lines = dict(line.rpartition(" ")[::2] for line in text.splitlines() if not line.startswith("#"))
     assert float(lines["cm_requests_total"]) >= 3
-    assert lines['cm_request_errors_total{code="unknown_register"}'] == "1"
-    assert (lines["cm_busy"], lines["cm_failed"], lines["cm_last_change"]) == ("0", "0", "2")
+    assert lines['cm_request_errors_total{code="unknown_register"}'] == "1.0"
+    assert (lines["cm_busy"], lines["cm_failed"], lines["cm_last_change"]) == ("0.0", "0.0", "2.0")
     changes = {name: value for name, value in lines.items() if name.startswith("cm_changes_total")}
     assert sum(map(float, changes.values())) == 2, changes

@@ -3,15 +3,23 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 from collections import Counter
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from daemon_thread import daemon
+from prometheus_client.parser import text_string_to_metric_families
 
+from cm.cli.main import main
 from cm.daemon.loop import Loop
 from cm.daemon.metrics import Metrics
+from cm.daemon.streams.figures import Moved
+from cm.manager.state.totals import ChangeTotals
 from cm.messages.status import (
     ClientStatus,
     ClockStatus,
@@ -23,7 +31,6 @@ from cm.messages.status import (
     StreamClient,
     StreamStatus,
 )
-from cm.metrics.counts import ChangeTotals, Moved
 
 PAGE = Path(__file__).parents[1] / "golden/metrics/page.txt"
 READER = StreamClient(7, "view", depth=3)
@@ -81,7 +88,46 @@ def page() -> Any:
     loop.close()
 
 
+def families(text: str) -> list[Any]:
+    """Names, kinds, help and samples, except for what a process uses, which differs from run to run."""
+    return [
+        (
+            f.name,
+            f.type,
+            f.documentation,
+            {(s.name, *sorted(s.labels.items())): s.value for s in f.samples if s.name[:4] != "proc"},
+        )
+        for f in text_string_to_metric_families(text)
+    ]
+
+
 def test_the_page_is_what_dashboards_know(page: str) -> None:
-    """What a process uses differs from run to run: only the words of these lines are compared."""
-    found = [line.rpartition(" ")[0] if line.startswith("process_") else line for line in page.splitlines()]
-    assert found == PAGE.read_text(encoding="utf-8").splitlines(), "look at the difference, then write the page anew"
+    known = families(PAGE.read_text(encoding="utf-8"))
+    assert families(page) == known, "look at the difference, then write the page anew"
+
+
+# ---- without metrics, or without their library --------------------------------------------
+
+
+def test_a_manager_without_metrics_imports_neither_their_library_nor_an_http_server() -> None:
+    code = "import sys, cm.daemon.server\nprint([n for n in ('prometheus_client', 'http.server') if n in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+
+
+def test_a_board_whose_settings_ask_for_metrics_is_served_without_the_library(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setitem(sys.modules, "prometheus_client", None)
+    monkeypatch.delitem(sys.modules, "cm.daemon.metrics")
+    with daemon(metrics="0") as made:
+        made.load("default")
+        assert "metrics" not in json.loads((made.folder / "run" / "endpoints.json").read_text())
+    assert "no metrics are served: they need prometheus-client: pip install 'fpga-cm[metrics]'" in caplog.text
+
+
+def test_the_command_that_asks_for_metrics_is_refused_without_the_library(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "prometheus_client", None)
+    assert main(["serve", "--metrics", "0", "--runtime-dir", str(tmp_path), "--root", str(tmp_path)]) == 1
+    assert "--metrics: they need prometheus-client: pip install 'fpga-cm[metrics]'" in capsys.readouterr().err

@@ -17,6 +17,7 @@ from cm.daemon.streams.audience import Audience
 from cm.daemon.streams.background import BackgroundSteps, Served
 from cm.daemon.streams.clients import LocalClients, ZmqClients
 from cm.daemon.streams.echo import Echoes
+from cm.daemon.streams.figures import Moved, StreamTotals
 from cm.daemon.streams.memory_thread import MemoryThread
 from cm.daemon.streams.peer import Peer
 from cm.daemon.streams.policy import StreamEvent, StreamPolicy, Users
@@ -26,7 +27,6 @@ from cm.device import DeviceTimeout
 from cm.device.data_plane import ClientGone, ClientLeaves, Plane
 from cm.errors import CmError
 from cm.messages.status import ErrorInfo
-from cm.metrics.counts import Moved, StreamTotals
 from cm.schema.model import Direction, Stream
 
 _LOG = logging.getLogger(__name__)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
-from cm.daemon.streams.figures import median, rate, transfer_error
+from cm.daemon.streams.figures import Moved, median, rate, transfer_error
 from cm.daemon.streams.joiners import Joiners
 from cm.daemon.streams.settings import frame_bytes, setup
 from cm.daemon.streams.shares import EACH
@@ -20,7 +20,6 @@ from cm.device.data_plane import Plane
 from cm.errors import CmError
 from cm.manager.reporting.status import stream_status
 from cm.messages.status import ErrorInfo, FrameInfo, StreamClient, StreamStatus
-from cm.metrics.counts import Moved
 from cm.schema.model import Direction, Stream
 from cm.wire.plane_packets import Descriptor, Geometry, encode_geometry, encode_label
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Counters of changes, loads and streams, since the manager's start. Any thread may add and read."""
+"""Counters of changes and loads since the manager's start. Any thread may add and read."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from itertools import accumulate
 from typing import NamedTuple
 
 CHANGE_SECONDS = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0)
-LAG_SECONDS = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 5.0)
 
 
 class Distribution(NamedTuple):
@@ -104,31 +103,3 @@ class ChangeTotals:
             return ChangeCounts(
                 dict(self._outcomes), dict(self._failures), self._seconds.read(), dict(self._steps), dict(self._loads)
             )
-
-
-class Moved(NamedTuple):
-    """What a stream has moved."""
-
-    frames: int = 0
-    dropped: int = 0
-    errors: int = 0
-    bytes: int = 0
-
-    def plus(self, other: Moved) -> Moved:
-        """Both together."""
-        return Moved(*map(sum, zip(self, other, strict=True)))
-
-
-class StreamTotals:
-    """What streams moved before they were last opened: at that moment their own counters start at 0 again."""
-
-    def __init__(self) -> None:
-        self._ended: dict[str, Moved] = {}
-
-    def add(self, stream: str, moved: Moved) -> None:
-        """A stream was closed."""
-        self._ended[stream] = self._ended.get(stream, Moved()).plus(moved)
-
-    def with_ended(self, now: Mapping[str, Moved]) -> dict[str, Moved]:
-        """Totals of every stream that ever ran: what it has moved since it was opened, and before."""
-        return {name: self._ended.get(name, Moved()).plus(now.get(name, Moved())) for name in {**self._ended, **now}}
