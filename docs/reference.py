@@ -49,8 +49,8 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "The simulated board",
         "From Python, for tests. [The guide](../simulator.md).",
         (
-            "cm.sim", "cm.sim.hardware.board:ModuleSpec", "cm.sim.hardware.channels:ChannelSpec",
-            "cm.sim.hardware.regions:RegionSpec", "cm.sim.hardware.windows:WindowSpec",
+            "cm.sim", "cm.sim.hardware.board_spec:ModuleSpec", "cm.sim.hardware.board_spec:ChannelSpec",
+            "cm.sim.hardware.board_spec:RegionSpec", "cm.sim.hardware.board_spec:WindowSpec",
         ),
     ),
     "schema": (

@@ -10,6 +10,5 @@ from cm.bits.cells import Netlist as Netlist
 from cm.bits.errors import BitsError as BitsError
 from cm.bits.extract import Boundary as Boundary
 from cm.bits.extract import extract as extract
-from cm.bits.simulate import Simulation as Simulation
 from cm.bits.verilog import Port as Port
 from cm.bits.verilog import verilog as verilog

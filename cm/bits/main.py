@@ -10,16 +10,38 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from cm.bits.files import collected, streams_of
+from cm.bits.errors import BitsError
 from cm.bits.regions import LoadedBits
-from cm.rtl.board import Libraries
+from cm.bitstream import to_dma_words
+from cm.build.plan.system import System
+from cm.build.project.load import load_project
 from cm.rtl.compile import Watched
 from cm.rtl.design import RtlDesign
 from cm.rtl.main import add_rtl_arguments
 from cm.rtl.main import run as run_rtl
+from cm.rtl.running_design import Libraries
 from cm.rtl.tools import Tools
 from cm.sim.hardware.logic import LogicParts
 from cm.sim.transport.scratch import Scratch, temporary
+
+
+def collected(build: Path) -> Path:
+    """The folder that `cm build collect` has made of a build schema. Raises BitsError if there is none."""
+    project = load_project(build)
+    found = project.folder / "target" / project.name
+    if not (found / f"{project.name}.yaml").is_file():
+        raise BitsError(
+            f"{found} is not there: `cm build run --flow open {build}` and `cm build collect --schema {build}` make it"
+        )
+    return found
+
+
+def streams_of(files: Path, system: System) -> tuple[list[bytes], dict[str, bytes]]:
+    """The full bitstreams in a folder, and the partial ones by module, in the order of DMA memory."""
+    modules = {one.name for one in system.implementations}
+    found = {path.stem: to_dma_words(path) for path in sorted(files.glob("*.bin"))}
+    whole = [stream for name, stream in found.items() if name not in modules]
+    return whole, {name: stream for name, stream in found.items() if name in modules}
 
 
 def main(argv: Sequence[str] | None = None) -> int:

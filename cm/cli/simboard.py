@@ -95,7 +95,7 @@ def schema_of_build(build: Path, runtime: Path, kind: str) -> Path:
     For bits, the one that `cm build collect` has made, unchanged.
     """
     if kind == "bits":
-        from cm.bits.files import collected
+        from cm.bits.main import collected
 
         folder = collected(build)
         return folder / f"{folder.name}.yaml"

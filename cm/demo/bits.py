@@ -8,13 +8,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from cm.bits.files import collected, streams_of
+from cm.bits.main import collected, streams_of
 from cm.bits.regions import LoadedBits
 from cm.demo.sheet import Picture, contact_sheet
 from cm.errors import CmError
-from cm.rtl.bare import BareDesign
 from cm.rtl.compile import NOTHING, compile_units
 from cm.rtl.design import load_rtl_design
+from cm.rtl.headless import HeadlessDesign
 from cm.rtl.tools import find_tools
 from cm.sim.hardware.camera import shipped_photos
 from cm.sim.transport.scratch import Scratch, temporary
@@ -56,7 +56,7 @@ def through_modules(build: Path, photo: Picture, say: Callable[[str], None] = pr
         identities = {one.name: one.identity for one in design.system.implementations}
         (static,) = compile_units(tools, [design.static])
         found = {}
-        with BareDesign(tools, design, static, folder, pins=True) as running:
+        with HeadlessDesign(tools, design, static, folder, pins=True) as running:
             for stream in whole:
                 loaded.take(memoryview(stream))
             for name, stream in modules.items():

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import errno
 
-from cm.rtl.board import SLOT, RunningDesign
 from cm.rtl.errors import RtlError
-from cm.rtl.messages import Op
+from cm.rtl.process import Op
+from cm.rtl.running_design import SLOT, RunningDesign
 from cm.sim.errors import NodeError
 from cm.sim.faults import Faults
 from cm.sim.hardware.bus import check_access, check_block

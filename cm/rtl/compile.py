@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""HDL to shared libraries with the table of engine/model.h, and the engine itself."""
+"""HDL to shared libraries with the table of harness/model.h, and the harness itself."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cm.rtl.cache import cache_folder, digest, made
 from cm.rtl.errors import RtlError
 from cm.rtl.tools import Tools
 
-ENGINE = Path(__file__).parent / "engine"
+HARNESS = Path(__file__).parent / "harness"
 _FLAGS = ("-std=c++17", "-fPIC", "-fvisibility=hidden", "-pthread", "-DVL_USER_FINISH", "-DVL_USER_STOP",
           "-DVL_USER_FATAL", "-DVL_TIME_CONTEXT")  # fmt: skip
 _VERILATOR = ("--cc", "-O3", "--x-assign", "unique", "--x-initial", "unique", "--timescale", "1ns/1ps",
@@ -68,15 +68,15 @@ def compile_units(tools: Tools, units: Iterable[Unit], watched: Watched = NOTHIN
         return list(pool.map(lambda unit: _library(tools, unit, runtime, watched), units))
 
 
-def compile_engine(tools: Tools) -> Path:
+def compile_harness(tools: Tools) -> Path:
     """The program that runs the libraries."""
-    files = sorted(ENGINE.glob("*.cpp"))
-    key = digest([tools.identity, *_texts([*files, *ENGINE.glob("*.h")])])
+    files = sorted(HARNESS.glob("*.cpp"))
+    key = digest([tools.identity, *_texts([*files, *HARNESS.glob("*.h")])])
 
     def make(target: Path, _: Path) -> None:
-        _run([tools.compiler, "-std=c++17", "-O3", "-o", str(target), *map(str, files), "-ldl"], "the engine")
+        _run([tools.compiler, "-std=c++17", "-O3", "-o", str(target), *map(str, files), "-ldl"], "the harness")
 
-    return made(cache_folder(), f"engine-{key}", make)
+    return made(cache_folder(), f"harness-{key}", make)
 
 
 def _runtime(tools: Tools, watched: Watched) -> Path:
@@ -106,8 +106,8 @@ def _runtime(tools: Tools, watched: Watched) -> Path:
 
 def _library(tools: Tools, unit: Unit, runtime: Path, watched: Watched) -> Path:
     inputs = [*unit.sources, *(file for folder in unit.includes for file in sorted(folder.glob("*.*h")))]
-    shim = (ENGINE / "shim.cpp.in").read_text(encoding="utf-8")
-    header = (ENGINE / "model.h").read_text(encoding="utf-8")
+    shim = (HARNESS / "shim.cpp.in").read_text(encoding="utf-8")
+    header = (HARNESS / "model.h").read_text(encoding="utf-8")
     described = [tools.identity, unit.top, watched.key, *unit.defines, *_VERILATOR, *_FLAGS, _LOCAL.pattern]
     if watched.coverage:  # counts are reported by the files' paths, which are in the library
         described += [str(path) for path in unit.sources if unit.made is None or unit.made not in path.parents]
@@ -135,7 +135,7 @@ def _link(tools: Tools, unit: Unit, scratch: Path, runtime: Path, target: Path, 
     if not pins:
         raise RtlError(f"{unit.name}: {unit.top} has no ports")
     parts = sorted(path for path in folder.glob("*.cpp"))
-    shim = (ENGINE / "shim.cpp.in").read_text(encoding="utf-8")
+    shim = (HARNESS / "shim.cpp.in").read_text(encoding="utf-8")
     shim = shim.replace("@PINS@", "\n".join(f'\t{{"{name}", {bits}, {way}}},' for name, _, bits, way in pins))
     cases = (f"\tcase {index}: return &top.{member};" for index, (_, member, _, _) in enumerate(pins))
     shim = shim.replace("@WHERE@", "\n".join(cases))
@@ -144,7 +144,7 @@ def _link(tools: Tools, unit: Unit, scratch: Path, runtime: Path, target: Path, 
         path.write_text(widened(path.read_text(encoding="utf-8")), encoding="utf-8")
     whole.write_text("".join(f'#include "{path}"\n' for path in parts) + shim, encoding="utf-8")
     speed = "-O1" if watched.traces else "-O3"  # a traced library is slow anyway, and is recompiled often
-    command = [tools.compiler, speed, *_FLAGS, *watched.macros, *_include(tools), f"-I{folder}", f"-I{ENGINE}"]
+    command = [tools.compiler, speed, *_FLAGS, *watched.macros, *_include(tools), f"-I{folder}", f"-I{HARNESS}"]
     command += ["-shared", "-fno-gnu-unique", "-Wl,-Bsymbolic", "-o", str(target), str(whole), str(runtime)]
     _run([*command, *(["-lz"] if watched.traces else [])], unit.name)
 

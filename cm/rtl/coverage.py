@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which lines of the HDL ran: what the engine has counted, as a table and for other tools (lcov's format)."""
+"""Which lines of the HDL ran: what the harness has counted, as a table and for other tools (lcov's format)."""
 
 from __future__ import annotations
 

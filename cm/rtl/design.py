@@ -22,7 +22,7 @@ from cm.build.plan.system import Implementation, RegionPlan, StreamBus, System, 
 from cm.build.render import Renderer
 from cm.build.runtime.answers import Answers
 from cm.rtl.compile import Unit
-from cm.rtl.engines import add_engines, prefix_of
+from cm.rtl.dma_engines import add_engines, prefix_of
 from cm.rtl.errors import RtlError
 from cm.rtl.vhdl import as_verilog
 from cm.schema.model import Direction
@@ -123,7 +123,7 @@ def simulated_static(system: System) -> Netlist:
 
 
 def wiring(design: RtlDesign, static: Path, seed: int) -> str:
-    """The lines that the engine reads: see `Engine::wire`."""
+    """The lines that the harness reads: see `Harness::wire`."""
     return "\n".join(_wiring(design, static, seed)) + "\n"
 
 

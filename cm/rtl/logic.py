@@ -8,12 +8,11 @@ import errno
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from cm.rtl.board import Libraries, RunningDesign
 from cm.rtl.bus import RtlBus
 from cm.rtl.design import RtlDesign, StreamEnd
 from cm.rtl.errors import RtlError
-from cm.rtl.messages import EXCHANGE, Op
-from cm.rtl.process import EngineProcess
+from cm.rtl.process import EXCHANGE, HarnessProcess, Op
+from cm.rtl.running_design import Libraries, RunningDesign
 from cm.rtl.streams import Intake, IntakeLink, NoLink, OpticalPath, OutletLink, RtlCameraLink
 from cm.schema.model import Direction
 from cm.sim.errors import NodeError, SimError
@@ -61,7 +60,7 @@ class RtlInterrupts(InterruptWiring):
 class RtlLogic:
     """Bus, streams, interrupts and configuration port of a design that runs."""
 
-    def __init__(self, parts: LogicParts, design: RtlDesign, process: EngineProcess, libraries: Libraries) -> None:
+    def __init__(self, parts: LogicParts, design: RtlDesign, process: HarnessProcess, libraries: Libraries) -> None:
         self._parts, self._design, self._process = parts, design, process
         missing = parts.fabric.regions.keys() - set(design.regions)
         if missing:
@@ -119,7 +118,7 @@ class RtlLogic:
         self._running.mark(text)
 
     def state(self) -> dict[str, object]:
-        """The engine's clocks, and the modules that have ended by themselves."""
+        """The harness's clocks, and the modules that have ended by themselves."""
         try:
             text = self._running.ask(Op.STATE).text
         except RtlError as error:
@@ -127,7 +126,7 @@ class RtlLogic:
         return {"rtl": text, "stopped": dict(self._running.stopped)}
 
     def close(self) -> None:
-        """End the engine."""
+        """End the harness."""
         self._parts.loop.remove(self._process.fileno())
         self._process.close()
 

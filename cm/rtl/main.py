@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The process of a simulated board whose logic is RTL: compile, start the engine, serve the nodes."""
+"""The process of a simulated board whose logic is RTL: compile, start the harness, serve the nodes."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import TypeAlias
 
 from cm.errors import CmError
-from cm.rtl.board import Libraries, of_modules
-from cm.rtl.compile import NOTHING, Watched, compile_engine, compile_units
+from cm.rtl.compile import NOTHING, Watched, compile_harness, compile_units
 from cm.rtl.design import RtlDesign, load_rtl_design, wiring
 from cm.rtl.errors import ToolMissing
 from cm.rtl.logic import RtlLogic
-from cm.rtl.process import EngineProcess
+from cm.rtl.process import HarnessProcess
+from cm.rtl.running_design import Libraries, of_modules
 from cm.rtl.tools import Tools, find_tools
 from cm.sim.hardware.logic import LogicParts, MakeLogic, SoftwareLogic
 from cm.sim.process.arguments import add_arguments
@@ -75,7 +75,7 @@ def prepare(build: Path, watched: Watched = NOTHING) -> None:
     with Scratch("cm-rtl-", temporary()) as folder:
         design = load_rtl_design(build, folder)
         compile_units(tools, [design.static, *design.modules.values()], watched)
-    compile_engine(tools)
+    compile_harness(tools)
 
 
 def example_build() -> Path:
@@ -129,5 +129,5 @@ def _start(
     text += f"coverage {args.coverage.absolute()}\n" if args.coverage else ""
     text += f"pace {args.time_scale}\n" if args.time_scale else ""
     lines.write_text(text, encoding="utf-8")
-    process = EngineProcess(compile_engine(tools), lines)
+    process = HarnessProcess(compile_harness(tools), lines)
     return RtlLogic(parts, design, process, libraries)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The engine as a child process: requests that wait for their answer, and events that come in between."""
+"""The harness as a child process: requests that wait for their answer, and events that come in between."""
 
 from __future__ import annotations
 
@@ -10,14 +10,72 @@ import os
 import select
 import signal
 import socket
+import struct
 import subprocess
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
 from pathlib import Path
 from typing import NoReturn
 
 from cm.rtl.errors import RtlError
-from cm.rtl.messages import ANSWER, ARENA_BYTES, TEXT, Message, Op
+
+_HEAD = struct.Struct("=IIQQQQ")
+TEXT = 4096
+ANSWER = 128
+ARENA_BYTES = 1 << 32
+EXCHANGE = 32 << 20  # the place in the arena where bytes of memory are exchanged
+
+
+class Op(IntEnum):
+    """What a message is about; requests up to `COVER`, then events."""
+
+    READ = 1
+    WRITE = 2
+    SEND = 3
+    RECEIVE = 4
+    CANCEL = 5
+    LOAD = 6
+    UNDEFINE = 7
+    EMPTY = 8
+    CONFIGURE = 9
+    RESET = 10
+    TRACE = 11
+    MARK = 12
+    STATE = 13
+    COVER = 14
+    SENT = 64
+    RECEIVED = 65
+    INTERRUPT = 66
+    OUTPUT = 67
+    STOPPED = 68
+    FETCH = 72
+    STORE = 73
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """Four numbers and a text, by the meaning of `op` (harness/messages.h)."""
+
+    op: int
+    id: int = 0
+    a: int = 0
+    b: int = 0
+    c: int = 0
+    d: int = 0
+    text: str = ""
+
+    def pack(self) -> bytes:
+        """As it travels."""
+        return _HEAD.pack(self.op, self.id, self.a, self.b, self.c, self.d) + self.text.encode()[:TEXT]
+
+    @classmethod
+    def unpack(cls, data: bytes) -> Message:
+        """From what came."""
+        op, number, a, b, c, d = _HEAD.unpack_from(data)
+        return cls(op, number, a, b, c, d, data[_HEAD.size :].decode(errors="replace"))
+
 
 FAREWELL = 2.0  # seconds for its own end
 PATIENCE = 60.0  # seconds for an answer: an access that the logic never answers is abandoned long before
@@ -29,8 +87,8 @@ def _no_memory(write: bool, address: int, length: int) -> bool:  # noqa: ARG001 
     return False
 
 
-class EngineProcess:
-    """A running engine; its memory is `arena`. If it ends, this and all later requests raise RtlError."""
+class HarnessProcess:
+    """A running harness; its memory is `arena`. If it ends, this and all later requests raise RtlError."""
 
     def __init__(self, program: Path, wiring: Path) -> None:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -108,7 +166,7 @@ class EngineProcess:
     def _await(self, number: int) -> Message:
         while True:
             if not select.select([self._socket], [], [], PATIENCE)[0]:
-                self._end(f"the engine did not answer for {PATIENCE:g} s")
+                self._end(f"the harness did not answer for {PATIENCE:g} s")
             message = self._receive()
             if self._exchanged(message):
                 continue
@@ -124,7 +182,7 @@ class EngineProcess:
         except OSError as error:
             self._end(str(error))
         if not data:
-            self._end("the engine ended")
+            self._end("the harness ended")
         return Message.unpack(data)
 
     def _end(self, why: str) -> NoReturn:
@@ -137,7 +195,7 @@ class EngineProcess:
 
 
 def _start(program: Path, wiring: Path, theirs: int, memory: int) -> subprocess.Popen[bytes]:
-    """The engine with its end of the socket and the memory; what it prints goes to our standard error."""
+    """The harness with its end of the socket and the memory; what it prints goes to our standard error."""
     command = [str(program), str(wiring), str(theirs), str(memory)]
     try:
         return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=2, pass_fds=(theirs, memory))

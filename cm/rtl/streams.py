@@ -7,16 +7,15 @@ import errno
 from typing import TYPE_CHECKING
 
 from cm.loop import Loop
-from cm.rtl.board import SLOT, RunningDesign
 from cm.rtl.errors import RtlError
-from cm.rtl.messages import Op
+from cm.rtl.process import Op
+from cm.rtl.running_design import SLOT, RunningDesign
 from cm.sim.faults import Faults
 from cm.sim.hardware.camera import MAX_ZOOM, PhotoReel
 from cm.sim.hardware.datapath import Datapath
 from cm.sim.hardware.dma import Bytes, Channel, Transfer
 from cm.sim.hardware.interrupts import InterruptWiring
-from cm.sim.hardware.links import Link
-from cm.sim.hardware.sensor import CameraLink
+from cm.sim.hardware.links import CameraLink, Link
 
 if TYPE_CHECKING:
     import numpy as np

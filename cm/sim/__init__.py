@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from cm.sim.errors import SimError
-    from cm.sim.hardware.board import BoardSpec
-    from cm.sim.hardware.model import Model
+    from cm.sim.hardware.board_spec import BoardSpec
+    from cm.sim.hardware.models import Model
     from cm.sim.process.child import Board
     from cm.sim.process.control import Control
 
@@ -22,9 +22,9 @@ __all__ = ["Board", "BoardSpec", "Control", "Model", "SimError"]
 
 _HOMES = {
     "Board": "process.child",
-    "BoardSpec": "hardware.board",
+    "BoardSpec": "hardware.board_spec",
     "Control": "process.control",
-    "Model": "hardware.model",
+    "Model": "hardware.models",
     "SimError": "errors",
 }
 

@@ -14,9 +14,10 @@ import changes
 from changes import LETTERS, Change
 from design import Cell, Design
 from expected import circular, outputs
+from netlist_simulation import Simulation
 from routed import Routed
 
-from cm.bits import Simulation, extract
+from cm.bits import extract
 from cm.xray import Feature, Tile, Wires, bits_of, decode, tiles_with_bits
 
 BATCH = 25  # designs in one run of Icarus

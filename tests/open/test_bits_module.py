@@ -9,9 +9,10 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from netlist_simulation import Simulation
 from routed import HERE, Routed
 
-from cm.bits import Boundary, FlipFlop, LutMemory, Netlist, Port, Simulation, extract, verilog
+from cm.bits import Boundary, FlipFlop, LutMemory, Netlist, Port, extract, verilog
 from cm.bits.memory import FrameMemory
 from cm.bitstream import device_by_name, to_dma_words
 from cm.build.packages.tree import PackageTree

@@ -13,7 +13,7 @@ from manager_process import served
 from xray_oracle import frames_read, read_bits
 
 import cm
-from cm.bits.files import streams_of
+from cm.bits.main import streams_of
 from cm.bits.memory import FrameMemory
 from cm.bitstream import device_by_name
 from cm.build.generate.tree import load_design

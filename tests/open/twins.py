@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from cm.bits import Boundary, Netlist, Port, extract, verilog
 from cm.bits.cells import Lut
-from cm.bits.files import collected, streams_of
+from cm.bits.main import collected, streams_of
 from cm.bits.memory import FrameMemory
 from cm.bits.regions import Place
 from cm.bitstream import device_by_name

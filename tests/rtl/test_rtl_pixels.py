@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from build_support import copy_examples
 from conftest import needs
-from engine_rig import Running, running
+from headless_rig import Running, running
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

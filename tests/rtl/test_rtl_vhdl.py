@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import HERE, needs
-from engine_rig import running
+from headless_rig import running
 
 from cm.rtl.design import load_rtl_design
 from cm.rtl.errors import RtlError, ToolMissing

@@ -21,7 +21,7 @@ from cm.build.generate.outputs import identified, render_schema
 from cm.build.generate.tree import Design, generate, load_design
 from cm.build.runtime.answers import Answers
 from cm.sim.errors import SimError
-from cm.sim.hardware.board import BoardSpec
+from cm.sim.hardware.board_spec import BoardSpec
 
 pytest.importorskip("pyslang", reason="needs pyslang: the extra [build] is not installed")
 pytest.importorskip("jinja2", reason="needs jinja2: the extra [build] is not installed")

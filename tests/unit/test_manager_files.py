@@ -29,7 +29,7 @@ from cm.manager.ports import Image
 from cm.schema import loads
 from cm.schema.model import Config, FrameRange, Overlay
 from cm.sim import Board as SimBoard
-from cm.sim.hardware.board import BoardSpec
+from cm.sim.hardware.board_spec import BoardSpec
 
 DEVICE = "xc7z020"
 

@@ -13,7 +13,7 @@ from cm.bitstream.errors import BitstreamError
 from cm.bitstream.module import identify_bytes
 from cm.native import bitstream as native
 from cm.sim.hardware import crc
-from cm.sim.hardware.packets import ConfigPort, PortError
+from cm.sim.hardware.configuration_port import ConfigPort, PortError
 
 WORD = st.integers(0, 2**32 - 1)
 

@@ -9,10 +9,10 @@ from pathlib import Path
 
 from cm.bench.result import Goal, Result, unavailable
 from cm.bench.run import Run
-from cm.rtl.bare import BareDesign
 from cm.rtl.compile import compile_units
 from cm.rtl.design import load_rtl_design
 from cm.rtl.errors import RtlError
+from cm.rtl.headless import HeadlessDesign
 from cm.rtl.main import example_build
 from cm.rtl.tools import Tools, find_tools
 from cm.sim.hardware.camera import shipped_photos
@@ -65,7 +65,7 @@ class _Engine:
         schema = example_build().parents[1] / example / "build.yaml"
         design = load_rtl_design(schema, folder / "tree")
         static, edge = compile_units(tools, [design.static, design.modules["prr0", "edge"]])
-        self._design = BareDesign(tools, design, static, folder)
+        self._design = HeadlessDesign(tools, design, static, folder)
         self._design.load(edge)
         self._picture = next(iter(shipped_photos().values())).tobytes()  # noise would cost a third more: branches
 

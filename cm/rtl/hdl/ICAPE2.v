@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The configuration port of 7 series in the simulated board: words go to the engine too, which knows whether the port
+// The configuration port of 7 series in the simulated board: words go to the harness too, which knows whether the port
 // shows an error that was injected (UG470: O[7] is CFGERR_B, active low).
 `default_nettype none
 

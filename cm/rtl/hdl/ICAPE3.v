@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The configuration port of UltraScale+ in the simulated board: words go to the engine too, which knows whether the port
+// The configuration port of UltraScale+ in the simulated board: words go to the harness too, which knows whether the port
 // shows an error that was injected (UG570: PRERROR).
 `default_nettype none
 

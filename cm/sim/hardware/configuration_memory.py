@@ -12,11 +12,10 @@ from dataclasses import dataclass, field
 from cm.bitstream.far import FrameAddress
 from cm.bitstream.module import ModuleIdentity
 from cm.schema.model import FrameRange
-from cm.sim.hardware.board import BoardSpec, ModuleSpec
+from cm.sim.hardware.board_spec import BoardSpec, ModuleSpec, RegionSpec
 from cm.sim.hardware.cells import Region
+from cm.sim.hardware.configuration_port import FrameWrite
 from cm.sim.hardware.fabric import Fabric
-from cm.sim.hardware.packets import FrameWrite
-from cm.sim.hardware.regions import RegionSpec
 
 _log = logging.getLogger(__name__)
 _SHARED = (

@@ -1,183 +1,218 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The configuration engine behind ICAP and the fpga_manager: takes words at a rate, changes the fabric."""
+"""The configuration port of the simulated board: its own small reader of packets (UG470 chapter 5, UG570 chapter 9).
+
+It shares no code with `cm.bitstream`, which says beforehand whether a bitstream is good: a mistake in
+one of them shows where they differ. It does what a device does: follows sync, packets, frames and CRC as
+words come, and keeps the error bits of STAT; it does not object to what no device would object to.
+"""
 
 from __future__ import annotations
 
-import errno
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from enum import Enum, Flag, auto
+from typing import TYPE_CHECKING
 
 from cm.bitstream.devices import Device
-from cm.loop import Loop
-from cm.sim.errors import NodeError
-from cm.sim.faults import Faults
-from cm.sim.hardware.configuration_memory import ConfigMemory
-from cm.sim.hardware.fabric import Fabric
-from cm.sim.hardware.packets import ConfigPort, PortError
-from cm.sim.transport import protocol
+from cm.bitstream.far import FrameAddress
+from cm.bitstream.module import ModuleIdentity, identify_bytes
+from cm.sim.hardware import crc
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+_SYNC, _NOP = 0xAA995566, 0x20000000
+_CRC, _FAR, _FDRI, _CMD, _LOUT, _MFWR, _CBC, _IDCODE, _DWC = 0, 1, 2, 4, 8, 10, 11, 12, 26
+_RCRC, _DESYNC = 7, 13
+_REVISION = 0x0FFFFFFF  # the rest of an IDCODE is the silicon's revision
+_REGISTERS = {0, 1, 2, 4, 5, 6, 8, 9, 10, 11, 12, 13, 14, 16, 17, 19, 24, 26, 31}  # that are written
+_BULK = {_FDRI, _MFWR, _CBC}
+_BLOCK = 1 << 16  # words that are taken into the CRC at a time
+# Words of a frame, and where the fields of FAR begin (type, row with its half, column, minor).
+_SHAPES = {"7series": (101, (23, 17, 7, 0)), "ultrascale+": (93, (24, 18, 8, 0))}
 
-Bytes: TypeAlias = "NDArray[np.uint8]"
-Through = Callable[[memoryview, bool], memoryview]  # words on their way, and whether the port signals an error
-_STEP = 0.001  # seconds of simulated time between two looks at the port
+
+class PortError(Flag):
+    """What went wrong since the last reset."""
+
+    NONE = 0
+    CRC = auto()  # CRC_ERROR of STAT
+    IDCODE = auto()  # ID_ERROR of STAT
+    PACKET = auto()  # words that are not a packet; nothing more is taken until reset
 
 
 @dataclass(frozen=True, slots=True)
-class LoadResult:
-    """How a load ended; times are CLOCK_MONOTONIC in ns."""
+class FrameWrite:
+    """Frames that arrived: where, how many words, and of which module, if they begin with our assembler's mark."""
 
-    length: int
-    started_ns: int
-    finished_ns: int
-    status: int
-    errors: int
+    address: FrameAddress
+    words: int
+    module: ModuleIdentity | None
 
 
-class Engine:
-    """One load at a time, in steps of simulated time; other nodes are served between them."""
-
-    def __init__(
-        self, loop: Loop, fabric: Fabric, memory: ConfigMemory, faults: Faults, device: Device, rate: float
-    ) -> None:
-        self._loop, self._fabric, self._memory, self._faults = loop, fabric, memory, faults
-        self._port = ConfigPort(device)
-        self.rate = rate
-        self.state = protocol.STATE_IDLE
-        self.errors = 0
-        self.done = 0
-        self.total = 0
-        self.loads = 0
-        self._run: _Run | None = None
-
-    @property
-    def busy(self) -> bool:
-        """Whether a load is under way."""
-        return self._run is not None
-
-    def start(
-        self,
-        data: Bytes,
-        finished: Callable[[LoadResult], None],
-        full: bool = False,
-        rate: float | None = None,
-        asked_ns: int | None = None,
-        through: Through | None = None,
-    ) -> None:
-        """Load `data`, words as in memory (little-endian bus); `finished` is called at the end (EBUSY).
-
-        `data` is read as it goes. `asked_ns` is when the request arrived (default: now): our own work before the
-        first word does not count, since a DMA engine begins at once. `through`: a function that the words pass
-        through before they arrive.
-        """
-        if self._run is not None:
-            raise NodeError(errno.EBUSY, "a load is running")
-        self.state, self.errors, self.done, self.total = protocol.STATE_LOADING, 0, 0, len(data)
-        self._port.reset()
-        started_ns = asked_ns or time.monotonic_ns()
-        self._run = _Run(data, started_ns, finished, full, self.rate if rate is None else rate, through)
-        self._loop.call_soon(self._step)
-
-    def _step(self) -> None:
-        run = self._run
-        if run is None:
-            return
-        if self._faults.take("icap_hang"):
-            # The words go nowhere; the driver gives up when the port should long have been done.
-            self._loop.call_later(run.seconds_left + 0.1, lambda: self._finish(-errno.ETIMEDOUT, protocol.ERR_TIMEOUT))
-            return
-        stall = self._faults.take("icap_stall")
-        self._feed(run, stall.value if stall else self.total)
-        self.done = min(run.fed, run.bytes_at(time.monotonic()))
-        if stall and self.done < self.total:
-            self._loop.call_later(_STEP, self._step)
-        elif self.done < self.total:
-            self._wait(run)
-        else:
-            self._finish(*self._verdict())
-
-    def _feed(self, run: _Run, most: int) -> None:
-        """Work on the words that are due before the next step, as a port does while the clock runs."""
-        target = min(run.bytes_at(time.monotonic() + _STEP), most // 4 * 4)
-        if target > run.fed:
-            words = run.data[run.fed : target]
-            if run.through is not None:
-                words = run.through(words, bool(self._port.errors))
-            writes = self._port.feed(words)
-            run.fed = target
-            self._memory.apply(writes, run.full)
-
-    def _wait(self, run: _Run) -> None:
-        """Wait until the next step; the loop's own clock has milliseconds, which is too coarse for the last step."""
-        left = run.seconds_left
-        if left < _STEP:
-            time.sleep(max(left, 0.0))
-            self._loop.call_soon(self._step)
-        else:
-            self._loop.call_later(min(_STEP, left - _STEP / 2), self._step)
-
-    def _verdict(self) -> tuple[int, int]:
-        port = self._port
-        if self._faults.take("icap_crc"):
-            return -errno.EILSEQ, protocol.ERR_CRC
-        if self._faults.take("icap_id"):
-            return -errno.ENODEV, protocol.ERR_ID
-        if port.errors & PortError.IDCODE:
-            return -errno.ENODEV, protocol.ERR_ID
-        if port.errors & PortError.CRC:
-            return -errno.EILSEQ, protocol.ERR_CRC
-        if port.errors & PortError.PACKET:
-            return -errno.EIO, 0
-        if not port.synced and not port.sections:
-            return -errno.EIO, protocol.ERR_NOSYNC
-        if not port.complete:
-            return -errno.ETIMEDOUT, protocol.ERR_TIMEOUT
-        return 0, 0
-
-    def _finish(self, status: int, errors: int) -> None:
-        run, self._run = self._run, None
-        if run is None:
-            return
-        self.loads += 1
-        self.errors = errors
-        self.state = protocol.STATE_ERROR if status else protocol.STATE_IDLE
-        if run.full and status == 0:
-            self._fabric.reset()
-        if run.through is not None:
-            run.through(run.data[:0], bool(errors))
-        self._memory.settle(status == 0, run.data)
-        run.finished(LoadResult(self.done, run.started_ns, time.monotonic_ns(), status, errors))
+class _State(Enum):
+    UNSYNCED = auto()
+    HEADER = auto()
+    TYPE2 = auto()  # a type 1 of no words came: the count follows
+    DATA = auto()
+    CIPHER = auto()  # encrypted words: taken, not understood
+    DEAD = auto()
 
 
-class _Run:
-    """One load: its bytes, and when they are due at the port."""
+class ConfigPort:
+    """A device's configuration port. Not thread-safe.
 
-    def __init__(
-        self, data: Bytes, started_ns: int, finished: Callable[[LoadResult], None], full: bool, rate: float,
-        through: Through | None,
-    ) -> None:  # fmt: skip
-        self.through = through
-        self.data = memoryview(data)  # type: ignore[arg-type]  # of numpy before 2
-        self.fed = 0  # bytes worked on
-        self.finished = finished
-        self.full = full
-        self.started_ns = started_ns
-        self._rate = rate
+    `swapped` tells the byte order of what is fed: True for memory that a DMA-fed ICAP reads
+    (``66 55 99 AA``), False for the order in a `.bit`. Frames that come after an error do not count.
+    """
 
-    def bytes_at(self, now: float) -> int:
-        """Bytes that the port has taken by a time of `time.monotonic()`, whole words."""
-        if self._rate <= 0:
-            return len(self.data)
-        return min(len(self.data), int((now - self.started_ns / 1e9) * self._rate / 4) * 4)
+    def __init__(self, device: Device, swapped: bool = True) -> None:
+        self.device = device
+        self._order = "<u4" if swapped else ">u4"
+        self._frame_words, self._fields = _SHAPES[device.family.label]
+        self._known = crc.Known()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything, as after power-on."""
+        self._due: list[NDArray[np.uint32]] = []  # data whose CRC is not computed yet
+        self._rest = b""
+        self._state = _State.UNSYNCED
+        self._register = self._left = self._crc = self._far = self._count = 0
+        self._head = b""
+        self._writes: list[FrameWrite] = []
+        self.errors = PortError.NONE
+        self.frames = 0  # frames written without an error before them
+        self.sections = 0  # DESYNCs seen
 
     @property
-    def seconds_left(self) -> float:
-        """Until the last word."""
-        if self._rate <= 0:
-            return 0.0
-        return self.started_ns / 1e9 + len(self.data) / self._rate - time.monotonic()
+    def synced(self) -> bool:
+        """Whether the port is between a sync word and DESYNC."""
+        return self._state is not _State.UNSYNCED
+
+    @property
+    def complete(self) -> bool:
+        """Whether a whole bitstream went through without error: synced at least once, and out of sync again."""
+        return self.errors is PortError.NONE and self.sections > 0 and not self.synced
+
+    def feed(self, data: bytes | bytearray | memoryview) -> tuple[FrameWrite, ...]:
+        """The frames that the next bytes write. Bytes of a word that is not whole yet wait for the next call."""
+        import numpy as np
+
+        raw = self._rest + bytes(data)
+        whole = len(raw) - len(raw) % 4
+        self._rest = raw[whole:]
+        words = np.frombuffer(raw[:whole], dtype=self._order).astype(np.uint32, copy=False)
+        self._writes = []
+        at = 0
+        while at < len(words) and self._state is not _State.DEAD:
+            at += self._take(words, at)
+        return tuple(self._writes)
+
+    def _take(self, words: NDArray[np.uint32], at: int) -> int:
+        """Take one word at least, from `at` on; returns how many."""
+        if self._state is _State.UNSYNCED:
+            return self._look_for_sync(words[at:])
+        if self._state is _State.DATA or self._state is _State.CIPHER:
+            return self._data(words[at : at + self._left])
+        word: int = words.item(at)
+        if self._state is _State.TYPE2:
+            self._begin(word & 0x07FFFFFF, word >> 27 == 0b01010 and word & 0x07FFFFFF != 0)
+        elif word == 0:
+            self._crc = crc.step(self._crc, _FDRI, 0)  # padding of a debug bitstream
+        elif word != _NOP:
+            self._header(word)
+        return 1
+
+    def _look_for_sync(self, words: NDArray[np.uint32]) -> int:
+        found = (words == _SYNC).nonzero()[0]
+        if not len(found):
+            return len(words)
+        self._state = _State.HEADER
+        return int(found[0]) + 1
+
+    def _header(self, word: int) -> None:
+        register, count = word >> 13 & 0x1F, word & 0x7FF
+        self._register = register
+        sound = word >> 27 == 0b00110 and not word & 0x07FC1800 and register in _REGISTERS
+        if sound and count == 0 and register in _BULK:
+            self._state = _State.TYPE2
+        else:
+            self._begin(count, sound and (count == 1 or register in _BULK))
+
+    def _begin(self, count: int, sound: bool) -> None:
+        if not sound:
+            self.errors |= PortError.PACKET
+            self._state = _State.DEAD
+            return
+        self._state, self._left, self._count, self._head = _State.DATA, count, count, b""
+
+    def _data(self, words: NDArray[np.uint32]) -> int:
+        self._left -= len(words)
+        if self._state is _State.CIPHER:
+            self._state = _State.HEADER if self._left == 0 else _State.CIPHER
+        elif self._register in _BULK:
+            self._bulk(words)
+        else:
+            self._state = _State.HEADER
+            self._write(words.item(0))
+        return len(words)
+
+    def _bulk(self, words: NDArray[np.uint32]) -> None:
+        self._due.append(words)
+        self._take_in(whole=self._left == 0)
+        missing = 4 * self._frame_words - len(self._head)
+        self._head += words[: -(-missing // 4)].astype(">u4").tobytes()
+        if self._left == 0:
+            self._state = _State.HEADER
+            if self._register == _FDRI:
+                self._frames()
+
+    def _take_in(self, whole: bool) -> None:
+        """Update the CRC, in blocks that begin at the same words however the data was divided on its way here."""
+        import numpy as np
+
+        there = sum(map(len, self._due))
+        if there < _BLOCK and not whole:
+            return
+        words = np.concatenate(self._due) if len(self._due) > 1 else self._due[0]
+        end = there if whole else there - there % _BLOCK
+        for at in range(0, end, _BLOCK):
+            self._crc = self._known.run(self._crc, self._register, words[at : min(at + _BLOCK, end)])
+        self._due = [words[end:]] if end < there else []
+
+    def _frames(self) -> None:
+        if self.errors:
+            return
+        self.frames += self._count // self._frame_words
+        self._writes.append(FrameWrite(self._address(), self._count, identify_bytes(self._head)))
+
+    def _address(self) -> FrameAddress:
+        """Each field of FAR ends where the one above it begins; the block type has three bits."""
+        ends = self._fields[0] + 3, *self._fields[:-1]
+        return FrameAddress(*(self._far % (1 << end) >> begin for begin, end in zip(self._fields, ends, strict=True)))
+
+    def _write(self, value: int) -> None:
+        if self._register == _CRC:
+            if value != self._crc:
+                self.errors |= PortError.CRC
+            self._crc = 0
+            return
+        if self._register == _LOUT:
+            return
+        self._crc = crc.step(self._crc, self._register, value)
+        if self._register == _FAR:
+            self._far = value
+        elif self._register == _CMD:
+            self._command(value)
+        elif self._register == _IDCODE and (value ^ self.device.idcode) & _REVISION:
+            self.errors |= PortError.IDCODE
+        elif self._register == _DWC and value:
+            self._state, self._left = _State.CIPHER, value
+
+    def _command(self, value: int) -> None:
+        if value == _RCRC:
+            self._crc = 0
+        elif value == _DESYNC:
+            self._state = _State.UNSYNCED
+            self.sections += 1

@@ -7,7 +7,7 @@ import logging
 import math
 from typing import TYPE_CHECKING
 
-from cm.sim.hardware.board import ModuleSpec
+from cm.sim.hardware.board_spec import ModuleSpec
 from cm.sim.hardware.cells import Region
 from cm.sim.hardware.dma import Bytes
 from cm.sim.hardware.fabric import Fabric

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from cm.schema.model import Direction
 from cm.sim.errors import NodeError
-from cm.sim.hardware.channels import ChannelSpec
+from cm.sim.hardware.board_spec import ChannelSpec
 from cm.sim.transport import protocol
 from cm.sim.transport.buffers import Buffer, Buffers
-from cm.sim.transport.events import Events
+from cm.sim.transport.session import Events
 
 if TYPE_CHECKING:
     import numpy as np

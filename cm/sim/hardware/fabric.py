@@ -8,10 +8,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from cm.schema.model import Access, Memory, Register
-from cm.sim.hardware.board import BoardSpec, ModuleSpec
+from cm.sim.hardware.board_spec import BoardSpec, ModuleSpec, RegionSpec
 from cm.sim.hardware.cells import Area, Cell, Region, View, Window, same_place
-from cm.sim.hardware.lines import Chip, Lines
-from cm.sim.hardware.regions import RegionSpec
+from cm.sim.hardware.gpio import Chip, Lines
 
 if TYPE_CHECKING:
     import numpy as np

@@ -12,7 +12,7 @@ from cm.schema.model import Interrupt
 from cm.sim.faults import Faults
 from cm.sim.hardware.cells import Cell, Window
 from cm.sim.hardware.fabric import Fabric
-from cm.sim.transport.events import Events
+from cm.sim.transport.session import Events
 
 _COUNT = struct.Struct("<I")
 

@@ -23,10 +23,9 @@ from cm.sim.hardware.datapath import Datapath
 from cm.sim.hardware.dma import Channel
 from cm.sim.hardware.fabric import Fabric
 from cm.sim.hardware.interrupts import InterruptWiring, Line
-from cm.sim.hardware.links import Link, LoopLink, SinkLink
+from cm.sim.hardware.links import CameraLink, Link, LoopLink, SinkLink
 from cm.sim.hardware.models import Models
 from cm.sim.hardware.running import RunningModels
-from cm.sim.hardware.sensor import CameraLink
 from cm.sim.transport.buffers import DmaMemory
 
 

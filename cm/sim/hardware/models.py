@@ -4,7 +4,7 @@
 A model is a function ``model(frame, registers) -> result``: `frame` is a read-only (height, width)
 array of bytes, `registers` maps the names of the module's registers to their present values, and
 `result` is an array whose bytes leave the region. It must not keep `frame`. One with a state is a class,
-`cm.sim.Model` (`cm.sim.hardware.model`).
+`Model`: one object for each load of a module, with its registers, memories, streams and interrupts.
 """
 
 from __future__ import annotations
@@ -14,15 +14,14 @@ import importlib
 import importlib.util
 import logging
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping
 from functools import cached_property
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias
 
 from cm.schema.model import Config
 from cm.sim.errors import SimError
-from cm.sim.hardware.model import Model as StatefulModel
 
 if TYPE_CHECKING:
     import numpy as np
@@ -31,22 +30,93 @@ else:
     from cm.lazy_numpy import np
 
 
+class Registers(MutableMapping[str, int]):
+    """The registers of a module by name: what is written here is read on the bus, and vice versa."""
+
+    def __init__(self, cells: Mapping[str, Any]) -> None:
+        self._cells = cells
+
+    def __getitem__(self, name: str) -> int:
+        return int(self._cells[name].value)
+
+    def __setitem__(self, name: str, value: int) -> None:
+        self._cells[name].value = value
+
+    def __delitem__(self, name: str) -> None:
+        raise TypeError("a register cannot be deleted")
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._cells)
+
+    def __len__(self) -> int:
+        return len(self._cells)
+
+
+class Surroundings(Protocol):
+    """What a model may do to the board."""
+
+    def interrupt(self, name: str) -> None:
+        """Raise an interrupt of the schema. Raises SimError for an unknown one."""
+
+    def memory(self, address: int, length: int) -> NDArray[Any]:
+        """Bytes of main memory as a master in the PL has them. Raises SimError where none was allocated."""
+
+    def send(self, stream: str, data: Any) -> bool:
+        """Let a packet leave on a stream to memory; False if too many wait already, and it is lost."""
+
+    def after(self, seconds: float, call: Callable[[], object]) -> None:
+        """Do something later, unless another module has been loaded by then."""
+
+
+class Model:
+    """Base of models with a state. It is made when its module has been loaded, and forgotten with it.
+
+    `registers` are those of the module, the configuration and the static part; `memories` are numpy arrays of the
+    shape that the schema gives, over the bytes that the bus sees. `outputs` names the streams to memory that the
+    model fills itself, by `board.send`: nothing else comes on them.
+    """
+
+    outputs: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(self, registers: Registers, memories: Mapping[str, NDArray[Any]], board: Surroundings) -> None:
+        self.registers = registers
+        self.memories = memories
+        self.board = board
+        self.start()
+
+    def start(self) -> None:
+        """The module was loaded: registers are at their reset, memories zero."""
+
+    def written(self, register: str, value: int) -> None:
+        """The bus has written a register; `value` is what it holds now."""
+
+    def frame(self, stream: str, frame: NDArray[Any]) -> NDArray[Any] | None:
+        """A packet came in on the channel `stream`: (height, width) bytes, read-only.
+
+        Returns what leaves; None: nothing.
+        """
+        del stream
+        return frame
+
+    def stop(self) -> None:
+        """The module's region is about to be loaded anew."""
+
+
 Frame: TypeAlias = "NDArray[np.uint8]"
-Registers = Mapping[str, int]
-Model = Callable[[Frame, Registers], Frame]
-AnyModel = Model | type[StatefulModel]
+Function = Callable[[Frame, Mapping[str, int]], Frame]
+AnyModel = Function | type[Model]
 
 ENTRY_POINTS = "cm.sim.models"
 _log = logging.getLogger(__name__)
 _LINES = 64  # of a picture worked on at a time, so that intermediate results stay in the cache
 
 
-def default(frame: Frame, registers: Registers) -> Frame:  # noqa: ARG001 - a model's signature
+def default(frame: Frame, registers: Mapping[str, int]) -> Frame:  # noqa: ARG001 - a model's signature
     """The data as it is."""
     return frame
 
 
-def edge(frame: Frame, registers: Registers) -> Frame:
+def edge(frame: Frame, registers: Mapping[str, int]) -> Frame:
     """3×3 Sobel magnitude |Gx| + |Gy|, saturated to 255; values below `threshold` and borders are 0."""
     result = np.zeros_like(frame)
     if frame.shape[0] < 3 or frame.shape[1] < 3:
@@ -97,7 +167,7 @@ class Colorise:
     def _palettes(self) -> Frame:
         return palettes()
 
-    def __call__(self, frame: Frame, registers: Registers) -> Frame:
+    def __call__(self, frame: Frame, registers: Mapping[str, int]) -> Frame:
         """The (height, width, 3) picture."""
         table = self._palettes[registers.get("palette", 0) % len(self._palettes)]
         return np.take(table, frame, axis=0)

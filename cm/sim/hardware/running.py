@@ -12,8 +12,7 @@ from cm.sim.errors import SimError
 from cm.sim.hardware.cells import Region, Window
 from cm.sim.hardware.fabric import Fabric
 from cm.sim.hardware.interrupts import InterruptWiring
-from cm.sim.hardware.model import Model, Registers
-from cm.sim.hardware.models import Models
+from cm.sim.hardware.models import Model, Models, Registers
 from cm.sim.transport.buffers import DmaMemory
 
 if TYPE_CHECKING:

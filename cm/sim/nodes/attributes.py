@@ -8,8 +8,7 @@ from collections.abc import Callable, Sequence
 
 from cm.sim.errors import NodeError
 from cm.sim.transport import protocol
-from cm.sim.transport.events import Events
-from cm.sim.transport.session import Later
+from cm.sim.transport.session import Events, Later
 
 Read = Callable[[], bytes]
 Write = Callable[[bytes], "Later | None"]

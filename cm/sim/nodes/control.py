@@ -11,9 +11,8 @@ from typing import Any, Protocol
 from cm.sim.errors import NodeError, Refused
 from cm.sim.faults import KINDS, Faults, target_of
 from cm.sim.hardware.fabric import Fabric
-from cm.sim.hardware.links import Link
+from cm.sim.hardware.links import CameraLink, Link
 from cm.sim.hardware.logic import InterruptLines, Logic
-from cm.sim.hardware.sensor import CameraLink
 from cm.sim.nodes.attributes import AttributeNode
 from cm.sim.transport.protocol import CONTROL_PATH
 from cm.sim.transport.root import Root

@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING
 
 from cm.schema.model import Direction
 from cm.sim.errors import NodeError
-from cm.sim.hardware.channels import ChannelSpec
+from cm.sim.hardware.board_spec import ChannelSpec
 from cm.sim.hardware.dma import MAX_LENGTH, MAX_LINE, QUEUE_DEPTH, Channel, Completions, Transfer
 from cm.sim.transport import protocol
-from cm.sim.transport.buffers import Buffer, Buffers, DmaMemory, fit
-from cm.sim.transport.events import Events
-from cm.sim.transport.session import Answer
-from cm.sim.transport.syncs import Syncs
+from cm.sim.transport.buffers import Buffer, Buffers, DmaMemory, Syncs, fit
+from cm.sim.transport.session import Answer, Events
 
 if TYPE_CHECKING:
     import numpy as np

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from cm.sim.errors import NodeError
 from cm.sim.faults import Faults
-from cm.sim.hardware.configuration_port import Engine, LoadResult
+from cm.sim.hardware.configuration_engine import ConfigurationEngine, LoadResult
 from cm.sim.nodes.attributes import AttributeNode
 from cm.sim.transport.root import Root
 from cm.sim.transport.server import Server
@@ -29,7 +29,7 @@ SYNC_SWAPPED = b"\x66\x55\x99\xaa"
 class FpgaManager:
     """``flags`` and ``firmware`` are sockets, ``name``, ``state`` and ``status`` plain files."""
 
-    def __init__(self, root: Root, engine: Engine, faults: Faults, rate: float) -> None:
+    def __init__(self, root: Root, engine: ConfigurationEngine, faults: Faults, rate: float) -> None:
         self._root, self._engine, self._faults, self._rate = root, engine, faults, rate
         self._flags = 0
 

@@ -10,11 +10,10 @@ from collections.abc import Sequence
 from cm.sim.errors import NodeError
 from cm.sim.faults import Faults
 from cm.sim.hardware.fabric import Fabric
-from cm.sim.hardware.lines import Chip
+from cm.sim.hardware.gpio import Chip
 from cm.sim.transport import protocol
-from cm.sim.transport.events import Events
 from cm.sim.transport.server import Server
-from cm.sim.transport.session import Answer
+from cm.sim.transport.session import Answer, Events
 
 
 class GpioChipNode:

@@ -8,12 +8,10 @@ import time
 from collections.abc import Callable, Sequence
 
 from cm.sim.errors import NodeError
-from cm.sim.hardware.configuration_port import Engine, LoadResult, Through
+from cm.sim.hardware.configuration_engine import ConfigurationEngine, LoadResult, Through
 from cm.sim.transport import protocol
-from cm.sim.transport.buffers import Buffer, Buffers, DmaMemory, fit
-from cm.sim.transport.events import Events
-from cm.sim.transport.session import Answer
-from cm.sim.transport.syncs import Syncs
+from cm.sim.transport.buffers import Buffer, Buffers, DmaMemory, Syncs, fit
+from cm.sim.transport.session import Answer, Events
 
 MAX_LENGTH = 1 << 26
 _FLAGS = protocol.LOAD_FULL | protocol.LOAD_ENCRYPTED
@@ -22,7 +20,9 @@ _FLAGS = protocol.LOAD_FULL | protocol.LOAD_ENCRYPTED
 class IcapNode:
     """``/dev/cm_icap0``; any number of files may be open."""
 
-    def __init__(self, engine: Engine, through: Through, memory: DmaMemory, idcode: int, clock_hz: int) -> None:
+    def __init__(
+        self, engine: ConfigurationEngine, through: Through, memory: DmaMemory, idcode: int, clock_hz: int
+    ) -> None:
         self.engine, self.through, self._memory = engine, through, memory
         self.idcode, self.clock_hz = idcode, clock_hz
         self.sessions: set[IcapSession] = set()

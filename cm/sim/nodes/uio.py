@@ -11,9 +11,8 @@ from cm.sim.hardware.cells import Window
 from cm.sim.hardware.interrupts import Line
 from cm.sim.hardware.logic import Accesses
 from cm.sim.transport import protocol
-from cm.sim.transport.events import Events
 from cm.sim.transport.root import Root
-from cm.sim.transport.session import Answer, Opened
+from cm.sim.transport.session import Answer, Events, Opened
 
 
 class UioNode:

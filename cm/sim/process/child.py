@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`Board`: a simulator as a child process, for tests and for `cm serve --sim`."""
+"""`Board`: a simulator as a child process, for tests and for `cm serve --sim`; or one that was taken over."""
 
 from __future__ import annotations
 
@@ -17,8 +17,72 @@ from types import TracebackType
 from cm import child
 from cm.sim.errors import SimError
 from cm.sim.process.control import Control
-from cm.sim.process.handle import Adopted, Child, Handle
 from cm.sim.transport.scratch import Scratch
+
+
+class Child:
+    """A process that we have started."""
+
+    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+        self._process = process
+
+    @property
+    def pid(self) -> int:
+        """Its number."""
+        return self._process.pid
+
+    @property
+    def alive(self) -> bool:
+        """Whether it runs."""
+        return self._process.poll() is None
+
+    def send(self, number: int) -> None:
+        """Send a signal."""
+        self._process.send_signal(number)
+
+    def wait(self, timeout: float) -> int:
+        """Its exit status."""
+        status = self._process.wait(timeout)
+        if self._process.stdout is not None:
+            self._process.stdout.close()
+        return status
+
+
+class Adopted:
+    """A process whose parent has died."""
+
+    def __init__(self, pid: int) -> None:
+        self._pid = pid
+        self._fd = os.pidfd_open(pid)
+
+    @property
+    def pid(self) -> int:
+        """Its number."""
+        return self._pid
+
+    @property
+    def alive(self) -> bool:
+        """Whether it runs."""
+        return not self._ended(0.0)
+
+    def send(self, number: int) -> None:
+        """Send a signal."""
+        if self._fd >= 0:
+            with contextlib.suppress(ProcessLookupError):
+                signal.pidfd_send_signal(self._fd, number)
+
+    def wait(self, timeout: float) -> int:
+        """Wait for its end; only its parent learns the status."""
+        if not self._ended(timeout):
+            raise subprocess.TimeoutExpired("cm sim", timeout)
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+        return 0
+
+    def _ended(self, timeout: float) -> bool:
+        return self._fd < 0 or bool(select.select([self._fd], [], [], timeout)[0])
+
 
 _PREFIX = "cm-sim-"
 LINGER = 5.0
@@ -48,7 +112,7 @@ class Board:
         self._own_root = None if root is not None else Scratch(_PREFIX)
         self.root = self._own_root.path if self._own_root is not None else Path(root or "")
         self.control = Control(self.root)
-        self._process: Handle | None = None
+        self._process: Child | Adopted | None = None
 
     @property
     def pid(self) -> int:
@@ -102,7 +166,7 @@ class Board:
     ) -> None:
         self.close()
 
-    def _running(self) -> Handle:
+    def _running(self) -> Child | Adopted:
         if self._process is None:
             raise SimError("the board was not started, or has been stopped")
         return self._process
@@ -121,7 +185,7 @@ class Board:
             options += ["--config", path]
         return [*options, *self._arguments]
 
-    def _take_over(self) -> Handle | None:
+    def _take_over(self) -> Adopted | None:
         try:
             self.control.adopt()
             state = self.control.state()
@@ -134,7 +198,7 @@ class Board:
         found.wait(self._timeout)
         return None
 
-    def _spawn(self) -> Handle:
+    def _spawn(self) -> Child:
         process = subprocess.Popen(
             child.command(self._program, *self._command),
             stdin=subprocess.DEVNULL,

@@ -14,7 +14,7 @@ from cm.bitstream.far import FrameAddress
 from cm.bitstream.module import assemble_module
 from cm.schema.files import FileMissing, bitstream_path, overlay_path
 from cm.schema.model import Config, ConfigType, LoaderKind, Module, Overlay
-from cm.sim.hardware.board import BoardSpec, ModuleSpec
+from cm.sim.hardware.board_spec import BoardSpec, ModuleSpec
 from cm.sim.hardware.configuration_memory import digest
 from cm.sim.transport.root import Root
 

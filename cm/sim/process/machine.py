@@ -13,19 +13,18 @@ from cm.loop import Loop
 from cm.schema.model import LoaderKind
 from cm.sim.errors import SimError
 from cm.sim.faults import Faults
-from cm.sim.hardware.board import BoardSpec
+from cm.sim.hardware.board_spec import BoardSpec, ChannelSpec
 from cm.sim.hardware.camera import Photo
-from cm.sim.hardware.channels import ChannelSpec
+from cm.sim.hardware.configuration_engine import ConfigurationEngine
 from cm.sim.hardware.configuration_memory import ConfigMemory
-from cm.sim.hardware.configuration_port import Engine
 from cm.sim.hardware.dma import Channel
 from cm.sim.hardware.fabric import Fabric
+from cm.sim.hardware.links import CameraLink
 from cm.sim.hardware.logic import InterruptLines, LogicParts, MakeLogic, SoftwareLogic
 from cm.sim.hardware.models import Models
-from cm.sim.hardware.sensor import CameraLink
 from cm.sim.nodes import uio
 from cm.sim.nodes.clocks import Clocks
-from cm.sim.nodes.control import ControlNode
+from cm.sim.nodes.control import ControlNode, Owner
 from cm.sim.nodes.dma import DmaNode
 from cm.sim.nodes.fpga_manager import FpgaManager
 from cm.sim.nodes.gpio import GpioChipNode
@@ -34,7 +33,6 @@ from cm.sim.nodes.overlays import Overlays
 from cm.sim.nodes.sensors import serve_sensors
 from cm.sim.process.arguments import PCAP_RATE
 from cm.sim.process.firmware import Firmware
-from cm.sim.process.parent import Parent
 from cm.sim.transport.buffers import DmaMemory
 from cm.sim.transport.root import Root
 from cm.sim.transport.server import Server
@@ -67,7 +65,7 @@ class Machine:
     ) -> None:
         self.loop, self.root, self.spec, self.options = loop, root, spec, options
         self.models = models
-        self.parent: Parent | None = None  # if the board ends with its owner
+        self.parent: Owner | None = None  # if the board ends with its owner
         self.server = Server(loop)
         self.faults = Faults()
         self.fabric = Fabric(spec, options.seed)
@@ -173,13 +171,13 @@ class Machine:
             state |= {"frames": link.frames, "photo": link.photo}
         return state
 
-    def _engine(self) -> Engine:
+    def _engine(self) -> ConfigurationEngine:
         known = Firmware(self.root, self.spec, self.options.bitstream_size).install()
         self._config = ConfigMemory(self.fabric, known)
         rate = self.options.icap_rate
         if rate is None:
             rate = 4.0 * ICAP_CLOCK[self.spec.device.family.label]
-        return Engine(self.loop, self.fabric, self._config, self.faults, self.spec.device, rate)
+        return ConfigurationEngine(self.loop, self.fabric, self._config, self.faults, self.spec.device, rate)
 
     def _parts(self) -> LogicParts:
         options = self.options

@@ -17,7 +17,7 @@ from cm.bitstream import (
     inspect,
     open_image,
 )
-from cm.sim.hardware.packets import ConfigPort
+from cm.sim.hardware.configuration_port import ConfigPort
 
 PACKAGES = ("cm.bitstream", "cm.sim.hardware")
 MAX_LENGTH = 8192

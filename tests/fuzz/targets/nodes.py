@@ -20,7 +20,7 @@ from pieces import join, split
 
 from cm.loop import Loop
 from cm.schema import load
-from cm.sim.hardware.board import BoardSpec
+from cm.sim.hardware.board_spec import BoardSpec
 from cm.sim.hardware.models import Models
 from cm.sim.process.machine import Machine, Options
 from cm.sim.transport import protocol as p

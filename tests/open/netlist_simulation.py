@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulates a netlist cycle by cycle in Python, for short runs; `cm.bits.verilog` is for long ones."""
+"""Simulates a netlist cycle by cycle in Python, for short runs; Verilator is for long ones."""
 
 from __future__ import annotations
 

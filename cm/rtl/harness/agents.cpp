@@ -221,7 +221,7 @@ void Sink::store()
 		else
 			to[stored++] = tdata.at[byte];
 	}
-	// a stream without TLAST is cut where the room is full, as the engine's length register does
+	// a stream without TLAST is cut where the room is full, as the harness's length register does
 	bool last = tlast ? tlast.high() : stored == capacity;
 	if (last) {
 		room = false;

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // From the lines of the wiring to clocks, ends of streams and regions: see cm/rtl/design.py, which writes them.
-#include "engine.h"
+#include "harness.h"
 
 #include <sstream>
 #include <sys/mman.h>
 
-Engine::Engine(std::istream &wiring, int socket, int arena_fd) : connection(socket)
+Harness::Harness(std::istream &wiring, int socket, int arena_fd) : connection(socket)
 {
 	void *mapped = mmap(nullptr, CM_ARENA_BYTES, PROT_READ | PROT_WRITE,
 			    MAP_SHARED | MAP_NORESERVE, arena_fd, 0);
@@ -20,7 +20,7 @@ Engine::Engine(std::istream &wiring, int socket, int arena_fd) : connection(sock
 }
 
 // One line of the wiring: see cm/rtl/wiring.py
-void Engine::wire(const std::string &line)
+void Harness::wire(const std::string &line)
 {
 	std::istringstream words(line);
 	std::string kind, name;
@@ -100,7 +100,7 @@ void Engine::wire(const std::string &line)
 	}
 }
 
-void Engine::region(std::istringstream &words)
+void Harness::region(std::istringstream &words)
 {
 	Region made;
 	words >> made.name >> made.prefix;
@@ -111,7 +111,7 @@ void Engine::region(std::istringstream &words)
 	fabric->add_region(std::move(made));
 }
 
-uint8_t *Engine::arena(uint64_t offset, uint64_t length) const
+uint8_t *Harness::arena(uint64_t offset, uint64_t length) const
 {
 	if (offset > CM_ARENA_BYTES || length > CM_ARENA_BYTES - offset)
 		throw Failure("a request points behind the arena");

@@ -1,29 +1,193 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The hardware that a set of runtime schemas asks for, as frozen data."""
+"""The hardware that a set of runtime schemas asks for, as frozen data: regions, windows, channels, modules."""
 
 from __future__ import annotations
 
 import itertools
+import math
 import re
 import zlib
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 from cm.bitstream.devices import DEVICES, Device, device_by_name
 from cm.bitstream.module import default_footprint
 from cm.schema.model import (
     Access,
     Config,
+    Decoupler,
     Direction,
+    FrameRange,
+    Identity,
     Interrupt,
     Memory,
     Register,
     Stream,
 )
 from cm.sim.errors import SimError
-from cm.sim.hardware.channels import ChannelSpec, channels_of
-from cm.sim.hardware.regions import RegionSpec
-from cm.sim.hardware.windows import WindowSpec, windows_of
+
+if TYPE_CHECKING:
+    import numpy as np
+else:
+    from cm.lazy_numpy import np
+
+
+@dataclass(frozen=True, slots=True)
+class RegionSpec:
+    """A region of the board; its columns of frames are its own."""
+
+    name: str
+    footprint: tuple[FrameRange, ...]
+    decoupler: Decoupler | None = None
+    identity: Identity | None = None
+
+
+PAGE = 0x1000
+
+
+@dataclass(frozen=True, slots=True)
+class WindowSpec:
+    """One UIO device: `size` bytes at physical `address` (0 bytes: an interrupt line only)."""
+
+    name: str
+    address: int
+    size: int
+
+    @property
+    def end(self) -> int:
+        """First address behind the window."""
+        return self.address + self.size
+
+
+def windows_of(
+    registers: Iterable[Register],
+    regions: Iterable[RegionSpec],
+    interrupts: Iterable[Interrupt],
+    memories: Iterable[Memory] = (),
+) -> tuple[WindowSpec, ...]:
+    """One window per base address, of a power of two in size; those that overlap become one."""
+    reach: dict[int, int] = {}
+    owners: dict[int, set[str | None]] = defaultdict(set)
+
+    def need(base: int, end: int, owner: str | None) -> None:
+        page = base & ~(PAGE - 1)
+        reach[page] = max(reach.get(page, 0), base + end - page)
+        owners[page].add(owner)
+
+    for register in registers:
+        need(register.base_address, register.offset + register.width // 8, register.region)
+    for memory in memories:
+        need(memory.base_address, memory.offset + memory.size, memory.region)
+    for region in regions:
+        for part in (region.decoupler, region.identity):
+            if part is not None and part.size:
+                need(part.base_address, part.offset + part.size, None if part is region.decoupler else region.name)
+    lines = list(interrupts)
+    for interrupt in lines:
+        if interrupt.base_address is not None and interrupt.base_address & ~(PAGE - 1) not in reach:
+            need(interrupt.base_address, 4, None)
+    merged = _merge(reach, owners)
+    return _named(merged, [line.uio for line in lines if line.uio is not None])
+
+
+def _merge(reach: dict[int, int], owners: dict[int, set[str | None]]) -> list[tuple[int, int, set[str | None]]]:
+    merged: list[tuple[int, int, set[str | None]]] = []
+    bases = sorted(reach)
+    for index, base in enumerate(bases):
+        size = max(PAGE, 1 << (reach[base] - 1).bit_length())
+        following = bases[index + 1] if index + 1 < len(bases) else None
+        if following is not None and base + size > following >= base + reach[base]:
+            size = -(-reach[base] // PAGE) * PAGE  # a power of two would reach into the next: whole pages do not
+        if merged and merged[-1][0] + merged[-1][1] > base:
+            first, length, who = merged.pop()
+            merged.append((first, max(length, base + size - first), who | owners[base]))
+        else:
+            merged.append((base, size, set(owners[base])))
+    return merged
+
+
+def _named(merged: list[tuple[int, int, set[str | None]]], lines: list[str]) -> tuple[WindowSpec, ...]:
+    windows: list[WindowSpec] = []
+    used: set[str] = set()
+    for base, size, who in merged:
+        regions = sorted(name for name in who if name is not None)
+        name = regions[0] if len(regions) == 1 and None not in who else "static"
+        if name in used:
+            name = f"{name}_{base:x}"
+        used.add(name)
+        windows.append(WindowSpec(name, base, size))
+    for line in lines:
+        known = used | {f"uio{index}" for index in range(len(windows))}
+        if line not in known:
+            used.add(line)
+            windows.append(WindowSpec(line, 0, 0))
+    return tuple(windows)
+
+
+DEFAULT_RATE = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelSpec:
+    """A DMA channel.
+
+    A memory-to-stream channel feeds its region, and `partner` is the channel that takes the result
+    (None: the data is consumed). A stream-to-memory one without a partner is a camera.
+    """
+
+    name: str
+    direction: Direction
+    region: str | None
+    shape: tuple[int, ...] | None
+    dtype: str
+    rate: float
+    partner: str | None = None
+    vdma: bool = False  # moves lines only
+    simple: int = 0  # bits of the length register of an engine without scatter/gather; 0: it has scatter/gather
+    blind: bool = False  # its driver cannot tell how much arrived
+
+    @property
+    def frame_length(self) -> int:
+        """Bytes of one frame, or 0 if the schema gives no shape."""
+        return math.prod(self.shape) * np.dtype(self.dtype).itemsize if self.shape else 0
+
+    @property
+    def is_camera(self) -> bool:
+        """Whether frames come by themselves."""
+        return self.direction is Direction.S2MM and self.partner is None
+
+
+def channels_of(configs: Iterable[Config]) -> dict[str, ChannelSpec]:
+    """The channels of all streams, each paired with the one at the other side of its region."""
+    found: dict[str, ChannelSpec] = {}
+    for config in configs:
+        streams = list(config.streams.values())
+        for mode in config.modes.values():
+            streams.extend(mode.streams.values())
+        for stream in streams:
+            found.setdefault(stream.channel, _channel(stream))
+    for region in {spec.region for spec in found.values()}:
+        _pair(found, region)
+    return found
+
+
+def _channel(stream: Stream) -> ChannelSpec:
+    rate = stream.rate or DEFAULT_RATE
+    return ChannelSpec(stream.channel, stream.direction, stream.region, stream.shape, stream.dtype, rate)
+
+
+def _pair(found: dict[str, ChannelSpec], region: str | None) -> None:
+    """Pair in the order of the file; a channel called camera… is a camera as long as there are others."""
+    here: Mapping[str, ChannelSpec] = {n: s for n, s in found.items() if s.region == region}
+    sources = [n for n, s in here.items() if s.direction is Direction.MM2S]
+    sinks = [n for n, s in here.items() if s.direction is Direction.S2MM]
+    sinks.sort(key=lambda name: "camera" in name or "cam" in name.split("_"))
+    for source, sink in zip(sources, sinks, strict=False):
+        found[source] = replace(found[source], partner=sink)
+        found[sink] = replace(found[sink], partner=source)
+
 
 STATIC = "static"
 _STATIC = "static:"  # of names of registers; no schema can use the colon

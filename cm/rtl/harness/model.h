@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// A Verilated module as the engine sees it: a table of functions in a shared library, and its pins as memory.
+// A Verilated module as the harness sees it: a table of functions in a shared library, and its pins as memory.
 #pragma once
 #include <cstdint>
 
@@ -12,7 +12,7 @@ struct cm_pin {
 	uint32_t direction; // enum cm_direction
 };
 
-// What a module may do to the engine. `stopped` does not return: the module is not called again.
+// What a module may do to the harness. `stopped` does not return: the module is not called again.
 struct cm_host {
 	void (*stopped)(const char *how, const char *file, int line, const char *text);
 	// A clock of ICAPE2 or ICAPE3, and the word that it took, if it did, as it stood on its pins; whether the port

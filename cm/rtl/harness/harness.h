@@ -17,10 +17,10 @@ struct Bus {
 	std::vector<std::pair<uint64_t, uint64_t>> windows; // base, end
 };
 
-class Engine
+class Harness
 {
       public:
-	Engine(std::istream &wiring, int socket, int arena);
+	Harness(std::istream &wiring, int socket, int arena);
 	int serve();
 	Fabric &logic()
 	{

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Messages between the engine and the board that started it: one SEQPACKET each, `cm_message` and then text.
-// cm/rtl/messages.py says the same in Python.
+// Messages between the harness and the board that started it: one SEQPACKET each, `cm_message` and then text.
+// cm/rtl/process.py says the same in Python.
 #pragma once
 #include <cstdint>
 
@@ -27,7 +27,7 @@ enum cm_op : uint32_t {
 	CM_MARK,      // text: what to show in the trace
 	CM_STATE,     // answer's text: JSON
 	CM_COVER,     // write what was counted
-	// what the engine tells; the board answers the last two
+	// what the harness tells; the board answers the last two
 	CM_SENT = 64, // a: stream
 	CM_RECEIVED,  // a: stream, b: bytes, c: 1 if the packet was longer than the room
 	CM_INTERRUPT, // a: level

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from cm.schema.model import Decoupler, GpioLine
-from cm.sim.hardware.board import BoardSpec
+from cm.sim.hardware.board_spec import BoardSpec
 
 # As the kernel's driver gpio-zynq has them: label, and lines with those of EMIO at the end.
 PROCESSOR: Mapping[str, tuple[str, int]] = MappingProxyType(

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
-from cm.bits import FlipFlop, Lut, Netlist, Simulation
+from netlist_simulation import Simulation
+
+from cm.bits import FlipFlop, Lut, Netlist
 
 
 def store(data: str, output: str, *, inverted: bool = False, latch: bool = False) -> FlipFlop:

@@ -9,16 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
-from cm.rtl.bare import BareDesign
 from cm.rtl.compile import compile_units
 from cm.rtl.design import load_rtl_design
+from cm.rtl.headless import HeadlessDesign
 from cm.rtl.tools import find_tools
 
 
 class Running:
     """The engine with a static part, and a module in its region."""
 
-    def __init__(self, design: BareDesign, libraries: dict[str, Path]) -> None:
+    def __init__(self, design: HeadlessDesign, libraries: dict[str, Path]) -> None:
         self._design, self._libraries = design, libraries
         self.write = design.write
 
@@ -32,10 +32,10 @@ class Running:
 
 @contextlib.contextmanager
 def running(schema: Path, folder: Path) -> Iterator[Running]:
-    """A build schema behind the engine."""
+    """A build schema in the harness."""
     design, tools = load_rtl_design(schema, folder / "tree"), find_tools()
     static, *libraries = compile_units(tools, [design.static, *design.modules.values()])
     names = [module for _, module in design.modules]
-    with BareDesign(tools, design, static, folder) as bare:
+    with HeadlessDesign(tools, design, static, folder) as bare:
         yield Running(bare, dict(zip(names, libraries, strict=True)))
         assert bare.cycles["fclk0"] > 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The running logic: what is loaded where, and the receivers of the engine's events."""
+"""The running logic: what is loaded where, and the receivers of the harness's events."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from typing import TypeAlias
 
 from cm.rtl.design import RtlDesign
 from cm.rtl.errors import RtlError
-from cm.rtl.messages import Message, Op
-from cm.rtl.process import EngineProcess
+from cm.rtl.process import HarnessProcess, Message, Op
 from cm.sim.hardware.cells import Region
 from cm.sim.hardware.logic import LogicParts
 
@@ -38,9 +37,9 @@ def of_modules(modules: Mapping[tuple[str, str], Path]) -> Libraries:
 
 
 class RunningDesign:
-    """The engine and the regions of the fabric, kept alike."""
+    """The harness and the regions of the fabric, kept alike."""
 
-    def __init__(self, parts: LogicParts, design: RtlDesign, process: EngineProcess, libraries: Libraries) -> None:
+    def __init__(self, parts: LogicParts, design: RtlDesign, process: HarnessProcess, libraries: Libraries) -> None:
         self.design, self.process = design, process
         self._loop, self._libraries, self._seed = parts.loop, libraries, parts.seed
         self._hears = False  # already asked to
@@ -55,7 +54,7 @@ class RunningDesign:
         parts.fabric.resetting = self.reset
 
     def ask(self, op: Op, a: int = 0, b: int = 0, c: int = 0, d: int = 0, text: str = "") -> Message:
-        """As `EngineProcess.ask`; events that come meanwhile are handled soon."""
+        """As `HarnessProcess.ask`; events that come meanwhile are handled soon."""
         answer = self.process.ask(op, a, b, c, d, text)
         if self.process.events and not self._hears:
             self._hears = True
@@ -70,7 +69,7 @@ class RunningDesign:
         return None
 
     def hear(self) -> None:
-        """Pass on what the engine has told."""
+        """Pass on what the harness has told."""
         self._hears = False
         for message in self.process.take():
             if message.op == Op.SENT:

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Requests and what is told; the clocks while there is something to do.
-#include "engine.h"
+#include "harness.h"
 
 #include <cerrno>
 #include <ctime>
@@ -26,7 +26,7 @@ uint64_t cpu_ns()
 
 } // namespace
 
-void Engine::send(const cm_message &message, const std::string &text)
+void Harness::send(const cm_message &message, const std::string &text)
 {
 	std::string packet(reinterpret_cast<const char *>(&message), sizeof message);
 	packet += text.substr(0, TEXT);
@@ -34,18 +34,18 @@ void Engine::send(const cm_message &message, const std::string &text)
 		ended = true; // the board is gone
 }
 
-void Engine::tell(uint32_t op, uint64_t a, uint64_t b, uint64_t c, const std::string &text)
+void Harness::tell(uint32_t op, uint64_t a, uint64_t b, uint64_t c, const std::string &text)
 {
 	send(cm_message{ op, 0, a, b, c, 0 }, text);
 }
 
-void Engine::answer(const cm_message &request, int status, uint64_t b, const std::string &text)
+void Harness::answer(const cm_message &request, int status, uint64_t b, const std::string &text)
 {
 	send(cm_message{ request.op | CM_ANSWER, request.id, uint64_t(status), b, 0, 0 }, text);
 }
 
 // Run the clocks; whether anything moved.
-bool Engine::run(uint64_t edges)
+bool Harness::run(uint64_t edges)
 {
 	bool moved = false;
 	for (auto &bus : buses)
@@ -70,7 +70,7 @@ bool Engine::run(uint64_t edges)
 	return moved;
 }
 
-void Engine::report()
+void Harness::report()
 {
 	for (uint32_t stream = 0; stream < sources.size(); stream++) {
 		uint64_t length;
@@ -94,7 +94,7 @@ void Engine::report()
 	}
 }
 
-std::string Engine::state() const
+std::string Harness::state() const
 {
 	std::ostringstream text;
 	text << "{\"picoseconds\": " << fabric->picoseconds() << ", \"cpu_ns\": " << cpu_ns()
@@ -111,7 +111,7 @@ std::string Engine::state() const
 	return text.str();
 }
 
-void Engine::handle(const cm_message &message, const std::string &text)
+void Harness::handle(const cm_message &message, const std::string &text)
 {
 	uint64_t b = 0;
 	std::string reply;
@@ -183,7 +183,7 @@ void Engine::handle(const cm_message &message, const std::string &text)
 	answer(message, status, b, reply);
 }
 
-bool Engine::receive(cm_message &message, std::string &text)
+bool Harness::receive(cm_message &message, std::string &text)
 {
 	char packet[sizeof(cm_message) + TEXT];
 	ssize_t length = recv(connection, packet, sizeof packet, 0);
@@ -196,7 +196,7 @@ bool Engine::receive(cm_message &message, std::string &text)
 	return true;
 }
 
-bool Engine::take(int wait_ms)
+bool Harness::take(int wait_ms)
 {
 	cm_message message;
 	std::string text;
@@ -218,7 +218,7 @@ bool Engine::take(int wait_ms)
 	return true;
 }
 
-int Engine::serve()
+int Harness::serve()
 {
 	fabric->reset();
 	answer(cm_message{}, 0); // ready
@@ -240,7 +240,7 @@ int Engine::serve()
 }
 
 // As many edges as are due; what a busy machine could not do in time is left out.
-void Engine::run_paced()
+void Harness::run_paced()
 {
 	for (int round = 0; round < 16 && pace.due(fabric->picoseconds()); round++)
 		run(64);

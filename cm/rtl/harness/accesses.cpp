@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // What the processor, the configuration port and the memory do with the logic.
-#include "engine.h"
+#include "harness.h"
 
 #include <cerrno>
 
@@ -10,7 +10,7 @@ namespace
 constexpr uint64_t BUS_PATIENCE = 100000; // edges until an access without an answer is given up
 } // namespace
 
-bool Engine::ends(const Bus &bus, bool write)
+bool Harness::ends(const Bus &bus, bool write)
 {
 	for (uint64_t waited = 0; write ? bus.master.writing_now() : bus.master.reading_now();
 	     waited += 4) {
@@ -22,7 +22,7 @@ bool Engine::ends(const Bus &bus, bool write)
 }
 
 // One access of the processor. An access that nothing answers stays on the bus, as it does in hardware.
-int Engine::word(Bus &bus, bool write, uint32_t address, uint32_t value, uint32_t strobes,
+int Harness::word(Bus &bus, bool write, uint32_t address, uint32_t value, uint32_t strobes,
 		 uint32_t &result)
 {
 	if (!ends(bus, write))
@@ -45,7 +45,7 @@ int Engine::word(Bus &bus, bool write, uint32_t address, uint32_t value, uint32_
 	}
 }
 
-int Engine::access(const cm_message &message)
+int Harness::access(const cm_message &message)
 {
 	bool write = message.op == CM_WRITE;
 	uint8_t *words = arena(message.c, 4 * message.b);
@@ -71,7 +71,7 @@ int Engine::access(const cm_message &message)
 }
 
 // UG470, "Bit Swapping": ICAPE2 wants the bits of each byte reversed, and so does ICAPE3 (UG570).
-int Engine::clocked(uint32_t value, bool taken)
+int Harness::clocked(uint32_t value, bool taken)
 {
 	if (!taken)
 		return port_error;
@@ -84,7 +84,7 @@ int Engine::clocked(uint32_t value, bool taken)
 	return port_error;
 }
 
-int Engine::configure(const cm_message &message, uint64_t &came_out)
+int Harness::configure(const cm_message &message, uint64_t &came_out)
 {
 	if (!port)
 		return ENODEV;
@@ -108,7 +108,7 @@ int Engine::configure(const cm_message &message, uint64_t &came_out)
 }
 
 // Bytes of the board's memory; meanwhile the board may ask us for something, which then waits.
-bool Engine::exchange(uint32_t op, uint64_t address, uint32_t length)
+bool Harness::exchange(uint32_t op, uint64_t address, uint32_t length)
 {
 	tell(op, address, length);
 	cm_message message;

@@ -8,11 +8,10 @@ import select
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cm.rtl.compile import compile_engine
+from cm.rtl.compile import compile_harness
 from cm.rtl.design import RtlDesign, wiring
 from cm.rtl.errors import RtlError
-from cm.rtl.messages import Op
-from cm.rtl.process import EngineProcess
+from cm.rtl.process import HarnessProcess, Op
 from cm.rtl.tools import Tools
 
 if TYPE_CHECKING:
@@ -27,8 +26,8 @@ _TRIES = 1000  # reads until a region is out of its reset
 _PATIENCE = 120.0  # seconds in which the logic reports nothing
 
 
-class BareDesign:
-    """The engine with a design whose first region has a stream each way.
+class HeadlessDesign:
+    """The harness with a design whose first region has a stream each way.
 
     A context manager. Raises RtlError if the logic refuses.
     """
@@ -37,11 +36,11 @@ class BareDesign:
         """`static`: the compiled static part. `folder`: for the wiring. `pins`: what leaves the device is received."""
         lines = wiring(design, static, 1)
         (folder / "wiring").write_text(lines.replace("\ndrain ", "\nsink ") if pins else lines, encoding="utf-8")
-        self._process = EngineProcess(compile_engine(tools), folder / "wiring")
+        self._process = HarnessProcess(compile_harness(tools), folder / "wiring")
         self._streams = {end.sends: number for number, end in enumerate(design.streams)}
         self._control = design.system.control.base
 
-    def __enter__(self) -> BareDesign:
+    def __enter__(self) -> HeadlessDesign:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -55,7 +54,7 @@ class BareDesign:
 
     @property
     def cpu_seconds(self) -> float:
-        """The processor time that the engine has used."""
+        """The processor time that the harness has used."""
         return float(str(self._state()["cpu_ns"])) / 1e9
 
     def write(self, address: int, value: int) -> None:

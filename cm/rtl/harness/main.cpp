@@ -2,7 +2,7 @@
 //
 // The process in which the Verilated logic of a simulated board runs. Started by cm/rtl/process.py: its arguments are
 // a file with the wiring as lines of text, and the descriptors of its socket and of the arena.
-#include "engine.h"
+#include "harness.h"
 
 #include <csignal>
 #include <cstdio>
@@ -60,10 +60,10 @@ int main(int argc, char **argv)
 	}
 	try {
 		std::ifstream wiring(argv[1]);
-		Engine engine(wiring, atoi(argv[2]), atoi(argv[3]));
-		watched = &engine.logic();
+		Harness harness(wiring, atoi(argv[2]), atoi(argv[3]));
+		watched = &harness.logic();
 		catch_signals();
-		return engine.serve();
+		return harness.serve();
 	} catch (const std::exception &failure) {
 		fprintf(stderr, "cm rtl: %s\n", failure.what());
 		return 1;
