@@ -221,7 +221,8 @@ class Loop:
             timer = heapq.heappop(timers)[2]
             if timer.callback is not None:
                 self._guarded(timer.callback)
-        return ceil((timers[0][0] - now) * 1000) if timers else -1
+        # by the clock of now: what the calls took is not waited for again
+        return max(0, ceil((timers[0][0] - time.monotonic()) * 1000)) if timers else -1
 
     def _guarded(self, callback: Callback) -> None:
         try:

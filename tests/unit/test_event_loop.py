@@ -246,3 +246,28 @@ def test_the_daemons_loop_logs_errors_and_goes_on(pair, caplog: pytest.LogCaptur
     loop.close()
     kinds = [record.exc_info[0] for record in caplog.records if record.exc_info]
     assert sorted(kind.__name__ for kind in kinds if kind) == ["KeyError", "OSError", "ZeroDivisionError"]
+
+
+@pytest.mark.parametrize(("works", "waits"), [(0.0, 10), (0.0065, 4), (0.25, 0)])
+def test_what_a_timers_call_takes_is_not_waited_for_again(
+    works: float, waits: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a clock of its own, which only a call moves: the next timer is due 10 ms after the first."""
+    clock = [0.0]
+    waited: list[int] = []
+
+    class Recorded(Loop):
+        def _wait(self, milliseconds: int) -> None:
+            waited.append(milliseconds)
+            self.stop()
+
+    def work() -> None:
+        clock[0] += works
+
+    monkeypatch.setattr("cm.loop.time.monotonic", lambda: clock[0])
+    loop = Recorded()
+    loop.call_later(0.0, work)
+    loop.call_later(0.010, lambda: None)
+    loop.run()
+    loop.close()
+    assert waited == [waits]
