@@ -7,13 +7,20 @@ import argparse
 import json
 import os
 from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 
 def completes(argument: argparse.Action, *words: str) -> None:
-    """Have the completion scripts offer `words`, and what runs for ``<KIND>`` (`cm.cli.completion.running`)."""
-    argument.completes = words  # type: ignore[attr-defined]
+    """Offer `words` at Tab, and for ``<KIND>`` the names of what runs (`cm.cli.completion`)."""
+    argument.completer = partial(_offered, words)  # type: ignore[attr-defined]  # where argcomplete looks for it
+
+
+def _offered(words: Sequence[str], prefix: str, parsed_args: argparse.Namespace, **_: object) -> list[str]:
+    from cm.cli.completion import offered
+
+    return offered(words, prefix, parsed_args)
 
 
 def add_connection_options(parser: argparse.ArgumentParser) -> None:

@@ -39,6 +39,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Wrong usage ends in SystemExit(2), as argparse has it.
     """
+    if arguments is None and "_ARGCOMPLETE" in os.environ:  # Tab was pressed
+        from cm.cli.completion import answer
+
+        return answer()
     words = list(sys.argv[1:] if arguments is None else arguments)
     status = _ended(words)
     if arguments is None and "zenoh" in sys.modules and chosen_command(words) in _AT_ONCE:

@@ -31,8 +31,8 @@ class Parser(argparse.ArgumentParser):
         return known, left
 
 
-def build_parser(chosen: str | None) -> argparse.ArgumentParser:
-    """The parser of `cm`, with the arguments of the command called `chosen`.
+def build_parser(chosen: str | None, helps: bool = False) -> argparse.ArgumentParser:
+    """The parser of `cm`, with the arguments of the command called `chosen`, and the help of the others if `helps`.
 
     Raises `CommandMissing` where that command cannot be imported.
     """
@@ -40,6 +40,8 @@ def build_parser(chosen: str | None) -> argparse.ArgumentParser:
     for command in COMMANDS:
         if command.name == chosen:
             add_command(command, subparsers)
+        elif helps:
+            subparsers.add_parser(command.name, help=command.help)
         else:
             subparsers.add_parser(command.name)  # without help, so that _epilog() alone lists it
     return parser

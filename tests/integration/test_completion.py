@@ -15,7 +15,6 @@ from terminal import on_a_terminal
 
 import cm
 from cm.cli.completion import script
-from cm.cli.completion.running import names
 
 # What is typed, and what Tab completes it to (with a blank if the word is complete).
 LINES = {
@@ -74,6 +73,15 @@ def test_tab_on_a_terminal_completes_names_of_what_runs(shell: str, folder: Path
             assert found == f"{expected}\n"
 
 
+def at_tab(line: str, env: dict[str, str]) -> list[str]:
+    """What is offered, by the protocol of argcomplete's scripts."""
+    told = {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_IFS": "\n", "COMP_LINE": line, "COMP_POINT": str(len(line))}
+    command = ["sh", "-c", f'"{sys.executable}" -m cm 8>&1 >&2']
+    ran = subprocess.run(command, env={**env, **told}, capture_output=True, text=True, timeout=60, check=False)
+    assert ran.stderr == ""
+    return ran.stdout.split("\n") if ran.stdout else []
+
+
 def test_fish_completes_names_of_what_runs(folder: Path, manager: Manager) -> None:
     if shutil.which("fish") is None:
         pytest.skip("needs_fish")
@@ -91,23 +99,38 @@ def test_fish_completes_names_of_what_runs(folder: Path, manager: Manager) -> No
         assert answer.strip().split("\t")[0] == expected.split(" ")[-2 if expected.endswith(" ") else -1], told
 
 
-def test_another_manager_than_the_default_is_asked_where_the_line_names_it(board: cm.Board, manager: Manager) -> None:
-    assert board.mode == "default"
-    assert names(["mode", "--runtime-dir", str(manager.runtime), "edg"]) == ["edge_detection"]
-    assert names(["mode", "--connect", str(manager.runtime), "edg"]) == ["edge_detection"]
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("cm che", ["check "]),
+        ("cm completion ", ["bash", "zsh", "fish"]),
+        ("cm sim inj", ["inject "]),
+        ("cm view --as ", ["auto", "kitty", "sixel", "blocks", "window"]),
+        ("cm check --js", ["--json "]),
+        ("cm nothing x", []),
+    ],
+)
+def test_commands_options_and_their_values_are_offered(line: str, expected: list[str]) -> None:
+    assert sorted(at_tab(line, environment())) == sorted(expected)
 
 
-@pytest.mark.parametrize("line", [["mode", ""], ["reg", "read", ""], ["nothing", ""], [""], []])
-def test_without_a_server_completion_offers_and_prints_nothing(
-    line: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("option", ["--runtime-dir", "--connect"])
+def test_another_manager_than_the_default_is_asked_where_the_line_names_it(
+    option: str, board: cm.Board, manager: Manager
 ) -> None:
-    monkeypatch.setenv("CM_RUNTIME_DIR", str(tmp_path))
-    assert names(line) == []
-    assert capfd.readouterr() == ("", "")
+    assert board.mode == "default"
+    assert at_tab(f"cm mode {option} {manager.runtime} edg", environment()) == ["edge_detection "]
+
+
+@pytest.mark.parametrize("line", ["cm mode e", "cm reg read f"])
+def test_without_a_manager_nothing_is_offered_or_printed(line: str, tmp_path: Path) -> None:
+    assert at_tab(line, {**environment(), "CM_RUNTIME_DIR": str(tmp_path)}) == []
 
 
 def test_names_at_tab_cost_neither_numpy_nor_a_client() -> None:
-    code = "import sys\nfrom cm.cli.completion.running import names\nnames(['mode', ''])\n"
+    code = (
+        "import argparse, sys\nfrom cm.cli.completion import offered\noffered(['<mode>'], '', argparse.Namespace())\n"
+    )
     code += "print([n for n in sys.modules if n in ('numpy', 'cm.client.board', 'yaml')])"
     told = subprocess.run([sys.executable, "-c", code], env=environment(), capture_output=True, text=True, check=True)
     assert told.stdout == "[]\n"

@@ -139,7 +139,7 @@ def test_the_service_is_in_the_package_with_its_files() -> None:
         "lib/systemd/system/cm.service", "lib/udev/rules.d/60-cm.rules", "usr/lib/tmpfiles.d/fpga-cm.conf",
         "etc/cm/cm.yaml", "usr/lib/modprobe.d/cm.conf", "usr/bin/cm",
         "lib/systemd/system/cm-bridge@.service", "lib/systemd/system/cm-bridge-reload.path",
-        "lib/systemd/system/cm-bridge-reload.service", *SETTINGS,
+        "lib/systemd/system/cm-bridge-reload.service", "usr/share/bash-completion/completions/cm", *SETTINGS,
     ):  # fmt: skip
         assert f"./{name}\n" in listing, name
     conffiles = run(["dpkg-deb", "--info", deb, "conffiles"]).split()

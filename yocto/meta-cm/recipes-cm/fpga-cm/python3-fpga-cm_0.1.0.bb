@@ -44,6 +44,7 @@ do_install:append:class-target() {
     else
         install -D -m 0755 ${S}/system/sysv/cm ${D}${sysconfdir}/init.d/cm
     fi
+    install -D -m 0644 ${S}/system/completion/cm ${D}${datadir}/bash-completion/completions/cm
     install -D -m 0644 ${S}/system/cm.yaml ${D}${sysconfdir}/cm/cm.yaml
     install -m 0644 ${S}/system/bridge-dds.conf ${S}/system/bridge-rmw-zenoh.conf ${S}/system/bridge-zenoh.conf ${D}${sysconfdir}/cm/
     install -d ${D}${sysconfdir}/cm/configs
@@ -59,7 +60,7 @@ do_install_ptest() {
 }
 
 CM = "${PYTHON_SITEPACKAGES_DIR}/cm"
-FILES:${PN}-client += "${bindir}/cm ${PYTHON_SITEPACKAGES_DIR}/*.dist-info ${CM}/*.py ${CM}/py.typed \
+FILES:${PN}-client += "${bindir}/cm ${datadir}/bash-completion ${PYTHON_SITEPACKAGES_DIR}/*.dist-info ${CM}/*.py ${CM}/py.typed \
                        ${CM}/cli ${CM}/client ${CM}/messages ${CM}/native ${CM}/view ${CM}/wire"
 FILES:${PN}-sim += "${CM}/data ${CM}/demo ${CM}/rtl ${CM}/sim"
 FILES:${PN}-web += "${CM}/web"
@@ -109,6 +110,7 @@ RDEPENDS:${PN}-bench:append:class-target = " ${PN}-sim (= ${EXTENDPKGV})"
 RDEPENDS:${PN}-web:append:class-target = " ${PN}-client (= ${EXTENDPKGV}) python3-aiohttp python3-netclient"
 RDEPENDS:${PN}-bridge:append:class-target = " ${PN} (= ${EXTENDPKGV}) python3-ctypes python3-datetime"
 RDEPENDS:${PN}-ptest += "${PN}-sim python3-pytest python3-unittest-automake-output"
+RRECOMMENDS:${PN}-client:append:class-target = " python3-argcomplete"
 RRECOMMENDS:${PN}-sim:append:class-target = " python3-pillow"
 RRECOMMENDS:${PN}-web:append:class-target = " python3-pillow"
 RRECOMMENDS:${PN}:append:class-target = " ${PN}-udev python3-cryptography python3-prometheus-client kernel-module-cm-dma kernel-module-cm-icap kernel-module-cm-overlay"
