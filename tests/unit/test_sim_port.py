@@ -12,7 +12,7 @@ from cm.bitstream import Device, ModuleIdentity, assemble_module, device_by_name
 from cm.bitstream.errors import BitstreamError
 from cm.bitstream.module import identify_bytes
 from cm.native import bitstream as native
-from cm.sim.hardware import crc
+from cm.native import sim_crc
 from cm.sim.hardware.configuration_port import ConfigPort, PortError
 
 WORD = st.integers(0, 2**32 - 1)
@@ -129,12 +129,13 @@ def test_foreign_frames_name_no_module() -> None:
     register=st.integers(0, 31),
     start=st.integers(0, 2**32 - 1),
 )
-def test_crc_by_folding_is_that_of_the_bits_and_of_the_c_code(words_: list[int], register: int, start: int) -> None:
+def test_the_ports_own_crc_is_that_of_the_bits_and_the_products(words_: list[int], register: int, start: int) -> None:
     import numpy as np
 
     data = np.array(words_, dtype=np.uint32)
     expected = slow_crc(register, words_, start)
-    assert crc.run(start, register, data) == expected
+    assert sim_crc.words(start, register, data) == expected
+    assert not words_ or sim_crc.word(slow_crc(register, words_[:-1], start), register, words_[-1]) == expected
     assert native.crc(start, register, data.astype(">u4").tobytes()) == expected
 
 
@@ -155,14 +156,3 @@ def test_what_verification_lets_through_the_port_takes(source: object, flip: st.
     assert port.complete
     assert port.sections == len(report.sections)
     assert report.compressed or port.frames == report.frames
-
-
-def test_what_is_remembered_of_long_data_is_what_would_come_out_again() -> None:
-    import numpy as np
-
-    known = crc.Known(limit=2)
-    blocks = [np.arange(2048, dtype=np.uint32) * step for step in (1, 3, 5)]  # one more than are kept
-    for _ in range(2):
-        for start, block in enumerate(blocks):
-            assert known.run(start, 2, block) == crc.run(start, 2, block)
-    assert known.run(7, 2, blocks[0]) != known.run(8, 2, blocks[0])

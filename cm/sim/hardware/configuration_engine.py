@@ -7,7 +7,6 @@ import errno
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
 
 from cm.bitstream.devices import Device
 from cm.loop import Loop
@@ -18,12 +17,6 @@ from cm.sim.hardware.configuration_port import ConfigPort, PortError
 from cm.sim.hardware.fabric import Fabric
 from cm.sim.transport import protocol
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-
-Bytes: TypeAlias = "NDArray[np.uint8]"
 Through = Callable[[memoryview, bool], memoryview]  # words on their way, and whether the port signals an error
 _STEP = 0.001  # seconds of simulated time between two looks at the port
 
@@ -62,7 +55,7 @@ class ConfigurationEngine:
 
     def start(
         self,
-        data: Bytes,
+        data: memoryview,
         finished: Callable[[LoadResult], None],
         full: bool = False,
         rate: float | None = None,
@@ -158,11 +151,11 @@ class _Run:
     """One load: its bytes, and when they are due at the port."""
 
     def __init__(
-        self, data: Bytes, started_ns: int, finished: Callable[[LoadResult], None], full: bool, rate: float,
+        self, data: memoryview, started_ns: int, finished: Callable[[LoadResult], None], full: bool, rate: float,
         through: Through | None,
     ) -> None:  # fmt: skip
         self.through = through
-        self.data = memoryview(data)  # type: ignore[arg-type]  # of numpy before 2
+        self.data = data
         self.fed = 0  # bytes worked on
         self.finished = finished
         self.full = full

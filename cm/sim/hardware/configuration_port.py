@@ -8,26 +8,21 @@ words come, and keeps the error bits of STAT; it does not object to what no devi
 
 from __future__ import annotations
 
+from array import array
 from dataclasses import dataclass
 from enum import Enum, Flag, auto
-from typing import TYPE_CHECKING
 
 from cm.bitstream.devices import Device
 from cm.bitstream.far import FrameAddress
 from cm.bitstream.module import ModuleIdentity, identify_bytes
-from cm.sim.hardware import crc
+from cm.native import sim_crc
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-_SYNC, _NOP = 0xAA995566, 0x20000000
+_SYNC, _NOP = b"\x66\x55\x99\xaa", 0x20000000
 _CRC, _FAR, _FDRI, _CMD, _LOUT, _MFWR, _CBC, _IDCODE, _DWC = 0, 1, 2, 4, 8, 10, 11, 12, 26
 _RCRC, _DESYNC = 7, 13
 _REVISION = 0x0FFFFFFF  # the rest of an IDCODE is the silicon's revision
 _REGISTERS = {0, 1, 2, 4, 5, 6, 8, 9, 10, 11, 12, 13, 14, 16, 17, 19, 24, 26, 31}  # that are written
 _BULK = {_FDRI, _MFWR, _CBC}
-_BLOCK = 1 << 16  # words that are taken into the CRC at a time
 # Words of a frame, and where the fields of FAR begin (type, row with its half, column, minor).
 _SHAPES = {"7series": (101, (23, 17, 7, 0)), "ultrascale+": (93, (24, 18, 8, 0))}
 
@@ -68,14 +63,12 @@ class ConfigPort:
 
     def __init__(self, device: Device, swapped: bool = True) -> None:
         self.device = device
-        self._order = "<u4" if swapped else ">u4"
+        self._swapped = swapped
         self._frame_words, self._fields = _SHAPES[device.family.label]
-        self._known = crc.Known()
         self.reset()
 
     def reset(self) -> None:
         """Forget everything, as after power-on."""
-        self._due: list[NDArray[np.uint32]] = []  # data whose CRC is not computed yet
         self._rest = b""
         self._state = _State.UNSYNCED
         self._register = self._left = self._crc = self._far = self._count = 0
@@ -97,39 +90,42 @@ class ConfigPort:
 
     def feed(self, data: bytes | bytearray | memoryview) -> tuple[FrameWrite, ...]:
         """The frames that the next bytes write. Bytes of a word that is not whole yet wait for the next call."""
-        import numpy as np
-
-        raw = self._rest + bytes(data)
+        raw = self._rest + data
         whole = len(raw) - len(raw) % 4
-        self._rest = raw[whole:]
-        words = np.frombuffer(raw[:whole], dtype=self._order).astype(np.uint32, copy=False)
+        self._rest = bytes(raw[whole:])
+        words = memoryview(raw)[:whole].cast("I")
+        if not self._swapped:
+            words = memoryview(_swapped(words)).cast("I")
         self._writes = []
         at = 0
         while at < len(words) and self._state is not _State.DEAD:
             at += self._take(words, at)
         return tuple(self._writes)
 
-    def _take(self, words: NDArray[np.uint32], at: int) -> int:
+    def _take(self, words: memoryview, at: int) -> int:
         """Take one word at least, from `at` on; returns how many."""
         if self._state is _State.UNSYNCED:
             return self._look_for_sync(words[at:])
         if self._state is _State.DATA or self._state is _State.CIPHER:
             return self._data(words[at : at + self._left])
-        word: int = words.item(at)
+        word: int = words[at]
         if self._state is _State.TYPE2:
             self._begin(word & 0x07FFFFFF, word >> 27 == 0b01010 and word & 0x07FFFFFF != 0)
         elif word == 0:
-            self._crc = crc.step(self._crc, _FDRI, 0)  # padding of a debug bitstream
+            self._crc = sim_crc.word(self._crc, _FDRI, 0)  # padding of a debug bitstream
         elif word != _NOP:
             self._header(word)
         return 1
 
-    def _look_for_sync(self, words: NDArray[np.uint32]) -> int:
-        found = (words == _SYNC).nonzero()[0]
-        if not len(found):
+    def _look_for_sync(self, words: memoryview) -> int:
+        data = words.tobytes()
+        at = data.find(_SYNC)
+        while at % 4 and at > 0:
+            at = data.find(_SYNC, at + 1)
+        if at < 0:
             return len(words)
         self._state = _State.HEADER
-        return int(found[0]) + 1
+        return at // 4 + 1
 
     def _header(self, word: int) -> None:
         register, count = word >> 13 & 0x1F, word & 0x7FF
@@ -147,7 +143,7 @@ class ConfigPort:
             return
         self._state, self._left, self._count, self._head = _State.DATA, count, count, b""
 
-    def _data(self, words: NDArray[np.uint32]) -> int:
+    def _data(self, words: memoryview) -> int:
         self._left -= len(words)
         if self._state is _State.CIPHER:
             self._state = _State.HEADER if self._left == 0 else _State.CIPHER
@@ -155,31 +151,18 @@ class ConfigPort:
             self._bulk(words)
         else:
             self._state = _State.HEADER
-            self._write(words.item(0))
+            self._write(words[0])
         return len(words)
 
-    def _bulk(self, words: NDArray[np.uint32]) -> None:
-        self._due.append(words)
-        self._take_in(whole=self._left == 0)
+    def _bulk(self, words: memoryview) -> None:
+        self._crc = sim_crc.words(self._crc, self._register, words)
         missing = 4 * self._frame_words - len(self._head)
-        self._head += words[: -(-missing // 4)].astype(">u4").tobytes()
+        if missing > 0:
+            self._head += _swapped(words[: -(-missing // 4)])
         if self._left == 0:
             self._state = _State.HEADER
             if self._register == _FDRI:
                 self._frames()
-
-    def _take_in(self, whole: bool) -> None:
-        """Update the CRC, in blocks that begin at the same words however the data was divided on its way here."""
-        import numpy as np
-
-        there = sum(map(len, self._due))
-        if there < _BLOCK and not whole:
-            return
-        words = np.concatenate(self._due) if len(self._due) > 1 else self._due[0]
-        end = there if whole else there - there % _BLOCK
-        for at in range(0, end, _BLOCK):
-            self._crc = self._known.run(self._crc, self._register, words[at : min(at + _BLOCK, end)])
-        self._due = [words[end:]] if end < there else []
 
     def _frames(self) -> None:
         if self.errors:
@@ -200,7 +183,7 @@ class ConfigPort:
             return
         if self._register == _LOUT:
             return
-        self._crc = crc.step(self._crc, self._register, value)
+        self._crc = sim_crc.word(self._crc, self._register, value)
         if self._register == _FAR:
             self._far = value
         elif self._register == _CMD:
@@ -216,3 +199,10 @@ class ConfigPort:
         elif value == _DESYNC:
             self._state = _State.UNSYNCED
             self.sections += 1
+
+
+def _swapped(words: memoryview) -> bytes:
+    """The bytes of words, the highest first."""
+    turned = array("I", words)
+    turned.byteswap()
+    return turned.tobytes()

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import errno
-from typing import TYPE_CHECKING
 
 from cm.sim.errors import NodeError
 from cm.sim.faults import Faults
@@ -13,12 +12,6 @@ from cm.sim.nodes.attributes import AttributeNode
 from cm.sim.transport.root import Root
 from cm.sim.transport.server import Server
 from cm.sim.transport.session import Later
-
-if TYPE_CHECKING:
-    import numpy as np
-else:
-    from cm.lazy_numpy import np
-
 
 BASE = "sys/class/fpga_manager/fpga0"
 NAME = "Xilinx Zynq FPGA Manager"
@@ -65,8 +58,9 @@ class FpgaManager:
             self._state("write init error")
             raise NodeError(errno.EINVAL, "no sync word: not a byte-swapped .bin")
         self._state("write")
-        words = np.frombuffer(data, np.uint8)
-        self._engine.start(words, lambda result: self._finished(result, later), not flags & PARTIAL, self._rate)
+        self._engine.start(
+            memoryview(data), lambda result: self._finished(result, later), not flags & PARTIAL, self._rate
+        )
 
     def _request(self, name: str) -> bytes:
         self._state("firmware request")

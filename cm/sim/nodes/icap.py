@@ -87,7 +87,7 @@ class IcapSession:
             raise NodeError(errno.EMSGSIZE, f"a load has at most {MAX_LENGTH} bytes")
         if flags & protocol.LOAD_ENCRYPTED:
             raise NodeError(errno.EOPNOTSUPP, "the simulated device has no key")
-        data = buffer.bytes[offset : offset + length]
+        data = buffer.memory[offset : offset + length]
         full = bool(flags & protocol.LOAD_FULL)
         node = self._node
         node.engine.start(

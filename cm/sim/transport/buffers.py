@@ -113,8 +113,13 @@ class Buffer:
         self.counters = counters
 
     @property
+    def memory(self) -> memoryview:
+        """The content, without numpy, which is not imported before the board moves its first frame."""
+        return memoryview(self._mapping)
+
+    @property
     def bytes(self) -> NDArray[np.uint8]:
-        """The content as bytes, without numpy, which is not imported before the board moves its first bytes."""
+        """The content as an array."""
         if self._array is None:
             self._array = np.frombuffer(self._mapping, np.uint8)
         return self._array
