@@ -59,10 +59,9 @@ setup: $(STAMP) ## a virtual environment with the package, its C shims built
 demo: $(STAMP) ## the camera demonstration on a simulated board; writes demo/contact-sheet.png (IMAGES=DIR, OUT=DIR)
 	@$(BIN)/cm demo --out $(OUT) $(if $(IMAGES),--images $(IMAGES))
 
-demo-ros: $(STAMP) ## a simulated board as a ROS 2 node, seen by a subscriber on Fast DDS (OUT=DIR; needs Debian's libfastrtps-dev)
-	@$(BIN)/python -c 'import cyclonedds' 2>/dev/null || $(BIN)/python -m pip install --quiet '.[dds]'
-	@$(MAKE) --no-print-directory -s -C ros2/fastdds_peer OUT=../../build/fastdds_peer
-	@$(BIN)/python ros2/demo.py --peer build/fastdds_peer/peer --out $(if $(filter demo,$(OUT)),demo-ros,$(OUT))
+demo-ros: $(STAMP) ## a simulated board as a ROS 2 node, seen by rclpy where ROS 2 is sourced, elsewhere by zenoh_ros2_sdk (OUT=DIR)
+	@$(BIN)/python -c 'import zenoh_ros2_sdk, xxhash, PIL' 2>/dev/null || $(BIN)/python -m pip install --quiet '.[zenoh,demo]' zenoh-ros2-sdk
+	@$(BIN)/python ros2/demo.py --out $(if $(filter demo,$(OUT)),demo-ros,$(OUT))
 
 demo-open: $(STAMP) ## Verilog to partial bitstreams without a vendor's tool, and the modules run from their bits (OUT=DIR; fetches some 50 MB; needs verilator)
 	@$(BIN)/cm build tools --fetch

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``make demo-ros``: pictures of a simulated board, seen through a subscriber on another implementation of DDS.
+"""``make demo-ros``: pictures of a simulated board, seen by a node of others' making.
 
-Three processes: the manager on its simulated board, `cm bridge dds`, and a peer in C++ on eProsima Fast DDS, which has
-no code of ours but the names of topics. The peer sees the latched status, a picture in each of three modes, and relays
-the camera's pictures into the loop through the second region, whose output it sees again.
+Where ROS 2 is sourced, the board is served by `cm_ros2`, and the other node is one of rclpy; elsewhere by `cm bridge
+ros`, and the other is zenoh_ros2_sdk's. It sees the latched status, a picture in each of three modes, and relays the
+camera's pictures into the loop through the second region, whose output it sees again.
 """
 
 from __future__ import annotations
@@ -14,19 +14,22 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 
 from PIL import Image
 
 import cm
 from cm import child
-from cm.dds.local import loopback
 from cm.testing.served import Served
 
+HERE = Path(__file__).resolve().parent
 PATIENCE = 120.0  # seconds, on a loaded machine
 MODES = ("default", "edge_detection", "colorise")
+
+Ask = Callable[..., str]
 
 
 class Timeline:
@@ -39,68 +42,78 @@ class Timeline:
         print(f"{time.monotonic() - self._begun:7.3f} s  {who:<8} {what}", flush=True)
 
 
-class Peer:
-    """The subscriber on Fast DDS."""
-
-    def __init__(self, program: Path, domain: int) -> None:
-        self._words = [str(program), str(domain)]
-        self._environment = {**os.environ, "CM_PEER_LOOPBACK": "1"}
-
-    def run(self, *words: str) -> str:
-        """What it printed. Raises CalledProcessError."""
-        done = subprocess.run(
-            [*self._words, *words],
-            stdout=subprocess.PIPE,
-            text=True,
-            env=self._environment,
-            timeout=PATIENCE,
-            check=True,
-        )
-        return done.stdout.strip()
-
-    def start(self, *words: str) -> subprocess.Popen[str]:
-        """The same, beside others."""
-        return subprocess.Popen([*self._words, *words], stdout=subprocess.PIPE, text=True, env=self._environment)
-
-
 @contextmanager
-def bridge(runtime: Path, domain: int) -> Iterator[None]:
-    """`cm bridge dds`, ready."""
-    words = child.command("cm.cli.main", "bridge", "dds", "--runtime-dir", str(runtime), "--domain", str(domain))
-    process = subprocess.Popen(words, stderr=subprocess.PIPE, env={**child.environment(), "CYCLONEDDS_URI": loopback()})
-    assert process.stderr is not None
+def running(words: list[str], environment: dict[str, str], **pipes: int) -> Iterator[subprocess.Popen[bytes]]:
+    """A process, until the end of the block."""
+    process = subprocess.Popen(words, env={**child.environment(), **environment}, **pipes)  # type: ignore[call-overload]
     try:
-        while b"cm bridge: /" not in (line := process.stderr.readline()):
-            if not line:
-                raise SystemExit("the bridge did not start")
-        yield
+        yield process
     finally:
         process.terminate()
         process.communicate(timeout=PATIENCE)
 
 
-def play(board: cm.Board, peer: Peer, folder: Path, timeline: Timeline) -> list[tuple[str, Path]]:
-    """The demonstration; the pictures that the peer wrote."""
+@contextmanager
+def light_route(runtime: Path) -> Iterator[list[str]]:
+    """`cm bridge ros` and a router; the other node's command."""
+    from cm.bench.peers.zenoh_pictures import routing
+
+    router, where = routing()
+    words = child.command("cm.cli.main", "bridge", "ros", "--runtime-dir", str(runtime), "--domain", "0")
+    with running([*words, "--router", where], {}, stderr=subprocess.PIPE) as bridge:
+        assert bridge.stderr is not None
+        while b"cm bridge: /" not in (line := bridge.stderr.readline()):
+            if not line:
+                raise SystemExit("the bridge did not start")
+        yield [sys.executable, str(HERE / "demo_peer.py"), where]
+    router.close()
+
+
+@contextmanager
+def ros(runtime: Path) -> Iterator[list[str]]:
+    """`cm_ros2`, from the sources here; the other node's command."""
+    os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    path = os.pathsep.join([str(HERE / "cm_ros2"), str(HERE.parent), os.environ.get("PYTHONPATH", "")])
+    arguments = ["--ros-args", "-r", "__node:=cm", "-p", f"connect:={runtime}"]
+    with running([sys.executable, "-m", "cm_ros2.node", *arguments], {"PYTHONPATH": path}):
+        yield [sys.executable, str(HERE / "demo_peer.py")]
+
+
+@contextmanager
+def asking(words: list[str]) -> Iterator[Ask]:
+    """The other node: what it is told, and what it answers."""
+    with running(words, {}, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as peer:
+        given, told = peer.stdin, peer.stdout
+        assert given is not None
+        assert told is not None
+
+        def ask(*command: object) -> str:
+            given.write(f"{' '.join(map(str, command))}\n".encode())
+            given.flush()
+            if not (line := told.readline()):
+                raise SystemExit(f"the other node did not do this: {' '.join(map(str, command))}")
+            return line.decode().strip()
+
+        yield ask
+
+
+def play(board: cm.Board, ask: Ask, relaying: Ask, folder: Path, timeline: Timeline) -> list[tuple[str, Path]]:
+    """The demonstration; the pictures that the other node wrote."""
     found: list[tuple[str, Path]] = []
-    timeline.tell("fast dds", f"latched status: {peer.run('status', '/cm/status')}")
+    timeline.tell("other", f"latched status: {ask('status', '/cm/status')}")
     for mode in MODES:
         board.mode = mode
         timeline.tell("board", f"is in mode {mode}")
         path = folder / f"{mode}.pnm"
-        timeline.tell("fast dds", f"picture: {peer.run('picture', '/cm/camera/image_raw', str(path), '5')}")
+        timeline.tell("other", f"picture: {ask('picture', '/cm/camera/image_raw', path, 5)}")
         found.append((mode, path))
     board.mode = "default"
     board.mode = "loopback_edge"
     timeline.tell("board", "camera as it is; the loop through the second region finds edges")
     path = folder / "relayed.pnm"
-    seeing = peer.start("picture", "/cm/from_pl/image_raw", str(path), "3")
-    sending = peer.start("relay", "/cm/camera/image_raw", "/cm/to_pl/write", "100000")
-    told, _ = seeing.communicate(timeout=PATIENCE)
-    sending.kill()
-    sending.communicate()
-    if seeing.returncode:
-        raise SystemExit("no picture came back from the loop")
-    timeline.tell("fast dds", f"its own pictures, back from the board: {told.strip()}")
+    relaying("relay", "/cm/camera/image_raw", "/cm/to_pl/write")
+    timeline.tell("other", f"its own pictures, back from the board: {ask('picture', '/cm/from_pl/image_raw', path, 3)}")
     return [*found, ("relayed into the loop", path)]
 
 
@@ -118,20 +131,25 @@ def sheet(pictures: list[tuple[str, Path]], target: Path) -> None:
 def main() -> None:
     """Run it."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--peer", type=Path, required=True, help="the compiled ros2/fastdds_peer")
     parser.add_argument("--out", type=Path, default=Path("demo-ros"))
-    parser.add_argument("--domain", type=int, default=1 + os.getpid() % 100)
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
+    there = find_spec("rclpy") is not None and find_spec("cm_interfaces") is not None
     timeline = Timeline()
     served = Served("models", (str(Path(cm.__file__).parent / "data" / "camera"),))
     try:
-        with cm.connect(str(served.runtime), timeout=PATIENCE) as board, tempfile.TemporaryDirectory() as folder:
+        with ExitStack() as stack:
+            board = stack.enter_context(cm.connect(str(served.runtime), timeout=PATIENCE))
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
             board.load("camera")
             timeline.tell("board", "the manager serves the camera example on a simulated board")
-            with bridge(served.runtime, args.domain):
-                timeline.tell("bridge", f"node /cm in DDS domain {args.domain}")
-                pictures = play(board, Peer(args.peer, args.domain), Path(folder), timeline)
+            words = stack.enter_context((ros if there else light_route)(served.runtime))
+            what = (
+                "cm_ros2, for a node of rclpy" if there else "cm bridge ros, for a node of zenoh_ros2_sdk: no ROS here"
+            )
+            timeline.tell("bridge", f"node /cm: {what}")
+            ask, relaying = stack.enter_context(asking(words)), stack.enter_context(asking(words))
+            pictures = play(board, ask, relaying, folder, timeline)
             sheet(pictures, args.out / "pictures.png")
     finally:
         served.stop()

@@ -36,7 +36,7 @@ class Router:
 
 
 class Bridge(BridgeProcess):
-    """`cm bridge rmw-zenoh` as a process; `direct`: as rmw_zenoh's own nodes, it but meets others by the router."""
+    """`cm bridge ros` as a process; `direct`: as rmw_zenoh's own nodes, it but meets others by the router."""
 
     def __init__(self, runtime: Path, router: str, *arguments: str, direct: bool = False) -> None:
         environment = {**child.environment(), "ROS_DOMAIN_ID": str(DOMAIN)}
@@ -45,7 +45,7 @@ class Bridge(BridgeProcess):
             environment["ZENOH_CONFIG_OVERRIDE"] = f'connect/endpoints=["tcp/{router}"]'
         else:
             arguments += ("--router", router)
-        super().__init__("rmw-zenoh", runtime, arguments, environment)
+        super().__init__("ros", runtime, arguments, environment)
 
 
 class Peer(ListeningPeer):

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 
-PACKAGES = ("pyzmq", "protobuf", "numpy", "iceoryx2", "eclipse-zenoh", "cyclonedds")
+PACKAGES = ("pyzmq", "protobuf", "numpy", "iceoryx2", "eclipse-zenoh")
 
 
 def describe() -> dict[str, object]:

@@ -35,8 +35,7 @@ KINDS = {
     "zmq_board": Kind("cm.bench.peers.zmq_board"),
     "iceoryx2": Kind("cm.bench.peers.iceoryx2_events", "iceoryx2"),
     "zenoh": Kind("cm.bench.peers.zenoh_shm", "zenoh"),
-    "cyclonedds": Kind("cm.bench.peers.cyclonedds_echo", "cyclonedds"),
-    "dds_pictures": Kind("cm.bench.peers.dds_pictures", "cyclonedds"),
+    "zenoh_pictures": Kind("cm.bench.peers.zenoh_pictures", "zenoh"),
 }
 
 

@@ -7,15 +7,14 @@ import argparse
 import sys
 from collections.abc import Callable
 
-from cm.cli.bridge_dds import add_dds_parser
-from cm.cli.bridge_rmw_zenoh import add_rmw_zenoh_parser
+from cm.cli.bridge_ros import add_ros_parser
 from cm.cli.bridge_zenoh import add_zenoh_parser
 from cm.errors import NotInstalled
 
 EXIT_CONFIG = 78  # EX_CONFIG of sysexits(3): the unit does not start it again
 
 _DESCRIPTION = """\
-Connect a board to another network: as a ROS 2 node on DDS or zenoh, or as a member of a fleet over zenoh. A bridge is a
+Connect a board to another network: as a ROS 2 node, or as a member of a fleet, both over zenoh. A bridge is a
 client like any other, with this user's rights or those of --keys. It runs until it is interrupted, and waits for a
 manager that goes away."""
 
@@ -24,10 +23,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the command."""
     parser = subparsers.add_parser("bridge", help="connect a board to another network", description=_DESCRIPTION)
     actions = parser.add_subparsers(dest="action", metavar="NETWORK", required=True)
-    add_dds_parser(actions)
-    add_rmw_zenoh_parser(actions)
+    add_ros_parser(actions)
     add_zenoh_parser(actions)
-    for action in actions.choices.values():
+    for action in set(actions.choices.values()):  # some have two names
         action.set_defaults(run=_final(action.get_default("run")))
 
 

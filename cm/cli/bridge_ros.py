@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the bridges that make a board a ROS 2 node share: the node's options, and its life."""
+"""``cm bridge ros``: a board as a ROS 2 node for those that run rmw_zenoh, without ROS and without DDS."""
 
 from __future__ import annotations
 
 import argparse
+import logging
 import os
 import signal
 import sys
@@ -11,7 +12,7 @@ import threading
 from typing import TYPE_CHECKING, NoReturn
 
 from cm.cli.common import add_connection_options
-from cm.errors import InvalidRequest
+from cm.errors import InvalidRequest, NotInstalled
 
 if TYPE_CHECKING:
     from cm.client.board import Board
@@ -21,12 +22,28 @@ if TYPE_CHECKING:
 _MOST = 232  # domains have numbers to here
 
 
-def add_node_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of a node: name, namespace, domain, whose rights, which publishers it hears."""
+def add_ros_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the action; ``rmw-zenoh`` is what it was called while there was another."""
+    parser = actions.add_parser(
+        "ros",
+        aliases=["rmw-zenoh"],
+        help="make a board a ROS 2 node for rmw_zenoh, without ROS and without DDS",
+        description="Serve the board as a ROS 2 node for nodes with RMW_IMPLEMENTATION=rmw_zenoh_cpp, Jazzy or later: "
+        "topics, services, parameters and the action change_mode. Like them, it finds others through the zenoh router "
+        "on this machine (ros2 run rmw_zenoh_cpp rmw_zenohd, zenohd or cm fleet router), and reads "
+        "ZENOH_SESSION_CONFIG_URI and ZENOH_CONFIG_OVERRIDE. docs/ros2.md lists the names, and says what serves a "
+        "board to other middlewares.",
+    )
     add_connection_options(parser)
     parser.add_argument("--name", default="cm", help="the node's name (cm)")
     parser.add_argument("--namespace", default="/", help="the node's namespace, such as /kria (/)")
     parser.add_argument("--domain", type=int, metavar="N", help="the ROS domain (default: $ROS_DOMAIN_ID, or 0)")
+    parser.add_argument(
+        "--router",
+        default="",
+        metavar="HOST[:PORT]",
+        help="send everything through this router instead, such as one on another machine",
+    )
     parser.add_argument("--guest", default="", metavar="NAME", help="guest in whose name requests reach the manager")
     parser.add_argument(
         "--best-effort",
@@ -40,13 +57,29 @@ def add_node_options(parser: argparse.ArgumentParser) -> None:
         metavar="SECONDS",
         help="time after which a manager that does not answer counts as gone (5)",
     )
+    parser.set_defaults(run=run)
 
 
-def name_of(args: argparse.Namespace) -> NodeName:
-    """The node's name. Raises InvalidRequest for an invalid one."""
+def run(args: argparse.Namespace) -> int:
+    """Serve until interrupted; the exit status."""
+    logging.basicConfig(format="cm bridge ros: %(message)s", stream=sys.stderr)
+    try:
+        from cm.rmw_zenoh.transport import ZenohTransport
+    except ModuleNotFoundError as error:
+        if (error.name or "").split(".")[0] not in ("zenoh", "xxhash"):
+            raise
+        raise NotInstalled(
+            f"cm bridge ros needs eclipse-zenoh and xxhash: pip install 'fpga-cm[zenoh]' ({error})"
+        ) from None
     from cm.ros.node import NodeName
 
-    return NodeName(args.name, args.namespace)
+    name = NodeName(args.name, args.namespace)
+    transport = ZenohTransport(name, domain_of(args), args.router)
+    try:
+        serve(args, transport, name)
+    finally:
+        transport.close()
+    end()
 
 
 def domain_of(args: argparse.Namespace) -> int:

@@ -51,7 +51,7 @@ COMMANDS = (
     Command("view", "cm.cli.view", "show a stream in the terminal or a window"),
     Command("web", "cm.cli.web", "serve a page that shows a board in a browser"),
     Command("fleet", "cm.cli.fleet", "watch many boards, and change them together"),
-    Command("bridge", "cm.cli.bridge", "connect a board to another network: DDS and ROS 2, zenoh", linux=True),
+    Command("bridge", "cm.cli.bridge", "connect a board to another network: ROS 2, fleets", linux=True),
     Command("bitstream", "cm.cli.bitstream", "inspect, verify and convert bitstreams", linux=True),
     Command(
         "import",

@@ -23,8 +23,7 @@ OPTIONAL = {
     "scipy": "fpga-cm[advise]: cm build partition",
     "matplotlib": "fpga-cm[bench]: plots",
     "iceoryx2": "fpga-cm[bench]: a baseline",
-    "eclipse-zenoh": "fpga-cm[zenoh]: fleets, cm bridge rmw-zenoh",
-    "cyclonedds": "fpga-cm[dds]: cm bridge dds",
+    "eclipse-zenoh": "fpga-cm[zenoh]: fleets, cm bridge ros",
 }
 _TIMEOUT = 2.0  # seconds for a manager's answer
 

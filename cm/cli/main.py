@@ -27,7 +27,6 @@ _PACKAGES = {
     "demo": "sim",
     "rtl": "sim",
     "bits": "sim",
-    "dds": "bridge",
     "fleet": "bridge",
     "rmw_zenoh": "bridge",
     "ros": "bridge",

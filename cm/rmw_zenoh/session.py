@@ -18,7 +18,7 @@ PORT = 7447
 _FILE, _OVERRIDE = "ZENOH_SESSION_CONFIG_URI", "ZENOH_CONFIG_OVERRIDE"  # rmw_zenoh's own
 _TRY = 3000  # milliseconds for trying to reach a router that was named
 # Where rmw_zenoh differs from zenoh's defaults: no search by multicast; a local router knows the others.
-_USUAL: Mapping[str, Any] = {
+USUAL: Mapping[str, Any] = {
     "mode": "peer",
     "connect/endpoints": [f"tcp/localhost:{PORT}"],
     "connect/exit_on_failure": {"router": False, "peer": False, "client": True},
@@ -63,7 +63,7 @@ def _config(router: str) -> Any:
     """The file's settings or the defaults, then those of the override, then those asked for here."""
     path = os.environ.get(_FILE, "")
     config = zenoh.Config.from_file(path) if path else zenoh.Config()
-    settings = {} if path else {name: json.dumps(value) for name, value in _USUAL.items()}
+    settings = {} if path else {name: json.dumps(value) for name, value in USUAL.items()}
     for pair in filter(None, os.environ.get(_OVERRIDE, "").split(";")):
         name, equals, text = pair.partition("=")
         if not equals:

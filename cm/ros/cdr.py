@@ -27,16 +27,11 @@ _Take = Callable[["Reader"], Any]
 def encode(name: str, values: Values) -> bytes:
     """A message; what is left out is 0, empty or False. Raises InvalidRequest for values that do not fit."""
     out = bytearray(HEADER)
-    put(name, out, values)
-    return bytes(out)
-
-
-def put(name: str, out: bytearray, values: Values) -> None:
-    """As `encode`, but appended to `out`, which begins with the header."""
     try:
         _putter(name)(out, values)
     except (struct.error, TypeError, ValueError, AttributeError) as error:
         raise InvalidRequest(f"values do not fit {name}: {error}") from error
+    return bytes(out)
 
 
 def head(name: str, values: Values, length: int) -> bytearray:
@@ -52,13 +47,8 @@ def head(name: str, values: Values, length: int) -> bytearray:
 
 def decode(name: str, data: bytes | memoryview) -> dict[str, Any]:
     """A message's values; sequences of bytes are memory of `data`. Raises InvalidRequest for what is none."""
-    return read(name, Reader(data))
-
-
-def read(name: str, reader: Reader) -> dict[str, Any]:
-    """As `decode`, from a reader's position on."""
     try:
-        values: dict[str, Any] = _taker(name)(reader)
+        values: dict[str, Any] = _taker(name)(Reader(data))
     except (struct.error, IndexError, UnicodeDecodeError, ValueError) as error:
         raise InvalidRequest(f"this is not a valid {name}: {error}") from error
     return values

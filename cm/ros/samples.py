@@ -15,17 +15,16 @@ from cm.ros.transport import Body
 
 
 class Gathering:
-    """A buffer that is used again for each message; `align`: of its length in bytes."""
+    """A buffer that is used again for each message."""
 
-    def __init__(self, align: int = 1) -> None:
-        self._align = align
+    def __init__(self) -> None:
         self._buffer = bytearray()
 
     def gathered(self, head: bytearray, data: npt.NDArray[Any]) -> bytearray:
         """Head and frame in one piece: one copy, whatever lies between the frame's rows. Valid until the next call."""
         total = len(head) + data.nbytes
-        if len(self._buffer) != total + -total % self._align:
-            self._buffer = bytearray(total + -total % self._align)
+        if len(self._buffer) != total:
+            self._buffer = bytearray(total)
         self._buffer[: len(head)] = head
         np.frombuffer(self._buffer, data.dtype, data.size, len(head)).reshape(data.shape)[...] = data
         return self._buffer

@@ -19,10 +19,9 @@ from cm.fleet.network import Network, session
 from cm.sim import Board as SimBoard
 from cm.wire.fleet import encode_fetch
 
-pytest.importorskip("cyclonedds.domain")
 pytest.importorskip("zenoh")
+pytest.importorskip("xxhash")
 
-import dds_support
 import zenoh_support
 from fleet_support import FleetBoard, fleet_board
 from ros_peer import PATIENCE, BridgeProcess
@@ -32,32 +31,8 @@ PARAMETERS = "/cm/list_parameters", "rcl_interfaces/srv/ListParameters"
 ACTION, KIND = "/cm/change_mode/_action", "cm_interfaces/action/ChangeMode"
 
 
-class OverDds:
-    """The node /cm on DDS, and a client."""
-
-    def __init__(self, runtime: Path) -> None:
-        self.bridge: BridgeProcess = dds_support.Bridge(runtime, "--patience", "600")
-        self._peer = dds_support.Peer()
-        self._clients: dict[str, dds_support.Client] = {}
-
-    def call(self, name: str, kind: str, **request: Any) -> dict[str, Any]:
-        return self._client(name, kind).call(request)
-
-    def send(self, name: str, kind: str, **request: Any) -> None:
-        """Send a request without waiting for the reply."""
-        self._client(name, kind).send(request)
-
-    def _client(self, name: str, kind: str) -> dds_support.Client:
-        if name not in self._clients:
-            self._clients[name] = self._peer.client(name, kind)
-        return self._clients[name]
-
-    def close(self) -> None:
-        self._peer.close()
-
-
-class OverZenoh:
-    """The same over zenoh."""
+class Node:
+    """The node /cm, and a client."""
 
     def __init__(self, runtime: Path) -> None:
         self._router = zenoh_support.Router()
@@ -82,12 +57,12 @@ def both() -> Iterator[tuple[Manager, SimBoard]]:
         yield found
 
 
-@pytest.fixture(params=[OverDds, OverZenoh], ids=["dds", "rmw-zenoh"])
-def node(request: pytest.FixtureRequest, both: tuple[Manager, SimBoard]) -> Iterator[Any]:
+@pytest.fixture
+def node(both: tuple[Manager, SimBoard]) -> Iterator[Node]:
     """A node that knows its board, with camera loaded."""
     with both[0].connected() as board:
         board.load("camera", "default", force=True)
-    made = request.param(both[0].runtime)
+    made = Node(both[0].runtime)
     until(lambda: made.call(*PARAMETERS)["result"]["names"], PATIENCE)
     yield made
     made.bridge.end()
@@ -115,7 +90,7 @@ def _until_busy(manager: Manager) -> None:
 
 
 def test_a_bridge_ends_while_many_wait_for_a_change_and_answers_others_until_then(
-    node: Any, both: tuple[Manager, SimBoard]
+    node: Node, both: tuple[Manager, SimBoard]
 ) -> None:
     manager, sim = both
     goal = {"goal_id": {"uuid": bytes(range(16))}, "goal": {"mode": "edge_detection"}}
@@ -130,7 +105,7 @@ def test_a_bridge_ends_while_many_wait_for_a_change_and_answers_others_until_the
         _ended_by_sigterm(node.bridge)
 
 
-def test_a_bridge_ends_while_many_wait_for_a_manager_that_hangs(node: Any, both: tuple[Manager, SimBoard]) -> None:
+def test_a_bridge_ends_while_many_wait_for_a_manager_that_hangs(node: Node, both: tuple[Manager, SimBoard]) -> None:
     assert node.call("/cm/plan", "cm_interfaces/srv/Plan", mode="colorise")["success"]
     with _stopped(both[0].pid):
         for _ in range(MANY):
@@ -138,7 +113,7 @@ def test_a_bridge_ends_while_many_wait_for_a_manager_that_hangs(node: Any, both:
         _ended_by_sigterm(node.bridge)
 
 
-def test_a_bridge_ends_whose_manager_has_gone_amid_a_change(node: Any, both: tuple[Manager, SimBoard]) -> None:
+def test_a_bridge_ends_whose_manager_has_gone_amid_a_change(node: Node, both: tuple[Manager, SimBoard]) -> None:
     manager, sim = both
     assert node.call("/cm/plan", "cm_interfaces/srv/Plan", mode="colorise")["success"]
     with _stopped(sim.pid):

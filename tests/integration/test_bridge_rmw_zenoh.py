@@ -271,13 +271,13 @@ def test_a_node_that_is_gone_is_gone_from_the_graph(own: tuple[Manager, SimBoard
 def test_the_command_says_what_is_wrong(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     from cm.cli.main import main
 
-    assert main(["bridge", "rmw-zenoh", "--router", "kria:"]) == 1
+    assert main(["bridge", "ros", "--router", "kria:"]) == 1
     assert "HOST" in capfd.readouterr().err
-    assert main(["bridge", "rmw-zenoh", "--domain", "999"]) == 1
+    assert main(["bridge", "ros", "--domain", "999"]) == 1
     assert "232" in capfd.readouterr().err
     monkeypatch.setenv("ZENOH_CONFIG_OVERRIDE", "mode")
-    assert main(["bridge", "rmw-zenoh"]) == 1
+    assert main(["bridge", "ros"]) == 1
     assert "KEY=VALUE" in capfd.readouterr().err
     monkeypatch.setenv("ZENOH_CONFIG_OVERRIDE", 'no/such="thing"')
-    assert main(["bridge", "rmw-zenoh"]) == 1
+    assert main(["bridge", "ros"]) == 1
     assert "no/such" in capfd.readouterr().err

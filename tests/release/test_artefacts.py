@@ -127,7 +127,7 @@ def test_every_module_of_the_wheel_is_in_one_debian_package() -> None:
     assert set(files) == wanted
 
 
-SETTINGS = tuple(f"etc/cm/bridge-{name}.conf" for name in ("dds", "rmw-zenoh", "zenoh"))
+SETTINGS = tuple(f"etc/cm/bridge-{name}.conf" for name in ("ros", "zenoh"))
 
 
 @debs

@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SYSTEM = ROOT / "system"
 UNIT = SYSTEM / "systemd/cm.service"
 BRIDGE = SYSTEM / "systemd/cm-bridge@.service"
-BRIDGES = ("zenoh", "dds", "rmw-zenoh")
+BRIDGES = ("zenoh", "ros")
 LIMIT = 2.5  # exposure, of 10
 
 

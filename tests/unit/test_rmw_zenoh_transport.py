@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 import queue
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from typing import Any
@@ -19,7 +17,6 @@ from manager_process import until
 from ros_peer import unanswered
 from zenoh_support import PATIENCE, Peer, Router
 
-from cm import child
 from cm.bridge.records import FrameRecord
 from cm.rmw_zenoh.attachment import Attachment
 from cm.rmw_zenoh.inbox import Inbox
@@ -136,8 +133,3 @@ def test_an_inbox_keeps_the_newest_of_what_is_not_taken() -> None:
     assert [taken.get(timeout=PATIENCE) for _ in range(2)] == [3, 4]
     inbox.close()
     inbox.close()
-
-
-def test_it_needs_no_dds() -> None:
-    code = "import sys; sys.modules['cyclonedds'] = None; import cm.rmw_zenoh.transport, cm.ros.node"
-    subprocess.run([sys.executable, "-c", code], check=True, env=child.environment())

@@ -12,9 +12,9 @@ from cm.bench.rounds import Batch, Samples, interleave
 from cm.bench.run import IMAGE, IMAGES, Baselines, Run
 
 SIZES = (64, 4096, 65536, 1 << 20, *sorted(IMAGES))
-KINDS = ("zmq", "zmq_tcp", "zenoh", "cyclonedds", "iceoryx2")
-NAMES = {"zmq": "pyzmq ipc", "zmq_tcp": "pyzmq tcp", "zenoh": "zenoh, shared memory"}
-NAMES |= {"cyclonedds": "cyclonedds (Python)", "iceoryx2": "iceoryx2, events only"}
+KINDS = ("zmq", "zmq_tcp", "zenoh", "iceoryx2")
+NAMES = {"zmq": "pyzmq ipc", "zmq_tcp": "pyzmq tcp"}
+NAMES |= {"zenoh": "zenoh, shared memory", "iceoryx2": "iceoryx2, events only"}
 SLOW_US = 50_000  # a peer that takes longer for a trip makes fewer
 OURS: dict[str, Callable[[Run, int], AbstractContextManager[Batch]]] = {
     "fpga-cm, descriptors": echoed,

@@ -46,7 +46,7 @@ do_install:append:class-target() {
     fi
     install -D -m 0644 ${S}/system/completion/cm ${D}${datadir}/bash-completion/completions/cm
     install -D -m 0644 ${S}/system/cm.yaml ${D}${sysconfdir}/cm/cm.yaml
-    install -m 0644 ${S}/system/bridge-dds.conf ${S}/system/bridge-rmw-zenoh.conf ${S}/system/bridge-zenoh.conf ${D}${sysconfdir}/cm/
+    install -m 0644 ${S}/system/bridge-ros.conf ${S}/system/bridge-zenoh.conf ${D}${sysconfdir}/cm/
     install -d ${D}${sysconfdir}/cm/configs
     install -d -o cm -g fpga -m 0700 ${D}${sysconfdir}/cm/keys
     install -d ${D}${nonarch_base_libdir}/firmware/cm
@@ -64,15 +64,14 @@ FILES:${PN}-client += "${bindir}/cm ${datadir}/bash-completion ${PYTHON_SITEPACK
                        ${CM}/cli ${CM}/client ${CM}/messages ${CM}/native ${CM}/view ${CM}/wire"
 FILES:${PN}-sim += "${CM}/data ${CM}/demo ${CM}/rtl ${CM}/sim"
 FILES:${PN}-web += "${CM}/web"
-FILES:${PN}-bridge += "${CM}/bridge ${CM}/dds ${CM}/fleet ${CM}/rmw_zenoh ${CM}/ros \
+FILES:${PN}-bridge += "${CM}/bridge ${CM}/fleet ${CM}/rmw_zenoh ${CM}/ros \
                        ${systemd_system_unitdir}/cm-bridge* ${sysconfdir}/cm/bridge-*.conf"
 FILES:${PN}-build += "${CM}/build"
 FILES:${PN}-bench += "${CM}/bench"
 FILES:${PN}-udev += "${nonarch_base_libdir}/udev ${nonarch_base_libdir}/modprobe.d"
 FILES:${PN} += "${nonarch_base_libdir}/firmware ${nonarch_libdir}/tmpfiles.d"
 CONFFILES:${PN} = "${sysconfdir}/cm/cm.yaml"
-CONFFILES:${PN}-bridge = "${sysconfdir}/cm/bridge-dds.conf ${sysconfdir}/cm/bridge-rmw-zenoh.conf \
-                          ${sysconfdir}/cm/bridge-zenoh.conf"
+CONFFILES:${PN}-bridge = "${sysconfdir}/cm/bridge-ros.conf ${sysconfdir}/cm/bridge-zenoh.conf"
 
 # What the modules of each package import, as a test verifies. The native variant needs none of it.
 CM_NEEDS_CLIENT = "python3-asyncio \
