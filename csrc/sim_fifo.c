@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-/* The thread that moves frames from one channel to the other. */
+/* One simulated DMA channel: plain submits in, completions out; and the thread that moves frames between two. */
 #include <errno.h>
+#include <linux/sockios.h>
 #include <poll.h>
 #include <pthread.h>
 #include <signal.h>
@@ -8,9 +9,141 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/eventfd.h>
+#include <sys/ioctl.h>
+#include <sys/socket.h>
 #include <unistd.h>
 
-#include "sim_private.h"
+#include "clock.h"
+#include "cm_node.h"
+#include "sim_fifo.h"
+
+#define MAX_LENGTH ((UINT64_C(1) << 26) - 1) /* cm/sim/hardware/dma.py */
+
+static const struct cm_sim_transfer *head_of(const struct cm_sim_channel *channel)
+{
+	return &channel->queue[channel->first];
+}
+
+struct request {
+	struct cm_node_request head;
+	struct cm_dma_submit submit;
+};
+
+struct answer {
+	struct cm_node_reply head;
+	struct cm_dma_submit submit;
+};
+
+static const struct cm_sim_buffer *find(const struct cm_sim_channel *channel, uint32_t handle)
+{
+	for (uint32_t i = 0; i < channel->buffer_count; i++)
+		if (channel->buffers[i].handle == handle)
+			return &channel->buffers[i];
+	return NULL;
+}
+
+static uint8_t *memory_of(const struct cm_sim_channel *channel)
+{
+	const struct cm_sim_transfer *head = head_of(channel);
+
+	return find(channel, head->handle)->memory + head->offset;
+}
+
+/* Whether the client has fewer than 64 completions that are waiting or to come. */
+static bool room(struct cm_sim_channel *channel)
+{
+	uint64_t limit = CM_SIM_QUEUE - channel->count;
+	int queued;
+
+	if (!limit)
+		return false;
+	if (channel->sent - channel->read < limit)
+		return true;
+	if (ioctl(channel->event_fd, SIOCOUTQ, &queued) || queued < 0)
+		return false;
+	channel->read = channel->sent - (uint64_t)queued / channel->packet_cost;
+	return channel->sent - channel->read < limit;
+}
+
+static bool plain(const struct cm_sim_channel *channel, const struct request *request)
+{
+	const struct cm_dma_submit *submit = &request->submit;
+	const struct cm_sim_buffer *buffer;
+
+	if (request->head.op != CM_DMA_IOC_SUBMIT || request->head.length != sizeof(*submit) ||
+	    submit->size != sizeof(*submit) || submit->flags || submit->reserved || submit->period)
+		return false;
+	buffer = find(channel, submit->handle);
+	return buffer && submit->length && submit->length <= MAX_LENGTH &&
+	       submit->offset <= buffer->length &&
+	       submit->length <= buffer->length - submit->offset;
+}
+
+static void push(struct cm_sim_channel *channel, const struct cm_dma_submit *submit)
+{
+	uint32_t place = (channel->first + channel->count++) % CM_SIM_QUEUE;
+
+	channel->queue[place] = (struct cm_sim_transfer){
+		.offset = submit->offset,
+		.length = submit->length,
+		.cookie = submit->cookie,
+		.handle = submit->handle,
+	};
+}
+
+static bool reply(struct cm_sim_channel *channel, const struct cm_dma_submit *submit)
+{
+	struct answer answer = {
+		.head = { .op = CM_DMA_IOC_SUBMIT, .length = sizeof(*submit) },
+		.submit = *submit,
+	};
+	ssize_t sent;
+
+	do {
+		sent = send(channel->request_fd, &answer, sizeof(answer),
+			    MSG_DONTWAIT | MSG_NOSIGNAL);
+	} while (sent < 0 && errno == EINTR);
+	if (sent >= 0)
+		return true;
+	channel->owed = true; /* or the client has gone, which the board will notice */
+	channel->owed_submit = *submit;
+	return false;
+}
+
+/* Serve one request, if one waits; false where it is not for us, and stays. */
+static bool serve(struct cm_sim_channel *channel)
+{
+	const int flags = MSG_DONTWAIT | MSG_TRUNC;
+	struct request request;
+	ssize_t got = recv(channel->request_fd, &request, sizeof(request), flags | MSG_PEEK);
+
+	if (got < 0)
+		return errno == EAGAIN || errno == EINTR;
+	if (got != (ssize_t)sizeof(request) || !plain(channel, &request) || !room(channel))
+		return false;
+	if (recv(channel->request_fd, &request, sizeof(request), flags) != got)
+		return false;
+	push(channel, &request.submit);
+	return reply(channel, &request.submit);
+}
+
+/* The transfer at the head has moved @length bytes. */
+static void complete(struct cm_sim_channel *channel, uint64_t length, int32_t status)
+{
+	struct cm_dma_completion done = {
+		.cookie = head_of(channel)->cookie,
+		.length = length,
+		.timestamp_ns = (uint64_t)cm_clock_ns(),
+		.sequence = channel->sequence++,
+		.status = status,
+	};
+
+	channel->first = (channel->first + 1) % CM_SIM_QUEUE;
+	channel->count--;
+	channel->moved += length;
+	if (send(channel->event_fd, &done, sizeof(done), MSG_DONTWAIT | MSG_NOSIGNAL) >= 0)
+		channel->sent++;
+}
 
 /* A few KiB in hardware; here as much as stays in the second-level cache with room for others. */
 #define FIFO_BYTES (32 << 10)
@@ -65,12 +198,12 @@ static bool ready(const struct cm_sim_fifo *fifo)
 static void move(struct cm_sim_fifo *fifo)
 {
 	struct cm_sim_channel *source = fifo->channel[SOURCE], *sink = fifo->channel[SINK];
-	uint64_t length = sim_head(source)->length, space = sim_head(sink)->length;
+	uint64_t length = head_of(source)->length, space = head_of(sink)->length;
 	uint64_t stored = length < space ? length : space;
 
-	through(fifo, sim_memory(sink), sim_memory(source), stored);
-	sim_complete(sink, stored, stored < length ? -EIO : 0);
-	sim_complete(source, length, 0);
+	through(fifo, memory_of(sink), memory_of(source), stored);
+	complete(sink, stored, stored < length ? -EIO : 0);
+	complete(source, length, 0);
 }
 
 /* Both channels' requests, then a frame if one can move; false: the board is needed. */
@@ -85,7 +218,7 @@ static bool step(struct cm_sim_fifo *fifo)
 	if (poll(fds, SIDES + 1, ready(fifo) ? 0 : -1) < 0)
 		return errno == EINTR;
 	for (int i = 0; i < SIDES; i++)
-		if (fds[i].revents && !sim_serve(fifo->channel[i]))
+		if (fds[i].revents && !serve(fifo->channel[i]))
 			return false;
 	if (ready(fifo) && !atomic_load(&fifo->stopping))
 		move(fifo);
