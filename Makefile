@@ -6,8 +6,8 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 LINT_STAMP := $(VENV)/.installed-lint
-SOURCES := pyproject.toml setup.py release/backend.py cm/wire/cm.proto $(wildcard csrc/*.c csrc/*.h csrc/build_cffi.py csrc/cffi/* kmod/uapi/*.h cm/rtl/harness/*.cpp cm/rtl/harness/*.h)
-C_FILES := $(wildcard csrc/*.[ch] csrc/client/*.[ch] csrc/tests/*.[ch] kmod/uapi/*.h cm/rtl/harness/*.cpp cm/rtl/harness/*.h)
+SOURCES := pyproject.toml setup.py release/backend.py cm/wire/cm.proto $(wildcard csrc/*.c csrc/*.h csrc/build_cffi.py csrc/cffi/* kmod/uapi/*.h cm/simulation/rtl/harness/*.cpp cm/simulation/rtl/harness/*.h)
+C_FILES := $(wildcard csrc/*.[ch] csrc/client/*.[ch] csrc/tests/*.[ch] kmod/uapi/*.h cm/simulation/rtl/harness/*.cpp cm/simulation/rtl/harness/*.h)
 PYTEST ?= $(BIN)/python -m pytest
 PYTEST_ARGS ?=
 JOBS ?= 2
@@ -199,4 +199,4 @@ clean: ## what was built, but not the environment
 	$(MAKE) -C dts clean
 
 distclean: clean ## the environment too
-	rm -rf $(VENV) *.egg-info cm/native/_cm.abi3.so cm/wire/cm_pb2.py cm/wire/cm_pb2.pyi
+	rm -rf $(VENV) *.egg-info cm/device/native/_cm.abi3.so cm/wire/cm_pb2.py cm/wire/cm_pb2.pyi

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Describe the compiled module ``cm.native._cm`` to cffi (out-of-line API mode, abi3).
+"""Describe the compiled module ``cm.device.native._cm`` to cffi (out-of-line API mode, abi3).
 
 A C unit is three files: ``csrc/<unit>.c``, ``csrc/<unit>.h`` and ``csrc/cffi/<unit>.h``, the part of
 its header that Python calls, in cffi's dialect (``...`` where the compiler knows better).  Adding
@@ -29,7 +29,7 @@ def _builder() -> FFI:
     for cdef in cdefs:
         ffi.cdef(cdef.read_text(encoding="utf-8"))
     ffi.set_source(
-        "cm.native._cm",
+        "cm.device.native._cm",
         "".join(f'#include "{cdef.name}"\n' for cdef in cdefs),
         sources=[_relative(path) for path in sorted(HERE.glob("*.c"))],
         include_dirs=[_relative(HERE), _relative(UAPI)],

@@ -17,7 +17,7 @@
 #include "cm_node.h"
 #include "sim_fifo.h"
 
-#define MAX_LENGTH ((UINT64_C(1) << 26) - 1) /* cm/sim/hardware/dma.py */
+#define MAX_LENGTH ((UINT64_C(1) << 26) - 1) /* cm/simulation/software/hardware/dma.py */
 
 static const struct cm_sim_transfer *head_of(const struct cm_sim_channel *channel)
 {

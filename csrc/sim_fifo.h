@@ -4,7 +4,7 @@
  *
  * A thread answers plain submits on the connections of a memory-to-stream and a
  * stream-to-memory channel, moves the bytes and sends the completions, as the
- * board itself does in Python (cm/sim/hardware/links.py) and with the same effect.  It
+ * board itself does in Python (cm/simulation/software/hardware/links.py) and with the same effect.  It
  * is lent both channels, and parks as soon as something comes that is not a
  * plain submit, which it leaves where it is: the board then has both channels
  * back and goes on.

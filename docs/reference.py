@@ -38,7 +38,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
             "cm.client.aio.events",
         ),
     ),
-    "messages": ("What the manager tells", "Statuses, plans, descriptions, events.", ("cm.messages.status",)),
+    "messages": ("What the manager tells", "Statuses, plans, descriptions, events.", ("cm.wire.messages.status",)),
     "errors": (
         "Errors",
         "Each has a stable `code`; [what each means](../reconfiguration.md#errors).",
@@ -49,8 +49,8 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "The simulated board",
         "From Python, for tests. [The guide](../simulator.md).",
         (
-            "cm.sim", "cm.sim.hardware.board_spec:ModuleSpec", "cm.sim.hardware.board_spec:ChannelSpec",
-            "cm.sim.hardware.board_spec:RegionSpec", "cm.sim.hardware.board_spec:WindowSpec",
+            "cm.simulation.software", "cm.simulation.software.hardware.board_spec:ModuleSpec", "cm.simulation.software.hardware.board_spec:ChannelSpec",
+            "cm.simulation.software.hardware.board_spec:RegionSpec", "cm.simulation.software.hardware.board_spec:WindowSpec",
         ),
     ),
     "schema": (
@@ -60,23 +60,23 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     ),
     "fleet": (
         "Many boards",
-        "`cm.fleet.connect()` gives a `Fleet`. [The guide](../fleet.md).",
+        "`cm.networks.fleet.connect()` gives a `Fleet`. [The guide](../fleet.md).",
         (
-            "cm.fleet.blocking", "cm.fleet.changing:Course Leg", "cm.fleet.change.coordinator:Outcome",
-            "cm.fleet.clocks:Reading", "cm.fleet.errors:NoSuchBoard FleetRefused ChangeFailed",
-            "cm.fleet.network:NoNetwork",
-            "cm.messages.fleet:BoardStatus ClockSync FleetRecord Policy Decision BundleState",
+            "cm.networks.fleet.blocking", "cm.networks.fleet.changing:Course Leg", "cm.networks.fleet.change.coordinator:Outcome",
+            "cm.networks.fleet.clocks:Reading", "cm.networks.fleet.errors:NoSuchBoard FleetRefused ChangeFailed",
+            "cm.networks.fleet.network:NoNetwork",
+            "cm.wire.messages.fleet:BoardStatus ClockSync FleetRecord Policy Decision BundleState",
         ),
     ),
     "fleet-aio": (
         "Many boards, with asyncio",
-        "`cm.fleet.aio.connect()`: the same names, awaited; `Looker` has what only looks. [The guide](../fleet.md).",
-        ("cm.fleet.aio", "cm.fleet.looking", "cm.fleet.asking:Answer Told"),
+        "`cm.networks.fleet.aio.connect()`: the same names, awaited; `Looker` has what only looks. [The guide](../fleet.md).",
+        ("cm.networks.fleet.aio", "cm.networks.fleet.looking", "cm.networks.fleet.asking:Answer Told"),
     ),
     "bitstream": (
         "Bitstreams",
         "Read, checked, converted. [The guide](../bitstreams.md).",
-        ("cm.bitstream", "cm.bitstream.report:Section"),
+        ("cm.formats.bitstream", "cm.formats.bitstream.report:Section"),
     ),
 }  # fmt: skip
 
@@ -171,7 +171,7 @@ def _import_from(module: str) -> str:
         "cm.client.board": "cm",
         "cm.client.picture": "cm",
         "cm.client.aio.board": "cm.aio",
-        "cm.fleet.blocking": "cm.fleet",
+        "cm.networks.fleet.blocking": "cm.networks.fleet",
     }.get(module, module)
 
 

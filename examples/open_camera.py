@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 import cm
-from cm.demo.sheet import contact_sheet
-from cm.sim.hardware.camera import shipped_photos
+from cm.simulation.software.hardware.camera import shipped_photos
+from cm.tools.demo.sheet import contact_sheet
 
 MODES = ("default", "edge_detection", "colorise")
 

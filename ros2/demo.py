@@ -23,7 +23,7 @@ from PIL import Image
 
 import cm
 from cm import child
-from cm.testing.served import Served
+from cm.tools.testing.served import Served
 
 HERE = Path(__file__).resolve().parent
 PATIENCE = 120.0  # seconds, on a loaded machine
@@ -56,7 +56,7 @@ def running(words: list[str], environment: dict[str, str], **pipes: int) -> Iter
 @contextmanager
 def light_route(runtime: Path) -> Iterator[list[str]]:
     """`cm bridge ros` and a router; the other node's command."""
-    from cm.bench.peers.zenoh_pictures import routing
+    from cm.tools.bench.peers.zenoh_pictures import routing
 
     router, where = routing()
     words = child.command("cm.cli.main", "bridge", "ros", "--runtime-dir", str(runtime), "--domain", "0")

@@ -22,8 +22,8 @@ from typing import Any
 import zmq
 
 from cm.cli.keys import read_key_file
-from cm.messages import requests as rq
 from cm.wire.encode import decode_reply, encode_request
+from cm.wire.messages import requests as rq
 from cm.wire.plane_packets import Open, encode_open
 
 PATIENCE = 60_000  # milliseconds until a reply is missed

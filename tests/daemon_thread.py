@@ -13,14 +13,14 @@ from typing import Any
 import zmq
 from manager_process import CAMERA, short_folder
 
-from cm.daemon.options import Options
-from cm.daemon.server import Server
 from cm.device import Root
-from cm.messages import requests as rq
-from cm.messages.status import Reply, Status, StreamStatus
 from cm.schema import load_folder
-from cm.sim import Board as SimBoard
+from cm.server.options import Options
+from cm.server.server import Server
+from cm.simulation.software import Board as SimBoard
 from cm.wire.encode import Event, decode_event, decode_reply, encode_request
+from cm.wire.messages import requests as rq
+from cm.wire.messages.status import Reply, Status, StreamStatus
 
 HUNG = 60_000  # milliseconds
 

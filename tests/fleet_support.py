@@ -16,12 +16,12 @@ from pathlib import Path
 
 from manager_process import CAMERA, Manager, environment, short_folder, until
 
-import cm.fleet
+import cm.networks.fleet
 from cm import child
-from cm.build.collect.layout import archive
-from cm.demo.boards import free_ports
-from cm.fleet.blocking import Fleet
-from cm.sim import Board as SimBoard
+from cm.design.collect.layout import archive
+from cm.networks.fleet.blocking import Fleet
+from cm.simulation.software import Board as SimBoard
+from cm.tools.demo.boards import free_ports
 
 EDGE = random.Random(1).randbytes(150_000)
 _SCHEMA = f"""
@@ -165,6 +165,6 @@ def fleet_of(
         router = Router()
         stack.callback(router.kill)
         found = stack.enter_context(fleet_boards(("--router", router.endpoint), arguments, guests))
-        fleet = stack.enter_context(cm.fleet.connect(router.endpoint, caller="anna", timeout=30.0))
+        fleet = stack.enter_context(cm.networks.fleet.connect(router.endpoint, caller="anna", timeout=30.0))
         until(lambda: set(fleet.boards()) == set(arguments), 60.0)
         yield router, found, fleet

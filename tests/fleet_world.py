@@ -14,18 +14,18 @@ from collections.abc import Coroutine, Sequence
 from typing import Any
 
 from cm.errors import CmError
-from cm.fleet import names
-from cm.fleet.bridge.commands import Commands
-from cm.fleet.change.asks import Ask
-from cm.fleet.change.coordinator import Outcome, first_step
-from cm.fleet.change.participant import Participant
-from cm.fleet.change.ports import Planned, Unsettled
-from cm.fleet.changing import Course, carried_out
-from cm.fleet.recovering import recovered
-from cm.messages.fleet import Decision, FleetRecord, Policy
-from cm.messages.status import ErrorInfo
+from cm.networks.fleet import names
+from cm.networks.fleet.bridge.commands import Commands
+from cm.networks.fleet.change.asks import Ask
+from cm.networks.fleet.change.coordinator import Outcome, first_step
+from cm.networks.fleet.change.participant import Participant
+from cm.networks.fleet.change.ports import Planned, Unsettled
+from cm.networks.fleet.changing import Course, carried_out
+from cm.networks.fleet.recovering import recovered
 from cm.wire.fleet import decode_answer
 from cm.wire.fleet_records import decode_record, encode_record, encode_step
+from cm.wire.messages.fleet import Decision, FleetRecord, Policy
+from cm.wire.messages.status import ErrorInfo
 
 OLD, NEW = ("camera", "default"), ("camera", "edge")
 CHANGE = "c1"

@@ -50,7 +50,7 @@ def idle_connections(where: Path | tuple[str, int], count: int, processes: int) 
 _UNREAD = """
 import sys
 import zmq
-from cm.messages.requests import ReadConfig
+from cm.wire.messages.requests import ReadConfig
 from cm.wire.encode import encode_request
 runtime, connections, each = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
 ask = encode_request(ReadConfig())

@@ -15,7 +15,7 @@ from importlib import import_module
 from types import ModuleType
 
 UNIX_MODULES = ("fcntl", "grp", "pty", "pwd", "resource", "syslog", "termios", "tty")
-OURS = ("cm.native._cm",)
+OURS = ("cm.device.native._cm",)
 LINUX = {
     "os": "O_PATH O_TMPFILE eventfd memfd_create pidfd_open sched_getaffinity posix_fallocate epoll timerfd_create",
     "socket": "MSG_CMSG_CLOEXEC MSG_NOSIGNAL SOCK_CLOEXEC SOCK_NONBLOCK AF_NETLINK SO_PEERCRED SO_DOMAIN",

@@ -17,7 +17,7 @@ from typing import TypeVar
 
 import cm
 from cm import child
-from cm.sim import Board as SimBoard
+from cm.simulation.software import Board as SimBoard
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 CAMERA = REPOSITORY / "cm" / "data" / "camera"

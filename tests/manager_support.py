@@ -14,16 +14,16 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from cm.daemon.host.devices import BoardDevices
-from cm.daemon.host.files import BoardFiles
 from cm.device import DeviceError, GpioLine, PlClock, PlClocks, Root
 from cm.manager.manager import Environment, Manager, Settings
 from cm.manager.ports import Window
 from cm.manager.state.journal import Journal
-from cm.messages.requests import ChangeMode
-from cm.messages.status import RegValues
 from cm.schema import loads
 from cm.schema.model import Config
+from cm.server.host.devices import BoardDevices
+from cm.server.host.files import BoardFiles
+from cm.wire.messages.requests import ChangeMode
+from cm.wire.messages.status import RegValues
 
 CAMERA = Path(__file__).resolve().parents[1] / "cm" / "data" / "camera" / "camera.yaml"
 

@@ -14,8 +14,8 @@ import numpy as np
 from manager_process import REPOSITORY, Manager, environment, until
 
 import cm
-from cm.messages.status import StreamStatus
-from cm.sim import Board as SimBoard
+from cm.simulation.software import Board as SimBoard
+from cm.wire.messages.status import StreamStatus
 
 READERS = 8
 WORDS = 16384  # 128 KiB a frame

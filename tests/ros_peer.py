@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from cm import child
-from cm.ros.transport import Qos, Transport
+from cm.networks.ros.transport import Qos, Transport
 
 PATIENCE = 60.0
 

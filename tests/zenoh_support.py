@@ -11,14 +11,14 @@ import zenoh
 from ros_peer import PATIENCE, BridgeProcess, ListeningPeer
 
 from cm import child
-from cm.demo.boards import free_ports
-from cm.fleet.network import Network, session
-from cm.rmw_zenoh.attachment import Attachment
-from cm.rmw_zenoh.keys import End
-from cm.rmw_zenoh.transport import ZenohTransport
-from cm.ros import cdr
-from cm.ros.node import NodeName
-from cm.ros.transport import SERVICES
+from cm.networks.fleet.network import Network, session
+from cm.networks.rmw_zenoh.attachment import Attachment
+from cm.networks.rmw_zenoh.keys import End
+from cm.networks.rmw_zenoh.transport import ZenohTransport
+from cm.networks.ros import cdr
+from cm.networks.ros.node import NodeName
+from cm.networks.ros.transport import SERVICES
+from cm.tools.demo.boards import free_ports
 
 DOMAIN = 7
 

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 from cm.cli.common import print_table
 
 if TYPE_CHECKING:
-    from cm.bench.result import Result
-    from cm.bench.run import Run
+    from cm.tools.bench.result import Result
+    from cm.tools.bench.run import Run
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -38,7 +38,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Measure; the exit status."""
-    from cm.bench import machine, plots, report, table
+    from cm.tools.bench import machine, plots, report, table
 
     if args.list:
         print("\n".join(table.NAMES))
@@ -62,13 +62,13 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _bench(folder: Path, quick: bool, cpu: int | None) -> Run:
-    from cm.bench.run import Run
+    from cm.tools.bench.run import Run
 
     return Run(folder, quick, cpu, frozenset(range(os.cpu_count() or 1)))
 
 
 def _measure(case: object, bench: Run, names: list[str]) -> list[Result]:
-    from cm.bench import table
+    from cm.tools.bench import table
 
     assert isinstance(case, table.Case)
     print(f"cm bench: {case.module} …", file=sys.stderr, flush=True)

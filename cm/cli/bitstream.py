@@ -7,10 +7,10 @@ import argparse
 import shutil
 from pathlib import Path
 
-from cm.bitstream import BitHeader, Container, Report, convert, footprint_of, inspect, open_image
 from cm.cli.bitstream_verify import add_verify
 from cm.cli.common import add_json_option, print_json, print_table
 from cm.errors import InvalidRequest
+from cm.formats.bitstream import BitHeader, Container, Report, convert, footprint_of, inspect, open_image
 from cm.schema.model import FrameRange
 
 _INSTEAD = "name another file, or say --drop-header"

@@ -7,9 +7,17 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from cm.bitstream import BitstreamError, Expectation, expect_module, expect_static, footprint_of, inspect, refusals
 from cm.cli.common import add_json_option, print_json
 from cm.errors import CmError, InvalidRequest, NotFound
+from cm.formats.bitstream import (
+    BitstreamError,
+    Expectation,
+    expect_module,
+    expect_static,
+    footprint_of,
+    inspect,
+    refusals,
+)
 from cm.schema import load
 from cm.schema.files import bitstream_path
 from cm.schema.model import Config, ConfigType, FrameRange, Module

@@ -16,8 +16,8 @@ from cm.errors import InvalidRequest, NotInstalled
 
 if TYPE_CHECKING:
     from cm.client.board import Board
-    from cm.ros.node import BoardNode, NodeName
-    from cm.ros.transport import Transport
+    from cm.networks.ros.node import BoardNode, NodeName
+    from cm.networks.ros.transport import Transport
 
 _MOST = 232  # domains have numbers to here
 
@@ -64,14 +64,14 @@ def run(args: argparse.Namespace) -> int:
     """Serve until interrupted; the exit status."""
     logging.basicConfig(format="cm bridge ros: %(message)s", stream=sys.stderr)
     try:
-        from cm.rmw_zenoh.transport import ZenohTransport
+        from cm.networks.rmw_zenoh.transport import ZenohTransport
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] not in ("zenoh", "xxhash"):
             raise
         raise NotInstalled(
             f"cm bridge ros needs eclipse-zenoh and xxhash: pip install 'fpga-cm[zenoh]' ({error})"
         ) from None
-    from cm.ros.node import NodeName
+    from cm.networks.ros.node import NodeName
 
     name = NodeName(args.name, args.namespace)
     transport = ZenohTransport(name, domain_of(args), args.router)
@@ -95,11 +95,11 @@ def domain_of(args: argparse.Namespace) -> int:
 
 def serve(args: argparse.Namespace, transport: Transport, name: NodeName) -> None:
     """Until interrupted."""
-    from cm.bridge.commands import Commands
-    from cm.bridge.follower import Follower
     from cm.client.board import connect
-    from cm.ros.node import BoardNode
-    from cm.ros.transport import EVENTS, SENSOR_DATA
+    from cm.networks.bridge.commands import Commands
+    from cm.networks.bridge.follower import Follower
+    from cm.networks.ros.node import BoardNode
+    from cm.networks.ros.transport import EVENTS, SENSOR_DATA
 
     def connected(guest: str = "") -> Board:
         return connect(args.connect, runtime_dir=args.runtime_dir, keys=args.keys, guest=guest)

@@ -19,8 +19,8 @@ from cm.cli.fleet_options import add_network_options, network_of
 from cm.errors import CmError, InvalidRequest
 
 if TYPE_CHECKING:
-    from cm.fleet.bridge.bundles import Import
-    from cm.fleet.bridge.process import Options
+    from cm.networks.fleet.bridge.bundles import Import
+    from cm.networks.fleet.bridge.process import Options
 
 
 def add_zenoh_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -79,7 +79,7 @@ def add_zenoh_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser
 def run(args: argparse.Namespace) -> int:
     """Serve until interrupted; the exit status."""
     logging.basicConfig(level=logging.INFO, format="cm bridge zenoh: %(message)s", stream=sys.stderr)
-    from cm.fleet.network import zenoh_module
+    from cm.networks.fleet.network import zenoh_module
 
     zenoh_module()  # if it is missing, this is said at once
     with contextlib.suppress(asyncio.CancelledError):
@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 async def _serve(options: Options) -> None:
-    from cm.fleet.bridge.process import Bridge
+    from cm.networks.fleet.bridge.process import Bridge
 
     task = asyncio.current_task()
     assert task is not None
@@ -98,9 +98,9 @@ async def _serve(options: Options) -> None:
 
 
 def _options(args: argparse.Namespace) -> Options:
-    from cm.fleet import names
-    from cm.fleet.bridge.process import Options, default_state
-    from cm.fleet.network import endpoint
+    from cm.networks.fleet import names
+    from cm.networks.fleet.bridge.process import Options, default_state
+    from cm.networks.fleet.network import endpoint
 
     listen = tuple(map(endpoint, args.listen))
     network = network_of(args, listen=listen, mode="peer" if listen else "client", lease=args.lease)
@@ -122,7 +122,7 @@ def _options(args: argparse.Namespace) -> Options:
 
 def _name(asked: str, config: Path | None) -> str:
     """The board's: that of its certificate, under which alone the router lets it through. Raises InvalidRequest."""
-    from cm.fleet.network import member_of
+    from cm.networks.fleet.network import member_of
 
     certified = member_of(config)
     if asked and certified and asked != certified:
@@ -139,9 +139,9 @@ def _importer(out: Path, settings: Path | None, after: str) -> Import:
     def take(archive: Path) -> tuple[str, str]:
         from cm.cli.import_ import read_settings
         from cm.cli.signatures import policy_of
-        from cm.importers import unpack
-        from cm.signing import judge
-        from cm.signing.policy import Judgement
+        from cm.formats.importers import unpack
+        from cm.formats.signing import judge
+        from cm.formats.signing.policy import Judgement
 
         said, found = read_settings(settings), [Judgement()]
         policy = policy_of(said)

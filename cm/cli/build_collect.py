@@ -9,13 +9,13 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from cm.build.collect.collected import Collected
-from cm.build.collect.collection import collect, collect_ours, write
-from cm.build.errors import BuildError
-from cm.build.generate.tree import ANSWERS, load_design, output_folder
-from cm.build.run.steps import Flow
-from cm.build.runtime.answers import load_answers
 from cm.cli.common import add_json_option, print_json
+from cm.design.collect.collected import Collected
+from cm.design.collect.collection import collect, collect_ours, write
+from cm.design.errors import BuildError
+from cm.design.generate.tree import ANSWERS, load_design, output_folder
+from cm.design.run.steps import Flow
+from cm.design.runtime.answers import load_answers
 
 
 def add_collect_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -79,8 +79,8 @@ def run_collect(args: argparse.Namespace) -> int:
 
 def _signed(found: Collected, keys: list[Path], version: int | None) -> Collected:
     """The same with a manifest of all files, and its signatures."""
-    from cm.signing import add_manifest, sign
-    from cm.signing.manifest import MANIFEST, SIGNATURES
+    from cm.formats.signing import add_manifest, sign
+    from cm.formats.signing.manifest import MANIFEST, SIGNATURES
 
     number = int(os.environ.get("SOURCE_DATE_EPOCH") or time.time()) if version is None else version
     files = add_manifest(found.config.name, number, found.files)

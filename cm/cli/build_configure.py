@@ -7,11 +7,11 @@ import argparse
 import sys
 from pathlib import Path
 
-from cm.build.errors import BuildError
-from cm.build.generate.tree import ANSWERS, generate, load_design, output_folder
-from cm.build.runtime.answers import read_answers
-from cm.build.runtime.configure import answer_all, as_text, questions, to_answers
 from cm.cli.build_common import add_out_option, add_schema_argument
+from cm.design.errors import BuildError
+from cm.design.generate.tree import ANSWERS, generate, load_design, output_folder
+from cm.design.runtime.answers import read_answers
+from cm.design.runtime.configure import answer_all, as_text, questions, to_answers
 
 
 def add_configure_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -6,19 +6,19 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from cm.build.boundary.analyse import analyse
-from cm.build.check.finding import Finding
-from cm.build.check.rules import check_system
-from cm.build.generate.manifest import Written
-from cm.build.generate.tree import generate, load_design, output_folder
-from cm.build.openflow.rules import RULE, check_open
-from cm.build.plan.planner import plan_system
-from cm.build.project.load import load_project
-from cm.build.report import as_dict, lines
-from cm.build.runtime.answers import Answers
-from cm.build.runtime.schema import runtime_config
 from cm.cli.build_common import add_out_option, add_schema_argument
 from cm.cli.common import add_json_option, print_json
+from cm.design.boundary.analyse import analyse
+from cm.design.check.finding import Finding
+from cm.design.check.rules import check_system
+from cm.design.generate.manifest import Written
+from cm.design.generate.tree import generate, load_design, output_folder
+from cm.design.openflow.rules import RULE, check_open
+from cm.design.plan.planner import plan_system
+from cm.design.project.load import load_project
+from cm.design.report import as_dict, lines
+from cm.design.runtime.answers import Answers
+from cm.design.runtime.schema import runtime_config
 
 
 def add_check_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

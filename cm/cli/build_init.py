@@ -6,9 +6,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from cm.build.errors import BuildError
-from cm.build.init import DEFAULT_PART, init_text
-from cm.build.project.load import SCHEMA_FILE
+from cm.design.errors import BuildError
+from cm.design.init import DEFAULT_PART, init_text
+from cm.design.project.load import SCHEMA_FILE
 
 
 def add_init_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

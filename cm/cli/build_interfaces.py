@@ -10,7 +10,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from cm.build.hdl import (
+from cm.cli.common import add_json_option, print_json, print_table
+from cm.design.hdl import (
     Difference,
     Interface,
     ModuleInfo,
@@ -21,7 +22,6 @@ from cm.build.hdl import (
     read,
     roots,
 )
-from cm.cli.common import add_json_option, print_json, print_table
 
 _ASSIGNMENT = re.compile(r"([A-Za-z_]\w*)(?:=(.*))?", re.DOTALL)
 _DESCRIPTION = """\

@@ -6,13 +6,13 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from cm.build.errors import BuildError
-from cm.build.generate.tree import behind, load_design
-from cm.build.openflow.attempt import Settings
-from cm.build.openflow.flow import OpenFlow
-from cm.build.openflow.rules import refuse_open
-from cm.build.openflow.tools import Tools, fetch_tools, find_tools
 from cm.cli.common import add_json_option, print_json
+from cm.design.errors import BuildError
+from cm.design.generate.tree import behind, load_design
+from cm.design.openflow.attempt import Settings
+from cm.design.openflow.flow import OpenFlow
+from cm.design.openflow.rules import refuse_open
+from cm.design.openflow.tools import Tools, fetch_tools, find_tools
 
 
 def add_tools_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -6,14 +6,14 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from cm.build.errors import BuildError
-from cm.build.generate.tree import behind, load_design, output_folder
-from cm.build.project.load import load_project
-from cm.build.project.model import Project
-from cm.build.run.pack import pack
-from cm.build.run.unpack import unpack
 from cm.cli.build_common import add_out_option, add_schema_argument
 from cm.cli.common import add_json_option, print_json
+from cm.design.errors import BuildError
+from cm.design.generate.tree import behind, load_design, output_folder
+from cm.design.project.load import load_project
+from cm.design.project.model import Project
+from cm.design.run.pack import pack
+from cm.design.run.unpack import unpack
 
 
 def add_pack_parsers(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

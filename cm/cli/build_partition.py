@@ -7,17 +7,17 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from cm.build.boundary.analyse import analyse
-from cm.build.errors import BuildError
-from cm.build.generate.tree import output_folder
-from cm.build.partition.advise import problem_of, static_report, todays_groups, with_reports
-from cm.build.partition.advisor import SECONDS
-from cm.build.partition.model import Partition, evaluate
-from cm.build.partition.proved import proposal
-from cm.build.partition.utilisation import read_utilisation
-from cm.build.project.load import load_project
 from cm.cli.build_common import add_schema_argument
 from cm.cli.common import add_json_option, print_json, print_table
+from cm.design.boundary.analyse import analyse
+from cm.design.errors import BuildError
+from cm.design.generate.tree import output_folder
+from cm.design.partition.advise import problem_of, static_report, todays_groups, with_reports
+from cm.design.partition.advisor import SECONDS
+from cm.design.partition.model import Partition, evaluate
+from cm.design.partition.proved import proposal
+from cm.design.partition.utilisation import read_utilisation
+from cm.design.project.load import load_project
 
 
 def add_partition_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -8,16 +8,16 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from cm.build.errors import BuildError, MissingTool
-from cm.build.generate.tree import behind, load_design, output_folder
-from cm.build.hdl.errors import ParserMissing
-from cm.build.project.load import load_project
-from cm.build.run.make import run_flow
-from cm.build.run.steps import Flow, Planned, State
-from cm.build.run.vivado import find_vivado
 from cm.cli.build_common import add_out_option, add_schema_argument
 from cm.cli.build_open import run_open
 from cm.cli.common import add_json_option, print_json, print_table
+from cm.design.errors import BuildError, MissingTool
+from cm.design.generate.tree import behind, load_design, output_folder
+from cm.design.hdl.errors import ParserMissing
+from cm.design.project.load import load_project
+from cm.design.run.make import run_flow
+from cm.design.run.steps import Flow, Planned, State
+from cm.design.run.vivado import find_vivado
 
 
 def add_run_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from cm.cli.client import connected
 from cm.cli.common import add_connection_options, add_json_option, print_json
 from cm.errors import Timeout
-from cm.messages.status import Status
+from cm.wire.messages.status import Status
 
 if TYPE_CHECKING:
     from cm.client.board import Board

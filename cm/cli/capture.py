@@ -14,7 +14,7 @@ from cm.cli.client import connected
 from cm.cli.common import add_lease_option, natural, print_json
 from cm.cli.frame_files import FORMATS, Incomplete, Sink, sink
 from cm.errors import Timeout
-from cm.lazy_numpy import np
+from cm.wire.lazy_numpy import np
 
 if TYPE_CHECKING:
     from cm.client.stream import Stream

@@ -14,8 +14,8 @@ from cm.cli.common import add_json_option, print_json
 from cm.errors import NotFound
 from cm.schema import Problem, SchemaError, json_schema, load, loads, schema_files
 from cm.schema.model import Config
-from cm.settings import Settings, SettingsError, SettingsMissing, load_settings, parse_settings, settings_schema
-from cm.settings.model import FILE as SETTINGS_FILE
+from cm.server.settings import Settings, SettingsError, SettingsMissing, load_settings, parse_settings, settings_schema
+from cm.server.settings.model import FILE as SETTINGS_FILE
 
 _STDIN = Path("-")
 

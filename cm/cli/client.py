@@ -13,7 +13,7 @@ from cm.errors import NotFound, Timeout
 
 if TYPE_CHECKING:
     from cm.client.board import Board
-    from cm.messages.status import Status
+    from cm.wire.messages.status import Status
 
 _PAUSE = 0.1  # seconds between two tries
 

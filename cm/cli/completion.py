@@ -15,8 +15,8 @@ from cm.cli.commands import CommandMissing, find_command
 from cm.cli.help_format import RawHelp
 from cm.cli.parser import build_parser, chosen_command
 from cm.errors import CmError, Timeout
-from cm.messages.requests import ListConfigs, ReadConfig, Request
-from cm.messages.status import ConfigInfo, RegisterInfo
+from cm.wire.messages.requests import ListConfigs, ReadConfig, Request
+from cm.wire.messages.status import ConfigInfo, RegisterInfo
 
 SHELLS = ("bash", "zsh", "fish")
 _PATIENCE = 1000  # ms; a prompt that hangs is worse than one that completes nothing
@@ -158,7 +158,7 @@ _KINDS: Mapping[str, Callable[[ConfigInfo, str], Iterable[str]]] = {
 
 def _targets(args: argparse.Namespace) -> Iterable[str]:
     """The targets of a fault, by the first word of the description of its kind."""
-    from cm.sim.faults import target_of
+    from cm.simulation.software.faults import target_of
 
     what = target_of(args.name) if args.name else ""
     config = _told(args, ReadConfig(config_name="")) if what else ConfigInfo()
@@ -169,7 +169,7 @@ def _targets(args: argparse.Namespace) -> Iterable[str]:
 
 
 def _fault_names(_: argparse.Namespace) -> Iterable[str]:
-    from cm.sim.faults import KINDS
+    from cm.simulation.software.faults import KINDS
 
     return KINDS
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from cm.cli.client import connected
 from cm.cli.common import add_connection_options, add_json_option, completes, print_json
 from cm.cli.import_ import FIRMWARE
-from cm.importers import back, versions
+from cm.formats.importers import back, versions
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

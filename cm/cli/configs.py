@@ -8,7 +8,7 @@ from pathlib import Path
 
 from cm.cli.client import connected, plain
 from cm.cli.common import add_connection_options, add_json_option, print_json, print_table
-from cm.messages.status import ConfigEntry
+from cm.wire.messages.status import ConfigEntry
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -13,7 +13,7 @@ from cm.cli.common import add_connection_options, add_json_option, print_json
 from cm.errors import InvalidRequest, NotFound
 
 if TYPE_CHECKING:
-    from cm.conformance.runner import Outcome
+    from cm.tools.conformance.runner import Outcome
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -60,8 +60,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _of_client(args: argparse.Namespace) -> Iterator[Outcome]:
-    from cm.conformance.cases import cases
-    from cm.conformance.runner import run as run_cases
+    from cm.tools.conformance.cases import cases
+    from cm.tools.conformance.runner import run as run_cases
 
     if shutil.which(args.driver[0]) is None:
         raise NotFound(f"no command {args.driver[0]!r}")
@@ -74,14 +74,14 @@ def _of_client(args: argparse.Namespace) -> Iterator[Outcome]:
 
 def _of_manager(args: argparse.Namespace) -> Iterator[Outcome]:
     from cm.client.address import load_keys, resolve
-    from cm.conformance.manager import run as run_promises
+    from cm.tools.conformance.manager import run as run_promises
 
     keys = load_keys(args.keys) if args.keys else None
     return run_promises(resolve(args.connect, args.runtime_dir), keys, args.act)
 
 
 def _list(as_json: bool) -> int:
-    from cm.conformance.cases import cases
+    from cm.tools.conformance.cases import cases
 
     known = [(case.name, case.says) for case in cases()]
     if as_json:

@@ -39,16 +39,16 @@ def run(args: argparse.Namespace) -> int:
         raise InvalidRequest("the demo writes a picture with Pillow: pip install 'fpga-cm[demo]'") from None
     started = time.monotonic()
     if args.fleet:
-        from cm.demo.fleet import run_fleet_demo
+        from cm.tools.demo.fleet import run_fleet_demo
 
         print(f"wrote     {run_fleet_demo(args.out)} after {time.monotonic() - started:.1f} s")
         return 0
     if args.bits:
-        from cm.demo.bits import run_bits_demo
+        from cm.tools.demo.bits import run_bits_demo
 
         print(f"wrote     {run_bits_demo(args.bits, args.out)} after {time.monotonic() - started:.1f} s")
         return 0
-    from cm.demo.runner import run_demo
+    from cm.tools.demo.runner import run_demo
 
     sheet = run_demo(args.images, args.out, args.keep_frames, "rtl" if args.rtl else "models")
     print(f"wrote     {sheet} after {time.monotonic() - started:.1f} s")

@@ -13,10 +13,10 @@ from cm.cli.fleet_options import add_fleet_options, connected_fleet
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from cm.fleet.change.coordinator import Outcome
-    from cm.fleet.changing import Course, Leg
-    from cm.messages.fleet import BoardStatus
-    from cm.messages.status import ErrorInfo
+    from cm.networks.fleet.change.coordinator import Outcome
+    from cm.networks.fleet.changing import Course, Leg
+    from cm.wire.messages.fleet import BoardStatus
+    from cm.wire.messages.status import ErrorInfo
 
 _PHASES = {"prepare": "prepared", "apply": "changed", "seat": "decided", "tell": "told"}
 
@@ -84,7 +84,7 @@ def _policy(said: str) -> str:
 
 def run(args: argparse.Namespace) -> int:
     """Change; 0 where every board is in the new mode."""
-    from cm.fleet.errors import ChangeFailed
+    from cm.networks.fleet.errors import ChangeFailed
 
     with connected_fleet(args) as fleet:
         try:
@@ -107,7 +107,7 @@ def run(args: argparse.Namespace) -> int:
 
 def run_recover(args: argparse.Namespace) -> int:
     """End what is open; 0 where every board is where its change was decided to lead."""
-    from cm.fleet.errors import sentence
+    from cm.networks.fleet.errors import sentence
 
     with connected_fleet(args) as fleet:
         found = fleet.recover(args.change, args.boards)
@@ -125,8 +125,8 @@ def run_recover(args: argparse.Namespace) -> int:
 
 def _still_open(statuses: Mapping[str, BoardStatus | ErrorInfo]) -> str:
     """Changes that are still open."""
-    from cm.fleet.change import member
-    from cm.messages.status import ErrorInfo
+    from cm.networks.fleet.change import member
+    from cm.wire.messages.status import ErrorInfo
 
     records = [status.fleet for status in statuses.values() if not isinstance(status, ErrorInfo)]
     named = sorted({record.id for record in records if record is not None and not member.ended(record)})
@@ -135,7 +135,7 @@ def _still_open(statuses: Mapping[str, BoardStatus | ErrorInfo]) -> str:
 
 def run_settle(args: argparse.Namespace) -> int:
     """Decide in the seats' place; 0 where every board has done it."""
-    from cm.messages.status import ErrorInfo
+    from cm.wire.messages.status import ErrorInfo
 
     with connected_fleet(args) as fleet:
         found = fleet.settle(args.change, args.decision == "keep", args.boards)

@@ -54,7 +54,7 @@ def _add_router(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run_router(args: argparse.Namespace) -> int:
     """Route until interrupted; the exit status."""
-    from cm.fleet.network import Network, endpoint, session
+    from cm.networks.fleet.network import Network, endpoint, session
 
     listen = tuple(map(endpoint, args.listen))
     if not listen and args.zenoh_config is None:
@@ -70,8 +70,8 @@ def run_router(args: argparse.Namespace) -> int:
 
 def run(args: argparse.Namespace) -> int:
     """Make, remove or list; the exit status."""
-    from cm.fleet.security.folder import KeyFolder
-    from cm.fleet.security.rules import ALL_BOARDS, Member
+    from cm.networks.fleet.security.folder import KeyFolder
+    from cm.networks.fleet.security.rules import ALL_BOARDS, Member
 
     keys = KeyFolder(args.folder)
     if args.kind == "list":

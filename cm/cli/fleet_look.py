@@ -12,8 +12,8 @@ from cm.cli.common import add_json_option, print_json, print_table
 from cm.cli.fleet_options import add_fleet_options, connected_fleet
 
 if TYPE_CHECKING:
-    from cm.messages.fleet import BoardStatus
-    from cm.messages.status import ErrorInfo
+    from cm.wire.messages.fleet import BoardStatus
+    from cm.wire.messages.status import ErrorInfo
 
 
 def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -68,7 +68,7 @@ def run_ls(args: argparse.Namespace) -> int:
 
 def run_status(args: argparse.Namespace) -> int:
     """Print a line for each board; 1 where one of them did not answer, or two hold different decisions."""
-    from cm.fleet.standing import disagreeing
+    from cm.networks.fleet.standing import disagreeing
 
     with connected_fleet(args) as fleet:
         found = fleet.status(args.boards)
@@ -90,8 +90,8 @@ HEADERS = ("BOARD", "CONFIG", "MODE", "STATE", "LABELS", "CLOCK", "NOTE")
 
 
 def _row(name: str, status: BoardStatus | ErrorInfo, apart: str = "") -> tuple[object, ...]:
-    from cm.fleet.standing import difference
-    from cm.messages.status import ErrorInfo
+    from cm.networks.fleet.standing import difference
+    from cm.wire.messages.status import ErrorInfo
 
     if isinstance(status, ErrorInfo):
         return name, "", "", "no answer" if status.code == "no_answer" else status.code, "", "", status.message
@@ -113,8 +113,8 @@ def clock_words(status: BoardStatus) -> str:
 
 def clocks_line(found: Mapping[str, Any]) -> str:
     """How closely timestamps of these boards agree."""
-    from cm.fleet.clocks import said_apart
-    from cm.messages.status import ErrorInfo
+    from cm.networks.fleet.clocks import said_apart
+    from cm.wire.messages.status import ErrorInfo
 
     clocks = {name: status.clock for name, status in found.items() if not isinstance(status, ErrorInfo)}
     apart = said_apart(clocks) if clocks else None
@@ -155,7 +155,7 @@ def _tell(args: argparse.Namespace, told: dict[str, tuple[object, ...]], name: s
 
 def run_plan(args: argparse.Namespace) -> int:
     """Print what each board would do; 1 where one of them cannot."""
-    from cm.messages.status import ErrorInfo
+    from cm.wire.messages.status import ErrorInfo
 
     with connected_fleet(args) as fleet:
         found = fleet.plan(args.mode, args.config, args.boards)
@@ -174,7 +174,7 @@ def run_plan(args: argparse.Namespace) -> int:
 
 def run_reg(args: argparse.Namespace) -> int:
     """Read or write; 1 where a board could not."""
-    from cm.messages.status import ErrorInfo
+    from cm.wire.messages.status import ErrorInfo
 
     with connected_fleet(args) as fleet:
         if args.verb == "read":
@@ -203,13 +203,13 @@ def _value(text: str) -> int | str:
 
 
 def _failed(found: Mapping[str, Any]) -> bool:
-    from cm.messages.status import ErrorInfo
+    from cm.wire.messages.status import ErrorInfo
 
     return any(isinstance(each, ErrorInfo) for each in found.values())
 
 
 def _plain(value: Any) -> Any:
-    from cm.messages.status import ErrorInfo
+    from cm.wire.messages.status import ErrorInfo
 
     if isinstance(value, ErrorInfo):
         return {"error": {"code": value.code, "message": value.message}}

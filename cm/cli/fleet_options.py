@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from cm.cli.common import seconds
 
 if TYPE_CHECKING:
-    from cm.fleet.blocking import Fleet
-    from cm.fleet.network import Network
+    from cm.networks.fleet.blocking import Fleet
+    from cm.networks.fleet.network import Network
 
 
 class Intermixed(argparse.ArgumentParser):
@@ -48,7 +48,7 @@ def add_network_options(parser: argparse.ArgumentParser) -> None:
 
 def network_of(args: argparse.Namespace, **more: object) -> Network:
     """What these options say. Raises InvalidRequest."""
-    from cm.fleet.network import Network, endpoint, from_environment
+    from cm.networks.fleet.network import Network, endpoint, from_environment
 
     connect = tuple(map(endpoint, args.router))
     if not connect and args.zenoh_config is None:
@@ -78,8 +78,8 @@ def add_fleet_options(parser: argparse.ArgumentParser, boards: bool = True) -> N
 
 def connected_fleet(args: argparse.Namespace) -> Fleet:
     """The fleet that the options name. Raises NoNetwork."""
-    from cm.fleet.blocking import connect
-    from cm.fleet.network import endpoint
+    from cm.networks.fleet.blocking import connect
+    from cm.networks.fleet.network import endpoint
 
     routers = tuple(map(endpoint, args.router))
     return connect(routers, config=args.zenoh_config, caller=args.caller, timeout=args.timeout)

@@ -30,7 +30,7 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 def run_push(args: argparse.Namespace) -> int:
     """Send; 0 where every board has put it in force."""
     from cm.cli.client import plain
-    from cm.messages.status import ErrorInfo
+    from cm.wire.messages.status import ErrorInfo
 
     with connected_fleet(args) as fleet:
         found = fleet.push(args.archive, args.boards)
@@ -57,9 +57,9 @@ def run_push(args: argparse.Namespace) -> int:
 
 def run_cache(args: argparse.Namespace) -> int:
     """Serve until interrupted; the exit status."""
-    from cm.fleet import names
-    from cm.fleet.bundles import Cache
-    from cm.fleet.network import awaited
+    from cm.networks.fleet import names
+    from cm.networks.fleet.bundles import Cache
+    from cm.networks.fleet.network import awaited
 
     over = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):

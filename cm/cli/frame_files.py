@@ -14,7 +14,7 @@ from cm.errors import CmError, InvalidRequest
 if TYPE_CHECKING:
     import numpy as np
 else:
-    from cm.lazy_numpy import np
+    from cm.wire.lazy_numpy import np
 
 _HEADER = 128  # bytes of a .npy header with room for any number of frames: written anew with each
 FORMATS = ("npy", "png", "raw")

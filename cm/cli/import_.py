@@ -8,9 +8,9 @@ import sys
 from pathlib import Path
 
 from cm.cli.common import add_json_option, print_json
-from cm.importers import Imported, import_dfx_mgr, import_pynq, unpack, write
+from cm.formats.importers import Imported, import_dfx_mgr, import_pynq, unpack, write
 from cm.schema import dump
-from cm.settings.model import Settings
+from cm.server.settings.model import Settings
 
 FIRMWARE = Path("/lib/firmware/cm")  # where the manager looks for a configuration's files
 
@@ -68,8 +68,8 @@ def run(args: argparse.Namespace) -> int:
 def run_archive(args: argparse.Namespace) -> int:
     """Unpack; 0 unless the archive is refused."""
     from cm.cli.signatures import policy_of
-    from cm.signing import judge
-    from cm.signing.policy import Judgement
+    from cm.formats.signing import judge
+    from cm.formats.signing.policy import Judgement
 
     settings = read_settings(args.settings)
     policy, found = policy_of(settings), [Judgement()]
@@ -101,11 +101,11 @@ def _count(text: str) -> int:
 
 def read_settings(path: Path | None) -> Settings:
     """The settings that are named, else the system's, where there are some."""
-    from cm.settings.model import FILE
+    from cm.server.settings.model import FILE
 
     if path is None and not FILE.exists():
         return Settings()
-    from cm.settings import load_settings
+    from cm.server.settings import load_settings
 
     return load_settings(path or FILE)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from cm.cli.keys import read_key_file, write_key_file
 from cm.errors import InvalidRequest
-from cm.rights.keys import FOLDER, authorized
+from cm.server.rights.keys import FOLDER, authorized
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

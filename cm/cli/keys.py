@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cm.errors import CmError, InvalidRequest
-from cm.rights.keys import FOLDER, OLD_FOLDER, authorized, pairs_of
+from cm.server.rights.keys import FOLDER, OLD_FOLDER, authorized, pairs_of
 
 if TYPE_CHECKING:
-    from cm.daemon.endpoints import Security
-    from cm.rights.model import AuthorizedKey
+    from cm.server.endpoints import Security
+    from cm.server.rights.model import AuthorizedKey
 
 
 class ReadableKey(CmError, PermissionError):
@@ -41,7 +41,7 @@ def read_key_file(path: Path) -> dict[str, bytes]:
 
 def load_server_keys(path: Path) -> Security:
     """A server's keys. Raises InvalidRequest for another file, ReadableKey for one that others may read."""
-    from cm.daemon.endpoints import Security
+    from cm.server.endpoints import Security
 
     keys = read_key_file(path)
     if not {"public", "secret"} <= keys.keys() or "server-public" in keys:

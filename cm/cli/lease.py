@@ -17,7 +17,7 @@ from cm.cli.common import add_connection_options, add_json_option, completes, pr
 from cm.cli.parser import Parser
 from cm.client.core import calls, leases
 from cm.errors import CmError, NotFound
-from cm.messages.requests import TakeLease
+from cm.wire.messages.requests import TakeLease
 
 if TYPE_CHECKING:
     from cm.client.board import Board

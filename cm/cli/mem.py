@@ -14,7 +14,7 @@ import numpy as np
 from cm.cli.client import connected, number, plain
 from cm.cli.common import add_connection_options, add_json_option, add_lease_option, completes, print_json, print_table
 from cm.errors import InvalidRequest
-from cm.messages.status import MemoryInfo
+from cm.wire.messages.status import MemoryInfo
 
 _LINE = 16  # bytes of a line of the dump
 _STDOUT = Path("-")

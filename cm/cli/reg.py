@@ -24,7 +24,7 @@ from cm.cli.common import (
 from cm.cli.following import followed
 from cm.client.core import registers
 from cm.errors import NotFound
-from cm.messages.status import RegisterInfo
+from cm.wire.messages.status import RegisterInfo
 
 if TYPE_CHECKING:
     from cm.client.board import Board

@@ -28,8 +28,8 @@ from cm.cli.serve_options import (
     stamps,
 )
 from cm.errors import InvalidRequest
-from cm.settings.model import FILE as SETTINGS_FILE
-from cm.settings.model import Settings as Defaults
+from cm.server.settings.model import FILE as SETTINGS_FILE
+from cm.server.settings.model import Settings as Defaults
 
 _SWITCH = 0.0005  # seconds, a tenth of Python's own
 _SILENCE = 3.0  # seconds of a start without a word
@@ -38,10 +38,10 @@ _HDL = ("rtl", "bits")  # kinds of simulated board that run a design's HDL
 if TYPE_CHECKING:
     from concurrent.futures import Future
 
-    from cm.daemon.options import Options
-    from cm.daemon.server import Server
     from cm.device import Root
-    from cm.settings import Settings
+    from cm.server.options import Options
+    from cm.server.server import Server
+    from cm.server.settings import Settings
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -130,7 +130,7 @@ def run(args: argparse.Namespace) -> int:
     with ExitStack() as stack:
         stack.callback(signal.signal, signal.SIGTERM, signal.signal(signal.SIGTERM, _give_up))
         options = _options(args, settings, stack)
-        from cm.daemon.server import Server
+        from cm.server.server import Server
 
         server = Server(options)
         _obey_signals(server)
@@ -141,7 +141,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _ready(sentence: str) -> None:
     """What there is by now stays; and no thread waits for long while another, which works aside, has Python's lock."""
-    from cm.daemon.host.collector import keep
+    from cm.server.host.collector import keep
 
     keep()
     sys.setswitchinterval(_SWITCH)
@@ -162,7 +162,7 @@ def _level(args: argparse.Namespace, settings: Settings | None) -> int:
 
 def _log_to(level: int, service: bool) -> None:
     """Log to the journal with its fields if it listens, otherwise as lines on stderr."""
-    from cm.daemon.host.journald import journal_handler
+    from cm.server.host.journald import journal_handler
 
     handler = journal_handler() or logging.StreamHandler(sys.stderr)
     handler.setFormatter(Lines(f"{'cm serve: ' if isinstance(handler, logging.StreamHandler) else ''}%(message)s"))
@@ -207,9 +207,9 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
     paths = args.config or (_simulated_schemas(args, runtime) if args.sim else [])
     board = _simulated_root(args, runtime, paths, stack) if args.sim else None
     # While the simulator starts, in a process of its own, this one gets on with its imports.
-    from cm.daemon.options import Options
     from cm.device import Root
     from cm.manager.manager import Settings as ManagerSettings
+    from cm.server.options import Options
 
     configs, left_out = configs_of(paths, settings)
     if not configs and sys.stderr.isatty():
@@ -254,7 +254,7 @@ def _metrics(args: argparse.Namespace) -> str:
     if args.metrics:
         from importlib.util import find_spec
 
-        from cm.daemon.options import NO_METRICS
+        from cm.server.options import NO_METRICS
 
         if find_spec("prometheus_client") is None:
             raise InvalidRequest(f"--metrics: {NO_METRICS}")
@@ -299,5 +299,5 @@ def _simulated_root(args: argparse.Namespace, runtime: Path, paths: list[Path], 
     arguments += ["--time-scale", args.sim_time_scale] if args.sim_time_scale else []
     root = Path(args.root) if args.root else runtime / "board"
     starter = stack.enter_context(ThreadPoolExecutor(1, "cm-board"))
-    program = f"cm.{args.sim}" if args.sim in _HDL else "cm.sim"
+    program = f"cm.{args.sim}" if args.sim in _HDL else "cm.simulation.software"
     return starter.submit(stack.enter_context, simulated_board(runtime, root, paths, arguments, program))

@@ -13,19 +13,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cm.errors import CmError, InvalidRequest
-from cm.rights.keys import FOLDER, OLD_FOLDER
-from cm.settings.model import FILE as SETTINGS_FILE
-from cm.settings.model import Settings as Defaults
+from cm.server.rights.keys import FOLDER, OLD_FOLDER
+from cm.server.settings.model import FILE as SETTINGS_FILE
+from cm.server.settings.model import Settings as Defaults
 from cm.wire.topics import split_tcp
 
 if TYPE_CHECKING:
-    from cm.daemon.endpoints import Security
-    from cm.daemon.host.reload import Reloaded
-    from cm.daemon.host.sent import Quota
-    from cm.daemon.limits import Limits
-    from cm.rights.model import Access
     from cm.schema.model import Config
-    from cm.settings import Settings
+    from cm.server.endpoints import Security
+    from cm.server.host.reload import Reloaded
+    from cm.server.host.sent import Quota
+    from cm.server.limits import Limits
+    from cm.server.rights.model import Access
+    from cm.server.settings import Settings
 
 Stamps = dict[str, tuple[int, int, int]]
 _LOCAL = ("127.0.0.1", "localhost", "[::1]")
@@ -45,7 +45,7 @@ def settings_of(args: argparse.Namespace) -> Settings | None:
     path: Path | None = args.settings
     if path is None and (args.sim or not SETTINGS_FILE.exists()):
         return None
-    from cm.settings import load_settings
+    from cm.server.settings import load_settings
 
     settings = load_settings(path or SETTINGS_FILE)
     given = {name: value for name, value in _flags(args).items() if value not in (None, (), "", False)}
@@ -72,7 +72,7 @@ def configs_of(paths: Sequence[Path], settings: Settings | None) -> tuple[dict[s
 
     left_out: tuple[str, ...] = ()
     if not paths and settings is not None:
-        from cm.settings import find_configs
+        from cm.server.settings import find_configs
 
         along = find_configs(settings.configs)
         configs, left_out = along.configs, along.left_out
@@ -119,7 +119,7 @@ def security_of(listen: Sequence[str], keys: Path | None, insecure: bool) -> Sec
 def access_of(settings: Settings | None, keys: Path | None) -> tuple[Access, tuple[str, ...]]:
     """Who may do what, and a sentence for each key that was left out."""
     from cm.cli.keys import authorized_keys
-    from cm.rights.model import Access
+    from cm.server.rights.model import Access
 
     said = (settings or Defaults()).access
     known, left_out = authorized_keys(keys, said.keys) if keys else ((), ())
@@ -169,7 +169,7 @@ def read_again(args: argparse.Namespace, paths: Sequence[Path], began: Settings 
 
     `began`: the settings of the start; changes in them that need a restart are noted.
     """
-    from cm.daemon.host.reload import Reloaded
+    from cm.server.host.reload import Reloaded
 
     settings = settings_of(args)
     configs, left_out = configs_of(paths, settings)
@@ -216,7 +216,7 @@ def _needs_restart(began: Settings | None, now: Settings | None) -> tuple[str, .
 
 def quota_of(settings: Settings) -> Quota:
     """How much space configurations of clients may take."""
-    from cm.daemon.host.sent import Quota
+    from cm.server.host.sent import Quota
 
     said = settings.limits
     return Quota(said.provisioned_each_mib << 20, said.provisioned_mib << 20)
@@ -224,7 +224,7 @@ def quota_of(settings: Settings) -> Quota:
 
 def limits_of(settings: Settings) -> Limits:
     """The limits of clients, in bytes."""
-    from cm.daemon.limits import MIB, Limits
+    from cm.server.limits import MIB, Limits
 
     said = settings.limits
     return Limits(

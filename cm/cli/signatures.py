@@ -6,9 +6,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from cm.formats.signing import Policy, SignatureRefused, SigningUnavailable, judge
 from cm.schema.model import Config
-from cm.settings.model import Settings
-from cm.signing import Policy, SignatureRefused, SigningUnavailable, judge
+from cm.server.settings.model import Settings
 
 
 def policy_of(settings: Settings | None) -> Policy:

@@ -17,7 +17,7 @@ from cm.cli.help_format import RawHelp
 from cm.errors import NotFound
 
 if TYPE_CHECKING:
-    from cm.sim import Control
+    from cm.simulation.software import Control
 
 _FAULTS = """faults (TARGET, VALUE):
   short_packet     channel, bytes      the next packet ends early
@@ -36,7 +36,7 @@ _FAULTS = """faults (TARGET, VALUE):
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command."""
-    from cm.sim.process.arguments import add_arguments
+    from cm.simulation.software.process.arguments import add_arguments
 
     parser = subparsers.add_parser(
         "sim",
@@ -54,7 +54,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Serve, or carry out one action on a simulator that runs; the exit status."""
     if getattr(args, "action", None) is None:
-        from cm.sim.process.main import run as serve
+        from cm.simulation.software.process.main import run as serve
 
         logging.basicConfig(level=logging.WARNING, format="cm sim: %(message)s")
         return serve(args)
@@ -99,7 +99,7 @@ def _add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 def _act(args: argparse.Namespace) -> int:
     from cm.errors import CmError
-    from cm.sim import Control
+    from cm.simulation.software import Control
 
     if args.action == "coverage":
         return _coverage(args)
@@ -117,7 +117,7 @@ def _served() -> Path:
     if named:
         return Path(named)
     from cm.client.address import default_runtime_dir
-    from cm.sim.transport.protocol import CONTROL_PATH
+    from cm.simulation.software.transport.protocol import CONTROL_PATH
 
     folder = default_runtime_dir() / "board"
     if not (folder / CONTROL_PATH).exists():
@@ -128,8 +128,8 @@ def _served() -> Path:
 def _coverage(args: argparse.Namespace) -> int:
     """The coverage of a running board (``--root``) so far, and of boards that have ended."""
     from cm.errors import CmError
-    from cm.rtl.coverage import report, table
-    from cm.sim import Control
+    from cm.simulation.rtl.coverage import report, table
+    from cm.simulation.software import Control
 
     try:
         if args.root is not None:

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from cm.device import Root
-from cm.sim.errors import SimError
-from cm.sim.process.child import Board
+from cm.simulation.software.errors import SimError
+from cm.simulation.software.process.child import Board
 
 _START_TIMEOUT = 300.0  # seconds: the first time, a design's HDL is compiled
 _LOG = logging.getLogger("cm")
@@ -24,7 +24,7 @@ _LINGER = "30"  # seconds that a board without a manager keeps its state
 
 @contextlib.contextmanager
 def simulated_board(
-    runtime: Path, root: Path, configs: list[Path], arguments: list[str], program: str = "cm.sim"
+    runtime: Path, root: Path, configs: list[Path], arguments: list[str], program: str = "cm.simulation.software"
 ) -> Iterator[Root]:
     """A board under `root` while the context lasts; `program` is the module that serves it.
 
@@ -82,7 +82,7 @@ def _refuse_where_served(runtime: Path) -> None:
         with (runtime / "lock").open("rb") as lock:
             fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
-        from cm.daemon.endpoints import FolderLock
+        from cm.server.endpoints import FolderLock
 
         FolderLock(runtime).release()  # raises, naming the holder
     except OSError:
@@ -95,11 +95,11 @@ def schema_of_build(build: Path, runtime: Path, kind: str) -> Path:
     For bits, the one that `cm build collect` has made, unchanged.
     """
     if kind == "bits":
-        from cm.bits.main import collected
+        from cm.simulation.bits.main import collected
 
         folder = collected(build)
         return folder / f"{folder.name}.yaml"
-    from cm.rtl.design import runtime_schema
+    from cm.simulation.rtl.design import runtime_schema
 
     name, text = runtime_schema(build)
     path = runtime / "schemas" / f"{name}.yaml"

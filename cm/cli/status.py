@@ -7,7 +7,7 @@ import argparse
 
 from cm.cli.client import awaited, connected, plain, settled
 from cm.cli.common import add_connection_options, add_json_option, print_json, print_table, seconds
-from cm.messages.status import Status
+from cm.wire.messages.status import Status
 
 _NOTICES = ("reconciled", "slept")  # what the manager found out, where nothing failed
 _UNITS = {"temperature": "°C", "voltage": "V", "current": "A", "power": "W"}

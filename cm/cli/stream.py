@@ -22,8 +22,8 @@ from cm.cli.common import (
     print_table,
 )
 from cm.errors import InvalidRequest
-from cm.lazy_numpy import np
-from cm.messages.status import StreamStatus
+from cm.wire.lazy_numpy import np
+from cm.wire.messages.status import StreamStatus
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

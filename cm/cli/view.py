@@ -12,12 +12,12 @@ from typing import Protocol
 
 from cm.cli.client import connected
 from cm.cli.common import add_connection_options, completes, natural
+from cm.cli.drawing.drawing import WAYS
+from cm.cli.drawing.screen import Screen, into_file, on_terminal
+from cm.cli.drawing.terminal import Size
 from cm.client.board import Board
 from cm.client.frame import Frame
 from cm.errors import InvalidRequest, Timeout
-from cm.view.drawing import WAYS
-from cm.view.screen import Screen, into_file, on_terminal
-from cm.view.terminal import Size
 
 _LOOK = 0.5  # seconds without a frame, after which keys are looked at again and the line says so
 
@@ -110,7 +110,7 @@ def _show_window(args: argparse.Namespace, board: Board) -> None:
     try:
         import tkinter
 
-        from cm.view.window import Window
+        from cm.cli.drawing.window import Window
     except ModuleNotFoundError:
         raise InvalidRequest("a window needs Tk: apt install python3-tk, or look in the terminal") from None
     try:

@@ -11,7 +11,7 @@ from cm.cli.client import connected, plain
 from cm.cli.common import add_connection_options, add_json_option, natural, print_json
 from cm.cli.following import followed
 from cm.cli.status import headline, show
-from cm.messages.status import Status
+from cm.wire.messages.status import Status
 
 _CLEAR = "\x1b[H\x1b[J"  # home, erase below: ECMA-48 CUP and ED
 

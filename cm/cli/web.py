@@ -19,7 +19,7 @@ from cm.errors import CmError, InvalidRequest, NotFound
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from cm.fleet.aio import Fleet
+    from cm.networks.fleet.aio import Fleet
     from cm.web.server import Options
 
 PORT = 8470
@@ -117,8 +117,8 @@ def _fleet(args: argparse.Namespace) -> Callable[[], Fleet] | None:
     """How to reach the fleet, where one is given; None for one board alone."""
     if not (args.fleet or args.router or args.zenoh_config):
         return None
-    from cm.fleet import aio as fleet
-    from cm.fleet.network import endpoint, zenoh_module
+    from cm.networks.fleet import aio as fleet
+    from cm.networks.fleet.network import endpoint, zenoh_module
 
     zenoh_module()  # said at once where it is missing
     routers = tuple(map(endpoint, args.router))

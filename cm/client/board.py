@@ -30,10 +30,10 @@ from cm.client.memories import Memories, Memory
 from cm.client.progress import OnProgress, Shown
 from cm.client.registers import Registers
 from cm.client.sockets import Sockets
-from cm.messages import html
-from cm.messages import requests as rq
-from cm.messages.requests import ConfigureStream, DefineMemory
-from cm.messages.status import (
+from cm.wire.messages import html
+from cm.wire.messages import requests as rq
+from cm.wire.messages.requests import ConfigureStream, DefineMemory
+from cm.wire.messages.status import (
     ClientStatus,
     ConfigEntry,
     ConfigInfo,

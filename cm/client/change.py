@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from cm.client.core import calls
 from cm.client.core.change import ChangeWatch
 from cm.client.link import Subscription
-from cm.messages.status import Progress
+from cm.wire.messages.status import Progress
 
 if TYPE_CHECKING:
     from cm.client.board import Board

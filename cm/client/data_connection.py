@@ -18,8 +18,8 @@ from cm.client.errors import ConnectionLost, LateRelease, NotAdmitted, request_e
 from cm.client.forks import not_for_children
 from cm.client.mapping import LocalFrame, SlotMappings, lend
 from cm.errors import NotFound
-from cm.messages.status import ErrorInfo
 from cm.wire import plane_packets as packets
+from cm.wire.messages.status import ErrorInfo
 from cm.wire.plane_packets import DESCRIPTOR, FDS_MAX, PACKET_MAX, Descriptor, Geometry, Open
 
 _ANCILLARY = socket.CMSG_SPACE(FDS_MAX * 4)

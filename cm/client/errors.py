@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from cm.errors import Busy, CmError, Forbidden, InvalidRequest, NotFound, Timeout
-from cm.messages.status import ErrorInfo
+from cm.wire.messages.status import ErrorInfo
 
 
 class RequestFailed(CmError):

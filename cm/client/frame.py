@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from cm.client.picture import has_rows, png
 from cm.errors import InvalidRequest
-from cm.messages.status import FrameInfo
+from cm.wire.messages.status import FrameInfo
 
 NO_INFO = "a view of a frame has no info and no sequence of its own; ask the frame"
 

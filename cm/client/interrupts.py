@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from cm.client.core import calls
 from cm.client.core.events import InterruptEvents
 from cm.client.events import EventStream
-from cm.messages.status import Irq
+from cm.wire.messages.status import Irq
 
 if TYPE_CHECKING:
     from cm.client.board import Board

@@ -11,11 +11,11 @@ from typing import Any, TypeVar
 import zmq
 from zmq import zmq_poll
 
-from cm import multipart
 from cm.client.core.calls import Call
 from cm.client.core.effects import AskBeside, Deadline, Flow, Pause, Receive, seconds
 from cm.client.core.requests import Requests, result
 from cm.client.sockets import Socket, Sockets, not_subscribed
+from cm.wire import multipart
 
 _T = TypeVar("_T")
 _TOLD = struct.Struct("=Hi")  # event and value, zmq_socket_monitor(3); pyzmq's own reader of it imports asyncio

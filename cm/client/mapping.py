@@ -18,7 +18,7 @@ from cm.client.errors import FrameReleased
 from cm.client.frame import NO_INFO, Frame
 from cm.client.frame_methods import checked
 from cm.errors import InvalidRequest
-from cm.messages.status import FrameInfo
+from cm.wire.messages.status import FrameInfo
 from cm.wire.plane_packets import Descriptor, Geometry
 
 # DMA_BUF_IOCTL_SYNC and its flags, linux/dma-buf.h

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from cm.client.core import memory
-from cm.messages.status import MemoryInfo
+from cm.wire.messages.status import MemoryInfo
 
 if TYPE_CHECKING:
     from cm.client.board import Board

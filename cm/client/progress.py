@@ -9,8 +9,8 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Any, TextIO
 
-from cm.messages import html
-from cm.messages.status import Progress
+from cm.wire.messages import html
+from cm.wire.messages.status import Progress
 
 OnProgress = Callable[[Progress], None]
 _AT_ONCE = 0.3  # seconds: shorter loads need no bar

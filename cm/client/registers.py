@@ -11,8 +11,8 @@ from cm.client.core.events import RegisterEvents
 from cm.client.core.generations import Written
 from cm.client.errors import RequestNotFound
 from cm.client.events import EventStream
-from cm.messages import html
-from cm.messages.status import RegisterInfo, RegValues
+from cm.wire.messages import html
+from cm.wire.messages.status import RegisterInfo, RegValues
 
 if TYPE_CHECKING:
     from cm.client.board import Board

@@ -12,9 +12,9 @@ from cm.client.core.effects import time_limit
 from cm.client.errors import RequestFailed
 from cm.client.frame import Frame, frame_of
 from cm.errors import InvalidRequest
-from cm.messages.status import FrameInfo
 from cm.wire import topics
 from cm.wire.encode import decode_event
+from cm.wire.messages.status import FrameInfo
 
 STOPPED_PAUSE = 0.05  # seconds until a stream that is stopped for a change is requested again
 ASK_FOR = 5.0  # seconds that one request for the newest frame waits for it

@@ -6,7 +6,7 @@ Usable without the manager.  Open devices are context managers; ``docs/device.md
 
 from __future__ import annotations
 
-import cm.native  # noqa: F401 (first: where there are no devices it says so)
+import cm.device.native  # noqa: F401 (first: where there are no devices it says so)
 from cm.device.axidma import AxiDma, Completion, Direction, DmaCaps, DmaInfo, DmaType, list_dma
 from cm.device.buffer import DmaBuffer
 from cm.device.clocks import PlClock, PlClocks

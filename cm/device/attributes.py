@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from cm.device import advice
 from cm.device.errors import DeviceError, device_error
+from cm.device.native import attr as native
 from cm.device.paths import Root
-from cm.native import attr as native
 
 
 @dataclass(frozen=True, slots=True)

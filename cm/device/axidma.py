@@ -12,9 +12,9 @@ from typing import ClassVar
 from cm.device import advice
 from cm.device.base import AnyRoot, Device, Shim, open_handle
 from cm.device.buffer import DmaBuffer
+from cm.device.native import axidma as native
+from cm.device.native.call import Handle
 from cm.device.paths import Root
-from cm.native import axidma as native
-from cm.native.call import Handle
 
 FOLDER = "dev/cm_dma"
 

@@ -12,15 +12,15 @@ from typing import ClassVar, Protocol, TypeVar
 
 from cm.device import advice
 from cm.device.errors import DeviceError, DeviceInvalid, device_error
+from cm.device.native.call import Handle
 from cm.device.paths import Root
-from cm.native.call import Handle
 
 Self = TypeVar("Self", bound="Device")
 AnyRoot = str | os.PathLike[str] | Root | None
 
 
 class Shim(Protocol):
-    """What every device's module of `cm.native` has."""
+    """What every device's module of `cm.device.native` has."""
 
     def release(self, handle: Handle) -> None: ...
 

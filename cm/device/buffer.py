@@ -12,8 +12,8 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from cm.device.errors import DeviceInvalid, device_error
-from cm.native import buffer as native
-from cm.native.call import Handle
+from cm.device.native import buffer as native
+from cm.device.native.call import Handle
 
 if TYPE_CHECKING:
     import numpy as np

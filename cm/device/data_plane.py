@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from cm.device.axidma import AxiDma
 from cm.device.errors import device_error
-from cm.native import plane as native
+from cm.device.native import plane as native
 
 ECHO_DEPTH = 64  # transfers under way where there is no channel
 

@@ -10,9 +10,9 @@ from typing import ClassVar
 from cm.device import advice
 from cm.device.base import AnyRoot, Device, Shim
 from cm.device.errors import device_error
+from cm.device.native import gpio as native
+from cm.device.native.call import Handle
 from cm.device.paths import Root
-from cm.native import gpio as native
-from cm.native.call import Handle
 
 CONSUMER = "fpga-cm"  # what gpioinfo(1) says of a line that is held
 

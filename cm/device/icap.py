@@ -12,8 +12,8 @@ from typing import ClassVar
 from cm.device import advice
 from cm.device.base import AnyRoot, Device, Shim, open_handle
 from cm.device.buffer import DmaBuffer
+from cm.device.native import icap as native
 from cm.device.paths import Root
-from cm.native import icap as native
 
 
 class IcapState(enum.Enum):

@@ -11,9 +11,9 @@ from typing import ClassVar
 from cm.device import advice
 from cm.device.base import AnyRoot, Device, Shim
 from cm.device.errors import DeviceError, DeviceInvalid, DeviceNotFound, device_error
+from cm.device.native import uio as native
+from cm.device.native.call import Handle, last_error
 from cm.device.paths import Root
-from cm.native import uio as native
-from cm.native.call import Handle, last_error
 
 WIDTHS = (8, 16, 32, 64)
 

@@ -28,9 +28,9 @@ from cm.manager.reporting.status import Moment, StatusReporter
 from cm.manager.state.board_state import ManagerState
 from cm.manager.state.record import Pending
 from cm.manager.state.table import BoardState, slept
-from cm.messages.requests import ChangeMode, RegWrite
-from cm.messages.status import ConfigInfo, ErrorInfo, PlanInfo, RegValues, Status
 from cm.schema.model import Config
+from cm.wire.messages.requests import ChangeMode, RegWrite
+from cm.wire.messages.status import ConfigInfo, ErrorInfo, PlanInfo, RegValues, Status
 
 __all__ = ["Environment", "Manager", "Settings"]
 

@@ -335,7 +335,7 @@ class Config:
     name: str
     type: ConfigType = ConfigType.PARTIAL
     device: str | None = None  # e.g. "xc7z020"; None: any
-    idcode: int | None = None  # of the bitstreams, for a device that `cm.bitstream` does not know
+    idcode: int | None = None  # of the bitstreams, for a device that `cm.formats.bitstream` does not know
     bitstream: Path | None = None  # static image of a full configuration
     sha256: str | None = None
     loader: LoaderKind = LoaderKind.FPGA_MANAGER  # of the static image; never AUTO

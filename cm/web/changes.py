@@ -7,7 +7,7 @@ import time
 from collections import deque
 from typing import Any
 
-from cm.messages.status import Progress, Status
+from cm.wire.messages.status import Progress, Status
 
 KEPT = 20
 _STEPS_MAX = 200  # of one change that are kept

@@ -9,12 +9,12 @@ from collections.abc import Callable
 from typing import Any
 
 from cm.errors import CmError
-from cm.fleet.aio import Fleet
-from cm.fleet.clocks import said_apart
-from cm.fleet.standing import difference, disagreeing, stands_apart
-from cm.messages.fleet import BoardStatus
-from cm.messages.status import Status
+from cm.networks.fleet.aio import Fleet
+from cm.networks.fleet.clocks import said_apart
+from cm.networks.fleet.standing import difference, disagreeing, stands_apart
 from cm.web.topics import Topics
+from cm.wire.messages.fleet import BoardStatus
+from cm.wire.messages.status import Status
 
 _AGAIN = 2.0  # seconds between two tries to reach the fleet
 _PAUSE = 0.25  # seconds between two tables

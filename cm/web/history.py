@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Any
 
-from cm.messages.status import Status
+from cm.wire.messages.status import Status
 
 KEPT = 600
 _SERIES_MAX = 64

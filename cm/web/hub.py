@@ -13,12 +13,12 @@ from typing import Any
 
 from cm.client.aio.board import Board
 from cm.errors import CmError
-from cm.messages.status import ConfigInfo, Irq, RegValues, Status
 from cm.web.changes import ChangeLog
 from cm.web.history import History
 from cm.web.topics import Topics, plain
 from cm.wire import topics as wire
 from cm.wire.encode import decode_event
+from cm.wire.messages.status import ConfigInfo, Irq, RegValues, Status
 
 _AGAIN = 1.0  # seconds between two looks at the status, and between two tries to connect
 _ERRORS = 50

@@ -21,7 +21,7 @@ from cm.web.session import Session
 from cm.web.watching import Watching
 
 if TYPE_CHECKING:
-    from cm.fleet.aio import Fleet
+    from cm.networks.fleet.aio import Fleet
 
 STATIC = Path(__file__).with_name("static")
 _PAGES = 32  # at once

@@ -6,9 +6,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from cm.messages import status as st
 from cm.wire import cm_pb2 as pb
 from cm.wire import holders
+from cm.wire.messages import status as st
 
 _PR_MODES = tuple(st.PrMode)  # in the order of the enum PrMode of cm.proto
 _PR_NUMBERS: dict[st.PrMode, Any] = {mode: number for number, mode in enumerate(_PR_MODES)}

@@ -8,9 +8,9 @@ from dataclasses import replace
 from functools import lru_cache
 
 from cm.errors import InvalidRequest
-from cm.messages import requests as rq
 from cm.wire import bounds, parse, text, topics
 from cm.wire import cm_pb2 as pb
+from cm.wire.messages import requests as rq
 
 Frame = bytes | memoryview
 _SHORT, _KEPT = 256, 256  # bytes of the longest message whose request is kept, and how many are kept

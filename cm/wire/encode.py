@@ -9,10 +9,10 @@ from typing import Any
 from google.protobuf.message import DecodeError
 
 from cm.errors import InvalidRequest
-from cm.messages import requests as rq
-from cm.messages import status as st
 from cm.wire import bodies, topics
 from cm.wire import cm_pb2 as pb
+from cm.wire.messages import requests as rq
+from cm.wire.messages import status as st
 
 Frame = bytes | memoryview
 

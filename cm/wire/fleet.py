@@ -6,11 +6,11 @@ from __future__ import annotations
 from typing import Any
 
 from cm.errors import InvalidRequest
-from cm.messages import fleet as fl
-from cm.messages.status import ErrorInfo
 from cm.wire import bodies
 from cm.wire import cm_pb2 as pb
 from cm.wire.fleet_records import parsed, record_from_pb, record_to_pb
+from cm.wire.messages import fleet as fl
+from cm.wire.messages.status import ErrorInfo
 
 
 def extras(labels: tuple[str, ...], clock: fl.ClockSync, record: fl.FleetRecord | None) -> bytes:

@@ -8,9 +8,9 @@ from typing import TypeVar
 from google.protobuf.message import DecodeError, Message
 
 from cm.errors import InvalidRequest
-from cm.messages import fleet as fl
 from cm.wire import bodies
 from cm.wire import cm_pb2 as pb
+from cm.wire.messages import fleet as fl
 
 _M = TypeVar("_M", bound=Message)
 LONGEST = 30 * 86400  # seconds

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from cm.messages import status as st
 from cm.wire import cm_pb2 as pb
+from cm.wire.messages import status as st
 
 
 def lease_state_to_pb(x: st.LeaseStatus) -> pb.LeaseState:

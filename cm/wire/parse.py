@@ -9,9 +9,9 @@ from typing import TypeVar
 from google.protobuf.message import DecodeError, Message
 
 from cm.errors import InvalidRequest
-from cm.messages.requests import RegWrite, WriteReg
 from cm.wire import bounds, text
 from cm.wire import cm_pb2 as pb
+from cm.wire.messages.requests import RegWrite, WriteReg
 
 LONG = 1024  # bytes of writes of registers that take more than a moment to read
 Frame = bytes | memoryview

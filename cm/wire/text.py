@@ -11,8 +11,8 @@ import re
 from collections.abc import Generator
 
 from cm.errors import InvalidRequest
-from cm.messages.requests import ChangeMode, RegWrite, WriteReg
 from cm.wire import bounds
+from cm.wire.messages.requests import ChangeMode, RegWrite, WriteReg
 
 _WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*(/[A-Za-z_][A-Za-z0-9_-]*)?")
 _STRING = r"""'[^'\\\n]*'|"[^"\\\n]*\""""

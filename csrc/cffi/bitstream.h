@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* What cm.native.bitstream calls of csrc/bitstream.h. */
+/* What cm.device.native.bitstream calls of csrc/bitstream.h. */
 enum cm_config_event_kind {
 	CM_CONFIG_SYNC,
 	CM_CONFIG_WRITE,

@@ -29,7 +29,7 @@
 #define MAGIC UINT64_C(0x434D53594E430001)
 #define LOST 0xC5 /* what the processor's view holds outside begin and end */
 
-/* cm/sim/transport/buffers.py */
+/* cm/simulation/software/transport/buffers.py */
 struct counters {
 	uint64_t magic;
 	int64_t holders;

@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 import cm.fleet
-from cm.fleet.errors import ChangeFailed, FleetRefused
-from cm.messages.fleet import BoardStatus
-from cm.messages.status import ErrorInfo
+
+from cm.networks.fleet.errors import ChangeFailed, FleetRefused
+from cm.wire.messages.fleet import BoardStatus
+from cm.wire.messages.status import ErrorInfo
 
 
 def main() -> None:

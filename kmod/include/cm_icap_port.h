@@ -8,7 +8,7 @@
 
 /*
  * The status register: the one definition, which cm_control.v, cm_plsim, the
- * binding and the tests are compared with (tests/unit/test_icap_status.py).
+ * binding and the tests are compared with (tests/unit/device/test_icap_status.py).
  *
  * Bits 0 and 2 as in HWICAP and HBICAP (SR, 0x110), which have no others.
  * FAILED: the port has an error output, and no cause of it (ICAPE2: CFGERR_B,

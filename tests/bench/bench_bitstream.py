@@ -21,8 +21,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from cm.bitstream import FrameAddress, FrameRun, SharedFrame, assemble, inspect, open_image
-from cm.bitstream.inspect import analyse
+from cm.formats.bitstream import FrameAddress, FrameRun, SharedFrame, assemble, inspect, open_image
+from cm.formats.bitstream.inspect import analyse
 
 FRAME_BYTES = 404
 

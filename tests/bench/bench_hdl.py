@@ -21,8 +21,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from cm.build.hdl import HdlError, Interface, ModuleInfo, PortDirection, extract, load_component_xml, read
-from cm.build.hdl.detect import Detector
+from cm.design.hdl import HdlError, Interface, ModuleInfo, PortDirection, extract, load_component_xml, read
+from cm.design.hdl.detect import Detector
 
 VERILOG = (".v", ".sv")
 VHDL = (".vhd", ".vhdl")

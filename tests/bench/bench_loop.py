@@ -23,9 +23,9 @@ from typing import Any
 import zmq
 import zmq.asyncio
 
-from cm import multipart
-from cm.daemon.loop import Loop as DaemonLoop
 from cm.loop import Loop
+from cm.server.loop import Loop as DaemonLoop
+from cm.wire import multipart
 
 TRIPS, ROUNDS = 200, 100
 DATA = bytes(64)

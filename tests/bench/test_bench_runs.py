@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from cm.bench.table import CASES, NAMES, Case
 from cm.cli.main import main
+from cm.tools.bench.table import CASES, NAMES, Case
 
 pytestmark = pytest.mark.timeout(900)
 KEYS = {"value", "unit", "baseline", "ratio", "goal", "met", "missing", "ran"}

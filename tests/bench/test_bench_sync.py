@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from cm.sim import Board
+from cm.simulation.software import Board
 
 pytestmark = pytest.mark.timeout(900)
 SOURCE = Path(__file__).parents[2] / "csrc/tests/sim_dma_buf.c"

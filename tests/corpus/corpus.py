@@ -23,7 +23,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from cm.bitstream import BitstreamError, Report, inspect
+from cm.formats.bitstream import BitstreamError, Report, inspect
 
 LIST = Path(__file__).with_name("verdicts.tsv")
 PLAIN = {".bit", ".bin", ".pdi"}

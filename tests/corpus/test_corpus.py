@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 from corpus import GOOD, Sample, Verdict, expected, judge, samples
 
-from cm.bitstream import CrcResult, Expectation, FrameRun, assemble, footprint_of, inspect, open_image, refusals
-from cm.bitstream.devices import Family
-from cm.bitstream.far import decode_far
-from cm.bitstream.geometry import geometry_of
-from cm.bitstream.writes import frame_writes
+from cm.formats.bitstream import CrcResult, Expectation, FrameRun, assemble, footprint_of, inspect, open_image, refusals
+from cm.formats.bitstream.devices import Family
+from cm.formats.bitstream.far import decode_far
+from cm.formats.bitstream.geometry import geometry_of
+from cm.formats.bitstream.writes import frame_writes
 
 FLIPS = 24  # in each file
 

@@ -18,10 +18,10 @@ import pytest
 from suite_board import PATIENCE, Board
 
 import cm.device as device
-from cm.bitstream import to_dma_words
+from cm.formats.bitstream import to_dma_words
 
 if TYPE_CHECKING:
-    from cm.sim import Board as Simulator
+    from cm.simulation.software import Board as Simulator
 
 SCHEMA = Path(__file__).parents[2] / "cm/data/camera/camera.yaml"
 LOOP = Path(__file__).parents[1] / "rtl/loop/build.yaml"
@@ -34,7 +34,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def _simulated() -> Iterator[Board]:
-    from cm.sim import Board as Simulator
+    from cm.simulation.software import Board as Simulator
 
     with Simulator([SCHEMA]) as simulator:
         yield Board(
@@ -63,12 +63,14 @@ def _stall(simulator: Simulator, on: bool) -> None:
 
 
 def _rtl() -> Iterator[Board]:
-    from cm.rtl.main import prepare
-    from cm.sim import Board as Simulator
+    from cm.simulation.rtl.main import prepare
+    from cm.simulation.software import Board as Simulator
 
     prepare(LOOP)
     with (
-        Simulator(program="cm.rtl", arguments=["--build", str(LOOP), "--icap-rate", "10000000"]) as simulator,
+        Simulator(
+            program="cm.simulation.rtl", arguments=["--build", str(LOOP), "--icap-rate", "10000000"]
+        ) as simulator,
         device.Uio.open(0x4000_0000, simulator.root) as control,
         device.Uio.open(0x4001_0000, simulator.root) as left,
     ):

@@ -16,7 +16,7 @@ import zmq
 from manager_process import REPOSITORY, Manager, served, short_folder
 
 import cm
-from cm.sim import Board as SimBoard
+from cm.simulation.software import Board as SimBoard
 
 _BUILD = "import sys; sys.path.insert(0, 'release'); import backend; print(backend.build_wheel(sys.argv[1]))"
 

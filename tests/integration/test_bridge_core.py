@@ -16,13 +16,13 @@ from manager_process import Manager
 from manager_process import until as until_true
 
 import cm
-from cm.bridge.commands import Commands
-from cm.bridge.follower import Follower
-from cm.bridge.frames import FrameReader
-from cm.bridge.records import Caller, ConfigRecord, FrameRecord, InterruptRecord, RegistersRecord, StatusRecord
 from cm.client.errors import RequestFailed
 from cm.errors import CmError
-from cm.sim import Board as SimBoard
+from cm.networks.bridge.commands import Commands
+from cm.networks.bridge.follower import Follower
+from cm.networks.bridge.frames import FrameReader
+from cm.networks.bridge.records import Caller, ConfigRecord, FrameRecord, InterruptRecord, RegistersRecord, StatusRecord
+from cm.simulation.software import Board as SimBoard
 
 US = Caller()
 PATIENCE = 60.0

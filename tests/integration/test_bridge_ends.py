@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 from manager_process import Manager, served, until
 
-from cm.fleet.bundles import described, part_key
-from cm.fleet.network import Network, session
-from cm.sim import Board as SimBoard
+from cm.networks.fleet.bundles import described, part_key
+from cm.networks.fleet.network import Network, session
+from cm.simulation.software import Board as SimBoard
 from cm.wire.fleet import encode_fetch
 
 pytest.importorskip("zenoh")

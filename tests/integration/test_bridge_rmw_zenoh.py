@@ -16,16 +16,16 @@ import pytest
 from manager_process import REPOSITORY, Manager, until
 
 import cm
-from cm.sim import Board as SimBoard
+from cm.simulation.software import Board as SimBoard
 
 pytest.importorskip("zenoh")
 pytest.importorskip("xxhash")
 
 from zenoh_support import DOMAIN, PATIENCE, Bridge, Peer, Router
 
-from cm.ros.standard import STANDARD
-from cm.ros.transport import EVENTS, Qos
-from cm.ros.typehash import type_hash
+from cm.networks.ros.standard import STANDARD
+from cm.networks.ros.transport import EVENTS, Qos
+from cm.networks.ros.typehash import type_hash
 
 IMAGE = "sensor_msgs/msg/Image"
 

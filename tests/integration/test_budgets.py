@@ -16,9 +16,9 @@ from manager_process import Manager, served, until
 
 import cm
 from cm.cli.main import main
-from cm.messages import requests as rq
-from cm.messages.status import Reply
 from cm.wire.encode import decode_reply, encode_request
+from cm.wire.messages import requests as rq
+from cm.wire.messages.status import Reply
 
 MIB = 1 << 20
 DESCRIBED = ", ".join(f"r{i}: {{offset: {0x100 + 4 * i:#x}, doc: {'register ' * 100}}}" for i in range(7))

@@ -20,8 +20,8 @@ import cm
 from cm import child
 from cm.cli.frame_files import NpyFiles
 from cm.cli.main import main
-from cm.sim import Board as SimBoard
-from cm.sim.process.control import Control
+from cm.simulation.software import Board as SimBoard
+from cm.simulation.software.process.control import Control
 
 
 def command(manager: Manager, *arguments: str) -> list[str]:

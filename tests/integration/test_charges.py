@@ -15,8 +15,8 @@ import zmq
 from daemon_thread import Daemon, daemon
 from manager_process import until
 
-from cm.budgets.budget import Budget
-from cm.messages import requests as rq
+from cm.server.shares.budget import Budget
+from cm.wire.messages import requests as rq
 
 STEP = 10**12  # nanoseconds of a step beside requests
 TOPICS = 300
@@ -25,7 +25,7 @@ TOPICS = 300
 @pytest.fixture
 def served(monkeypatch: pytest.MonkeyPatch) -> Iterator[Daemon]:
     clock = count(0, STEP)
-    monkeypatch.setattr("cm.daemon.streams.background.monotonic_ns", lambda: next(clock))
+    monkeypatch.setattr("cm.server.streams.background.monotonic_ns", lambda: next(clock))
     with daemon(load="camera/default", listen=("tcp://127.0.0.1:0",)) as made:
         until(lambda: made.status.mode == "default" and not made.status.fpga_busy)
         yield made

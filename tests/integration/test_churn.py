@@ -20,13 +20,13 @@ from daemon_thread import Daemon, daemon
 from flood import running
 from manager_process import CAMERA, environment, until
 
-from cm.budgets.budget import Budget
-from cm.daemon.client_jobs import ClientJobs
 from cm.manager.execution.worker import Change, Worker
 from cm.manager.manager import Manager
-from cm.messages import requests as rq
-from cm.messages.status import ConfigInfo, Reply
+from cm.server.client_jobs import ClientJobs
+from cm.server.shares.budget import Budget
 from cm.wire.encode import decode_reply, encode_request
+from cm.wire.messages import requests as rq
+from cm.wire.messages.status import ConfigInfo, Reply
 from cm.wire.plane_packets import Open, encode_open
 
 # Opens many connections to the data socket, says nothing, and reports when all but a few have been closed.
@@ -204,7 +204,7 @@ def test_a_client_that_keeps_connecting_to_the_data_socket_displaces_nobody(serv
 def test_what_a_manager_has_made_when_it_is_ready_is_never_looked_through_for_garbage(tmp_path: Path) -> None:
     """Full collections took 15 to 30 ms of its loop, the first of them when the first flood came."""
     code = (
-        "import gc, sys\nfrom cm.daemon.server import Server\nfrom cm.cli.main import main\n"
+        "import gc, sys\nfrom cm.server.server import Server\nfrom cm.cli.main import main\n"
         "Server.serve = lambda self, ready: (ready(), self._close())\n"
         "status = main(sys.argv[1:])\n"
         "print(status, gc.get_freeze_count() > 20_000, len(gc.get_objects()) < 5_000)"

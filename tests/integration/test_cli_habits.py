@@ -19,7 +19,7 @@ from manager_schemas import written
 
 import cm
 from cm.cli.main import main
-from cm.sim import Board as SimBoard
+from cm.simulation.software import Board as SimBoard
 
 
 @contextmanager

@@ -44,9 +44,9 @@ from cm.client.errors import (
     RequestNotFound,
 )
 from cm.errors import InvalidRequest, Timeout
-from cm.messages.status import Progress
-from cm.sim import Board as SimBoard
-from cm.sim.hardware import camera
+from cm.simulation.software import Board as SimBoard
+from cm.simulation.software.hardware import camera
+from cm.wire.messages.status import Progress
 
 PICTURE = (np.arange(480 * 640) % 251).astype(np.uint8).reshape(480, 640)
 

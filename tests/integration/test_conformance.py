@@ -13,10 +13,10 @@ from manager_process import REPOSITORY, Manager
 
 import cm
 from cm.cli.main import main
-from cm.conformance.cases import cases
-from cm.conformance.driver import ACTIONS
+from cm.tools.conformance.cases import cases
+from cm.tools.conformance.driver import ACTIONS
 
-OURS = [sys.executable, "-m", "cm.conformance.driver"]
+OURS = [sys.executable, "-m", "cm.tools.conformance.driver"]
 HEADER = """
 import json, sys
 import zmq

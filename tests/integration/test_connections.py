@@ -18,8 +18,8 @@ from manager_process import until
 
 import cm
 from cm.cli.keys import read_key_file
-from cm.messages.requests import Upload
 from cm.wire.encode import decode_reply, encode_request
+from cm.wire.messages.requests import Upload
 
 NOFILE = 1024
 

@@ -15,7 +15,7 @@ import pytest
 from manager_process import environment, until
 from reference import sobel
 
-from cm.sim.hardware.camera import shipped_photos
+from cm.simulation.software.hardware.camera import shipped_photos
 
 PIL = pytest.importorskip("PIL.Image", reason="needs_pillow: the demo writes a picture with it")
 

@@ -20,7 +20,7 @@ import cm
 import cm.aio
 from cm.client.frame import Frame
 from cm.device import Uio
-from cm.messages.status import Irq, PlanInfo, Status
+from cm.wire.messages.status import Irq, PlanInfo, Status
 
 with cm.connect("tcp://kria.local", timeout=3.0) as board:
     status: Status = board.status

@@ -19,19 +19,19 @@ import zmq
 from manager_process import CAMERA, environment, short_folder, until
 
 import cm
-from cm.budgets.budget import Budget
-from cm.budgets.places import Places
-from cm.daemon import server as daemon
-from cm.daemon.limits import MIB, Limits
-from cm.daemon.options import Options
 from cm.device import Root
-from cm.intake import Intake
-from cm.messages.requests import ReadStatus, RegWrite, WriteReg
-from cm.messages.status import Reply
 from cm.schema import load_folder
-from cm.sim import Board as SimBoard
+from cm.server import server as daemon
+from cm.server.intake import Intake
+from cm.server.limits import MIB, Limits
+from cm.server.options import Options
+from cm.server.shares.budget import Budget
+from cm.server.shares.places import Places
+from cm.simulation.software import Board as SimBoard
 from cm.wire.bounds import SLICE
 from cm.wire.encode import decode_reply, encode_request
+from cm.wire.messages.requests import ReadStatus, RegWrite, WriteReg
+from cm.wire.messages.status import Reply
 from cm.wire.plane_packets import Open, encode_open
 
 CONNECTIONS, EACH = 200, 40
@@ -74,7 +74,7 @@ class Order:
         self.usual = 1000
         self._now = 0
         serve = Intake._serve
-        patch.setattr("cm.intake.monotonic_ns", lambda: self._now)
+        patch.setattr("cm.server.intake.monotonic_ns", lambda: self._now)
 
         def noted(intake: Intake, budget: Budget, began: int, *call: Any) -> Any:
             self.served.append(budget.name)

@@ -24,16 +24,16 @@ from fleet_support import EDGE, VISION, FleetBoard, Router, fleet_of
 from manager_process import REPOSITORY, Manager, environment, until
 from web_support import chromium, page_of, web_server
 
-import cm.fleet
+import cm.networks.fleet
 from cm import child
 from cm.cli.main import main
-from cm.demo.boards import free_ports
-from cm.fleet.blocking import Fleet
-from cm.fleet.errors import ChangeFailed, FleetRefused, NoSuchBoard
-from cm.fleet.network import Network, session
-from cm.messages.fleet import BoardStatus, BundleState, Decision, FleetRecord
-from cm.messages.status import ErrorInfo, RegValues
+from cm.networks.fleet.blocking import Fleet
+from cm.networks.fleet.errors import ChangeFailed, FleetRefused, NoSuchBoard
+from cm.networks.fleet.network import Network, session
+from cm.tools.demo.boards import free_ports
 from cm.wire import cm_pb2 as pb
+from cm.wire.messages.fleet import BoardStatus, BundleState, Decision, FleetRecord
+from cm.wire.messages.status import ErrorInfo, RegValues
 
 Boards = dict[str, FleetBoard]
 
@@ -102,7 +102,7 @@ def test_the_status_has_what_the_manager_says_and_what_the_bridge_knows(boards: 
 def test_a_bridge_that_hangs_is_distinguished_from_a_board_that_is_gone(boards: Boards, fleet: Fleet) -> None:
     boards["b2"].bridge.send(signal.SIGSTOP)
     try:
-        with cm.fleet.connect(_endpoint(fleet), caller="anna", timeout=5.0) as hasty:
+        with cm.networks.fleet.connect(_endpoint(fleet), caller="anna", timeout=5.0) as hasty:
             found = hasty.status(["b2", "x9"])
     finally:
         boards["b2"].bridge.send(signal.SIGCONT)
@@ -298,14 +298,14 @@ def test_a_bridge_killed_during_a_change_comes_back_to_the_fleets_mode(boards: B
 
 
 CLIENT = """
-import sys, time, cm.fleet
+import sys, time, cm.networks.fleet
 
 def tell(phase, *_):
     print(phase, flush=True)
     if phase == sys.argv[2]:
         time.sleep(3600)
 
-cm.fleet.connect(sys.argv[1], caller="anna").mode("edge_detection", settle=0.3, tell=tell)
+cm.networks.fleet.connect(sys.argv[1], caller="anna").mode("edge_detection", settle=0.3, tell=tell)
 """
 
 
@@ -485,7 +485,7 @@ def test_boards_put_an_archive_in_force_as_their_policy_lets_them(
     assert not (places / "b2" / "vision").exists()
     assert isinstance(third, ErrorInfo)
     assert "start it with --import-to DIR" in third.message
-    with cm.fleet.connect(_endpoint(fleet), caller="bob", timeout=30.0) as other:
+    with cm.networks.fleet.connect(_endpoint(fleet), caller="bob", timeout=30.0) as other:
         refused = other.push(packed, ["b1"])["b1"]
     assert isinstance(refused, ErrorInfo)
     assert refused.code == "forbidden"

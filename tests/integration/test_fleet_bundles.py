@@ -11,8 +11,8 @@ import pytest
 from fleet_support import VISION, Router
 from manager_process import until
 
-from cm.fleet.bundles import Cache, PartMissing, Parts, described, fetched, offered, part_key
-from cm.fleet.network import Network, session
+from cm.networks.fleet.bundles import Cache, PartMissing, Parts, described, fetched, offered, part_key
+from cm.networks.fleet.network import Network, session
 
 
 @pytest.fixture(scope="module")

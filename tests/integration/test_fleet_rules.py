@@ -11,13 +11,13 @@ import pytest
 from fleet_support import FleetBoard, Router, fleet_board
 from manager_process import until
 
-import cm.fleet
-from cm.demo.boards import free_ports
-from cm.fleet.network import NoNetwork
-from cm.fleet.security.folder import KeyFolder
-from cm.fleet.security.rules import Member
-from cm.messages.fleet import BoardStatus
-from cm.messages.status import ErrorInfo, RegValues
+import cm.networks.fleet
+from cm.networks.fleet.network import NoNetwork
+from cm.networks.fleet.security.folder import KeyFolder
+from cm.networks.fleet.security.rules import Member
+from cm.tools.demo.boards import free_ports
+from cm.wire.messages.fleet import BoardStatus
+from cm.wire.messages.status import ErrorInfo, RegValues
 
 
 class Closed:
@@ -27,9 +27,9 @@ class Closed:
         self.keys = keys
         self.board = board
 
-    def connected(self, name: str, caller: str = "", patience: float = 60.0) -> cm.fleet.Fleet:
+    def connected(self, name: str, caller: str = "", patience: float = 60.0) -> cm.networks.fleet.Fleet:
         """`patience`: seconds to wait for an answer, all of which pass if there is none."""
-        found = cm.fleet.connect(config=self.keys.folder / f"{name}.json5", caller=caller, timeout=patience)
+        found = cm.networks.fleet.connect(config=self.keys.folder / f"{name}.json5", caller=caller, timeout=patience)
         until(found.boards, 60.0)
         return found
 
@@ -105,7 +105,7 @@ def test_no_client_connects_without_a_certificate_of_the_fleet(closed: Closed, t
     path = other.folder / "anna.json5"
     path.write_text(path.read_text().replace('"timeout_ms": 3000', '"timeout_ms": 1000'))
     with pytest.raises(NoNetwork):
-        cm.fleet.connect(config=path, timeout=1.0)
+        cm.networks.fleet.connect(config=path, timeout=1.0)
 
 
 def port_of(closed: Closed) -> int:

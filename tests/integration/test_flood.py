@@ -19,16 +19,16 @@ from flood import descriptors, idle_connections, resident_mib
 from manager_process import Manager, served, short_folder, until
 
 import cm
-from cm.daemon import server as daemon
-from cm.daemon.loop import Loop
-from cm.daemon.options import Options
 from cm.device import Root
 from cm.manager.access.register_bus import RegisterBus
-from cm.messages import requests as rq
 from cm.schema import load_folder
-from cm.sim import Board as SimBoard
+from cm.server import server as daemon
+from cm.server.loop import Loop
+from cm.server.options import Options
+from cm.simulation.software import Board as SimBoard
 from cm.wire import cm_pb2 as pb
 from cm.wire.encode import encode_request
+from cm.wire.messages import requests as rq
 
 AT_ONCE, PIECE = 32, 16  # registers of a request in one go, and in a piece of a longer one
 REGISTERS = "\n".join(f"          r{i}: {{offset: {4 * i:#x}}}" for i in range(200))

@@ -20,8 +20,8 @@ from flood import descriptors, resident_mib, running
 from manager_process import CAMERA, short_folder, until
 
 import cm
-from cm.daemon import loop as loops
-from cm.sim import Board as SimBoard
+from cm.server import loop as loops
+from cm.simulation.software import Board as SimBoard
 
 SLICES = 64  # of the loop, in the slowest answer
 BESIDE = 64  # MiB
@@ -73,7 +73,7 @@ def ended(process: subprocess.Popen[str]) -> Any:
 def test_beside_everything_at_once_a_client_is_served_and_all_is_idle_afterwards(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("cm.daemon.uploads.IDLE", 2.0)  # seconds, of 60
+    monkeypatch.setattr("cm.server.uploads.IDLE", 2.0)  # seconds, of 60
     slices = Slices(monkeypatch)
     with short_folder() as folder, SimBoard([CAMERA], root=folder / "board") as sim:
         daemon = Daemon(folder, sim, load="camera/default")
@@ -90,7 +90,7 @@ def _floods(runtime: Path, slices: Slices) -> None:
     slices.longest = 0.0
     with (
         running("-c", BEHAVES_WELL, str(runtime), first="begun") as client,
-        running("-m", "cm.bench.flooding", str(runtime), first="flooding") as flood,
+        running("-m", "cm.tools.bench.flooding", str(runtime), first="flooding") as flood,
     ):
         with cm.connect(runtime_dir=runtime, timeout=60) as board:
             (hostile,) = [one for one in board.clients() if one.name.startswith(f"pid {flood.pid} ")]

@@ -12,7 +12,7 @@ import pytest
 from manager_process import Manager, short_folder, until
 
 import cm
-from cm.sim import Board as SimBoard
+from cm.simulation.software import Board as SimBoard
 
 sys.path.append(str(Path(__file__).parents[1] / "unit"))
 

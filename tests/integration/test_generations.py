@@ -13,7 +13,7 @@ from manager_process import Manager, served
 import cm
 from cm.client.frame import Frame
 from cm.client.stream import Stream
-from cm.messages.status import RegValues
+from cm.wire.messages.status import RegValues
 
 
 @pytest.fixture(scope="module")

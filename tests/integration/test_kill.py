@@ -19,10 +19,10 @@ from manager_schemas import written
 import cm
 from cm import child
 from cm.client.errors import ConnectionLost, NoAnswer, RequestFailed
-from cm.daemon.host.devices import BoardDevices
 from cm.device import DeviceGone, Root
 from cm.errors import CmError
-from cm.sim import Board as SimBoard
+from cm.server.host.devices import BoardDevices
+from cm.simulation.software import Board as SimBoard
 
 READER = """
 import sys, cm

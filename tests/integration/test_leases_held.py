@@ -15,9 +15,9 @@ from manager_process import Manager, served, until
 
 from cm.cli.main import main
 from cm.client.errors import RequestBusy, RequestNotFound
-from cm.messages.status import Reply
 from cm.wire import cm_pb2 as pb
 from cm.wire.encode import decode_reply
+from cm.wire.messages.status import Reply
 
 
 @pytest.fixture(scope="module")

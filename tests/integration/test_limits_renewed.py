@@ -16,7 +16,7 @@ from manager_process import CAMERA, Manager, short_folder, until
 import cm
 from cm.client.errors import RequestBusy
 from cm.client.stream import LocalStream
-from cm.sim import Board as SimBoard
+from cm.simulation.software import Board as SimBoard
 
 MIB = 1 << 20
 

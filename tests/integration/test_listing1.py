@@ -14,7 +14,7 @@ from manager_process import REPOSITORY, Manager, short_folder
 from reference import sobel
 
 import cm
-from cm.sim.hardware.camera import shipped_photos
+from cm.simulation.software.hardware.camera import shipped_photos
 
 
 @pytest.fixture(scope="module")

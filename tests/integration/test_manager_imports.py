@@ -32,8 +32,12 @@ def test_a_manager_that_works_imports_no_arrays_and_no_library_it_does_not_need(
         board.mode = "loopback"
         assert board.mode == "loopback"
     modules = imported(manager.log)
-    assert {"cm.bitstream.inspect", "cm.daemon.streams.settings", "cm.wire.cm_pb2"} <= modules
+    assert {"cm.formats.bitstream.inspect", "cm.server.streams.settings", "cm.wire.cm_pb2"} <= modules
     assert not modules & HEAVY
     tops = {name.partition(".")[0] for name in modules} - sys.stdlib_module_names - STARTED_WITH - _ELSEWHERE
     assert tops <= LIBRARIES
-    assert not {name for name in modules if name.startswith(("cm.client", "cm.sim", "cm.build", "cm.bench"))}
+    assert not {
+        name
+        for name in modules
+        if name.startswith(("cm.client", "cm.simulation.software", "cm.design", "cm.tools.bench"))
+    }

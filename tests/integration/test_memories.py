@@ -20,7 +20,7 @@ from cm.cli.main import main
 from cm.client import aio
 from cm.client.errors import RequestBusy, RequestFailed, RequestInvalid, RequestNotFound
 from cm.errors import InvalidRequest
-from cm.sim import Board as SimBoard
+from cm.simulation.software import Board as SimBoard
 from cm.wire import cm_pb2 as pb
 
 SCHEMA = """

@@ -17,8 +17,8 @@ from reference import sobel
 import cm
 from cm.client.errors import RequestBusy, RequestFailed, RequestInvalid, RequestNotFound
 from cm.errors import Timeout
-from cm.sim import Board as SimBoard
-from cm.sim.hardware.camera import shipped_photos
+from cm.simulation.software import Board as SimBoard
+from cm.simulation.software.hardware.camera import shipped_photos
 
 
 def test_loading_enters_the_default_mode(board: cm.Board) -> None:

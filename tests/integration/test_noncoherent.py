@@ -21,7 +21,7 @@ from typing import Any
 import pytest
 from manager_process import REPOSITORY, Manager, environment, served, until
 
-from cm.sim import Board as SimBoard
+from cm.simulation.software import Board as SimBoard
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="needs_c_tools: cc is not installed")
 

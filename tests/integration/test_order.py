@@ -12,10 +12,10 @@ import zmq
 from manager_process import CAMERA, Manager, patient, served, stalled, until
 
 import cm
-from cm.messages import requests as rq
-from cm.messages.status import ErrorInfo, Reply
-from cm.sim import Board as SimBoard
+from cm.simulation.software import Board as SimBoard
 from cm.wire.encode import decode_reply, encode_request
+from cm.wire.messages import requests as rq
+from cm.wire.messages.status import ErrorInfo, Reply
 
 TO_EDGE = rq.ChangeMode("camera", "edge_detection", no_wait=True, force=True)
 

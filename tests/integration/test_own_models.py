@@ -45,7 +45,7 @@ config:
 
 VADD = '''
 import numpy as np
-from cm.sim import Model
+from cm.simulation.software import Model
 
 
 class Vadd(Model):

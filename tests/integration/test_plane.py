@@ -24,9 +24,9 @@ from plane_stress import warm
 import cm
 from cm.client.errors import FrameReleased, RequestFailed, TransferFailed
 from cm.errors import Busy, InvalidRequest, NotFound, Timeout
-from cm.messages.status import ClientStatus
-from cm.sim import Board as SimBoard
+from cm.simulation.software import Board as SimBoard
 from cm.wire import plane_packets as packets
+from cm.wire.messages.status import ClientStatus
 from cm.wire.plane_packets import Descriptor, Open
 
 HOLDER = """
@@ -38,7 +38,7 @@ with cm.connect(runtime_dir=sys.argv[1], timeout=60) as board, board.stream("cam
 """
 
 
-def state(board: cm.Board, name: str) -> cm.messages.status.StreamStatus:
+def state(board: cm.Board, name: str) -> cm.wire.messages.status.StreamStatus:
     return next(s for s in board.status.streams if s.name == name)
 
 

@@ -15,8 +15,8 @@ import pytest
 from manager_process import REPOSITORY, Manager
 
 import cm
-from cm.sim import Board as SimBoard
-from cm.sim.hardware import camera
+from cm.simulation.software import Board as SimBoard
+from cm.simulation.software.hardware import camera
 
 TOOLS = ("make", "cc", "pkg-config")
 MISSING = [tool for tool in TOOLS if shutil.which(tool) is None]

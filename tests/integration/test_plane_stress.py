@@ -7,7 +7,7 @@ from manager_process import Manager
 from plane_readers import FRAMES, KILLS
 from plane_stress import HUNG, stress
 
-from cm.sim import Board as SimBoard
+from cm.simulation.software import Board as SimBoard
 
 
 def test_killed_readers_stall_nobody_leave_nothing_and_see_no_torn_frame(shared: tuple[Manager, SimBoard]) -> None:

@@ -19,12 +19,12 @@ import cm
 from cm.client import zmq_frames as remote
 from cm.client.frame import Frame
 from cm.client.stream import NewestStream, RemoteStream, Stream
-from cm.daemon.queue_limit import mark
 from cm.errors import InvalidRequest, NotFound, Timeout
-from cm.messages.status import FrameInfo
 from cm.schema import load
+from cm.server.queue_limit import mark
 from cm.wire import cm_pb2 as pb
 from cm.wire.encode import decode_event
+from cm.wire.messages.status import FrameInfo
 
 LARGE = 4 << 20
 

@@ -11,7 +11,7 @@ import zmq
 from manager_process import Manager, until
 
 import cm
-from cm.sim import Board as SimBoard
+from cm.simulation.software import Board as SimBoard
 from cm.wire import cm_pb2 as pb
 
 Ask = Callable[..., pb.Reply]

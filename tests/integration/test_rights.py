@@ -16,7 +16,7 @@ from manager_process import CAMERA, REPOSITORY, Manager, environment, short_fold
 
 import cm
 from cm.errors import CmError
-from cm.sim import Board as SimBoard
+from cm.simulation.software import Board as SimBoard
 
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to be several users")
 GROUP, ALICE, BOB, CARL, DORA, ERIN, MALLORY = range(47110, 47117)

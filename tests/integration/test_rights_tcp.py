@@ -22,7 +22,7 @@ from cm.cli.keys import read_key_file, write_key_file
 from cm.cli.main import main
 from cm.client.stream import NewestStream
 from cm.errors import CmError, Forbidden, InvalidRequest, Timeout
-from cm.sim import Board as SimBoard
+from cm.simulation.software import Board as SimBoard
 from cm.wire.cm_pb2 import RegWrite, Reply, WriteReg
 from cm.wire.topics import tcp_endpoints
 

@@ -15,7 +15,7 @@ from scraping import address, scrape
 
 from cm.cli.main import main
 from cm.client.errors import RequestFailed
-from cm.sim import Board as SimBoard
+from cm.simulation.software import Board as SimBoard
 
 FRAME = 480 * 640
 

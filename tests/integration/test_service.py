@@ -16,9 +16,9 @@ import pytest
 from manager_process import CAMERA, Manager, environment, short_folder, until
 
 import cm
-from cm.demo.boards import free_ports
 from cm.errors import CmError
-from cm.sim import Board as SimBoard
+from cm.simulation.software import Board as SimBoard
+from cm.tools.demo.boards import free_ports
 
 SCHEMA = "config: {{name: {}, modules: {{a: {{}}}}, modes: {{m: {{modules: [a]}}}}}}\n"
 

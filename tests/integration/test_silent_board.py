@@ -17,7 +17,7 @@ import cm
 from cm.client.errors import RequestFailed, TransferFailed
 from cm.client.stream import Stream
 from cm.errors import CmError, Timeout
-from cm.sim import Board as SimBoard
+from cm.simulation.software import Board as SimBoard
 
 LIMIT = 3  # seconds: CM_NODE_TIMEOUT_MS where CM_SIM_TIMEOUT says nothing better
 TIMES = 12  # requests in a row: if each waited for the board, they would take that many times LIMIT

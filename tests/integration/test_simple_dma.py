@@ -16,12 +16,12 @@ from manager_process import Manager, served, until
 
 import cm
 from cm.cli.main import main
-from cm.daemon.streams.settings import setup
 from cm.device import AxiDma, DeviceError, DmaCaps
 from cm.errors import InvalidRequest
-from cm.messages.status import StreamStatus
 from cm.schema.model import Direction, Stream
-from cm.sim import Board as SimBoard
+from cm.server.streams.settings import setup
+from cm.simulation.software import Board as SimBoard
+from cm.wire.messages.status import StreamStatus
 
 LONGEST = (1 << 14) - 1
 

@@ -17,8 +17,8 @@ from manager_process import CAMERA, Manager, short_folder, until
 import cm
 import cm.aio
 from cm.cli.main import main
-from cm.demo.boards import free_ports
-from cm.sim import Board as SimBoard
+from cm.simulation.software import Board as SimBoard
+from cm.tools.demo.boards import free_ports
 
 PATIENCE_S = 60
 ENDED = 8  # handshakes, more than let a client suspect the manager's key

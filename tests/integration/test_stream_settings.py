@@ -19,9 +19,9 @@ import cm
 from cm.cli.main import main
 from cm.client.stream import LocalStream
 from cm.errors import Busy, InvalidRequest, Timeout
-from cm.messages.status import StreamStatus
-from cm.sim import Board as SimBoard
+from cm.simulation.software import Board as SimBoard
 from cm.wire import cm_pb2 as pb
+from cm.wire.messages.status import StreamStatus
 
 LINES, COLUMNS, STRIDE = 48, 100, 128
 PICTURE = np.arange(LINES * COLUMNS, dtype=np.uint32).astype(np.uint8).reshape(LINES, COLUMNS)

@@ -13,8 +13,8 @@ from manager_process import Manager, served, until
 
 import cm
 from cm.cli.main import main
-from cm.sim import Board as SimBoard
-from cm.sim.hardware.models import palettes
+from cm.simulation.software import Board as SimBoard
+from cm.simulation.software.hardware.models import palettes
 
 ONE_REGION = """
 config:
@@ -117,5 +117,5 @@ def test_the_list_tells_how_many_transfers_failed_and_why(
         assert _camera(board).last_error is None
 
 
-def _camera(board: cm.Board) -> cm.messages.status.StreamStatus:
+def _camera(board: cm.Board) -> cm.wire.messages.status.StreamStatus:
     return next(s for s in board.status.streams if s.name == "camera")

@@ -15,9 +15,9 @@ from manager_process import Manager, served
 
 from cm.client.core import uploads
 from cm.client.errors import RequestFailed
-from cm.messages import requests as rq
-from cm.messages.status import Reply, UploadInfo
 from cm.wire.encode import decode_reply, encode_request
+from cm.wire.messages import requests as rq
+from cm.wire.messages.status import Reply, UploadInfo
 
 MIB = 1 << 20
 SCHEMA = """
@@ -101,7 +101,7 @@ def test_a_manager_without_uploads_gets_everything_in_one_message() -> None:
     flow = uploads.upload(bytes(10 * MIB))
     next(flow)
     from cm.client.errors import RequestInvalid
-    from cm.messages.status import ErrorInfo
+    from cm.wire.messages.status import ErrorInfo
 
     with pytest.raises(StopIteration) as ended:
         flow.throw(RequestInvalid(ErrorInfo("invalid_request", "unknown topic 'cm_upload'; topics are cm_status")))

@@ -17,16 +17,16 @@ import pytest
 from manager_process import CAMERA, short_folder
 
 import cm
-from cm.daemon import sensor_watch
-from cm.daemon import server as daemon
-from cm.daemon.options import Options
 from cm.device import Root
 from cm.schema import load_folder
-from cm.sim import Board as SimBoard
+from cm.server import sensor_watch
+from cm.server import server as daemon
+from cm.server.options import Options
+from cm.simulation.software import Board as SimBoard
 
 ROOT = Path(cm.__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "walks.md"
-FOLDERS = ("cm/manager/", "cm/daemon/")
+FOLDERS = ("cm/manager/", "cm/server/")
 FILES_MAX, LINES_MAX = 30, 250
 
 

@@ -21,7 +21,7 @@ from PIL import Image
 from web_leaks import changed, held
 from web_support import WebServer, change, chromium, page_of, watch, web_server
 
-from cm.sim import Board as SimBoard
+from cm.simulation.software import Board as SimBoard
 
 SHOTS = Path(os.environ.get("CM_WEB_SHOTS") or REPOSITORY / "build" / "web")
 

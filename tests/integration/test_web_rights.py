@@ -13,7 +13,7 @@ from test_rights_tcp import Guarded
 from test_web_server import page
 from web_support import WebServer, web_server
 
-from cm.sim import Board as SimBoard
+from cm.simulation.software import Board as SimBoard
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from manager_process import Manager, served, until
 from web_support import WebServer, web_server
 
 import cm
-from cm.sim import Board as SimBoard
+from cm.simulation.software import Board as SimBoard
 
 HUNG = 60.0
 Session = Callable[[], Awaitable[None]]

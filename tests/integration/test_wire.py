@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from manager_process import Manager
 
 import cm
-from cm.sim import Board as SimBoard
+from cm.simulation.software import Board as SimBoard
 from cm.wire import cm_pb2 as pb
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a changed design does, in yosys' models of cells and by Icarus: nothing of `cm.bits`.
+"""What a changed design does, in yosys' models of cells and by Icarus: nothing of `cm.simulation.bits`.
 
 Many changed designs go into one run.
 """

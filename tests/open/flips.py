@@ -17,8 +17,8 @@ from expected import circular, outputs
 from netlist_simulation import Simulation
 from routed import Routed
 
-from cm.bits import extract
-from cm.xray import Feature, Tile, Wires, bits_of, decode, tiles_with_bits
+from cm.formats.xray import Feature, Tile, Wires, bits_of, decode, tiles_with_bits
+from cm.simulation.bits import extract
 
 BATCH = 25  # designs in one run of Icarus
 TURNS = [

@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from cm.bits.cells import Carry, FlipFlop, Lut, LutMemory, Mux, Net, Netlist
-from cm.bits.extract import needs, nets_of
+from cm.simulation.bits.cells import Carry, FlipFlop, Lut, LutMemory, Mux, Net, Netlist
+from cm.simulation.bits.extract import needs, nets_of
 
 ROUNDS = 50  # passes over all cells within which a loop without a register has to settle
 

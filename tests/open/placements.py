@@ -13,9 +13,9 @@ from typing import Any
 import yaml
 from synthetic import Ports, draw_module
 
-from cm.build.boards import boards
-from cm.build.openflow.tools import fetched
-from cm.xray import Database
+from cm.design.boards import boards
+from cm.design.openflow.tools import fetched
+from cm.formats.xray import Database
 
 ROWS_OF_SLICES, ROWS_OF_BLOCKS = 50, 20  # in a clock region: SLICE; RAMB18 and DSP48
 BOARDS = {"xc7z010": "zybo-z7-10", "xc7z020": "zybo-z7-20"}

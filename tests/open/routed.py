@@ -11,9 +11,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from cm.bits import Boundary
-from cm.build.packages.tree import PackageTree
-from cm.xray import Database, Feature, encode, read_features
+from cm.design.packages.tree import PackageTree
+from cm.formats.xray import Database, Feature, encode, read_features
+from cm.simulation.bits import Boundary
 
 HERE = Path(__file__).parent
 PART = "xc7z010clg400-1"

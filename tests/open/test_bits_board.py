@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from cm.client.board import Board, connect
-from cm.demo.bits import run_bits_demo, through_modules
-from cm.sim.hardware.camera import shipped_photos
-from cm.sim.hardware.models import Colorise, edge
-from cm.testing.served import Served
+from cm.simulation.software.hardware.camera import shipped_photos
+from cm.simulation.software.hardware.models import Colorise, edge
+from cm.tools.demo.bits import run_bits_demo, through_modules
+from cm.tools.testing.served import Served
 
 pytestmark = pytest.mark.timeout(900)
 DEFAULT, COLOUR = 0x44454641, 0x434F4C4F  # what the modules' Verilog says of itself

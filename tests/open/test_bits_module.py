@@ -12,12 +12,12 @@ import pytest
 from netlist_simulation import Simulation
 from routed import HERE, Routed
 
-from cm.bits import Boundary, FlipFlop, LutMemory, Netlist, Port, extract, verilog
-from cm.bits.memory import FrameMemory
-from cm.bitstream import device_by_name, to_dma_words
-from cm.build.packages.tree import PackageTree
-from cm.xray import Wires, decode
-from cm.xray.frames import words
+from cm.design.packages.tree import PackageTree
+from cm.formats.bitstream import device_by_name, to_dma_words
+from cm.formats.xray import Wires, decode
+from cm.formats.xray.frames import words
+from cm.simulation.bits import Boundary, FlipFlop, LutMemory, Netlist, Port, extract, verilog
+from cm.simulation.bits.memory import FrameMemory
 
 pytestmark = pytest.mark.timeout(600)
 PORTS = (Port("clk", 1, True), Port("a", 8, True), Port("y", 8, False))

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from twins import Built, compare
 
-from cm.bits.cells import Dsp
+from cm.simulation.bits.cells import Dsp
 
 pytestmark = pytest.mark.timeout(900)
 CYCLES = 1_000_000

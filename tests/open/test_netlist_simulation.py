@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from netlist_simulation import Simulation
 
-from cm.bits import FlipFlop, Lut, Netlist
+from cm.simulation.bits import FlipFlop, Lut, Netlist
 
 
 def store(data: str, output: str, *, inverted: bool = False, latch: bool = False) -> FlipFlop:

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from cm.build.generate.tree import load_design
-from cm.build.openflow.job import other_lanes
-from cm.build.openflow.layout import Layout, layouts
-from cm.build.openflow.tools import Tools
-from cm.xray import Database, Feature, Wires
+from cm.design.generate.tree import load_design
+from cm.design.openflow.job import other_lanes
+from cm.design.openflow.layout import Layout, layouts
+from cm.design.openflow.tools import Tools
+from cm.formats.xray import Database, Feature, Wires
 
 SCHEMA = """\
 project: {name: beside, board: zybo-z7-20}

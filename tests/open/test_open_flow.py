@@ -16,13 +16,13 @@ from manager_process import served
 from xray_oracle import frames_read, part, read_bits, run
 
 import cm
-from cm.bitstream import footprint_of, inspect
-from cm.build.generate.tree import load_design
-from cm.build.openflow.layout import layouts
-from cm.build.openflow.tools import Tools, fetched
-from cm.build.packages import PackageTree
-from cm.xray import Database, decode, encode, from_bytes, read_features, set_bits, with_ecc
-from cm.xray.frames import ECC_MASK
+from cm.design.generate.tree import load_design
+from cm.design.openflow.layout import layouts
+from cm.design.openflow.tools import Tools, fetched
+from cm.design.packages import PackageTree
+from cm.formats.bitstream import footprint_of, inspect
+from cm.formats.xray import Database, decode, encode, from_bytes, read_features, set_bits, with_ecc
+from cm.formats.xray.frames import ECC_MASK
 
 pytestmark = pytest.mark.timeout(1500)  # the first of them runs the flow
 MODULES = ("default", "edge", "colorise")

@@ -16,11 +16,11 @@ from placements import Placement, draw
 from twins import Built, compare
 from xray_oracle import frames_read, read_bits
 
-from cm.build.generate.tree import load_design
-from cm.build.openflow.layout import layouts
-from cm.build.openflow.tools import Tools, fetched
-from cm.xray import Database, decode, from_bytes, set_bits
-from cm.xray.frames import ECC_MASK
+from cm.design.generate.tree import load_design
+from cm.design.openflow.layout import layouts
+from cm.design.openflow.tools import Tools, fetched
+from cm.formats.xray import Database, decode, from_bytes, set_bits
+from cm.formats.xray.frames import ECC_MASK
 
 pytestmark = pytest.mark.timeout(1800)
 COUNT = int(os.environ.get("CM_PLACEMENTS", "0"))

@@ -13,20 +13,20 @@ from manager_process import served
 from xray_oracle import frames_read, read_bits
 
 import cm
-from cm.bits.main import streams_of
-from cm.bits.memory import FrameMemory
-from cm.bitstream import device_by_name
-from cm.build.generate.tree import load_design
-from cm.build.openflow.job import labels
-from cm.build.openflow.layout import Layout, layouts
-from cm.build.openflow.merge import left_out, static_features
-from cm.build.openflow.place import Files, read_side
-from cm.build.openflow.tools import Tools, fetched
-from cm.build.plan.system import System
 from cm.client.board import Board, connect
-from cm.testing.served import Served
-from cm.xray import Database, decode, from_bytes, set_bits
-from cm.xray.frames import ECC_MASK
+from cm.design.generate.tree import load_design
+from cm.design.openflow.job import labels
+from cm.design.openflow.layout import Layout, layouts
+from cm.design.openflow.merge import left_out, static_features
+from cm.design.openflow.place import Files, read_side
+from cm.design.openflow.tools import Tools, fetched
+from cm.design.plan.system import System
+from cm.formats.bitstream import device_by_name
+from cm.formats.xray import Database, decode, from_bytes, set_bits
+from cm.formats.xray.frames import ECC_MASK
+from cm.simulation.bits.main import streams_of
+from cm.simulation.bits.memory import FrameMemory
+from cm.tools.testing.served import Served
 
 pytestmark = pytest.mark.timeout(1500)  # the first of them runs the flow
 DEVICE = "xc7z020"

@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 from conftest import EXAMPLES
 
-from cm.build.generate.tree import generate, load_design, output_folder
-from cm.build.openflow.attempt import Settings, Unroutable
-from cm.build.openflow.flow import OpenFlow
-from cm.build.openflow.steps import OpenStepFailed
-from cm.build.openflow.tools import Tool, Tools
+from cm.design.generate.tree import generate, load_design, output_folder
+from cm.design.openflow.attempt import Settings, Unroutable
+from cm.design.openflow.flow import OpenFlow
+from cm.design.openflow.steps import OpenStepFailed
+from cm.design.openflow.tools import Tool, Tools
 
 ARC = "Failed to route arc 0 of net 'x', from X1Y1/A to X2Y2/B."
 PLACE = "Unable to place cell 'x', no BELs remaining to implement cell type 'DSP48E1'"

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from cm.build.openflow.synth import Sources, script
-from cm.build.openflow.tools import Tools
+from cm.design.openflow.synth import Sources, script
+from cm.design.openflow.tools import Tools
 
 MODULE = """\
 module shifts (input clk, input ce, input in, input [3:0] tap, output enabled, output always_, output variable);

@@ -10,15 +10,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from cm.bits import Boundary, Netlist, Port, extract, verilog
-from cm.bits.cells import Lut
-from cm.bits.main import collected, streams_of
-from cm.bits.memory import FrameMemory
-from cm.bits.regions import Place
-from cm.bitstream import device_by_name
-from cm.build.openflow.layout import layouts
-from cm.rtl.design import RtlDesign, load_rtl_design
-from cm.xray import Database, Feature, Wires, decode
+from cm.design.openflow.layout import layouts
+from cm.formats.bitstream import device_by_name
+from cm.formats.xray import Database, Feature, Wires, decode
+from cm.simulation.bits import Boundary, Netlist, Port, extract, verilog
+from cm.simulation.bits.cells import Lut
+from cm.simulation.bits.main import collected, streams_of
+from cm.simulation.bits.memory import FrameMemory
+from cm.simulation.bits.regions import Place
+from cm.simulation.rtl.design import RtlDesign, load_rtl_design
 
 # Random beats and accesses, seldom a reset; TLAST about once in a line.
 _TWIN = """

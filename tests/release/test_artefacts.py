@@ -71,7 +71,7 @@ def test_the_platform_that_a_wheel_names_is_the_one_that_it_needs(wheel: Path) -
 @pytest.mark.parametrize("wheel", BINARY or [pytest.param(None, marks=wheels)], ids=lambda w: w and w.stem)
 def test_the_module_is_stripped_and_names_no_folder_of_the_builder(wheel: Path, tmp_path: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
-        module = Path(archive.extract("cm/native/_cm.abi3.so", tmp_path))
+        module = Path(archive.extract("cm/device/native/_cm.abi3.so", tmp_path))
     assert not re.search(r"\(RUNPATH\)|\(RPATH\)", run(["readelf", "-d", module]))
     assert not re.search(r"\.symtab|\.debug", run(["readelf", "-SW", module]))
     assert str(ROOT).encode() not in module.read_bytes()
@@ -115,7 +115,9 @@ def test_the_modules_package_builds_what_it_names_when_it_is_installed(tmp_path:
 @needs("dpkg-deb")
 def test_every_module_of_the_wheel_is_in_one_debian_package() -> None:
     with zipfile.ZipFile(WHEELS[0]) as archive:
-        wanted = {name for name in archive.namelist() if name.startswith("cm/") and not name.startswith("cm/bench/")}
+        wanted = {
+            name for name in archive.namelist() if name.startswith("cm/") and not name.startswith("cm/tools/bench/")
+        }
     found: list[str] = []
     arch = next(deb for deb in DEBS if deb.name.startswith("fpga-cm_"))
     for deb in [arch, *(deb for deb in DEBS if deb.name.endswith("_all.deb"))]:

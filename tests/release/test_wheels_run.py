@@ -54,9 +54,9 @@ def served(python: foreign.Python, tmp_path: Path) -> Iterator[Path]:
 
 @pytest.mark.timeout(2 * PATIENCE_S)
 def test_its_compiled_module_is_imported(python: foreign.Python) -> None:
-    program = "import cm.native._cm as m, platform; print(m.__file__, platform.machine())"
+    program = "import cm.device.native._cm as m, platform; print(m.__file__, platform.machine())"
     file, machine = python.run("-c", program).split()
-    assert file.endswith("/wheel/cm/native/_cm.abi3.so")
+    assert file.endswith("/wheel/cm/device/native/_cm.abi3.so")
     assert machine != platform.machine()
 
 

@@ -16,7 +16,7 @@ from cocotb.triggers import ClockCycles, RisingEdge, with_timeout
 from cocotbext.axi import AxiBus, AxiMaster, AxiRam, AxiResp
 from protocol import quiet
 
-from cm.sim.hardware import models
+from cm.simulation.software.hardware import models
 
 LINE, LINES = 16, 12
 CONTROL, WINDOW, DMA = 0x4000_0000, 0x4001_0000, 0x4400_0000

@@ -23,7 +23,7 @@ from cocotbext.axi import (
 )
 from protocol import AxiChecker, Handshake, quiet
 
-from cm.sim.hardware import models
+from cm.simulation.software.hardware import models
 
 LINE, LINES = 16, 12
 CONTROL, WINDOW = 0x4000_0000, 0x4001_0000

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from cm.rtl.compile import compile_units
-from cm.rtl.design import load_rtl_design
-from cm.rtl.headless import HeadlessDesign
-from cm.rtl.tools import find_tools
+from cm.simulation.rtl.compile import compile_units
+from cm.simulation.rtl.design import load_rtl_design
+from cm.simulation.rtl.headless import HeadlessDesign
+from cm.simulation.rtl.tools import find_tools
 
 
 class Running:

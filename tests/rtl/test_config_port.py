@@ -20,10 +20,10 @@ from pathlib import Path
 import pytest
 
 import cm
-from cm.bitstream.assemble import FrameRun, assemble_stream
-from cm.bitstream.convert import to_dma_words
-from cm.bitstream.far import FrameAddress
-from cm.rtl import design as rtl_design
+from cm.formats.bitstream.assemble import FrameRun, assemble_stream
+from cm.formats.bitstream.convert import to_dma_words
+from cm.formats.bitstream.far import FrameAddress
+from cm.simulation.rtl import design as rtl_design
 
 HERE = Path(__file__).parent
 RTL = Path(cm.__file__).parent / "build/rtl"

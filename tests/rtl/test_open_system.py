@@ -13,10 +13,10 @@ from build_support import EXAMPLES, copy_examples, generated
 from conftest import HERE, needs
 from simulation import simulate
 
-from cm.build.openflow.flow import OWN_RTL
-from cm.build.openflow.netlists import TOP, open_system, open_top
-from cm.build.openflow.rules import check_open
-from cm.build.render import Renderer
+from cm.design.openflow.flow import OWN_RTL
+from cm.design.openflow.netlists import TOP, open_system, open_top
+from cm.design.openflow.rules import check_open
+from cm.design.render import Renderer
 
 pytestmark = pytest.mark.timeout(600)
 

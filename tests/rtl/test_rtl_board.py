@@ -16,11 +16,11 @@ import pytest
 from conftest import HERE, needs
 
 from cm import device
-from cm.bitstream import to_dma_words
-from cm.rtl.compile import Watched
-from cm.rtl.coverage import Covered, report
-from cm.rtl.main import prepare
-from cm.sim import Board
+from cm.formats.bitstream import to_dma_words
+from cm.simulation.rtl.compile import Watched
+from cm.simulation.rtl.coverage import Covered, report
+from cm.simulation.rtl.main import prepare
+from cm.simulation.software import Board
 
 pytestmark = [needs("verilator"), needs("g++"), pytest.mark.timeout(300)]
 LOOP = HERE / "loop/build.yaml"
@@ -71,7 +71,7 @@ class Rig:
 @pytest.fixture(scope="module")
 def board() -> Iterator[Board]:
     prepare(LOOP)
-    with Board(program="cm.rtl", arguments=["--build", str(LOOP), "--icap-rate", "0"]) as running:
+    with Board(program="cm.simulation.rtl", arguments=["--build", str(LOOP), "--icap-rate", "0"]) as running:
         yield running
 
 
@@ -213,10 +213,10 @@ def test_an_access_that_nothing_answers_is_an_error_until_the_region_is_cut_off(
 def test_an_error_in_the_hdl_is_reported_with_its_line(tmp_path: Path) -> None:
     import shutil
 
-    from cm.rtl.compile import compile_units
-    from cm.rtl.design import load_rtl_design
-    from cm.rtl.errors import RtlError
-    from cm.rtl.tools import find_tools
+    from cm.simulation.rtl.compile import compile_units
+    from cm.simulation.rtl.design import load_rtl_design
+    from cm.simulation.rtl.errors import RtlError
+    from cm.simulation.rtl.tools import find_tools
 
     shutil.copytree(LOOP.parent, tmp_path / "loop")
     source = tmp_path / "loop/hdl/loop.v"
@@ -234,7 +234,7 @@ def test_an_error_in_the_hdl_is_reported_with_its_line(tmp_path: Path) -> None:
 @needs("fst2vcd")
 def test_a_trace_shows_the_signals_and_what_the_board_did_to_them(tmp_path: Path) -> None:
     prepare(LOOP, Watched(traces=True))
-    with Board(program="cm.rtl", arguments=["--build", str(LOOP), "--icap-rate", "0", "--traces"]) as board:
+    with Board(program="cm.simulation.rtl", arguments=["--build", str(LOOP), "--icap-rate", "0", "--traces"]) as board:
         rig = Rig(board)
         board.control.trace(tmp_path)
         board.control.mark("before the change")
@@ -272,7 +272,7 @@ def value_changes(path: Path) -> dict[str, list[int]]:
 def test_coverage_says_which_lines_of_each_loaded_module_ran(tmp_path: Path) -> None:
     prepare(LOOP, Watched(coverage=True))
     arguments = ["--build", str(LOOP), "--icap-rate", "0", "--coverage", str(tmp_path)]
-    with Board(program="cm.rtl", arguments=arguments) as board:
+    with Board(program="cm.simulation.rtl", arguments=arguments) as board:
         rig = Rig(board)
         rig.change(0, "plain")
         board.control.cover()
@@ -296,7 +296,7 @@ def loop_of(files: list[Covered]) -> Covered:
 def test_with_a_time_scale_simulated_time_never_passes_faster_and_the_port_takes_a_word_a_clock(tmp_path: Path) -> None:
     scale = 500.0
     arguments = ["--build", str(LOOP), "--time-scale", str(scale)]
-    with Board(program="cm.rtl", arguments=arguments) as board:
+    with Board(program="cm.simulation.rtl", arguments=arguments) as board:
         rig = Rig(board)
         began, clocks_began = time.monotonic(), cycles(board)
         rig.decouple(0, True)

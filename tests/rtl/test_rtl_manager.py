@@ -16,9 +16,9 @@ import cm
 sys.path.append(str(HERE.parent))
 from manager_process import Manager, environment
 
-from cm.rtl.main import example_build, prepare
-from cm.sim.hardware.camera import frame, shipped_photos
-from cm.sim.hardware.models import Colorise, default, edge
+from cm.simulation.rtl.main import example_build, prepare
+from cm.simulation.software.hardware.camera import frame, shipped_photos
+from cm.simulation.software.hardware.models import Colorise, default, edge
 
 pytestmark = [needs("verilator"), needs("g++"), pytest.mark.timeout(300)]
 PHOTO = next(iter(shipped_photos().values()))

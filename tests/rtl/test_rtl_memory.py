@@ -15,7 +15,7 @@ import cm
 sys.path.append(str(HERE.parent))
 from manager_process import Manager
 
-from cm.rtl.main import prepare
+from cm.simulation.rtl.main import prepare
 
 pytestmark = [needs("verilator"), needs("g++"), pytest.mark.timeout(300)]
 COPIER = HERE / "copier/build.yaml"

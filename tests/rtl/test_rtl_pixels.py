@@ -14,7 +14,7 @@ from headless_rig import Running, running
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cm.sim.hardware.models import Colorise, default, edge
+from cm.simulation.software.hardware.models import Colorise, default, edge
 
 pytestmark = [needs("verilator"), needs("g++"), pytest.mark.timeout(600)]
 THRESHOLD, PALETTE = 0x4001_0018, 0x4001_001C

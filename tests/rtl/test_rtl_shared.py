@@ -16,8 +16,8 @@ import cm
 sys.path.append(str(HERE.parent))
 from manager_process import Manager
 
-from cm.rtl.errors import RtlError
-from cm.rtl.main import prepare
+from cm.simulation.rtl.errors import RtlError
+from cm.simulation.rtl.main import prepare
 
 pytestmark = [needs("verilator"), needs("g++"), pytest.mark.timeout(300)]
 FRAMES = 6

@@ -12,8 +12,8 @@ import pytest
 from conftest import HERE, needs
 from headless_rig import running
 
-from cm.rtl.design import load_rtl_design
-from cm.rtl.errors import RtlError, ToolMissing
+from cm.simulation.rtl.design import load_rtl_design
+from cm.simulation.rtl.errors import RtlError, ToolMissing
 
 DIM = HERE / "dim"
 pytestmark = [needs("verilator"), needs("g++"), needs("ghdl"), pytest.mark.timeout(300)]

@@ -15,12 +15,12 @@ from simulation import simulate
 from test_shared_engines import adder, lint
 
 import cm
-from cm.build.generate.tree import generate, load_design, output_folder
+from cm.design.generate.tree import generate, load_design, output_folder
 
 sys.path.append(str(HERE.parent))
 from manager_process import Manager
 
-from cm.rtl.main import prepare
+from cm.simulation.rtl.main import prepare
 
 RTL = HERE.parent.parent / "cm" / "build" / "rtl"
 CHAIN = """\

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from conftest import HERE, needs
 
-from cm.build.project.load import load_project
+from cm.design.project.load import load_project
 
 pytestmark = [needs("yosys"), pytest.mark.timeout(600)]
 EXAMPLES = HERE.parents[1] / "cm/data/examples"

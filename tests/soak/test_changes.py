@@ -14,7 +14,7 @@ import pytest
 from manager_process import until
 from manager_support import Rig, rig
 
-from cm.sim import Board as SimBoard
+from cm.simulation.software import Board as SimBoard
 
 MODES = ("edge_detection", "colorise", "loopback", "loopback_edge", "default")
 WARM_UP = 50

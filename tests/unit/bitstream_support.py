@@ -6,8 +6,8 @@ from __future__ import annotations
 import hashlib
 import struct
 
-from cm.bitstream import FrameAddress, FrameRun, SharedFrame, assemble
-from cm.bitstream.container import BitHeader, pack_bit
+from cm.formats.bitstream import FrameAddress, FrameRun, SharedFrame, assemble
+from cm.formats.bitstream.container import BitHeader, pack_bit
 
 FRAME_BYTES = 404  # 7-series
 HERE = FrameAddress(0, 0, 26)

@@ -11,7 +11,7 @@ import pytest
 from manager_schemas import written
 
 from cm.schema.model import Config
-from cm.sim import Board as SimBoard
+from cm.simulation.software import Board as SimBoard
 
 
 @pytest.fixture(scope="module")

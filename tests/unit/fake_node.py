@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulated nodes for the device tests: servers that behave well or badly, packet by packet.
 
-Written independently from kmod/uapi/cm_node.h, so that it shares no mistake with `cm.sim`.
+Written independently from kmod/uapi/cm_node.h, so that it shares no mistake with `cm.simulation.software`.
 """
 
 from __future__ import annotations

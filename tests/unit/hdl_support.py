@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from cm.build.hdl import ModuleInfo, extract
+from cm.design.hdl import ModuleInfo, extract
 
 DATA = Path(__file__).parents[1] / "data" / "hdl"
 

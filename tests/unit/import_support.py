@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 from bitstream_support import frames
 
-from cm.bitstream import FrameAddress, FrameRun, assemble
+from cm.formats.bitstream import FrameAddress, FrameRun, assemble
 
 HWH = """\
 <?xml version="1.0" encoding="UTF-8" standalone="no" ?>

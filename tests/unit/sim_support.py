@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cm.sim.transport import protocol as p
+from cm.simulation.software.transport import protocol as p
 
 
 class Node:

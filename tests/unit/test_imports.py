@@ -15,7 +15,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "cm"
 _WITHOUT_SHIMS = """
 import importlib, pkgutil, sys
 
-for compiled in ("cm.native", "cm.device", "cm.bitstream", "cffi", "zmq", "google"):
+for compiled in ("cm.device.native", "cm.device", "cm.formats.bitstream", "cffi", "zmq", "google"):
     sys.modules[compiled] = None  # importing it raises ImportError
 import cm.manager
 

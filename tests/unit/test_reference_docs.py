@@ -20,11 +20,11 @@ ROOT = Path(__file__).resolve().parents[2]
 SPELLINGS = {"Limit", "Key", "Array", "OnProgress", "AnyRoot", "Source", "Buffer", "Body", "Progress"}
 # Names of a class's own methods that are builtins in its signatures, and what only `open` of a device makes.
 INSIDE = {
-    "cm.device.axidma.AxiDma names cm.native.call.Handle",
+    "cm.device.axidma.AxiDma names cm.device.native.call.Handle",
     "cm.device.buffer.DmaBuffer names cm.device.buffer.DmaBuffer.memoryview",
     "cm.device.overlays.Overlays names cm.device.overlays.Overlays.list",
-    "cm.device.uio.Uio names cm.native.uio",
-    "cm.bitstream.cache.ReportCache names cm.bitstream.cache.Inspected",
+    "cm.device.uio.Uio names cm.device.native.uio",
+    "cm.formats.bitstream.cache.ReportCache names cm.formats.bitstream.cache.Inspected",
 }
 
 

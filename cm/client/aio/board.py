@@ -36,9 +36,9 @@ from cm.client.guard import Guarded
 from cm.client.progress import OnProgress, Shown
 from cm.client.sockets import Sockets
 from cm.client.zmq_frames import Wanted, check_compression
-from cm.messages import requests as rq
-from cm.messages.requests import ConfigureStream, DefineMemory
-from cm.messages.status import (
+from cm.wire.messages import requests as rq
+from cm.wire.messages.requests import ConfigureStream, DefineMemory
+from cm.wire.messages.status import (
     ClientStatus,
     ConfigEntry,
     ConfigInfo,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from cm.client.aio.events import EventStream
 from cm.client.core import calls
 from cm.client.core.events import InterruptEvents
-from cm.messages.status import Irq
+from cm.wire.messages.status import Irq
 
 if TYPE_CHECKING:
     from cm.client.aio.board import Board

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from cm.client.core import calls, leases
 from cm.client.core.leases import HeldLeases
-from cm.messages.requests import TakeLease
+from cm.wire.messages.requests import TakeLease
 
 if TYPE_CHECKING:
     from cm.client.aio.board import Board

@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from cm.client.core import memory
-from cm.messages.status import MemoryInfo
+from cm.wire.messages.status import MemoryInfo
 
 if TYPE_CHECKING:
     from cm.client.aio.board import Board

@@ -11,7 +11,7 @@ from cm.client.core import calls, registers
 from cm.client.core.events import RegisterEvents
 from cm.client.core.generations import Written
 from cm.client.errors import RequestNotFound
-from cm.messages.status import RegisterInfo, RegValues
+from cm.wire.messages.status import RegisterInfo, RegValues
 
 if TYPE_CHECKING:
     from cm.client.aio.board import Board

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from cm.client.core.values import register_value, register_write
 from cm.client.errors import request_error
 from cm.errors import InvalidRequest
-from cm.lazy_numpy import np
-from cm.messages import requests as rq
-from cm.messages.status import (
+from cm.wire.lazy_numpy import np
+from cm.wire.messages import requests as rq
+from cm.wire.messages.status import (
     ChangeInfo,
     ClientStatus,
     ConfigEntry,

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from cm.client.core.calls import Call, ended
 from cm.client.core.effects import Ask, AskBeside, Deadline, Flow, Limit, Receive, Subscription
 from cm.errors import Timeout
-from cm.messages.status import ChangeInfo, Progress, Status
 from cm.wire.encode import decode_event
+from cm.wire.messages.status import ChangeInfo, Progress, Status
 
 OnProgress = Callable[[Progress], None]
 _PATIENCE = 5.0  # seconds to wait for publications; later ones are not passed on

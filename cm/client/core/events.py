@@ -8,9 +8,9 @@ from typing import Any, Generic, TypeVar
 from cm.client.core import calls
 from cm.client.core.effects import DEFAULT, Ask, Deadline, Flow, Limit, Receive, Subscription, at_least, seconds
 from cm.errors import Timeout
-from cm.messages.status import Irq, RegValues, Status
 from cm.wire import topics
 from cm.wire.encode import decode_event
+from cm.wire.messages.status import Irq, RegValues, Status
 
 T = TypeVar("T")
 _ANSWER = 5.0  # least seconds that subscribing waits for the manager's answer

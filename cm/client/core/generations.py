@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from cm.client.core.effects import Deadline, Limit, seconds
 from cm.errors import InvalidRequest, Timeout
-from cm.messages.status import RegValues
+from cm.wire.messages.status import RegValues
 
 if TYPE_CHECKING:
     from cm.client.frame import Frame

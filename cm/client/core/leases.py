@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from cm.client.core.calls import Call
 from cm.client.place import Place
 from cm.errors import InvalidRequest
-from cm.messages.requests import ReleaseLease, RenewLease, TakeLease
+from cm.wire.messages.requests import ReleaseLease, RenewLease, TakeLease
 
 _T = TypeVar("_T")
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from cm.client.core import calls
 from cm.client.core.calls import Call
 from cm.errors import InvalidRequest
-from cm.messages.status import ConfigInfo, FrameInfo, MemoryInfo
+from cm.wire.messages.status import ConfigInfo, FrameInfo, MemoryInfo
 
 if TYPE_CHECKING:
     import numpy as np
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     Array = npt.NDArray[Any]
 else:
-    from cm.lazy_numpy import np
+    from cm.wire.lazy_numpy import np
 
 Key = int | slice
 LENGTH_MAX = 4 << 20  # bytes that the manager takes in one request

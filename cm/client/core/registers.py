@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from cm.messages.status import ConfigInfo, RegisterInfo, RegValues
+from cm.wire.messages.status import ConfigInfo, RegisterInfo, RegValues
 
 
 def visible(config: ConfigInfo) -> dict[str, RegisterInfo]:

@@ -12,7 +12,7 @@ from cm.client.errors import RequestFailed, RequestTimeout
 from cm.client.frame import Frame
 from cm.client.zmq_frames import ASK_FOR, STOPPED_PAUSE, Arrivals, Wanted, is_stopped
 from cm.errors import Timeout
-from cm.messages.requests import ConfigureStream
+from cm.wire.messages.requests import ConfigureStream
 
 STREAM_HWM = 4  # frames that wait in a slow reader's socket before newer ones are lost
 _ANSWER = 5.0  # seconds beyond a frame's own time-out until its reply counts as missing

@@ -13,8 +13,8 @@ from cm.client.core import calls
 from cm.client.core.calls import Call
 from cm.client.core.effects import Flow
 from cm.client.errors import RequestInvalid
-from cm.messages import requests as rq
-from cm.messages.status import ConfigInfo, FrameInfo
+from cm.wire.messages import requests as rq
+from cm.wire.messages.status import ConfigInfo, FrameInfo
 
 WHOLE = 4 << 20  # most bytes that are sent in the message itself
 PART = 1 << 20

@@ -7,7 +7,7 @@ import operator
 from typing import Any
 
 from cm.errors import InvalidRequest
-from cm.messages.requests import RegWrite
+from cm.wire.messages.requests import RegWrite
 
 _MOST = (1 << 64) - 1
 

@@ -8,8 +8,8 @@ from difflib import get_close_matches
 
 from cm.errors import NotFound
 from cm.manager.access.leases import NAMED
-from cm.messages.requests import ConfigureStream, Request, WriteData, WriteReg
 from cm.schema.model import Config, Memory, Mode, Module
+from cm.wire.messages.requests import ConfigureStream, Request, WriteData, WriteReg
 
 
 def scopes_written(request: Request, config: Config | None, mode: str | None, memory: Memory | None) -> Iterator[str]:

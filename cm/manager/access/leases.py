@@ -15,9 +15,9 @@ from itertools import count
 from cm.errors import Busy, InvalidRequest, NotFound
 from cm.manager.errors import HeldBy
 from cm.manager.ports import TimeSource
-from cm.messages.requests import BreakLease, ReleaseLease, RenewLease, TakeLease
-from cm.messages.status import LeaseInfo, LeaseStatus
 from cm.schema.model import Config
+from cm.wire.messages.requests import BreakLease, ReleaseLease, RenewLease, TakeLease
+from cm.wire.messages.status import LeaseInfo, LeaseStatus
 
 MAX_SECONDS = 3600.0
 NAMED = ("region", "registers", "memories")

@@ -15,9 +15,9 @@ from cm.manager.planning.goals import hint, listed
 from cm.manager.reporting.descriptions import memory_info
 from cm.manager.state.board_state import ManagerState
 from cm.manager.state.table import RegionState
-from cm.messages.requests import DefineMemory
-from cm.messages.status import MemoryInfo
 from cm.schema.model import Access, Config, Memory
+from cm.wire.messages.requests import DefineMemory
+from cm.wire.messages.status import MemoryInfo
 
 LENGTH_MAX = 4 << 20  # bytes of one request
 PIECE = 8 << 10  # bytes of a piece; registers and changes wait for one at most

@@ -7,8 +7,8 @@ import difflib
 from collections.abc import Callable, Mapping
 
 from cm.manager.errors import AccessDenied, OutOfRange, UnknownRegister
-from cm.messages.requests import RegWrite
 from cm.schema.model import Access, BitField, Register
+from cm.wire.messages.requests import RegWrite
 
 
 def split_name(name: str) -> tuple[str, str | None]:

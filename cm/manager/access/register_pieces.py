@@ -8,8 +8,8 @@ from time import monotonic_ns
 
 from cm.errors import CmError
 from cm.manager.access.register_service import RegisterService
-from cm.messages.requests import RegWrite
-from cm.messages.status import RegValue, RegValues
+from cm.wire.messages.requests import RegWrite
+from cm.wire.messages.status import RegValue, RegValues
 
 AT_ONCE = 32  # most registers of a request that is served in one go
 _SOME = 16  # in a piece of a longer one, at most

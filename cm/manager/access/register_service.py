@@ -13,9 +13,9 @@ from cm.manager.access.register_view import Checked, Place, Prepared, View, is_f
 from cm.manager.errors import AccessDenied, NothingLoaded, RegionBusy
 from cm.manager.planning import goals
 from cm.manager.state.board_state import ManagerState
-from cm.messages.requests import RegWrite
-from cm.messages.status import RegValue, RegValues
 from cm.schema.model import Access, Config, Register
+from cm.wire.messages.requests import RegWrite
+from cm.wire.messages.status import RegValue, RegValues
 
 _WO, _RW = Access.WO, Access.RW  # looking them up in the enum's class takes time
 

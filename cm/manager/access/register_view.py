@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 from cm.manager.state.board_state import LockedRegions, ManagerState
 from cm.manager.state.table import BoardState, RegionPhase
-from cm.messages.requests import RegWrite
 from cm.schema.model import Access, BitField, Config, Register
+from cm.wire.messages.requests import RegWrite
 
 _RO, _READY = Access.RO, RegionPhase.READY  # looking them up in the enum's class takes time
 

@@ -11,8 +11,8 @@ from dataclasses import replace
 from cm.errors import InvalidRequest
 from cm.manager.planning.goals import listed
 from cm.manager.ports import AddressRange
-from cm.messages.requests import DefineMemory
 from cm.schema.model import ITEM_BYTES, Access, Config, Memory
+from cm.wire.messages.requests import DefineMemory
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")
 _ACCESS = {"": Access.RW, "rw": Access.RW, "ro": Access.RO, "wo": Access.WO}

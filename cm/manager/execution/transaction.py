@@ -22,8 +22,8 @@ from cm.manager.state import steps as s
 from cm.manager.state.board_state import ManagerState
 from cm.manager.state.steps import Step
 from cm.manager.state.table import BoardState, RegionEvent, RegionState
-from cm.messages.status import Progress
 from cm.schema.model import Config
+from cm.wire.messages.status import Progress
 
 
 @dataclass(frozen=True, slots=True)

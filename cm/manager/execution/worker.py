@@ -20,8 +20,8 @@ from cm.manager.planning.goals import Goal
 from cm.manager.state.record import Pending, WayBack
 from cm.manager.state.steps import Place
 from cm.manager.state.table import BoardState, RegionPhase
-from cm.messages.status import ChangeInfo, ErrorInfo, Reply
 from cm.schema.model import ConfigType
+from cm.wire.messages.status import ChangeInfo, ErrorInfo, Reply
 
 QUEUE_LENGTH = 8
 

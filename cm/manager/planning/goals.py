@@ -15,9 +15,9 @@ from cm.errors import InvalidRequest
 from cm.manager.errors import NothingLoaded, UnknownConfig, UnknownMode
 from cm.manager.state import steps as s
 from cm.manager.state.record import Throughput
-from cm.messages.requests import ChangeMode
-from cm.messages.status import ClockStatus, PlanInfo, PlanStep
 from cm.schema.model import Config, ConfigType
+from cm.wire.messages.requests import ChangeMode
+from cm.wire.messages.status import ClockStatus, PlanInfo, PlanStep
 
 
 def target(request: ChangeMode, configs: Mapping[str, Config], loaded: str | None) -> tuple[Config, str]:

@@ -27,7 +27,7 @@ class Files(Protocol):
     """Bitstreams and overlays of a configuration."""
 
     def image(self, config: Config, module: Module) -> Image:
-        """The validated image of a module. Raises the refusals of `cm.bitstream`, NotFound."""
+        """The validated image of a module. Raises the refusals of `cm.formats.bitstream`, NotFound."""
 
     def static_image(self, config: Config) -> Image:
         """The validated image of a full configuration."""

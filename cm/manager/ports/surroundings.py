@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Protocol
 
-from cm.messages.status import RegValues
 from cm.schema.model import Config
+from cm.wire.messages.status import RegValues
 
 
 class DataPlane(Protocol):

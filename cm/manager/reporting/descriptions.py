@@ -6,7 +6,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from cm.manager.reporting.status import stream_status
-from cm.messages.status import (
+from cm.schema.model import Config, Memory, Register
+from cm.wire.messages.status import (
     ConfigEntry,
     ConfigInfo,
     FieldInfo,
@@ -15,7 +16,6 @@ from cm.messages.status import (
     ModeInfo,
     RegisterInfo,
 )
-from cm.schema.model import Config, Memory, Register
 
 _LONG = 200  # registers
 

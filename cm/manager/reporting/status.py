@@ -11,8 +11,8 @@ from cm.manager.ports import Observer
 from cm.manager.state.board_state import ManagerState
 from cm.manager.state.choice import Choice
 from cm.manager.state.table import BoardState, RegionState
-from cm.messages.status import ClockStatus, ErrorInfo, PrMode, Progress, RegionStatus, Status, StreamStatus
 from cm.schema.model import Config, Stream
+from cm.wire.messages.status import ClockStatus, ErrorInfo, PrMode, Progress, RegionStatus, Status, StreamStatus
 
 _T = TypeVar("_T")
 _UNKNOWN = RegionState()  # of which nothing is known

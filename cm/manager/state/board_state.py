@@ -19,8 +19,8 @@ from cm.manager.state.record import Pending, Record, Throughput, WayBack
 from cm.manager.state.steps import ApplyOverlay, Place, RemoveOverlay, SetClock, Step
 from cm.manager.state.table import BoardState
 from cm.manager.state.totals import ChangeTotals
-from cm.messages.status import ErrorInfo
 from cm.schema.model import Config, LoaderKind, Memory
+from cm.wire.messages.status import ErrorInfo
 
 
 @dataclass(frozen=True, slots=True)

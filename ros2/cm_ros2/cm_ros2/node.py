@@ -10,11 +10,11 @@ import rclpy
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, State, TransitionCallbackReturn
 
-from cm.bridge.commands import Commands
-from cm.bridge.follower import Follower
 from cm.client.board import Board, connect
-from cm.ros.node import BoardNode, NodeName
-from cm.ros.transport import EVENTS, SENSOR_DATA, Qos
+from cm.networks.bridge.commands import Commands
+from cm.networks.bridge.follower import Follower
+from cm.networks.ros.node import BoardNode, NodeName
+from cm.networks.ros.transport import EVENTS, SENSOR_DATA, Qos
 from cm_ros2.transport import RclpyTransport
 
 _THREADS = 12

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`cm.ros.transport` over rclpy."""
+"""`cm.networks.ros.transport` over rclpy."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from cm.bridge.records import FrameRecord
-from cm.ros.transport import Body, Qos, Values
+from cm.networks.bridge.records import FrameRecord
+from cm.networks.ros.transport import Body, Qos, Values
 from cm_ros2.conversion import fill, interface, values
 
 

@@ -10,12 +10,12 @@ import tarfile
 import tempfile
 from pathlib import Path
 
-from cm.importers.archive import unpack
-from cm.importers.result import ImportRefused
+from cm.formats.importers.archive import unpack
+from cm.formats.importers.result import ImportRefused
 from cm.schema import SchemaError
 from cm.schema.files import FileMissing
 
-PACKAGES = ("cm.importers", "tarfile")
+PACKAGES = ("cm.formats.importers", "tarfile")
 MAX_LENGTH = 16384
 
 _FOLDER = tempfile.TemporaryDirectory(prefix="cm-fuzz-")

@@ -6,7 +6,7 @@ The simulated port takes them in any pieces.
 
 from __future__ import annotations
 
-from cm.bitstream import (
+from cm.formats.bitstream import (
     BitstreamError,
     Container,
     FrameAddress,
@@ -17,9 +17,9 @@ from cm.bitstream import (
     inspect,
     open_image,
 )
-from cm.sim.hardware.configuration_port import ConfigPort
+from cm.simulation.software.hardware.configuration_port import ConfigPort
 
-PACKAGES = ("cm.bitstream", "cm.sim.hardware")
+PACKAGES = ("cm.formats.bitstream", "cm.simulation.software.hardware")
 MAX_LENGTH = 8192
 
 _DEVICE = device_by_name("xc7z020")

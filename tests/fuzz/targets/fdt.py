@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from cm import fdt
+from cm.formats import fdt
 
-PACKAGES = ("cm.fdt",)
+PACKAGES = ("cm.formats.fdt",)
 MAX_LENGTH = 8192
 
 

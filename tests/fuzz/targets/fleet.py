@@ -14,20 +14,20 @@ import zenoh
 from pieces import join, split
 
 from cm.errors import CmError
-from cm.fleet import names
-from cm.fleet.bridge.commands import Commands
-from cm.fleet.bridge.queries import Queries
-from cm.fleet.bridge.reading import Reader
-from cm.fleet.change.member import OPEN
-from cm.fleet.change.participant import Participant
-from cm.fleet.change.ports import Planned
-from cm.messages.fleet import FetchBundle, FleetRecord, FleetStep
-from cm.messages.status import ErrorInfo
+from cm.networks.fleet import names
+from cm.networks.fleet.bridge.commands import Commands
+from cm.networks.fleet.bridge.queries import Queries
+from cm.networks.fleet.bridge.reading import Reader
+from cm.networks.fleet.change.member import OPEN
+from cm.networks.fleet.change.participant import Participant
+from cm.networks.fleet.change.ports import Planned
 from cm.wire import cm_pb2 as pb
 from cm.wire.fleet import encode_answer, encode_fetch
 from cm.wire.fleet_records import decode_record, encode_record, encode_step
+from cm.wire.messages.fleet import FetchBundle, FleetRecord, FleetStep
+from cm.wire.messages.status import ErrorInfo
 
-PACKAGES = ("cm.fleet", "cm.wire")
+PACKAGES = ("cm.networks.fleet", "cm.wire")
 MAX_LENGTH = 4096
 
 _REFUSED = encode_answer(ErrorInfo("unknown", "the manager of this fuzzer knows nothing"))

@@ -6,15 +6,15 @@ from __future__ import annotations
 from contextlib import suppress
 
 from cm.errors import CmError
-from cm.fleet.standing import difference
-from cm.messages.fleet import ClockSync, Decision, FleetRecord
-from cm.messages.status import ErrorInfo
+from cm.networks.fleet.standing import difference
 from cm.web.fleet import row
 from cm.wire import cm_pb2 as pb
 from cm.wire import fleet as wire
 from cm.wire.fleet_records import decode_record, decode_step, encode_record
+from cm.wire.messages.fleet import ClockSync, Decision, FleetRecord
+from cm.wire.messages.status import ErrorInfo
 
-PACKAGES = ("cm.wire", "cm.fleet", "cm.web.fleet")
+PACKAGES = ("cm.wire", "cm.networks.fleet", "cm.web.fleet")
 MAX_LENGTH = 2048
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from contextlib import suppress
 
-from cm import hwh
+from cm.formats import hwh
 
-PACKAGES = ("cm.hwh",)
+PACKAGES = ("cm.formats.hwh",)
 MAX_LENGTH = 16384
 
 _DESIGN = b"""<?xml version="1.0" encoding="UTF-8"?>

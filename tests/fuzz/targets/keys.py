@@ -6,9 +6,9 @@ from __future__ import annotations
 from contextlib import suppress
 
 from cm.errors import InvalidRequest
-from cm.rights.keys import authorized, pairs_of
+from cm.server.rights.keys import authorized, pairs_of
 
-PACKAGES = ("cm.rights",)
+PACKAGES = ("cm.server.rights",)
 MAX_LENGTH = 1024
 
 

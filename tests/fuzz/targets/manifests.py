@@ -10,11 +10,11 @@ from pathlib import Path
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
 
-from cm.signing.errors import SignatureRefused
-from cm.signing.keys import public_keys, sign, signer
-from cm.signing.manifest import MANIFEST, SIGNATURES, add_manifest, parse
+from cm.formats.signing.errors import SignatureRefused
+from cm.formats.signing.keys import public_keys, sign, signer
+from cm.formats.signing.manifest import MANIFEST, SIGNATURES, add_manifest, parse
 
-PACKAGES = ("cm.signing",)
+PACKAGES = ("cm.formats.signing",)
 MAX_LENGTH = 4096
 
 _FOLDER = tempfile.TemporaryDirectory(prefix="cm-fuzz-")

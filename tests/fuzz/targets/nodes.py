@@ -20,13 +20,13 @@ from pieces import join, split
 
 from cm.loop import Loop
 from cm.schema import load
-from cm.sim.hardware.board_spec import BoardSpec
-from cm.sim.hardware.models import Models
-from cm.sim.process.machine import Machine, Options
-from cm.sim.transport import protocol as p
-from cm.sim.transport.root import Root
+from cm.simulation.software.hardware.board_spec import BoardSpec
+from cm.simulation.software.hardware.models import Models
+from cm.simulation.software.process.machine import Machine, Options
+from cm.simulation.software.transport import protocol as p
+from cm.simulation.software.transport.root import Root
 
-PACKAGES = ("cm.sim.nodes", "cm.sim.transport", "cm.sim.hardware")
+PACKAGES = ("cm.simulation.software.nodes", "cm.simulation.software.transport", "cm.simulation.software.hardware")
 MAX_LENGTH = 4096
 
 _CAMERA = Path(__file__).resolve().parents[3] / "cm" / "data" / "camera" / "camera.yaml"

@@ -10,12 +10,12 @@ from pathlib import Path
 
 from pieces import join, split
 
-from cm.bitstream import FrameAddress, FrameRun, assemble
-from cm.importers.dfx_mgr import import_dfx_mgr
-from cm.importers.result import ImportRefused
+from cm.formats.bitstream import FrameAddress, FrameRun, assemble
+from cm.formats.importers.dfx_mgr import import_dfx_mgr
+from cm.formats.importers.result import ImportRefused
 from cm.schema import SchemaError, dump, loads
 
-PACKAGES = ("cm.importers",)
+PACKAGES = ("cm.formats.importers",)
 MAX_LENGTH = 8192
 
 _FOLDER = tempfile.TemporaryDirectory(prefix="cm-fuzz-")

@@ -12,7 +12,7 @@ import socket
 
 from pieces import join, split
 
-from cm.native import plane as native
+from cm.device.native import plane as native
 from cm.wire import plane_packets as wire
 from cm.wire.plane_packets import Descriptor, Geometry
 

@@ -6,10 +6,10 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from cm.build.project.load import load_project
+from cm.design.project.load import load_project
 from cm.schema import SchemaError
 
-PACKAGES = ("cm.build.project", "cm.schema")
+PACKAGES = ("cm.design.project", "cm.schema")
 MAX_LENGTH = 8192
 _EXAMPLES = Path(__file__).resolve().parents[3] / "cm" / "data" / "examples"
 _FOLDER = tempfile.TemporaryDirectory(prefix="cm-fuzz-")

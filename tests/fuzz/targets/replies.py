@@ -8,10 +8,10 @@ from contextlib import suppress
 from pieces import join, split
 
 from cm.errors import InvalidRequest
-from cm.messages import status as st
 from cm.wire import cm_pb2 as pb
 from cm.wire import topics
 from cm.wire.encode import decode_event, decode_reply, encode_irq, encode_registers, encode_reply, encode_status
+from cm.wire.messages import status as st
 
 PACKAGES = ("cm.wire",)
 MAX_LENGTH = 4096

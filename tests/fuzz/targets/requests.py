@@ -12,15 +12,15 @@ from contextlib import suppress
 from pieces import join, split
 
 from cm.errors import InvalidRequest
-from cm.messages import requests as rq
-from cm.rights.audit import described
-from cm.rights.principal import NOBODY
+from cm.server.rights.audit import described
+from cm.server.rights.principal import NOBODY
 from cm.wire import cm_pb2 as pb
 from cm.wire import topics
 from cm.wire.decode import decode_request
 from cm.wire.encode import encode_request
+from cm.wire.messages import requests as rq
 
-PACKAGES = ("cm.wire", "cm.rights")
+PACKAGES = ("cm.wire", "cm.server.rights")
 MAX_LENGTH = 4096
 
 

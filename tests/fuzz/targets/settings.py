@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from cm.settings import SettingsError, parse_settings
+from cm.server.settings import SettingsError, parse_settings
 
-PACKAGES = ("cm.settings", "cm.schema")
+PACKAGES = ("cm.server.settings", "cm.schema")
 MAX_LENGTH = 4096
 
 

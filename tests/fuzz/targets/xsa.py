@@ -9,10 +9,10 @@ import tempfile
 import zipfile
 from pathlib import Path
 
-from cm.build.collect.handoff import unpack
-from cm.build.errors import BuildError
+from cm.design.collect.handoff import unpack
+from cm.design.errors import BuildError
 
-PACKAGES = ("cm.build.collect", "zipfile")
+PACKAGES = ("cm.design.collect", "zipfile")
 MAX_LENGTH = 16384
 _FOLDER = tempfile.TemporaryDirectory(prefix="cm-fuzz-")
 

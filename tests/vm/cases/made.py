@@ -12,7 +12,7 @@ from pathlib import Path
 import yaml
 
 from cm import device
-from cm.bitstream import Container, assemble_module, convert
+from cm.formats.bitstream import Container, assemble_module, convert
 
 DESIGNS = Path("/opt/cm/designs")
 FIRMWARE = Path("/lib/firmware/cm")

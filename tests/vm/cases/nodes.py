@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from cm import fdt
+from cm.formats import fdt
 
 PLATFORM = Path("/sys/bus/platform/devices")
 # compatible string → the kernel's driver; the first two are linux-xlnx's alone

@@ -13,7 +13,7 @@ from capabilities import LOOK
 from served import PATIENCE, pl, until
 
 from cm import device
-from cm.bitstream import to_dma_words
+from cm.formats.bitstream import to_dma_words
 
 ROOT = Path("/sys/kernel/config/cm_plsim")
 LIVE = ROOT / "board" / "live"  # of the board in configfs, where it comes from there

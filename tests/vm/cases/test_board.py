@@ -23,7 +23,7 @@ def test_dependency_is_installed(package: str) -> None:
 
 @pytest.mark.needs("cm")
 def test_compiled_module_loads() -> None:
-    assert importlib.import_module("cm.native._cm").lib is not None
+    assert importlib.import_module("cm.device.native._cm").lib is not None
 
 
 def test_two_processors_run() -> None:

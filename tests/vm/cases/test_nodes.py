@@ -10,10 +10,11 @@ from pathlib import Path
 import pytest
 from plsim import remove_overlays
 
-from cm import device, fdt
+from cm import device
 from cm.device.checks import devices
 from cm.device.checks.machine import Machine
 from cm.device.paths import Root
+from cm.formats import fdt
 
 pytestmark = pytest.mark.needs("overlay", "uio_genirq", "plsim")
 NAME = "nodes-test"

@@ -16,8 +16,9 @@ from nodes import compatibles, drivers, expected
 from plsim import nothing
 from served import loads, until
 
-from cm import device, fdt
-from cm.bitstream import assemble_module, to_dma_words
+from cm import device
+from cm.formats import fdt
+from cm.formats.bitstream import assemble_module, to_dma_words
 
 pytestmark = pytest.mark.needs("xilinx_dma", "overlay", "fpga", "uio_genirq")
 COMPILED = Path("/opt/cm/firmware")

@@ -13,7 +13,7 @@ from plsim import nothing, remove_overlays
 from served import PATIENCE, driver, loads, pl, until
 
 from cm import device
-from cm.bitstream import to_dma_words
+from cm.formats.bitstream import to_dma_words
 
 pytestmark = pytest.mark.needs("overlay", "fpga", "plsim")
 NAME = "region-test"

@@ -17,7 +17,8 @@ from nodes import drivers, expected
 from plsim import nothing
 from served import PATIENCE, until
 
-from cm import device, fdt
+from cm import device
+from cm.formats import fdt
 
 pytestmark = pytest.mark.needs("xilinx_dma", "overlay", "fpga", "uio_genirq")
 REGIONS = [f"r{number}" for number in range(9)]

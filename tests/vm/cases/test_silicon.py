@@ -18,7 +18,7 @@ from boardfile import FIRMWARE, write_bitstreams
 from served import PATIENCE, driver, until
 
 from cm import device
-from cm.bitstream import to_dma_words
+from cm.formats.bitstream import to_dma_words
 
 pytestmark = pytest.mark.needs("xilinx_dma")
 SG, SIMPLE, VDMA, MC = Engine("sg"), Engine("simple"), Engine("vdma"), Engine("mc")

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 from served import until
 
-from cm import device, fdt
+from cm import device
+from cm.formats import fdt
 
 pytestmark = pytest.mark.needs("zynq", "overlay", "fpga", "uio_genirq")
 FIRMWARE = Path("/lib/firmware")

@@ -17,7 +17,7 @@ STATIC, EVENTS = 0x58001000, 0x59001000
 
 def write_bitstreams(folder: Path = FIRMWARE) -> None:
     """Bitstreams of all modules of guest/system/camera.yaml, as .bit files."""
-    from cm.bitstream import assemble_module
+    from cm.formats.bitstream import assemble_module
 
     folder.mkdir(parents=True, exist_ok=True)
     for name, index in MODULES.items():

@@ -19,7 +19,7 @@ set -e
 python3 -m pip install --no-index --quiet --break-system-packages --ignore-installed --no-deps --no-compile \\
     --target wheel {RELEASE}/*.whl
 export PYTHONPATH=wheel
-python3 -c "import cm.native._cm as m; print(m.__file__)"
+python3 -c "import cm.device.native._cm as m; print(m.__file__)"
 python3 -m cm check /usr/lib/firmware/cm/camera/camera.yaml
 """
 # The keys of a fleet whose router runs on the board, and what the page has a board's owner do before the unit starts.

@@ -31,7 +31,7 @@ def _build_package(cache: Cache, arch: Arch, place: Path) -> None:
         target = place / path.relative_to(REPOSITORY)
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(path, target)
-    _compile_extension(cache, arch, place / "cm/native/_cm.abi3.so")
+    _compile_extension(cache, arch, place / "cm/device/native/_cm.abi3.so")
     _compile_messages(place)
     rootfs.compile_python(cache, arch, place, "cm", place="/opt/cm/python")
 

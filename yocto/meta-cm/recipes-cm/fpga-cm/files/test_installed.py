@@ -29,7 +29,7 @@ def runtime(tmp_path):
 
 
 def test_the_compiled_module_is_for_this_machine():
-    from cm.native import _cm
+    from cm.device.native import _cm
 
     assert _cm.ffi
 

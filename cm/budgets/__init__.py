@@ -1,6 +1,0 @@
-# SPDX-License-Identifier: Apache-2.0
-"""How much of the manager each client uses, and its limits.
-
-Only numbers: no sockets, no requests. `cm.rights` knows which client a connection belongs to, and `cm.native.guard`
-which connections there are. In the loop's thread.
-"""

@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""HDL of a project → interfaces per module and a boundary per region."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from cm.design import hdl
+from cm.design.boundary import boundary
+from cm.design.boundary.model import Boundary
+from cm.design.errors import BuildError, MissingTool
+from cm.design.hdl import UserProtocol
+from cm.design.hdl.flat import Flat, Wanted, needs_wrapper
+from cm.design.hdl.flatten import flatten
+from cm.design.hdl.hls import hls_registers, load_hls
+from cm.design.hdl.model import Language, ModuleInfo, Problem
+from cm.design.hdl.register_maps import read_register_map
+from cm.design.hdl.vhdl_units import missing_units
+from cm.design.project.model import ModuleSpec, Project, in_libraries
+from cm.design.project.where import fault
+
+_SUBJECT = re.compile(r"(?:port )?(\w+)(?:\.(\w+))?")
+_PRIMITIVE = re.compile(r"[A-Z][A-Z0-9_]*|xpm_\w+")  # in the vendor's library: BUFG, RAMB36E2, xpm_cdc_single
+
+
+@dataclass(frozen=True, slots=True)
+class Analysis:
+    """What was found in the HDL: `modules` by their names in the project, `boundaries` by region.
+
+    `differences` are those between extraction and IP-XACT, one sentence each, by module.
+    """
+
+    modules: Mapping[str, ModuleInfo]
+    boundaries: Mapping[str, Boundary]
+    differences: Mapping[str, tuple[str, ...]]
+    flat: Mapping[str, Flat] = field(default_factory=dict)  # wrappers of modules whose ports are not vectors
+
+    @property
+    def refused(self) -> tuple[str, ...]:
+        """Why modules do not fit their regions, one sentence each."""
+        return tuple(
+            f"{self.placed(adaptation.module, sentence)} (module {adaptation.module}, region {region})"
+            for region, found in self.boundaries.items()
+            for adaptation in found.adaptations
+            for sentence in adaptation.refused
+        )
+
+    @property
+    def broken(self) -> int:
+        """The number of problems that make synthesis fail."""
+        return sum(problem.breaks for info in self.modules.values() for problem in info.problems)
+
+    def placed(self, module: str, sentence: str) -> str:
+        """Put file and line before a sentence about a module: those of the port or interface that it begins with."""
+        info = self.modules[module]
+        if sentence.startswith(info.file):
+            return sentence
+        found = _SUBJECT.match(sentence)
+        name, logical = (found[1], found[2]) if found else ("", None)
+        interface = next((i for i in info.interfaces if i.name == name), None)
+        if interface is not None:
+            name = interface.ports.get(logical or "") or next(iter(interface.ports.values()))
+        port = next((port for port in info.ports if port.name == name), None)
+        line = port.line if port is not None and port.line else info.line
+        file = port.file if port is not None and port.file else info.file
+        return f"{file}:{line}: {sentence}" if line else f"{file}: {sentence}"
+
+    def completed(self, project: Project) -> Project:
+        """`project` with the registers of its modules' register maps; the build schema takes precedence."""
+        modules = {name: _with_registers(project, self._named(spec)) for name, spec in project.modules.items()}
+        return replace(project, modules=modules)
+
+    def _named(self, spec: ModuleSpec) -> ModuleSpec:
+        """Return the module with the top that synthesis sees: that of its vendor IP or its wrapper."""
+        if spec.name in self.flat:
+            flat = self.flat[spec.name]
+            return replace(spec, top=flat.name, parameters={}, flat=(flat.file, flat.text))
+        known = spec.ip and not spec.readable and spec.component is None
+        return replace(spec, top=self.modules[spec.name].name) if known else spec
+
+
+def _with_registers(project: Project, spec: ModuleSpec) -> ModuleSpec:
+    if spec.hls is not None and spec.register_map is None:
+        return replace(spec, registers={**hls_registers(spec.hls, spec.top), **spec.registers})
+    if spec.register_map is None:
+        return spec
+    try:
+        found = read_register_map(spec.register_map, spec.top)
+    except MissingTool:
+        raise
+    except BuildError as error:
+        raise fault(project.source, ("modules", spec.name, "register_map"), str(error)) from None
+    return replace(spec, registers={**found, **spec.registers})
+
+
+def analyse(project: Project) -> Analysis:
+    """Parse all modules of `project`; raises the HDL half's errors for files that cannot be read."""
+    protocols = tuple(protocol for path in project.protocols for protocol in hdl.load_protocols(path))
+    modules: dict[str, ModuleInfo] = {}
+    differences: dict[str, tuple[str, ...]] = {}
+    flat: dict[str, Flat] = {}
+    for spec in project.modules.values():
+        try:
+            modules[spec.name], differences[spec.name] = _module(spec, protocols)
+        except hdl.HdlError as error:
+            raise fault(project.source, ("modules", spec.name, *_key(spec, error)), str(error)) from None
+        found = modules[spec.name]
+        if spec.readable and (needs_wrapper(found) or _elsewhere(spec, found)):
+            wrapped, wrapper = flatten(found, _wanted(spec), protocols)
+            flat |= {spec.name: wrapper} if wrapper else {}
+            modules[spec.name] = wrapped if wrapper or needs_wrapper(found) else found
+    boundaries = {name: _boundary(project, name, modules) for name in project.regions}
+    return Analysis(modules, boundaries, differences, flat)
+
+
+def _elsewhere(spec: ModuleSpec, info: ModuleInfo) -> bool:
+    """Whether the top is VHDL in a library other than the default, where the Verilog around it would not find it."""
+    return info.language is Language.VHDL and Path(info.file) in in_libraries(spec.libraries)
+
+
+def _wanted(spec: ModuleSpec) -> Wanted:
+    inner = {
+        port: {name: str(value) for name, value in values.items()} for port, values in spec.interface_parameters.items()
+    }
+    sources, libraries = (spec.readable, {}) if spec.ip and spec.sim_sources else (spec.sources, spec.libraries)
+    parameters = {name: str(value) for name, value in spec.parameters.items()}
+    return Wanted(spec.top, sources, libraries, spec.include_dirs, spec.defines, parameters, inner)
+
+
+def _key(spec: ModuleSpec, error: hdl.HdlError) -> tuple[str, ...]:
+    """The key of a module in the build schema that has the problem."""
+    if isinstance(error, hdl.UnknownParameter):
+        return ("parameters", error.name)
+    if spec.component is not None and str(error).startswith(f"{spec.component}:"):
+        return ("component",)
+    if spec.hls is not None:
+        return ("hls",)
+    return ("top",) if isinstance(error, hdl.ModuleNotFound) else ("sources",)
+
+
+def _boundary(project: Project, region: str, modules: Mapping[str, ModuleInfo]) -> Boundary:
+    """Use the project's names, since two modules may have the same top with different parameters or sources."""
+    names = [spec.name for spec in project.modules_of(region)]
+    return boundary([modules[name] for name in names], labels=names)
+
+
+def _module(spec: ModuleSpec, protocols: tuple[UserProtocol, ...]) -> tuple[ModuleInfo, tuple[str, ...]]:
+    if spec.hls is not None:
+        return load_hls(spec.hls, spec.top, protocols), ()
+    if not spec.readable:
+        if spec.component is None and spec.ip:
+            return hdl.load_xci(spec.ip[0], protocols), ()
+        if spec.component is None:
+            raise hdl.HdlError(f"{spec.name}: nothing describes its interfaces; give sources, sim_sources or component")
+        return hdl.load_component_xml(spec.component), ()
+    reading = hdl.read(
+        spec.readable,
+        top=spec.top,
+        include_dirs=spec.include_dirs,
+        defines=spec.defines,
+        parameters={name: str(value) for name, value in spec.parameters.items()},
+        protocols=protocols,
+    )
+    found = reading.modules[0]
+    units = () if spec.ip or spec.sim_sources else tuple(missing_units(spec.libraries, spec.sources))
+    info = _with_missing(replace(found, problems=(*found.problems, *reading.problems, *units)), spec, reading.outside)
+    if spec.component is None:
+        return info, ()
+    return info, tuple(str(difference) for difference in hdl.compare(info, hdl.load_component_xml(spec.component)))
+
+
+def _with_missing(info: ModuleInfo, spec: ModuleSpec, outside: Sequence[str]) -> ModuleInfo:
+    """Add a problem for submodules that synthesis will not find; vendor IP may bring some, primitives always exist."""
+    missing = [name for name in outside if not _PRIMITIVE.fullmatch(name)]
+    if not missing or spec.ip or spec.tcl or spec.sim_sources:
+        return info
+    text = f"no file has {', '.join(missing)}, which {info.name} needs below it: add to sources: (or ip:, if vendor IP)"
+    return replace(info, problems=(*info.problems, Problem(text, info.file, info.line, breaks=True)))

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Clocks, resets, interrupts and single signals at the boundary.
+
+Each clock of the boundary has one reset, active low; every reset of a module that belongs to the clock is connected
+to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from cm.design.boundary.buses import IN, OUT, Fitting
+from cm.design.boundary.model import BoundaryPort, Connection, Fit, Role
+from cm.design.boundary.slots import identifier, unique
+from cm.design.hdl.model import Interrupt, Mode, ModuleInfo, Polarity, Port, PortDirection, Reset
+
+
+@dataclass(slots=True)
+class Clocks:
+    """The boundary's clocks: `of` maps (module, port of the module) to the boundary's clock."""
+
+    names: list[str] = field(default_factory=list)
+    of: dict[tuple[str, str], str] = field(default_factory=dict)
+
+    def reset(self, clock: str) -> str:
+        """The reset that belongs to a clock of the boundary."""
+        return "aresetn" if clock == "aclk" else f"{clock}_resetn"
+
+
+def make_clocks(modules: Sequence[ModuleInfo]) -> Clocks:
+    """One clock `aclk` if no module has more than one; otherwise by name, or the only choice."""
+    inputs = {m.name: [c.port for c in m.clocks if c.direction is IN] for m in modules}
+    result = Clocks()
+    if all(len(ports) <= 1 for ports in inputs.values()):
+        result.names = ["aclk"] if any(inputs.values()) else []
+        result.of = {(name, port): "aclk" for name, ports in inputs.items() for port in ports}
+        return result
+    for name, ports in sorted(inputs.items(), key=lambda item: -len(item[1])):
+        for port in ports:
+            result.of[name, port] = _clock(port, ports, name, result)
+    return result
+
+
+def _clock(port: str, ports: Sequence[str], module: str, result: Clocks) -> str:
+    taken = [clock for (owner, _), clock in result.of.items() if owner == module]
+    name = identifier(port)
+    free = [clock for clock in result.names if clock not in taken]
+    if name in free:
+        return name
+    if len(ports) == 1 and len(free) == 1:
+        return free[0]
+    name = unique(name, result.names)
+    result.names.append(name)
+    return name
+
+
+def clock_ports(clocks: Clocks) -> list[BoundaryPort]:
+    """Ports of all clocks and their resets."""
+    ports = [BoundaryPort(name, IN, 1, Role.CLOCK) for name in clocks.names]
+    return ports + [BoundaryPort(clocks.reset(name), IN, 1, Role.RESET, idle=1) for name in clocks.names]
+
+
+def fit_clocks(clocks: Clocks, module: ModuleInfo, fitting: Fitting) -> None:
+    """Connect a module's clocks and resets; those that it does not have stay open."""
+    used: set[str] = set()
+    for clock in module.clocks:
+        if clock.direction is not IN:
+            text = f"{clock.port} is a clock that the module drives: clocks do not cross a region's boundary outwards"
+            fitting.refused.append(text)
+            continue
+        name = clocks.of[module.name, clock.port]
+        used.add(name)
+        fitting.connections.append(Connection(name, clock.port, IN, Fit.CONNECT, 1, 1))
+    for reset in module.resets:
+        used.add(_fit_reset(reset, clocks, module, fitting))
+    for port in clock_ports(clocks):
+        if port.name not in used:
+            fitting.connections.append(Connection(port.name, "", IN, Fit.OPEN, 1))
+
+
+def _fit_reset(reset: Reset, clocks: Clocks, module: ModuleInfo, fitting: Fitting) -> str:
+    if reset.direction is not IN:
+        fitting.refused.append(f"{reset.port} is a reset that the module drives: name it as a signal")
+        return ""
+    if reset.polarity is None:
+        fitting.refused.append(
+            f"the polarity of the reset {reset.port} is not known: state it with X_INTERFACE_PARAMETER"
+        )
+        return ""
+    if not clocks.names:
+        fitting.refused.append(f"the reset {reset.port} belongs to no clock: the region has none")
+        return ""
+    mine = [c.port for c in module.clocks if c.direction is IN]
+    owner = next((c.port for c in module.clocks if c.reset == reset.port and c.port in mine), mine[0] if mine else "")
+    name = clocks.reset(clocks.of.get((module.name, owner), clocks.names[0]))
+    fit = Fit.INVERT if reset.polarity is Polarity.HIGH else Fit.CONNECT
+    fitting.connections.append(Connection(name, reset.port, IN, fit, 1, 1))
+    return name
+
+
+@dataclass(slots=True)
+class Single:
+    """One interrupt or signal of the boundary: the modules' ports by module."""
+
+    name: str
+    direction: PortDirection
+    role: Role
+    members: dict[str, Port] = field(default_factory=dict)
+
+    @property
+    def width(self) -> int:
+        """Bits of the widest member."""
+        return max(port.width or 1 for port in self.members.values())
+
+    def port(self) -> BoundaryPort:
+        """As a port of the boundary."""
+        return BoundaryPort(self.name, self.direction, self.width, self.role)
+
+
+def make_interrupts(modules: Sequence[ModuleInfo]) -> list[Single]:
+    """Interrupts by name; if no module has more than one in a direction, it is called `interrupt`."""
+    found: list[Single] = []
+    for mode, only in ((Mode.MASTER, "interrupt"), (Mode.SLAVE, "interrupt_in")):
+        lists = {m.name: [i for i in m.interrupts if i.mode is mode] for m in modules}
+        single = all(len(items) <= 1 for items in lists.values())
+        for module in modules:
+            for item in lists[module.name]:
+                _place(module, item, only if single else identifier(item.port), mode, found)
+    return found
+
+
+def _place(module: ModuleInfo, item: Interrupt, name: str, mode: Mode, found: list[Single]) -> None:
+    port = module.port(item.port)
+    single = next((s for s in found if s.name == name), None)
+    if single is None:
+        single = Single(name, OUT if mode is Mode.MASTER else IN, Role.INTERRUPT)
+        found.append(single)
+    single.members[module.name] = port
+
+
+def make_signals(modules: Sequence[ModuleInfo], taken: Sequence[str]) -> tuple[list[Single], dict[str, list[str]]]:
+    """Ports left over, shared by name; those that cannot cross the boundary, with the reason, by module."""
+    found: list[Single] = []
+    refused: dict[str, list[str]] = {}
+    for module in modules:
+        for left in module.leftovers:
+            port = module.port(left.port)
+            reason = _unfit(port, left.reason)
+            if reason:
+                refused.setdefault(module.name, []).append(f"port {port.name} {reason}")
+                continue
+            name = identifier(port.name)
+            name = f"{name}_signal" if name in taken else name
+            single = next((s for s in found if s.name == name), None)
+            if single is None:
+                single = Single(name, port.direction, Role.SIGNAL)
+                found.append(single)
+            single.members[module.name] = port
+    return found, refused
+
+
+def _unfit(port: Port, reason: str) -> str:
+    if not port.flat:
+        return f"{reason}: needs a flat wrapper"
+    if port.direction not in (IN, OUT):
+        return "is bidirectional: use separate input, output and enable, and put the buffer into the static part"
+    if not port.width:
+        return "has a width that could not be evaluated"
+    if reason.startswith("looks like"):
+        return reason
+    return ""
+
+
+def fit_single(single: Single, module: ModuleInfo, fitting: Fitting) -> None:
+    """Connect one module's interrupt or signal, or tie it."""
+    port, want = module.port(single.members[module.name].name) if module.name in single.members else None, single.width
+    if port is None:
+        fit = Fit.TIE if single.direction is OUT else Fit.OPEN
+        fitting.connections.append(Connection(single.name, "", single.direction, fit, want))
+        return
+    have = port.width or 0
+    if port.direction is not single.direction:
+        text = f"port {port.name} is {port.direction.value}, another module's {single.name} is {single.direction.value}"
+        fitting.refused.append(text)
+    elif have == want:
+        fitting.connections.append(Connection(single.name, port.name, port.direction, Fit.CONNECT, want, have))
+    elif port.direction is OUT and have:
+        fitting.notes.append(f"{port.name}: {have} of {want} bits are driven, the rest is 0")
+        fitting.connections.append(Connection(single.name, port.name, OUT, Fit.EXTEND, want, have))
+    else:
+        text = f"port {port.name} has {have} bits, another module's {single.name} {want}: give them different names"
+        fitting.refused.append(text)

@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""DMA engines of other people's designs, from their .hwh, as the device-tree overlay needs them.
+
+Properties are those of the kernel's binding dma/xilinx/xilinx_dma.txt, each from the IP parameter that
+Xilinx/device-tree-xlnx ac65e01 (axi_dma.tcl and axi_vdma.tcl) uses. An MCDMA has one clock for everything but its
+registers; it is listed under the three names that the driver looks for.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+from cm.design.hdl.register_maps import identifier
+from cm.design.platforms import Platform
+from cm.formats import hwh
+
+KINDS = {"axi_dma": 1, "axi_vdma": 2, "axi_mcdma": 1}  # as fpga-cm,types counts them
+_CLOCK_PINS = {
+    "axi_dma": ("s_axi_lite_aclk", "m_axi_sg_aclk", "m_axi_mm2s_aclk", "m_axi_s2mm_aclk"),
+    "axi_vdma": ("s_axi_lite_aclk", "m_axi_mm2s_aclk", "m_axi_s2mm_aclk", "m_axis_mm2s_aclk", "s_axis_s2mm_aclk"),
+    "axi_mcdma": ("s_axi_lite_aclk", "s_axi_aclk"),
+}
+_NAMES = {("axi_mcdma", "s_axi_aclk"): ("m_axi_sg_aclk", "m_axi_mm2s_aclk", "m_axi_s2mm_aclk")}
+_S2MM_FIRST = {"axi_mcdma": 16}  # the driver's number of the first S2MM channel; 1 of the others
+PS_CLOCKS = {f"FCLK_CLK{i}": f"&clkc {15 + i}" for i in range(4)} | {
+    f"pl_clk{i}": f"&zynqmp_clk {71 + i}" for i in range(4)
+}
+_LENGTH_BITS = 14  # the default of an axi_dma (PG021)
+_NAME_LENGTH = 31  # of a node in /dev/cm_dma
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One direction of an engine: `stream` is its name in the runtime schema and in ``/dev/cm_dma``."""
+
+    stream: str
+    direction: str  # mm2s or s2mm
+    spi: int
+    width: int  # bits of a beat
+    realigns: bool
+    number: int  # the cell of ``dmas``
+
+
+@dataclass(frozen=True, slots=True)
+class ClockInput:
+    """A clock input: a phandle with its arguments, or (`rate` in Hz) a clock made in the PL."""
+
+    pin: str
+    source: str
+    rate: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Engine:
+    """An axi_dma or axi_vdma."""
+
+    label: str
+    kind: str
+    base: int
+    size: int
+    address_bits: int
+    length_bits: int
+    frames: int  # frame stores of a VDMA
+    flushes: bool  # it can recover from a frame of the wrong size
+    clocks: tuple[ClockInput, ...]
+    channels: tuple[Channel, ...]
+
+    @property
+    def type(self) -> int:
+        """The engine's type, as numbered in ``fpga-cm,types``."""
+        return KINDS[self.kind]
+
+    @property
+    def groups(self) -> list[tuple[int, tuple[Channel, ...]]]:
+        """Channels by direction, with the address of that direction's registers."""
+        offsets = {"mm2s": 0, "s2mm": 0x500 if self.kind == "axi_mcdma" else 0x30}
+        found = [(self.base + at, tuple(c for c in self.channels if c.direction == d)) for d, at in offsets.items()]
+        return [(at, channels) for at, channels in found if channels]
+
+
+@dataclass(slots=True)
+class Engines:
+    """The engines for the overlay, and a sentence about each channel that is left out."""
+
+    found: list[Engine] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def fixed_clocks(self) -> list[ClockInput]:
+        """Clocks that the PL makes itself, each once."""
+        clocks = {clock.source: clock for engine in self.found for clock in engine.clocks if clock.rate}
+        return [clocks[name] for name in sorted(clocks)]
+
+    @property
+    def max_length(self) -> int:
+        """The largest transfer, in bytes, that every engine accepts."""
+        bits = [engine.length_bits for engine in self.found if engine.kind != "axi_vdma"]
+        return (1 << min(bits, default=23)) - 1
+
+
+def stream_names(channels: Iterable[hwh.DmaChannel], design: hwh.Hwh) -> dict[hwh.DmaChannel, str]:
+    """Channel → stream: the engine's name, with direction and number if it has several channels; each unique."""
+    listed = list(channels)
+    found: dict[hwh.DmaChannel, str] = {}
+    for channel in listed:
+        mine = [other for other in listed if other.instance == channel.instance]
+        several = sum(other.direction == channel.direction for other in mine) > 1
+        end = (f"_{channel.direction}" if len(mine) > 1 else "") + (f"_{channel.number}" if several else "")
+        name = identifier(design.modules[channel.instance].name)[: _NAME_LENGTH - len(end)] + end
+        if name in found.values():  # of the same name in another hierarchy
+            name = identifier(channel.instance)[: _NAME_LENGTH - len(end)] + end
+        number = 2
+        while name in found.values():
+            name, number = f"{name[: _NAME_LENGTH - 3]}_{number}", number + 1
+        found[channel] = name
+    return found
+
+
+def engines(design: hwh.Hwh, platform: Platform) -> Engines:
+    """Every engine whose address and interrupts can be described to the kernel."""
+    result = Engines()
+    listed = hwh.dma_channels(design)
+    names = stream_names(listed, design)
+    lines = {(line.instance, line.port): line for line in hwh.interrupts(design)}
+    windows = {window.instance: window for window in reversed(hwh.windows(design))}
+    for instance in dict.fromkeys(channel.instance for channel in listed):
+        mine = [channel for channel in listed if channel.instance == instance]
+        module, window = design.modules[instance], windows.get(instance)
+        if module.type not in KINDS or window is None:
+            why = "has no address" if module.type in KINDS else f"is an {module.type}, whose channels are not described"
+            result.notes.append(f"{instance} {why}: its streams need a DMA node in the board's own tree")
+            continue
+        channels = tuple(_channels(mine, names, lines, platform, module, result.notes))
+        if module.type == "axi_mcdma":
+            channels, alone = _whole(channels, mine)
+            if alone:
+                left = ", ".join(channel.stream for channel in alone)
+                result.notes.append(f"{instance}: without all interrupts of a direction, {left} is left out too")
+        if channels:
+            result.found.append(_engine(module, window, channels, design))
+    return result
+
+
+def _whole(there: tuple[Channel, ...], mine: list[hwh.DmaChannel]) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:
+    """Separate the directions in which every channel has an interrupt: the driver counts channels by interrupts."""
+    wanted = Counter(channel.direction for channel in mine)
+    whole = {way for way, count in Counter(c.direction for c in there).items() if count == wanted[way]}
+    return tuple(c for c in there if c.direction in whole), tuple(c for c in there if c.direction not in whole)
+
+
+def _channels(
+    mine: list[hwh.DmaChannel],
+    names: Mapping[hwh.DmaChannel, str],
+    lines: Mapping[tuple[str, str], hwh.InterruptLine],
+    platform: Platform,
+    module: hwh.ModuleInstance,
+    notes: list[str],
+) -> Iterator[Channel]:
+    for channel in mine:
+        name = names[channel]
+        line = lines.get((channel.instance, channel.interrupt_port))
+        spi = platform.spi_at(line.pin, line.index) if line and line.controller is None else None
+        if spi is None:
+            why = f"goes to {line.controller or line.pin}" if line else "goes nowhere"
+            notes.append(
+                f"stream {name}: the interrupt of {channel.instance} {why}, and the kernel's DMA driver needs one of "
+                "the processor's shared interrupts: it needs a DMA node in the board's own tree"
+            )
+            continue
+        realigns = module.parameters.get(f"C_INCLUDE_{channel.direction.upper()}_DRE") == "1"
+        first = _S2MM_FIRST.get(channel.kind, 1) if channel.direction == "s2mm" else 0
+        yield Channel(name, channel.direction, spi, channel.width or 32, realigns, first + channel.number)
+
+
+def _engine(
+    module: hwh.ModuleInstance, window: hwh.MemoryRange, channels: tuple[Channel, ...], design: hwh.Hwh
+) -> Engine:
+    return Engine(
+        label=identifier(module.instance),
+        kind=module.type,
+        base=window.base,
+        size=window.size,
+        address_bits=_integer(module, "C_ADDR_WIDTH", 32),
+        length_bits=min(_integer(module, "C_SG_LENGTH_WIDTH", _LENGTH_BITS), 26),
+        frames=_integer(module, "C_NUM_FSTORES", 3),
+        flushes=(module.parameters.get("C_FLUSH_ON_FSYNC") or module.parameters.get("c_flush_on_fsync", "1")) != "0",
+        clocks=tuple(_clocks(module, design)),
+        channels=channels,
+    )
+
+
+def _integer(module: hwh.ModuleInstance, name: str, default: int) -> int:
+    """Read a parameter of the core, or the one of its customisation (``c_addr_width``) if the file has only that."""
+    text = module.parameters.get(name) or module.parameters.get(name.lower(), "")
+    return int(text) if text.isdecimal() and int(text) else default
+
+
+def _clocks(module: hwh.ModuleInstance, design: hwh.Hwh) -> Iterator[ClockInput]:
+    """Connected clock inputs; the first is the one that the driver insists on."""
+    for pin in _CLOCK_PINS[module.type]:
+        port = module.ports.get(pin)
+        drivers = [end for end in port.connections if _drives(design, end)] if port else []
+        if port is None or not (drivers or port.rate):
+            continue
+        known = next((PS_CLOCKS[end.port] for end in drivers if end.port in PS_CLOCKS), None)
+        for name in _NAMES.get((module.type, pin), (pin,)):
+            if known is not None:
+                yield ClockInput(name, known)
+            elif port.rate:
+                yield ClockInput(name, f"&cm_clock_{port.rate}", port.rate)
+
+
+def _drives(design: hwh.Hwh, end: hwh.ConnectedPort) -> bool:
+    module = design.modules.get(end.instance)
+    return module is not None and end.port in module.ports and module.ports[end.port].direction == "O"

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Generated files for the target: device tree, kernel configuration, recipes, register symbols, runtime schema."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from cm.design.generate import afi
+from cm.design.plan.dma_cells import FRAME_STORES, clock_pins
+from cm.design.plan.engines import Dma, Engine, EngineKind
+from cm.design.plan.system import Implementation, RegionPlan, System, used_clocks
+from cm.design.runtime.answers import Answers
+from cm.design.runtime.schema import REGION_BLOCK, REGION_STRIDE, runtime_config
+from cm.design.runtime.text import runtime_text
+from cm.formats.bitstream import device_by_name
+from cm.schema.model import Config, Direction, LoaderKind, Register
+
+CHANNELS = 32  # of a node of fpga-cm,dma-client
+Entry = tuple[str, str, Mapping[str, Any]]
+
+
+def software_outputs(system: System, answers: Answers) -> Iterator[Entry]:
+    """Path, template and its variables of every file."""
+    name = system.project.name
+    config = runtime_config(system, answers)
+    base: dict[str, Any] = {"system": system, "config": config, "name": name, "dt": _DeviceTree(system)}
+    yield f"config/{name}.yaml", "runtime.yaml.j2", base | {"text": runtime_text(system, config)}
+    yield f"dts/{name}_static.dtso", "static.dtso.j2", base
+    yield "dts/system-user.dtsi", "system-user.dtsi.j2", base
+    for one in system.implementations:
+        yield (
+            f"dts/module_{one.name}.dtso",
+            "module.dtso.j2",
+            base | {"implementations": [one], "title": f"module {one.name}"},
+        )
+    for mode in system.project.modes.values():
+        chosen = [system.implementation(module, region) for region, module in mode.modules.items()]
+        yield (
+            f"dts/mode_{mode.name}.dtso",
+            "module.dtso.j2",
+            base | {"implementations": chosen, "title": f"mode {mode.name}"},
+        )
+    symbols = base | {"blocks": list(_blocks(system, config))}
+    yield f"include/{name}_registers.h", "registers.h.j2", symbols
+    yield f"python/{name}_registers.py", "registers.py.j2", symbols
+    yield "kernel/cm.cfg", "kernel.cfg.j2", base
+    recipe = f"cm-config-{name.replace('_', '-')}"
+    yield f"yocto/{recipe}/{recipe}_1.0.bb", "recipe.bb.j2", base | {"recipe": recipe}
+    yield "petalinux/README.md", "petalinux.md.j2", base | {"recipe": recipe}
+    yield "petalinux/user-rootfsconfig", "rootfsconfig.j2", {"recipe": recipe}
+
+
+class _DeviceTree:
+    """Device-tree properties that differ between platforms."""
+
+    def __init__(self, system: System) -> None:
+        self._system = system
+        zynq = system.platform.name == "zynq7000"
+        self.cells = 1 if zynq else 2
+        self.intc = "intc" if zynq else "gic"
+        self.select = "zynq" if zynq else "zynqmp"
+        self.manager = "devcfg" if zynq else "zynqmp_pcap"
+        known = device_by_name(system.device)
+        self.idcode = known.idcode if known else 0
+
+    def reg(self, base: int, size: int) -> str:
+        """A ``reg`` entry."""
+        if self.cells == 1:
+            return f"<{base:#010x} {size:#x}>"
+        return f"<{base >> 32:#x} {base & 0xFFFFFFFF:#010x} {size >> 32:#x} {size & 0xFFFFFFFF:#x}>"
+
+    def clock(self, name: str) -> str:
+        """A PL clock: clock number 15 and up of Zynq's ``clkc``, 71 and up of ``zynqmp_clk``."""
+        index = list(self._system.project.clocks).index(name)
+        return f"<&clkc {15 + index}>" if self.cells == 1 else f"<&zynqmp_clk {71 + index}>"
+
+    @property
+    def clocks(self) -> list[tuple[str, str]]:
+        """The PL clocks in use: phandle with its argument, and name."""
+        return [(self.clock(name), name) for name in used_clocks(self._system)]
+
+    @property
+    def rates(self) -> str:
+        """Their rates, as ``assigned-clock-rates`` has them."""
+        rates = [self._system.project.clocks[name].rate for name in used_clocks(self._system)]
+        return f"<{' '.join(map(str, rates))}>"
+
+    @property
+    def afi(self) -> list[afi.Node]:
+        """Nodes that set the widths of the ports between PS and PL."""
+        return afi.nodes(self._system)
+
+    def region(self, region: RegionPlan) -> str:
+        """Name of a region's node: the kernel's binding allows ``fpga-region-<number>``."""
+        return f"fpga-region-{region.index}"
+
+    def interrupt(self, line: int) -> str:
+        """An interrupt of the PL, level high."""
+        return f"<0 {self._system.platform.spi(line)} 4>"
+
+    def block(self, index: int) -> int:
+        """Address of a region's control registers."""
+        return self._system.control.base + REGION_BLOCK + REGION_STRIDE * index
+
+    def dma_clocks(self, engine: Engine) -> list[str]:
+        """Clock names of an engine's node: its pins; an MCDMA's one clock is listed as the three of its driver."""
+        if engine.kind is EngineKind.MCDMA:
+            return ["s_axi_lite_aclk", "m_axi_sg_aclk", *(f"m_axi_{way.value}_aclk" for way in engine.directions)]
+        return list(clock_pins(engine))
+
+    frame_stores = FRAME_STORES
+
+    def channel_offset(self, engine: Engine, way: Direction) -> int:
+        """Where the registers of a direction begin (PG021, PG020; PG288 by xmcdma_hw.h)."""
+        if way is Direction.MM2S:
+            return 0
+        return 0x500 if engine.kind is EngineKind.MCDMA else 0x30
+
+    @property
+    def streams(self) -> list[tuple[Dma, ...]]:
+        """Channels of streams, in groups as large as the node's binding allows."""
+        found = [dma for dma in self._system.dmas if dma is not self._system.icap]
+        return [tuple(found[start : start + CHANNELS]) for start in range(0, len(found), CHANNELS)]
+
+    def firmware(self, one: Implementation) -> bool:
+        """Whether the kernel loads the bitstream when the overlay is applied."""
+        return one.region.spec.loader is LoaderKind.OVERLAY
+
+    def label(self, text: str) -> str:
+        """A node name: letters, digits and dashes."""
+        return text.replace("_", "-")
+
+
+def _blocks(system: System, config: Config) -> Iterator[dict[str, Any]]:
+    """Registers with their symbols, per module and for the static part."""
+    yield {"name": "control", "doc": "static part", "base": system.control.base, "registers": _sorted(config.registers)}
+    for name, module in config.modules.items():
+        base = min((register.base_address for register in module.registers.values()), default=None)
+        yield {"name": name, "doc": module.doc, "base": base, "registers": _sorted(module.registers)}
+
+
+def _sorted(registers: Mapping[str, Register]) -> list[Register]:
+    return sorted(registers.values(), key=lambda register: (register.offset, register.name))

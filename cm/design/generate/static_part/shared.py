@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What streams share: the switch, the ports of an MCDMA, and interrupt lines if there are more channels than lines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from cm.design.generate.lite import LITE, slave_port
+from cm.design.generate.netlist import Netlist, concat, ones
+from cm.design.hdl.model import PortDirection
+from cm.design.plan.engines import Engine
+from cm.design.plan.system import StreamBus, SwitchPlan, System
+from cm.schema.model import Direction
+
+IN, OUT = PortDirection.IN, PortDirection.OUT
+TDEST = 4  # bits of an MCDMA's
+
+
+def add_shared(net: Netlist, system: System) -> None:
+    """The switch, joins and splits of all shared engines, and the joined interrupt lines."""
+    if system.switch:
+        _switch(net, system, system.switch)
+    for engine in system.engines:
+        for way in engine.directions if engine.channels[0].shared else ():
+            _streams(net, engine, way)
+    for line in system.crowded:
+        names = [net.port(f"irq_{dma.name}", IN) for dma in system.dmas if dma.line == line]
+        net.assign(net.port(f"irq_line_{line}", OUT), " | ".join(names))
+
+
+def _streams(net: Netlist, engine: Engine, way: Direction) -> None:
+    """Between the engine's port of one direction and its channels' streams."""
+    sends, channels = way is Direction.MM2S, engine.of(way)
+    count, size = len(channels), channels[0].width // 8
+    outside, inside = ("s", "m") if sends else ("m", "s")
+    widths = {"tdata": 8 * size, "tkeep": size}
+    connections: dict[str, str | None] = {"clk": f"clk_{engine.clock}", "resetn": f"resetn_{engine.clock}"}
+    for signal in ("tvalid", "tready", "tdata", "tkeep", "tlast"):
+        forward = (signal != "tready") != sends
+        width = widths.get(signal, 1)
+        port = net.port(f"{engine.port(way)}_{signal}", OUT if forward else IN, width)
+        connections[f"{outside}_{signal}"] = port
+        connections[f"{inside}_{signal}"] = _lanes(net, (dma.name for dma in channels), signal, width, sends)
+    connections[f"{outside}_tdest"] = net.port(f"{engine.port(way)}_tdest", IN if sends else OUT, TDEST)
+    kind = "cm_axis_split" if sends else "cm_axis_join"
+    comment = f"{engine.name}: {count} streams on the engine's one"
+    net.instance(kind, f"{engine.name}_{way.value}", connections, {"COUNT": count, "BYTES": size}, comment)
+
+
+def _lanes(net: Netlist, names: Iterable[str], signal: str, width: int, given: bool) -> str:
+    """Concatenate the streams' signals, the first one lowest; `given`: they go to the streams, not from them."""
+    there = {signal.name for signal in (*net.wires, *net.ports)}
+    return concat(reversed([_lane(net, f"axis_{name}_{signal}", width, given, there) for name in names]))
+
+
+def _lane(net: Netlist, name: str, width: int, given: bool, there: set[str]) -> str:
+    if name in there:
+        return name
+    net.wire(name, width)  # a region without TKEEP
+    if given:
+        net.unused.append(name)
+    else:
+        net.assign(name, ones(width))
+    return name
+
+
+def _switch(net: Netlist, system: System, switch: SwitchPlan) -> None:
+    """The switch between its streams' ports, or what shares an engine with others, and the regions' decouplers."""
+    domain = next(domain for domain in system.domains if domain.clock == switch.clock)
+    size = switch.width // 8
+    widths = {"tdata": 8 * size, "tkeep": size}
+    for bus in switch.streams:
+        _own_stream(net, bus, widths)
+    connections: dict[str, str | None] = {"clk": f"clk_{switch.clock}", "resetn": f"resetn_{switch.clock}"}
+    for signal, _, _ in LITE:
+        if signal not in ("awprot", "arprot"):
+            connections[f"s_{signal}"] = slave_port(domain, "switch", signal)
+    for side, ends in (("source", switch.sources), ("sink", switch.sinks)):
+        for signal in ("tvalid", "tready", "tdata", "tkeep", "tlast"):
+            given = (side == "sink") == (signal != "tready")
+            lanes = _lanes(net, (bus.name for bus in ends.values()), signal, widths.get(signal, 1), given)
+            connections[f"{side}_{signal}"] = lanes
+    parameters = {"SOURCES": len(switch.sources), "SINKS": len(switch.sinks), "BYTES": size}
+    listed = [f"sources {', '.join(switch.sources)}", f"sinks {', '.join(switch.sinks)}"]
+    net.instance("cm_axis_switch", "stream_switch", connections, parameters, f"Stream switch: {'; '.join(listed)}")
+
+
+def _own_stream(net: Netlist, bus: StreamBus, widths: dict[str, int]) -> None:
+    """Connect a stream between switch and memory; the join or split of a shared engine's port follows behind it."""
+    assert bus.dma
+    for signal in ("tvalid", "tready", "tdata", "tkeep", "tlast"):
+        name, width = f"axis_{bus.name}_{signal}", widths.get(signal, 1)
+        if bus.dma.shared:
+            net.wire(name, width)
+        else:
+            net.port(name, IN if (signal != "tready") == bus.dma.sends else OUT, width)

@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Finds interfaces, clocks, resets and interrupts among a module's ports; each port is in one, or left over."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+from cm.design.hdl import attributes
+from cm.design.hdl.associate import associate
+from cm.design.hdl.buses import Protocol, aximm, axis, axis_short
+from cm.design.hdl.judge import judge, make_interface
+from cm.design.hdl.model import (
+    FoundBy,
+    Interface,
+    Interrupt,
+    Leftover,
+    ModuleClock,
+    ModuleInfo,
+    Polarity,
+    Port,
+    Problem,
+    Reset,
+)
+from cm.design.hdl.naming import Candidate, candidates
+from cm.design.hdl.protocols import UserProtocol
+from cm.design.hdl.signals import drives_clock, interrupt_mode, is_clock, is_reset, reset_polarity
+from cm.design.hdl.tagged import Tagged, read_tags
+
+NOTHING_KNOWN = "belongs to no bus, clock, reset or interrupt that could be recognised"
+
+
+class Detector:
+    """Finds interfaces in any number of modules, with protocols that are prepared once."""
+
+    def __init__(self, user: Sequence[UserProtocol] = ()) -> None:
+        self._builtin: tuple[Protocol, ...] = (aximm(), axis(), axis_short())
+        self._user = tuple(user)
+
+    def detect(self, module: ModuleInfo) -> ModuleInfo:
+        """Return the module with everything that was found."""
+        return _Detection(module, self._builtin, self._user).result()
+
+
+class _Detection:
+    """The state of one module's detection: which ports are still free, and why some are left over."""
+
+    def __init__(self, module: ModuleInfo, builtin: Sequence[Protocol], user: Sequence[UserProtocol]) -> None:
+        self._module = module
+        self._builtin = builtin
+        self._user = user
+        self._free = {port.name: port for port in module.ports if port.flat}
+        self._reasons = {port.name: "is not a vector of bits" for port in module.ports if not port.flat}
+        self._interfaces: list[Interface] = []
+        self._problems: list[Problem] = []
+        self._rejected: list[tuple[Candidate, str]] = []
+
+    def result(self) -> ModuleInfo:
+        module = self._module
+        self._bind()
+        tagged = read_tags(module.ports, {p.name: p for p in reversed(self._builtin)})
+        self._take_tagged(tagged)
+        self._drop_ignored()
+        for protocol in self._builtin:
+            self._by_name(protocol, FoundBy.NAME)
+        for user in self._user:
+            self._by_name(user.protocol, FoundBy.PROTOCOL_FILE)
+        clocks = (*tagged.clocks, *self._clocks())
+        resets = (*tagged.resets, *self._resets())
+        interrupts = (*tagged.interrupts, *self._interrupts())
+        sure = not any(drives_clock(port) for port in self._free.values())
+        done = associate(self._interfaces, _stated(clocks, module.ports), resets, module.file, sure=sure)
+        return replace(
+            module,
+            interfaces=done.interfaces,
+            clocks=done.clocks,
+            resets=resets,
+            interrupts=interrupts,
+            leftovers=tuple(self._leftovers()),
+            problems=(*module.problems, *self._problems, *self._rejections(), *done.problems),
+        )
+
+    def _rejections(self) -> Iterable[Problem]:
+        """Report ports that looked like a bus but are not one, unless another protocol has taken them since."""
+        for candidate, reason in self._rejected:
+            first = next(iter(candidate.ports.values()))
+            if first.name in self._reasons:
+                yield Problem(reason, first.file, first.line)
+
+    def _take(self, names: Iterable[str]) -> None:
+        for name in names:
+            self._free.pop(name, None)
+
+    def _bind(self) -> None:
+        """Add the interfaces that the protocols file declares port by port."""
+        for user in self._user:
+            for binding in user.bindings:
+                if binding.module.lower() != self._module.name.lower():
+                    continue
+                missing = [name for name in binding.ports.values() if name not in self._free]
+                if missing:
+                    message = (
+                        f"{binding.where}: {binding.name}: module {binding.module} has no port {', '.join(missing)}"
+                    )
+                    self._problems.append(Problem(message, self._module.file, self._module.line, fatal=True))
+                    continue
+                ports = {signal: self._free[name] for signal, name in binding.ports.items()}
+                found = make_interface(binding.name, user.protocol, binding.mode, ports, FoundBy.PROTOCOL_FILE)
+                self._add(replace(found, clock=binding.clock or None, reset=binding.reset or None))
+
+    def _add(self, interface: Interface) -> None:
+        self._interfaces.append(interface)
+        self._take(interface.ports.values())
+        for name in interface.ports.values():
+            self._reasons.pop(name, None)
+
+    def _take_tagged(self, tagged: Tagged) -> None:
+        for port in attributes.malformed(self._module.ports):
+            text = f'port {port.name}: X_INTERFACE_INFO is not "vendor:library:name:version BUS SIGNAL"'
+            self._problems.append(Problem(text, port.file, port.line))
+        self._reasons.update(tagged.rejected)
+        self._take(clock.port for clock in tagged.clocks)
+        self._take(reset.port for reset in tagged.resets)
+        self._take(interrupt.port for interrupt in tagged.interrupts)
+        for interface in tagged.interfaces:
+            self._add(self._completed(interface))
+        self._problems.extend(Problem(text, self._module.file, self._module.line) for text in tagged.problems)
+        self._take(tagged.rejected)
+
+    def _completed(self, interface: Interface) -> Interface:
+        """Complete a bus of which only some ports have attributes by the names of the others."""
+        protocol = next((p for p in self._builtin if p.vlnv == interface.vlnv), None)
+        if protocol is None:
+            return interface
+        tagged = {name: port for name in interface.ports.values() if (port := self._free.get(name))}
+        for found in candidates([*tagged.values(), *self._unmarked()], protocol):
+            ours = {signal: port for signal, port in found.ports.items() if port.name in tagged}
+            new = {signal: port for signal, port in found.ports.items() if signal not in interface.ports}
+            if ours and new and judge(interface.name, protocol, found.ports).mode is interface.mode:
+                both = {signal: self._free[name] for signal, name in interface.ports.items()} | new
+                return make_interface(
+                    interface.name, protocol, interface.mode, both, FoundBy.ATTRIBUTE, interface.parameters
+                )
+        return interface
+
+    def _unmarked(self) -> list[Port]:
+        return [p for p in self._free.values() if "x_interface_info" not in p.attributes]
+
+    def _drop_ignored(self) -> None:
+        for port in list(self._free.values()):
+            if attributes.ignored(port):
+                self._reasons[port.name] = "is marked X_INTERFACE_IGNORE"
+                self._take((port.name,))
+
+    def _by_name(self, protocol: Protocol, found_by: FoundBy) -> None:
+        for candidate in list(candidates(self._free.values(), protocol)):
+            verdict = judge(candidate.name or protocol.name, protocol, candidate.ports)
+            if verdict.mode is None:
+                self._reject(candidate, verdict.reason)
+                continue
+            name = self._unique(candidate.name or f"{verdict.mode.value[0]}_{protocol.name}".replace("mm", ""))
+            stated: dict[str, str] = {}
+            for port in candidate.ports.values():
+                stated.update(attributes.parameters(port))
+            self._add(make_interface(name, protocol, verdict.mode, candidate.ports, found_by, stated))
+
+    def _reject(self, candidate: Candidate, reason: str) -> None:
+        if _worth_a_word(candidate):
+            self._reasons.update({port.name: reason for port in candidate.ports.values()})
+            self._rejected.append((candidate, reason))
+
+    def _unique(self, name: str) -> str:
+        taken = {interface.name for interface in self._interfaces}
+        number = 1
+        while (unique := name if number == 1 else f"{name}_{number}") in taken:
+            number += 1
+        return unique
+
+    def _clocks(self) -> list[ModuleClock]:
+        found = [port for port in self._unrejected() if is_clock(port)]
+        self._take(port.name for port in found)
+        return [_clock(port) for port in found]
+
+    def _resets(self) -> list[Reset]:
+        found = [port for port in self._unrejected() if is_reset(port)]
+        self._take(port.name for port in found)
+        return [Reset(port.name, port.name, self._polarity(port)) for port in found]
+
+    def _polarity(self, port: Port) -> Polarity:
+        stated = attributes.parameters(port).get("POLARITY", "").upper()
+        if stated in ("ACTIVE_LOW", "ACTIVE_HIGH"):
+            return Polarity.LOW if stated == "ACTIVE_LOW" else Polarity.HIGH
+        if port.name[-2:].lower() == "_b":  # the second of reset_a and reset_b, or "bar"
+            siblings = {other.name.lower() for other in self._module.ports}
+            return Polarity.HIGH if port.name[:-1].lower() + "a" in siblings else Polarity.LOW
+        return reset_polarity(port.name)
+
+    def _interrupts(self) -> list[Interrupt]:
+        found = [(port, mode) for port in self._unrejected() if (mode := interrupt_mode(port))]
+        self._take(port.name for port, _ in found)
+        return [
+            Interrupt(port.name, port.name, mode, port.width, attributes.parameters(port).get("SENSITIVITY", ""))
+            for port, mode in found
+        ]
+
+    def _unrejected(self) -> list[Port]:
+        return [port for port in self._free.values() if port.name not in self._reasons]
+
+    def _leftovers(self) -> Iterable[Leftover]:
+        for port in self._module.ports:
+            if port.name in self._reasons or port.name in self._free:
+                yield Leftover(port.name, self._reasons.get(port.name, NOTHING_KNOWN))
+
+
+def _worth_a_word(candidate: Candidate) -> bool:
+    """Whether to report ports: a single one, or wdata and rdata without a handshake, may be named so by chance."""
+    worth = candidate.protocol.worth
+    enough = any(marks <= set(candidate.ports) for marks in worth) if worth else True
+    return enough and len(candidate.ports) > 1
+
+
+def _clock(port: Port) -> ModuleClock:
+    stated = attributes.parameters(port)
+    frequency = stated.get("FREQ_HZ", "")
+    return ModuleClock(
+        port.name,
+        port.name,
+        port.direction,
+        int(frequency) if frequency.isdigit() else None,
+        attributes.names(stated, "ASSOCIATED_BUSIF"),
+        next(iter(attributes.names(stated, "ASSOCIATED_RESET")), None),
+    )
+
+
+def _stated(clocks: Iterable[ModuleClock], ports: Sequence[Port]) -> list[ModuleClock]:
+    """Clocks with their associated reset checked: an attribute may name a port that does not exist."""
+    names = {port.name.lower(): port.name for port in ports}
+    return [replace(clock, reset=names.get((clock.reset or "").lower())) for clock in clocks]

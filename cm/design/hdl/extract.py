@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files → modules with their interfaces; each file is read and parsed once, in mixed languages too."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+from cm.design.hdl.detect import Detector
+from cm.design.hdl.errors import HdlError, ModuleNotFound, UnknownParameter
+from cm.design.hdl.model import Language, ModuleInfo, Problem
+from cm.design.hdl.protocols import UserProtocol
+from cm.design.hdl.verilog import VerilogReader
+from cm.design.hdl.vhdl import VHDL_SUFFIXES, VhdlReader
+
+_FEW = 8  # most names that a sentence lists
+_NONE: Mapping[str, str] = MappingProxyType({})
+_NO_FILES: Mapping[Path, str] = MappingProxyType({})
+_ENCRYPTED = re.compile(r"(?:`|pragma\s+)protect\s+begin_protected", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """All modules asked for, and the problems of files that declare none of them.
+
+    `outside`: what the modules instantiate, at any depth, that no file declares (known for Verilog only).
+    """
+
+    modules: tuple[ModuleInfo, ...]
+    problems: tuple[Problem, ...] = ()
+    outside: tuple[str, ...] = ()
+
+
+def extract(
+    files: Iterable[str | Path],
+    top: str | None = None,
+    include_dirs: Iterable[str | Path] = (),
+    defines: Mapping[str, str] = _NONE,
+    parameters: Mapping[str, str] = _NONE,
+    protocols: Sequence[UserProtocol] = (),
+) -> list[ModuleInfo]:
+    """Return the modules of these files in order (with `top`: only that one), with their interfaces.
+
+    `defines` are Verilog macros; `parameters` are set on `top`, or on the modules that have them.
+    Raises `HdlError` for files that cannot be read or hold no module, `ModuleNotFound` for `top`,
+    `ParserMissing` if a parser is not installed. A module's `problems` say what is wrong inside it.
+    """
+    return list(read(files, top, include_dirs, defines, parameters, protocols).modules)
+
+
+def read(
+    files: Iterable[str | Path],
+    top: str | None = None,
+    include_dirs: Iterable[str | Path] = (),
+    defines: Mapping[str, str] = _NONE,
+    parameters: Mapping[str, str] = _NONE,
+    protocols: Sequence[UserProtocol] = (),
+    generated: Mapping[Path, str] = _NO_FILES,
+) -> Reading:
+    """Do as `extract`, and report problems of files without modules too; `generated`: text of files not yet written."""
+    paths = [Path(file) for file in files]
+    # Headers are often listed among the sources: their folders are searched last.
+    folders = dict.fromkeys([*(Path(path) for path in include_dirs), *(path.parent for path in paths)])
+    sources = _Sources(list(folders), defines)
+    for path in paths:
+        sources.add(path, _read_text(path))
+    for path, text in generated.items():
+        sources.add(path, text)
+    sources.check(top)
+    detector = Detector(protocols)
+    modules = [detector.detect(module) for module in sources.evaluate(top, parameters)]
+    _check_parameters(modules, parameters)
+    return Reading(tuple(modules), tuple(sources.problems), sources.outside(module.name for module in modules))
+
+
+def roots(modules: Sequence[ModuleInfo]) -> list[ModuleInfo]:
+    """Return the modules that no other of them instantiates; all of them if each is instantiated by another."""
+    used = {name.lower() for module in modules for name in module.instantiates if name.lower() != module.name.lower()}
+    return [module for module in modules if module.name.lower() not in used] or list(modules)
+
+
+class _Sources:
+    """The files of both languages, and the file of each module."""
+
+    def __init__(self, include_dirs: Sequence[Path], defines: Mapping[str, str]) -> None:
+        self._include_dirs = include_dirs
+        self._defines = defines
+        self._verilog: VerilogReader | None = None
+        self._vhdl: VhdlReader | None = None
+        self._found: dict[str, tuple[Language, Path]] = {}
+        self._below: dict[str, tuple[str, ...]] = {}
+        self._paths: list[Path] = []
+        self._errors: dict[Path, tuple[Problem, ...]] = {}  # of files with modules
+        self.problems: list[Problem] = []
+
+    def add(self, path: Path, text: str) -> None:
+        self._paths.append(path)
+        if _ENCRYPTED.search(text):
+            what = "parts of this file are encrypted (`protect) and cannot be read: a component.xml describes more"
+            self.problems.append(Problem(what, str(path)))
+        if path.suffix.lower() in VHDL_SUFFIXES:
+            self._vhdl = self._vhdl or VhdlReader()
+            entities = self._vhdl.parse(path, text)
+            # architectures are searched, not parsed, which is too vague to report something as missing
+            self._register([(entity.name, ()) for entity in entities], Language.VHDL, path)
+            if not entities and "package" not in text.lower():
+                self.problems.append(Problem("no entity in this file", str(path)))
+            return
+        self._verilog = self._verilog or VerilogReader(self._include_dirs, self._defines)
+        tree = self._verilog.parse(path, text)
+        self._register(tree.modules, tree.language, path)
+        self._below |= {name.lower(): () for name in tree.interfaces}
+        if tree.modules:
+            self._errors[path] = tree.errors
+        else:
+            self.problems.extend(tree.errors)
+
+    def _register(self, units: Iterable[tuple[str, tuple[str, ...]]], language: Language, path: Path) -> None:
+        for name, below in units:
+            if name in self._found:
+                first = self._found[name][1]
+                text = f"module {name} is declared in {first} too: the first one is taken here, synthesis may take this"
+                self.problems.append(Problem(text, str(path)))
+            else:
+                self._found[name] = (language, path)
+                self._below[name.lower()] = below
+
+    def outside(self, modules: Iterable[str]) -> tuple[str, ...]:
+        """What `modules` instantiate, at any depth, that no file declares; VHDL entities match in any case."""
+        found: dict[str, str] = {}
+        seen: set[str] = set()
+        todo = list(modules)
+        while todo:
+            name = todo.pop()
+            if name.lower() in seen:
+                continue
+            seen.add(name.lower())
+            if name.lower() in self._below:
+                todo += self._below[name.lower()]
+            else:
+                found[name.lower()] = name
+        return tuple(sorted(found.values()))
+
+    def check(self, top: str | None) -> None:
+        if not self._found:
+            detail = "; ".join(str(problem) for problem in self.problems[:3])
+            raise HdlError(f"no module and no entity in {_few(self._paths)}{': ' + detail if detail else ''}")
+        if top is not None and self._name(top) is None:
+            raise ModuleNotFound(f"no module {top} in {_few(self._paths)}; there are: {_few(self._found)}")
+
+    def _name(self, top: str) -> str | None:
+        """Find a module's name: Verilog's exactly, VHDL's regardless of case."""
+        if top in self._found:
+            return top
+        vhdl = [name for name, (language, _) in self._found.items() if language is Language.VHDL]
+        return next((name for name in vhdl if name.lower() == top.lower()), None)
+
+    def evaluate(self, top: str | None, parameters: Mapping[str, str]) -> list[ModuleInfo]:
+        wanted = list(self._found) if top is None else [self._name(top) or top]
+        vhdl = [name for name in wanted if self._found[name][0] is Language.VHDL]
+        verilog = [name for name in wanted if self._found[name][0] is not Language.VHDL]
+        modules = self._verilog.read(verilog, parameters) if self._verilog else []
+        modules += self._vhdl.read(vhdl, parameters) if self._vhdl else []
+        asked = {self._found[name][1] for name in wanted}
+        self.problems += [error for path, errors in self._errors.items() if path not in asked for error in errors]
+        order = {name: number for number, name in enumerate(self._found)}
+        return sorted(modules, key=lambda module: order[module.name])
+
+
+def _few(names: Iterable[object]) -> str:
+    """List names for a sentence; of many, only the first."""
+    listed = [str(name) for name in names]
+    return ", ".join(listed[:_FEW]) + (f" and {len(listed) - _FEW} more" if len(listed) > _FEW else "")
+
+
+def _read_text(path: Path) -> str:
+    try:
+        return path.read_bytes().decode("utf-8", errors="replace")
+    except OSError as error:
+        raise HdlError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def _check_parameters(modules: Sequence[ModuleInfo], parameters: Mapping[str, str]) -> None:
+    known = {p.name.lower() for module in modules for p in module.parameters if not p.local}
+    for name in parameters:
+        if name.lower() not in known:
+            names = ", ".join(p.name for module in modules for p in module.parameters if not p.local) or "none"
+            text = f"no parameter {name} in {', '.join(m.name for m in modules)}; there are: {names}"
+            raise UnknownParameter(name, text)

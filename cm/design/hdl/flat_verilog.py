@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A flat wrapper around a SystemVerilog module with interface ports; slang knows what the interfaces contain."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from cm.design.hdl.errors import HdlError
+from cm.design.hdl.flat import IN, OUT, Flat, FlatPort, Wanted, unique_ports, wrapper_name
+from cm.design.hdl.model import PortDirection
+from cm.design.hdl.verilog import VerilogReader, expression
+
+_DIRECTIONS = {"In": IN, "Out": OUT, "InOut": PortDirection.INOUT}
+_PROBE = "cm_flat_probe"
+
+
+def flat_verilog(wanted: Wanted) -> Flat:
+    """Return the wrapper of `wanted.top`. Raises `HdlError` with the reason if none is possible."""
+    reader = VerilogReader(wanted.include_dirs, wanted.defines)
+    for path in wanted.sources:
+        reader.parse(path, path.read_text(encoding="utf-8", errors="replace"))
+    top = reader.elaborate(wanted.top, {name: expression(value) for name, value in wanted.parameters.items()})
+    interfaces = {port.name: _interface(wanted.top, port) for port in top.portList if _is_interface(port)}
+    for name in wanted.interface_parameters:
+        if name not in interfaces:
+            raise HdlError(f"{wanted.top} has no interface port {name}; there are: {', '.join(interfaces) or 'none'}")
+    singles = [_instance(name, kind, wanted) for name, (kind, _, _) in interfaces.items()]
+    reader.parse(Path(f"{_PROBE}.sv"), "\n".join([f"module {_PROBE};", *singles, "endmodule\n"]))
+    probe = {member.name: member for member in reader.elaborate(_PROBE, {}) if member.kind.name == "Instance"}
+    ports: list[FlatPort] = []
+    for port in top.portList:
+        if port.name in interfaces:
+            _, modport, count = interfaces[port.name]
+            for index in range(count) if count is not None else (None,):
+                ports += _signals(wanted.top, port.name, probe[port.name].body, modport, index)
+        else:
+            ports.append(_plain(wanted.top, port))
+    unique_ports(wanted.top, ports)
+    instances = {name: _instance(name, kind, wanted, count) for name, (kind, _, count) in interfaces.items()}
+    return Flat(wrapper_name(wanted.top), ".sv", _text(wanted, ports, instances))
+
+
+def _is_interface(port: Any) -> bool:
+    return bool(port.kind.name == "InterfacePort")
+
+
+def _interface(top: str, port: Any) -> tuple[str, str, int | None]:
+    """Return interface, modport, and the length of an array of them."""
+    if port.interfaceDef is None:
+        raise HdlError(f"{top}: port {port.name} is any interface, or one that no file given declares")
+    if not port.modport:
+        kind = port.interfaceDef.name
+        raise HdlError(f"{top}: port {port.name} is {kind} without a modport: its signals have no direction")
+    ranges = port.declaredRange or []
+    if len(ranges) > 1:
+        raise HdlError(f"{top}: port {port.name} is an array of arrays of interfaces: wrap it by hand")
+    return port.interfaceDef.name, port.modport, ranges[0].width if ranges else None
+
+
+def _instance(name: str, kind: str, wanted: Wanted, count: int | None = None) -> str:
+    given = wanted.interface_parameters.get(name, {})
+    values = ", ".join(f".{key}({expression(value)})" for key, value in given.items())
+    return f"    {kind} {f'#({values}) ' if values else ''}{name} {'' if count is None else f'[{count}] '}();"
+
+
+def _signals(top: str, name: str, body: Any, modport: str, index: int | None) -> Iterator[FlatPort]:
+    flat, inner = (name, name) if index is None else (f"{name}_{index}", f"{name}[{index}]")
+    if list(body.portList):
+        ports = ", ".join(port.name for port in body.portList)
+        raise HdlError(f"{top}: the interface of {name} has ports of its own ({ports}): wrap it by hand")
+    found = next((member for member in body if member.kind.name == "Modport" and member.name == modport), None)
+    for signal in found or ():
+        if signal.kind.name != "ModportPort":
+            continue  # a task or function
+        direction = _DIRECTIONS.get(signal.direction.name)
+        if direction not in (IN, OUT):
+            raise HdlError(f"{top}: {name}.{signal.name} is bidirectional: write a wrapper by hand")
+        if not signal.type.isIntegral or not signal.type.bitWidth:
+            raise HdlError(f"{top}: {name}.{signal.name} is not a vector of bits ({signal.type}): wrap it by hand")
+        yield FlatPort(f"{flat}_{signal.name}", direction, signal.type.bitWidth, f"{inner}.{signal.name}")
+
+
+def _plain(top: str, port: Any) -> FlatPort:
+    if port.kind.name != "Port" or not port.type.isIntegral:
+        raise HdlError(f"{top}: port {port.name} is neither an interface nor a vector of bits: wrap it by hand")
+    return FlatPort(port.name, _DIRECTIONS[port.direction.name], port.type.bitWidth)
+
+
+def _text(wanted: Wanted, ports: list[FlatPort], instances: Mapping[str, str]) -> str:
+    declared = [f"    {_KINDS[port.direction]} {_range(port.width)}{port.name}" for port in ports]
+    assigned = [
+        f"    assign {port.inner} = {port.name};" if port.direction is IN else f"    assign {port.name} = {port.inner};"
+        for port in ports
+        if port.inner
+    ]
+    values = [f".{name}({expression(value)})" for name, value in wanted.parameters.items()]
+    given = f"#({', '.join(values)}) " if values else ""
+    pins = [f"        .{name}({name})" for name in (*(p.name for p in ports if not p.inner), *instances)]
+    lines = [
+        "// SPDX-License-" + "Identifier: Apache-2.0",
+        f"// Generated by cm build: {wanted.top} with flat ports in place of its interfaces.",
+        "`default_nettype none",
+        "/* verilator lint_off TIMESCALEMOD */",
+        "",
+        f"module {wrapper_name(wanted.top)} (",
+        ",\n".join(declared),
+        ");",
+        *instances.values(),
+        "",
+        *assigned,
+        "",
+        f"    {wanted.top} {given}inner (",
+        ",\n".join(pins),
+        "    );",
+        "endmodule",
+        "",
+        "`default_nettype wire",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+_KINDS = {IN: "input  wire", OUT: "output wire", PortDirection.INOUT: "inout  wire"}
+
+
+def _range(width: int) -> str:
+    return f"[{width - 1}:0] " if width > 1 else ""

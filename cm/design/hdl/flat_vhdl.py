@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A flat wrapper around a VHDL entity with record ports: each field of a record becomes a port."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from cm.design.hdl.errors import HdlError
+from cm.design.hdl.flat import IN, OUT, Flat, FlatPort, Wanted, field_name, unique_ports, wrapper_name
+from cm.design.hdl.model import PortDirection
+from cm.design.hdl.vhdl import VHDL_SUFFIXES, VhdlReader
+from cm.design.hdl.vhdl_expr import Unknown, Value
+from cm.design.hdl.vhdl_text import blank_comments, design_units
+from cm.design.hdl.vhdl_types import NotFlat, base_type, width_of
+
+_RECORD = re.compile(r"\btype\s+(\w+)\s+is\s+record\b(.*?)\bend\s+record\b", re.IGNORECASE | re.DOTALL)
+_CONTEXT = re.compile(r"\b(?:library\s+[\w\s,]+|use\s+[\w.]+)\s*;", re.IGNORECASE)
+_RANGE = re.compile(r"\brange\s+(.+?)\s+(to|downto)\s+(.+)", re.IGNORECASE | re.DOTALL)
+_STREAM = frozenset(["valid", "ready", "data", "last", "keep", "strobe", "strb", "user", "id", "dest"])
+_BITS = ("std_logic", "std_ulogic", "bit")
+_MAX_DEPTH = 8
+
+Records = Mapping[str, Sequence[tuple[str, str]]]  # by name in lower case: (field, type)
+
+
+@dataclass(frozen=True, slots=True)
+class _Scope:
+    records: Records
+    names: Mapping[str, Value | None]
+    subtypes: Mapping[str, str]
+
+
+def flat_vhdl(wanted: Wanted) -> Flat:
+    """Return the wrapper of entity `wanted.top`. Raises `HdlError` with the reason if none is possible."""
+    reader = VhdlReader()
+    files = {path: "work" for path in wanted.sources if path.suffix.lower() in VHDL_SUFFIXES}
+    files |= {path: library for library, paths in wanted.libraries.items() for path in paths}
+    texts = {path: path.read_text(encoding="utf-8", errors="replace") for path in files}
+    homes = {entity.name.lower(): path for path, text in texts.items() for entity in reader.parse(path, text)}
+    home = homes.get(wanted.top.lower())
+    if home is None:
+        raise HdlError(f"no entity {wanted.top} in the files given")
+    entity = reader.entity(wanted.top)
+    names, subtypes = reader.scope(wanted.top, wanted.parameters)
+    subtypes = {name: _bounds(kind, subtypes) for name, kind in subtypes.items()}
+    scope = _Scope(dict(_records(map(blank_comments, texts.values()))), names, subtypes)
+    ports: list[FlatPort] = []
+    records: dict[str, str] = {}
+    for port in entity.ports:
+        direction = {"in": IN, "out": OUT, "buffer": OUT}.get(port.mode, PortDirection.INOUT)
+        kind = port.type.partition("(")[0].strip().lower().rpartition(".")[2]
+        if kind in scope.records:
+            if direction is PortDirection.INOUT:
+                message = f"port {port.name} is a bidirectional record: write a wrapper by hand"
+                raise HdlError(f"{home}:{port.line}: {message}")
+            records[port.name] = port.type
+            ports += _fields(f"{home}:{port.line}: port {port.name}", port.name, port.type, direction, scope)
+        else:
+            ports.append(_plain(f"{home}:{port.line}: port {port.name}", port.name, port.type, direction, scope))
+    unique_ports(f"{home}: {wanted.top}", ports)
+    context = _context(blank_comments(texts[home]), wanted.top, files[home])
+    library = files[home]
+    return Flat(wrapper_name(wanted.top), ".vhd", _text(wanted, context, library, ports, records))
+
+
+def _records(texts: Iterator[str] | map[str]) -> Iterator[tuple[str, list[tuple[str, str]]]]:
+    for text in texts:
+        for name, body in _RECORD.findall(text):
+            fields = []
+            for line in body.split(";"):
+                left, colon, kind = line.partition(":")
+                fields += [(word.strip(), " ".join(kind.split())) for word in left.split(",") if colon and word.strip()]
+            yield name.lower(), fields
+
+
+def _fields(where: str, port: str, kind: str, direction: PortDirection, scope: _Scope) -> Iterator[FlatPort]:
+    leaves = list(_leaves(where, (), kind, scope, 0))
+    stream = all(path[-1].lower() in _STREAM and len(path) == 1 for path, _, _ in leaves)
+    for path, width, base in leaves:
+        yield FlatPort(field_name(port, path, stream), direction, width, ".".join((port, *path)), base)
+
+
+def _leaves(
+    where: str, path: tuple[str, ...], kind: str, scope: _Scope, depth: int
+) -> Iterator[tuple[tuple[str, ...], int, str]]:
+    name = kind.partition("(")[0].strip().lower().rpartition(".")[2]
+    if name in scope.records and depth < _MAX_DEPTH:
+        if "(" in kind:
+            raise HdlError(f"{where}.{'.'.join(path)} is a record with ranges ({kind}): wrap it by hand")
+        for field, inner in scope.records[name]:
+            yield from _leaves(where, (*path, field), inner, scope, depth + 1)
+        return
+    kind = _bounds(kind, scope.subtypes)
+    try:
+        yield path, width_of(kind, scope.names, scope.subtypes), base_type(kind, scope.subtypes)
+    except NotFlat:
+        raise HdlError(f"{where}.{'.'.join(path)} is {kind}, not a vector of bits: wrap it by hand") from None
+    except Unknown as error:
+        raise HdlError(f"{where}.{'.'.join(path)} is {kind}: {error}") from None
+
+
+def _bounds(kind: str, subtypes: Mapping[str, str]) -> str:
+    """`kind` with the bounds of ranges in place of ``subtype'high`` and the like."""
+
+    def bound(found: re.Match[str]) -> str:
+        given = _RANGE.search(subtypes.get(found[1].lower(), ""))
+        if given is None:
+            return found[0]
+        left, right = (f"({given[n].strip()})" for n in (1, 3))
+        low, high = (left, right) if given[2].lower() == "to" else (right, left)
+        return {"left": left, "right": right, "low": low, "high": high}[found[2].lower()]
+
+    return re.sub(r"(\w+)'(left|right|low|high)\b", bound, kind, flags=re.IGNORECASE)
+
+
+def _plain(where: str, name: str, kind: str, direction: PortDirection, scope: _Scope) -> FlatPort:
+    try:
+        return FlatPort(
+            name, direction, width_of(kind, scope.names, scope.subtypes), "", base_type(kind, scope.subtypes)
+        )
+    except Unknown as error:
+        raise HdlError(f"{where} is {kind}: {error}") from None
+
+
+def _context(text: str, top: str, library: str) -> list[str]:
+    """Return the library and use clauses before the entity, with ``work`` replaced by the library's name."""
+    start = next(u.start for u in design_units(text) if u.kind == "entity" and u.name.lower() == top.lower())
+    found = [" ".join(clause.split()) for clause in _CONTEXT.findall(text[:start])]
+    named = [re.sub(r"\bwork\.", f"{library}.", clause, flags=re.IGNORECASE) for clause in found]
+    own = [f"library {library};"] if library != "work" else []
+    return list(dict.fromkeys(["library ieee;", "use ieee.std_logic_1164.all;", *own, *named]))
+
+
+def _text(
+    wanted: Wanted, context: Sequence[str], library: str, ports: Sequence[FlatPort], records: Mapping[str, str]
+) -> str:
+    declared = [f"    {p.name} : {_MODES[p.direction]} {_type(p.width, p.kind)}" for p in ports]
+    assigned = []
+    for port in (port for port in ports if port.inner):
+        inner = f"record_{port.inner}"
+        if port.direction is IN:
+            assigned.append(f"  {inner} <= {_convert(port.kind, port.name)};")
+        else:
+            assigned.append(f"  {port.name} <= {_back(port.kind, inner)};")
+    values = ", ".join(f"{name} => {_value(value)}" for name, value in wanted.parameters.items())
+    pins = [f"      {p.name} => {_plain_actual(p)}" for p in ports if not p.inner and p.direction is not OUT]
+    pins += [f"      {_plain_formal(p)} => {p.name}" for p in ports if not p.inner and p.direction is OUT]
+    pins += [f"      {name} => record_{name}" for name in records]
+    name = wrapper_name(wanted.top)
+    lines = [
+        "-- SPDX-License-" + "Identifier: Apache-2.0",
+        f"-- Generated by cm build: {wanted.top} with flat ports in place of its records.",
+        *context,
+        "",
+        f"entity {name} is",
+        "  port (",
+        ";\n".join(declared),
+        "  );",
+        "end entity;",
+        "",
+        f"architecture flat of {name} is",
+        *(f"  signal record_{port} : {kind};" for port, kind in records.items()),
+        "begin",
+        *assigned,
+        "",
+        f"  inner : entity {library}.{wanted.top}",
+        *([f"    generic map ({values})"] if values else []),
+        "    port map (",
+        ",\n".join(pins),
+        "    );",
+        "end architecture;",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+_MODES = {IN: "in", OUT: "out", PortDirection.INOUT: "inout"}
+
+
+def _type(width: int, kind: str) -> str:
+    return "std_logic" if kind in _BITS else f"std_logic_vector({width - 1} downto 0)"
+
+
+def _convert(kind: str, name: str) -> str:
+    """Convert a flat signal to the field's type."""
+    if kind in ("std_logic", "std_ulogic"):
+        return name
+    if kind in ("unsigned", "signed", "u_unsigned", "u_signed"):
+        return f"ieee.numeric_std.{kind}({name})"
+    return name if kind == "std_logic_vector" else f"{kind}({name})"
+
+
+def _back(kind: str, inner: str) -> str:
+    return inner if kind in (*_BITS, "std_logic_vector") else f"std_logic_vector({inner})"
+
+
+def _plain_actual(port: FlatPort) -> str:
+    return _convert(port.kind, port.name)
+
+
+def _plain_formal(port: FlatPort) -> str:
+    return _back(port.kind, port.name)
+
+
+def _value(value: str) -> str:
+    """Write a generic's value in VHDL: a number, a boolean, or else a string."""
+    if value in ("True", "False"):
+        return value.lower()
+    return value if re.fullmatch(r"[-+]?[\d.]+|'.'|\".*\"", value) else f'"{value}"'

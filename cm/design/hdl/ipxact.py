@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: Apache-2.0
+"""IP-XACT component files (IEEE 1685-2009 `spirit`, as Vivado writes `component.xml`) as `ModuleInfo`.
+
+Names are compared without namespace, so that 1685-2014 files of the same shape load too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from xml.etree import ElementTree
+
+from cm.design.hdl.buses import axi_flavour, aximm
+from cm.design.hdl.elements import children, component_root, local, text_of
+from cm.design.hdl.errors import HdlError
+from cm.design.hdl.model import (
+    FoundBy,
+    Interface,
+    Interrupt,
+    Language,
+    Leftover,
+    Mode,
+    ModuleClock,
+    ModuleInfo,
+    Parameter,
+    Polarity,
+    Port,
+    PortDirection,
+    Reset,
+)
+
+_DIRECTIONS = {"in": PortDirection.IN, "out": PortDirection.OUT, "inout": PortDirection.INOUT}
+_MODES = {
+    "master": Mode.MASTER,
+    "mirroredSlave": Mode.MASTER,
+    "slave": Mode.SLAVE,
+    "mirroredMaster": Mode.SLAVE,
+    "monitor": Mode.MONITOR,
+}
+_SIGNALS = ("clock", "reset", "interrupt")
+_LEFT_OVER = "belongs to no bus interface of the component"
+
+
+def load_component_xml(path: str | Path) -> ModuleInfo:
+    """Read a component.xml. Raises `HdlError` where it is not an IP-XACT component.
+
+    The name is the model name of the synthesis view (the HDL's top), else the component's.
+    """
+    path = Path(path)
+    try:
+        root = component_root(path.read_bytes())
+    except OSError as error:
+        raise HdlError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise HdlError(f"{path}: not XML: {error}") from error
+    if local(root.tag) != "component":
+        raise HdlError(f"{path}: not an IP-XACT component: its root is <{local(root.tag)}>, not <spirit:component>")
+    return _Component(root, str(path)).info()
+
+
+class _Component:
+    """Reads one component element."""
+
+    def __init__(self, root: ElementTree.Element, file: str) -> None:
+        self._root = root
+        self._file = file
+        self._ports = {port.name: port for port in self._read_ports()}
+
+    def info(self) -> ModuleInfo:
+        buses = [bus for group in children(self._root, "busInterfaces") for bus in children(group, "busInterface")]
+        buses = [bus for bus in buses if not _disabled(bus, "BUSIF_ENABLEMENT")]
+        kinds = {id(bus): _bus_type(bus) for bus in buses}
+        plain = [bus for bus in buses if kinds[id(bus)].get("library") != "signal" or not self._signal(bus)]
+        clocks = tuple(self._clock(bus) for bus in buses if self._signal(bus) == "clock" and _port_map(bus))
+        resets = tuple(self._reset(bus) for bus in buses if self._signal(bus) == "reset" and _port_map(bus))
+        irqs = tuple(self._interrupt(bus) for bus in buses if self._signal(bus) == "interrupt" and _port_map(bus))
+        interfaces = tuple(self._interface(bus, clocks, resets) for bus in plain)
+        used = {port for interface in interfaces for port in interface.ports.values()}
+        used |= {clock.port for clock in clocks} | {reset.port for reset in resets} | {irq.port for irq in irqs}
+        return ModuleInfo(
+            name=self._model_name(),
+            file=self._file,
+            language=Language.IPXACT,
+            parameters=tuple(self._parameters()),
+            ports=tuple(self._ports.values()),
+            interfaces=interfaces,
+            clocks=clocks,
+            resets=resets,
+            interrupts=irqs,
+            leftovers=tuple(Leftover(name, _LEFT_OVER) for name in self._ports if name not in used),
+        )
+
+    def _signal(self, bus: ElementTree.Element) -> str:
+        kind = _bus_type(bus)
+        return kind["name"] if kind.get("library") == "signal" and kind.get("name") in _SIGNALS else ""
+
+    def _model_name(self) -> str:
+        views = [view for node in self._root.iter() if local(node.tag) == "view" for view in (node,)]
+        for wanted in ("synthesis", ""):
+            for view in views:
+                name = text_of(view, "modelName")
+                if name and wanted in text_of(view, "envIdentifier"):
+                    return name
+        return text_of(self._root, "name")
+
+    def _read_ports(self) -> Iterator[Port]:
+        for model in children(self._root, "model"):
+            for group in children(model, "ports"):
+                for node in children(group, "port"):
+                    if not _disabled(node, "PORT_ENABLEMENT"):
+                        yield self._port(node)
+
+    def _port(self, node: ElementTree.Element) -> Port:
+        wire = next(children(node, "wire"), node)
+        width: int | None = 1
+        text = ""
+        for vector in (child for child in wire.iter() if local(child.tag) == "vector"):
+            left, right = text_of(vector, "left"), text_of(vector, "right")
+            width, text = _span(left, right), f"[{left}:{right}]"
+        kind = next((text_of(child, "typeName") for child in wire.iter() if local(child.tag) == "wireTypeDef"), "")
+        direction = _DIRECTIONS.get(text_of(wire, "direction"), PortDirection.UNKNOWN)
+        return Port(text_of(node, "name"), direction, width, self._file, range=text, type=kind)
+
+    def _parameters(self) -> Iterator[Parameter]:
+        for model in children(self._root, "model"):
+            for group in children(model, "modelParameters"):
+                for node in children(group, "modelParameter"):
+                    value = text_of(node, "value")
+                    yield Parameter(
+                        text_of(node, "name"), _number(value) if _number(value) is not None else value, value
+                    )
+
+    def _interface(
+        self, bus: ElementTree.Element, clocks: tuple[ModuleClock, ...], resets: tuple[Reset, ...]
+    ) -> Interface:
+        name, kind, ports = text_of(bus, "name"), _bus_type(bus), _port_map(bus)
+        parameters = _bus_parameters(bus)
+        clock = next((c for c in clocks if name in c.interfaces), None)
+        reset = clock.reset if clock else None
+        polarity = next((r.polarity for r in resets if r.port == reset), None)
+        return Interface(
+            name=name,
+            protocol=self._protocol(kind.get("name", ""), ports, parameters),
+            mode=_mode(bus),
+            ports=MappingProxyType(ports),
+            clock=clock.port if clock else None,
+            reset=reset,
+            reset_polarity=polarity,
+            widths=MappingProxyType({s: self._ports[p].width if p in self._ports else None for s, p in ports.items()}),
+            found_by=FoundBy.IPXACT,
+            vlnv=":".join(kind.get(key, "") for key in ("vendor", "library", "name", "version")),
+            parameters=MappingProxyType(parameters),
+        )
+
+    def _protocol(self, kind: str, ports: Mapping[str, str], parameters: Mapping[str, str]) -> str:
+        if kind != aximm().name:
+            return kind
+        stated = parameters.get("PROTOCOL", "").lower()
+        if stated in ("axi4", "axi3", "axi4lite"):
+            return stated
+        return axi_flavour({signal: self._ports[port] for signal, port in ports.items() if port in self._ports})
+
+    def _clock(self, bus: ElementTree.Element) -> ModuleClock:
+        parameters = _bus_parameters(bus)
+        port = next(iter(_port_map(bus).values()))
+        frequency = parameters.get("FREQ_HZ", "")
+        return ModuleClock(
+            text_of(bus, "name"),
+            port,
+            self._direction(port),
+            int(frequency) if frequency.isdigit() else None,
+            tuple(name for name in parameters.get("ASSOCIATED_BUSIF", "").split(":") if name),
+            parameters.get("ASSOCIATED_RESET", "").partition(":")[0] or None,
+            FoundBy.IPXACT,
+        )
+
+    def _reset(self, bus: ElementTree.Element) -> Reset:
+        port = next(iter(_port_map(bus).values()))
+        word = _bus_parameters(bus).get("POLARITY", "").upper()
+        polarity = {"ACTIVE_LOW": Polarity.LOW, "ACTIVE_HIGH": Polarity.HIGH}.get(word)
+        return Reset(text_of(bus, "name"), port, polarity, self._direction(port), FoundBy.IPXACT)
+
+    def _interrupt(self, bus: ElementTree.Element) -> Interrupt:
+        port = next(iter(_port_map(bus).values()))
+        sense = _bus_parameters(bus).get("SENSITIVITY", "")
+        width = self._ports[port].width if port in self._ports else None
+        return Interrupt(text_of(bus, "name"), port, _mode(bus), width, sense, FoundBy.IPXACT)
+
+    def _direction(self, port: str) -> PortDirection:
+        return self._ports[port].direction if port in self._ports else PortDirection.UNKNOWN
+
+
+def _bus_type(bus: ElementTree.Element) -> dict[str, str]:
+    found = next(children(bus, "busType"), None)
+    return {local(key): value for key, value in found.attrib.items()} if found is not None else {}
+
+
+def _mode(bus: ElementTree.Element) -> Mode:
+    return next((_MODES[local(child.tag)] for child in bus if local(child.tag) in _MODES), Mode.SLAVE)
+
+
+def _port_map(bus: ElementTree.Element) -> dict[str, str]:
+    found = {}
+    for node in bus.iter():
+        if local(node.tag) == "portMap":
+            logical = next((text_of(child, "name") for child in children(node, "logicalPort")), "")
+            physical = next((text_of(child, "name") for child in children(node, "physicalPort")), "")
+            if logical and physical:
+                found[logical.upper()] = physical
+    return found
+
+
+def _bus_parameters(bus: ElementTree.Element) -> dict[str, str]:
+    """The interface's parameters."""
+    found = {}
+    for group in children(bus, "parameters"):
+        for node in children(group, "parameter"):
+            found[text_of(node, "name").upper()] = text_of(node, "value")
+    return found
+
+
+def _disabled(node: ElementTree.Element, what: str) -> bool:
+    """Whether the component's parameters disable a port or interface, so that the HDL's instance does not have it.
+
+    Parameters of an interface have an enablement too, but that one says whether they may be changed.
+    """
+    for child in node.iter():
+        if local(child.tag) == "isEnabled" and (child.text or "").strip() == "false":
+            named = next((value for key, value in child.attrib.items() if local(key) == "id"), what)
+            if named.startswith(what):
+                return True
+    return False
+
+
+def _span(left: str, right: str) -> int | None:
+    high, low = _number(left), _number(right)
+    return None if high is None or low is None else abs(high - low) + 1
+
+
+def _number(text: str) -> int | None:
+    """Decimal, or 0x…; None for anything else (an expression that was not resolved, a name)."""
+    try:
+        return int(text, 0)
+    except ValueError:
+        return int(text) if text.isascii() and text.isdigit() and len(text) < 20 else None

@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reads registers from the files of other tools: IP-XACT, .hwh, headers of Vitis HLS, SystemRDL."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from cm.design.errors import BuildError, MissingTool
+from cm.design.hdl.elements import component_root, descendants, text_of
+from cm.design.project.model import FieldSpec, RegisterSpec
+from cm.schema.model import Access
+
+Registers = dict[str, RegisterSpec]
+
+
+def read_register_map(path: Path, module: str) -> Registers:
+    """Read the registers in `path` according to its suffix; `module` selects one of several in a .hwh or .rdl file."""
+    readers: Mapping[str, Callable[[Path, str], Registers]] = {
+        ".xml": _ipxact,
+        ".hwh": _hwh,
+        ".h": _hls_header,
+        ".rdl": _systemrdl,
+    }
+    reader = readers.get(path.suffix.lower())
+    if reader is None:
+        raise BuildError(f"{path}: registers are read from {', '.join(readers)} files")
+    found = reader(path, module)
+    if not found:
+        raise BuildError(f"{path} describes no registers")
+    return found
+
+
+def identifier(name: str) -> str:
+    """`name` as a name of the runtime schema: lower case, other characters as underscores."""
+    text = re.sub(r"\W+", "_", name).strip("_").lower()
+    return text if text and not text[0].isdigit() else f"r_{text}"
+
+
+def access_of(word: str, one_to_clear: bool = False) -> Access:
+    """Convert IP-XACT's access words."""
+    if one_to_clear:
+        return Access.W1C
+    return {"read-only": Access.RO, "write-only": Access.WO}.get(word, Access.RW)
+
+
+# IP-XACT -------------------------------------------------------------------------------------
+
+
+def _ipxact(path: Path, module: str) -> Registers:
+    del module  # a component has one set
+    data = path.read_bytes()
+    try:
+        root = component_root(data)
+    except ValueError as error:
+        raise BuildError(f"{path}: not XML: {error}") from None
+    found: Registers = {}
+    for block in descendants(root, "addressBlock"):
+        base = _number(text_of(block, "baseAddress"))
+        for node in descendants(block, "register"):
+            spec = _ipxact_register(node, base)
+            found[spec.name] = spec
+    return found
+
+
+def _ipxact_register(node: ElementTree.Element, base: int) -> RegisterSpec:
+    fields = {}
+    clearing = False
+    for part in descendants(node, "field"):
+        name = identifier(text_of(part, "name"))
+        fields[name] = FieldSpec(name, _number(text_of(part, "bitOffset")), _number(text_of(part, "bitWidth")) or 1)
+        clearing = clearing or text_of(part, "modifiedWriteValue") == "oneToClear"
+    reset = next((text_of(entry, "value") for entry in descendants(node, "reset")), "")
+    return RegisterSpec(
+        name=identifier(text_of(node, "name")),
+        offset=base + _number(text_of(node, "addressOffset")),
+        width=_width(_number(text_of(node, "size")) or 32),
+        access=access_of(text_of(node, "access"), clearing),
+        reset=_number(reset) if reset else None,
+        volatile=text_of(node, "volatile") == "true",
+        fields=fields,
+        doc=" ".join(text_of(node, "description").split()),
+    )
+
+
+def _number(text: str) -> int:
+    """Numbers as IP-XACT writes them: ``16``, ``0x10``, ``'h10``, ``"0000"``."""
+    text = text.strip().strip('"').replace("_", "")
+    if not text:
+        return 0
+    try:
+        if "'h" in text:
+            return int(text.rsplit("'h", 1)[1], 16)
+        return int(text, 16) if text.lower().startswith("0x") else int(text)
+    except ValueError:
+        return 0
+
+
+def _width(bits: int) -> int:
+    """The access width that holds `bits`."""
+    return next((width for width in (8, 16, 32, 64) if bits <= width), 64)
+
+
+# .hwh ----------------------------------------------------------------------------------------
+
+
+def _hwh(path: Path, module: str) -> Registers:
+    from cm.formats.hwh import read  # a reader that only this needs
+
+    design = read(path)
+    having = {name: instance for name, instance in design.modules.items() if any(instance.registers.values())}
+    chosen = [instance for name, instance in having.items() if module in (name, instance.name, instance.type)]
+    if len(chosen) != 1:
+        raise BuildError(f"{path}: {module} is not one of the instances with registers: {', '.join(having) or 'none'}")
+    return {
+        spec.name: spec
+        for block in chosen[0].registers.values()
+        for spec in (register_of(register) for register in block)
+    }
+
+
+def register_of(register: Any) -> RegisterSpec:
+    """A `cm.formats.hwh.RegisterInfo` as a register of a module."""
+    fields = {
+        name: FieldSpec(name, part.lsb, part.width, doc=part.doc)
+        for part in register.fields
+        for name in [identifier(part.name)]
+    }
+    clearing = any(part.one_to_clear for part in register.fields)
+    # Vivado states the bits in use; the AXI peripherals that it describes are accessed by words
+    name, width = identifier(register.name), _width(register.size if register.offset % 4 else max(register.size, 32))
+    access = access_of(register.access, clearing)
+    return RegisterSpec(name, register.offset, width, access, None, register.reset, fields=fields, doc=register.doc)
+
+
+# HLS -----------------------------------------------------------------------------------------
+
+_DEFINE = re.compile(
+    r"^\s*#\s*define\s+X\w+?_(?:CONTROL|CTRL|AXILITES|[A-Z0-9]+)_ADDR_(\w+)\s+(0x[0-9a-fA-F]+|\d+)", re.MULTILINE
+)
+_BITS = re.compile(r"^\s*#\s*define\s+X\w+?_BITS_(\w+)\s+(\d+)", re.MULTILINE)
+
+
+def _hls_header(path: Path, module: str) -> Registers:
+    """``x<name>_hw.h`` of Vitis HLS: ``X…_CONTROL_ADDR_<NAME>_DATA 0x10`` and ``X…_CONTROL_BITS_<NAME>_DATA 32``."""
+    del module
+    text = path.read_text(encoding="utf-8", errors="replace")
+    bits = {name: int(width) for name, width in _BITS.findall(text)}
+    found: Registers = {}
+    for name, offset in _DEFINE.findall(text):
+        if name.endswith(("_BASE", "_HIGH")):  # memories are not registers
+            continue
+        plain = identifier(name.removesuffix("_DATA"))
+        width = bits.get(name, 32)
+        found[plain] = RegisterSpec(plain, int(offset, 0), _width(max(width, 32)), _hls_access(text, int(offset, 0)))
+    return found
+
+
+def _hls_access(text: str, offset: int) -> Access:
+    """Access from the comment at the head of the file: ``0x10 : Data signal of x`` … ``bit 31~0 - x[31:0] (Read)``."""
+    found = re.search(rf"^//\s*0x0*{offset:x}\s*:.*\n((?://\s+bit.*\n)*)", text, re.MULTILINE | re.IGNORECASE)
+    bits = found[1] if found else ""
+    return Access.RO if "(Read)" in bits and "Write" not in bits else Access.RW
+
+
+# SystemRDL -----------------------------------------------------------------------------------
+
+
+def _systemrdl(path: Path, module: str) -> Registers:
+    try:
+        from systemrdl.compiler import RDLCompiler
+        from systemrdl.messages import MessagePrinter, RDLCompileError
+        from systemrdl.node import RegNode
+    except ImportError:
+        raise MissingTool("reading SystemRDL needs systemrdl-compiler: pip install 'fpga-cm[build]'") from None
+    said: list[str] = []
+
+    class Printer(MessagePrinter):
+        """Keeps what the compiler would write to the terminal."""
+
+        def emit_message(self, lines: list[str]) -> None:
+            said.extend(re.sub(r"\x1b\[[0-9;]*m", "", line) for line in lines)
+
+    compiler = RDLCompiler(message_printer=Printer())
+    try:
+        compiler.compile_file(str(path))
+        root = compiler.elaborate(top_def_name=module) if module in _maps(compiler) else compiler.elaborate()
+    except RDLCompileError as error:
+        raise BuildError(next((line for line in said if ": error: " in line), f"{path}: {error}")) from None
+    return {
+        spec.name: spec
+        for node in root.top.descendants(unroll=True)
+        if isinstance(node, RegNode)
+        for spec in [_rdl_register(node, root.top)]
+    }
+
+
+def _maps(compiler: Any) -> list[str]:
+    return list(compiler.root.comp_defs) if getattr(compiler, "root", None) else []
+
+
+def _rdl_register(node: Any, top: Any) -> RegisterSpec:
+    fields = {}
+    reset, writable, readable, clearing = 0, False, False, False
+    for part in node.fields():
+        name = identifier(part.inst_name)
+        fields[name] = FieldSpec(name, part.low, part.width, doc=part.get_property("desc") or "")
+        value = part.get_property("reset")
+        reset |= (value if isinstance(value, int) else 0) << part.low
+        writable, readable = writable or part.is_sw_writable, readable or part.is_sw_readable
+        clearing = clearing or getattr(part.get_property("onwrite"), "name", "") == "woclr"
+    access = Access.W1C if clearing else Access.RW if writable and readable else Access.WO if writable else Access.RO
+    name = identifier(node.get_rel_path(top, array_suffix="_{index:d}", hier_separator="_"))
+    offset, width = node.absolute_address - top.absolute_address, _width(node.get_property("regwidth"))
+    doc = node.get_property("desc") or ""
+    return RegisterSpec(name, offset, width, access, None, reset, fields=fields, doc=doc)

@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reads Verilog and SystemVerilog with slang (pyslang): modules with evaluated ports and parameters, no interfaces yet.
+
+All files of one call form one compilation, so that packages and macros of included headers are known.
+Every module is elaborated as if it were a top, which evaluates its ports; bodies are not elaborated,
+so the modules that a module instantiates need not be given.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from cm.design.hdl.errors import HdlError, parser_missing
+from cm.design.hdl.model import Language, ModuleInfo, Problem
+from cm.design.hdl.verilog_ports import read_instance
+
+VERILOG_SUFFIXES = (".v", ".vh", ".vo", ".verilog")
+# Vivado reads `.v` files as Verilog-2005, where `do`, `bit`, `final` are names. On line 1, to keep line numbers.
+_VERILOG_KEYWORDS = '`begin_keywords "1364-2005" '
+_NUMBER = re.compile(r"[-+~(\d'].*", re.DOTALL)
+_HINTS = {
+    "DiagCode(CouldNotOpenIncludeFile)": ": name its folder (include_dirs:, or -I)",
+    "DiagCode(UnknownDirective)": ": define it (defines:, or -D), or give the file that does before this one",
+}
+# errors inside a module that stop synthesis, with Vivado's numbers
+_SEMANTIC = {
+    "DiagCode(PortDoesNotExist)": "Synth 8-448",
+    "DiagCode(UndeclaredIdentifier)": "Synth 8-1031",
+    "DiagCode(ImplicitNetPortNoDefault)": "Synth 8-6735",
+}
+_COMMENTS = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
+_NETTYPE = re.compile(r"`default_nettype\s+(\w+)")
+_FLAGS = ("AllowUseBeforeDeclare", "IgnoreUnknownModules", "AllowTopLevelIfacePorts", "AllowInvalidTop")
+
+
+@dataclass(frozen=True, slots=True)
+class Tree:
+    """One parsed file: slang's tree, its problems, and the modules it declares."""
+
+    path: Path
+    language: Language
+    syntax: Any
+    errors: tuple[Problem, ...]
+    modules: tuple[tuple[str, tuple[str, ...]], ...]  # name, and the names of the modules that it instantiates
+    interfaces: tuple[str, ...] = ()
+
+
+def load_slang() -> ModuleType:
+    """pyslang; `ParserMissing` where it is not installed."""
+    try:
+        import pyslang
+        import pyslang.ast
+        import pyslang.parsing
+        import pyslang.syntax
+    except ImportError as error:
+        raise parser_missing("pyslang", "Verilog and SystemVerilog") from error
+    return pyslang
+
+
+def expression(value: str) -> str:
+    """A parameter's value as a Verilog expression: numbers as they are, anything else as a string literal."""
+    text = value.strip()
+    if text in ("True", "False"):
+        return str(int(text == "True"))
+    return text if _NUMBER.fullmatch(text) or (len(text) > 1 and text[0] == text[-1] == '"') else f'"{text}"'
+
+
+def _utf8(path: Path) -> str:
+    """Convert a path for slang, which expects UTF-8 in any locale; other bytes become question marks."""
+    return os.fsencode(path).decode("utf-8", errors="replace")
+
+
+class VerilogReader:
+    """Parses each file once, then evaluates the modules asked for."""
+
+    def __init__(self, include_dirs: Sequence[Path] = (), defines: Mapping[str, str] | None = None) -> None:
+        self._slang = load_slang()
+        self._sources = self._slang.SourceManager()
+        self._engine = self._slang.DiagnosticEngine(self._sources)
+        self._includes = [str(path) for path in include_dirs]
+        self._defines = [f"{name}={value}" for name, value in (defines or {}).items()]
+        self._trees: list[Tree] = []
+        self._headers: list[Path] = []
+        self._kept: list[Any] = []
+        self._untyped = False
+
+    def parse(self, path: Path, text: str) -> Tree:
+        """Parse one file and keep it for `read`."""
+        # A file of macros among the sources applies to the files after it, as in Vivado's compilation order.
+        before = "".join(f'`include "{_utf8(header.resolve())}" ' for header in self._headers)
+        # so does a default_nettype that a file leaves set
+        before += "`default_nettype none " if self._untyped else ""
+        kinds = _NETTYPE.findall(_COMMENTS.sub(" ", text))
+        self._untyped = kinds[-1] == "none" if kinds else self._untyped
+        tree = self._parse(path, before + text)
+        self._trees.append(tree)
+        if not tree.modules and "`define" in text:
+            self._headers.append(path)
+        return tree
+
+    def _parse(self, path: Path, text: str) -> Tree:
+        if path.suffix.lower() not in VERILOG_SUFFIXES:
+            return self._tree(path, text, Language.SYSTEMVERILOG)
+        tree = self._tree(path, _VERILOG_KEYWORDS + text, Language.VERILOG)
+        if not tree.errors:
+            return tree
+        # Many `.v` files use SystemVerilog all the same; the reading with fewer errors is taken as intended.
+        other = self._tree(path, text, Language.SYSTEMVERILOG)
+        return other if len(other.errors) < len(tree.errors) else tree
+
+    def _tree(self, path: Path, text: str, language: Language) -> Tree:
+        includes = [str(path.parent), *self._includes]
+        options = self._slang.parsing.PreprocessorOptions()
+        options.additionalIncludePaths = includes
+        options.predefines = self._defines
+        # Two readings of one file need two names in slang's source manager, and none may be the file's own: a header
+        # that is included would be taken from there, with the keywords set above. The folder stays, for includes.
+        name = f"{_utf8(path)} as {language.value}"
+        bag = self._slang.Bag([options])
+        try:
+            syntax = self._slang.syntax.SyntaxTree.fromText(text, self._sources, _utf8(path), name, bag)
+        except RuntimeError as error:  # what slang raises for endless nesting
+            raise HdlError(f"{path}: the parser gave up: {error or 'too deeply nested'}") from error
+        problems, root = tuple(self._problems(path, syntax)), syntax.root
+        return Tree(path, language, syntax, problems, tuple(_modules(root)), tuple(_interfaces(root)))
+
+    def _problems(self, path: Path, syntax: Any) -> Iterator[Problem]:
+        for diagnostic in syntax.diagnostics:
+            if diagnostic.isError():
+                line = self._sources.getLineNumber(diagnostic.location)
+                yield Problem(self._message(diagnostic), str(path), line, breaks=True)
+
+    def _message(self, diagnostic: Any) -> str:
+        try:
+            message = str(self._engine.formatMessage(diagnostic))
+            return message + _HINTS.get(str(diagnostic.code), "")
+        except UnicodeDecodeError:  # the message quotes part of a character
+            return f"syntax error ({diagnostic.code})"
+
+    def read(self, names: Iterable[str], parameters: Mapping[str, str] | None = None) -> list[ModuleInfo]:
+        """Evaluate the ports of the modules named, with `parameters` set on each of them."""
+        wanted = set(names)
+        if not wanted:
+            return []
+        given = {name: expression(value) for name, value in (parameters or {}).items()}
+        compilation = self._compile(wanted, given)
+        found = self._semantic(compilation, wanted) if len(wanted) == 1 else ()
+        owners = {name: (tree, below) for tree in reversed(self._trees) for name, below in tree.modules}
+        return [
+            read_instance(
+                compilation, self._sources, instance, tree.path, tree.language, (*tree.errors, *found), below, given
+            )
+            for instance in compilation.getRoot().topInstances
+            for tree, below in [owners[instance.name]]
+        ]
+
+    def _below(self, names: Iterable[str]) -> list[Tree]:
+        """The files of these modules and of all that they instantiate, at any depth."""
+        owners = {name: (tree, below) for tree in reversed(self._trees) for name, below in tree.modules}
+        seen: dict[str, Tree] = {}
+        todo = list(names)
+        while todo:
+            name = todo.pop()
+            if name in owners and name not in seen:
+                seen[name], below = owners[name]
+                todo += below
+        return list(seen.values())
+
+    def _semantic(self, compilation: Any, wanted: Iterable[str]) -> tuple[Problem, ...]:
+        """Errors in the module and everything below it that stop synthesis, once for each place."""
+        problems: dict[Problem, None] = {}
+        names = {str(tree.path.resolve()): str(tree.path) for tree in self._below(wanted)}
+        for diagnostic in compilation.getSemanticDiagnostics():
+            number = _SEMANTIC.get(str(diagnostic.code))
+            if number is None:
+                continue
+            said = str(self._sources.getFileName(diagnostic.location)).partition(" as ")[0]
+            name = names.get(str(Path(said).resolve()))
+            if name is not None:  # not of modules that are unused
+                line = self._sources.getLineNumber(diagnostic.location)
+                problems[Problem(f"{self._message(diagnostic)} [{number}]", name, line, breaks=True)] = None
+        return tuple(problems)
+
+    def elaborate(self, name: str, parameters: Mapping[str, str]) -> Any:
+        """slang's body of a module as a top, with `parameters` as expressions. Raises `HdlError`."""
+        compilation = self._compile({name}, parameters)
+        self._kept.append(compilation)  # what it returns does not keep it alive
+        for instance in compilation.getRoot().topInstances:
+            if instance.name == name:
+                return instance.body
+        raise HdlError(f"module {name} could not be elaborated")
+
+    def _compile(self, names: set[str], parameters: Mapping[str, str]) -> Any:
+        ast = self._slang.ast
+        options = ast.CompilationOptions()
+        flags = sum(int(getattr(ast.CompilationFlags, flag)) for flag in _FLAGS)
+        options.flags = ast.CompilationFlags(flags)
+        options.topModules = names
+        options.paramOverrides = [f"{name}={value}" for name, value in parameters.items()]
+        compilation = ast.Compilation(self._slang.Bag([options]))
+        for tree in self._trees:
+            compilation.addSyntaxTree(tree.syntax)
+        return compilation
+
+
+def _declarations(root: Any) -> Iterable[Any]:
+    found: Iterable[Any] = root.members if root.kind.name == "CompilationUnit" else (root,)
+    return found
+
+
+def _interfaces(root: Any) -> Iterator[str]:
+    for declaration in _declarations(root):
+        if declaration.kind.name == "InterfaceDeclaration":
+            yield declaration.header.name.valueText
+
+
+def _modules(root: Any) -> Iterator[tuple[str, tuple[str, ...]]]:
+    for declaration in _declarations(root):
+        if declaration.kind.name == "ModuleDeclaration" and declaration.header.name.valueText:
+            yield declaration.header.name.valueText, tuple(dict.fromkeys(_instances(declaration.members)))
+
+
+def _instances(members: Iterable[Any]) -> Iterator[str]:
+    """Names of the modules instantiated directly, through generate constructs; statements are not descended into."""
+    stack = list(members)[::-1]
+    while stack:
+        member = stack.pop()
+        if member.kind.name == "HierarchyInstantiation":
+            yield member.type.valueText
+        else:
+            stack.extend(_generated(member)[::-1])
+
+
+def _generated(member: Any) -> list[Any]:
+    """The members of a generate construct."""
+    kind = member.kind.name
+    if kind in ("GenerateRegion", "GenerateBlock"):
+        return list(member.members)
+    if kind == "LoopGenerate":
+        return [member.block]
+    if kind == "IfGenerate":
+        return [member.block, *([member.elseClause.clause] if member.elseClause is not None else [])]
+    return [item.clause for item in member.items] if kind == "CaseGenerate" else []

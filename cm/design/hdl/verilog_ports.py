@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Converts slang's elaborated instance to `ModuleInfo`: ports and parameters with their values."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from cm.design.hdl.model import Language, ModuleInfo, Parameter, Port, PortDirection, Problem
+
+_DIRECTIONS = {"In": PortDirection.IN, "Out": PortDirection.OUT, "InOut": PortDirection.INOUT}
+_COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/|`[^\n]*\n", re.DOTALL)
+_RANGE = re.compile(r"\[.*\]", re.DOTALL)
+_WORD = re.compile(r"[A-Za-z_]\w*(::\w+)?")
+_STRING = re.compile(r'\s*"(.*)"\s*', re.DOTALL)
+FLAT_WRAPPER = "needs a flat wrapper"
+
+
+def read_instance(
+    compilation: Any,
+    sources: Any,
+    instance: Any,
+    path: Path,
+    language: Language,
+    errors: tuple[Problem, ...],
+    instantiates: tuple[str, ...],
+    given: Mapping[str, str],
+) -> ModuleInfo:
+    """Read one top instance as `ModuleInfo` without interfaces; its problems begin with those of its file."""
+    body = instance.body
+    problems = list(errors)
+    parameters = tuple(_parameters(body, str(path), problems, given))
+    types = {p.name for p in body.parameters if p.kind.name == "TypeParameter"}
+    ports = tuple(_Ports(compilation, sources, str(path), types, problems).read(body.portList))
+    line = sources.getLineNumber(body.definition.location)
+    return ModuleInfo(
+        name=body.definition.name,
+        file=str(path),
+        language=language,
+        line=line,
+        parameters=parameters,
+        ports=ports,
+        problems=tuple(problems),
+        instantiates=instantiates,
+    )
+
+
+def _parameters(body: Any, file: str, problems: list[Problem], given: Mapping[str, str]) -> Iterator[Parameter]:
+    for symbol in body.parameters:
+        if symbol.kind.name == "TypeParameter":
+            if not symbol.isLocalParam:
+                message = f"type parameter {symbol.name}: {FLAT_WRAPPER} that fixes the type"
+                problems.append(Problem(message, file, fatal=True))
+            yield Parameter(symbol.name, None, local=symbol.isLocalParam)
+            continue
+        text = _default_text(symbol)
+        value = _value(symbol, given.get(symbol.name, text))
+        if value is None and not symbol.isLocalParam:
+            problems.append(Problem(_no_value(symbol.name, text), file))
+        yield Parameter(symbol.name, value, text, symbol.name in given and not symbol.isLocalParam, symbol.isLocalParam)
+
+
+def _no_value(name: str, text: str) -> str:
+    if not text:
+        return f"parameter {name} has no default: give it a value (parameters:, or -P {name}=…)"
+    return f"parameter {name} = {text} could not be evaluated: give it a value (parameters:, or -P {name}=…)"
+
+
+def _default_text(symbol: Any) -> str:
+    text = _source(symbol.syntax)
+    return text.partition("=")[2].strip()
+
+
+def _value(symbol: Any, text: str) -> int | float | str | None:
+    constant = symbol.value
+    # An untyped parameter with a string literal is an integer to slang.
+    if _STRING.fullmatch(text):
+        constant = constant.convertToStr()
+    value = constant.value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, (str, int)):
+        return value
+    return _integer(value)
+
+
+def _integer(value: Any) -> int | None:
+    """Convert a slang integer to Python; None if it has unknown bits or is not an integer (an array, a queue)."""
+    try:
+        return int(value)
+    except (TypeError, ValueError, RuntimeError):
+        return None
+
+
+def _source(node: Any) -> str:
+    """The source of a node without comments; empty if an included file is not in UTF-8."""
+    try:
+        return " ".join(_COMMENT.sub(" ", str(node)).split()) if node is not None else ""
+    except UnicodeDecodeError:
+        return ""
+
+
+class _Ports:
+    """Reads the port list of one instance."""
+
+    def __init__(self, compilation: Any, sources: Any, file: str, types: set[str], problems: list[Problem]) -> None:
+        self._compilation = compilation
+        self._sources = sources
+        self._file = file
+        self._types = types
+        self._problems = problems
+
+    def read(self, symbols: Any) -> Iterator[Port]:
+        for symbol in symbols:
+            if symbol.name or symbol.kind.name == "InterfacePort":
+                yield self._port(symbol)
+
+    def _port(self, symbol: Any) -> Port:
+        line = self._sources.getLineNumber(symbol.location)
+        if symbol.kind.name == "InterfacePort":
+            return self._unflat(symbol, line, f"is a SystemVerilog interface ({_interface_name(symbol)})")
+        if symbol.kind.name != "Port":
+            return self._unflat(symbol, line, "joins several signals")
+        text, kind = self._declaration(symbol)
+        words = set(re.findall(r"\w+", kind))
+        if words & self._types:
+            return self._unflat(symbol, line, f"has the type parameter {', '.join(sorted(words & self._types))}")
+        if symbol.type.isError:
+            return self._unknown(symbol, line, text, kind)
+        if not symbol.type.isIntegral:
+            return self._unflat(symbol, line, f"is not a vector of bits ({symbol.type})", kind)
+        return self._make(symbol, line, symbol.type.bitWidth, text, kind)
+
+    def _make(self, symbol: Any, line: int, width: int | None, text: str, kind: str, flat: bool = True) -> Port:
+        return Port(
+            name=symbol.name,
+            direction=_DIRECTIONS.get(symbol.direction.name, PortDirection.UNKNOWN),
+            width=width,
+            file=self._file,
+            line=line,
+            range=text,
+            type=kind,
+            flat=flat,
+            attributes=self._attributes(symbol),
+            default=_source(symbol.initializer.syntax) if symbol.initializer is not None else "",
+        )
+
+    def _declaration(self, symbol: Any) -> tuple[str, str]:
+        """The range and the type as in the source: "[W-1:0]", "reg"."""
+        inner = symbol.internalSymbol
+        declared = inner.declaredType if inner is not None else None
+        syntax = declared.typeSyntax if declared is not None else None
+        text = _source(syntax)
+        found = _RANGE.search(text)
+        return (found.group() if found else ""), _RANGE.sub("", text).strip()
+
+    def _attributes(self, symbol: Any) -> Mapping[str, str]:
+        found: dict[str, str] = {}
+        for owner in (symbol, symbol.internalSymbol):
+            for attribute in self._compilation.getAttributes(owner) if owner is not None else ():
+                value = attribute.value.convertToStr().value
+                found.setdefault(attribute.name.lower(), value if isinstance(value, str) else str(attribute.value))
+        return MappingProxyType(found)
+
+    def _unknown(self, symbol: Any, line: int, text: str, kind: str) -> Port:
+        word = _WORD.match(kind)
+        if word and not text and word.group() not in ("logic", "reg", "wire", "bit", "signed", "unsigned"):
+            why = f"has the type {kind}, which none of the files given declares, or an interface: {FLAT_WRAPPER}"
+            self._problems.append(Problem(f"port {symbol.name} {why}", self._file, line, fatal=True))
+            return self._make(symbol, line, None, text, kind, flat=False)
+        why = f"its range {text or kind} could not be evaluated (a parameter, macro or package is missing)"
+        self._problems.append(Problem(f"port {symbol.name}: {why}", self._file, line, fatal=True))
+        return self._make(symbol, line, None, text, kind)
+
+    def _unflat(self, symbol: Any, line: int, why: str, kind: str = "") -> Port:
+        self._problems.append(Problem(f"port {symbol.name} {why}: {FLAT_WRAPPER}", self._file, line, fatal=True))
+        direction = getattr(symbol, "direction", None)
+        return Port(
+            name=symbol.name,
+            direction=_DIRECTIONS.get(direction.name, PortDirection.UNKNOWN) if direction else PortDirection.UNKNOWN,
+            width=None,
+            file=self._file,
+            line=line,
+            type=kind,
+            flat=False,
+        )
+
+
+def _interface_name(symbol: Any) -> str:
+    definition = symbol.interfaceDef
+    name = definition.name if definition is not None else "any interface"
+    return f"{name}.{symbol.modport}" if symbol.modport else name

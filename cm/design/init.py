@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`cm build init`: a first, commented build schema from HDL files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from cm.design import hdl
+from cm.design.boundary import boundary
+from cm.design.boundary.model import Boundary
+from cm.design.errors import BuildError
+from cm.design.given import Given, is_hdl, others, relative
+from cm.design.hdl.flat import Wanted, needs_wrapper
+from cm.design.hdl.flatten import flatten
+from cm.design.hdl.model import Mode, ModuleInfo
+from cm.design.hdl.register_maps import identifier
+from cm.design.platforms import platform_of
+from cm.design.project.load import DEFAULT_CLOCK, DEFAULT_RATE
+from cm.design.render import Renderer
+
+DEFAULT_PART = "xc7z020clg400-1"
+# part → a board that has it, as named in its board file in Xilinx/XilinxBoardStore 20bbb12
+_BOARDS = {
+    "xc7z010clg400-1": "digilentinc.com:zybo-z7-10:part0:1.0",
+    "xc7z020clg400-1": "tul.com.tw:pynq-z2:part0:1.0",
+    "xc7z020clg484-1": "avnet.com:zedboard:part0:1.4",
+    "xczu3eg-sbva484-1-i": "avnet.com:ultra96v2:part0:1.2",
+    "xczu5eg-sfvc784-1-e": "tul.com.tw:pynqzu:part0:1.1",
+    "xczu7ev-ffvc1156-2-e": "xilinx.com:zcu104:part0:1.1",
+    "xczu9eg-ffvb1156-2-e": "xilinx.com:zcu102:part0:3.4",
+    "xck26-sfvc784-2LV-c": "xilinx.com:kv260_som:part0:1.4",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """A module for the region."""
+
+    name: str
+    info: ModuleInfo
+    keys: Mapping[str, Any]  # keys of the build schema, beside those that comments explain
+
+    @property
+    def summary(self) -> str:
+        """Its interfaces on one line."""
+        found = [f"{i.name} ({i.protocol} {i.mode.value})" for i in self.info.interfaces]
+        found += [f"{i.port} (interrupt)" for i in self.info.interrupts]
+        return ", ".join(found)
+
+
+def init_text(
+    files: Sequence[Path],
+    folder: Path,
+    name: str,
+    part: str = DEFAULT_PART,
+    top: str | None = None,
+    cores: Sequence[Path] = (),
+) -> str:
+    """Return the text of a build schema in `folder` for the modules in `files`.
+
+    Files are HDL, FuseSoC cores (those that they depend on below `cores`), component.xml, .xci, C++ for Vitis HLS.
+    Of HDL, modules that no other one instantiates and that have a bus interface become modules of one region;
+    with `top`, only that module does. Raises BuildError if there is none.
+    """
+    platform = platform_of(part)
+    sources = [path for path in files if is_hdl(path)]
+    given = [*(_from_hdl(sources, folder, top) if sources else []), *others(files, folder, cores, top)]
+    usable = [one for one in given if one.info.interfaces and one.info.usable]
+    if not usable:
+        names = "; ".join(_why_not(one.info) for one in given) or f"no module {top}"
+        raise BuildError(f"no module with a bus interface that could go into a region: found {names}")
+    modules = [Proposal(identifier(one.info.name), one.info, one.keys) for one in usable]
+    found = boundary([one.info for one in usable])  # whether they fit one region
+    context = {
+        "name": identifier(name),
+        "part": part,
+        "board": _BOARDS.get(part, "VENDOR:BOARD:part0:VERSION"),
+        "clock": DEFAULT_CLOCK if platform.name == "zynq7000" else "pl_clk0",
+        "rate": f"{DEFAULT_RATE:_}",
+        "modules": modules,
+        "left_out": [one.info for one in given if one not in usable],
+        "streams": list(_streams(found)),
+        "refused": [f"{a.module}: {sentence}" for a in found.adaptations for sentence in a.refused],
+        "registers": {module.name: _register_bus(module.info) for module in modules},
+    }
+    return Renderer(folder, folder, "").render("build.yaml.j2", context)
+
+
+def _from_hdl(files: Sequence[Path], folder: Path, top: str | None) -> list[Given]:
+    known = hdl.read(files).modules
+    chosen = [info for info in hdl.roots(known) if top is None or info.name == top]
+    if top is not None and not chosen:
+        chosen = [info for info in known if info.name == top]
+    return [Given(_flat(info, files), {"sources": _files(info, known, files, folder)}) for info in chosen]
+
+
+def _flat(info: ModuleInfo, files: Sequence[Path]) -> ModuleInfo:
+    """Return a module with the ports of its flat wrapper, if it needs one, under its own name."""
+    if not needs_wrapper(info):
+        return info
+    return replace(flatten(info, Wanted(info.name, files, {}, [], {}, {}, {}))[0], name=info.name)
+
+
+def _why_not(info: ModuleInfo) -> str:
+    """Name a module and what is wrong with it."""
+    reasons = [str(problem) for problem in info.problems if problem.fatal]
+    return f"{info.name} ({reasons[-1]})" if reasons else info.name
+
+
+def _files(info: ModuleInfo, known: Sequence[ModuleInfo], files: Sequence[Path], folder: Path) -> list[str]:
+    """Files of the module and what it instantiates, and those without a module (packages, macros), in order."""
+    by_name = {module.name: module for module in known}
+    needed = {Path(info.file), *files} - {Path(module.file) for module in known if module.file != info.file}
+    queue = [info]
+    seen = {info.name}
+    for module in queue:
+        for name in module.instantiates:
+            if name in by_name and name not in seen:
+                seen.add(name)
+                queue.append(by_name[name])
+                needed.add(Path(by_name[name].file))
+    return [relative(path, folder) for path in files if path in needed]
+
+
+def _streams(found: Boundary) -> Iterable[Mapping[str, str]]:
+    for interface in found.interfaces:
+        if interface.protocol == "axis":
+            direction = "from memory" if interface.mode is Mode.SLAVE else "to memory"
+            yield {"name": interface.name, "direction": direction, "width": str(interface.data_width)}
+
+
+def _register_bus(info: ModuleInfo) -> str:
+    return next((i.name for i in info.interfaces if i.protocol == "axi4lite" and i.mode is Mode.SLAVE), "")

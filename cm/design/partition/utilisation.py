@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reads resources from the text of Vivado's ``report_utilization``.
+
+It reads the tables of 7 series (``Slice LUTs``) and UltraScale+ (``CLB LUTs``), for a module synthesised out of
+context and for a whole design. Rows are found by name and columns by heading, because the number of columns
+differs between versions.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from cm.design.errors import BuildError
+from cm.design.project.model import Resources
+
+_ROWS = {
+    "Slice LUTs": "lut",
+    "CLB LUTs": "lut",
+    "Slice Registers": "ff",
+    "CLB Registers": "ff",
+    "Block RAM Tile": "bram",
+    "DSPs": "dsp",
+}
+_LIMIT = 4 << 20  # bytes; real reports have some 10 KiB
+
+
+def read_utilisation(path: Path) -> Resources:
+    """Return the resources used. Raises BuildError, with the file's name, if it is not such a report."""
+    try:
+        if path.stat().st_size > _LIMIT:
+            raise BuildError(f"{path} is not a utilisation report: it has {path.stat().st_size} bytes")
+        return parse_utilisation(path.read_text(encoding="utf-8", errors="replace"), str(path))
+    except OSError as error:
+        raise BuildError(f"{path}: {error.strerror}") from None
+
+
+def parse_utilisation(text: str, name: str = "report") -> Resources:
+    """Read a report's text; `name` is used in messages. For each row the first table that has it counts."""
+    found: dict[str, float] = {}
+    for site, used in _used(text):
+        key = _ROWS.get(site)
+        if key is not None and key not in found:
+            found[key] = _number(used, site, name)
+    missing = [wanted for wanted in dict.fromkeys(_ROWS.values()) if wanted not in found]
+    if missing:
+        wanted = {"lut": "LUTs", "ff": "registers", "bram": "Block RAM Tile", "dsp": "DSPs"}
+        rows = ", ".join(wanted[key] for key in missing)
+        raise BuildError(f"{name} is not a report of report_utilization: no row for {rows} (-hierarchical has none)")
+    return Resources(int(found["lut"]), int(found["ff"]), found["bram"], int(found["dsp"]))
+
+
+def _used(text: str) -> Iterator[tuple[str, str]]:
+    """Yield (site type, used) of every row below a heading that has both."""
+    column = 0
+    for line in text.splitlines():
+        if not line.startswith("|"):
+            continue
+        cells = [cell.strip() for cell in line.strip().strip("|").split("|")]
+        if cells[0] == "Site Type":
+            column = cells.index("Used") if "Used" in cells else 0
+        elif column and column < len(cells):
+            # an asterisk refers to a note below the table
+            yield cells[0].rstrip("*").rstrip(), cells[column]
+
+
+def _number(text: str, site: str, name: str) -> float:
+    if not re.fullmatch(r"\d+(\.\d+)?", text, re.ASCII):
+        raise BuildError(f"{name}: {site}: {text!r} is not a number of sites used")
+    return float(text)

@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The variables of the block-design template: settings of the processing system, ports, addresses, interrupts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from cm.design.errors import BuildError
+from cm.design.hdl.model import Interface
+from cm.design.plan.dma_cells import DmaCell, dma_cell
+from cm.design.plan.ports import HPM_WIDTH, MAX_SLAVES, WIDTH, MemoryPort, memory_ports
+from cm.design.plan.system import System, used_clocks
+from cm.design.plan.window import Window
+
+
+@dataclass(frozen=True, slots=True)
+class ClockPin:
+    """A clock of the processing system that is in use."""
+
+    name: str
+    pin: str
+    rate: int
+    buses: tuple[str, ...] = ()  # interface ports of the block design that run on it
+
+
+@dataclass(frozen=True, slots=True)
+class AxiPort:
+    """An AXI port of the block design; `mode` as seen from outside it."""
+
+    name: str
+    mode: str
+    doc: str
+    clock: str
+    settings: tuple[tuple[str, object], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class MemoryInterconnect:
+    """A high-performance port of the processing system and the masters that share it."""
+
+    cell: str
+    port: MemoryPort
+    sources: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class InterruptBundle:
+    """A bundle of interrupt lines to a pin of the processing system."""
+
+    cell: str
+    pin: str
+    sources: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Branch:
+    """An interconnect behind a port of the control interconnect."""
+
+    cell: str
+    masters: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """An address range of the control master."""
+
+    window: Window
+    target: str
+
+
+def context(system: System) -> dict[str, object]:
+    """Variables of ``block_design.tcl.j2``."""
+    clocks = _clocks(system)
+    pins = {clock.name: clock.pin for clock in clocks}
+    dmas = [dma_cell(system, engine, pins[engine.clock]) for engine in system.engines]
+    ports = list(_axi_ports(system))
+    memories = list(_memories(system, dmas))
+    masters = [f"[get_bd_intf_ports {port.name}]" for port in ports if port.mode == "Master"]
+    masters += [f"[get_bd_intf_pins {dma.cell}/S_AXI_LITE]" for dma in dmas]
+    control, branches = _control(masters)
+    return {
+        "platform": system.platform,
+        "board": system.project.board,
+        "clocks": [_with_buses(clock, dmas, ports) for clock in clocks],
+        "ps_settings": list(_ps_settings(system, clocks, memories)),
+        "dmas": dmas,
+        "axi_ports": ports,
+        "masters": control,
+        "branches": branches,
+        "memories": memories,
+        "interrupts": list(_interrupts(system)),
+        "joined": list(_joined(system)),
+        "segments": list(_segments(system)),
+        "user_files": list[Path](system.project.static.block_design),
+    }
+
+
+def _clocks(system: System) -> list[ClockPin]:
+    order = list(system.project.clocks)
+    used = [name for name in order if name in used_clocks(system)]
+    return [ClockPin(n, system.platform.clock_pins[order.index(n)], system.project.clocks[n].rate) for n in used]
+
+
+def _with_buses(clock: ClockPin, dmas: list[DmaCell], ports: list[AxiPort]) -> ClockPin:
+    buses = [port.name for dma in dmas if dma.clock == clock.name for port in dma.ports]
+    buses += [port.name for port in ports if port.clock == clock.name]
+    return replace(clock, buses=tuple(buses))
+
+
+def _ps_settings(
+    system: System, clocks: list[ClockPin], memories: list[MemoryInterconnect]
+) -> Iterator[tuple[str, object]]:
+    pins = system.platform.clock_pins
+    groups = max([dma.line for dma in system.dmas], default=0) + 1
+    if system.platform.name == "zynq7000":
+        yield "PCW_USE_M_AXI_GP0", 1
+        for memory in memories:
+            yield f"PCW_USE_S_AXI_HP{memory.port.setting}", 1
+            yield f"PCW_S_AXI_HP{memory.port.setting}_DATA_WIDTH", WIDTH[False]
+        yield "PCW_USE_FABRIC_INTERRUPT", 1
+        yield "PCW_IRQ_F2P_INTR", 1
+        for clock in clocks:
+            index = pins.index(clock.pin)
+            yield f"PCW_EN_CLK{index}_PORT", 1
+            yield f"PCW_FPGA{index}_PERIPHERAL_FREQMHZ", _megahertz(clock.rate)
+        return
+    yield "PSU__USE__M_AXI_GP0", 1
+    yield "PSU__USE__M_AXI_GP1", 0
+    yield "PSU__USE__M_AXI_GP2", 0
+    yield "PSU__MAXIGP0__DATA_WIDTH", HPM_WIDTH
+    for memory in memories:
+        yield f"PSU__USE__S_AXI_GP{memory.port.setting}", 1
+        yield f"PSU__SAXIGP{memory.port.setting}__DATA_WIDTH", WIDTH[True]
+    yield "PSU__USE__IRQ0", 1
+    yield "PSU__USE__IRQ1", int(groups > 8)
+    for clock in clocks:
+        index = pins.index(clock.pin)
+        yield f"PSU__FPGA_PL{index}_ENABLE", 1
+        yield f"PSU__CRL_APB__PL{index}_REF_CTRL__FREQMHZ", _megahertz(clock.rate)
+
+
+def _megahertz(rate: int) -> str:
+    return f"{rate / 1e6:.6f}".rstrip("0").rstrip(".")
+
+
+def _axi_ports(system: System) -> Iterator[AxiPort]:
+    for domain in system.domains:
+        settings = (("PROTOCOL", "AXI4LITE"), ("DATA_WIDTH", 32), ("ADDR_WIDTH", 32))
+        doc = f"register windows on {domain.clock}"
+        yield AxiPort(f"m_axi_{domain.clock}", "Master", doc, domain.clock, settings)
+    for region in system.regions:
+        full = [("m_axi", "Master", bus.interface) for bus in region.registers if bus.full]
+        for prefix, mode, interface in (*full, *(("s_axi", "Slave", bus.interface) for bus in region.memory)):
+            name, doc = f"{prefix}_{region.name}_{interface.name}", f"{region.name}.{interface.name}"
+            yield AxiPort(name, mode, doc, region.spec.clock, _settings(interface))
+
+
+def _settings(interface: Interface) -> tuple[tuple[str, object], ...]:
+    lite = interface.protocol == "axi4lite"
+    settings: list[tuple[str, object]] = [
+        ("PROTOCOL", "AXI4LITE" if lite else "AXI4"),
+        ("DATA_WIDTH", interface.data_width or 32),
+        ("ADDR_WIDTH", interface.addr_width or 32),
+    ]
+    if not lite:
+        settings += [("ID_WIDTH", interface.id_width or 0), ("NUM_READ_OUTSTANDING", 8), ("NUM_WRITE_OUTSTANDING", 8)]
+        for signal in ("LOCK", "CACHE", "QOS", "REGION"):
+            there = any(f"{channel}{signal}" in interface.ports for channel in ("AW", "AR"))
+            # the top drives AxCACHE if the module does not have it
+            settings.append((f"HAS_{signal}", int(there or signal == "CACHE")))
+    if not (interface.reads and interface.writes):
+        settings.append(("READ_WRITE_MODE", "READ_ONLY" if interface.reads else "WRITE_ONLY"))
+    return tuple(settings)
+
+
+def _control(masters: list[str]) -> tuple[list[str], list[Branch]]:
+    """Assign the control interconnect's ports; beyond 16, further interconnects are put behind its last ones."""
+    if len(masters) <= MAX_SLAVES:
+        return masters, []
+    count = -(-(len(masters) - MAX_SLAVES) // (MAX_SLAVES - 1))
+    if count > MAX_SLAVES:
+        raise BuildError(f"{len(masters)} register ports are more than two levels of interconnects have")
+    direct, rest = masters[: MAX_SLAVES - count], masters[MAX_SLAVES - count :]
+    cells = [f"control_interconnect_{number}" for number in range(1, count + 1)]
+    shares = [tuple(rest[i * MAX_SLAVES : (i + 1) * MAX_SLAVES]) for i in range(count)]
+    branches = [Branch(cell, share) for cell, share in zip(cells, shares, strict=True)]
+    return direct + [f"[get_bd_intf_pins {cell}/S00_AXI]" for cell in cells], branches
+
+
+def _memories(system: System, dmas: list[DmaCell]) -> Iterator[MemoryInterconnect]:
+    """Distribute masters to memory over the processing system's ports, with one interconnect per port."""
+    found = {dma.name: [f"[get_bd_intf_pins {dma.cell}/{pin}]" for pin in dma.memory_pins] for dma in dmas}
+    last = found.pop(system.icap.name) if system.icap else []
+    sources = [source for listed in found.values() for source in listed]
+    for region in system.regions:
+        sources += [f"[get_bd_intf_ports s_axi_{region.name}_{bus.interface.name}]" for bus in region.memory]
+    sources += last
+    for index, (port, count) in enumerate(memory_ports(system)):
+        share, sources = sources[:count], sources[count:]
+        yield MemoryInterconnect(f"memory_interconnect_{index}", port, tuple(share))
+
+
+def _interrupts(system: System) -> Iterator[InterruptBundle]:
+    """Line 0 is the control registers'; the others are channels', each one's or several joined by the static part."""
+    crowded = system.crowded
+    cells = {channel.name: f"dma_{engine.name}" for engine in system.engines for channel in engine.channels}
+    by_line = {0: "[get_bd_ports irq]"}
+    for dma in system.dmas:
+        own = f"[get_bd_pins {cells[dma.name]}/{dma.interrupt_pin}]"
+        by_line[dma.line] = f"[get_bd_ports irq_line_{dma.line}]" if dma.line in crowded else own
+    sources = [by_line[line] for line in sorted(by_line)]
+    merged: dict[str, list[str]] = {}
+    for pin, lines, _ in system.platform.irq_pins:
+        share, sources = sources[:lines], sources[lines:]
+        if share:
+            merged.setdefault(pin, []).extend(share)
+    for index, (pin, share) in enumerate(merged.items()):
+        yield InterruptBundle(f"interrupt_lines_{index}", pin, tuple(share))
+
+
+def _joined(system: System) -> Iterator[tuple[str, str, int]]:
+    """Channels whose interrupt passes through the static part: port of the block design, pin, line."""
+    crowded = system.crowded
+    for engine in system.engines:
+        for channel in engine.channels:
+            if channel.line in crowded:
+                yield f"irq_{channel.name}", f"dma_{engine.name}/{channel.interrupt_pin}", channel.line
+
+
+def _segments(system: System) -> Iterator[Segment]:
+    for domain in system.domains:
+        target = f"[get_bd_addr_segs m_axi_{domain.clock}/Reg]"
+        yield Segment(domain.aperture, target)
+    for region in system.regions:
+        for bus in region.registers:
+            if bus.full:
+                yield Segment(bus.window, f"[get_bd_addr_segs m_axi_{region.name}_{bus.interface.name}/Reg]")
+    for engine in system.engines:
+        yield Segment(engine.window, f"[get_bd_addr_segs dma_{engine.name}/S_AXI_LITE/Reg]")

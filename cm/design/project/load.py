@@ -1,0 +1,295 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reads a build schema: YAML → `cm.design.project.model.Project`, every problem with its position."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from cm.design.boards import BoardDefinition, boards
+from cm.design.errors import BuildError
+from cm.design.project import references
+from cm.design.project.cores import with_core
+from cm.design.project.model import (
+    BitstreamSpec,
+    ClockSpec,
+    HlsSpec,
+    ModeSpec,
+    ModuleSpec,
+    Project,
+    RegionSpec,
+    Resources,
+    StaticSpec,
+)
+from cm.design.project.parts import connection, macro, mode_stream, registers, switch
+from cm.design.project.paths import PathReader
+from cm.schema.model import LoaderKind
+from cm.schema.problems import KeyPath, Problem, SchemaError, key_path
+from cm.schema.reader import Refused, read
+from cm.schema.structure import Structure
+from cm.schema.tree import Mark, Node, Scalar, locate, plain
+
+SCHEMA_FILE = Path(__file__).parents[1] / "data" / "build.schema.json"
+DEFAULT_CLOCK = "fclk0"
+DEFAULT_RATE = 100_000_000
+
+
+class Reporter:
+    """Collects problems of one file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.root: Node = Scalar(None, Mark(1, 1), "")
+        self.problems: list[Problem] = []
+
+    def at(self, mark: Mark, code: str, message: str, hint: str = "", key: str = "") -> None:
+        """Report a problem at a position."""
+        self.problems.append(Problem(self.path, mark.line, mark.column, key, code, message, hint))
+
+    def key(self, path: KeyPath, code: str, message: str, hint: str = "") -> None:
+        """Report a problem with the key at `path`."""
+        self.at(locate(self.root, path), code, message, hint, key_path(path))
+
+    def fitted(self, mark: Mark, path: KeyPath, code: str, message: str, hint: str) -> None:
+        """Report a problem that the walk along the schema found."""
+        self.at(mark, code, message, hint, key_path(path))
+
+    def stop(self) -> None:
+        """Raise the problems that were found, if any, in the order of the file."""
+        if self.problems:
+            raise SchemaError(sorted(self.problems, key=lambda problem: (problem.line, problem.column)))
+
+
+def load_project(path: Path | str, text: str | None = None) -> Project:
+    """Load the build schema in `path`, or `text` as if it were there. Raises SchemaError with every problem."""
+    path = Path(path).absolute()
+    report = Reporter(path)
+    data = _data(path, text, report)
+    project = _Builder(path, data, report).project()
+    references.check(project, report.key)
+    report.stop()
+    return project
+
+
+def project_data(path: Path | str) -> dict[str, Any]:
+    """Load the build schema in `path` as plain data in normal form. Raises SchemaError as `load_project` does."""
+    path = Path(path).absolute()
+    return _data(path, None, Reporter(path))
+
+
+def check_project(path: Path | str) -> list[Problem]:
+    """Return the problems of the build schema in `path`; empty if there are none."""
+    try:
+        load_project(path)
+    except SchemaError as error:
+        return list(error.problems)
+    return []
+
+
+def _data(path: Path, text: str | None, report: Reporter) -> dict[str, Any]:
+    try:
+        text = path.read_text(encoding="utf-8") if text is None else text
+    except (OSError, UnicodeDecodeError) as error:
+        report.at(Mark(1, 1), "unreadable", f"cannot be read: {getattr(error, 'strerror', None) or error}")
+        report.stop()
+    data = _structure(text or "", report)
+    report.stop()
+    return data
+
+
+def _structure(text: str, report: Reporter) -> dict[str, Any]:
+    """The file's data in normal form; problems are reported."""
+    structure = Structure(json.loads(SCHEMA_FILE.read_text(encoding="utf-8")))
+    try:
+        report.root = read(text, report.at)
+    except Refused as refused:
+        hint = refused.hint.replace("config:", "project: (or with cm build init)")  # that of a runtime schema
+        report.at(refused.mark, refused.code, str(refused), hint)
+        return {}
+    tree = structure.fit(report.root, report.fitted)
+    for finding in structure.values(tree):
+        report.key(finding.path, finding.code, finding.message, finding.hint)
+    data = plain(tree)
+    return data if isinstance(data, dict) else {}
+
+
+class _Builder:
+    def __init__(self, path: Path, data: dict[str, Any], report: Reporter) -> None:
+        self._path, self._data, self._report = path, data, report
+        self._files = PathReader(path.parent, report.key)
+        self._kit: BoardDefinition | None = None
+
+    def project(self) -> Project:
+        data = self._data
+        head = data["project"]
+        self._kit = self._board(head)
+        clocks = self._clocks()
+        regions = {name: self._region(name, spec or {}, next(iter(clocks))) for name, spec in data["regions"].items()}
+        modules = {name: self._module(name, spec or {}, tuple(regions)) for name, spec in data["modules"].items()}
+        modes = self._modes(modules)
+        return Project(
+            name=head["name"],
+            part=head.get("part") or (self._kit.part if self._kit else ""),
+            source=self._path,
+            board=self._kit.board_part if self._kit else head.get("board"),
+            kit=self._kit,
+            vivado=head.get("vivado"),
+            doc=head.get("doc", ""),
+            clocks=clocks,
+            static=self._static(),
+            bitstream=BitstreamSpec(**data.get("bitstream") or {}),
+            regions=regions,
+            modules=modules,
+            modes=modes,
+            modes_given=bool(data.get("modes")),
+            default_mode=data.get("default_mode", next(iter(modes), "")),
+            protocols=self._files.many(data.get("protocols"), ("protocols",)),
+            switch=switch(data["switch"] or {}, next(iter(clocks))) if "switch" in data else None,
+        )
+
+    def _board(self, head: dict[str, Any]) -> BoardDefinition | None:
+        """Find the board in the library; a Vivado board part is used as it is."""
+        name, part = head.get("board", ""), head.get("part")
+        kit = boards().get(name)
+        if kit is None and name and ":" not in name:
+            references.unknown(self._report.key, ("project", "board"), "board", name, boards())
+        elif kit is None and not part:
+            self._report.key(("project",), "missing_key", "part is missing", "or name a board of the library")
+        elif kit is not None and part and part.lower() != kit.part.lower():
+            message = f"{kit.title} has {kit.part}, not {part}"
+            self._report.key(("project", "part"), "bad_value", message, "leave part out")
+        return kit
+
+    def _clocks(self) -> dict[str, ClockSpec]:
+        own = {name: {"rate": rate} for name, rate in self._kit.clocks.items()} if self._kit else None
+        given = self._data.get("clocks") or own or {DEFAULT_CLOCK: {"rate": DEFAULT_RATE}}
+        return {name: ClockSpec(name, **spec) for name, spec in given.items()}
+
+    def _static(self) -> StaticSpec:
+        spec = self._data.get("static") or {}
+        files = {
+            key: self._files.many(spec.get(key), ("static", key))
+            for key in ("sources", "include_dirs", "block_design", "constraints")
+        }
+        return StaticSpec(
+            **files,
+            libraries=self._libraries(spec, ("static",)),
+            registers=registers(spec),
+            coherent=bool(spec.get("coherent")),
+            revision=str(spec.get("revision", "")),
+            abstract_shells=bool(spec.get("abstract_shells")),
+        )
+
+    def _libraries(self, spec: dict[str, Any], where: KeyPath) -> dict[str, tuple[Path, ...]]:
+        given = spec.get("libraries") or {}
+        return {name: self._files.many(paths, (*where, "libraries", name)) for name, paths in given.items()}
+
+    def _region(self, name: str, spec: dict[str, Any], clock: str) -> RegionSpec:
+        pblock = tuple(self._ranges(name, spec.get("pblock", ())))
+        return RegionSpec(
+            name=name,
+            clock=spec.get("clock", clock),
+            clocks=spec.get("clocks") or {},
+            pblock=() if pblock == ("auto",) else pblock,
+            resources=Resources(**spec.get("resources") or {}),
+            decoupling=spec.get("decoupling", True),
+            loader=LoaderKind(spec.get("loader", "auto")),
+            window=spec.get("window", 0x10000),
+            interfaces={key: connection(value or {}) for key, value in (spec.get("interfaces") or {}).items()},
+            doc=spec.get("doc", ""),
+        )
+
+    def _ranges(self, region: str, given: Iterable[str]) -> Iterator[str]:
+        """Yield ranges; names of the board library are replaced by their ranges."""
+        known = self._kit.pblocks if self._kit else {}
+        for index, text in enumerate(given):
+            word, _, name = text.partition(":")
+            if word != "proven":
+                yield text
+            elif name in known:
+                yield from known[name]
+            else:
+                key = ("regions", region, "pblock", index)
+                references.unknown(self._report.key, key, "pblock of the board", name, known)
+
+    def _module(self, name: str, spec: dict[str, Any], regions: tuple[str, ...]) -> ModuleSpec:
+        where: KeyPath = ("modules", name)
+        many: dict[str, Any] = {
+            key: self._files.many(spec.get(key), (*where, key))
+            for key in ("sources", "include_dirs", "ip", "ip_repositories", "tcl", "constraints", "sim_sources")
+        }
+        module = ModuleSpec(
+            name=name,
+            top=spec.get("top", name),
+            libraries=self._libraries(spec, where),
+            regions=tuple(spec.get("regions", regions if len(regions) == 1 else ())),
+            defines={key: macro(value) for key, value in (spec.get("defines") or {}).items()},
+            parameters=spec.get("parameters") or {},
+            interface_parameters=spec.get("interface_parameters") or {},
+            hls=self._hls(spec.get("hls"), (*where, "hls")),
+            component=self._files.one(spec.get("component"), (*where, "component")),
+            model=spec.get("model"),
+            registers=registers(spec),
+            register_map=self._files.one(spec.get("register_map"), (*where, "register_map")),
+            interface=spec.get("interface"),
+            resources=Resources(**spec.get("resources") or {}),
+            doc=spec.get("doc", ""),
+            **many,
+        )
+        core = self._files.one(spec.get("core"), (*where, "core"))
+        if core is None or not core.is_file():
+            return module
+        roots = self._files.many(spec.get("core_roots"), (*where, "core_roots"))
+        try:
+            return with_core(module, core, spec.get("core_target", "default"), roots, "top" in spec)
+        except BuildError as error:
+            self._report.key((*where, "core"), "bad_core", str(error), "")
+            self._report.stop()
+            raise
+
+    def _hls(self, spec: dict[str, Any] | None, where: KeyPath) -> HlsSpec | None:
+        if spec is None:
+            return None
+        return HlsSpec(self._files.many(spec["sources"], (*where, "sources")), spec.get("cflags", ""))
+
+    def _modes(self, modules: dict[str, ModuleSpec]) -> dict[str, ModeSpec]:
+        given = self._data.get("modes")
+        if not given:
+            return _implied_modes(modules)
+        return {name: self._mode(name, spec, modules) for name, spec in given.items()}
+
+    def _mode(self, name: str, spec: dict[str, Any], modules: dict[str, ModuleSpec]) -> ModeSpec:
+        chosen: dict[str, str] = {}
+        for key, value in spec["modules"].items():
+            region, module = (key, value) if value is not None else (self._only_region(name, key, modules), key)
+            if region in chosen:
+                message = f"{chosen[region]} and {module} both go to {region}"
+                self._report.key(("modes", name, "modules"), "region_conflict", message, "a region holds one module")
+            if region is not None:
+                chosen[region] = module
+        streams = {key: mode_stream(value) for key, value in (spec.get("streams") or {}).items()}
+        share, doc, routes = spec.get("share", 1.0), spec.get("doc", ""), spec.get("routes") or {}
+        return ModeSpec(name, chosen, spec.get("registers") or {}, streams, share, doc, routes)
+
+    def _only_region(self, mode: str, module: str, modules: dict[str, ModuleSpec]) -> str | None:
+        if module not in modules:
+            references.unknown(self._report.key, ("modes", mode, "modules", module), "module", module, modules)
+            return None
+        regions = modules[module].regions
+        if len(regions) != 1:
+            message = f"{module} may go to {', '.join(regions) or 'no region'}"
+            self._report.key(("modes", mode, "modules"), "ambiguous", message, f"write region: {module}")
+            return None
+        return regions[0]
+
+
+def _implied_modes(modules: dict[str, ModuleSpec]) -> dict[str, ModeSpec]:
+    """Make modes if the file has none: one for each module, or one for each region it may go to."""
+    modes = {}
+    for module in modules.values():
+        for region in module.regions:
+            name = module.name if len(module.regions) == 1 else f"{module.name}_{region}"
+            modes[name] = ModeSpec(name, {region: module.name})
+    return modes

@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The build schema as frozen data: what `cm.design.project.load.load_project` returns.
+
+Paths are absolute; mappings keep the order of the file. Nothing here knows YAML, HDL or a tool.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from cm.design.boards import BoardDefinition
+from cm.schema.model import Access, LoaderKind
+
+
+def empty() -> Mapping[Any, Any]:
+    """A read-only empty mapping, for defaults."""
+    return MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class Resources:
+    """Resources of a module or a region; `bram` counts block RAMs of 36 Kbit."""
+
+    lut: int = 0
+    ff: int = 0
+    bram: float = 0
+    dsp: int = 0
+
+    def largest(self, other: Resources) -> Resources:
+        """The resources that suffice for either of the two."""
+        return Resources(
+            max(self.lut, other.lut), max(self.ff, other.ff), max(self.bram, other.bram), max(self.dsp, other.dsp)
+        )
+
+    def values(self) -> tuple[int, int, float, int]:
+        """The numbers in the order lut, ff, bram, dsp."""
+        return self.lut, self.ff, self.bram, self.dsp
+
+    def __bool__(self) -> bool:
+        return any(self.values())
+
+
+@dataclass(frozen=True, slots=True)
+class FieldSpec:
+    """A named run of bits in a register."""
+
+    name: str
+    lsb: int
+    width: int = 1
+    values: Mapping[str, int] = field(default_factory=empty)
+    doc: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class RegisterSpec:
+    """A register of a module: `offset` in bytes from the start of the module's window."""
+
+    name: str
+    offset: int
+    width: int = 32
+    access: Access = Access.RW
+    default: int | None = None
+    reset: int | None = None
+    minimum: int | None = None
+    maximum: int | None = None
+    volatile: bool = False
+    fields: Mapping[str, FieldSpec] = field(default_factory=empty)
+    doc: str = ""
+
+
+# of a frame's elements, as in a runtime schema
+DTYPES = (
+    *("bool", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64"),
+    *("float16", "float32", "float64", "complex64", "complex128"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ConnectionSpec:
+    """What an interface of a region's boundary is connected to; None: the default for its protocol."""
+
+    connect: str | None = None
+    stream: str | None = None
+    shape: tuple[int, ...] | None = None
+    dtype: str = "uint8"
+    slots: int = 8
+    rate: float | None = None
+    max_length: int | None = None
+    engine: str | None = None  # of the DMA: streams with the same name share one
+    pins: Mapping[str, tuple[str, ...]] = field(default_factory=empty)  # by signal; "" for a single signal
+    iostandard: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SwitchSpec:
+    """The stream switch: its streams from memory (`inputs`) and to memory (`outputs`), by name."""
+
+    clock: str
+    inputs: Mapping[str, ConnectionSpec] = field(default_factory=empty)
+    outputs: Mapping[str, ConnectionSpec] = field(default_factory=empty)
+
+
+@dataclass(frozen=True, slots=True)
+class RegionSpec:
+    """A region: `pblock` is empty for auto; `window`: bytes of each of its register windows."""
+
+    name: str
+    clock: str
+    clocks: Mapping[str, str] = field(default_factory=empty)  # for further clock ports: a clock, or "external"
+    pblock: tuple[str, ...] = ()
+    resources: Resources = Resources()
+    decoupling: bool = True
+    loader: LoaderKind = LoaderKind.AUTO
+    window: int = 0x10000
+    interfaces: Mapping[str, ConnectionSpec] = field(default_factory=empty)
+    doc: str = ""
+
+
+def in_libraries(libraries: Mapping[str, tuple[Path, ...]]) -> tuple[Path, ...]:
+    """All files of all libraries, in order."""
+    return tuple(path for paths in libraries.values() for path in paths)
+
+
+@dataclass(frozen=True, slots=True)
+class HlsSpec:
+    """C++ of a module: `sources` contain the function; `cflags` are for Vitis HLS; -I and -D are used here too."""
+
+    sources: tuple[Path, ...]
+    cflags: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ModuleSpec:
+    """A module: HDL with `top`, and the regions it may go to."""
+
+    name: str
+    top: str
+    regions: tuple[str, ...]
+    sources: tuple[Path, ...] = ()
+    libraries: Mapping[str, tuple[Path, ...]] = field(default_factory=empty)  # VHDL, by library
+    include_dirs: tuple[Path, ...] = ()
+    defines: Mapping[str, str] = field(default_factory=empty)
+    parameters: Mapping[str, int | float | str | bool] = field(default_factory=empty)
+    interface_parameters: Mapping[str, Mapping[str, int | str]] = field(default_factory=empty)  # by port
+    flat: tuple[str, str] | None = None  # file and text of a generated wrapper, which is then the top
+    hls: HlsSpec | None = None
+    ip: tuple[Path, ...] = ()
+    ip_repositories: tuple[Path, ...] = ()
+    component: Path | None = None
+    tcl: tuple[Path, ...] = ()
+    constraints: tuple[Path, ...] = ()
+    sim_sources: tuple[Path, ...] = ()
+    model: str | None = None
+    registers: Mapping[str, RegisterSpec] = field(default_factory=empty)
+    register_map: Path | None = None
+    interface: str | None = None
+    resources: Resources = Resources()
+    doc: str = ""
+
+    @property
+    def readable(self) -> tuple[Path, ...]:
+        """The files in which to find the interfaces: vendor IP cannot be parsed, but its simulation models can."""
+        return self.sim_sources if self.ip and self.sim_sources else (*in_libraries(self.libraries), *self.sources)
+
+
+@dataclass(frozen=True, slots=True)
+class ModeStreamSpec:
+    """What differs for a stream in a mode; None: as the interface has it."""
+
+    shape: tuple[int, ...] | None = None
+    dtype: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ModeSpec:
+    """A mode: region → module; regions that are not named keep their modules."""
+
+    name: str
+    modules: Mapping[str, str]
+    registers: Mapping[str, int] = field(default_factory=empty)
+    streams: Mapping[str, ModeStreamSpec] = field(default_factory=empty)
+    share: float = 1.0
+    doc: str = ""
+    routes: Mapping[str, str] = field(default_factory=empty)  # through the switch: sink → source
+
+
+@dataclass(frozen=True, slots=True)
+class ClockSpec:
+    """A PL clock from the processing system; `rate` in Hz; `tolerance`: by how many percent it may deviate."""
+
+    name: str
+    rate: int
+    doc: str = ""
+    tolerance: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class StaticSpec:
+    """What the user adds to the static part; `coherent`: its masters are coherent with the processors' caches."""
+
+    sources: tuple[Path, ...] = ()
+    libraries: Mapping[str, tuple[Path, ...]] = field(default_factory=empty)
+    include_dirs: tuple[Path, ...] = ()
+    block_design: tuple[Path, ...] = ()
+    constraints: tuple[Path, ...] = ()
+    registers: Mapping[str, RegisterSpec] = field(default_factory=empty)
+    coherent: bool = False
+    revision: str = ""  # part of the identity
+    abstract_shells: bool = False  # modules beyond the first run are implemented without the static design
+
+
+@dataclass(frozen=True, slots=True)
+class BitstreamSpec:
+    """How bitstreams are written."""
+
+    compress: bool = True
+    frame_crc: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Project:
+    """A build schema. `modes_given`: the file lists modes, so only those combinations are allowed."""
+
+    name: str
+    part: str
+    source: Path
+    board: str | None = None  # Vivado's board part
+    kit: BoardDefinition | None = None  # of the board library
+    vivado: str | None = None
+    doc: str = ""
+    clocks: Mapping[str, ClockSpec] = field(default_factory=empty)
+    static: StaticSpec = StaticSpec()
+    bitstream: BitstreamSpec = BitstreamSpec()
+    regions: Mapping[str, RegionSpec] = field(default_factory=empty)
+    modules: Mapping[str, ModuleSpec] = field(default_factory=empty)
+    modes: Mapping[str, ModeSpec] = field(default_factory=empty)
+    modes_given: bool = False
+    default_mode: str = ""
+    protocols: tuple[Path, ...] = ()
+    switch: SwitchSpec | None = None
+
+    @property
+    def folder(self) -> Path:
+        """The folder that paths in the file are relative to."""
+        return self.source.parent
+
+    def modules_of(self, region: str) -> tuple[ModuleSpec, ...]:
+        """The modules that may go to `region`, in the order of the file."""
+        return tuple(module for module in self.modules.values() if region in module.regions)

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Packs a flow into an archive for another host; `cm.design.run.unpack` takes back the results from that host.
+
+The archive has the generated files, everything that their steps read, and the outputs of steps so far, all at their
+places relative to the output folder: no path in it is absolute. ``pack.json`` has the checksum of every file that
+steps read. Results are accepted only if none of these files has changed since, on either host.
+"""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import io
+import json
+import os
+import tarfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from cm.design.errors import BuildError
+from cm.design.plan.flow import Step
+from cm.design.render import Renderer
+from cm.design.run.steps import Flow, State
+
+PACK = "pack.json"
+VERSION = 1
+BACK = ("stamps", "logs", "reports", "checkpoints", "bitstreams")  # what a host sends back
+
+
+@dataclass(frozen=True, slots=True)
+class Packed:
+    """The steps in an archive, and the number of files."""
+
+    path: Path
+    steps: tuple[str, ...]
+    files: int
+
+
+def pack(out: Path, name: str, folders: Iterable[Path], archive: Path, modules: Sequence[str] = ()) -> Packed:
+    """Write the flow below `out` to `archive` (.tar.gz); `folders`: those that steps read as a whole.
+
+    With `modules`, only their synthesis and the step in their region's abstract shell: nothing of the static design
+    is included. Raises BuildError if a file that a step reads is missing, or a shell has not been made yet.
+    """
+    flow = Flow(out)
+    steps = _module_steps(flow, modules) if modules else flow.steps
+    read = _inputs(out, steps)
+    content = _told(name, steps, read) | (_of_modules(out, name, steps) if modules else {})
+    files = {Path(os.path.normpath(out / path)) for path in read}
+    files |= {*_kept(flow, steps, bool(modules)), *_below(folders)}
+    files -= {out / path for path in content}
+    root = Path(os.path.commonpath([out, *files]))
+    entries: dict[str, Path | bytes] = {f"{name}/{path.relative_to(root).as_posix()}": path for path in files}
+    entries |= {f"{name}/{(out / path).relative_to(root).as_posix()}": data for path, data in content.items()}
+    _write(archive, entries)
+    return Packed(archive, tuple(step.name for step in steps), len(entries))
+
+
+def _module_steps(flow: Flow, modules: Sequence[str]) -> tuple[Step, ...]:
+    """The synthesis of modules, and their steps in shells, which must exist."""
+    ends = flow.ends_of(modules)
+    wrong = [name for name in ends if not name.startswith("module_")]
+    if wrong:
+        hint = "write static: {abstract_shells: true}, and leave the module out of the first run"
+        raise BuildError(f"{', '.join(wrong)} opens the whole static design: {hint}")
+    states = {entry.step.name: entry.state for entry in flow.plan(modules)}
+    by_name = {step.name: step for step in flow.steps}
+    found: list[Step] = []
+    for end in ends:
+        shell = next(name for name in by_name[end].after if name.startswith("shell_"))
+        if states[shell] is not State.DONE:
+            raise BuildError(f"the abstract shell that {end} needs is not made yet: cm build run, then pack it again")
+        before = tuple(name for name in by_name[end].after if name.startswith("synth_"))
+        found += [by_name[name] for name in before]
+        found.append(Step(end, by_name[end].title, before, by_name[end].outputs))
+    return tuple(dict.fromkeys(found))
+
+
+def _inputs(out: Path, steps: Sequence[Step]) -> dict[str, str]:
+    """The files that steps read, relative to `out`, with checksums."""
+    found: dict[str, str] = {}
+    for step in steps:
+        for name in (out / f"inputs/{step.name}.list").read_text(encoding="utf-8").splitlines():
+            found[name] = digest(out / name)
+        for name in _shells(out, step):
+            found[name] = digest(out / name)
+    missing = [name for name, known in found.items() if not known]
+    if missing:
+        raise BuildError(f"steps read what is not there: {', '.join(missing)}")
+    return found
+
+
+def _shells(out: Path, step: Step) -> Iterator[str]:
+    """The abstract shell that a step opens, if it is not made by a step in the archive."""
+    if not step.name.startswith("module_") or any(name.startswith("shell_") for name in step.after):
+        return
+    script = (out / f"tcl/step_{step.name}.tcl").read_text(encoding="utf-8")
+    shell = next(word for word in script.split() if word.startswith("checkpoints/shell_"))
+    yield from (shell, str(PurePosixPath(shell).with_suffix(".id")))
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file; empty if it cannot be read."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        return ""
+
+
+def _told(name: str, steps: Sequence[Step], read: dict[str, str]) -> dict[str, bytes]:
+    """The description of the archive, with checksums."""
+    told = {"version": VERSION, "project": name, "steps": [step.name for step in steps], "files": read}
+    return {PACK: (json.dumps(told, indent=2, sort_keys=True) + "\n").encode()}
+
+
+def _of_modules(out: Path, name: str, steps: Sequence[Step]) -> dict[str, bytes]:
+    """The files of a flow of these modules only, in place of the whole one."""
+    needed = {before for step in steps for before in step.after}
+    last = [step for step in steps if step.name not in needed]
+    banner = f"Generated by cm build for {name}."
+    make = Renderer(out.parent, out, banner).render("Makefile.j2", {"steps": steps, "last": last})
+    listed = [{"name": s.name, "title": s.title, "after": s.after, "outputs": s.outputs} for s in steps]
+    flow = json.dumps({"version": 1, "steps": listed}, indent=2) + "\n"
+    return {"Makefile": make.encode(), "steps.json": flow.encode()}
+
+
+def _kept(flow: Flow, steps: Sequence[Step], modules: bool) -> Iterator[Path]:
+    """The lists of the steps' inputs, and the outputs of steps so far (none for modules alone)."""
+    out = flow.folder
+    yield from (out / f"inputs/{step.name}.list" for step in steps)
+    if not modules:
+        yield from (out / name for name in ("Makefile", "steps.json"))
+        yield from _below(out / name for name in (*BACK, "work"))
+
+
+def _below(folders: Iterable[Path]) -> Iterator[Path]:
+    for folder in folders:
+        yield from (path for path in sorted(folder.rglob("*")) if path.is_file())
+
+
+def _write(archive: Path, entries: Mapping[str, Path | bytes]) -> None:
+    """Write the archive; the same files and times give the same bytes."""
+    archive.parent.mkdir(parents=True, exist_ok=True)
+    with (
+        archive.open("wb") as raw,
+        gzip.GzipFile("", "wb", 6, raw, 0) as zipped,
+        tarfile.open(None, "w", zipped) as tar,
+    ):
+        for name, data in sorted(entries.items()):
+            _add(tar, name, data)
+
+
+def _add(tar: tarfile.TarFile, name: str, data: Path | bytes) -> None:
+    info = tarfile.TarInfo(name)
+    info.mode = 0o644
+    if isinstance(data, bytes):
+        info.size = len(data)
+        tar.addfile(info, io.BytesIO(data))
+        return
+    about = data.stat()
+    info.size, info.mtime = about.st_size, int(about.st_mtime)
+    with data.open("rb") as file:
+        tar.addfile(info, file)

@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A system → the runtime schema that the CM loads (`cm.schema.model.Config`)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from cm.design.errors import BuildError
+from cm.design.plan.frames import frame_problem
+from cm.design.plan.switch import COMMIT, CONTROL, MUX, NONE, UPDATE, chain_of, register_name, route_values
+from cm.design.plan.system import RegionPlan, SwitchPlan, System
+from cm.design.project.model import FieldSpec, ModeSpec, ModeStreamSpec, ModuleSpec, RegisterSpec
+from cm.design.project.where import fault
+from cm.design.runtime.answers import Answers
+from cm.schema.model import (
+    Access,
+    BitField,
+    Clock,
+    Config,
+    ConfigType,
+    Decoupler,
+    Direction,
+    Identity,
+    Interrupt,
+    Mode,
+    Module,
+    Overlay,
+    Region,
+    Register,
+    StaticIdentity,
+    Stream,
+)
+from cm.schema.problems import did_you_mean
+
+REGION_BLOCK = 0x100  # of cm_control.v
+REGION_STRIDE = 0x10
+IDENTITY = 0xC
+IRQ_STATUS, IRQ_BANK = 0x08, 0x10  # lines 32 and up: at 0x20, 0x24, and so on every 0x10
+STATIC_ID = 0x1C
+
+
+def runtime_config(system: System, answers: Answers) -> Config:
+    """Return the configuration that `system` gives on the target."""
+    project = system.project
+    overlays = (Overlay(f"{project.name}_static"),) if answers.static_overlay else ()
+    streams = {stream.name: stream for stream in _streams(system, answers)}
+    return Config(
+        name=project.name,
+        type=ConfigType.PARTIAL,
+        device=system.device,
+        default_mode=answers.default_mode or project.default_mode,
+        regions={region.name: _region(system, region) for region in system.regions},
+        modules=dict(_module(project.source, module, answers) for module in _targets(system)),
+        modes={mode.name: _mode(system, mode, streams) for mode in project.modes.values()},
+        registers=_static_registers(system),
+        overlays=overlays,
+        streams=streams,
+        interrupts={line.name: _interrupt(system, line.name, line.bit) for line in system.lines},
+        clocks={c.name: Clock(c.name, c.rate, c.doc, float(c.tolerance)) for c in project.clocks.values()},
+        doc=project.doc,
+        static=_static(system),
+    )
+
+
+def _static(system: System) -> StaticIdentity | None:
+    if not system.static_identity:
+        return None
+    return StaticIdentity(system.static_identity, system.control.base, STATIC_ID)
+
+
+def register_base(source: Path, region: RegionPlan, module: ModuleSpec) -> int:
+    """The address to which the offsets of the module's registers are relative; `source`: the build schema."""
+    buses = {bus.interface.name: bus for bus in region.registers}
+    if module.interface is not None:
+        if module.interface not in buses:
+            message = f"region {region.name} has no register interface {module.interface!r}"
+            hint = did_you_mean(module.interface, buses)
+            raise fault(source, ("modules", module.name, "interface"), message, hint)
+        return buses[module.interface].window.base
+    if len(buses) != 1:
+        have = f"{len(buses)} register interfaces ({', '.join(buses)})" if buses else "no register interface"
+        message = f"{module.name} has registers, and region {region.name} has {have}"
+        hint = "write interface: in the module" if buses else "none of its modules has an AXI4-Lite slave"
+        key = "registers" if module.register_map is None else "register_map"
+        raise fault(source, ("modules", module.name, key), message, hint)
+    return next(iter(buses.values())).window.base
+
+
+def _targets(system: System) -> list[tuple[str, ModuleSpec, RegionPlan, int]]:
+    return [(one.name, one.module, one.region, one.identity) for one in system.implementations]
+
+
+def _region(system: System, region: RegionPlan) -> Region:
+    block = REGION_BLOCK + REGION_STRIDE * region.index
+    decoupler = Decoupler(system.control.base, block) if region.spec.decoupling else None
+    identity = Identity(system.control.base, block + IDENTITY)
+    return Region(name=region.name, loader=region.spec.loader, decoupler=decoupler, identity=identity)
+
+
+def _module(source: Path, target: tuple[str, ModuleSpec, RegionPlan, int], answers: Answers) -> tuple[str, Module]:
+    name, module, region, identity = target
+    registers = {}
+    if module.registers:
+        base = register_base(source, region, module)
+        registers = {
+            key: _register(spec, base, region.name, answers.registers.get((name, key)))
+            for key, spec in module.registers.items()
+        }
+    file = Path(f"{name}.bin")
+    model = module.model or (module.name if module.name != name else None)
+    return name, Module(name, region.name, file, None, identity, model, registers, module.doc)
+
+
+def _register(spec: RegisterSpec, base: int, region: str | None, default: int | None = None) -> Register:
+    return Register(
+        name=spec.name,
+        base_address=base,
+        offset=spec.offset,
+        width=spec.width,
+        access=spec.access,
+        default=spec.default if default is None else default,
+        reset=spec.reset,
+        minimum=spec.minimum,
+        maximum=spec.maximum,
+        fields={key: _field(value) for key, value in spec.fields.items()},
+        region=region,
+        volatile=spec.volatile,
+        doc=spec.doc,
+    )
+
+
+def _field(spec: FieldSpec) -> BitField:
+    return BitField(spec.name, spec.lsb, spec.width, spec.doc, spec.values)
+
+
+def _mode(system: System, mode: ModeSpec, streams: Mapping[str, Stream]) -> Mode:
+    chosen = [system.implementation(module, region) for region, module in mode.modules.items()]
+    source, static = system.project.source, system.project.static.registers
+    registers = {key: _register(static[key], 0, None, value) for key, value in mode.registers.items() if key in static}
+    for one in chosen:
+        for key, value in mode.registers.items():
+            if key in one.module.registers:
+                base = register_base(source, one.region, one.module)
+                registers[key] = _register(one.module.registers[key], base, one.region.name, value)
+    registers |= _routes(system, mode)
+    overlays = tuple(Overlay(f"module_{one.name}") for one in chosen if one.region.registers)
+    return Mode(
+        name=mode.name,
+        modules=tuple(one.name for one in chosen),
+        registers=registers,
+        overlays=overlays,
+        streams=_mode_streams(system, mode, streams),
+        doc=mode.doc,
+    )
+
+
+def _routes(system: System, mode: ModeSpec) -> dict[str, Register]:
+    """The switch's registers, with the values of a mode."""
+    if system.switch is None:
+        return {}
+    values = dict(route_values(system.switch, system.project.modes))[mode.name]
+    found = _switch_registers(system.switch)
+    return {name: replace(found[name], default=value) for name, value in values.items()}
+
+
+def _switch_registers(switch: SwitchPlan) -> dict[str, Register]:
+    """Registers of the switch in the order in which they are written, CONTROL last."""
+    order = ", ".join(f"{number} {name}" for number, name in enumerate(switch.sources))
+    found = {}
+    for number, sink in enumerate(switch.sinks):
+        doc = f"source of {sink}: {order}, {NONE:#x} none"
+        offset = MUX + 4 * number
+        found[register_name(sink)] = Register(register_name(sink), switch.window.base, offset, default=NONE, doc=doc)
+    doc = "2 in the lowest bits commits the routes; the others number the set of routes"
+    found[COMMIT] = Register(COMMIT, switch.window.base, CONTROL, access=Access.WO, default=UPDATE, doc=doc)
+    return found
+
+
+def _mode_streams(system: System, mode: ModeSpec, streams: Mapping[str, Stream]) -> dict[str, Stream]:
+    """Streams that differ in a mode; a switch's stream names what it passes through, and stops when that changes."""
+    source = system.project.source
+    found = dict(_mode_stream(source, mode, name, spec, streams) for name, spec in mode.streams.items())
+    for bus in system.switch.streams if system.switch else ():
+        assert system.switch
+        assert bus.dma
+        chain = chain_of(system.switch, mode, bus.name)
+        if chain:
+            passed = [f"{region} ({mode.modules[region]})" if region in mode.modules else region for region in chain]
+            region = chain[0] if bus.dma.sends else chain[-1]
+            stream = found.get(bus.name, streams[bus.name])
+            found[bus.name] = replace(stream, region=region, doc=f"through {', '.join(passed)}")
+    return found
+
+
+def _mode_stream(
+    source: Path, mode: ModeSpec, name: str, spec: ModeStreamSpec, streams: Mapping[str, Stream]
+) -> tuple[str, Stream]:
+    if name not in streams:
+        message = f"mode {mode.name} names the stream {name!r}"
+        raise fault(source, ("modes", mode.name, "streams", name), message, did_you_mean(name, streams))
+    stream = streams[name]
+    return name, replace(stream, shape=spec.shape or stream.shape, dtype=spec.dtype or stream.dtype)
+
+
+def _static_registers(system: System) -> dict[str, Register]:
+    base = system.control.base
+    found = {
+        "cm_id": Register("cm_id", base, 0, access=Access.RO, doc="0x434D3031: the generated static part"),
+        "cm_shape": Register("cm_shape", base, 4, access=Access.RO, doc="regions, interrupt lines"),
+    }
+    for bank in range(-(-len(system.lines) // 32)):
+        found |= _interrupt_bank(base, bank, min(32, len(system.lines) - 32 * bank))
+    if system.switch:
+        found |= _switch_registers(system.switch)
+    for name, spec in system.project.static.registers.items():
+        found[name] = _register(spec, 0, None)
+    return found
+
+
+def _interrupt_bank(base: int, bank: int, lines: int) -> dict[str, Register]:
+    """Status and enable registers of 32 interrupt lines, or fewer."""
+    mask = (1 << lines) - 1
+    status, enable = _bank_name("irq_status", bank), _bank_name("irq_enable", bank)
+    doc = "interrupts that happened, write 1 to clear"
+    at = IRQ_BANK * (bank + 1) if bank else IRQ_STATUS
+    told = Register(enable, base, at + 4, default=mask, maximum=mask, doc="interrupts that are enabled")
+    return {status: Register(status, base, at, access=Access.W1C, volatile=True, doc=doc), enable: told}
+
+
+def _bank_name(name: str, bank: int) -> str:
+    return f"{name}_{bank}" if bank else name
+
+
+def _streams(system: System, answers: Answers) -> list[Stream]:
+    found = []
+    regions = {bus.name: region.name for region in system.regions for bus in region.streams}
+    for bus in system.streams:
+        if bus.dma is None:
+            continue
+        own = answers.streams.get(bus.name)
+        shape, dtype, slots = bus.spec.shape, bus.spec.dtype, bus.spec.slots
+        if own is not None:
+            shape, dtype, slots = own.shape or shape, own.dtype or dtype, own.slots or slots
+        problem = frame_problem(bus, shape, dtype)
+        if problem:
+            raise BuildError(f"stream {bus.name}: {'; '.join(problem)}")
+        direction, region = Direction(bus.dma.direction.value), regions.get(bus.name)
+        found.append(Stream(bus.name, bus.name, direction, shape, dtype, slots, region, rate=bus.spec.rate))
+    return found
+
+
+def _interrupt(system: System, name: str, bit: int) -> Interrupt:
+    status = _bank_name("irq_status", bit // 32)
+    return Interrupt(name, system.control.base, status=status, bit=bit % 32, acknowledge=True)

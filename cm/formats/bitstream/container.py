@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Containers: `.bit`, `.bin` in either byte order, and bootgen boot images.
+
+No length in a file is trusted: each is compared with the bytes that are there before it is used.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import BinaryIO, TypeAlias
+
+from cm.formats.bitstream.bootimage import find_bitstream, is_boot_image
+from cm.formats.bitstream.errors import BadContainer, BitstreamError, NoSync, Truncated
+from cm.formats.bitstream.pdi import check_pdi
+from cm.formats.bitstream.sync import SEARCH, find_sync, whole_words
+
+Source: TypeAlias = "bytes | bytearray | memoryview | Path | str"
+
+NO_USER_ID = 0xFFFFFFFF
+_HEX = re.compile(r"(?:0[xX])?[0-9A-Fa-f]{1,8}")
+_HEAD = SEARCH + 4096  # bytes: enough to tell what a file is
+_BIT_MAGIC = bytes.fromhex("00090ff00ff00ff00ff0000001")
+
+
+class Container(Enum):
+    """How the configuration words are packed in the file."""
+
+    BIT = "bit"
+    BIN_SWAPPED = "bin"
+    BIN_STRAIGHT = "bin-straight"
+    BOOTGEN = "bootgen"
+
+
+@dataclass(frozen=True, slots=True)
+class BitHeader:
+    """The header fields of a `.bit`: `fields` are the ``KEY=value`` pairs behind the design's name.
+
+    The value is None where only a word stands. Bytes that are not UTF-8 survive as surrogates.
+    """
+
+    design: str
+    fields: tuple[tuple[str, str | None], ...]
+    part: str
+    date: str
+    time: str
+
+    def field(self, key: str) -> str | None:
+        """Return a pair's value, e.g. of ``PARTIAL``; None if the header has no such pair."""
+        return next((value for name, value in self.fields if name.upper() == key.upper()), None)
+
+    @property
+    def user_id(self) -> int | None:
+        """The 32-bit ``UserID`` of the design (Vivado: BITSTREAM.CONFIG.USERID); None if it says none.
+
+        FFFFFFFF is what Vivado writes where none was set.
+        """
+        text = self.field("UserID") or ""
+        number = int(text, 16) if _HEX.fullmatch(text) else NO_USER_ID
+        return None if number == NO_USER_ID else number
+
+    @property
+    def partial(self) -> bool:
+        """Whether the header says ``PARTIAL=TRUE``."""
+        return (self.field("PARTIAL") or "").upper() == "TRUE"
+
+
+@dataclass(frozen=True, slots=True)
+class Image:
+    """An opened bitstream: `stream` is a view of its configuration words, `offset` where they begin.
+
+    `swapped`: each word's bytes are reversed in `stream`, as a DMA-fed ICAP reads them from memory.
+    `stream` is a whole number of words; what a damaged file has beyond is in `rest` (0 to 3 bytes).
+    `encrypted`: the boot image says so (a `.bit` says so in its packets, see `cm.formats.bitstream.inspect`).
+    """
+
+    container: Container
+    header: BitHeader | None
+    stream: memoryview
+    offset: int
+    swapped: bool
+    rest: int = 0
+    encrypted: bool = False
+
+
+def read_source(source: Source) -> memoryview:
+    """Return the bytes of a file or of a buffer; a `str` is a path.
+
+    A file whose first bytes are not bitstream's is not read to its end. Raises what `open_image` raises.
+    """
+    if isinstance(source, (str, Path)):
+        with Path(source).open("rb") as file:
+            return memoryview(read_bitstream(file))
+    return memoryview(source).cast("B")
+
+
+def read_bitstream(file: BinaryIO) -> bytes:
+    """Return the bytes of an open file, all of them; refuses from the head what is not a bitstream."""
+    head = file.read(_HEAD)
+    check_head(memoryview(head))
+    return head + file.read()
+
+
+def check_head(head: memoryview) -> None:
+    """Refuse what cannot become a bitstream, whatever follows. Raises NoSync or UnknownDevice."""
+    check_pdi(head)
+    if bytes(head[: len(_BIT_MAGIC)]) != _BIT_MAGIC and not is_boot_image(head):
+        _find_in_bin(head)
+
+
+def _text(data: memoryview) -> str:
+    return bytes(data).decode("utf-8", "surrogateescape")
+
+
+def _text_field(data: memoryview, at: int, key: str) -> tuple[str, int]:
+    """Read one of the fields a to d; return its text and where the next one begins."""
+    if len(data) < at + 3:
+        raise Truncated(f".bit header ends at byte {len(data)}, where field {key!r} should be")
+    if data[at] != ord(key):
+        raise BadContainer(f".bit header: field {key!r} expected at byte {at}, found 0x{data[at]:02x}")
+    (length,) = struct.unpack_from(">H", data, at + 1)
+    end = at + 3 + length
+    if end > len(data):
+        raise Truncated(f".bit header: field {key!r} says {length} bytes, the file ends {end - len(data)} bytes before")
+    if length == 0 or data[end - 1] != 0:
+        raise BadContainer(f".bit header: field {key!r} at byte {at} does not end with NUL")
+    return _text(data[at + 3 : end - 1]), end
+
+
+def _parse_header(data: memoryview) -> tuple[BitHeader, int]:
+    """Read the fields a to e; return them and where the configuration words begin."""
+    at = len(_BIT_MAGIC)
+    texts = []
+    for key in "abcd":
+        text, at = _text_field(data, at, key)
+        texts.append(text)
+    if len(data) < at + 5:
+        raise Truncated(f".bit header ends at byte {len(data)}, where field 'e' should be")
+    if data[at] != ord("e"):
+        raise BadContainer(f".bit header: field 'e' expected at byte {at}, found 0x{data[at]:02x}")
+    (length,) = struct.unpack_from(">I", data, at + 1)
+    there = len(data) - at - 5
+    if length > there:
+        raise Truncated(f".bit header says {length} bytes of configuration, {there} are there")
+    if length < there:
+        raise BadContainer(f".bit header says {length} bytes of configuration, {there - length} more follow")
+    name, *pairs = texts[0].split(";")
+    fields = tuple((key, value if mark else None) for key, mark, value in (pair.partition("=") for pair in pairs))
+    return BitHeader(name, fields, *texts[1:]), at + 5
+
+
+def pack_bit(header: BitHeader, stream: bytes) -> bytes:
+    """Return the `.bit` file of big-endian configuration words."""
+    pairs = (key if value is None else f"{key}={value}" for key, value in header.fields)
+    name = ";".join([header.design, *pairs])
+    parts = [_BIT_MAGIC]
+    for key, text in zip("abcd", (name, header.part, header.date, header.time), strict=True):
+        raw = text.encode("utf-8", "surrogateescape") + b"\0"
+        parts.append(key.encode() + struct.pack(">H", len(raw)) + raw)
+    parts.append(b"e" + struct.pack(">I", len(stream)) + stream)
+    return b"".join(parts)
+
+
+def _open_bit(data: memoryview) -> Image:
+    header, offset = _parse_header(data)
+    stream, rest = whole_words(data[offset:])
+    at, swapped = find_sync(stream, 0, min(len(stream), SEARCH))
+    if at < 0:
+        raise NoSync(f"no sync word AA995566 in the first {min(len(stream), SEARCH)} bytes after the .bit header")
+    if swapped:
+        raise BadContainer("the words behind the .bit header are byte-swapped: convert a .bit from the original file")
+    return Image(Container.BIT, header, stream, offset, False, rest)
+
+
+def _find_in_bin(data: memoryview) -> bool:
+    """Return whether the words of a .bin are swapped."""
+    at, swapped = find_sync(data, 0, min(len(data), SEARCH))
+    if at < 0:
+        raise NoSync(
+            f"neither a .bit header nor a boot image, and no sync word in the first {min(len(data), SEARCH)} bytes"
+        )
+    return swapped
+
+
+def _open_bin(data: memoryview) -> Image:
+    stream, rest = whole_words(data)
+    swapped = _find_in_bin(data)
+    return Image(Container.BIN_SWAPPED if swapped else Container.BIN_STRAIGHT, None, stream, 0, swapped, rest)
+
+
+def _open_boot_image(data: memoryview) -> Image:
+    found = find_bitstream(data)
+    stream, rest = whole_words(data[found.begin : found.end])
+    return Image(Container.BOOTGEN, None, stream, found.begin, found.swapped, rest, found.encrypted)
+
+
+@contextmanager
+def named(source: Source) -> Iterator[None]:
+    """Put the file's name in front of a refusal, if `source` is a path."""
+    try:
+        yield
+    except BitstreamError as error:
+        if isinstance(source, (str, Path)):
+            raise type(error)(f"{source}: {error}") from error
+        raise
+
+
+def open_image(source: Source) -> Image:
+    """Recognise the container and find the configuration words, without looking into them.
+
+    Raises `BadContainer`, `Truncated` or `NoSync`; OSError where a path cannot be read.
+    """
+    with named(source):
+        return _open(read_source(source))
+
+
+def _open(data: memoryview) -> Image:
+    check_pdi(data)
+    if bytes(data[: len(_BIT_MAGIC)]) == _BIT_MAGIC:
+        return _open_bit(data)
+    if is_boot_image(data):
+        return _open_boot_image(data)
+    return _open_bin(data)

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reads a `.hwh` (XML) into `cm.formats.hwh.model`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from types import MappingProxyType
+from xml.etree import ElementTree
+
+from cm.errors import CmError
+from cm.formats.hwh.markup import root_of
+from cm.formats.hwh.model import (
+    BusInterface,
+    ConnectedPort,
+    Hwh,
+    InstancePort,
+    MemoryRange,
+    ModuleInstance,
+    RegisterField,
+    RegisterInfo,
+)
+
+_LIMIT = 64 * 1024 * 1024  # bytes; the largest real files have a few MiB
+
+
+class HwhError(CmError, ValueError):
+    """A file that is not a hardware handoff."""
+
+    code = "hwh"
+
+
+def read(path: Path, name: str = "") -> Hwh:
+    """Read a file. Raises `HwhError` with the file's name (or `name` in its place), or OSError."""
+    return parse(path.read_bytes(), name or str(path))
+
+
+def parse(data: bytes, name: str = ".hwh") -> Hwh:
+    """Read the bytes of a file; `name` is for messages."""
+    if len(data) > _LIMIT:
+        raise HwhError(f"{name}: {len(data)} bytes are not a hardware handoff")
+    if b"\0" in data:  # UTF-16 would hide a document type from the next check
+        raise HwhError(f"{name}: no UTF-8 text")
+    if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
+        raise HwhError(f"{name}: a document type or entities have no place in a hardware handoff")
+    try:
+        root = root_of(data)
+    except ValueError as error:
+        raise HwhError(f"{name}: not XML: {error}") from error
+    info = root.find("SYSTEMINFO")
+    if root.tag != "EDKSYSTEM" or info is None:
+        raise HwhError(f"{name}: no hardware handoff: EDKSYSTEM with SYSTEMINFO expected, found {root.tag}")
+    try:
+        return _hwh(root, info)
+    except ValueError as error:
+        raise HwhError(f"{name}: {error}") from error
+
+
+def _hwh(root: ElementTree.Element, info: ElementTree.Element) -> Hwh:
+    modules = {module.instance: module for module in map(_module, root.iterfind("MODULES/MODULE"))}
+    return Hwh(
+        design=info.get("NAME", ""),
+        arch=info.get("ARCH", ""),
+        device=info.get("DEVICE", ""),
+        package=info.get("PACKAGE", ""),
+        vivado=root.get("VIVADOVERSION", ""),
+        timestamp=root.get("TIMESTAMP", ""),
+        modules=MappingProxyType(modules),
+        external_ranges=tuple(_ranges(root.iterfind("EXTERNALINTERFACES//MEMRANGE"))),
+    )
+
+
+def _number(text: str | None, what: str) -> int:
+    """Read a number as Vivado writes it: decimal, 0x, or with underscores."""
+    try:
+        return int((text or "").replace("_", "") or "0", 0)
+    except ValueError:
+        raise ValueError(f"{what} {text!r} is not a number") from None
+
+
+def _rate(text: str | None, what: str) -> int:
+    """Read a rate in Hz: a whole number, or since 2022 a decimal one (``93750000.0``)."""
+    found = re.fullmatch(r"(\d+)\.(\d+)", text or "")
+    return round(float(found[0])) if found else _number(text, what)
+
+
+def _module(element: ElementTree.Element) -> ModuleInstance:
+    instance = element.get("INSTANCE", "")
+    parameters = {item.get("NAME", ""): item.get("VALUE", "") for item in element.iterfind("PARAMETERS/PARAMETER")}
+    blocks: dict[str, tuple[RegisterInfo, ...]] = {}
+    for block in element.iterfind("ADDRESSBLOCKS/ADDRESSBLOCK"):
+        found = tuple(register for item in block.iterfind("REGISTERS/REGISTER") for register in _register(item))
+        if found:
+            key = block.get("INTERFACE", "")
+            blocks[key] = blocks.get(key, ()) + found
+    return ModuleInstance(
+        instance=instance,
+        path=element.get("FULLNAME", "/" + instance),
+        type=element.get("MODTYPE", ""),
+        vlnv=element.get("VLNV", ""),
+        region=element.get("BDTYPE") == "RBD",
+        parameters=MappingProxyType(parameters),
+        ports=MappingProxyType({port.name: port for port in map(_port, element.iterfind("PORTS/PORT"))}),
+        interfaces=tuple(map(_interface, element.iterfind("BUSINTERFACES/BUSINTERFACE"))),
+        registers=MappingProxyType(blocks),
+        ranges=tuple(_ranges(element.iterfind("MEMORYMAP/MEMRANGE"))),
+    )
+
+
+def _port(element: ElementTree.Element) -> InstancePort:
+    left, right = (_number(element.get(key), f"port {element.get('NAME')}: {key}") for key in ("LEFT", "RIGHT"))
+    ends = element.iterfind("CONNECTIONS/CONNECTION")
+    return InstancePort(
+        name=element.get("NAME", ""),
+        direction=element.get("DIR", ""),
+        kind=element.get("SIGIS", ""),
+        signal=element.get("SIGNAME", ""),
+        width=abs(left - right) + 1,
+        connections=tuple(ConnectedPort(end.get("INSTANCE", ""), end.get("PORT", "")) for end in ends),
+        rate=_rate(element.get("CLKFREQUENCY"), f"port {element.get('NAME')}: CLKFREQUENCY"),
+    )
+
+
+def _interface(element: ElementTree.Element) -> BusInterface:
+    return BusInterface(*(element.get(key, "") for key in ("NAME", "TYPE", "BUSNAME", "VLNV")))
+
+
+def _ranges(elements: Iterator[ElementTree.Element]) -> Iterator[MemoryRange]:
+    for element in elements:
+        base, high = (
+            _number(element.get(key), f"memory range of {element.get('INSTANCE')}: {key}")
+            for key in ("BASEVALUE", "HIGHVALUE")
+        )
+        if high >= base:
+            yield MemoryRange(
+                instance=element.get("INSTANCE", ""),
+                interface=element.get("SLAVEBUSINTERFACE", ""),
+                block=element.get("ADDRESSBLOCK", ""),
+                base=base,
+                high=high,
+                kind=element.get("MEMTYPE", ""),
+                master=element.get("MASTERBUSINTERFACE", ""),
+            )
+
+
+def _properties(element: ElementTree.Element) -> dict[str, str]:
+    return {item.get("NAME", ""): item.get("VALUE", "") for item in element.iterfind("PROPERTY")}
+
+
+def _register(element: ElementTree.Element) -> Iterator[RegisterInfo]:
+    """The register, unless it is switched off in this instance."""
+    name, found = element.get("NAME", ""), _properties(element)
+    if found.get("IS_ENABLED", "true").lower() == "false":
+        return
+    reset = found.get("RESET_VALUE")
+    yield RegisterInfo(
+        name=name,
+        offset=_number(found.get("ADDRESS_OFFSET"), f"register {name}: offset"),
+        size=_number(found.get("SIZE") or "32", f"register {name}: size"),
+        access=found.get("ACCESS", ""),
+        reset=_number(reset, f"register {name}: reset value") if reset else None,
+        fields=tuple(map(_field, element.iterfind("FIELDS/FIELD"))),
+        doc=found.get("DESCRIPTION", "").strip(),
+    )
+
+
+def _field(element: ElementTree.Element) -> RegisterField:
+    name, found = element.get("NAME", ""), _properties(element)
+    return RegisterField(
+        name=name,
+        lsb=_number(found.get("BIT_OFFSET"), f"field {name}: bit offset"),
+        width=_number(found.get("BIT_WIDTH") or "1", f"field {name}: bit width"),
+        access=found.get("ACCESS", ""),
+        one_to_clear=found.get("MODIFIED_READ_VALUES") == "oneToClear"
+        or found.get("MODIFIED_WRITE_VALUE") == "oneToClear",
+        doc=found.get("DESCRIPTION", "").strip(),
+    )

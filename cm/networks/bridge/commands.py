@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Requests from the other side of a bridge, made in the caller's name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import TypeVar
+
+from cm.client.board import Board
+from cm.client.core import calls
+from cm.client.core.calls import Call
+from cm.client.core.values import register_write
+from cm.networks.bridge.connections import Connect, Connections
+from cm.networks.bridge.frames import FrameWriter
+from cm.networks.bridge.records import Caller
+from cm.wire.messages.requests import WriteReg
+from cm.wire.messages.status import ConfigEntry, ConfigInfo, PlanInfo, Progress, RegValues, Status
+
+_T = TypeVar("_T")
+
+
+class Commands:
+    """Requests of callers; threads may share it. Every call raises CmError with what was refused, and why.
+
+    Calls that wait when it is closed raise BridgeEnds.
+    """
+
+    def __init__(self, connect: Connect) -> None:
+        self._connections = Connections(connect)
+
+    def board(self, caller: Caller) -> Board:
+        """The connection for a caller's short requests, which remains ours to close."""
+        return self._connections.kept(caller.guest)
+
+    def _ask(self, caller: Caller, call: Call[_T]) -> _T:
+        with self._connections.ending():
+            return self.board(caller).ask(call)
+
+    def status(self, caller: Caller) -> Status:
+        """The status now."""
+        return self._ask(caller, calls.status())
+
+    def configs(self, caller: Caller) -> tuple[ConfigEntry, ...]:
+        """All configurations that can be loaded, with their modes."""
+        return self._ask(caller, calls.config_entries())
+
+    def config(self, caller: Caller, name: str = "") -> ConfigInfo:
+        """A configuration; the loaded one's if no name is given."""
+        return self._ask(caller, calls.describe(name))
+
+    def plan(self, caller: Caller, config: str = "", mode: str = "") -> PlanInfo:
+        """What going to a mode would do; touches nothing."""
+        with self._connections.ending():
+            return self.board(caller).plan(mode, config)
+
+    def change(
+        self,
+        caller: Caller,
+        config: str = "",
+        mode: str = "",
+        *,
+        queue: bool = True,
+        force: bool = False,
+        progress: Callable[[Progress], None] | None = None,
+        timeout: float | None = None,
+    ) -> float:
+        """Go to a mode and wait; returns the seconds it took.
+
+        It uses a connection of its own, so that others are answered meanwhile.
+        """
+        with self._connections.ending(), self._connections.own(caller.guest) as board:
+            return board.load(
+                config, mode, progress=progress or False, timeout=timeout, queue=queue, force=force, lease=caller.lease
+            )
+
+    def cancel(self, caller: Caller) -> None:
+        """Cancel the change that runs."""
+        self._ask(caller, calls.cancel())
+
+    def read_registers(self, caller: Caller, *names: str) -> RegValues:
+        """Registers or fields by name; all that can be read if none is named."""
+        return self._ask(caller, calls.read_registers(names))
+
+    def write_registers(
+        self, caller: Caller, values: Mapping[str, int | str], masks: Mapping[str, int] | None = None
+    ) -> RegValues:
+        """Several registers or fields in order, all checked before the first is written.
+
+        `masks`: for a register named there, only these bits are written.
+        """
+        writes = [register_write(name, value) for name, value in values.items()]
+        masked = [
+            replace(write, mask=masks[write.name]) if masks and write.name in masks else write for write in writes
+        ]
+        call = calls.write_registers({}, caller.lease)
+        return self._ask(caller, replace(call, request=WriteReg(tuple(masked), caller.lease)))
+
+    def writer(self, caller: Caller, stream: str) -> FrameWriter:
+        """Frames towards the hardware; the caller closes it."""
+        return FrameWriter(self.board(caller), stream, caller.lease)
+
+    def close(self) -> None:
+        """Disconnect, and free who waits; twice is fine."""
+        self._connections.close()

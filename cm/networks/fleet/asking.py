@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Queries over zenoh, awaited; answers and errors, each with its board."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass
+from typing import Any
+
+from cm.errors import InvalidRequest
+from cm.networks.fleet import names
+from cm.networks.fleet.network import zenoh_module
+from cm.networks.fleet.presence import Presence
+from cm.wire import fleet as wire
+from cm.wire.messages.status import ErrorInfo
+
+ABSENT = "no_answer"
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What a board answered: a message, or data with the message beside it; or an error."""
+
+    board: str
+    key: str
+    payload: bytes
+    attachment: bytes = b""
+    error: ErrorInfo | None = None
+
+
+def absent(there: bool) -> ErrorInfo:
+    """Why a board did not answer: a denied query looks like an absent board, so this says what can be told apart."""
+    if there:
+        return ErrorInfo(
+            ABSENT,
+            "it is in the fleet but did not answer: it hangs, is too slow, or the router's rules keep us off",
+        )
+    return ErrorInfo(ABSENT, "it is not in the fleet now")
+
+
+async def get(
+    session: Any, selector: str, payload: bytes = b"", attachment: bytes | None = None, timeout: float = 10.0
+) -> list[Answer]:
+    """All answers to a query, once all boards have answered or gone, or the time (seconds) is over."""
+    zenoh, loop = zenoh_module(), asyncio.get_running_loop()
+    found: list[Answer] = []
+    over: asyncio.Future[None] = loop.create_future()
+
+    def ended() -> None:
+        if not over.done():
+            over.set_result(None)
+
+    def in_loop(what: Callable[..., None], *arguments: Any) -> None:
+        with contextlib.suppress(RuntimeError):  # the loop has ended
+            loop.call_soon_threadsafe(what, *arguments)
+
+    handler = zenoh.handlers.Callback(
+        lambda reply: in_loop(found.append, _answer(reply)), lambda: in_loop(ended), indirect=True
+    )
+    session.get(
+        selector,
+        handler,
+        target=zenoh.QueryTarget.ALL,
+        consolidation=zenoh.ConsolidationMode.NONE,
+        payload=payload or None,
+        attachment=attachment,
+        timeout=timeout,
+    )
+    await over
+    return [answer for answer in found if answer.error is None or answer.error.message != "Timeout"]
+
+
+def _answer(reply: Any) -> Answer:
+    if reply.ok is not None:
+        attachment = bytes(reply.ok.attachment) if reply.ok.attachment is not None else b""
+        key = str(reply.ok.key_expr)
+        return Answer(names.board_of(key), key, bytes(reply.ok.payload), attachment)
+    data = bytes(reply.err.payload)
+    try:
+        error = wire.body(data)
+    except InvalidRequest:
+        error = ErrorInfo("network", data.decode("utf-8", "replace"))
+    if not isinstance(error, ErrorInfo):
+        error = ErrorInfo("network", "an error without a reason")
+    board, colon, message = error.message.partition(": ")
+    return Answer(board, "", b"", error=ErrorInfo(error.code, message) if colon else error)
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """A publication: its key, its message, and data beside it. No message: the board is gone."""
+
+    board: str
+    key: str
+    payload: bytes | None
+    attachment: bytes = b""
+
+
+@contextlib.asynccontextmanager
+async def listening(
+    session: Any, expression: str, presence: Presence | None = None, waiting: int = 1000
+) -> AsyncIterator[AsyncIterator[Told]]:
+    """Publications, and with `presence` boards that go away. If more than `waiting` wait, the oldest are lost."""
+    loop = asyncio.get_running_loop()
+    queue: asyncio.Queue[Told] = asyncio.Queue()
+
+    def put(told: Told) -> None:
+        if queue.qsize() >= waiting:
+            queue.get_nowait()
+        queue.put_nowait(told)
+
+    def tell(told: Told) -> None:
+        with contextlib.suppress(RuntimeError):  # the loop has ended
+            loop.call_soon_threadsafe(put, told)
+
+    def came(sample: Any) -> None:
+        key = str(sample.key_expr)
+        attachment = bytes(sample.attachment) if sample.attachment is not None else b""
+        tell(Told(names.board_of(key), key, bytes(sample.payload), attachment))
+
+    def came_or_went(board: str, there: bool) -> None:
+        if not there:
+            tell(Told(board, names.key(board, "alive"), None))
+
+    async def each() -> AsyncIterator[Told]:
+        while True:
+            yield await queue.get()
+
+    subscriber = session.declare_subscriber(expression, came)
+    end = presence.listen(came_or_went) if presence else lambda: None
+    try:
+        yield each()
+    finally:
+        end()
+        subscriber.undeclare()

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Archives that the fleet sends: fetched part by part, checked, and put in force as ``cm import archive`` does it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cm.client.aio.relay import Relay
+from cm.client.core import calls
+from cm.client.errors import RequestNotFound
+from cm.errors import CmError
+from cm.networks.fleet.bridge.managed import ManagedBoard
+from cm.networks.fleet.bundles import Parts, fetched
+from cm.wire.messages.fleet import BundleState, FetchBundle
+from cm.wire.messages.status import ErrorInfo
+
+Import = Callable[[Path], tuple[str, str]]  # the archive → configuration, its signer (empty: none)
+_NO_CONFIG = "."  # no configuration has this name, so asking whether one may remove it changes nothing
+
+
+class NoBundles(CmError):
+    """This bridge takes no archives."""
+
+    code = "unsupported"
+
+
+@dataclass
+class Bundles:
+    """The archives of one board. `take` is None if it accepts none."""
+
+    session: Any
+    folder: Path
+    site: str
+    take: Import | None
+    relay: Relay
+    managed: ManagedBoard
+
+    async def fetch(self, bundle: FetchBundle, caller: str) -> BundleState:
+        """Fetch an archive and put it in force; if it cannot be had now, returns how much has arrived.
+
+        Raises a refusal.
+        """
+        if self.take is None:
+            raise NoBundles("this board's bridge takes no archives: start it with --import-to DIR")
+        await self._may(caller)
+        parts = Parts(self.folder / bundle.sha256)
+        try:
+            await asyncio.to_thread(fetched, self.session, self.site, bundle, parts)
+            config, signer = await asyncio.to_thread(self._put_in_force, bundle, parts)
+        except CmError as error:
+            problem = ErrorInfo(error.code, str(error))
+            return BundleState(bundle.sha256, bundle.length, parts.have(bundle), error=problem)
+        return BundleState(bundle.sha256, bundle.length, bundle.length, config, signer)
+
+    async def _may(self, caller: str) -> None:
+        """Whether the manager's policy lets the caller provision. Raises RequestForbidden."""
+        with contextlib.suppress(RequestNotFound):
+            await self.relay.ask(calls.remove_config(_NO_CONFIG, ""), self.managed.guest(caller))
+
+    def _put_in_force(self, bundle: FetchBundle, parts: Parts) -> tuple[str, str]:
+        assert self.take is not None
+        archive = parts.folder / f"{bundle.sha256}.tar"
+        try:
+            parts.joined(bundle, archive)
+            return self.take(archive)
+        finally:
+            shutil.rmtree(parts.folder, ignore_errors=True)

@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The bridge: one event loop between a manager and the fleet's network."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cm.client.aio.relay import Relay
+from cm.client.core import calls
+from cm.client.errors import NotAdmitted
+from cm.errors import Busy, CmError, NotFound
+from cm.networks.fleet import names
+from cm.networks.fleet.bridge import clock
+from cm.networks.fleet.bridge.asking import Network as Others
+from cm.networks.fleet.bridge.bundles import Bundles, Import
+from cm.networks.fleet.bridge.commands import Commands
+from cm.networks.fleet.bridge.managed import ManagedBoard
+from cm.networks.fleet.bridge.publishing import BEAT, Publications
+from cm.networks.fleet.bridge.queries import Queries
+from cm.networks.fleet.bridge.reading import Reader
+from cm.networks.fleet.bridge.records import Records
+from cm.networks.fleet.change.participant import Participant
+from cm.networks.fleet.network import Network, awaited
+from cm.wire import fleet as wire
+from cm.wire import topics
+from cm.wire.messages.fleet import ClockSync
+from cm.wire.messages.status import ErrorInfo
+
+_LOG = logging.getLogger("cm.fleet")
+_AGAIN = 1.0  # seconds between two tries to reach a manager
+_CLOCK = 10.0  # seconds between two checks of how well the clock is set
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What a bridge is started with; the first three are those of `cm.connect`."""
+
+    network: Network
+    state: Path
+    endpoint: str | None = None
+    runtime_dir: Path | None = None
+    keys: Path | None = None
+    name: str = ""  # of the board; empty: the manager's name for it
+    labels: tuple[str, ...] = ()
+    site: str = ""  # the site whose cache it fetches bundles from
+    own_name: bool = False  # make all requests in the bridge's own name
+    take: Import | None = None  # puts an archive in force; None: none are taken
+
+
+@dataclass
+class Bridge:
+    """Runs until it is cancelled."""
+
+    options: Options
+    ready: Callable[[str], None]
+    _status: bytes = b""
+    _clock: ClockSync = field(default_factory=ClockSync)
+
+    async def run(self) -> None:
+        """Raises NotAdmitted if the manager does not admit us, Busy if the board's name is taken."""
+        relay = await self._reach()
+        try:
+            board = names.check(self.options.name or (await relay.ask(calls.status())).board, "board")
+            over = threading.Event()
+            try:
+                network = await asyncio.to_thread(awaited, self.options.network, over, _LOG.warning)
+            finally:
+                over.set()
+            try:
+                await self._serve(board, relay, network)
+            finally:
+                await asyncio.to_thread(network.close)
+        finally:
+            await relay.close()
+
+    async def _reach(self) -> Relay:
+        said = ""
+        while True:
+            try:
+                relay = Relay(self.options.endpoint, self.options.runtime_dir, self.options.keys, self._manager_changed)
+            except NotFound as error:
+                said = _once(said, error)
+            else:
+                try:
+                    await relay.ask(calls.status())
+                    return relay
+                except NotAdmitted:
+                    await relay.close()
+                    raise
+                except CmError as error:
+                    said = _once(said, error)
+                    await relay.close()
+            await asyncio.sleep(_AGAIN)
+
+    def _manager_changed(self, up: bool) -> None:
+        self._status = b""
+        _LOG.info("the manager is %s", "there" if up else "away")
+
+    async def _serve(self, board: str, relay: Relay, network: Any) -> None:
+        await _alone(board, network, self.options.network.lease)
+        records = Records(self.options.state / board)
+        managed = ManagedBoard(relay, records, self.options.own_name)
+        self._participant = Participant(board, records, managed, Others(board, network), _now)
+        place = self.options.state / board / "bundles"
+        bundles = Bundles(network, place, self.options.site, self.options.take, relay, managed)
+        commands = Commands(relay, self._participant, managed, bundles.fetch)
+        reader = Reader(board, relay, lambda: self._status_now(relay))
+        publications = Publications(board, network, relay, self._with_extras)
+        queries = Queries(board, network, reader, commands)
+        self._clock = await asyncio.to_thread(clock.read)
+        token = network.liveliness().declare_token(names.key(board, "alive"))  # last: who sees it may ask
+        self.ready(board)
+        work = (self._listen(relay, publications), self._beat(publications, commands), self._look_at_clock())
+        tasks = [asyncio.create_task(each) for each in work]
+        try:
+            await asyncio.gather(*tasks)
+        finally:
+            token.undeclare()
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+            publications.end()
+            queries.end()
+
+    # ---- the status -----------------------------------------------------------------------
+
+    async def _status_now(self, relay: Relay) -> bytes:
+        if not self._status:
+            reply = wire.body((await relay.forward([topics.STATUS, b""], timeout=10.0))[1])
+            if isinstance(reply, ErrorInfo):
+                raise CmError(reply.message)
+            self._status = reply[1]
+        return self._with_extras()
+
+    def _with_extras(self) -> bytes:
+        clock_now = ClockSync(
+            self._clock.source, self._clock.synchronised, self._clock.error_ns, self._clock.reference, clock.now_ns()
+        )
+        return self._status + wire.extras(self.options.labels, clock_now, self._participant.record)
+
+    # ---- what goes on by itself -------------------------------------------------------------
+
+    async def _listen(self, relay: Relay, publications: Publications) -> None:
+        subscription = relay.subscribe(topics.STATUS, topics.READ_REG, topics.IRQ)
+        try:
+            while True:
+                frames = await subscription.receive(None)
+                if frames is not None and len(frames) > 1:
+                    self._told(frames, publications)
+        finally:
+            subscription.close()
+
+    def _told(self, frames: list[bytes], publications: Publications) -> None:
+        topic, message = frames[:2]
+        if topic == topics.STATUS:
+            self._status = message
+            publications.offer_streams(wire.stream_names(message))
+            publications.tell_status()
+        elif topic == topics.READ_REG:
+            publications.tell_registers(message)
+        elif topic == topics.IRQ:
+            publications.tell_interrupt(message)
+
+    async def _beat(self, publications: Publications, commands: Commands) -> None:
+        said = ""
+        while True:
+            problem = await commands.go_on()
+            if problem and problem != said:
+                _LOG.warning("the open change of the fleet: %s", problem)
+            said = problem
+            if self._status:
+                publications.beat()
+            await asyncio.sleep(BEAT)
+
+    async def _look_at_clock(self) -> None:
+        while True:
+            await asyncio.sleep(_CLOCK)
+            self._clock = await asyncio.to_thread(clock.read)
+
+
+def _once(before: str, error: CmError) -> str:
+    """Log the obstacle, but only when it changes, since this is called every second."""
+    if str(error) != before:
+        _LOG.warning("%s; it is tried again", error)
+    return str(error)
+
+
+def _now() -> float:
+    return clock.now_ns() / 1e9
+
+
+async def _alone(board: str, network: Any, lease: float) -> None:
+    """Two bridges with one name would both carry out a request. Raises Busy.
+
+    After a loss of power the old token stays for as long as a process may hang: `lease` seconds.
+    """
+    end = time.monotonic() + 1.5 * lease + 1
+    while await asyncio.to_thread(_is_there, board, network):
+        if time.monotonic() > end:
+            raise Busy(f"a board called {board!r} is in this fleet already: give this one another --name")
+        _LOG.warning("a board called %s is in this fleet: if that was this one, it will be gone soon", board)
+        await asyncio.sleep(_AGAIN)
+
+
+def _is_there(board: str, network: Any) -> bool:
+    replies = network.liveliness().get(names.key(board, "alive"), timeout=2.0)
+    return any(reply.ok is not None for reply in list(replies))
+
+
+def default_state() -> Path:
+    """The service's folder (`$STATE_DIRECTORY`), or else `$XDG_STATE_HOME`/cm/fleet, for root /var/lib/cm/fleet."""
+    if service := os.environ.get("STATE_DIRECTORY"):
+        return Path(service) / "fleet"
+    with suppress(AttributeError):
+        if os.geteuid() == 0:
+            return Path("/var/lib/cm/fleet")
+    home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(home) / "cm" / "fleet"

@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Archives in parts, each under its hash: offered by their sender, kept by a site's cache, fetched by boards."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cm.errors import CmError, NotFound
+from cm.networks.fleet import names
+from cm.wire.messages.fleet import FetchBundle
+
+PART = 1 << 20  # bytes
+_TIMEOUT = 20.0  # seconds for a part
+PATIENCE = 10.0  # seconds until all routers know a sender
+_AGAIN = 0.1
+_ORIGIN = "origin"
+_AT_ONCE = 8  # parts that a cache fetches or hands out at once
+
+
+class PartMissing(CmError):
+    """A part of an archive is offered by nobody, or does not match its hash."""
+
+    code = "part_missing"
+
+
+def described(archive: Path, part_length: int = PART) -> FetchBundle:
+    """The request to fetch an archive. Raises NotFound, OSError."""
+    if not archive.is_file():
+        raise NotFound(f"{archive}: there is no such file")
+    whole, parts, length = hashlib.sha256(), [], 0
+    with archive.open("rb") as file:
+        while block := file.read(part_length):
+            whole.update(block)
+            parts.append(hashlib.sha256(block).hexdigest())
+            length += len(block)
+    return FetchBundle(whole.hexdigest(), length, tuple(parts), part_length, archive.name)
+
+
+def part_key(place: str, sha256: str, part: str) -> str:
+    """`place`: "origin", or a site. Parts are named by their own hash, so that anyone may serve them."""
+    return f"{names.BUNDLES}/{place}/{sha256}/{part}"
+
+
+@contextmanager
+def offered(session: Any, archive: Path, bundle: FetchBundle) -> Iterator[Callable[[], int]]:
+    """Serve the parts of an archive on request; gives a function that says how many bytes have been sent so far."""
+    places = {part: number * bundle.part_length for number, part in enumerate(bundle.parts)}
+    sent = [0]
+
+    def answer(query: Any) -> None:
+        with query:
+            part = str(query.key_expr).split("/")[-1]
+            if part in places:
+                with archive.open("rb") as file:
+                    file.seek(places[part])
+                    data = file.read(bundle.part_length)
+                sent[0] += len(data)
+                query.reply(str(query.key_expr), data)
+
+    queryable = session.declare_queryable(part_key(_ORIGIN, bundle.sha256, "*"), answer, complete=True)
+    try:
+        yield lambda: sent[0]
+    finally:
+        queryable.undeclare()
+
+
+class Cache:
+    """A site's copy of archives: each part is fetched once, however many of its boards ask.
+
+    `fetched` and `handed` count bytes.
+    """
+
+    def __init__(self, session: Any, site: str, folder: Path) -> None:
+        self._session = session
+        self._folder = folder
+        self._threads = ThreadPoolExecutor(_AT_ONCE, "cm-cache")
+        self._locks: dict[str, threading.Lock] = {}
+        self._guard = threading.Lock()
+        self.fetched = 0
+        self.handed = 0
+        self._queryable = session.declare_queryable(part_key(site, "*", "*"), self._came, complete=True)
+
+    def close(self) -> None:
+        """Hand out nothing more."""
+        self._queryable.undeclare()
+        self._threads.shutdown(cancel_futures=True)
+
+    def _came(self, query: Any) -> None:
+        """In zenoh's thread, which must not wait for another query."""
+        self._threads.submit(self._answer, query)
+
+    def _answer(self, query: Any) -> None:
+        with query:
+            sha256, part = str(query.key_expr).split("/")[-2:]
+            if not (is_sha256(sha256) and is_sha256(part)):
+                return
+            data = self._part(sha256, part)
+            if data is not None:
+                query.reply(str(query.key_expr), data)
+                with self._guard:
+                    self.handed += len(data)
+
+    def _part(self, sha256: str, part: str) -> bytes | None:
+        """A query for a part that is being fetched already waits for it."""
+        parts = Parts(self._folder / sha256)
+        with self._guard:
+            lock = self._locks.setdefault(part, threading.Lock())
+        with lock:
+            data = parts.get(part)
+            if data is None:
+                data = asked(self._session, part_key(_ORIGIN, sha256, part), part)
+                if data is not None:
+                    parts.put(part, data)
+                    with self._guard:
+                        self.fetched += len(data)
+        with self._guard:
+            self._locks.pop(part, None)
+        return data
+
+
+def is_sha256(text: str) -> bool:
+    """Whether a text can be one: it becomes a file's name."""
+    return len(text) == 64 and set(text) <= set("0123456789abcdef")
+
+
+def asked(session: Any, key: str, sha256: str) -> bytes | None:
+    """A part from anyone who has it; None if nobody answers with one that matches the hash."""
+    for reply in session.get(key, timeout=_TIMEOUT):
+        data = bytes(reply.ok.payload) if reply.ok is not None else b""
+        if hashlib.sha256(data).hexdigest() == sha256:
+            return data
+    return None
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """Parts on disk, each checked before it gets its name, so that existing ones are right even after a crash."""
+
+    folder: Path
+
+    def get(self, part: str) -> bytes | None:
+        """A part, if it exists and still matches its name."""
+        with suppress(FileNotFoundError):
+            data = (self.folder / part).read_bytes()
+            if hashlib.sha256(data).hexdigest() == part:
+                return data
+        return None
+
+    def put(self, part: str, data: bytes) -> None:
+        """Keep a part. Raises OSError."""
+        self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        handle, path = tempfile.mkstemp(prefix=".new-", dir=self.folder)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            Path(path).rename(self.folder / part)
+        except BaseException:
+            Path(path).unlink(missing_ok=True)
+            raise
+
+    def have(self, bundle: FetchBundle) -> int:
+        """How many bytes of an archive are there."""
+        sizes = []
+        for part in bundle.parts:
+            with suppress(FileNotFoundError):
+                sizes.append((self.folder / part).stat().st_size)
+        return sum(sizes)
+
+    def joined(self, bundle: FetchBundle, path: Path) -> None:
+        """The archive as one file, after checking its hash. Raises PartMissing, OSError."""
+        whole = hashlib.sha256()
+        with path.open("wb") as file:
+            for part in bundle.parts:
+                data = self.get(part)
+                if data is None:
+                    raise PartMissing(f"{bundle.name}: part {part[:12]} is gone, or was changed on the disk")
+                whole.update(data)
+                file.write(data)
+        if whole.hexdigest() != bundle.sha256:
+            raise PartMissing(f"{bundle.name}: its parts do not make the archive that was announced (sha256)")
+
+
+def fetched(session: Any, site: str, bundle: FetchBundle, parts: Parts, patience: float = PATIENCE) -> None:
+    """Get what is not there yet: from the site's cache if there is one, else from the sender.
+
+    The sender has only just begun, and routers learn of it one after the other: an unanswered query is repeated for
+    `patience` seconds. Raises PartMissing; parts that have come are kept, and not fetched again.
+    """
+    places = [site, _ORIGIN] if site else [_ORIGIN]
+    for part in bundle.parts:
+        if parts.get(part) is not None:
+            continue
+        data = _from_one_of(session, [part_key(place, bundle.sha256, part) for place in places], part, patience)
+        if data is None:
+            raise PartMissing(f"{bundle.name}: nobody offers part {part[:12]} ({parts.have(bundle)} bytes are here)")
+        parts.put(part, data)
+
+
+def _from_one_of(session: Any, keys: list[str], part: str, patience: float) -> bytes | None:
+    end = time.monotonic() + patience
+    while True:
+        for key in keys:
+            data = asked(session, key, part)
+            if data is not None:
+                return data
+        if time.monotonic() >= end:
+            return None
+        time.sleep(_AGAIN)

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The folder of ``cm fleet keys``: the authority, the list of members, and a file of zenoh's settings for each.
+
+A member's file holds its key, its certificate and where the router is: it is all that the member needs, and nobody
+else may read it. The router's file has the rules, and is written anew with each change of the members.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from cm.errors import Busy, InvalidRequest, NotFound
+from cm.networks.fleet import names
+from cm.networks.fleet.security.certificates import Identity, authority, issued
+from cm.networks.fleet.security.rules import Member, access_control, verbs_of
+
+_MEMBERS, _CA, _CA_KEY, ROUTER = "members.json", "ca.pem", "ca.key", "router"
+_RESERVED = frozenset(("ca", ROUTER, "members", names.NOBODY))
+
+
+@dataclass(frozen=True, slots=True)
+class KeyFolder:
+    """One fleet's."""
+
+    folder: Path
+
+    # ---- what it is asked for ---------------------------------------------------------------
+
+    def create(self, hosts: tuple[str, ...], port: int, days: int) -> Path:
+        """Make a new fleet: its authority, and the router's file. `hosts`: the names by which the router is reached.
+
+        Raises Busy if there is one already.
+        """
+        if (self.folder / _MEMBERS).exists():
+            raise Busy(f"{self.folder} has the keys of a fleet already")
+        if not hosts:
+            raise InvalidRequest("say by which --host names or addresses the router is reached")
+        self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        ca = authority(f"cm fleet of {hosts[0]}")
+        _write(self.folder / _CA_KEY, ca.key, 0o600)
+        _write(self.folder / _CA, ca.certificate, 0o644)
+        endpoint = f"tls/{hosts[0]}:{port}"
+        identity = issued(ca, ROUTER, days, hosts)
+        self._save(endpoint, ())
+        return self._write_router(port, identity)
+
+    def add(self, member: Member, days: int) -> Path:
+        """A certificate for a member, in a file of its own. Raises InvalidRequest, Busy for a name that is taken."""
+        names.check(member.name, member.kind)
+        if member.name in _RESERVED or not member.name.isascii():
+            raise InvalidRequest(f"{member.name!r} cannot be the name of a {member.kind}: take another")
+        verbs_of(member.role)
+        endpoint, members = self._load()
+        if member.name in {other.name for other in members}:
+            raise Busy(f"{member.name} has a certificate already; `remove` it first, and it is worth nothing any more")
+        identity = issued(self._authority(), member.name, days)
+        path = self.folder / f"{member.name}.json5"
+        _write(path, _json(_member_settings(member, identity, self._ca(), endpoint)), 0o600)
+        self._save(endpoint, (*members, member))
+        self._rewrite_router()
+        return path
+
+    def remove(self, name: str) -> None:
+        """Remove a member's rights: its certificate then means nothing to the router. Raises NotFound."""
+        endpoint, members = self._load()
+        left = tuple(member for member in members if member.name != name)
+        if len(left) == len(members):
+            raise NotFound(f"nobody has the name {name}; there are {', '.join(m.name for m in members) or 'none'}")
+        self._save(endpoint, left)
+        self._rewrite_router()
+        (self.folder / f"{name}.json5").unlink(missing_ok=True)
+
+    def members(self) -> tuple[Member, ...]:
+        """The members that have a certificate. Raises NotFound."""
+        return self._load()[1]
+
+    # ---- files ------------------------------------------------------------------------------
+
+    def _load(self) -> tuple[str, tuple[Member, ...]]:
+        try:
+            said = json.loads((self.folder / _MEMBERS).read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise NotFound(f"{self.folder} has no keys of a fleet: begin with `cm fleet keys DIR router`") from None
+        return said["router"], tuple(Member(**{**m, "boards": tuple(m["boards"])}) for m in said["members"])
+
+    def _save(self, endpoint: str, members: Iterable[Member]) -> None:
+        text = json.dumps({"router": endpoint, "members": [asdict(m) for m in members]}, indent=2)
+        _write(self.folder / _MEMBERS, text.encode(), 0o600)
+
+    def _authority(self) -> Identity:
+        return Identity(self._ca(), (self.folder / _CA_KEY).read_bytes())
+
+    def _ca(self) -> bytes:
+        return (self.folder / _CA).read_bytes()
+
+    def _write_router(self, port: int, identity: Identity) -> Path:
+        settings = {
+            "mode": "router",
+            "listen": {"endpoints": [f"tls/[::]:{port}"]},
+            "scouting": {"multicast": {"enabled": False}},
+            "transport": {"link": {"tls": _tls("listen", identity, self._ca())}},
+            "access_control": access_control(()),
+        }
+        path = self.folder / f"{ROUTER}.json5"
+        _write(path, _json(settings), 0o600)
+        self._rewrite_router()
+        return path
+
+    def _rewrite_router(self) -> None:
+        path = self.folder / f"{ROUTER}.json5"
+        settings = json.loads(path.read_bytes())
+        nobody = Member(names.NOBODY, "client", boards=(names.NOBODY,))  # gives rules before there are members
+        settings["access_control"] = access_control(self._load()[1] or (nobody,))
+        _write(path, _json(settings), 0o600)
+
+
+def _member_settings(member: Member, identity: Identity, ca: bytes, endpoint: str) -> dict[str, Any]:
+    return {
+        "mode": "client",
+        "metadata": {"name": member.name, "kind": member.kind},
+        "connect": {"endpoints": [endpoint], "timeout_ms": 3000},
+        "scouting": {"multicast": {"enabled": False}},
+        "transport": {"link": {"tls": _tls("connect", identity, ca)}},
+    }
+
+
+def _tls(end: str, identity: Identity, ca: bytes) -> dict[str, Any]:
+    return {
+        "enable_mtls": True,
+        "root_ca_certificate_base64": _base64(ca),
+        f"{end}_certificate_base64": _base64(identity.certificate),
+        f"{end}_private_key_base64": _base64(identity.key),
+    }
+
+
+def _base64(data: bytes) -> str:
+    return base64.b64encode(data).decode()
+
+
+def _json(settings: dict[str, Any]) -> bytes:
+    return json.dumps(settings, indent=2).encode() + b"\n"
+
+
+def _write(path: Path, data: bytes, mode: int) -> None:
+    """Write a file in one step; it is never readable by more users than `mode` allows."""
+    aside = path.with_name(f".{path.name}.new")
+    aside.unlink(missing_ok=True)
+    handle = os.open(aside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, mode)
+    with os.fdopen(handle, "wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+    aside.rename(path)

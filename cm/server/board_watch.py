@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether the board is there, and still the same one: it may go, or be restarted, while the manager runs."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+
+from cm.device import DeviceGone
+from cm.errors import CmError
+from cm.manager.manager import Manager
+from cm.server.host.sleep import Sleep
+from cm.server.interrupts import InterruptWatch
+from cm.server.streams.registry import Streams
+
+_LOG = logging.getLogger("cm")
+
+
+class BoardWatch:
+    """Compares boot ids now and then, and is told of errors. The loop's thread."""
+
+    def __init__(
+        self,
+        boot_id: Callable[[], str],
+        manager: Manager,
+        streams: Streams,
+        interrupts: InterruptWatch,
+        begin: Callable[[], None],
+    ) -> None:
+        """`begin` is called when a board that was started anew can be used."""
+        self._boot_id = boot_id
+        self._manager = manager
+        self._streams = streams
+        self._interrupts = interrupts
+        self._begin = begin
+        self._sleep = Sleep()
+        self._known = ""
+
+    def begin(self) -> None:
+        """Remember the board as it is now."""
+        self._known = self._boot_id()
+        self._interrupts.watch(self._manager.loaded_config())
+        self._begin()
+
+    def noticed(self, error: Exception) -> None:
+        """A request met an error; if the board has gone, nothing is known of it any more."""
+        if isinstance(error, DeviceGone):
+            self._manager.board_lost(error)
+
+    def look(self) -> None:
+        """Deal with a board that was restarted, or that slept; called now and then."""
+        self._look_for_restart()
+        self._look_for_sleep()
+
+    def _look_for_restart(self) -> None:
+        """A restarted board holds nothing of what is recorded."""
+        boot_id = self._boot_id()
+        if boot_id == self._known or not boot_id or self._manager.status().fpga_busy:
+            return
+        self._streams.close()
+        self._interrupts.close()
+        try:
+            self._manager.board_restarted()
+        except (CmError, OSError) as error:
+            _LOG.info("the board is back but does not answer yet: %s", error)
+            return
+        self._known = boot_id
+        self._begin()
+
+    def _look_for_sleep(self) -> None:
+        """While the machine slept, the PL may have been without power."""
+        if not self._sleep.slept() or self._manager.changing:
+            return
+        try:
+            self._manager.board_slept()
+        except (CmError, OSError) as error:
+            _LOG.warning("after the machine's sleep: %s", error)
+            return
+        self._sleep.noted()

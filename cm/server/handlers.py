@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One handler per kind of request: from a frozen request to calls of manager and streams, and a reply."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TypeVar
+
+from cm.errors import CmError
+from cm.manager.access.lease_scopes import check_scope_names_something
+from cm.manager.errors import UnknownInterrupt
+from cm.manager.execution.worker import Change
+from cm.manager.manager import Manager
+from cm.manager.planning.goals import hint
+from cm.schema.model import Config
+from cm.server.board_watch import BoardWatch
+from cm.server.client_jobs import ClientJobs, Result
+from cm.server.config_handlers import Description, SentConfigs
+from cm.server.connections import Connections
+from cm.server.data_handlers import DataHandlers
+from cm.server.host.provision import Provisioner
+from cm.server.intake import Intake
+from cm.server.interrupts import InterruptWatch
+from cm.server.lease_watch import LeaseWatch
+from cm.server.loop import Loop
+from cm.server.memory_transfers import MemoryTransfers
+from cm.server.pieces import Pieces
+from cm.server.register_handlers import RegisterHandlers
+from cm.server.replies import Respond, refusal
+from cm.server.rights.gate import Gate
+from cm.server.sessions import Sessions
+from cm.server.shares.budget import Budget
+from cm.server.shares.places import Places
+from cm.server.shares.registry import with_holdings
+from cm.server.streams.registry import Streams
+from cm.wire.messages import requests as rq
+from cm.wire.messages.status import ChangeInfo, Reply, Status
+
+_T = TypeVar("_T")
+Began = Callable[[Change], Callable[[], None]]
+
+
+_LEASES = (rq.TakeLease, rq.RenewLease, rq.ReleaseLease, rq.BreakLease)
+_OF_CLIENTS = frozenset(
+    {rq.ReadReg, rq.WriteReg, rq.ReadData, rq.WriteData, rq.Upload, rq.PlanChange, rq.ReadConfig, *_LEASES}
+)  # done by turns
+_STORES = frozenset({rq.Provision, rq.RemoveConfig})
+_UPLOADED = frozenset({rq.Provision, rq.WriteData})  # their data may have been uploaded before
+
+
+@dataclass(frozen=True, slots=True)
+class Services:
+    """What the handlers work with."""
+
+    loop: Loop
+    manager: Manager
+    streams: Streams
+    interrupts: InterruptWatch
+    provisioner: Provisioner
+    leases: LeaseWatch
+    memories: MemoryTransfers
+    board: BoardWatch
+    status: Callable[[], Status]
+    complete: Callable[[Config], Config]  # adds what only the board knows
+    sessions: Sessions
+    pieces: Pieces
+    connections: Connections
+    jobs: ClientJobs  # for work that reads or writes files, so that the loop goes on
+    changes: Places  # in the queue of changes
+
+
+class Handlers:
+    """Dispatches requests. `respond` is called exactly once, now or later, in the loop's thread."""
+
+    def __init__(self, services: Services) -> None:
+        self._s = services
+        self._sent = SentConfigs(services.manager, services.provisioner, services.sessions)
+        self.table: dict[type, Callable[..., None]] = {
+            rq.ReadStatus: self._read_status,
+            rq.ReadConfig: self._read_config,
+            rq.ListConfigs: self._list_configs,
+            rq.PlanChange: self._plan_change,
+            rq.ChangeMode: self._change_mode,
+            rq.CancelChange: self._cancel_change,
+            rq.Provision: self._provision,
+            rq.RemoveConfig: self._remove_config,
+            rq.Upload: self._upload,
+            rq.ReadIrq: self._read_irq,
+            rq.TakeLease: self._lease,
+            rq.RenewLease: self._lease,
+            rq.ReleaseLease: self._lease,
+            rq.BreakLease: self._lease,
+            **RegisterHandlers(services.manager, services.pieces, services.board).table,
+            **DataHandlers(services.manager, services.streams, services.memories, services.board).table,
+        }
+
+    @property
+    def gate(self) -> Gate:
+        """Who may do what."""
+        return self._s.sessions.gate
+
+    @property
+    def intake(self) -> Intake:
+        """Where requests wait for their turn."""
+        return self._s.connections.intake
+
+    def handle(self, connection: str, request: rq.Request, respond: Respond, began: Began) -> None:
+        """Carry out a request from a connection; whatever goes wrong becomes an error reply.
+
+        A change that it requests is passed to `began`; what that returns is called when the change has ended.
+        """
+        kind = type(request)
+        try:
+            request = self._s.sessions.gate.admit(connection, request, self._s.sessions.scene)
+            if kind in _UPLOADED:
+                request = self._s.connections.uploads.filled_in(self._s.connections.budgets.of(connection), request)
+        except CmError as error:
+            respond(refusal(error))
+            return
+        try:
+            if kind in _OF_CLIENTS:
+                self.table[kind](request, respond, self._s.connections.budgets.of(connection))
+            elif kind is rq.ChangeMode:
+                self._change_mode(request, respond, began, connection)  # type: ignore[arg-type]
+            elif kind in _STORES:
+                self.table[kind](request, respond, began, connection)
+            else:
+                self.table[kind](request, respond)
+        except Exception as error:  # noqa: BLE001 (every request gets an answer)
+            self._failed(error, respond)
+
+    def _failed(self, error: Exception, respond: Respond) -> None:
+        self._s.board.noticed(error)
+        respond(refusal(error))
+
+    def _guarded(self, call: Callable[[], None], respond: Respond) -> None:
+        try:
+            call()
+        except Exception as error:  # noqa: BLE001 (every request gets an answer)
+            self._failed(error, respond)
+
+    def _run_job(self, client: Budget, work: Callable[[], _T], then: Callable[[_T], None], respond: Respond) -> None:
+        """Do `work` in another thread and continue with `then` in the loop's."""
+
+        def finish(result: Result[_T]) -> None:
+            self._guarded(lambda: then(result()), respond)
+
+        self._s.jobs.submit(client, work, finish)
+
+    # ---- status and configurations ------------------------------------------------------
+
+    def _read_status(self, request: rq.ReadStatus, respond: Respond) -> None:
+        status = self._s.status()
+        if request.clients:
+            held = status.leases, status.streams, self._s.streams.allocated()
+            status = replace(status, clients=with_holdings(self._s.connections.budgets.snapshot(), *held))
+        respond(Reply(status))
+        self._s.manager.reporter.was_read()
+
+    def _read_config(self, request: rq.ReadConfig, respond: Respond, client: Budget) -> None:
+        counts = dict(self._s.interrupts.counts)
+        description = Description(self._s.manager, self._s.memories, request.config_name, counts)
+        if description.is_long:
+            self._run_job(client, description.encoded, lambda made: respond(Reply(encoded=made)), respond)
+        else:
+            respond(Reply(description.info()))
+
+    def _list_configs(self, _: rq.ListConfigs, respond: Respond) -> None:
+        respond(Reply(self._sent.listed()))
+
+    def _plan_change(self, request: rq.PlanChange, respond: Respond, client: Budget) -> None:
+        change = rq.ChangeMode(request.config_name, request.mode)
+        self._run_job(client, lambda: self._s.manager.plan(change), lambda plan: respond(Reply(plan)), respond)
+
+    def _change_mode(self, request: rq.ChangeMode, respond: Respond, began: Began, connection: str) -> None:
+        give_back = self._s.changes.take(self._s.connections.budgets.of(connection))
+        ends = [give_back]
+
+        def ended(change: Change) -> None:
+            if not request.no_wait:
+                respond(change.reply())
+            for end in ends:
+                end()
+
+        try:
+            change = self._s.manager.submit(request, lambda c: self._s.loop.call_threadsafe(partial(ended, c)))
+        except BaseException:
+            give_back()
+            raise
+        ends.append(began(change))  # its end is reported in a later turn of the loop
+        if request.no_wait:
+            respond(Reply(ChangeInfo(change.number, done=False)))
+
+    def _cancel_change(self, _: rq.CancelChange, respond: Respond) -> None:
+        self._s.manager.cancel()
+        respond(Reply(self._s.status()))
+
+    def _provision(self, request: rq.Provision, respond: Respond, began: Began, connection: str) -> None:
+        self._s.manager.leases.check(("config",), request.lease)
+        whose = self._sent.allowed(connection), self._sent.sender(connection)
+        store = partial(self._s.provisioner.store, request.schema, request.files, *whose)
+        client = self._s.connections.budgets.of(connection)
+        then = partial(self._provisioned, request, respond, began, connection)
+        self._run_job(client, store, then, respond)
+
+    def _provisioned(
+        self, request: rq.Provision, respond: Respond, began: Began, connection: str, config: Config
+    ) -> None:
+        self._s.manager.add_config(self._s.complete(config))
+        if request.change is None:
+            self._read_config(rq.ReadConfig(config.name), respond, self._s.connections.budgets.of(connection))
+        else:
+            self._change_mode(replace(request.change, config_name=config.name), respond, began, connection)
+
+    def _remove_config(self, request: rq.RemoveConfig, respond: Respond, _: Began, connection: str) -> None:
+        self._s.manager.leases.check(("config",), request.lease)
+        self._sent.check_removable(request.config_name)
+        remove = partial(self._s.provisioner.remove, request.config_name, self._sent.sender(connection))
+        client = self._s.connections.budgets.of(connection)
+        self._run_job(client, remove, lambda _: self._removed(request.config_name, respond), respond)
+
+    def _removed(self, name: str, respond: Respond) -> None:
+        self._s.manager.forget_config(name)
+        respond(Reply(self._sent.listed()))
+
+    def _upload(self, request: rq.Upload, respond: Respond, client: Budget) -> None:
+        respond(Reply(self._s.connections.uploads.take(client, request)))
+
+    # ---- interrupts and leases ------------------------------------------------------------
+
+    def _read_irq(self, request: rq.ReadIrq, respond: Respond) -> None:
+        config = self._s.manager.loaded_config()
+        known = config.interrupts if config else {}
+        if request.name not in known:
+            raise UnknownInterrupt(f"no interrupt {request.name!r}{hint(request.name, known)}")
+        respond(Reply(self._s.interrupts.latest(request.name)))
+
+    def _lease(
+        self, request: rq.TakeLease | rq.RenewLease | rq.ReleaseLease | rq.BreakLease, respond: Respond, client: Budget
+    ) -> None:
+        if isinstance(request, rq.TakeLease):
+            manager = self._s.manager
+            defined = [memory.name for memory in manager.memories.defined()]
+            check_scope_names_something(request.scope, manager.configs.values(), defined)
+        self._s.leases.check_process(request)
+        info = self._s.manager.leases.request(request, client.name)
+        self._s.leases.follow(info, request, client.name)
+        respond(Reply(info))

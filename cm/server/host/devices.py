@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The board's devices for the manager: opened when first needed, kept, and closed together."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+from cm.device import AxiDma, FpgaManager, GpioLine, Icap, Overlays, PlClocks, Root, Uio, find_uio, list_icap, list_uio
+from cm.manager.ports import Window
+from cm.server.host.memory import DeviceMemory, device_memory, port_memory
+
+_BOOT_ID = "proc/sys/kernel/random/boot_id"
+
+
+class BoardDevices:
+    """`cm.manager.ports.Devices` over `cm.device`. Both threads of the daemon use it."""
+
+    def __init__(self, root: Root) -> None:
+        self._root = root
+        self._lock = threading.RLock()
+        self._uios: dict[str, Uio] = {}
+        self._icaps: dict[str, Icap] = {}
+        self._lines: dict[tuple[str, int], GpioLine] = {}
+
+    @property
+    def root(self) -> Path:
+        """Where the board's /dev and /sys begin."""
+        return self._root.join()
+
+    def boot_id(self) -> str:
+        """The kernel's boot id (the simulated board has its own); empty if it cannot be read."""
+        try:
+            return (self.root / _BOOT_ID).read_text(encoding="ascii").strip()
+        except OSError:
+            return ""
+
+    def window(self, address: int, width: int) -> Window:
+        """Where a register is mapped. Raises DeviceNotFound with the windows that there are."""
+        with self._lock:
+            info, index = find_uio(address, width // 8, self._root)
+            uio = self.uio(info.node)
+            return Window(uio, index, address - uio.maps[index].address)
+
+    def uio(self, name: str) -> Uio:
+        """An open UIO device, by its node's or its own name."""
+        with self._lock:
+            found = self._uios.get(name)
+            if found is None:
+                found = self._uios[name] = Uio.open(name, self._root)
+            return found
+
+    def icap(self, name: str | None) -> Icap:
+        """An open configuration port; ``cm_icap0`` if no name is given."""
+        name = name or "cm_icap0"
+        with self._lock:
+            found = self._icaps.get(name)
+            if found is None:
+                found = self._icaps[name] = Icap.open(name, self._root)
+            return found
+
+    def gpio(self, chip: str, line: int) -> GpioLine:
+        """A line of a GPIO chip, held until the board is lost: given back, it may change."""
+        with self._lock:
+            found = self._lines.get((chip, line))
+            if found is None:
+                found = self._lines[chip, line] = GpioLine.open(chip, line, self._root)
+            return found
+
+    def fpga_manager(self, name: str | None) -> FpgaManager:
+        """The kernel's FPGA manager: ``fpga0`` if no name is given."""
+        return FpgaManager(int((name or "fpga0").removeprefix("fpga")), self._root)
+
+    def overlays(self) -> Overlays:
+        """The overlays in configfs."""
+        return Overlays(self._root)
+
+    def clocks(self) -> PlClocks:
+        """The clocks of the processing system for the PL."""
+        return PlClocks(self._root)
+
+    def dma(self, channel: str) -> AxiDma:
+        """A DMA channel, opened anew: its handle belongs to the caller, who closes it."""
+        return AxiDma.open(channel, self._root)
+
+    def memory(self, length: int) -> DeviceMemory:
+        """Memory in one piece for masters in the PL. Raises DeviceError, NotFound."""
+        return device_memory(length, self._root)
+
+    def port_memory(self, length: int) -> DeviceMemory:
+        """Likewise, of a configuration port only. Any thread. Raises DeviceError."""
+        return port_memory(length, self._root)
+
+    def probe_dma(self, channel: str) -> int:
+        """A descriptor that polls readable once a silent channel answers again. Raises OSError."""
+        return AxiDma.probe(channel, self._root)
+
+    def check(self) -> None:
+        """Raise DeviceError if the board no longer answers: ask its ports, or open a window."""
+        ports = {*self._icaps, *list_icap(self._root)}
+        for name in sorted(ports):
+            self.icap(name).status()
+        for info in [] if ports else list_uio(self._root)[:1]:
+            Uio.open(info.node, self._root).close()
+
+    def forget(self) -> None:
+        """Close UIO handles; the next use opens them anew."""
+        with self._lock:
+            for handle in self._uios.values():
+                handle.close()
+            self._uios.clear()
+
+    def lost(self) -> None:
+        """Close everything; the next use opens it anew."""
+        self.forget()
+        with self._lock:
+            for handle in self._icaps.values():
+                handle.close()
+            self._icaps.clear()
+            for line in self._lines.values():
+                line.close()
+            self._lines.clear()

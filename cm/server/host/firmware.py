@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the kernel finds firmware, and files for it there.
+
+The kernel opens the file itself, by name, after it was checked here. So we search where the kernel does
+(drivers/base/firmware_loader/main.c: `fw_path`), and give it only our own copies, each named by the hash of what was
+validated, and compared before and after.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+
+from cm.errors import InvalidRequest
+from cm.formats.bitstream import Container, convert
+from cm.formats.bitstream.errors import BitstreamError, Sha256Mismatch
+from cm.manager.ports import Image
+from cm.server.folders import own_folder
+from cm.server.host.bitstreams import BitstreamReader
+
+_FIRMWARE = Path("lib/firmware")
+_CUSTOM = Path("sys/module/firmware_class/parameters/path")
+_CONVERTED = "cm-converted"
+_OURS = re.compile(r"[0-9a-f]{64}\.bin")
+_COPIES = 64
+
+
+class FirmwareFolder:
+    """The firmware below a root. `copies` is the folder for converted files, one that the kernel looks in.
+
+    By default it is the folder that the kernel was given (firmware_class.path), which a system with a read-only root
+    has on a tmpfs or a data partition, or else ``/lib/firmware``.
+    """
+
+    def __init__(self, root: Path, reader: BitstreamReader, copies: Path | None = None) -> None:
+        self._root = root
+        self.folder = root / _FIRMWARE
+        self._reader = reader
+        self._copies = copies
+
+    def place(self, name: str) -> Path:
+        """The file that the kernel opens for a name. Raises InvalidRequest for one that leaves the folder."""
+        parts = PurePosixPath(name)
+        if not name or parts.is_absolute() or ".." in parts.parts:
+            raise InvalidRequest(f"firmware name {name!r}: a path below /lib/firmware is expected")
+        places = [folder / name for folder in self._searched()]
+        return next((place for place in places if place.exists()), places[-1])
+
+    def _searched(self) -> Iterator[Path]:
+        custom = self._custom()
+        if custom is not None:
+            yield custom
+        release = os.uname().release
+        yield from (self.folder / "updates" / release, self.folder / "updates", self.folder / release)
+        yield self.folder
+
+    def private_name(self, image: Image) -> str:
+        """The name of our own copy of an image, whether or not it is there yet."""
+        return f"{_CONVERTED}/{image.sha256}.bin"
+
+    def _custom(self) -> Path | None:
+        """The folder that the kernel searches first, if it was given one."""
+        with contextlib.suppress(OSError, UnicodeDecodeError):
+            custom = (self._root / _CUSTOM).read_text(encoding="utf-8").strip()
+            if custom:
+                return self._root / custom.lstrip("/")
+        return None
+
+    def _writable(self) -> Path:
+        """The folder for copies. Raises InvalidRequest for one that the kernel does not search."""
+        if self._copies is None:
+            custom = self._custom()
+            return custom if custom is not None and os.access(custom, os.W_OK) else self.folder
+        if self._copies not in self._searched():
+            raise InvalidRequest(
+                f"firmware_dir {self._copies}: this kernel does not look there; tell it by firmware_class.path="
+                f"{self._copies} on its command line, or in /{_CUSTOM}"
+            )
+        return self._copies
+
+    def name_of(self, image: Image) -> str:
+        """A name under which the kernel finds the image as a word-swapped .bin: always our own copy of it.
+
+        Others may write to the file that was validated, between the check and the kernel's reading it.
+        Raises Sha256Mismatch if that file changed since and the copy has to be made yet.
+        """
+        self._copy(image)
+        name = self.private_name(image)
+        self.check(name, image)
+        return name
+
+    def check(self, name: str, image: Image) -> None:
+        """Raise Sha256Mismatch if the kernel would find other words under the name than were validated."""
+        place = self.place(name)
+        try:
+            same = self._reader.has_words_of(place, image)
+        except BitstreamError as error:
+            raise Sha256Mismatch(f"{place}: {error}; the kernel would load it for {image.path}") from error
+        if not same:
+            raise Sha256Mismatch(f"{place}: not the bitstream that was checked as {image.path}; ask again")
+
+    def _copy(self, image: Image) -> None:
+        """Make sure of a copy under the hash of what was validated; a damaged one is made again."""
+        base = self._writable()
+        folder = base / _CONVERTED
+        if folder.is_symlink():
+            raise InvalidRequest(f"{folder} is a symbolic link; copies are not written through one")
+        own_folder(folder, mode=0o755)  # the kernel reads from there, so no other user may write
+        target = base / self.private_name(image)
+        if not self._is_good(target, image):
+            _write(target, convert(self._reader.read(image), Container.BIN_SWAPPED))
+        _prune(folder, target)
+
+    def _is_good(self, target: Path, image: Image) -> bool:
+        try:
+            return not target.is_symlink() and self._reader.has_words_of(target, image)
+        except (BitstreamError, FileNotFoundError):
+            return False
+
+
+def _write(target: Path, data: bytes) -> None:
+    """Write whole or not at all, even at a loss of power; never through a link."""
+    import tempfile  # 1 MiB, not needed without the kernel's firmware loader
+
+    descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=".", suffix=".new")
+    new = Path(name)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fchmod(descriptor, 0o644)
+            os.fsync(descriptor)
+        new.replace(target)
+    except BaseException:
+        new.unlink(missing_ok=True)
+        raise
+
+
+def _prune(folder: Path, used: Path) -> None:
+    """Keep the most recently used copies: others are made again when needed.
+
+    File times are only compared with each other, since a board without a clock begins in 1970.
+    """
+    others = [path for path in folder.iterdir() if _OURS.fullmatch(path.name) and path != used]
+    ages = {path: path.lstat().st_mtime_ns for path in others}
+    newest = max(ages.values(), default=0) + 1
+    if used.stat().st_mtime_ns < newest:
+        os.utime(used, ns=(newest, newest))
+    for old in sorted(others, key=ages.__getitem__, reverse=True)[_COPIES - 1 :]:
+        old.unlink(missing_ok=True)
+    for half in folder.glob(".*.new"):  # of a run that was killed
+        half.unlink(missing_ok=True)

@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Configurations that arrive over the wire: a schema with its files, stored whole or not at all."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from cm.errors import CmError, InvalidRequest
+from cm.manager.errors import UnknownConfig
+from cm.manager.planning.goals import listed
+from cm.schema import load, loads
+from cm.schema.model import Config
+from cm.server.folders import own_folder
+from cm.server.host.collector import keeping
+from cm.server.host.sent import (
+    CONFIGS_MAX,
+    OURSELVES,
+    SCHEMA_FILE,
+    SCHEMAS_ALL,
+    SCHEMAS_EACH,
+    NotTheirs,
+    Owned,
+    Quota,
+    QuotaExceeded,
+    Reserved,
+    Sender,
+    check_files,
+    check_paths,
+    room_for,
+)
+from cm.wire.messages.requests import File
+
+_LOG = logging.getLogger("cm")
+
+_SIGNED_ONLY = "policy.signatures requires signed configurations; bring it by `cm import archive`"
+_TAKEN = "that name is the administrator's, whose configurations no client replaces"
+_OWNER = ".owner"  # files that are sent have no names with this beginning
+
+
+class Provisioner:
+    """Keeps provisioned configurations below a folder, one subfolder each.
+
+    All but `stored_by` and `owned` is for one thread, which reads and writes files.
+    """
+
+    def __init__(self, folder: Path, unsigned: bool = True, quota: Quota = Quota()) -> None:  # noqa: B008 (frozen)
+        """`unsigned`: whether unsigned configurations may be used; those that come over the wire are never signed."""
+        self._folder = folder
+        self._unsigned = unsigned
+        self._quota = quota
+        self.reserved: frozenset[str] = frozenset()  # names of the administrator's configurations
+        self.owned: Mapping[str, Owned] = {}
+
+    def renew(self, quota: Quota) -> None:
+        """Apply another quota from now on; configurations that were sent stay."""
+        self._quota = quota
+
+    def stored(self) -> list[Path]:
+        """The schema files of all configurations that were provisioned."""
+        return sorted(path for path in self._folder.glob(f"*/{SCHEMA_FILE}") if not path.parent.name.startswith("."))
+
+    def configs(self) -> dict[str, Config]:
+        """All configurations that were provisioned, by name; one that cannot be read is left out and logged."""
+        found: dict[str, Config] = {}
+        stored = self.stored()
+        self.owned = {path.parent.name: _owned(path.parent) for path in stored}
+        if stored and not self._unsigned:
+            _LOG.error("%d provisioned configurations are left out: %s", len(stored), _SIGNED_ONLY)
+            return found
+        for path in stored:
+            try:
+                with keeping():
+                    config = load(path)
+            except CmError as error:
+                _LOG.error("a provisioned configuration is left out: %s", error)
+            else:
+                found[config.name] = config
+        return found
+
+    def standing(self, administrators: Mapping[str, Config], example: bool = False) -> dict[str, Config]:
+        """All configurations: the administrator's, and what clients sent under other names.
+
+        `example`: the former are the shipped ones, to experiment with; those that are sent replace them.
+        """
+        if example:
+            return {**administrators, **self.configs()}
+        self.reserved = frozenset(administrators)
+        sent = self.configs()
+        for name in sorted(sent.keys() & administrators.keys()):
+            _LOG.error("configuration %s that %s sent is left out: %s", name, self.owned[name].name, _TAKEN)
+        return {**sent, **administrators}
+
+    def store(
+        self,
+        schema: str,
+        files: tuple[File, ...],
+        allowed: Callable[[str], None] = lambda _: None,
+        sender: Sender = OURSELVES,
+    ) -> Config:
+        """Check the schema, and put it and its files in place of any configuration of that name.
+
+        Raises SchemaError, InvalidRequest (also if only signed ones are accepted), Reserved, NotTheirs, QuotaExceeded,
+        NoSpace, and what `allowed` raises for the configuration's name. The folder is written under another name and
+        renamed, so a killed manager leaves the old one or the new one.
+        """
+        if not self._unsigned:
+            raise InvalidRequest(f"a configuration over the wire is refused: {_SIGNED_ONLY}")
+        with keeping():
+            config = loads(schema)
+        check_paths(config)
+        self._check_owner(config.name, sender)
+        allowed(config.name)
+        check_files(config.name, files)
+        written = schema.encode()
+        self._check_quota(config.name, len(written) + sum(len(f.data) for f in files), len(written), sender)
+        with room_for(config.name):
+            own_folder(self._folder)
+            self._write(config.name, written, files, sender)
+        place = self._folder / config.name
+        self.owned = {**self.owned, config.name: _owned(place)}
+        return replace(config, source=place.absolute() / SCHEMA_FILE, sha256_source=hashlib.sha256(written).hexdigest())
+
+    def remove(self, name: str, sender: Sender) -> None:
+        """Remove a configuration that a client sent. Raises UnknownConfig, Reserved, NotTheirs."""
+        if name not in self.owned and name not in self.reserved:
+            raise UnknownConfig(f"no client sent a configuration {name!r}; there are {listed(self.owned)}")
+        self._check_owner(name, sender)
+        place, gone = self._folder / name, self._folder / f".{name}-removed"
+        place.rename(gone)
+        _sync(self._folder)
+        _remove(gone)
+        self.owned = {known: owned for known, owned in self.owned.items() if known != name}
+
+    def _check_owner(self, name: str, sender: Sender) -> None:
+        if name in self.reserved:
+            raise Reserved(f"configuration {name!r}: {_TAKEN}; send it under a name of its own")
+        owned = self.owned.get(name)
+        if owned is not None and not sender.admin and owned.account != sender.account:
+            raise NotTheirs(f"configuration {name!r} was sent by {owned.name}; only they and an admin may replace it")
+
+    def _check_quota(self, name: str, wanted: int, schema: int, sender: Sender) -> None:
+        others = [owned for known, owned in self.owned.items() if known != name]
+        own = [owned for owned in others if owned.account == sender.account]
+        on_disk, in_memory = [o.bytes for o in own], [o.schema for o in own]
+        all_on_disk, all_in_memory = [o.bytes for o in others], [o.schema for o in others]
+        for whose, held, more, limit in (
+            ("yours", on_disk, wanted, self._quota.each),
+            ("all clients'", all_on_disk, wanted, self._quota.all),
+            ("schemas of yours", in_memory, schema, SCHEMAS_EACH),
+            ("schemas of all clients'", all_in_memory, schema, SCHEMAS_ALL),
+        ):
+            if sum(held) + more > limit:
+                raise QuotaExceeded(
+                    f"configuration {name!r} has {more} bytes; {whose} would have {sum(held) + more} together, of "
+                    f"{limit}: remove some (cm config remove)"
+                )
+        if len(others) >= CONFIGS_MAX:
+            raise QuotaExceeded(f"clients have sent {CONFIGS_MAX} configurations already: remove some")
+
+    def _write(self, name: str, schema: bytes, files: tuple[File, ...], sender: Sender) -> None:
+        import tempfile  # with shutil 1 MiB, which most managers never need
+
+        new = Path(tempfile.mkdtemp(prefix=f".{name}-", dir=self._folder))
+        try:
+            _write(new / SCHEMA_FILE, schema)
+            _write(new / _OWNER, json.dumps({"account": sender.account, "name": sender.name}).encode())
+            for file in files:
+                _write(new / file.name, file.data)
+            _sync(new)
+            self._swap(new, self._folder / name)
+        except BaseException:
+            _remove(new)
+            raise
+
+    def _swap(self, new: Path, place: Path) -> None:
+        old = place.with_name(f".{place.name}.old")
+        _remove(old)
+        if place.exists():
+            place.rename(old)
+        new.rename(place)
+        _sync(self._folder)
+        _remove(old)
+
+    def recover(self) -> None:
+        """After a kill between the two renames: put the old configuration back; drop leftovers."""
+        for old in self._folder.glob(".*.old") if self._folder.exists() else ():
+            place = self._folder / old.name[1:].removesuffix(".old")
+            if place.exists():
+                _remove(old)
+            else:
+                old.rename(place)
+        for half in self._folder.glob(".*-*") if self._folder.exists() else ():
+            _remove(half)
+
+
+def _owned(folder: Path) -> Owned:
+    """The owner of a configuration; an admin if none was noted, as by older versions."""
+    try:
+        said = json.loads((folder / _OWNER).read_text("utf-8"))
+        account, name = str(said["account"]), str(said["name"])
+    except (OSError, ValueError, LookupError, TypeError):
+        account, name = "", "somebody"
+    sizes = {path.name: path.stat().st_size for path in folder.iterdir()}
+    return Owned(account, name, sum(sizes.values()), sizes.get(SCHEMA_FILE, 0))
+
+
+def _remove(folder: Path) -> None:
+    import shutil
+
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def _write(path: Path, data: bytes | memoryview) -> None:
+    """Write to the disk, not only to its cache: the renames that follow must not overtake the content."""
+    with path.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _sync(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

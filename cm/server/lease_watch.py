@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Watches the processes that hold leases: a lease ends with its holder."""
+
+from __future__ import annotations
+
+import errno
+import logging
+import os
+from typing import NoReturn
+
+from cm.errors import Busy, InvalidRequest
+from cm.manager.access.leases import Leases
+from cm.server.loop import Loop
+from cm.wire.messages.requests import BreakLease, ReleaseLease, RenewLease, TakeLease
+from cm.wire.messages.status import LeaseInfo
+
+_LOG = logging.getLogger("cm")
+_PID_MAX = 1 << 22  # PID_MAX_LIMIT of Linux
+_EXHAUSTED = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
+
+
+class Unwatched(Busy):
+    """There are no descriptors to watch the holder of a lease with."""
+
+    code = "lease_unwatched"
+
+
+class LeaseWatch:
+    """One pidfd for each lease that names a process of this machine."""
+
+    def __init__(self, loop: Loop, leases: Leases) -> None:
+        self._loop = loop
+        self._leases = leases
+        self._fds: dict[str, int] = {}
+
+    @staticmethod
+    def check_process(request: TakeLease | RenewLease | ReleaseLease | BreakLease) -> None:
+        """Raise InvalidRequest for a number that no process can have."""
+        if isinstance(request, (TakeLease, RenewLease)) and request.pid > _PID_MAX:
+            raise InvalidRequest(f"pid {request.pid}: no process has a number above {_PID_MAX}; 0: it is elsewhere")
+
+    def follow(
+        self, lease: LeaseInfo, request: TakeLease | RenewLease | ReleaseLease | BreakLease, client: str = ""
+    ) -> None:
+        """Follow a granted, renewed or returned lease. Raises Unwatched, and the lease has ended then."""
+        self._forget_ended()
+        if isinstance(request, BreakLease):
+            _LOG.warning("lease %d on %s, of %s, was broken by %s", request.number, lease.scope, lease.holder, client)
+        elif not isinstance(request, RenewLease):
+            done = "taken" if isinstance(request, TakeLease) else "given back"
+            _LOG.info("lease on %s %s by %s for %s", lease.scope, done, client, lease.holder)
+        if isinstance(request, (TakeLease, RenewLease)) and request.pid and lease.id not in self._fds:
+            self._open(lease.id, request.pid)
+
+    def _forget_ended(self) -> None:
+        """Close the descriptors of leases that were given back, or whose time is over."""
+        for lease in [lease for lease in self._fds if not self._leases.holds(lease)]:
+            self._forget(lease)
+
+    def _open(self, lease: str, pid: int) -> None:
+        try:
+            fd = os.pidfd_open(pid)
+        except ProcessLookupError:
+            self._leases.drop(lease)
+            return
+        except OSError as error:
+            if error.errno in _EXHAUSTED:
+                self._refuse(lease, error)
+            return  # no such call (Linux before 5.3), or not permitted: the time-out ends the lease
+        try:
+            self._loop.add(fd, lambda: self._died(lease))
+        except OSError as error:
+            os.close(fd)
+            self._refuse(lease, error)
+        self._fds[lease] = fd
+
+    def _refuse(self, lease: str, error: OSError) -> NoReturn:
+        """Refuse it: the holder's death would go unnoticed, so it could keep others out until its time is over."""
+        self._leases.drop(lease)
+        raise Unwatched(f"no lease now: its holder cannot be watched ({error.strerror})") from error
+
+    def _died(self, lease: str) -> None:
+        self._leases.drop(lease)
+        self._forget(lease)
+
+    def _forget(self, lease: str) -> None:
+        fd = self._fds.pop(lease, None)
+        if fd is not None:
+            self._loop.remove(fd)
+            os.close(fd)
+
+    def close(self) -> None:
+        """Stop watching."""
+        for lease in list(self._fds):
+            self._forget(lease)

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a daemon is to serve, as data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from cm.device import Root
+from cm.manager.manager import Settings
+from cm.schema.model import Config
+from cm.server.endpoints import Security
+from cm.server.host.reload import Reloaded
+from cm.server.host.sent import Quota
+from cm.server.limits import Limits
+from cm.server.queue_limit import BYTES
+from cm.server.rights.model import Access
+
+NO_METRICS = "they need prometheus-client: pip install 'fpga-cm[metrics]', or Debian's python3-prometheus-client"
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How to serve. `load` is ``config`` or ``config/mode``, entered at start where nothing is loaded."""
+
+    runtime_dir: Path
+    state_dir: Path
+    root: Root
+    configs: Mapping[str, Config]
+    listen: tuple[str, ...] = ()
+    security: Security | None = None
+    access: Access = Access()  # noqa: RUF009 (frozen)
+    group: int | None = None  # of the runtime folder and its sockets; None: that of this process
+    load: str = ""
+    metrics: str = ""  # where to serve them: PORT on this machine, or HOST:PORT
+    name: str = ""  # of the board, for people and to tell several apart; empty: that of its host
+    queue_bytes: int = BYTES  # of frames that may wait for one subscriber over ZeroMQ
+    firmware_dir: Path | None = None  # for copies that the kernel reads; None: where it looks anyway
+    quota: Quota = Quota()  # noqa: RUF009 (frozen)
+    example: bool = False  # `configs` are the shipped ones, which clients may replace
+    unsigned: bool = True  # whether clients may provision configurations, which cannot be signed
+    reload: Callable[[], Reloaded] | None = None  # reads schemas and settings again; None: there is nothing to read
+    changed: Callable[[], object] | None = None  # a value that changes when settings or keys do; read every second
+    settings: Settings = Settings()  # noqa: RUF009 (frozen)
+    limits: Limits = Limits()  # noqa: RUF009 (frozen)

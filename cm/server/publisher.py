@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the manager publishes on the XPUB socket: status, registers, interrupts and frames."""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import partial
+from typing import Any, Protocol
+
+import zmq
+from zmq import zmq_poll
+
+from cm._version import __version__
+from cm.device.native import guard
+from cm.server.loop import Loop, XpubSender
+from cm.server.queue_limit import BYTES, Kept
+from cm.server.streams.compression import Compressor, compressions
+from cm.server.streams.stream import Frame
+from cm.wire import encode, topics
+from cm.wire.messages.status import ErrorInfo, FrameInfo, Irq, RegValues, SensorStatus, Status
+from cm.wire.multipart import connection_of
+
+_LOG = logging.getLogger("cm")
+_AT_ONCE = 32  # subscriptions that are read before others get their turn
+TOPICS_EACH, TOPICS_ALL = 64 << 10, 1 << 20  # bytes of the topics of one connection, and of all
+_Owner = tuple[int, int, str]  # serial, descriptor and id of a connection
+_FRAME_TOPICS = (topics.READ_DATA, topics.DATA_READ)
+
+
+class Wires(Protocol):
+    """What is known about connections by their descriptors (`cm.device.native.guard`)."""
+
+    def serial(self, fd: int, /) -> int:
+        """The unique number of a connection; 0: the descriptor is not one."""
+
+    def cut(self, fd: int, /) -> None:
+        """End a connection; OSError if the descriptor is not one."""
+
+
+class Subscriptions:
+    """Topics with a subscriber; each counts for the connection that named it first.
+
+    A connection that names too many is ended, and if all together are too many, the one with most of them: libzmq keeps
+    a node for each byte as long as the connection lasts. Memory is freed as they go.
+    """
+
+    def __init__(self, wires: Wires) -> None:
+        self._wires = wires
+        self._owners: dict[bytes, _Owner] = {}
+        self._bytes: Counter[_Owner] = Counter()
+        self._peak = 0  # most topics since the table was last rebuilt
+
+    def add(self, topic: bytes, source: int, name: str = "") -> None:
+        """Add a subscription of a connection, which has this id."""
+        if topic in self._owners:
+            return
+        owner = self._owners[topic] = self._wires.serial(source), source, name
+        self._bytes[owner] += len(topic) + 1
+        self._peak = max(self._peak, len(self._owners))
+        if self._bytes[owner] > TOPICS_EACH:
+            self._end(owner)
+        elif self._bytes.total() > TOPICS_ALL:
+            self._end(max(self._bytes, key=self._bytes.__getitem__))
+
+    def _end(self, owner: _Owner) -> None:
+        """End a connection; its topics go as libzmq reports their end."""
+        if self._wires.serial(owner[1]) == owner[0]:
+            with suppress(OSError):
+                self._wires.cut(owner[1])
+
+    def discard(self, topic: bytes) -> str:
+        """The last subscription to it is gone; the id of the connection that it counted for."""
+        owner = self._owners.pop(topic, None)
+        if owner is None:
+            return ""
+        self._bytes[owner] -= len(topic) + 1
+        if not self._bytes[owner]:
+            del self._bytes[owner]
+        if len(self._owners) < self._peak // 8:  # a dict does not shrink by itself
+            self._owners, self._peak = dict(self._owners), len(self._owners)
+        return owner[2]
+
+    def covers(self, topic: bytes, least: int = 0) -> bool:
+        """Whether one of `least` bytes or more is a prefix of a topic; its time depends on the topic's length only."""
+        owners = self._owners
+        if topic in owners or not owners:
+            return bool(owners)
+        return any(topic[:length] in owners for length in range(least, len(topic)))
+
+
+class Publisher:
+    """Keeps track of subscriptions; numbers statuses. The loop's thread."""
+
+    def __init__(
+        self, loop: Loop, socket: zmq.Socket[bytes], board: str = "", wires: Wires = guard, limit: int = BYTES
+    ) -> None:
+        """`limit`: bytes of frames that may wait for one subscriber."""
+        self._socket = socket
+        self._coming: list[tuple[Any, int]] = [(socket, int(zmq.POLLIN))]  # subscriptions that were not taken yet
+        self._board = board or os.uname().nodename
+        self._sender = XpubSender(loop, socket)
+        self._compressor = Compressor(loop, self._compressed)
+        self._subscriptions = Subscriptions(wires)
+        self._overruns: Counter[str] = Counter()
+        self._kept = Kept(limit, socket.sndhwm, partial(guard.cut_slowest, guard.TOPICS))
+        self._started_ns = time.time_ns()
+        self._counting = threading.Lock()
+        self._last_logged = ""
+        self._sensors: tuple[SensorStatus, ...] = ()
+        self.sequence = 0
+
+    def take_subscriptions(self, came: Callable[[str], None] = lambda _: None) -> bool:
+        """Read some subscription messages; returns whether one wants the status, which it gets at once.
+
+        `came` is told the id of the connection of each, empty if that is not known.
+        """
+        wanted = False
+        for _ in range(_AT_ONCE):
+            try:
+                frame = self._socket.recv(zmq.NOBLOCK, copy=False)
+            except zmq.Again:
+                break
+            message, name = frame.bytes, connection_of(frame)
+            topic = message[1:]
+            if message[:1] == b"\x01":
+                self._subscriptions.add(topic, frame.get(zmq.SRCFD), name)
+                wanted = wanted or topics.STATUS.startswith(topic)
+            else:
+                owner = self._subscriptions.discard(topic)
+                name = name or owner  # at the end of a connection, libzmq does not say whose it was
+            came(name)
+        return wanted
+
+    def has_subscriber(self, topic: bytes) -> bool:
+        """Whether a topic has a subscriber."""
+        return self._subscriptions.covers(topic)
+
+    def wants_stream(self, name: str) -> bool:
+        """Whether a stream's frames have a subscriber."""
+        return self._wants_compressed(name) or any(map(self.has_subscriber, _topics(name)))
+
+    def _wants_compressed(self, name: str) -> bool:
+        """Only if the topic is named: a subscription to everything does not mean every form of a stream."""
+        return self._subscriptions.covers(topics.LZ4_PREFIX + name.encode(), len(topics.LZ4_PREFIX))
+
+    def overruns(self, stream: str) -> int:
+        """How often a subscriber began to lose a stream's frames."""
+        return self._overruns[stream]
+
+    def measured(self, sensors: tuple[SensorStatus, ...]) -> None:
+        """What the board's sensors say now; part of the statuses from here on. Any thread."""
+        self._sensors = sensors
+
+    def beside(self) -> dict[str, Any]:
+        """What only the daemon knows of a status, except streams and leases."""
+        return {
+            "sequence": self.sequence,
+            "version": __version__,
+            "started_ns": self._started_ns,
+            "board": self._board,
+            "realtime_offset_ns": time.time_ns() - time.monotonic_ns(),
+            "sensors": self._sensors,
+        }
+
+    def status(self, make: Callable[[], Status]) -> bool:
+        """Publish a status under a new number; False if none is made, as no one subscribes to it.
+
+        A change publishes a dozen, each of which takes longer to make and encode than the step that it reports. A new
+        subscriber gets one at once, so nothing is missed; the number still counts on.
+        """
+        if self.passes_over():
+            return False
+        self._count()
+        self._sender.send(encode.encode_status(make()))
+        return True
+
+    def passes_over(self) -> bool:
+        """Count a status that no one subscribes to; False if someone does. Any thread."""
+        if self.has_subscriber(topics.STATUS):
+            return False
+        self._count()
+        return True
+
+    def _count(self) -> None:
+        with self._counting:
+            self.sequence += 1
+
+    def log(self, error: ErrorInfo | None, change: int) -> None:
+        """Log the error of a status once, however often it is published; `change`: the last one's number."""
+        text = f"{error.code}: {error.message}" if error else ""
+        if error and text != self._last_logged:
+            _LOG.warning("%s", text, extra={"cm_code": error.code, "cm_change": change or None})
+        self._last_logged = text
+
+    def registers(self, values: RegValues) -> None:
+        """Publish changed registers, if anyone subscribes to them or may: unlike a status, they are sent only once."""
+        if self.has_subscriber(topics.READ_REG) or zmq_poll(self._coming, 0):
+            self._sender.send(encode.encode_registers(values))
+
+    def interrupt(self, irq: Irq) -> None:
+        """Publish an interrupt."""
+        self._sender.send(encode.encode_irq(irq))
+
+    def frame(self, frame: Frame) -> None:
+        """Publish a frame on every topic that has a subscriber; it is copied once."""
+        name = frame.info.stream
+        wanted = [topic for topic in _topics(name) if self.has_subscriber(topic)]
+        if wanted:
+            self._send_frame(name, wanted, frame.info, bytes(frame.data))
+        if self._wants_compressed(name) and compressions() and not self._compressor.offer(frame):
+            self._overruns[name] += 1
+
+    def _compressed(self, info: FrameInfo, data: bytes) -> None:
+        if self._wants_compressed(info.stream):
+            topic = topics.LZ4_PREFIX + info.stream.encode()
+            self._send_frame(info.stream, [topic], info, data)
+
+    def _send_frame(self, stream: str, wanted: Sequence[bytes], info: FrameInfo, data: bytes) -> None:
+        message, body = encode.encode_frame_info(info), zmq.Frame(data, track=True, copy=False)
+        for topic in wanted:
+            if not self._sender.send_frame([topic, message, body]):
+                self._overruns[stream] += 1
+        self._kept.add(body.tracker, len(data))
+
+    def close(self) -> None:
+        """End the thread that compresses."""
+        self._compressor.close()
+
+
+def _topics(stream: str) -> tuple[bytes, ...]:
+    return *_FRAME_TOPICS, topics.STREAM_PREFIX + stream.encode()

@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Errors as clients get them."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+
+from cm.errors import CmError
+from cm.wire.messages.status import ErrorInfo, Reply
+
+_LOG = logging.getLogger(__name__)
+Respond = Callable[[Reply], None]
+
+
+def error_info(error: Exception) -> ErrorInfo:
+    """An exception in the form in which it travels; one that is not ours is a device's error or a defect."""
+    if isinstance(error, CmError):
+        return ErrorInfo(error.code, str(error))
+    if isinstance(error, OSError):
+        return ErrorInfo("device_error", str(error))
+    return ErrorInfo("internal", f"{type(error).__name__}: {error}")
+
+
+def refusal(error: Exception) -> Reply:
+    """What a client is told about an error; a defect is logged."""
+    if not isinstance(error, (CmError, OSError)):
+        _LOG.error("a request failed", exc_info=error)
+    return Reply(error=error_info(error))

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The policy: from a principal to its rights. Pure; `Users` says what the system knows of users and groups."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+
+from cm.server.rights.model import Access, Grant, Need, Rights, Role, role_named
+from cm.server.rights.principal import CURVE, DATA, IPC, TCP, Principal
+
+NOTHING = Rights()
+_ADMIN = Rights((Grant(Role.ADMIN),))
+
+
+@dataclass(frozen=True, slots=True)
+class Users:
+    """The system's users: `name` of a uid, `groups` (names) of a uid and its process's gid; `own` is ours."""
+
+    name: Callable[[int], str]
+    groups: Callable[[int, int], tuple[str, ...]]
+    own: int
+
+
+def known_as(principal: Principal, access: Access, users: Users) -> Principal:
+    """The principal with the name by which people know it."""
+    if principal.via or principal.name:
+        return principal
+    if principal.uid is not None:
+        return replace(principal, name=users.name(principal.uid))
+    if principal.key:
+        return replace(principal, name=next((k.name for k in access.keys if k.public == principal.key), ""))
+    return principal
+
+
+def rights_of(principal: Principal, access: Access, users: Users) -> Rights:
+    """What a client may do: nothing if it is not known."""
+    if principal.transport in (IPC, DATA) and principal.uid is not None:
+        return _of_user(principal, access, users)
+    if principal.transport == CURVE:
+        key = next((k for k in access.keys if k.public == principal.key), None)
+        return Rights(grants(key.roles, access), key.until) if key else NOTHING
+    if principal.transport == TCP:
+        return Rights(grants(access.insecure, access))
+    return NOTHING
+
+
+def _of_user(principal: Principal, access: Access, users: Users) -> Rights:
+    """A user that is named, or whose group is, has the roles given there; all others have those of `local`."""
+    assert principal.uid is not None
+    assert principal.gid is not None
+    if principal.uid in (0, users.own):
+        return _ADMIN
+    named: list[str] = [*access.users.get(str(principal.uid), ())]
+    known = str(principal.uid) in access.users
+    name = users.name(principal.uid)
+    if name and name in access.users:
+        named, known = [*named, *access.users[name]], True
+    if access.groups:
+        for group in users.groups(principal.uid, principal.gid):
+            if group in access.groups:
+                named, known = [*named, *access.groups[group]], True
+    return Rights(grants(named if known else access.local, access))
+
+
+def of_guest(name: str, bridge: Rights, access: Access) -> Rights:
+    """The rights of a guest: those that `guests` gives to the name, and no more than those of the bridge.
+
+    A name counts before patterns such as ``zenoh:*``, and a longer pattern before shorter ones.
+    """
+    said = access.guests.get(name)
+    if said is None:
+        fitting = [pattern for pattern in access.guests if "*" in pattern and fnmatchcase(name, pattern)]
+        said = access.guests[max(fitting, key=len)] if fitting else ()
+    return Rights(grants(said, access), bridge.until, bridge)
+
+
+def grants(roles: Iterable[str], access: Access) -> tuple[Grant, ...]:
+    """The grants of roles by name; names of no role give no grant (settings refuse them beforehand)."""
+    return tuple(found for name in roles if (found := _grant(name, access)) is not None and found.role > Role.NONE)
+
+
+def _grant(name: str, access: Access) -> Grant | None:
+    if name in access.roles:
+        return access.roles[name]
+    try:
+        return Grant(role_named(name))
+    except KeyError:
+        return None
+
+
+def lacking(rights: Rights, needs: Iterable[Need]) -> Need | None:
+    """The first need that rights do not allow."""
+    return next((need for need in needs if not rights.allow(need)), None)

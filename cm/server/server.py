@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The configuration manager as a daemon: puts sockets, loop, manager and streams together."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING
+
+import zmq
+
+from cm.manager.access.leases import Leases
+from cm.manager.execution.worker import QUEUE_LENGTH
+from cm.manager.manager import Environment, Manager
+from cm.manager.reporting.status import Moment
+from cm.manager.state.journal import Journal
+from cm.schema.model import Config
+from cm.server.board_watch import BoardWatch
+from cm.server.client_jobs import ClientJobs
+from cm.server.connections import Connections
+from cm.server.dispatcher import Dispatcher
+from cm.server.endpoints import Locks, Sockets
+from cm.server.folders import own_folder
+from cm.server.handlers import Handlers, Services
+from cm.server.host.devices import BoardDevices
+from cm.server.host.files import BoardFiles, Footprints
+from cm.server.host.provision import Provisioner
+from cm.server.host.reload import ReloadContext, Reloader, renewal
+from cm.server.host.systemd import ServiceManager
+from cm.server.interrupts import InterruptWatch
+from cm.server.lease_watch import LeaseWatch
+from cm.server.loop import Loop
+from cm.server.memory_transfers import MemoryTransfers
+from cm.server.options import NO_METRICS, Options
+from cm.server.pieces import Pieces
+from cm.server.publisher import Publisher
+from cm.server.queue_limit import mark
+from cm.server.read_cache import ReadCache
+from cm.server.rights.gate import Gate
+from cm.server.rights.users import system_users
+from cm.server.sensor_watch import SensorWatch
+from cm.server.sessions import Sessions
+from cm.server.shares.places import Places
+from cm.server.streams.acceptor import Acceptor
+from cm.server.streams.discovery import with_channels
+from cm.server.streams.registry import Streams
+from cm.server.zap import Authenticator
+from cm.wire.messages.requests import ChangeMode
+from cm.wire.messages.status import ErrorInfo, RegValues, Status
+
+if TYPE_CHECKING:
+    from cm.server.metrics import Metrics  # imports an HTTP server
+
+_LOG = logging.getLogger("cm")
+_TICK = 1.0  # seconds between two checks of streams, records and a lost board
+
+
+class Server:
+    """Serves until `stop()`. Everything but `stop` and the observer's calls runs in the calling thread."""
+
+    def __init__(self, options: Options) -> None:
+        self._options = options
+        self._with_channels = partial(with_channels, root=options.root)
+        self._locks = Locks(options.runtime_dir, options.root, options.group)
+        self._loop = Loop()
+        gate = Gate(options.access, system_users())
+        self._connections = Connections(options.limits, gate.principal, options.state_dir, self._loop)
+        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self._devices = BoardDevices(options.root)
+        own_folder(options.state_dir)
+        self._provisioner = Provisioner(options.state_dir / "configs", options.unsigned, options.quota)
+        self._journal = Journal(options.state_dir)
+        self._jobs = ClientJobs(self._loop)
+        waiting = mark((configs := self._configs()).values(), options.queue_bytes)
+        self._sockets = Sockets(self._context, options.runtime_dir, waiting, options.limits, options.group)
+        self._authenticator = Authenticator(self._context, gate.enter)
+        self._publisher = Publisher(self._loop, self._sockets.pub, options.name, limit=options.queue_bytes)
+        leases = Leases(time, options.limits.leases, options.limits.leases_each)
+        told = self._publisher, leases, self._note_error, self._connections.budgets, options.limits
+        self._streams = Streams(self._loop, self._devices, *told)
+        self._manager = Manager(configs, self._environment(), leases)
+        self._sessions = Sessions(gate, options.runtime_dir, self._sockets.tcp, self._manager)
+        local = self._streams.open_local, *self._streams.memories, self._sessions
+        taken = self._connections.intake, options.group
+        self._acceptor = Acceptor(self._loop, options.runtime_dir, *local, *taken)
+        self._interrupts = InterruptWatch(
+            self._loop, options.root, self._manager, self._publisher.interrupt, self._note_error
+        )
+        self._leases = LeaseWatch(self._loop, leases)
+        self._pieces = Pieces(self._loop)
+        self._memories = MemoryTransfers(self._pieces, self._manager.memories)
+        self._board = BoardWatch(self._devices.boot_id, self._manager, self._streams, self._interrupts, self._autoload)
+        self._dispatcher = self._make_dispatcher()
+        self._metrics: Metrics | None = None
+        self._sensors = SensorWatch(options.root, self._publisher.measured)
+        self._statuses: deque[Moment] = deque()
+        self._service = ServiceManager()
+        self._reloader = self._make_reloader()
+
+    def _configs(self) -> dict[str, Config]:
+        self._provisioner.recover()
+        named = self._provisioner.standing(self._options.configs, self._options.example)
+        return {name: self._with_channels(config) for name, config in named.items()}
+
+    def _environment(self) -> Environment:
+        o = self._options
+        files = BoardFiles(o.root.join(), Footprints(o.state_dir / "footprints"), o.firmware_dir)
+        return Environment(self._devices, files, self._journal, self._streams, time, self, o.settings)
+
+    def _make_reloader(self) -> Reloader:
+        loop, o = self._loop, self._options
+        standing = partial(self._provisioner.standing, example=o.example)
+        running = self._jobs.thread, loop.call_threadsafe, standing, self._with_channels
+        bounded = self._connections, self._streams
+        renew = renewal(self._sessions.renew, bounded, self._manager.leases, self._provisioner)
+        return Reloader(ReloadContext(self._manager, renew, self._service, *running, o.reload, o.changed), o.configs)
+
+    def _make_dispatcher(self) -> Dispatcher:
+        handlers, cache = Handlers(self._services()), ReadCache(self._manager.registers.prepare)
+        told = self._publisher, self._board, self._note_error
+        return Dispatcher(self._sockets, handlers, self._manager, cache, *told)
+
+    def _services(self) -> Services:
+        return Services(
+            loop=self._loop,
+            manager=self._manager,
+            streams=self._streams,
+            interrupts=self._interrupts,
+            provisioner=self._provisioner,
+            leases=self._leases,
+            memories=self._memories,
+            pieces=self._pieces,
+            board=self._board,
+            sessions=self._sessions,
+            status=self._status,
+            connections=self._connections,
+            complete=self._with_channels,
+            jobs=self._jobs,
+            changes=Places(1 + QUEUE_LENGTH, "changes"),
+        )
+
+    # ---- life ---------------------------------------------------------------------
+
+    def serve(self, on_ready: Callable[[], None] = lambda: None) -> None:
+        """Bind, reconcile, serve. Returns after `stop()`. Raises CmError if it cannot begin."""
+        try:
+            metrics = self._bind()
+            self._start_manager()
+            self._loop.every(_TICK, self._tick)
+            self._sockets.announce(metrics)
+            self._service.ready()
+            if self._service.interval is not None:  # from the loop, so that one that hangs is restarted
+                self._loop.every(self._service.interval, self._service.alive)
+            on_ready()
+            self._loop.run()
+        finally:
+            self._close()
+
+    def stop(self) -> None:
+        """End; safe in a signal handler."""
+        self._loop.stop()
+
+    def reload(self) -> None:
+        """Read schemas, settings and keys again; what runs goes on. Safe in a signal handler."""
+        self._loop.call_threadsafe(self._reloader.begin)
+
+    def _bind(self) -> str:
+        """Listen everywhere; returns where metrics are served."""
+        self._loop.add_socket(self._authenticator.socket, self._authenticator.answer)
+        self._sockets.bind_ipc()
+        self._acceptor.open()
+        for address in self._options.listen:
+            bound = self._sockets.bind_tcp(address, self._options.security)
+            _LOG.info("listening on %s, %s, %s", bound.pub, bound.sub, bound.req)
+        metrics = self._open_metrics() if self._options.metrics else ""
+        self._sensors.start()
+        self._loop.add_socket(self._sockets.pub, self._on_subscription)
+        self._loop.add_socket(self._sockets.sub, self._dispatcher.on_message)
+        self._loop.add_socket(self._sockets.req, self._dispatcher.on_request, foremost=True)
+        return metrics
+
+    def _open_metrics(self) -> str:
+        """Serve them; returns where. Without the library the board is served all the same."""
+        try:
+            from cm.server.metrics import Metrics
+        except ModuleNotFoundError as error:
+            if error.name != "prometheus_client":
+                raise
+            _LOG.error("no metrics are served: %s", NO_METRICS)
+            return ""
+        self._metrics = Metrics(self._services(), self._dispatcher)
+        return self._metrics.open(self._options.metrics)
+
+    def _start_manager(self) -> None:
+        self._manager.start()  # what it finds out is logged with the status that tells it
+        self._board.begin()
+
+    def _autoload(self) -> None:
+        if self._options.load and self._manager.state.config is None:
+            self._manager.submit(ChangeMode(*self._options.load.partition("/")[::2]))
+
+    def _close(self) -> None:
+        self._service.stopping()
+        if self._metrics is not None:
+            self._metrics.close()
+        users = (self._connections.close, self._streams.end, self._pieces.close, self._interrupts.close)
+        watches = (self._sensors.close, self._leases.close, self._jobs.close)
+        board = (self._publisher.close, self._devices.lost, self._journal.close, self._sockets.close)
+        last = (self._authenticator.close, self._context.term, self._loop.close, self._locks.release)
+        for end in (self._manager.stop, self._acceptor.close, *users, *watches, *board, *last):
+            end()
+
+    def _on_subscription(self) -> None:
+        with self._connections.budgets.bill() as bill:
+            if self._publisher.take_subscriptions(bill.add):
+                self._publisher.status(self._status)
+            self._streams.refresh()
+
+    # ---- observer: any thread ---------------------------------------------------------
+
+    def status_changed(self) -> None:
+        """Every status is published, in order, even if the next follows at once."""
+        self._statuses.append(self._manager.reporter.moment())
+        self._loop.call_threadsafe(self._flush_statuses)
+
+    def progressed(self) -> None:
+        """Most statuses of a change say only this: if no one subscribes, they are counted but not made."""
+        if not self._publisher.passes_over():
+            self.status_changed()
+
+    def registers_changed(self, values: RegValues) -> None:
+        """Registers are written in the loop's thread only."""
+        self._publisher.registers(values)
+
+    def _flush_statuses(self) -> None:
+        while self._statuses:
+            moment = self._statuses.popleft()
+            if not moment.running:
+                self._watch_interrupts()
+            if self._publisher.status(partial(self._status, moment)):
+                self._manager.reporter.was_read()
+            self._publisher.log(moment.error, moment.last[0])
+
+    def _watch_interrupts(self) -> None:
+        config = self._manager.loaded_config()
+        if self._interrupts.incomplete or config is not self._interrupts.config:
+            self._interrupts.watch(config)
+
+    def _note_error(self, error: ErrorInfo) -> None:
+        self._manager.note_error(error)
+
+    def _status(self, moment: Moment | None = None) -> Status:
+        streams, leases = self._streams.status(), self._manager.leases.told()
+        return self._manager.status(moment, streams=streams, leases=leases, **self._publisher.beside())
+
+    # ---- regular work ---------------------------------------------------------------------
+
+    def _tick(self) -> None:
+        self._manager.flush()
+        self._streams.refresh()
+        for look in (self._reloader.continue_waiting, self._reloader.look, self._sessions.look, self._board.look):
+            look()
+        self._connections.tell()
+        if self._streams.any_open:
+            self._publisher.status(self._status)

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``/etc/cm/cm.yaml`` → `Settings`, or everything that is wrong with it, by line and column."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, ClassVar
+
+from cm.errors import CmError
+from cm.schema.problems import KeyPath, Problem, SchemaError, key_path
+from cm.schema.reader import Refused, read
+from cm.schema.structure import Structure
+from cm.schema.tree import Mark, Node, Table, locate, plain
+from cm.server.settings.access import access, unknown_roles
+from cm.server.settings.model import (
+    FILE,
+    DmaSettings,
+    ImportSettings,
+    LimitSettings,
+    PolicySettings,
+    Settings,
+    StreamSettings,
+)
+
+SCHEMA = Path(__file__).with_name("settings.schema.json")
+_GROUPS = {
+    "streams": StreamSettings,
+    "dma": DmaSettings,
+    "imports": ImportSettings,
+    "policy": PolicySettings,
+    "limits": LimitSettings,
+}
+_PATHS = ("keys", "signers", "runtime_dir", "state_dir", "firmware_dir")
+
+
+class SettingsError(SchemaError):
+    """A settings file that is not valid; `problems` as in a `SchemaError`."""
+
+    code: ClassVar[str] = "settings_invalid"
+
+
+class SettingsMissing(CmError):
+    """There is no such settings file, or it cannot be read."""
+
+    code: ClassVar[str] = "settings_missing"
+
+
+def load_settings(path: Path = FILE) -> Settings:
+    """The settings in a file. Raises SettingsError with all that is wrong, SettingsMissing."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        problem = Problem(path, 1, 1, "", "yaml_syntax", "not UTF-8 text", "save the file as UTF-8")
+        raise SettingsError([problem]) from None
+    except OSError as error:
+        raise SettingsMissing(f"{path}: {error.strerror}") from None
+    return parse_settings(text, path)
+
+
+def parse_settings(text: str, source: Path | None = None) -> Settings:
+    """The settings in `text`; `source` names its file in messages. Raises SettingsError."""
+    return _settings(_Reading(source).values(text))
+
+
+def settings_schema() -> dict[str, Any]:
+    """The JSON Schema of the file, for editors and tools."""
+    schema: dict[str, Any] = json.loads(SCHEMA.read_text(encoding="utf-8"))
+    return schema
+
+
+def _settings(values: Mapping[str, Any]) -> Settings:
+    known: dict[str, Any] = {name: _value(name, values[name]) for name in values}
+    assert known.keys() <= {field.name for field in fields(Settings)}  # schema and data name the same keys
+    return replace(Settings(), **known)
+
+
+def _value(name: str, value: Any) -> Any:
+    if name == "access":
+        return access(value)
+    if name in _GROUPS:
+        return _GROUPS[name](**{key: Path(part) if key in _PATHS else part for key, part in value.items()})
+    if name in _PATHS:
+        return Path(value)
+    return tuple(value) if isinstance(value, list) else value
+
+
+@lru_cache(maxsize=1)
+def _structure() -> Structure:
+    return Structure(settings_schema())
+
+
+class _Reading:
+    """One text, and what is wrong with it."""
+
+    def __init__(self, source: Path | None) -> None:
+        self._source = source
+        self._problems: list[Problem] = []
+        self._root: Node = Table(Mark(1, 1))
+
+    def values(self, text: str) -> dict[str, Any]:
+        if _is_blank(text):
+            return {}
+        try:
+            tree = read(text, self._report_mark)
+        except Refused as refused:
+            self._report_mark(refused.mark, refused.code, refused.message, refused.hint)
+            raise SettingsError(self._problems) from None
+        structure = _structure()
+        self._root = structure.fit(tree, self._report_at)
+        for path, code, message, hint in structure.values(self._root):
+            self._report_at(locate(self._root, path), path, code, message, hint)
+        found: dict[str, Any] = plain(self._root)
+        for path, message, hint in () if self._problems else unknown_roles(found.get("access", {})):
+            self._report_at(locate(self._root, path), path, "unknown_role", message, hint)
+        if self._problems:
+            raise SettingsError(sorted(self._problems, key=lambda problem: (problem.line, problem.column)))
+        return found
+
+    def _report_mark(self, mark: Mark, code: str, message: str, hint: str) -> None:
+        self._report_at(mark, (), code, message, hint)
+
+    def _report_at(self, mark: Mark, path: KeyPath, code: str, message: str, hint: str) -> None:
+        self._problems.append(Problem(self._source, mark.line, mark.column, key_path(path), code, message, hint))
+
+
+def _is_blank(text: str) -> bool:
+    """Whether there are only comments, as in the shipped file: all settings have their defaults."""
+    return all(not line.strip() or line.lstrip().startswith("#") for line in text.splitlines())

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The settings as data: what ``/etc/cm/cm.yaml`` says, and the defaults where it says nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+
+from cm.server.rights.model import Grant
+
+FILE = Path("/etc/cm/cm.yaml")
+SEARCH_PATH = ("/etc/cm/configs", "/lib/firmware/cm/*")
+
+
+@dataclass(frozen=True, slots=True)
+class StreamSettings:
+    """Streams over ZeroMQ; `queue_mib` MiB of frames may wait for each subscriber."""
+
+    queue_mib: float = 32
+
+
+@dataclass(frozen=True, slots=True)
+class DmaSettings:
+    """DMA memory; `prefetch_mib` MiB are for images that are kept ready."""
+
+    prefetch_mib: int = 64
+
+
+@dataclass(frozen=True, slots=True)
+class ImportSettings:
+    """Imported bundles; `keep` earlier versions of each stay for a rollback."""
+
+    keep: int = 3
+
+
+@dataclass(frozen=True, slots=True)
+class PolicySettings:
+    """Configurations without a signature: `signatures` off, warn or require; `signers` the folder of public keys.
+
+    `older`: whether an import of an older version than the one in force is allowed.
+    """
+
+    signatures: str = "off"
+    signers: Path = Path("/etc/cm/signers")
+    older: str = "allow"
+
+
+def _nobody() -> Mapping[str, tuple[str, ...]]:
+    return MappingProxyType({})
+
+
+def _no_roles() -> Mapping[str, Grant]:
+    return MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class AccessSettings:
+    """Who may do what (`cm.server.rights.model.Access`); `keys` is the folder of authorized keys."""
+
+    group: str = ""
+    local: tuple[str, ...] = ("provision",)
+    insecure: tuple[str, ...] = ("provision",)
+    users: Mapping[str, tuple[str, ...]] = field(default_factory=_nobody)
+    groups: Mapping[str, tuple[str, ...]] = field(default_factory=_nobody)
+    guests: Mapping[str, tuple[str, ...]] = field(default_factory=_nobody)
+    roles: Mapping[str, Grant] = field(default_factory=_no_roles)
+    keys: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class LimitSettings:
+    """What one client (`…_each`), and all together, may take of the manager; see docs/limits.md."""
+
+    connections: int = 1024
+    connections_each: int = 256
+    message_mib: int = 8
+    waiting_mib: int = 32
+    replies_mib: int = 16
+    upload_mib: int = 256
+    uploads_mib: int = 512
+    leases: int = 256
+    leases_each: int = 32
+    slots_each: int = 64
+    provisioned_mib: int = 1024
+    provisioned_each_mib: int = 512
+    memory_mib: int = 256
+    memory_each_mib: int = 192
+    shares: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What an operator may say of the service; each key is described in ``settings.schema.json``."""
+
+    listen: tuple[str, ...] = ()
+    keys: Path | None = None
+    insecure: bool = False
+    configs: tuple[str, ...] = SEARCH_PATH
+    load: str = ""
+    name: str = ""
+    metrics: str = ""
+    runtime_dir: Path | None = None
+    state_dir: Path | None = None
+    firmware_dir: Path | None = None
+    log: str = "warning"
+    streams: StreamSettings = StreamSettings()
+    dma: DmaSettings = DmaSettings()
+    imports: ImportSettings = ImportSettings()
+    policy: PolicySettings = PolicySettings()
+    limits: LimitSettings = LimitSettings()
+    access: AccessSettings = AccessSettings()

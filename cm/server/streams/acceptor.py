@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The socket ``data`` in the runtime folder: accepts connections, and makes them clients of the data plane."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable, Generator, Iterator
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from typing import Protocol
+
+from cm.errors import Busy, CmError
+from cm.server.folders import share
+from cm.server.intake import Intake, Rest
+from cm.server.loop import Loop
+from cm.server.shares.budget import Budget
+from cm.server.shares.places import Places
+from cm.server.streams.allocations import Allocations
+from cm.server.streams.echo import Echoes
+from cm.server.streams.newcomers import Newcomers
+from cm.server.streams.peer import Peer
+from cm.wire import plane_packets as packets
+from cm.wire.plane_packets import Open, decode_open, encode_refused
+
+_BACKLOG = 256  # connections that the kernel keeps waiting
+_QUEUED = 64  # connections that have said what they want, and wait for their turn
+
+
+class ConnectionRights(Protocol):
+    """Who a peer is, and what it may do (`cm.server.sessions.Sessions`)."""
+
+    def whose(self, connection: socket.socket) -> str:
+        """The id of the peer."""
+
+    def check_open(self, connection: socket.socket, wanted: Open) -> None:
+        """Raise Forbidden if the peer has no right to what it wants."""
+
+
+class Acceptor:
+    """Listens; each connection says once what it wants. Used in the loop's thread."""
+
+    def __init__(
+        self,
+        loop: Loop,
+        folder: Path,
+        enter: Callable[[socket.socket, Open], Iterator[None]],
+        echoes: Echoes,
+        allocations: Allocations,
+        sessions: ConnectionRights,
+        intake: Intake,
+        group: int | None = None,
+    ) -> None:
+        """`intake`: where requests wait for their turn; `group`: may connect, beside the daemon's own user."""
+        self._loop = loop
+        self._path = folder.absolute() / packets.SOCKET
+        self._enter = enter
+        self._echoes = echoes
+        self._allocations = allocations
+        self._sessions = sessions
+        self._intake = intake
+        self._group = group
+        self._places = Places(_QUEUED, "connections to this socket that wait for their turn")
+        self._queued: dict[
+            socket.socket, Callable[[], None]
+        ] = {}  # connections not yet served; the value gives their place back
+        self._under_way: dict[socket.socket, Generator[None, None, None]] = {}
+        # SEQPACKET keeps packets apart, and file descriptors (SCM_RIGHTS) with the packet that carries them.
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
+        self._newcomers = Newcomers(loop, self._listener, self._whose, self._queue)
+
+    def open(self) -> None:
+        """Bind and listen, replacing the socket that a killed manager left (the folder is locked, so it is dead)."""
+        self._path.unlink(missing_ok=True)
+        self._listener.bind(str(self._path))
+        share(self._path, self._group)
+        self._listener.listen(_BACKLOG)
+        self._newcomers.open()
+
+    def _whose(self, connection: socket.socket) -> tuple[str, Budget]:
+        who = self._sessions.whose(connection)
+        return who, self._intake.client(who)
+
+    def _queue(self, connection: socket.socket, packet: bytes) -> None:
+        """Queue a connection for its turn, as requests are: opening streams and allocating slots hold up the loop."""
+        try:
+            who, client = self._whose(connection)
+            self._queued[connection] = self._places.take(client)
+            self._intake.put(who, connection, partial(self._serve, connection, packet))
+        except (Busy, OSError) as error:
+            self._leave(connection)
+            with connection, suppress(OSError):
+                if isinstance(error, Busy):
+                    connection.send(encode_refused(error.code, str(error)))
+
+    def _leave(self, connection: socket.socket) -> None:
+        give_back = self._queued.pop(connection, None)
+        if give_back is not None:
+            give_back()
+
+    def _serve(self, connection: socket.socket, packet: bytes) -> Rest:
+        """Take the first step; the rest follow in the client's later turns."""
+        steps = self._under_way[connection] = self._steps(connection, packet)
+        return steps if next(steps, steps) is None else None
+
+    def _steps(self, connection: socket.socket, packet: bytes) -> Generator[None, None, None]:
+        try:
+            with connection, suppress(OSError):
+                try:
+                    yield from self._admit(connection, decode_open(packet))
+                except CmError as error:
+                    connection.send(encode_refused(error.code, str(error)))
+                except OSError as error:
+                    connection.send(encode_refused("device_error", str(error)))
+        finally:
+            self._leave(connection)
+            del self._under_way[connection]
+
+    def _admit(self, connection: socket.socket, wanted: Open) -> Iterator[None]:
+        self._sessions.check_open(connection, wanted)
+        if wanted.echo:
+            yield from self._echoes.open(connection, wanted, Peer.of(connection))
+        elif wanted.allocate:
+            self._allocations.open(connection, wanted, Peer.of(connection))
+        else:
+            yield from self._enter(connection, wanted)
+
+    def close(self) -> None:
+        """Close all connections that have not been served yet."""
+        self._newcomers.close()
+        for steps in list(self._under_way.values()):
+            steps.close()
+        self._listener.close()
+        self._path.unlink(missing_ok=True)
+        for connection in self._queued:
+            connection.close()
+        self._queued.clear()

@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: Apache-2.0
+"""When streams run: a table of phases and transitions, and what decides between them. No socket, no device.
+
+`cm.server.streams.driver` carries out what is decided here, and reports the outcome.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
+from enum import Enum
+from types import MappingProxyType
+from typing import Any
+
+from cm.errors import Busy, InvalidRequest, Timeout
+from cm.manager.errors import NothingLoaded, UnknownStream
+from cm.manager.planning.goals import hint
+from cm.schema.model import Config, Direction, Stream
+from cm.wire.messages.requests import ConfigureStream
+
+
+class StreamStopped(Busy):
+    """The stream was stopped (its region is being changed) before the transfer ended."""
+
+    code = "stream_stopped"
+
+
+class StreamPhase(str, Enum):
+    """The phase that a stream is in."""
+
+    CLOSED = "closed"  # it is not needed
+    OPEN = "open"  # its channel runs
+    HELD = "held"  # stopped while its region changes
+    STALLED = "stalled"  # its channel does not answer: a simulated board that is stopped
+    HELD_STALLED = "held_stalled"
+
+
+class StreamEvent(str, Enum):
+    """An event in a stream's life."""
+
+    OPEN = "open"
+    CLOSE = "close"
+    HOLD = "hold"
+    RELEASE = "release"
+    STALL = "stall"
+    ANSWER = "answer"
+
+
+_P, _E, _NOTHING = StreamPhase, StreamEvent, MappingProxyType[str, str | None]({})
+
+TRANSITIONS: Mapping[tuple[StreamPhase, StreamEvent], StreamPhase] = MappingProxyType(
+    {
+        (_P.CLOSED, _E.OPEN): _P.OPEN,
+        (_P.OPEN, _E.CLOSE): _P.CLOSED,
+        (_P.CLOSED, _E.HOLD): _P.HELD,
+        (_P.HELD, _E.HOLD): _P.HELD,
+        (_P.STALLED, _E.HOLD): _P.HELD_STALLED,
+        (_P.HELD_STALLED, _E.HOLD): _P.HELD_STALLED,
+        (_P.HELD, _E.RELEASE): _P.CLOSED,
+        (_P.HELD_STALLED, _E.RELEASE): _P.STALLED,
+        (_P.CLOSED, _E.STALL): _P.STALLED,
+        (_P.OPEN, _E.STALL): _P.STALLED,
+        (_P.STALLED, _E.ANSWER): _P.CLOSED,
+        (_P.HELD_STALLED, _E.ANSWER): _P.HELD,
+    }
+)
+
+
+class IllegalTransition(RuntimeError):
+    """An event that the table does not allow: a defect of the daemon, never of a request."""
+
+
+@dataclass(frozen=True, slots=True)
+class Users:
+    """The kinds of users that a stream has now."""
+
+    subscriber: bool = False  # over ZeroMQ
+    client: bool = False  # of the data socket
+    transfer: bool = False  # a single read or write, now or a moment ago
+
+    def __bool__(self) -> bool:
+        return self.subscriber or self.client or self.transfer
+
+
+def decide(phase: StreamPhase, wanted: bool) -> StreamEvent | None:
+    """Return what to do with a stream next, or None for nothing."""
+    if phase is _P.CLOSED and wanted:
+        return _E.OPEN
+    if phase is _P.OPEN and not wanted:
+        return _E.CLOSE
+    return None
+
+
+class StreamOverrides:
+    """Clients' settings last until the mode changes; whether a stream is enabled, until another configuration loads."""
+
+    def __init__(self) -> None:
+        self._set: dict[str, tuple[Stream, Stream]] = {}  # as the schema has it, and as it was set
+        self._runs: dict[str, bool] = {}
+
+    def take(self, stream: Stream, wanted: Stream, request: ConfigureStream) -> Callable[[], None]:
+        """Record what a request changes in a stream; return a function that undoes it."""
+        name, before = stream.name, (self._set.copy(), self._runs.copy())
+        if wanted != stream:
+            base = self._set[name][0] if name in self._set else stream
+            self._set[name] = base, wanted
+        if request.automatic:
+            self._runs.pop(name, None)
+        elif request.enable is not None:
+            self._runs[name] = request.enable
+
+        def take_back() -> None:
+            self._set = _restored(self._set, name, before[0])
+            self._runs = _restored(self._runs, name, before[1])
+
+        return take_back
+
+    def of(self, stream: Stream) -> Stream:
+        """Return a stream of the schema with its overrides."""
+        base, wanted = self._set.get(stream.name, (None, stream))
+        if base == stream:
+            return wanted
+        self._set.pop(stream.name, None)  # overrides a schema that has been replaced
+        return stream
+
+    def runs(self, name: str) -> bool | None:
+        """Whether a stream shall run even if unused; None if no client has said."""
+        return self._runs.get(name)
+
+    def mode_changed(self) -> None:
+        """Forget the settings, so that the schema applies until a client changes them again; keep what is enabled."""
+        self._set.clear()
+        self._runs = {name: True for name, runs in self._runs.items() if runs}
+
+    def config_changed(self) -> None:
+        """Forget everything: streams of the same name are now different ones."""
+        self._set.clear()
+        self._runs.clear()
+
+
+class StreamPolicy:
+    """The streams of the loaded mode, their phases, and their overrides."""
+
+    def __init__(self) -> None:
+        self.config: Config | None = None
+        self.mode: str | None = None
+        self.streams: Mapping[str, Stream] = {}
+        self._overrides = StreamOverrides()
+        self._phases: dict[str, StreamPhase] = {}
+
+    def phase(self, name: str) -> StreamPhase:
+        """Return a stream's phase; an unknown stream is closed."""
+        return self._phases.get(name, _P.CLOSED)
+
+    def after(self, name: str, event: StreamEvent) -> None:
+        """Apply an event to a stream's phase. Raises IllegalTransition, and then changes nothing."""
+        phase = TRANSITIONS.get((self.phase(name), event))
+        if phase is None:
+            raise IllegalTransition(f"stream {name!r}, which is {self.phase(name).value}, cannot {event.value}")
+        self._phases[name] = phase
+
+    def enter(self, config: Config | None, mode: str | None, held: Mapping[str, str | None] = _NOTHING) -> list[str]:
+        """Switch to the streams of this mode, none of them held; return the open ones that have to be closed for it."""
+        streams = config.streams_in(mode, held) if config else {}
+        if config is not None and (self.config is None or config.name != self.config.name):
+            self._overrides.config_changed()
+        if mode != self.mode:
+            self._overrides.mode_changed()
+        before, self.streams = self.streams, {n: self._overrides.of(s) for n, s in streams.items()}
+        self.config, self.mode = config, mode
+        for name in self._in(_P.HELD, _P.HELD_STALLED):
+            self.after(name, _E.RELEASE)
+        return [name for name in self._in(_P.OPEN) if self.streams.get(name) != before.get(name)]
+
+    def stalled(self) -> list[str]:
+        """Return the streams whose channel does not answer."""
+        return self._in(_P.STALLED, _P.HELD_STALLED)
+
+    def _in(self, *phases: StreamPhase) -> list[str]:
+        return [name for name, phase in self._phases.items() if phase in phases]
+
+    def due(self, users: Callable[[Stream], Users]) -> Iterator[tuple[StreamEvent, Stream]]:
+        """Yield the streams to open and to close now."""
+        for name, stream in list(self.streams.items()):
+            event = decide(self.phase(name), self.is_wanted(stream, users(stream)))
+            if event is not None:
+                yield event, stream
+
+    def is_wanted(self, stream: Stream, users: Users) -> bool:
+        """Whether a stream shall run if it can."""
+        runs = self._overrides.runs(stream.name)
+        return bool(users) if runs is None else runs
+
+    def is_held(self, name: str) -> bool:
+        """Whether a stream is stopped while its region changes."""
+        return self.phase(name) in (_P.HELD, _P.HELD_STALLED)
+
+    def may_run(self, name: str) -> bool:
+        """Whether a stream can be opened for a client."""
+        return self.phase(name) in (_P.CLOSED, _P.OPEN) and self._overrides.runs(name) is not False
+
+    def check_may_run(self, name: str) -> None:
+        """Raise StreamStopped or Timeout, with the reason, if it cannot."""
+        if self.is_held(name):
+            raise StreamStopped(f"stream {name!r} is stopped while its region changes")
+        if self.phase(name) is _P.STALLED:
+            raise Timeout(f"stream {name!r}: the board does not answer; the stream resumes when it does")
+        if self._overrides.runs(name) is False:
+            raise StreamStopped(f"stream {name!r} was stopped; cm_data_config with enable lets it run")
+
+    def set_to_run(self, name: str) -> bool:
+        """Whether a client has set a stream to run even if unused."""
+        return bool(self._overrides.runs(name))
+
+    def override(self, stream: Stream, wanted: Stream, request: ConfigureStream) -> Callable[[], None]:
+        """Replace a stream by `wanted` from here on; return a function that undoes it."""
+        self.streams = {**self.streams, stream.name: wanted}
+        forget = self._overrides.take(stream, wanted, request)
+
+        def take_back() -> None:
+            if self.streams.get(stream.name) is wanted:  # it has not been changed again since
+                forget()
+                self.streams = {**self.streams, stream.name: stream}
+
+        return take_back
+
+    def named(self, name: str, direction: Direction | None) -> Stream:
+        """A stream by name, or the only one of a direction. Raises UnknownStream, NothingLoaded, InvalidRequest."""
+        if self.config is None:
+            raise NothingLoaded("nothing is loaded, so there are no streams")
+        if not name and direction is not None:
+            return _only(direction, self.streams.values())
+        stream = self.streams.get(name)
+        if stream is None:
+            raise UnknownStream(f"no stream {name!r} in mode {self.mode!r}{hint(name, self.streams)}")
+        if direction is not None and stream.direction is not direction:
+            raise InvalidRequest(f"stream {name!r} is {stream.direction.value}: it cannot be used the other way")
+        return stream
+
+
+def _restored(held: dict[str, Any], name: str, before: dict[str, Any]) -> dict[str, Any]:
+    return {k: v for k, v in held.items() if k != name} | {k: v for k, v in before.items() if k == name}
+
+
+def _only(direction: Direction, streams: Collection[Stream]) -> Stream:
+    fitting = [s for s in streams if s.direction is direction]
+    if len(fitting) == 1:
+        return fitting[0]
+    names = ", ".join(s.name for s in fitting) or "none"
+    raise UnknownStream(f"name a stream; {direction.value} streams of this mode are {names}")

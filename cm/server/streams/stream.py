@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An open stream: its DMA channel and slots, handed to the data plane, which moves the frames.
+
+The plane's C thread (`cm.device.data_plane`) does all work per frame; streams are opened, measured and closed here,
+in the loop's thread. `joiners` gives them memory and clients.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+from cm.device import AxiDma, DmaBuffer, DmaInfo, DmaType
+from cm.device.data_plane import Plane
+from cm.errors import CmError
+from cm.manager.reporting.status import stream_status
+from cm.schema.model import Direction, Stream
+from cm.server.streams.figures import Moved, median, rate, transfer_error
+from cm.server.streams.joiners import Joiners
+from cm.server.streams.settings import frame_bytes, setup
+from cm.server.streams.shares import EACH
+from cm.server.streams.slots import Slots
+from cm.wire.messages.status import ErrorInfo, FrameInfo, StreamClient, StreamStatus
+from cm.wire.plane_packets import Descriptor, Geometry, encode_geometry, encode_label
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A frame: its description and its bytes, which are valid only until the call that receives it returns."""
+
+    info: FrameInfo
+    data: memoryview
+
+
+Done = Callable[[Frame | CmError | OSError], None]
+
+
+class OpenStream:
+    """An open stream."""
+
+    def __init__(self, plane: Plane, dma: AxiDma, stream: Stream, each: int = EACH) -> None:
+        """Take over an open channel, which is closed if this raises. `each`: slots that one process may hold."""
+        self._plane = plane
+        self._dma = dma
+        self.stream = stream
+        self.writes = stream.direction is Direction.MM2S
+        self._names = ("", "")
+        try:
+            self.setup = setup(dma.info, stream)
+            self.id = plane.start(dma, self.setup)
+        except BaseException:
+            dma.close()
+            raise
+        self._slots = Slots(plane, self.id, dma, self.setup.length, self.writes)
+        self.joiners = Joiners(stream, self._slots, self._attach, each)
+
+    @property
+    def slots(self) -> list[DmaBuffer]:
+        """Its memory; the index is the slot number in the plane's packets."""
+        return self._slots.made
+
+    def _attach(self, client: int, depth: int) -> bool:
+        """Attach a client whose slots exist; return False if the client has gone."""
+        return self._plane.attach(client, self.id, depth, encode_geometry(self._geometry(depth)))
+
+    @property
+    def channel(self) -> DmaInfo:
+        """The channel's properties."""
+        return self._dma.info
+
+    @property
+    def clients(self) -> int:
+        """How many clients are attached."""
+        return len(self.joiners.peers)
+
+    def _geometry(self, depth: int) -> Geometry:
+        s = self.stream
+        coherent = all(slot.coherent for slot in self.slots)
+        return Geometry(
+            slot_length=self.slots[0].length,
+            frame_length=frame_bytes(s),
+            coherent=coherent,
+            writable=self.writes,
+            cyclic=self.setup.cyclic,
+            depth=depth,
+            stride=self.setup.stride if self.setup.stride != self.setup.line_bytes else 0,
+            shape=s.shape,
+            dtype=s.dtype,
+            stream=s.name,
+            config_name=self._names[0],
+            mode=self._names[1],
+        )
+
+    def label(self, config: str, mode: str) -> None:
+        """Label the frames from here on as belonging to this mode."""
+        if (config, mode) != self._names:
+            self._names = (config, mode)
+            self._plane.tell(self.id, encode_label(self.stream.name, config, mode))
+
+    # ---- reports ----------------------------------------------------------------------
+
+    def info(self, frame: Descriptor, generation: int = 0) -> FrameInfo:
+        """Describe a frame; an incomplete one is flat bytes. `generation`: of the registers under which it began."""
+        whole = frame.length == frame_bytes(self.stream) and self.stream.shape is not None
+        return FrameInfo(
+            stream=self.stream.name,
+            sequence=frame.sequence,
+            timestamp_ns=frame.timestamp_ns,
+            length=frame.length,
+            shape=self.stream.shape if whole and self.stream.shape else (frame.length,),
+            dtype=self.stream.dtype if whole else "uint8",
+            config_name=self._names[0],
+            mode=self._names[1],
+            generation=generation,
+        )
+
+    def status(self) -> StreamStatus:
+        """The stream and its counters."""
+        counts = self._plane.counts(self.id)
+        return replace(
+            stream_status(self.stream),
+            slots=len(self.slots) or self.stream.slots,
+            open=True,
+            frames=counts.frames,
+            dropped=counts.dropped,
+            errors=counts.errors,
+            rate=rate(counts),
+            latency_us=median(counts.latency_ns) / 1000,
+            clients=tuple(self._clients()),
+            exact=not (self.writes or self.channel.tells_length or self.channel.type is DmaType.VDMA),
+            max_length=self.channel.max_length,
+            last_error=transfer_error(counts, self.setup),
+        )
+
+    def moved(self) -> Moved:
+        """What the stream has moved since it was opened."""
+        counts = self._plane.counts(self.id)
+        return Moved(counts.frames, counts.dropped, counts.errors, counts.bytes)
+
+    def failure(self) -> ErrorInfo | None:
+        """Why a transfer last failed, or None."""
+        return transfer_error(self._plane.counts(self.id), self.setup)
+
+    def _clients(self) -> Iterator[StreamClient]:
+        for client, peer in self.joiners.peers.items():
+            counts = self._plane.client_counts(client)
+            if counts is not None:
+                yield StreamClient(
+                    peer.pid, peer.name, self.writes, counts.depth, counts.held, counts.frames, counts.dropped
+                )
+
+    def close(self, error: int = 0) -> None:
+        """Stop the channel and release everything; clients are told `error`, and keep the memory they have mapped."""
+        self._stop(error)
+        try:
+            self._dma.close()  # frees all slots at once; one by one would take as long as allocating them
+        finally:
+            self._slots.close()
+
+    def release(self, error: int = 0) -> AxiDma:
+        """Do the same, but leave the channel open and hand it to the caller."""
+        self._stop(error)
+        self._slots.close()
+        return self._dma
+
+    def _stop(self, error: int) -> None:
+        try:
+            self._plane.stop(self.id, error)
+        finally:
+            self.joiners.stop(error)

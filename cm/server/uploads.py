@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What clients send in parts, until a request uses it: unnamed files in the state folder, mapped when used."""
+
+from __future__ import annotations
+
+import mmap
+import os
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import ClassVar
+
+from cm.errors import Busy, CmError, InvalidRequest, NotFound
+from cm.server.shares.budget import Budget
+from cm.wire.messages import requests as rq
+from cm.wire.messages.status import UploadInfo
+
+IDLE = 60.0  # seconds after which one is forgotten whose next part, or use, does not come
+LEFT = 5.0  # the same, of a process that has no connection any more
+EACH = 256  # of one client at once
+
+
+class TooMuchUploaded(Busy):
+    """A client, or all together, have sent more in parts than may be stored unused."""
+
+    code: ClassVar[str] = "too_much_uploaded"
+
+
+class UnknownUpload(NotFound):
+    """There is no upload of that name, or not all of it has come."""
+
+    code: ClassVar[str] = "unknown_upload"
+
+
+class UploadFailed(CmError):
+    """A part could not be stored."""
+
+    code: ClassVar[str] = "upload_failed"
+
+
+class _Upload:
+    __slots__ = ("fd", "got", "length", "until")
+
+    def __init__(self, fd: int, length: int, until: float) -> None:
+        self.fd, self.length, self.until = fd, length, until
+        self.got = 0
+
+    def view(self) -> memoryview:
+        """Its bytes, for as long as the view lives."""
+        return memoryview(mmap.mmap(self.fd, self.length, access=mmap.ACCESS_READ)) if self.length else memoryview(b"")
+
+
+class Uploads:
+    """Uploads by client and name. The loop's thread."""
+
+    def __init__(self, folder: Path, most: int, all_most: int, total: Callable[[], int]) -> None:
+        """`most`, `all_most`: bytes of one client and of all; `total`: what all have now."""
+        self._folder = folder
+        self._most, self._all_most, self._total = most, all_most, total
+        self._there: dict[tuple[str, str], tuple[_Upload, Budget]] = {}
+
+    def renew(self, most: int, all_most: int) -> None:
+        """Apply other bounds from now on; what is stored stays."""
+        self._most, self._all_most = most, all_most
+
+    def take(self, client: Budget, part: rq.Upload) -> UploadInfo:
+        """Store a part. Raises InvalidRequest, TooMuchUploaded, UploadFailed."""
+        self.forget_old()
+        key = client.name, part.id
+        if part.discard:
+            self._drop(key)
+            return UploadInfo(part.id, part.length, 0)
+        upload = self._there[key][0] if key in self._there else self._begin(key, client, part)
+        self._check(upload, part)
+        try:
+            _write(upload.fd, part)
+        except OSError as error:
+            self._drop(key)
+            raise UploadFailed(f"upload {part.id!r}: {error.strerror}") from error
+        upload.got += len(part.data)
+        upload.until = time.monotonic() + IDLE
+        return UploadInfo(part.id, upload.length, upload.got)
+
+    def _begin(self, key: tuple[str, str], client: Budget, part: rq.Upload) -> _Upload:
+        if part.offset:
+            raise UnknownUpload(f"upload {part.id!r}: there are no bytes before {part.offset}; begin with offset 0")
+        account = sum([u.length for u, other in self._there.values() if other.account is client.account])
+        if (
+            client.upload_bytes + part.length > self._most
+            or account + part.length > max(self._most, self._all_most // 4 * 3)  # the rest is for other accounts
+            or self._total() + part.length > self._all_most
+        ):
+            raise TooMuchUploaded(
+                f"{client.upload_bytes} bytes of {client.name} are stored here unused, {account} of "
+                f"{client.account.name}, {self._total()} of all; {part.length} more are too many "
+                "(limits.upload_mib, limits.uploads_mib)"
+            )
+        if sum(1 for name, _ in self._there if name == client.name) >= EACH:
+            raise TooMuchUploaded(f"{EACH} uploads of {client.name} are stored here unused")
+        upload = _Upload(self._new(part), part.length, time.monotonic() + IDLE)
+        self._there[key] = upload, client
+        client.upload_bytes += part.length
+        return upload
+
+    def _new(self, part: rq.Upload) -> int:
+        import tempfile  # with shutil 1 MiB, which most managers never need
+
+        try:
+            with tempfile.TemporaryFile(dir=self._folder, buffering=0) as file:
+                fd = os.dup(file.fileno())
+                os.truncate(fd, part.length)
+        except OSError as error:
+            raise UploadFailed(f"upload {part.id!r}: {error.strerror}") from error
+        return fd
+
+    @staticmethod
+    def _check(upload: _Upload, part: rq.Upload) -> None:
+        if part.length != upload.length or part.offset != upload.got:
+            raise InvalidRequest(
+                f"upload {part.id!r}: byte {part.offset} of {part.length} where {upload.got} of {upload.length} is next"
+            )
+        if part.offset + len(part.data) > part.length:
+            raise InvalidRequest(f"upload {part.id!r}: {len(part.data)} bytes at {part.offset} of {part.length}")
+
+    def filled_in(self, client: Budget, request: rq.Request) -> rq.Request:
+        """A request with the bytes that were uploaded for it, which then belong to it. Raises UnknownUpload."""
+        if isinstance(request, rq.WriteData) and request.upload:
+            return replace(request, data=self._use(client, request.upload), upload="")
+        if isinstance(request, rq.Provision) and any(file.upload for file in request.files):
+            files = [replace(f, data=self._use(client, f.upload), upload="") if f.upload else f for f in request.files]
+            return replace(request, files=tuple(files))
+        return request
+
+    def _use(self, client: Budget, name: str) -> memoryview:
+        found = self._there.get((client.name, name))
+        if found is None or found[0].got != found[0].length:
+            got = f"{found[0].got} of {found[0].length} bytes are there" if found else "there is no upload of that name"
+            raise UnknownUpload(f"upload {name!r}: {got}")
+        try:
+            return found[0].view()
+        except OSError as error:
+            raise UploadFailed(f"upload {name!r}: {error.strerror}") from error
+        finally:
+            self._drop((client.name, name))
+
+    def forget_old(self) -> None:
+        """Forget uploads whose next part, or use, does not come."""
+        now = time.monotonic()
+        left = now + IDLE - LEFT  # connections are counted every second
+        for key, (upload, client) in list(self._there.items()):
+            has_left = not client.connections and client.place.startswith("pid ")
+            if upload.until < (left if has_left else now):
+                self._drop(key)
+
+    def _drop(self, key: tuple[str, str]) -> None:
+        found = self._there.pop(key, None)
+        if found is not None:
+            upload, client = found
+            client.upload_bytes -= upload.length
+            os.close(upload.fd)
+
+    def close(self) -> None:
+        """Forget all."""
+        for key in list(self._there):
+            self._drop(key)
+
+
+def _write(fd: int, part: rq.Upload) -> None:
+    view, at = memoryview(part.data), part.offset
+    while view:
+        done = os.pwrite(fd, view, at)
+        view, at = view[done:], at + done

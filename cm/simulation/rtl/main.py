@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The process of a simulated board whose logic is RTL: compile, start the harness, serve the nodes."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TypeAlias
+
+from cm.errors import CmError
+from cm.simulation.rtl.compile import NOTHING, Watched, compile_harness, compile_units
+from cm.simulation.rtl.design import RtlDesign, load_rtl_design, wiring
+from cm.simulation.rtl.errors import ToolMissing
+from cm.simulation.rtl.logic import RtlLogic
+from cm.simulation.rtl.process import HarnessProcess
+from cm.simulation.rtl.running_design import Libraries, of_modules
+from cm.simulation.rtl.tools import Tools, find_tools
+from cm.simulation.software.hardware.logic import LogicParts, MakeLogic, SoftwareLogic
+from cm.simulation.software.process.arguments import add_arguments
+from cm.simulation.software.process.main import run as run_board
+from cm.simulation.software.transport.scratch import Scratch, temporary
+
+MakeLibraries: TypeAlias = Callable[[Tools, RtlDesign, Watched, LogicParts], Libraries]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """``python -m cm.simulation.rtl``; the exit status."""
+    parser = argparse.ArgumentParser(
+        "python -m cm.simulation.rtl", description="a simulated board whose logic is a design's RTL"
+    )
+    add_rtl_arguments(parser)
+    logging.basicConfig(level=logging.WARNING, format="cm sim: %(message)s")
+    return run(parser.parse_args(argv))
+
+
+def add_rtl_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `cm.simulation.software`, and those for HDL."""
+    add_arguments(parser)
+    parser.add_argument("--build", type=Path, default=example_build(), metavar="FILE",
+        help="build schema (default: the shipped camera)")  # fmt: skip
+    parser.add_argument("--traces", action="store_true", help="let traces be recorded (slower)")
+    parser.add_argument(
+        "--coverage", type=Path, metavar="DIR", help="count the lines of HDL that run, in files in this folder"
+    )
+    parser.add_argument("--time-scale", type=_scale, metavar="N",
+        help="a second of simulated time takes at least N seconds")  # fmt: skip
+
+
+def run(args: argparse.Namespace, make: MakeLibraries | None = None) -> int:
+    """Serve until a signal or the linger time ends it. `make` says what runs in regions (default: modules)."""
+    with Scratch("cm-rtl-", temporary()) as folder:
+        try:
+            design = load_rtl_design(args.build, folder)
+            if args.coverage:
+                args.coverage.mkdir(parents=True, exist_ok=True)
+            if args.time_scale and args.icap_rate is None:
+                args.icap_rate = _port_rate(design) / args.time_scale
+            start = _maker(design, folder, args, make or _modules)
+            if not args.config:
+                args.config = [_schema(design, folder)]
+        except ToolMissing as error:
+            print(f"cm sim: the RTL {error}", file=sys.stderr)
+            return 1
+        except (CmError, OSError) as error:
+            print(f"cm sim: {error}", file=sys.stderr)
+            return 1
+        return run_board(args, start)
+
+
+def prepare(build: Path, watched: Watched = NOTHING) -> None:
+    """Compile what a design needs, so that a board that runs it starts at once. Raises as `load_rtl_design`."""
+    tools = find_tools()
+    with Scratch("cm-rtl-", temporary()) as folder:
+        design = load_rtl_design(build, folder)
+        compile_units(tools, [design.static, *design.modules.values()], watched)
+    compile_harness(tools)
+
+
+def example_build() -> Path:
+    """The build schema of the camera that comes with the package."""
+    return Path(__file__).parents[2] / "data/examples/camera/build.yaml"
+
+
+def _schema(design: RtlDesign, folder: Path) -> Path:
+    return folder / "config" / f"{design.system.project.name}.yaml"
+
+
+def _scale(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < 1e9:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds: 100 lets 10 ns take a microsecond")
+    return value
+
+
+def _port_rate(design: RtlDesign) -> float:
+    """Bytes a second that the configuration port takes: a word a clock."""
+    icap = design.system.icap
+    return 4.0 * (design.system.project.clocks[icap.clock].rate if icap else 100e6)
+
+
+def _maker(design: RtlDesign, folder: Path, args: argparse.Namespace, make: MakeLibraries) -> MakeLogic:
+    """The function that makes the logic; of software models if no compiler for HDL is installed."""
+    try:
+        tools = find_tools()
+    except ToolMissing as error:
+        logging.getLogger(__name__).warning("the RTL %s; models in software are used instead", error)
+        return SoftwareLogic
+    return partial(_start, tools, design, folder, args, make)
+
+
+def _modules(tools: Tools, design: RtlDesign, watched: Watched, parts: LogicParts) -> Libraries:  # noqa: ARG001
+    libraries = compile_units(tools, design.modules.values(), watched)
+    return of_modules(dict(zip(design.modules, libraries, strict=True)))
+
+
+def _start(
+    tools: Tools, design: RtlDesign, folder: Path, args: argparse.Namespace, make: MakeLibraries, parts: LogicParts
+) -> RtlLogic:
+    watched = Watched(args.traces, args.coverage is not None)
+    (static,) = compile_units(tools, [design.static], watched)
+    libraries = make(tools, design, watched, parts)
+    lines = folder / "wiring"
+    text = wiring(design, static, parts.seed)
+    text += f"coverage {args.coverage.absolute()}\n" if args.coverage else ""
+    text += f"pace {args.time_scale}\n" if args.time_scale else ""
+    lines.write_text(text, encoding="utf-8")
+    process = HarnessProcess(compile_harness(tools), lines)
+    return RtlLogic(parts, design, process, libraries)

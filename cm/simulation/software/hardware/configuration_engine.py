@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The configuration engine behind ICAP and the fpga_manager: takes words at a rate, changes the fabric."""
+
+from __future__ import annotations
+
+import errno
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from cm.formats.bitstream.devices import Device
+from cm.loop import Loop
+from cm.simulation.software.errors import NodeError
+from cm.simulation.software.faults import Faults
+from cm.simulation.software.hardware.configuration_memory import ConfigMemory
+from cm.simulation.software.hardware.configuration_port import ConfigPort, PortError
+from cm.simulation.software.hardware.fabric import Fabric
+from cm.simulation.software.transport import protocol
+
+Through = Callable[[memoryview, bool], memoryview]  # words on their way, and whether the port signals an error
+_STEP = 0.001  # seconds of simulated time between two looks at the port
+
+
+@dataclass(frozen=True, slots=True)
+class LoadResult:
+    """How a load ended; times are CLOCK_MONOTONIC in ns."""
+
+    length: int
+    started_ns: int
+    finished_ns: int
+    status: int
+    errors: int
+
+
+class ConfigurationEngine:
+    """One load at a time, in steps of simulated time; other nodes are served between them."""
+
+    def __init__(
+        self, loop: Loop, fabric: Fabric, memory: ConfigMemory, faults: Faults, device: Device, rate: float
+    ) -> None:
+        self._loop, self._fabric, self._memory, self._faults = loop, fabric, memory, faults
+        self._port = ConfigPort(device)
+        self.rate = rate
+        self.state = protocol.STATE_IDLE
+        self.errors = 0
+        self.done = 0
+        self.total = 0
+        self.loads = 0
+        self._run: _Run | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether a load is under way."""
+        return self._run is not None
+
+    def start(
+        self,
+        data: memoryview,
+        finished: Callable[[LoadResult], None],
+        full: bool = False,
+        rate: float | None = None,
+        asked_ns: int | None = None,
+        through: Through | None = None,
+    ) -> None:
+        """Load `data`, words as in memory (little-endian bus); `finished` is called at the end (EBUSY).
+
+        `data` is read as it goes. `asked_ns` is when the request arrived (default: now): our own work before the
+        first word does not count, since a DMA engine begins at once. `through`: a function that the words pass
+        through before they arrive.
+        """
+        if self._run is not None:
+            raise NodeError(errno.EBUSY, "a load is running")
+        self.state, self.errors, self.done, self.total = protocol.STATE_LOADING, 0, 0, len(data)
+        self._port.reset()
+        started_ns = asked_ns or time.monotonic_ns()
+        self._run = _Run(data, started_ns, finished, full, self.rate if rate is None else rate, through)
+        self._loop.call_soon(self._step)
+
+    def _step(self) -> None:
+        run = self._run
+        if run is None:
+            return
+        if self._faults.take("icap_hang"):
+            # The words go nowhere; the driver gives up when the port should long have been done.
+            self._loop.call_later(run.seconds_left + 0.1, lambda: self._finish(-errno.ETIMEDOUT, protocol.ERR_TIMEOUT))
+            return
+        stall = self._faults.take("icap_stall")
+        self._feed(run, stall.value if stall else self.total)
+        self.done = min(run.fed, run.bytes_at(time.monotonic()))
+        if stall and self.done < self.total:
+            self._loop.call_later(_STEP, self._step)
+        elif self.done < self.total:
+            self._wait(run)
+        else:
+            self._finish(*self._verdict())
+
+    def _feed(self, run: _Run, most: int) -> None:
+        """Work on the words that are due before the next step, as a port does while the clock runs."""
+        target = min(run.bytes_at(time.monotonic() + _STEP), most // 4 * 4)
+        if target > run.fed:
+            words = run.data[run.fed : target]
+            if run.through is not None:
+                words = run.through(words, bool(self._port.errors))
+            writes = self._port.feed(words)
+            run.fed = target
+            self._memory.apply(writes, run.full)
+
+    def _wait(self, run: _Run) -> None:
+        """Wait until the next step; the loop's own clock has milliseconds, which is too coarse for the last step."""
+        left = run.seconds_left
+        if left < _STEP:
+            time.sleep(max(left, 0.0))
+            self._loop.call_soon(self._step)
+        else:
+            self._loop.call_later(min(_STEP, left - _STEP / 2), self._step)
+
+    def _verdict(self) -> tuple[int, int]:
+        port = self._port
+        if self._faults.take("icap_crc"):
+            return -errno.EILSEQ, protocol.ERR_CRC
+        if self._faults.take("icap_id"):
+            return -errno.ENODEV, protocol.ERR_ID
+        if port.errors & PortError.IDCODE:
+            return -errno.ENODEV, protocol.ERR_ID
+        if port.errors & PortError.CRC:
+            return -errno.EILSEQ, protocol.ERR_CRC
+        if port.errors & PortError.PACKET:
+            return -errno.EIO, 0
+        if not port.synced and not port.sections:
+            return -errno.EIO, protocol.ERR_NOSYNC
+        if not port.complete:
+            return -errno.ETIMEDOUT, protocol.ERR_TIMEOUT
+        return 0, 0
+
+    def _finish(self, status: int, errors: int) -> None:
+        run, self._run = self._run, None
+        if run is None:
+            return
+        self.loads += 1
+        self.errors = errors
+        self.state = protocol.STATE_ERROR if status else protocol.STATE_IDLE
+        if run.full and status == 0:
+            self._fabric.reset()
+        if run.through is not None:
+            run.through(run.data[:0], bool(errors))
+        self._memory.settle(status == 0, run.data)
+        run.finished(LoadResult(self.done, run.started_ns, time.monotonic_ns(), status, errors))
+
+
+class _Run:
+    """One load: its bytes, and when they are due at the port."""
+
+    def __init__(
+        self, data: memoryview, started_ns: int, finished: Callable[[LoadResult], None], full: bool, rate: float,
+        through: Through | None,
+    ) -> None:  # fmt: skip
+        self.through = through
+        self.data = data
+        self.fed = 0  # bytes worked on
+        self.finished = finished
+        self.full = full
+        self.started_ns = started_ns
+        self._rate = rate
+
+    def bytes_at(self, now: float) -> int:
+        """Bytes that the port has taken by a time of `time.monotonic()`, whole words."""
+        if self._rate <= 0:
+            return len(self.data)
+        return min(len(self.data), int((now - self.started_ns / 1e9) * self._rate / 4) * 4)
+
+    @property
+    def seconds_left(self) -> float:
+        """Until the last word."""
+        if self._rate <= 0:
+            return 0.0
+        return self.started_ns / 1e9 + len(self.data) / self._rate - time.monotonic()

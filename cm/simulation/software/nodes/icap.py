@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ICAP as a node: the requests of ``cm_icap.h``."""
+
+from __future__ import annotations
+
+import errno
+import time
+from collections.abc import Callable, Sequence
+
+from cm.simulation.software.errors import NodeError
+from cm.simulation.software.hardware.configuration_engine import ConfigurationEngine, LoadResult, Through
+from cm.simulation.software.transport import protocol
+from cm.simulation.software.transport.buffers import Buffer, Buffers, DmaMemory, Syncs, fit
+from cm.simulation.software.transport.session import Answer, Events
+
+MAX_LENGTH = 1 << 26
+_FLAGS = protocol.LOAD_FULL | protocol.LOAD_ENCRYPTED
+
+
+class IcapNode:
+    """``/dev/cm_icap0``; any number of files may be open."""
+
+    def __init__(
+        self, engine: ConfigurationEngine, through: Through, memory: DmaMemory, idcode: int, clock_hz: int
+    ) -> None:
+        self.engine, self.through, self._memory = engine, through, memory
+        self.idcode, self.clock_hz = idcode, clock_hz
+        self.sessions: set[IcapSession] = set()
+        self.syncs = Syncs()
+
+    def open(self, events: Events) -> IcapSession:
+        """A new open file."""
+        session = IcapSession(self, Buffers(self._memory, self.syncs), events)
+        self.sessions.add(session)
+        return session
+
+
+class IcapSession:
+    """One open file; it sees the completions of its own loads only."""
+
+    def __init__(self, node: IcapNode, buffers: Buffers, events: Events) -> None:
+        self._node = node
+        self.buffers = buffers
+        self._events: Events | None = events
+        self._handlers: dict[int, Callable[[bytes], bytes | Answer]] = {
+            protocol.ICAP_IOC_INFO & 0xFFFF: self._info,
+            protocol.ICAP_IOC_ALLOC & 0xFFFF: self.buffers.allocate,
+            protocol.ICAP_IOC_FREE & 0xFFFF: self.buffers.free,
+            protocol.ICAP_IOC_LOAD & 0xFFFF: self._load,
+            protocol.ICAP_IOC_STATUS & 0xFFFF: self._status,
+        }
+
+    def request(self, op: int, payload: bytes, fds: Sequence[int]) -> bytes | Answer:
+        """Answer one ioctl."""
+        handler = self._handlers.get(op & 0xFFFF)
+        if handler is not None:
+            return handler(payload)
+        if op & 0xFFFF == protocol.ICAP_IOC_IMPORT & 0xFFFF:
+            return self.buffers.import_fd(payload, fds)
+        raise NodeError(errno.ENOTTY, "no such ioctl")
+
+    def write(self, data: bytes) -> None:
+        """Nothing can be written to the port's file."""
+
+    def close(self) -> None:
+        """The file was closed; a load that runs continues to its end, without being reported."""
+        self._events = None
+        self.buffers.close()
+        self._node.sessions.discard(self)
+
+    def _info(self, payload: bytes) -> bytes:
+        protocol.require_zero(protocol.unpack(protocol.ICAP_INFO, payload)[0])
+        node = self._node
+        info = protocol.ICAP_INFO.pack(
+            len(payload), 0, 32, node.clock_hz, MAX_LENGTH, node.idcode, protocol.ICAP_CAP_STATUS
+        )
+        return fit(info, payload)
+
+    def _load(self, payload: bytes) -> bytes:
+        asked_ns = time.monotonic_ns()
+        flags, handle, reserved, offset, length, cookie = protocol.unpack(protocol.ICAP_LOAD, payload)
+        protocol.require_zero(flags & ~_FLAGS, reserved)
+        buffer = self.buffers.get(handle)
+        if offset % 4 or length % 4 or length <= 0 or offset + length > buffer.length:
+            raise NodeError(errno.EINVAL, "the range is empty, not of whole words or not inside the buffer")
+        if length > MAX_LENGTH:
+            raise NodeError(errno.EMSGSIZE, f"a load has at most {MAX_LENGTH} bytes")
+        if flags & protocol.LOAD_ENCRYPTED:
+            raise NodeError(errno.EOPNOTSUPP, "the simulated device has no key")
+        data = buffer.memory[offset : offset + length]
+        full = bool(flags & protocol.LOAD_FULL)
+        node = self._node
+        node.engine.start(
+            data, lambda result: self._finished(buffer, cookie, result), full, asked_ns=asked_ns, through=node.through
+        )
+        buffer.inflight += 1
+        return payload
+
+    def _finished(self, buffer: Buffer, cookie: int, result: LoadResult) -> None:
+        buffer.inflight -= 1
+        if self._events is not None:
+            self._events.send(
+                protocol.ICAP_COMPLETION.pack(
+                    cookie, result.length, result.started_ns, result.finished_ns, result.status, result.errors
+                )
+            )
+
+    def _status(self, payload: bytes) -> bytes:
+        protocol.require_zero(protocol.unpack(protocol.ICAP_STATUS, payload)[0])
+        engine = self._node.engine
+        status = protocol.ICAP_STATUS.pack(
+            len(payload), 0, engine.state, engine.errors, engine.done, engine.total, engine.loads
+        )
+        return fit(status, payload)

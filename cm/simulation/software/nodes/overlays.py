@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The overlay tree of configfs, as linux-xlnx and dtbocfg offer it."""
+
+from __future__ import annotations
+
+import errno
+import socket
+
+from cm.formats.fdt import FdtError, FdtNode, unpack
+from cm.simulation.software.errors import NodeError
+from cm.simulation.software.faults import Faults
+from cm.simulation.software.nodes.attributes import AttributeNode, FolderNode
+from cm.simulation.software.nodes.fpga_manager import PARTIAL, FpgaManager
+from cm.simulation.software.transport.root import Root
+from cm.simulation.software.transport.server import Server
+from cm.simulation.software.transport.session import Later
+
+BASE = "sys/kernel/config/device-tree/overlays"
+
+
+class Overlays:
+    """Folders of overlays; applying one with a firmware-name loads it through the fpga_manager."""
+
+    def __init__(self, root: Root, manager: FpgaManager, faults: Faults) -> None:
+        self._root, self._manager, self._faults = root, manager, faults
+        self._server: Server | None = None
+        self._targets: dict[str, str] = {}  # target of a firmware overlay → the overlay
+        self._folders: dict[str, _Folder] = {}
+
+    def serve(self, server: Server) -> None:
+        """Make the folder and listen."""
+        self._server = server
+        server.listen(self._root.bind(f"{BASE}/.node"), FolderNode(self._mkdir, self._rmdir))
+
+    @property
+    def applied(self) -> list[str]:
+        """Names of those that are applied, in order."""
+        return [name for name, folder in self._folders.items() if folder.applied]
+
+    def _mkdir(self, name: str) -> None:
+        if name in self._folders:
+            raise NodeError(errno.EEXIST, f"overlay {name} exists")
+        assert self._server is not None
+        folder = _Folder(name, self._root, self._manager, self._faults, self._targets)
+        folder.listen(self._server)
+        self._folders[name] = folder
+
+    def _rmdir(self, name: str) -> None:
+        if name not in self._folders:
+            raise NodeError(errno.ENOENT, f"there is no overlay {name}")
+        if self._folders[name].loading:
+            raise NodeError(errno.EBUSY, f"overlay {name} is being applied")
+        assert self._server is not None
+        self._folders.pop(name).remove(self._server)
+
+
+class _Folder:
+    """One overlay: ``dtbo`` and ``path`` are sockets, ``status`` is a plain file."""
+
+    def __init__(self, name: str, root: Root, manager: FpgaManager, faults: Faults, targets: dict[str, str]) -> None:
+        self._name, self._root, self._manager, self._faults = name, root, manager, faults
+        self._targets = targets
+        self._blob = b""
+        self._path = b"\n"
+        self.applied = False
+        self.loading = False
+        self._listeners: list[socket.socket] = []
+
+    @property
+    def _base(self) -> str:
+        return f"{BASE}/{self._name}"
+
+    def listen(self, server: Server) -> None:
+        dtbo = AttributeNode(lambda: self._blob, self._write_dtbo)
+        path = AttributeNode(lambda: self._path, self._write_path)
+        for attribute, node in (("dtbo", dtbo), ("path", path)):
+            listener = self._root.bind(f"{self._base}/{attribute}")
+            self._listeners.append(listener)
+            server.listen(listener, node)
+        self._status()
+
+    def remove(self, server: Server) -> None:
+        for listener in self._listeners:
+            server.unlisten(listener)
+        for name in ("dtbo", "path", "status"):
+            self._root.remove(f"{self._base}/{name}")
+        self._root.remove(self._base)
+        for target in [target for target, name in self._targets.items() if name == self._name]:
+            del self._targets[target]
+
+    def _write_path(self, data: bytes) -> Later | None:
+        later = self._write_dtbo(self._root.firmware(data.rstrip(b"\n").decode("utf-8", "replace")))
+        self._path = data.rstrip(b"\n") + b"\n"
+        return later
+
+    def _write_dtbo(self, blob: bytes) -> Later | None:
+        if self.applied or self.loading:
+            raise NodeError(errno.EPERM, "the overlay is applied already")
+        if self._faults.take("overlay_error", self._name):
+            raise NodeError(errno.EINVAL, "injected")
+        try:
+            tree = unpack(blob)
+        except FdtError as error:
+            raise NodeError(errno.EINVAL, str(error)) from error
+        found = [fragment for fragment in tree.children if fragment.child("__overlay__") is not None]
+        if not found:
+            raise NodeError(errno.EINVAL, "no fragment has an __overlay__")
+        return self._apply(blob, found)
+
+    def _apply(self, blob: bytes, fragments: list[FdtNode]) -> Later | None:
+        for fragment in fragments:
+            node = fragment.child("__overlay__")
+            firmware = node.text("firmware-name") if node is not None else None
+            if node is not None and firmware:
+                return self._load(blob, _target(fragment), firmware, "partial-fpga-config" in node.properties)
+        self._done(blob)
+        return None
+
+    def _load(self, blob: bytes, target: str, firmware: str, partial: bool) -> Later:
+        if target in self._targets:
+            # of_fpga_region_notify_pre_apply: "Region already has overlay applied."
+            raise NodeError(errno.EINVAL, f"{target} has overlay {self._targets[target]} applied")
+        self.loading = True
+        later = Later()
+
+        def finished(result: bytes | NodeError) -> None:
+            self.loading = False
+            if not isinstance(result, NodeError):
+                self._targets[target] = self._name
+                self._done(blob)
+            later.finish(result)
+
+        self._manager.load(firmware, PARTIAL if partial else 0).then(finished)
+        return later
+
+    def _done(self, blob: bytes) -> None:
+        self._blob, self.applied = blob, True
+        self._status()
+
+    def _status(self) -> None:
+        self._root.write(f"{self._base}/status", "applied\n" if self.applied else "unapplied\n")
+
+
+def _target(fragment: FdtNode) -> str:
+    """What a fragment changes: a path, or the number of a label."""
+    return fragment.text("target-path") or fragment.properties.get("target", b"").hex()

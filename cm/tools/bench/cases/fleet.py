@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A fleet of simulated boards on this machine: discovery, statuses of all, a change of all."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import statistics
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from cm.tools.bench import fleet_model
+from cm.tools.bench.machine import unpinned
+from cm.tools.bench.result import Goal, Result, unavailable
+from cm.tools.bench.run import Run
+from cm.tools.bench.serving import cpu_seconds, resident_mib
+from cm.tools.demo.boards import LocalFleet
+
+BOARDS = 50
+NAMES = ("fleet_discovery", "fleet_status", "fleet_change", "fleet_model")
+_PATIENCE = 300.0
+_DISCOVERY, _FAN_IN = Goal(2.0), Goal(10.0)
+_RAN = {
+    "fleet_discovery": "a client that connects to the router of {n} boards, until it knows all of them (median)",
+    "fleet_status": "a client that follows the statuses of {n} boards, each told once a second: percent of one CPU",
+    "fleet_change": "a change of mode of {n} boards under the policy `all`, planned and kept (median)",
+    "fleet_model": "boards that one client can follow at 1 Hz within one CPU, from the figures beside it",
+}
+
+
+def run(bench: Run) -> list[Result]:
+    """Measure all of `NAMES`, on boards that are started once."""
+    try:
+        importlib.import_module("zenoh")
+    except ImportError:
+        why = "not available: pip install 'fpga-cm[zenoh]'"
+        return [unavailable(name, "s", _RAN[name], why) for name in NAMES]
+    count = 3 if bench.quick else BOARDS
+    with unpinned(set(bench.cpus) or {0}), _fleet(bench, count) as (local, fleet):
+        found = [_discovery(local, bench, count), _status(local, fleet, bench, count), _change(fleet, bench, count)]
+    return [*found, _model(found, count)]
+
+
+def _result(name: str, value: float, unit: str, count: int, goal: Goal | None, details: dict[str, Any]) -> Result:
+    return Result(name, value, unit, _RAN[name].format(n=count), goal=goal, details={"boards": count, **details})
+
+
+@contextmanager
+def _fleet(bench: Run, count: int) -> Iterator[tuple[LocalFleet, Any]]:
+    from cm.networks.fleet import connect
+
+    local = LocalFleet([f"b{n:03}" for n in range(count)], bench.place("f"))
+    with local, connect(local.router, caller="bench", timeout=60.0) as fleet:
+        _until(lambda: len(fleet.boards()) == count and all(_ready(each) for each in fleet.status().values()))
+        yield local, fleet
+
+
+def _ready(status: Any) -> bool:
+    own = getattr(status, "status", None)
+    return own is not None and bool(own.mode) and not own.fpga_busy
+
+
+def _until(condition: Any) -> None:
+    end = time.monotonic() + _PATIENCE
+    while not condition():
+        if time.monotonic() > end:
+            raise TimeoutError("the fleet did not come up")
+        time.sleep(0.2)
+
+
+def _discovery(local: LocalFleet, bench: Run, count: int) -> Result:
+    from cm.networks.fleet import connect
+
+    seconds = []
+    for _ in range(2 if bench.quick else 10):
+        begun = time.monotonic()
+        with connect(local.router, caller="bench", timeout=60.0) as fleet:
+            while len(fleet.boards()) < count:
+                time.sleep(0.001)
+            seconds.append(time.monotonic() - begun)
+    return _result("fleet_discovery", statistics.median(seconds), "s", count, _DISCOVERY, {"slowest": max(seconds)})
+
+
+def _status(local: LocalFleet, fleet: Any, bench: Run, count: int) -> Result:
+    """What the client's process uses; that of router, bridges and managers stands beside it."""
+    seconds = 3.0 if bench.quick else 20.0
+    others = {
+        "router": [local.router_process.pid],
+        "bridges": [b.bridge.pid for b in local.boards.values() if b.bridge],
+        "managers": [b.manager.pid for b in local.boards.values() if b.manager],
+    }
+    with fleet.watch() as statuses:
+        for _ in range(2 * count):
+            next(statuses)
+        quiet = {kind: sum(map(cpu_seconds, pids)) for kind, pids in others.items()}
+        used, begun, told = time.process_time(), time.monotonic(), 0
+        while time.monotonic() < begun + seconds:
+            next(statuses)
+            told += 1
+        took, used = time.monotonic() - begun, time.process_time() - used
+    percent = {kind: 100 * (sum(map(cpu_seconds, pids)) - quiet[kind]) / took for kind, pids in others.items()}
+    details = {
+        "statuses_per_second": told / took,
+        "bytes_of_a_status": _bytes_of_a_status(local),
+        "router_percent": percent["router"],
+        "router_mib": resident_mib(local.router_process.pid),
+        "percent_of_one_bridge": percent["bridges"] / count,
+        "bridge_mib": statistics.median(map(resident_mib, others["bridges"])),
+        "percent_of_one_manager": percent["managers"] / count,
+        "load": os.getloadavg()[0],
+    }
+    return _result("fleet_status", 100 * used / took, "% of a CPU", count, _FAN_IN, details)
+
+
+def _bytes_of_a_status(local: LocalFleet) -> int:
+    """The size of a status on the network, without zenoh's own headers."""
+    from cm.networks.fleet.network import Network, session
+
+    name = next(iter(local.boards))
+    with session(Network(connect=(local.router,))) as plain:
+        (reply,) = plain.get(f"cm/{name}/status", timeout=60.0)
+        return len(bytes(reply.ok.payload))
+
+
+def _change(fleet: Any, bench: Run, count: int) -> Result:
+    """Change back and forth; the critical path is that of the median change."""
+    courses, used = [], []
+    for number in range(2 if bench.quick else 10):
+        before = time.process_time()
+        begun = time.monotonic()
+        course = fleet.mode(("edge_detection", "default")[number % 2], timeout=120.0)
+        courses.append((time.monotonic() - begun, course))
+        used.append(time.process_time() - before)
+    courses.sort(key=lambda each: each[0])
+    seconds, course = courses[len(courses) // 2]
+    path = {leg.phase: {"ms": leg.seconds * 1000, "last": leg.slowest} for leg in course.legs}
+    path["plan"] = {"ms": (seconds - course.seconds) * 1000, "last": ""}
+    loads = sorted(record.seconds for record in course.outcome.records.values())
+    details = {
+        "critical_path": path,
+        "load_of_the_median_board_ms": loads[len(loads) // 2] * 1000,
+        "load_of_the_slowest_board_ms": loads[-1] * 1000,
+        "client_cpu_ms": statistics.median(used) * 1000,
+        "slowest_change_ms": courses[-1][0] * 1000,
+    }
+    return _result("fleet_change", seconds * 1000, "ms", count, None, details)
+
+
+def _model(found: list[Result], count: int) -> Result:
+    discovery, status, change = (result.details for result in found)
+    measured = fleet_model.Measured.of(count, found[0].value or 0.0, found[1].value or 0.0, status, change)
+    rows = [fleet_model.reckoned(measured, boards) for boards in fleet_model.SIZES]
+    alone = measured.statuses_of_a_cpu
+    return _result("fleet_model", alone, "boards", count, None, {"rows": rows, "discovery": dict(discovery)})

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The course of the fleet's demonstration as a picture: a lane for each board, what was said, what was seen."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from PIL import Image, ImageDraw
+
+from cm.tools.demo.course import Course
+
+_WIDTH, _MARGIN, _LANE, _NAME, _LINE = 1200, 16, 44, 70, 18
+_BACKGROUND, _INK, _FAINT = (24, 26, 30), (230, 230, 230), (120, 124, 132)
+_COLOURS = {
+    "default": (70, 110, 170),
+    "edge_detection": (60, 150, 90),
+    "colorise": (190, 110, 50),
+    "loopback_edge": (140, 90, 170),
+    "": (46, 48, 54),
+}
+
+
+def draw(course: Course, path: Path) -> None:
+    """Write a PNG."""
+    lanes = sorted(course.modes)
+    thumb = (_WIDTH - 2 * _MARGIN - 2 * _MARGIN) // 3
+    height = thumb * 3 // 4
+    top_said = _MARGIN + len(lanes) * _LANE + _LINE
+    top_pictures = top_said + len(course.said) * _LINE + _MARGIN
+    image = Image.new("RGB", (_WIDTH, top_pictures + _LINE + height + _MARGIN), _BACKGROUND)
+    canvas = ImageDraw.Draw(image)
+    for row, board in enumerate(lanes):
+        _lane(canvas, course, board, _MARGIN + row * _LANE)
+    _marks(canvas, course, lanes)
+    for row, (second, board, text) in enumerate(course.said):
+        canvas.text((_MARGIN, top_said + row * _LINE), f"{row + 1:2}  {second:6.2f} s  {board}: {text}", fill=_INK)
+    for column, (label, picture) in enumerate(course.pictures[:3]):
+        left = _MARGIN + column * (thumb + _MARGIN)
+        canvas.text((left, top_pictures), label, fill=_INK)
+        small = Image.fromarray(picture).convert("RGB").resize((thumb, height), Image.Resampling.LANCZOS)
+        image.paste(small, (left, top_pictures + _LINE))
+    image.save(path)
+
+
+def _place(course: Course, second: float) -> int:
+    span = _WIDTH - _NAME - 2 * _MARGIN
+    return _MARGIN + _NAME + int(span * min(1.0, second / max(course.ended, 1e-9)))
+
+
+def _lane(canvas: ImageDraw.ImageDraw, course: Course, board: str, top: int) -> None:
+    canvas.text((_MARGIN, top + _LANE // 3), board, fill=_INK)
+    changes = course.modes[board]
+    for number, (second, mode) in enumerate(changes):
+        until = changes[number + 1][0] if number + 1 < len(changes) else course.ended
+        left, right = _place(course, second), _place(course, until)
+        canvas.rectangle((left, top + 4, right, top + _LANE - 8), fill=_COLOURS.get(mode, _FAINT))
+        if right - left > 7 * len(mode or "gone"):
+            canvas.text((left + 4, top + _LANE // 3), mode or "gone", fill=_INK)
+
+
+def _marks(canvas: ImageDraw.ImageDraw, course: Course, lanes: list[str]) -> None:
+    """The number of each thing that was said, where it happened."""
+    for number, (second, board, _) in enumerate(course.said):
+        if board in lanes:
+            left, top = _place(course, second), _MARGIN + lanes.index(board) * _LANE
+            canvas.line((left, top, left, top + _LANE - 4), fill=_INK)
+            canvas.text((left + 2, top - 8), str(number + 1), fill=_INK)

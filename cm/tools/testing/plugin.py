@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The fixtures ``board``, ``rtl_board`` and ``inject``, and the settings that say what they serve."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from cm.client.board import Board
+
+_KEY: pytest.StashKey[Any] = pytest.StashKey()  # dict: managers that run, by what they serve
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Settings of pytest.ini or pyproject.toml."""
+    parser.addini("cm_config", "runtime schemas, or folders of them, for `board`, a line each", default="")
+    parser.addini("cm_build", "build schema whose RTL `rtl_board` runs (default: the shipped camera)", default="")
+    parser.getgroup("fpga-cm").addoption(
+        "--rtl-coverage",
+        metavar="DIR",
+        help="count the lines of HDL that tests with `rtl_board` run; coverage.info goes there",
+    )
+    parser.addini("cm_load", "CONFIG[/MODE] that each test begins in (default: the only configuration)", default="")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """The boards of this session."""
+    config.stash[_KEY] = {}
+    folder = config.getoption("--rtl-coverage")
+    first = not hasattr(config, "workerinput")  # a worker of pytest-xdist would delete those of the others
+    for old in Path(folder).glob("*.dat") if folder and first else ():
+        old.unlink()
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """End them."""
+    for served in session.config.stash.get(_KEY, {}).values():
+        served.stop()
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """The lines of HDL that ran, with ``--rtl-coverage``."""
+    folder = config.getoption("--rtl-coverage")
+    if not folder:
+        return
+    from cm.errors import CmError
+    from cm.simulation.rtl.coverage import INFO, report, table
+
+    terminalreporter.section("coverage of the RTL")
+    try:
+        terminalreporter.write_line(table(report(Path(folder))))
+        terminalreporter.write_line(f"for other tools: {Path(folder) / INFO}")
+    except CmError as error:
+        terminalreporter.write_line(str(error))
+
+
+@pytest.fixture
+def board(request: pytest.FixtureRequest) -> Iterator[Board]:
+    """A connected `cm.Board` on a simulated board of the schemas of `cm_config`, or else of the shipped camera.
+
+    The manager runs as long as the session. Each test begins with the hardware as after power-up, without faults, and
+    with `cm_load` loaded.
+    """
+    lines = str(request.config.getini("cm_config")).splitlines()
+    configs = tuple(str(request.config.rootpath / line.strip()) for line in lines if line.strip())
+    yield from _ready(request, "models", configs, "")
+
+
+@pytest.fixture
+def rtl_board(request: pytest.FixtureRequest) -> Iterator[Board]:
+    """As `board`, with the RTL of the build schema of `cm_build` behind the nodes; skipped without Verilator."""
+    from cm.simulation.rtl.compile import Watched
+    from cm.simulation.rtl.errors import ToolMissing
+    from cm.simulation.rtl.main import example_build, prepare
+
+    given = str(request.config.getini("cm_build"))
+    build = str(request.config.rootpath / given) if given else str(example_build())
+    try:
+        prepare(Path(build), Watched(coverage=bool(request.config.getoption("--rtl-coverage"))))
+    except ToolMissing as missing:
+        pytest.skip(f"the RTL {missing}")
+    yield from _ready(request, "rtl", (), build)
+
+
+@pytest.fixture
+def inject(request: pytest.FixtureRequest) -> Iterator[Callable[..., None]]:
+    """``inject(fault, target=None, count=1, value=0)`` on the board of the test; see `cm sim inject`.
+
+    Faults that have not taken effect by the end of the test are forgotten.
+    """
+    name = next((name for name in ("rtl_board", "board") if name in request.fixturenames), "board")
+    request.getfixturevalue(name)
+    served = request.config.stash[_KEY]["now"]
+    yield served.control.inject
+    served.control.clear()
+
+
+def _ready(request: pytest.FixtureRequest, kind: str, configs: tuple[str, ...], build: str) -> Iterator[Board]:
+    from cm.client.board import connect
+    from cm.tools.testing.served import Served
+
+    boards = request.config.stash[_KEY]
+    key = (kind, configs, build)
+    if key not in boards or not boards[key].alive:
+        coverage = request.config.getoption("--rtl-coverage") if kind == "rtl" else None
+        boards[key] = Served(kind, configs, build, str(Path(coverage).absolute()) if coverage else "")
+    served = boards["now"] = boards[key]
+    served.begin(str(request.config.getini("cm_load")))
+    with connect(str(served.runtime), timeout=60.0) as connected:
+        yield connected

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the bridges of a fleet tell each other beside their managers' own messages, as frozen data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+from cm.wire.messages.status import ErrorInfo, Status
+
+
+class Policy(str, Enum):
+    """How many boards have to be in the new mode for the change to be kept."""
+
+    ALL = "all"
+    QUORUM = "quorum"
+    BEST_EFFORT = "best_effort"
+
+    @classmethod
+    def of(cls, said: Policy | str) -> Policy:
+        """A policy by its name, also with a hyphen or a space in it. Raises ValueError."""
+        name = str(getattr(said, "value", said))
+        try:
+            return cls(name.replace("-", "_").replace(" ", "_"))
+        except ValueError:
+            known = ", ".join(policy.spelt for policy in cls)
+            raise ValueError(f"policy {name!r}: one of {known} is wanted") from None
+
+    @property
+    def spelt(self) -> str:
+        """The name as users type it."""
+        return self.value.replace("_", "-")
+
+    def holds(self, members: int, there: int) -> bool:
+        """Whether `there` boards out of `members` are enough."""
+        if self is Policy.ALL:
+            return there == members
+        return there * 2 > members if self is Policy.QUORUM else there > 0
+
+
+class Decision(str, Enum):
+    """The outcome of a change, decided once: what a majority of its seats has voted for."""
+
+    KEEP = "keep"
+    REVERT = "revert"
+
+
+@dataclass(frozen=True, slots=True)
+class ClockSync:
+    """How well a board's clock is set: its reading is off the reference by `error_ns` at most (0: not known)."""
+
+    source: str = ""
+    synchronised: bool = False
+    error_ns: int = 0
+    reference: str = ""
+    now_ns: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class FleetStep:
+    """A step of a change of many boards, as a coordinator requests it; a board that hears nothing for `seconds` asks.
+
+    `ballot` is that of a vote or of a requested promise; 0 is the coordinator's own.
+    """
+
+    id: str
+    config_name: str = ""
+    mode: str = ""
+    seats: tuple[str, ...] = ()
+    members: tuple[str, ...] = ()
+    policy: Policy = Policy.ALL
+    seconds: float = 30.0
+    keep: bool = False
+    ballot: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class FleetRecord:
+    """What a board has written down about a change: from where, to where, how far, and what was decided.
+
+    `promised`, `vote` and `vote_ballot` are those of a seat: it accepts no vote with a ballot below the promised one.
+    """
+
+    id: str
+    state: str
+    config_name: str = ""
+    mode: str = ""
+    old_config_name: str = ""
+    old_mode: str = ""
+    seats: tuple[str, ...] = ()
+    decision: Decision | None = None
+    error: ErrorInfo | None = None
+    plan_seconds: float = 0.0
+    plan_bytes: int = 0
+    seconds: float = 0.0
+    caller: str = ""
+    members: tuple[str, ...] = ()
+    policy: Policy = Policy.ALL
+    deadline: float = 0.0  # CLOCK_REALTIME, seconds
+    promised: int = 0
+    vote: Decision | None = None
+    vote_ballot: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class FetchBundle:
+    """An archive that a board is to fetch: its sha256 and those of its parts, each of `part_length` but the last."""
+
+    sha256: str
+    length: int
+    parts: tuple[str, ...]
+    part_length: int
+    name: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class BundleState:
+    """How much of an archive a board has, and the configuration that it became."""
+
+    sha256: str
+    length: int
+    have: int
+    config_name: str = ""
+    signer: str = ""
+    error: ErrorInfo | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class BoardStatus:
+    """A board's status with what its bridge knows beside it."""
+
+    status: Status
+    labels: tuple[str, ...] = ()
+    clock: ClockSync = field(default_factory=ClockSync)
+    fleet: FleetRecord | None = None

@@ -1,0 +1,408 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the configuration manager tells: its status, events and the bodies of replies.
+
+Objects that are made for every control request are named tuples: a frozen dataclass takes twice as long to make.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
+
+
+class PrMode(str, Enum):
+    """What kind of reconfiguration runs, or how the last one ended."""
+
+    IDLE = "idle"
+    PARTIAL = "partial"
+    FULL = "full"
+    ERROR = "error"
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorInfo:
+    """An error as it travels: a stable code and a sentence."""
+
+    code: str
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """Where a running change is; `fraction` is 0 to 1 over the whole change."""
+
+    change: int
+    target_config: str
+    target_mode: str
+    step: str = ""
+    subject: str = ""
+    bytes_done: int = 0
+    bytes_total: int = 0
+    fraction: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class RegionStatus:
+    """A region: the module in it (None: unknown or none) and its state."""
+
+    name: str
+    module: str | None
+    state: str
+    loader: str = ""  # the port of `loader: auto`: icap, or fpga_manager with the reason; else empty
+
+
+@dataclass(frozen=True, slots=True)
+class ClockStatus:
+    """A clock: the rate that the configuration wants and the one it has or will have (0: not known), in Hz."""
+
+    name: str
+    wanted: int
+    rate: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class SensorStatus:
+    """What a sensor of the board measured last: `value` in °C, V, A or W by `quantity`.
+
+    `quantity`: temperature, voltage, current or power. `device`: as its driver calls it.
+    """
+
+    device: str
+    name: str
+    quantity: str
+    value: float
+
+
+@dataclass(frozen=True, slots=True)
+class StreamClient:
+    """A client of a stream on the manager's machine: its process, and what it got since it was attached. `frames`:
+
+    lent to it, or sent by it. `dropped`: lost to it because it held all the slots it may hold, or did not read.
+    """
+
+    pid: int
+    name: str = ""
+    writes: bool = False
+    depth: int = 0
+    held: int = 0
+    frames: int = 0
+    dropped: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class StreamStatus:
+    """A stream as it is configured now, and its counters since it was opened."""
+
+    name: str
+    channel: str
+    direction: str
+    shape: tuple[int, ...] = ()
+    dtype: str = "uint8"
+    slots: int = 0
+    open: bool = False
+    frames: int = 0
+    dropped: int = 0
+    errors: int = 0
+    rate: float = 0.0
+    latency_us: float = 0.0
+    clients: tuple[StreamClient, ...] = ()
+    overruns: int = 0  # times that a subscriber over ZeroMQ began to lose frames
+    cyclic: bool = False
+    backpressure: bool = False
+    stride: int = 0  # bytes from line to line in memory; 0: lines follow each other
+    limit: float = 0.0  # frames handed on per second at most; 0: all
+    exact: bool = False  # the channel cannot tell how many bytes arrived: each frame must end with TLAST; while open
+    max_length: int = 0  # bytes of one transfer at most; 0 while the stream is closed
+    last_error: ErrorInfo | None = None  # why it last failed, or lost a transfer, in this mode
+
+
+@dataclass(frozen=True, slots=True)
+class LeaseStatus:
+    """A lease that is held, as all may see it: only its holder knows its id. `seconds` until it ends unless renewed."""
+
+    number: int  # the number by which it can be broken
+    scope: str
+    exclusive: bool = True
+    holder: str = ""
+    client: str = ""  # the client that took it, as the manager knows it
+    pid: int = 0  # the process with whose end it ends
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class ClientStatus:
+    """What one client uses of what all share."""
+
+    name: str
+    connections: int = 0
+    leases: int = 0
+    slots: int = 0
+    upload_bytes: int = 0
+    waiting_bytes: int = 0  # of requests that wait, and of replies that it has not read
+    loop_seconds: float = 0.0
+    requests: int = 0
+    refused: int = 0
+    account: str = ""  # to which it belongs: a user, a key, or an address
+    waiting: int = 0  # requests that came, and wait for their turn
+    memory_bytes: int = 0  # for masters in the PL
+    unread_bytes: int = 0  # of `waiting_bytes`, replies that it has not read
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """The state of the PL as the manager knows it: the content of ``cm_status``."""
+
+    config_name: str = ""
+    mode: str = ""
+    fpga_busy: bool = False
+    pr_mode: PrMode = PrMode.IDLE
+    progress: Progress | None = None
+    sequence: int = 0
+    last_error: ErrorInfo | None = None
+    regions: tuple[RegionStatus, ...] = ()
+    streams: tuple[StreamStatus, ...] = ()
+    configs: tuple[str, ...] = ()
+    version: str = ""
+    started_ns: int = 0
+    last_change: int = 0
+    last_change_seconds: float = 0.0
+    clocks: tuple[ClockStatus, ...] = ()
+    board: str = ""  # the board's name
+    realtime_offset_ns: int = 0  # CLOCK_REALTIME less CLOCK_MONOTONIC of the manager's machine
+    generation: int = 0  # of the registers: grows with every write by a request, and with every change
+    sensors: tuple[SensorStatus, ...] = ()  # of the board; within the last seconds
+    leases: tuple[LeaseStatus, ...] = ()
+    clients: tuple[ClientStatus, ...] = ()  # only in the reply to a request for them
+
+    def _repr_html_(self) -> str:
+        from cm.wire.messages import html  # only notebooks need it
+
+        return html.status(self)
+
+
+class RegValue(NamedTuple):
+    """A register's value and those of its fields."""
+
+    name: str
+    value: int
+    fields: tuple[tuple[str, int], ...] = ()
+
+
+class RegValues(NamedTuple):
+    """Registers' values, and the mode they were read in."""
+
+    values: tuple[RegValue, ...]
+    config_name: str = ""
+    mode: str = ""
+    generation: int = 0  # of what was written; 0 beside values that were read
+
+
+@dataclass(frozen=True, slots=True)
+class FieldInfo:
+    """A field of a register."""
+
+    name: str
+    lsb: int
+    width: int
+    doc: str = ""
+    values: tuple[tuple[str, int], ...] = ()  # names of values
+
+
+@dataclass(frozen=True, slots=True)
+class RegisterInfo:
+    """A register as the schema describes it; `modes` is empty if all modes have it."""
+
+    name: str
+    address: int
+    width: int
+    access: str
+    default: int | None = None
+    minimum: int | None = None
+    maximum: int | None = None
+    doc: str = ""
+    fields: tuple[FieldInfo, ...] = ()
+    modes: tuple[str, ...] = ()
+    region: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class MemoryInfo:
+    """A memory: `size` bytes at `address`; `modes` is empty if all have it; `defined`: by a client, at run time."""
+
+    name: str
+    address: int
+    size: int
+    access: str = "rw"
+    dtype: str = "uint32"
+    shape: tuple[int, ...] = ()  # empty: one axis of as many elements as fit
+    region: str = ""
+    doc: str = ""
+    modes: tuple[str, ...] = ()
+    defined: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class ModeInfo:
+    """A mode: what it consists of, by name."""
+
+    name: str
+    modules: tuple[str, ...] = ()
+    registers: tuple[str, ...] = ()
+    overlays: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class InterruptInfo:
+    """A named interrupt and how often it came since the configuration was loaded."""
+
+    name: str
+    doc: str = ""
+    count: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ConfigEntry:
+    """A configuration in the list of all; `default_mode` is the one that is loaded if none is named."""
+
+    name: str
+    type: str = ""
+    modes: tuple[str, ...] = ()
+    default_mode: str = ""
+    origin: str = ""  # "administrator" or "client"
+    owner: str = ""  # for a client's: who sent it
+    bytes: int = 0  # for a client's: the bytes of all its files
+
+
+@dataclass(frozen=True, slots=True)
+class ConfigInfo:
+    """A configuration's description; `mode` is empty while it is not loaded."""
+
+    name: str = ""
+    type: str = ""
+    mode: str = ""
+    modes: tuple[ModeInfo, ...] = ()
+    registers: tuple[RegisterInfo, ...] = ()
+    interrupts: tuple[InterruptInfo, ...] = ()
+    streams: tuple[StreamStatus, ...] = ()
+    names: tuple[str, ...] = ()
+    schema: str = ""
+    memories: tuple[MemoryInfo, ...] = ()
+    entries: tuple[ConfigEntry, ...] = ()  # in a list of all configurations
+
+
+@dataclass(frozen=True, slots=True)
+class PlanStep:
+    """One step of a plan: what it does to what, and how long it should take (seconds)."""
+
+    kind: str
+    subject: str
+    text: str
+    bytes: int = 0
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class PlanInfo:
+    """What going to a mode would do; nothing was touched to find out."""
+
+    config_name: str
+    mode: str
+    steps: tuple[PlanStep, ...]
+    bytes: int
+    seconds: float
+    clocks: tuple[ClockStatus, ...] = ()  # that would be set
+
+    def _repr_html_(self) -> str:
+        from cm.wire.messages import html
+
+        return html.plan(self)
+
+
+@dataclass(frozen=True, slots=True)
+class ChangeInfo:
+    """A change that was accepted (`done` False) or has ended well (`done` True)."""
+
+    number: int
+    done: bool
+    seconds: float = 0.0
+    generation: int = 0  # of the registers when it ended
+
+
+@dataclass(frozen=True, slots=True)
+class LeaseInfo:
+    """A lease that was granted."""
+
+    id: str
+    scope: str
+    exclusive: bool
+    seconds: float
+    holder: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class UploadInfo:
+    """How many bytes of an upload of `length` have come."""
+
+    id: str
+    length: int
+    got: int
+
+
+@dataclass(frozen=True, slots=True)
+class FrameInfo:
+    """What accompanies a payload of stream data.
+
+    Times are CLOCK_MONOTONIC of the manager's machine. For a payload from a memory `stream` is the memory's name, and
+    `offset` where in it the payload begins.
+    """
+
+    stream: str
+    sequence: int
+    timestamp_ns: int
+    length: int
+    shape: tuple[int, ...] = ()
+    dtype: str = "uint8"
+    config_name: str = ""
+    mode: str = ""
+    compression: str = ""
+    offset: int = 0
+    generation: int = 0  # of the registers, when the frame began; 0: not known
+
+
+@dataclass(frozen=True, slots=True)
+class Irq:
+    """An interrupt that came: its count since the configuration was loaded, and when."""
+
+    name: str
+    count: int
+    timestamp_ns: int
+
+
+Body = (
+    Status
+    | ConfigInfo
+    | RegValues
+    | StreamStatus
+    | FrameInfo
+    | UploadInfo
+    | PlanInfo
+    | LeaseInfo
+    | ChangeInfo
+    | Irq
+    | MemoryInfo
+    | None
+)
+
+
+class Reply(NamedTuple):
+    """An answer: a body, or an error; `sequence` is the status's at that time.
+
+    `encoded`: in place of a body, its bytes as they stand in the message.
+    """
+
+    body: Body = None
+    error: ErrorInfo | None = None
+    sequence: int = 0
+    payload: tuple[bytes | memoryview, ...] = ()
+    encoded: bytes = b""

@@ -1,0 +1,349 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The frame of the command line: status, errors, help and completion."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+import cm.cli.commands
+from cm._version import __version__
+from cm.cli.commands import COMMANDS, Command
+from cm.cli.common import add_connection_options, print_json, print_table
+from cm.cli.completion import SHELLS, script
+from cm.cli.main import main
+from cm.cli.parser import Parser
+from cm.client.progress import TextBar, bar
+from cm.errors import Busy
+
+CAMERA = Path(cm.cli.commands.__file__).parents[1] / "data" / "camera" / "camera.yaml"
+
+
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Install a command `try` that does what the test gives it to do."""
+
+    def install(run: Any) -> None:
+        module = ModuleType("a_command")
+
+        def add_parser(subparsers: Any) -> None:
+            parser = subparsers.add_parser("try")
+            parser.add_argument("--json", action="store_true")
+            parser.add_argument("--longer", action="store_true")
+            parser.add_argument("--kind", choices=["red", "blue"], help="it's a: kind")
+            parser.set_defaults(run=run)
+            nested = parser.add_subparsers(required=False)
+            nested.add_parser("inject", help="order a fault").add_argument("--root")
+
+        module.add_parser = add_parser  # type: ignore[attr-defined]
+        monkeypatch.setitem(sys.modules, "a_command", module)
+        own = [command for command in COMMANDS if command.name in ("check", "completion")]
+        table = (*own, Command("try", "a_command", "try something"))
+        monkeypatch.setattr("cm.cli.commands.COMMANDS", table)
+        monkeypatch.setattr("cm.cli.parser.COMMANDS", table)
+
+    return install
+
+
+def fails_with(error: BaseException) -> Any:
+    def run(args: Any) -> int:
+        raise error
+
+    return run
+
+
+def usage_error(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    with pytest.raises(SystemExit) as caught:
+        main(arguments)
+    assert caught.value.code == 2
+    return capsys.readouterr().err
+
+
+def test_a_command_gives_the_exit_status(command: Any) -> None:
+    command(lambda args: 1)
+    assert main(["try"]) == 1
+
+
+def test_an_error_of_the_field_is_one_line_on_stderr(command: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    command(fails_with(Busy("region prr0 is loading")))
+    assert main(["try"]) == 1
+    assert capsys.readouterr() == ("", "cm: region prr0 is loading\n")
+
+
+def test_an_error_is_json_where_json_was_asked_for(command: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    command(fails_with(Busy("region prr0 is loading")))
+    assert main(["try", "--json"]) == 1
+    assert json.loads(capsys.readouterr().out) == {"error": {"code": "busy", "message": "region prr0 is loading"}}
+
+
+def test_an_error_of_the_system_names_the_file(command: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    command(fails_with(PermissionError(13, "Permission denied", "/dev/uio0")))
+    assert main(["try"]) == 1
+    assert capsys.readouterr().err == "cm: /dev/uio0: Permission denied\n"
+
+
+def test_ctrl_c_ends_quietly(command: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    command(fails_with(KeyboardInterrupt()))
+    assert main(["try"]) == 130
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_defect_of_the_program_is_not_hidden(command: Any) -> None:
+    command(fails_with(ZeroDivisionError()))
+    with pytest.raises(ZeroDivisionError):
+        main(["try"])
+
+
+def test_an_unknown_command_is_a_usage_error_with_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "there is no command chekc; did you mean check?" in usage_error(["chekc"], capsys)
+
+
+def test_options_are_not_abbreviated(command: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    command(lambda args: 0)
+    assert main(["try", "--longer"]) == 0
+    assert "--long" in usage_error(["try", "--long"], capsys)
+
+
+def test_no_command_is_a_usage_error_that_shows_the_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 2
+    assert "commands:" in capsys.readouterr().err
+
+
+def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["--help"])
+    assert caught.value.code == 0
+    out = capsys.readouterr().out
+    assert all(f"  {command.name} " in out and command.help in out for command in COMMANDS)
+
+
+def test_the_page_of_the_docs_has_every_command() -> None:
+    page = (CAMERA.parents[3] / "docs" / "cli.md").read_text()
+    rows = "\n".join(f"| `cm {command.name}` | {command.help} |" for command in COMMANDS)
+    assert rows in page
+
+
+@pytest.mark.parametrize("words", [["reg", "write"], ["status"], []])
+def test_help_of_a_command_is_what_its_option_prints(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main([*words, "--help"])
+    by_option = capsys.readouterr().out
+    assert main(["help", *words]) == 0
+    assert capsys.readouterr().out == by_option
+
+
+@pytest.mark.parametrize(("columns", "longest"), [("60", 58), ("130", 128), ("wide", 78), ("0", 78)])
+def test_help_is_as_wide_as_the_terminal(
+    columns: str, longest: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", columns)  # if it is not a number, stdout is asked, which is not a terminal here
+    monkeypatch.setattr("os.get_terminal_size", lambda *_: (_ for _ in ()).throw(OSError("no terminal")))
+    with pytest.raises(SystemExit):
+        main(["serve", "--help"])
+    assert longest - 15 < max(map(len, capsys.readouterr().out.splitlines())) <= longest
+
+
+def test_help_for_an_unknown_command_names_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "there is no command rge; did you mean reg?" in usage_error(["help", "rge"], capsys)
+
+
+@pytest.mark.parametrize(
+    ("line", "usage"),
+    [
+        ("plan a b", "usage: cm plan [-h]"),
+        ("reg read --nmae", "usage: cm reg read [-h]"),
+        ("reg write --mask 3 a=1 b=2", "usage: cm reg write [-h]"),
+        ("reg write --mask 3 led.blink=fast", "usage: cm reg write [-h]"),
+        ("stream capture camera x.png y.png", "usage: cm stream capture [-h]"),
+        ("sim inject", "usage: cm sim inject [-h]"),
+        ("build check --no-such", "usage: cm build check [-h]"),
+        ("bitstream verify", "usage: cm bitstream verify [-h]"),
+    ],
+)
+def test_wrong_usage_shows_the_usage_of_that_command(
+    line: str, usage: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("CM_ROOT", raising=False)
+    assert usage_error(line.split(), capsys).startswith(usage)
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["--version"])
+    assert capsys.readouterr().out == f"cm {__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("module", "words"),
+    [
+        ("cm.cli.nowhere", "is not part of this installation"),
+        ("needs_nowhere", "needs the Python module nowhere"),
+        ("is_broken", "cannot be used here: cannot import name 'nothing'"),
+    ],
+)
+def test_a_command_that_cannot_be_imported_says_why(
+    module: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "needs_nowhere.py").write_text("import nowhere\n")
+    (tmp_path / "is_broken.py").write_text("from os import nothing\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    table = (Command("try", module, "try something"),)
+    monkeypatch.setattr("cm.cli.commands.COMMANDS", table)
+    monkeypatch.setattr("cm.cli.parser.COMMANDS", table)
+    assert main(["try"]) == 1
+    assert words in capsys.readouterr().err
+
+
+def run_python(code: str, **kwargs: Any) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=30, check=False, **kwargs
+    )
+
+
+def test_help_imports_no_command_and_no_library() -> None:
+    code = (
+        "import sys\nfrom cm.cli.main import main\ntry: main(['--help'])\nexcept SystemExit: pass\n"
+        "print([n for n in sys.modules if n in ('yaml', 'zmq', 'numpy', 'google', 'fastjsonschema', 'cm.cli.check')])"
+    )
+    assert run_python(code).stdout.endswith("[]\n")
+
+
+def test_the_manager_starts_without_numpy() -> None:
+    """Importing it takes a quarter of the time to the first reply, which does not need it."""
+    code = (
+        "import sys, cm.cli.serve, cm.client.address, cm.server.server, cm.schema.loader\n"
+        "print([n for n in sys.modules if n in ('numpy', 'jsonschema', 'cm.simulation.software.process.main', 'cm.cli.check')])"
+    )
+    assert run_python(code).stdout.endswith("[]\n")
+
+
+def test_a_reader_that_goes_away_causes_no_traceback() -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "cm", "check", "--print-schema"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    assert process.stdout is not None
+    process.stdout.close()
+    assert process.stderr is not None
+    with process.stderr as stderr:
+        assert stderr.read() == b""
+    assert process.wait(timeout=30) == 141
+
+
+def test_check_says_that_a_schema_is_good(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(CAMERA), str(CAMERA.parent)]) == 0
+    assert capsys.readouterr().out == f"{CAMERA}: good: configuration camera, 5 modes\n" * 2
+
+
+def test_check_prints_problems_as_compilers_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bad = tmp_path / "bad.yaml"
+    bad.write_text("config:\n  name: c\n  modes: {m: {}}\n  devise: x\n")
+    assert main(["check", str(CAMERA), str(bad)]) == 1
+    assert f"{bad}:4:3: config.devise: unknown key 'devise' (did you mean device?)\n" in capsys.readouterr().out
+
+
+def test_check_reports_in_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("a.yaml", "b.yaml"):
+        (tmp_path / name).write_text("config: {name: one, modes: {m: {}}}")
+    assert main(["check", "--json", str(tmp_path)]) == 1
+    report = json.loads(capsys.readouterr().out)
+    assert [(file["good"], file["config_name"]) for file in report["files"]] == [(True, "one"), (False, "one")]
+    assert report["files"][1]["problems"][0]["code"] == "duplicate_name"
+
+
+def test_check_reads_from_stdin(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("config: {name: c, modes: {m: {}}, x: 1}"))
+    assert main(["check", "-"]) == 1
+    assert capsys.readouterr().out.startswith("-:1:35: config.x: unknown key 'x'")
+
+
+def test_check_refuses_a_missing_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(tmp_path / "none.yaml"), str(tmp_path)]) == 1
+    out = capsys.readouterr().out.splitlines()
+    assert out[0] == f"{tmp_path}/none.yaml: no such file"
+    assert "no runtime schema here" in out[1]
+
+
+def test_check_without_a_file_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "which FILE?" in usage_error(["check"], capsys)
+
+
+def test_connection_options_exclude_each_other(capsys: pytest.CaptureFixture[str]) -> None:
+    parser = Parser()
+    add_connection_options(parser)
+    assert parser.parse_args(["--runtime-dir", "/x"]).runtime_dir == Path("/x")
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--runtime-dir", "/x", "--connect", "tcp://y"])
+
+
+def test_a_table_has_its_numbers_on_the_right(capsys: pytest.CaptureFixture[str]) -> None:
+    print_table([("focus", 2, "lens"), ("threshold", 255, None)], ("name", "value", "doc"))
+    assert capsys.readouterr().out == "name       value  doc\nfocus          2  lens\nthreshold    255\n"
+
+
+def test_json_takes_paths_and_mapping_proxies(capsys: pytest.CaptureFixture[str]) -> None:
+    from types import MappingProxyType
+
+    print_json(MappingProxyType({"path": Path("/x")}), lines=True)
+    assert capsys.readouterr().out == '{"path": "/x"}\n'
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_progress_is_drawn_on_a_terminal_and_wiped() -> None:
+    terminal = Terminal()
+    with TextBar("loading", terminal) as progress:
+        progress.update(0.5, "prr0")
+    lines = terminal.getvalue().split("\r")
+    assert lines[1].startswith("loading [####")
+    assert lines[1].endswith(" 50 % prr0")
+    assert lines[-2].strip() == ""
+
+
+def test_progress_is_silent_without_a_terminal() -> None:
+    stream = io.StringIO()
+    with TextBar("loading", stream) as progress:
+        progress.update(0.5)
+    assert stream.getvalue() == ""
+
+
+@pytest.mark.parametrize("columns", [5, 20, 80, 300])
+@pytest.mark.parametrize("fraction", [-1.0, 0.0, 0.333, 1.0, 7.0])
+def test_a_bar_fits_its_line(columns: int, fraction: float) -> None:
+    assert len(bar("loading", fraction, "prr0", columns)) <= columns
+
+
+@pytest.mark.parametrize("name", SHELLS)
+def test_a_completion_script_is_valid_in_its_shell(name: str, tmp_path: Path) -> None:
+    if shutil.which(name) is None:
+        pytest.skip(f"needs_{name}")
+    file = tmp_path / "script"
+    file.write_text(script(name))
+    told = subprocess.run([name, "-n", str(file)], capture_output=True, text=True, timeout=30, check=True)
+    assert told.stderr == ""
+
+
+def test_without_argcomplete_the_command_names_what_brings_it_and_tab_does_nothing(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("argcomplete", "argcomplete.shell_integration"):
+        monkeypatch.setitem(sys.modules, name, None)
+    assert main(["completion", "bash"]) == 1
+    assert "pip install 'fpga-cm[completion]', or Debian's python3-argcomplete" in capfd.readouterr().err
+    for name, value in {"_ARGCOMPLETE": "1", "COMP_LINE": "cm mode ", "COMP_POINT": "8"}.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(sys, "argv", ["cm", "keygen", "must-not-run"])
+    assert main() == 1
+    assert capfd.readouterr() == ("", "")

@@ -1,0 +1,315 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A region's common boundary and how modules are fitted to it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("pyslang")
+
+from hdl_support import lite, stream
+
+from cm.design.boundary import Adaptation, Boundary, Connection, Fit, Role, boundary
+from cm.design.hdl import ModuleInfo, Polarity, PortDirection, extract, parse_protocols
+
+CLOCKED = "input aclk; input aresetn; "
+
+
+@pytest.fixture
+def make(tmp_path: Path):
+    """A factory of modules: make("edge", "input a; output b")."""
+
+    def factory(name: str, declarations: str, **options: object) -> ModuleInfo:
+        text = ",\n".join(part.strip() for part in declarations.split(";") if part.strip())
+        file = tmp_path / f"{name}.v"
+        file.write_text(f"module {name} (\n{text}\n);\nendmodule\n")
+        return extract([file], top=name, **options)[0]  # type: ignore[arg-type]
+
+    return factory
+
+
+def fits(adaptation: Adaptation) -> dict[str, Fit]:
+    """Fit by boundary port."""
+    return {c.boundary: c.fit for c in adaptation.connections if c.boundary}
+
+
+def at(adaptation: Adaptation, boundary_port: str) -> Connection:
+    """The connection at a boundary port."""
+    return next(c for c in adaptation.connections if c.boundary == boundary_port)
+
+
+def widths(result: Boundary) -> dict[str, int]:
+    """Width by boundary port."""
+    return {port.name: port.width for port in result.ports}
+
+
+def test_equal_modules_connect_straight(make) -> None:
+    text = CLOCKED + lite("s_axi_") + stream("s_axis_", "slave") + stream("m_axis_", "master")
+    result = boundary([make("one", text), make("two", text)])
+    assert result.ok
+    assert [i.name for i in result.interfaces] == ["s_axi", "s_axis", "m_axis"]
+    assert all(c.fit is Fit.CONNECT for a in result.adaptations for c in a.connections)
+    assert result.interfaces[0].ports["AWADDR"] == "s_axi_awaddr"
+    assert {(i.clock, i.reset, i.reset_polarity) for i in result.interfaces} == {("aclk", "aresetn", Polarity.LOW)}
+
+
+def test_every_boundary_port_is_connected_once_and_every_module_port_too(make) -> None:
+    first = make("one", CLOCKED + lite("s_axi_") + stream("s_axis_", "slave") + "output irq; output [3:0] leds")
+    second = make("two", "input clk; input rst; " + stream("m_axis_", "master", extra="tlast:1"))
+    result = boundary([first, second])
+    for module, adaptation in zip([first, second], result.adaptations, strict=True):
+        assert sorted(c.boundary for c in adaptation.connections if c.boundary) == sorted(p.name for p in result.ports)
+        assert sorted(c.module for c in adaptation.connections if c.module) == sorted(p.name for p in module.ports)
+
+
+def test_module_without_an_interface_has_its_outputs_tied_idle(make) -> None:
+    full = make("full", CLOCKED + lite("s_axi_") + stream("s_axis_", "slave") + stream("m_axis_", "master"))
+    bare = make("bare", CLOCKED + lite("s_axi_"))
+    result = boundary([full, bare])
+    adaptation = result.adaptation("bare")
+    assert adaptation.ok
+    assert (at(adaptation, "m_axis_tvalid").fit, at(adaptation, "m_axis_tvalid").value) == (Fit.TIE, 0)
+    assert (at(adaptation, "s_axis_tready").fit, at(adaptation, "s_axis_tready").value) == (Fit.TIE, 1)
+    assert at(adaptation, "s_axis_tdata").fit is Fit.OPEN
+
+
+def test_module_without_the_registers_gets_a_note_that_accesses_need_an_answer(make) -> None:
+    result = boundary([make("one", CLOCKED + lite("s_axi_")), make("two", CLOCKED + stream("s_axis_", "slave"))])
+    assert any("answer accesses with an error" in note for note in result.adaptation("two").notes)
+
+
+def test_only_interface_of_a_kind_is_paired_whatever_its_name(make) -> None:
+    one = make("one", CLOCKED + stream("s_axis_", "slave"))
+    two = make("two", CLOCKED + stream("video_in_", "slave"))
+    result = boundary([one, two])
+    assert [i.name for i in result.interfaces] == ["s_axis"]
+    assert at(result.adaptation("two"), "s_axis_tdata").module == "video_in_tdata"
+    assert "video_in is the region's s_axis: the only one of its kind" in result.adaptation("two").notes
+
+
+def test_ambiguous_interfaces_are_not_paired_by_guess(make) -> None:
+    one = make("one", CLOCKED + stream("a_", "slave") + stream("b_", "slave"))
+    two = make("two", CLOCKED + stream("c_", "slave"))
+    result = boundary([one, two])
+    assert [i.name for i in result.interfaces] == ["a", "b", "c"]
+    assert any("could be any of a, b" in note for note in result.adaptation("two").notes)
+
+
+def test_names_say_which_interface_is_which(make) -> None:
+    one = make("one", CLOCKED + stream("a_", "slave") + stream("b_", "slave"))
+    two = make("two", CLOCKED + stream("c_", "slave"))
+    result = boundary([one, two], {"two": {"c": "b"}})
+    assert at(result.adaptation("two"), "b_tdata").module == "c_tdata"
+    assert at(result.adaptation("two"), "a_tdata").module == ""
+
+
+def test_data_of_another_width_is_refused_for_the_minority(make) -> None:
+    modules = [
+        make(name, CLOCKED + stream("s_axis_", "slave", width)) for name, width in (("a", 8), ("b", 32), ("c", 32))
+    ]
+    result = boundary(modules)
+    assert widths(result)["s_axis_tdata"] == 32
+    assert [a.ok for a in result.adaptations] == [False, True, True]
+    assert "s_axis.TDATA has 8 bits, the region's s_axis 32" in result.adaptation("a").refused[0]
+
+
+@pytest.mark.parametrize("mode", ["slave", "master"])
+def test_sideband_takes_the_widest_width(make, mode: str) -> None:
+    narrow = make("narrow", CLOCKED + stream("s_", mode, extra="tuser:1 tid:2"))
+    wide = make("wide", CLOCKED + stream("s_", mode, extra="tuser:4 tid:8"))
+    result = boundary([narrow, wide])
+    assert result.ok
+    assert (widths(result)["s_tuser"], widths(result)["s_tid"]) == (4, 8)
+    expected = Fit.TRUNCATE if mode == "slave" else Fit.EXTEND
+    assert at(result.adaptation("narrow"), "s_tuser").fit is expected
+
+
+def test_missing_sideband_and_keep_are_tied_as_the_standard_says(make) -> None:
+    full = make("full", CLOCKED + stream("m_", "master", 32, "tkeep:4 tstrb:4 tuser:2 tdest:3"))
+    bare = make("bare", CLOCKED + stream("m_", "master", 32))
+    adaptation = boundary([full, bare]).adaptation("bare")
+    values = {name: at(adaptation, f"m_{name}").value for name in ("tkeep", "tstrb", "tuser", "tdest")}
+    assert values == {"tkeep": 1, "tstrb": 1, "tuser": 0, "tdest": 0}
+
+
+def test_packets_without_an_end_are_refused(make) -> None:
+    full = make("full", CLOCKED + stream("m_", "master", extra="tlast:1"))
+    bare = make("bare", CLOCKED + stream("m_", "master"))
+    result = boundary([full, bare])
+    assert result.adaptation("bare").refused == (
+        "m drives no TLAST, which other modules do: its packets would have no end",
+    )
+
+
+def test_sender_that_cannot_wait_is_refused_and_receiver_that_always_takes_is_not(make) -> None:
+    patient = make("patient", CLOCKED + stream("m_", "master") + stream("s_", "slave"))
+    text = CLOCKED + stream("m_", "master") + stream("s_", "slave")
+    hasty = make("hasty", text.replace("input m_tready; ", "").replace("output s_tready; ", ""))
+    result = boundary([patient, hasty])
+    assert len(result.adaptation("hasty").refused) == 1
+    assert "cannot wait" in result.adaptation("hasty").refused[0]
+    assert at(result.adaptation("hasty"), "s_tready").value == 1
+
+
+def test_registers_of_a_smaller_module_see_fewer_address_bits(make) -> None:
+    little = make("little", CLOCKED + lite("s_axi_").replace("[11:0]", "[5:0]"))
+    result = boundary([little, make("big", CLOCKED + lite("s_axi_"))])
+    assert result.ok
+    connection = at(result.adaptation("little"), "s_axi_awaddr")
+    assert (connection.fit, connection.module_width, connection.boundary_width) == (Fit.TRUNCATE, 6, 12)
+
+
+def test_master_with_fewer_address_bits_reaches_low_memory(make) -> None:
+    little = make("little", CLOCKED + lite("m_axi_", "master").replace("[11:0]", "[5:0]"))
+    result = boundary([little, make("big", CLOCKED + lite("m_axi_", "master"))])
+    assert at(result.adaptation("little"), "m_axi_araddr").fit is Fit.EXTEND
+
+
+def _with_ids(mode: str, width: int) -> str:
+    down, up = ("input", "output") if mode == "slave" else ("output", "input")
+    ids = f"{down} [{width - 1}:0] x_awid; {down} [{width - 1}:0] x_arid; "
+    return CLOCKED + lite("x_", mode) + ids + f"{up} [{width - 1}:0] x_bid; {up} [{width - 1}:0] x_rid; "
+
+
+def test_slave_gives_back_every_bit_of_an_id(make) -> None:
+    result = boundary([make("narrow", _with_ids("slave", 2)), make("wide", _with_ids("slave", 6))])
+    assert result.ok
+    assert widths(result)["x_awid"] == 2
+    wide = result.adaptation("wide")
+    assert (at(wide, "x_awid").fit, at(wide, "x_bid").fit) == (Fit.EXTEND, Fit.TRUNCATE)
+
+
+def test_slave_without_ids_takes_them_from_the_boundary(make) -> None:
+    result = boundary([make("with_ids", _with_ids("slave", 4)), make("without", CLOCKED + lite("x_"))])
+    assert result.ok
+    assert "x_awid" not in widths(result)
+    loose = {c.module: c.fit for c in result.adaptation("with_ids").connections if not c.boundary}
+    assert loose == {"x_awid": Fit.TIE, "x_bid": Fit.OPEN, "x_arid": Fit.TIE, "x_rid": Fit.OPEN}
+
+
+def test_masters_ids_are_as_wide_as_the_widest(make) -> None:
+    result = boundary([make("narrow", _with_ids("master", 2)), make("none", CLOCKED + lite("x_", "master"))])
+    assert result.ok
+    assert widths(result)["x_awid"] == 2
+    assert (at(result.adaptation("none"), "x_awid").fit, at(result.adaptation("none"), "x_awid").value) == (Fit.TIE, 0)
+
+
+def test_slave_without_read_channels_would_hang_the_bus(make) -> None:
+    text = lite("s_")
+    half = make("half", CLOCKED + text[: text.index("input [11:0] s_araddr")])
+    result = boundary([make("whole", CLOCKED + text), half])
+    assert any("would hang the bus" in reason for reason in result.adaptation("half").refused)
+
+
+def test_master_without_write_channels_writes_nothing(make) -> None:
+    text = lite("m_", "master")
+    half = make("half", CLOCKED + text[text.index("output [11:0] m_araddr") :])
+    result = boundary([make("whole", CLOCKED + text), half])
+    assert result.ok
+    values = {name: at(result.adaptation("half"), f"m_{name}").value for name in ("awvalid", "wvalid", "bready")}
+    assert values == {"awvalid": 0, "wvalid": 0, "bready": 1}
+
+
+def test_full_and_lite_interfaces_of_the_same_name_are_not_joined(make) -> None:
+    full = make("full", CLOCKED + lite("s_axi_") + "input [7:0] s_axi_awlen; input [7:0] s_axi_arlen")
+    result = boundary([make("lite", CLOCKED + lite("s_axi_")), full])
+    assert "s_axi is axi4 slave, but the s_axi of lite is axi4lite slave" in result.adaptation("full").refused[0]
+
+
+def test_resets_of_both_polarities_share_one(make) -> None:
+    result = boundary([make("low", "input clk; input rst_n"), make("high", "input clk; input rst; input reset")])
+    assert [(p.name, p.role) for p in result.ports] == [("aclk", Role.CLOCK), ("aresetn", Role.RESET)]
+    assert [(c.module, c.fit) for c in result.adaptation("high").connections] == [
+        ("clk", Fit.CONNECT),
+        ("rst", Fit.INVERT),
+        ("reset", Fit.INVERT),
+    ]
+
+
+def test_module_without_a_reset_leaves_it_open(make) -> None:
+    result = boundary([make("one", "input clk; output [3:0] q")])
+    assert fits(result.adaptation("one")) == {"aclk": Fit.CONNECT, "aresetn": Fit.OPEN, "q": Fit.CONNECT}
+
+
+def test_two_clocks_keep_their_names_and_their_resets(make) -> None:
+    text = stream("s_axis_", "slave") + stream("m_axis_", "master")
+    fifo = make("fifo", text + "input s_clk; input s_rst; input m_clk; input m_rst")
+    result = boundary([fifo])
+    assert result.ok
+    assert [(i.clock, i.reset) for i in result.interfaces] == [("s_clk", "s_clk_resetn"), ("m_clk", "m_clk_resetn")]
+    assert at(result.adaptation("fifo"), "m_clk_resetn").module == "m_rst"
+
+
+def test_interface_on_another_clock_needs_a_crossing(make) -> None:
+    text = stream("s_axis_", "slave") + stream("m_axis_", "master")
+    fifo = make("fifo", text + "input s_clk; input m_clk")
+    other = make("other", text + "input m_clk")
+    result = boundary([fifo, other])
+    assert any("it needs a crossing" in reason for reason in result.adaptation("other").refused)
+
+
+def test_single_interrupts_share_a_line_and_several_keep_names(make) -> None:
+    one = boundary([make("a", "input clk; output irq"), make("b", "input clk; output [1:0] done_interrupt")])
+    assert widths(one)["interrupt"] == 2
+    assert at(one.adaptation("a"), "interrupt").fit is Fit.EXTEND
+    two = boundary([make("c", "input clk; output rx_irq; output tx_irq")])
+    assert [p.name for p in two.ports if p.role is Role.INTERRUPT] == ["rx_irq", "tx_irq"]
+
+
+def test_leftover_signals_are_shared_by_name_where_they_agree(make) -> None:
+    one = make("one", "input clk; output [3:0] leds; input [1:0] mode; input [7:0] gain")
+    two = make("two", "input clk; output [7:0] leds; output [1:0] mode; input [3:0] gain")
+    result = boundary([one, two])
+    assert widths(result)["leds"] == 8
+    assert at(result.adaptation("one"), "leds").fit is Fit.EXTEND
+    assert len(result.adaptation("two").refused) == 2
+
+
+def test_bidirectional_and_unflat_ports_are_refused(make) -> None:
+    result = boundary([make("one", "input clk; inout sda; input [3:0] s_axis_tdata; input [1:0] s_axis_tvalid")])
+    assert any("sda is bidirectional" in reason for reason in result.adaptation("one").refused)
+    assert any("side by side" in reason for reason in result.adaptation("one").refused)
+    assert not any(port.name.startswith(("sda", "s_axis")) for port in result.ports)
+
+
+def test_user_protocol_meets_by_name_and_its_missing_signals_read_zero(make) -> None:
+    text = "protocols: [{name: pix, signals: {d: out, v: out, err: {direction: out, required: false}}}]"
+    options = {"protocols": parse_protocols(text)}
+    one = make("one", "input clk; output [9:0] cam_d; output cam_v; output cam_err", **options)
+    two = make("two", "input clk; output [9:0] cam_d; output cam_v", **options)
+    result = boundary([one, two])
+    assert result.ok
+    assert result.interfaces[0].protocol == "pix"
+    assert (at(result.adaptation("two"), "cam_err").fit, at(result.adaptation("two"), "cam_err").value) == (Fit.TIE, 0)
+
+
+def test_the_boundary_of_no_modules_is_empty() -> None:
+    assert boundary([]) == Boundary()
+
+
+def test_result_does_not_depend_on_anything_but_the_modules(make) -> None:
+    modules = [
+        make("one", CLOCKED + lite("s_axi_") + "output a; output b"),
+        make("two", CLOCKED + "output b; output c"),
+    ]
+    assert boundary(modules) == boundary(modules)
+    assert [p.direction for p in boundary(modules).ports if p.role is Role.SIGNAL] == [PortDirection.OUT] * 3
+
+
+def test_two_modules_of_one_name_that_differ_are_refused_unless_labelled(make, tmp_path: Path) -> None:
+    narrow = make("filter", CLOCKED + stream("m_", "master", extra="tuser:1"))
+    wide = make("filter", CLOCKED + stream("m_", "master", extra="tuser:4"))
+    assert "two modules of the region are called filter" in boundary([narrow, wide]).adaptation("filter").refused[0]
+    result = boundary([narrow, wide], labels=["slow", "fast"])
+    assert result.ok
+    assert [(a.module, at(a, "m_tuser").fit) for a in result.adaptations] == [
+        ("slow", Fit.EXTEND),
+        ("fast", Fit.CONNECT),
+    ]
+
+
+def test_module_given_twice_is_one(make) -> None:
+    module = make("one", CLOCKED)
+    assert boundary([module, module]) == boundary([module])

@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What `cm build check` refuses in Vivado's place: pblocks, pins, clocks; correct designs pass."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from build_support import AXIL_MODULE, MINIMAL, STREAM_MODULE, copy_examples, project
+
+from cm.cli.main import main
+from cm.design.boards import boards
+from cm.design.check.block_design import check_block_design
+from cm.design.check.rules import check_system
+from cm.design.errors import BuildError
+from cm.design.generate.outputs import render_all
+from cm.design.generate.tree import generate, load_design
+from cm.design.partition.parts import part_of
+from cm.design.plan.block_design import context
+from cm.design.plan.floorplan import DEVICES, Rectangle, device_sites, rectangle
+from cm.design.plan.system import System
+from cm.design.platforms import device_of
+from cm.design.project.load import load_project
+from cm.design.runtime.answers import Answers
+
+pytest.importorskip("pyslang", reason="needs pyslang: the extra [build] is not installed")
+
+TWO = """\
+project: {name: small, part: xc7z020clg400-1}
+regions:
+  a: {pblock: [SLICE_X26Y50:SLICE_X43Y99, RAMB36_X2Y10:RAMB36_X2Y19, RAMB18_X2Y20:RAMB18_X2Y39]}
+  b: {pblock: [SLICE_X0Y0:SLICE_X21Y49]}
+modules:
+  one: {sources: [one.v], regions: [a], resources: {lut: 100}}
+  two: {sources: [one.v], top: one, regions: [b]}
+"""
+EXTERNAL = MINIMAL.replace("{pblock: auto}", "{interfaces: {m_axis: {connect: external}}}")
+PINNED = """\
+project: {name: small, board: pynq-z2}
+regions:
+  prr0:
+    interfaces:
+      m_axis: {connect: external, pins: {tdata: "rpi[0:7]", tvalid: led, tready: btn, tlast: Y18}, iostandard: LVCMOS33}
+modules:
+  one: {sources: [one.v]}
+"""
+
+
+def found(folder: Path, text: str, **files: str) -> list[str]:
+    """Rules and messages of the errors in a design."""
+    system = load_design(project(folder, text, **files)).system
+    return [f"{finding.rule}: {finding.message}" for finding in check_system(system) if finding.error]
+
+
+def test_two_regions_that_are_apart_are_good(tmp_path: Path) -> None:
+    assert found(tmp_path, TWO) == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("SLICE_X0Y0:SLICE_X21Y49", "SLICE_X40Y90:SLICE_X45Y110", "overlap: SLICE_X26Y50:SLICE_X43Y99 lies on"),
+        ("SLICE_X0Y0:SLICE_X21Y49", "RAMB18_X2Y30:RAMB18_X2Y31", "overlap: RAMB36_X2Y10:RAMB36_X2Y19 lies on"),
+        ("SLICE_X0Y0:SLICE_X21Y49", "CLOCKREGION_X0Y1:CLOCKREGION_X1Y1", "lies on"),
+        ("lut: 100", "dsp: 3", "DRC HDPR-18: module one needs 3 DSP, the pblock of a has 0"),
+        ("lut: 100", "bram: 11", "DRC UTLZ-1: module one needs 11 block RAM (36 Kbit), the pblock of a has 10"),
+        ("lut: 100", "lut: 3601", "DRC UTLZ-1: module one needs 3601 LUT, the pblock of a has 3600"),
+        ("SLICE_X0Y0:SLICE_X21Y49", "SLICE_X0Y0:SLICE_X200Y49", "reaches beyond xc7z020"),
+        ("SLICE_X0Y0:SLICE_X21Y49", "BUFGCTRL_X0Y0:BUFGCTRL_X0Y15", "UG909: BUFGCTRL sites cannot be reconfigured"),
+    ],
+)
+def test_an_impossible_floorplan_is_refused(old: str, new: str, said: str, tmp_path: Path) -> None:
+    assert any(said in text for text in found(tmp_path, TWO.replace(old, new)))
+
+
+def test_slices_that_the_processor_takes_the_place_of_do_not_count() -> None:
+    """The lower left of xc7z020 has slices in its lowest clock region only."""
+    device = device_sites("xc7z020")
+    assert device is not None
+    assert device.count(Rectangle("SLICE", 0, 0, 9, 149)) == 10 * 50
+    assert device_sites("xck26") is None
+
+
+@pytest.mark.parametrize("name", json.loads(DEVICES.read_text())["devices"])
+def test_the_sites_of_a_device_are_as_many_as_its_part_has(name: str) -> None:
+    """Compares two independent sources: the site grid and the parts' table."""
+    device, part = device_sites(name), part_of(name)
+    assert device is not None
+    whole = {kind: device.limits(kind) for kind in ("SLICE", "DSP48", "RAMB36")}
+    counted = {kind: device.count(area) for kind, area in whole.items() if area}
+    assert 4 * counted["SLICE"] == part.resources.lut
+    assert (counted["RAMB36"], counted["DSP48"]) == (part.resources.bram, part.resources.dsp)
+
+
+def test_a_port_of_the_top_without_a_pin_is_refused_by_generate(tmp_path: Path) -> None:
+    design = load_design(project(tmp_path, EXTERNAL))
+    with pytest.raises(BuildError, match=r"axis_prr0_m_axis_tdata.* has no pin") as caught:
+        generate(design, tmp_path / "build")
+    assert "DRC UCIO-1" in str(caught.value)
+    assert not (tmp_path / "build").exists()
+
+
+def test_pins_of_the_users_own_constraints_count(tmp_path: Path) -> None:
+    path = project(tmp_path, EXTERNAL + "static: {constraints: [own.xdc]}\n")
+    ports = "axis_prr0_m_axis_*"
+    (tmp_path / "own.xdc").write_text(f"set_property PACKAGE_PIN Y18 [get_ports {{{ports}}}]\n")
+    assert len(found_at(path)) == 4
+    (tmp_path / "own.xdc").write_text(f"set_property -dict {{PACKAGE_PIN Y18 IOSTANDARD X}} [get_ports {{{ports}}}]\n")
+    assert found_at(path) == []
+
+
+def found_at(path: Path) -> list[str]:
+    return [finding.message for finding in check_system(load_design(path).system) if finding.error]
+
+
+def test_pins_by_the_boards_names_are_written_as_constraints(tmp_path: Path) -> None:
+    source = STREAM_MODULE.format(name="one", high=7)
+    text = PINNED.replace("tvalid: led", 'tvalid: "led[3]"').replace("tready: btn", 'tready: "btn[0]"')
+    design = load_design(project(tmp_path, text, one=source))
+    assert [f for f in check_system(design.system) if f.error] == []
+    written = render_all(design.system, tmp_path / "build", Answers())
+    wanted = "set_property -dict {PACKAGE_PIN M14 IOSTANDARD LVCMOS33} [get_ports {axis_prr0_m_axis_tvalid}]"
+    assert wanted in written["constraints/pins.xdc"]
+    assert (
+        "PACKAGE_PIN V8 IOSTANDARD LVCMOS33} [get_ports {axis_prr0_m_axis_tdata[2]}]" in written["constraints/pins.xdc"]
+    )
+    assert "read_xdc constraints/pins.xdc" in written["tcl/step_static.tcl"]
+    assert "set cm_board tul.com.tw:pynq-z2:part0:1.0" in written["tcl/settings.tcl"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("rpi[0:7]", "rpi[0:6]", "has 8 bits, 7 pins are given"),
+        ("rpi[0:7]", "rpi[0:40]", "rpi of TUL PYNQ-Z2 has 20 pins: rpi[0:19]"),
+        ("rpi[0:7]", "gpio[0:7]", "has no pins 'gpio[0:7]'; there are"),
+        ("tlast: Y18", "tlast: F19", "both on F19"),
+        (", iostandard: LVCMOS33", "", "Y18 is a package pin: iostandard: must say its voltage"),
+        ("tlast: Y18", "tlast: Y18, tuser: Y19", "m_axis has no tuser"),
+    ],
+)
+def test_impossible_pins_are_reported(old: str, new: str, said: str, tmp_path: Path) -> None:
+    text = PINNED.replace("tvalid: led", 'tvalid: "led[3]"').replace("tready: btn", 'tready: "btn[0]"')
+    messages = found(tmp_path, text.replace(old, new), one=STREAM_MODULE.format(name="one", high=7))
+    assert any(said in message for message in messages)
+
+
+PHY = STREAM_MODULE.format(name="one", high=31).replace(
+    "    input  wire        resetn,",
+    "    input  wire        resetn,\n    input  wire        rx_clk,\n    input  wire [7:0] rxd,",
+)
+
+
+def test_a_second_clock_needs_an_answer(tmp_path: Path) -> None:
+    assert any("have a clock rx_clk beside the region's" in text for text in found(tmp_path, MINIMAL, one=PHY))
+
+
+def test_a_second_clock_gets_what_the_build_schema_says(tmp_path: Path) -> None:
+    clocks = "clocks: {fclk0: {rate: 100_000_000}, fclk1: {rate: 125_000_000}}\n"
+    text = clocks + MINIMAL.replace("{pblock: auto}", "{clocks: {clk: fclk0, rx_clk: fclk1}}")
+    design = load_design(project(tmp_path, text, one=PHY))
+    assert [f for f in check_system(design.system) if f.error] == []
+    static = render_all(design.system, tmp_path / "build", Answers())["hdl/cm_static.v"]
+    assert "assign prr0_rx_clk = clk_fclk1;" in static
+    assert "cm_sync #(" in static[static.index("rx_clk_resetn") :] or "sync_prr0_rx_clk_resetn" in static
+
+
+def test_check_lists_clocks_and_resets_with_what_they_get(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    assert main(["build", "check", str(project(tmp_path, MINIMAL, one=PHY))]) == 1
+    said = capsys.readouterr().out
+    assert "rx_clk: clock → nothing says what drives it" in said
+    assert "clk_resetn: reset, active low" in said
+
+
+def block_design_of(folder: Path) -> tuple[System, dict[str, Any]]:
+    system = load_design(project(folder, one=AXIL_MODULE)).system
+    return system, context(system)
+
+
+def spoil(found: dict[str, Any], what: str) -> None:
+    """Put one mistake into a correct block design."""
+    dma, segment, clock = found["dmas"][0], found["segments"][0], found["clocks"][0]
+    if what == "length":
+        found["dmas"][0] = replace(dma, settings=tuple((n, 27 if "length" in n else v) for n, v in dma.settings))
+    elif what == "width":
+        found["dmas"][0] = replace(dma, settings=tuple((n, 24 if "tdata" in n else v) for n, v in dma.settings))
+    elif what == "narrow":
+        found["dmas"][0] = replace(dma, settings=tuple((n, 64 if "tdata" in n else v) for n, v in dma.settings))
+    elif what == "name":
+        found["dmas"][0] = replace(dma, settings=(*dma.settings, ("c_include_sgg", 1)))
+    elif what == "unassociated":
+        found["clocks"][0] = replace(clock, buses=())
+    elif what == "overlap":
+        found["segments"].append(segment)
+    elif what == "alignment":
+        window = replace(segment.window, base=segment.window.base + 4)
+        found["segments"][0] = replace(segment, window=window)
+    elif what == "outside":
+        found["segments"][0] = replace(segment, window=replace(segment.window, base=0x8000_0000))
+    elif what == "fclk":
+        found["ps_settings"].append(("PCW_FPGA0_PERIPHERAL_FREQMHZ", "300"))
+    elif what == "ports":
+        found["masters"] = ["x"] * 17
+    elif what == "lines":
+        found["interrupts"][0] = replace(found["interrupts"][0], sources=("x",) * 17)
+
+
+@pytest.mark.parametrize(
+    ("what", "said"),
+    [
+        ("length", "PG021: dma_icap: c_sg_length_width is 27 (it may be 8 to 26)"),
+        ("width", "PG021: dma_icap: c_m_axis_mm2s_tdata_width is 24"),
+        ("narrow", "PG021: dma_icap: the stream has 64 bits, the way to memory 32"),
+        ("name", "PG021: dma_icap has no parameter c_include_sgg"),
+        ("unassociated", "BD 41-967: axis_icap runs on fclk0, but is associated with no clock"),
+        ("overlap", "address: domain_fclk0 and domain_fclk0 overlap at 0x40000000"),
+        ("alignment", "address: domain_fclk0: 0x1000000 bytes at 0x40000004 (a range is a power of two"),
+        ("outside", "address: domain_fclk0 at 0x80000000 is outside the window of M_AXI_GP0"),
+        ("fclk", "PG082: PCW_FPGA0_PERIPHERAL_FREQMHZ is 300 MHz"),
+        ("ports", "PG247: control_interconnect has 17 ports"),
+        ("lines", "17 interrupts go to IRQ_F2P, which has 16 lines"),
+    ],
+)
+def test_a_block_design_with_a_mistake_is_refused(what: str, said: str, tmp_path: Path) -> None:
+    system, design = block_design_of(tmp_path)
+    assert list(check_block_design(system, design)) == []
+    spoil(design, what)
+    told = [f"{f.rule}: {f.message}{f' ({f.hint})' if f.hint else ''}" for f in check_block_design(system, design)]
+    assert any(said in text for text in told)
+
+
+@pytest.mark.parametrize("name", boards())
+def test_a_board_of_the_library_is_one_that_the_tool_can_build_for(name: str, tmp_path: Path) -> None:
+    board = boards()[name]
+    text = MINIMAL.replace("part: xc7z020clg400-1", f"board: {name}")
+    assert load_project(project(tmp_path, text)).part == board.part
+    assert part_of(device_of(board.part))
+    pins = [pin.location for pins in board.connectors.values() for pin in pins]
+    assert len(pins) == len(set(pins)) > 4
+    assert all(pin.iostandard for pins in board.connectors.values() for pin in pins)
+    assert "pins" in str(board.sources)
+    assert all(rectangle(text) for ranges in board.pblocks.values() for text in ranges)
+
+
+@pytest.mark.parametrize(("board", "pblock"), [(b.name, p) for b in boards().values() for p in b.pblocks])
+def test_a_proven_pblock_is_one_that_the_rules_accept(board: str, pblock: str, tmp_path: Path) -> None:
+    text = MINIMAL.replace("part: xc7z020clg400-1", f"board: {board}").replace("auto", f"'proven:{pblock}'")
+    assert found(tmp_path, text) == []
+
+
+@pytest.mark.parametrize("name", ["camera", "two_regions"])
+def test_an_example_has_every_pin_and_a_place_for_all_its_modules(name: str, tmp_path: Path) -> None:
+    assert found_at(copy_examples(tmp_path) / name / "build.yaml") == []

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A first build schema from HDL files: it is correct, and the rest of the tool accepts it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from build_support import EXAMPLES, STREAM_MODULE
+
+from cm.cli.main import main
+from cm.design.project.load import load_project
+
+pytest.importorskip("pyslang", reason="needs pyslang: the extra [build] is not installed")
+CAMERA = sorted((EXAMPLES / "camera/hdl").glob("*.v"))
+
+
+def test_the_camera_modules_become_modules_of_one_region(tmp_path: Path) -> None:
+    schema = tmp_path / "build.yaml"
+    assert main(["build", "init", *map(str, CAMERA), "-o", str(schema), "--name", "my camera"]) == 0
+    found = load_project(schema)
+    assert found.name == "my_camera"
+    assert sorted(found.modules) == ["camera_colorise", "camera_default", "camera_edge"]
+    assert [path.name for path in found.modules["camera_edge"].sources] == ["camera_edge.v", "camera_registers.v"]
+    assert (tmp_path / "build.schema.json").exists()
+
+
+def test_what_init_wrote_passes_check_and_generate(tmp_path: Path) -> None:
+    schema = tmp_path / "build.yaml"
+    assert main(["build", "init", *map(str, CAMERA), "-o", str(schema)]) == 0
+    assert main(["build", "check", str(schema)]) == 0
+    assert main(["build", "generate", str(schema)]) == 0
+
+
+def test_a_schema_that_is_there_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    schema = tmp_path / "build.yaml"
+    schema.write_text("mine\n")
+    assert main(["build", "init", *map(str, CAMERA), "-o", str(schema)]) == 1
+    assert schema.read_text() == "mine\n"
+    assert "exists already" in capsys.readouterr().err
+
+
+def test_a_module_without_a_bus_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    source = tmp_path / "plain.v"
+    source.write_text("module plain (input wire a, output wire b); assign b = a; endmodule\n")
+    assert main(["build", "init", str(source), "-o", str(tmp_path / "build.yaml")]) == 1
+    assert "no module with a bus interface" in capsys.readouterr().err
+
+
+def test_modules_that_do_not_fit_each_other_are_noted(tmp_path: Path) -> None:
+    for name, high in (("narrow", 7), ("wide", 63)):
+        (tmp_path / f"{name}.v").write_text(STREAM_MODULE.format(name=name, high=high))
+    files = [str(tmp_path / f"{name}.v") for name in ("narrow", "wide")]
+    assert main(["build", "init", *files, "-o", str(tmp_path / "build.yaml")]) == 0
+    assert "does not fit one region with the others" in (tmp_path / "build.yaml").read_text()
+
+
+def test_names_with_blanks_stay_whole(tmp_path: Path) -> None:
+    folder = tmp_path / "my designs"
+    folder.mkdir()
+    (folder / "a b.v").write_text(STREAM_MODULE.format(name="one", high=31))
+    assert main(["build", "init", str(folder / "a b.v"), "-o", str(tmp_path / "build.yaml")]) == 0
+    assert load_project(tmp_path / "build.yaml").modules["one"].sources[0].name == "a b.v"
+
+
+def test_files_of_packages_and_macros_go_with_every_module(tmp_path: Path) -> None:
+    """They keep the given order, before the files that use them."""
+    (tmp_path / "width.vh").write_text("`define WIDTH 16\n")
+    (tmp_path / "sizes.sv").write_text("package sizes;\n    localparam int HIGH = 31;\nendpackage\n")
+    text = STREAM_MODULE.format(name="one", high="sizes::HIGH").replace("input  wire        clk,", "input wire clk,")
+    (tmp_path / "one.sv").write_text(text)
+    (tmp_path / "two.v").write_text(STREAM_MODULE.format(name="two", high="`WIDTH*2-1"))
+    files = [str(tmp_path / name) for name in ("width.vh", "sizes.sv", "one.sv", "two.v")]
+    schema = tmp_path / "build.yaml"
+    assert main(["build", "init", *files, "-o", str(schema)]) == 0
+    sources = {name: [path.name for path in module.sources] for name, module in load_project(schema).modules.items()}
+    assert sources == {"one": ["width.vh", "sizes.sv", "one.sv"], "two": ["width.vh", "sizes.sv", "two.v"]}
+    assert main(["build", "check", str(schema)]) == 0
+
+
+def test_the_board_that_is_proposed_has_the_part(tmp_path: Path) -> None:
+    schema = tmp_path / "build.yaml"
+    assert main(["build", "init", *map(str, CAMERA), "-o", str(schema), "--part", "xck26-sfvc784-2LV-c"]) == 0
+    assert "# board: xilinx.com:kv260_som:part0:1.4" in schema.read_text()

@@ -1,0 +1,399 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Interfaces of Verilog and SystemVerilog modules."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("pyslang")
+
+from hdl_support import DATA, lite, module, ports, stream
+
+from cm.design.hdl import (
+    FoundBy,
+    HdlError,
+    Language,
+    Mode,
+    ModuleNotFound,
+    ParserMissing,
+    Polarity,
+    PortDirection,
+    extract,
+    read,
+    roots,
+)
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ("inner i (.a(a), .c(b));", "[Synth 8-448]"),
+        ("assign b = a & nothere[1];", "[Synth 8-1031]"),
+    ],
+)
+def test_errors_that_stop_synthesis_have_vivados_number(tmp_path: Path, body: str, said: str) -> None:
+    text = "module inner (input wire a, output wire b);\n assign b = a;\nendmodule\n"
+    text += f"module top (input wire a, output wire b);\n {body}\nendmodule\n"
+    (tmp_path / "top.v").write_text(text)
+    (found,) = read([tmp_path / "top.v"], top="top").modules
+    (problem,) = found.problems
+    assert problem.breaks
+    assert said in problem.message
+    assert (problem.file, problem.line) == (str(tmp_path / "top.v"), 5)
+
+
+def test_a_nettype_that_a_file_leaves_behind_counts_for_those_after_it(tmp_path: Path) -> None:
+    """As olofk of chipsalliance/VeeRwolf 2 explains Synth 8-6735."""
+    (tmp_path / "a.v").write_text("`default_nettype none\nmodule a (input wire x);\nendmodule\n")
+    (tmp_path / "b.v").write_text("module b (input x, output wire y);\n assign y = x;\nendmodule\n")
+    (found,) = read([tmp_path / "a.v", tmp_path / "b.v"], top="b").modules
+    assert [problem.message[-14:] for problem in found.problems] == ["[Synth 8-6735]"]
+    (tmp_path / "a.v").write_text("`default_nettype none\nmodule a (input wire x);\nendmodule\n`default_nettype wire\n")
+    (found,) = read([tmp_path / "a.v", tmp_path / "b.v"], top="b").modules
+    assert found.problems == ()
+
+
+def test_module_with_registers_streams_and_an_interrupt_is_read_completely() -> None:
+    (camera,) = extract([DATA / "camera_edge.v"], top="camera_edge", include_dirs=[DATA / "include"])
+    found = [(i.name, i.protocol, i.mode, i.clock, i.reset, len(i.ports)) for i in camera.interfaces]
+    assert found == [
+        ("s_axi", "axi4lite", Mode.SLAVE, "aclk", "aresetn", 19),
+        ("s_axis", "axis", Mode.SLAVE, "aclk", "aresetn", 6),
+        ("m_axis", "axis", Mode.MASTER, "aclk", "aresetn", 6),
+    ]
+    assert camera.interface("s_axi").ports["AWADDR"] == "s_axi_awaddr"
+    assert camera.interface("s_axi").reset_polarity is Polarity.LOW
+    assert [i.port for i in camera.interrupts] == ["irq_frame_done"]
+    assert [left.port for left in camera.leftovers] == ["status_leds"]
+    assert camera.instantiates == ("camera_edge_kernel",)
+    assert camera.problems == ()
+
+
+def test_widths_follow_parameters_macros_and_localparams() -> None:
+    (camera,) = extract(
+        [DATA / "camera_edge.v"],
+        top="camera_edge",
+        include_dirs=[DATA / "include"],
+        defines={"REGISTER_BITS": "9"},
+        parameters={"DATA_WIDTH": "64"},
+    )
+    assert camera.interface("s_axi").addr_width == 9
+    assert camera.interface("s_axis").data_width == 64
+    assert camera.port("s_axis_tkeep").width == 8
+    assert {p.name: (p.value, p.overridden, p.local) for p in camera.parameters}["DATA_WIDTH"] == (64, True, False)
+
+
+def test_port_tells_range_type_line_and_direction() -> None:
+    (camera,) = extract([DATA / "camera_edge.v"], top="camera_edge", include_dirs=[DATA / "include"])
+    port = camera.port("s_axis_tdata")
+    assert (port.range, port.direction, port.line) == ("[DATA_WIDTH-1:0]", PortDirection.IN, 34)
+    assert port.file.endswith("camera_edge.v")
+
+
+def test_attributes_take_precedence_over_names_in_any_case_and_on_non_ansi_ports() -> None:
+    (tagged,) = extract([DATA / "tagged.v"])
+    assert dict(tagged.interface("pixels_in").ports) == {"TDATA": "d", "TVALID": "dv", "TREADY": "dr"}
+    assert tagged.interface("pixels_out").mode is Mode.MASTER
+    assert tagged.interface("pixels_out").found_by is FoundBy.ATTRIBUTE
+    assert tagged.interface("pixels_in").clock == "ck"
+    assert (tagged.clocks[0].frequency_hz, tagged.clocks[0].reset) == (100_000_000, "nclr")
+    assert tagged.resets[0].polarity is Polarity.LOW
+    assert (tagged.interrupts[0].port, tagged.interrupts[0].sensitivity) == ("ev", "EDGE_RISING")
+
+
+def test_ports_marked_ignore_are_left_over_with_the_reason() -> None:
+    (tagged,) = extract([DATA / "tagged.v"])
+    assert {left.port: left.reason for left in tagged.leftovers} == {
+        "spare_tdata": "is marked X_INTERFACE_IGNORE",
+        "spare_tvalid": "is marked X_INTERFACE_IGNORE",
+    }
+
+
+def test_monitor_is_one_only_where_the_attribute_says_so() -> None:
+    (tagged,) = extract([DATA / "tagged.v"])
+    assert tagged.interface("probe").mode is Mode.MONITOR
+
+
+def test_attribute_on_some_ports_is_completed_by_the_names_of_the_others(tmp_path: Path) -> None:
+    info = '(* X_INTERFACE_INFO = "xilinx.com:interface:axis:1.0 video TVALID" *)'
+    text = f"input [7:0] s_axis_tdata; {info} input s_axis_tvalid; output s_axis_tready; input s_axis_tlast; input clk"
+    (video,) = ports(tmp_path, text).interfaces
+    assert (video.name, set(video.ports)) == ("video", {"TDATA", "TVALID", "TREADY", "TLAST"})
+
+
+def test_malformed_attribute_is_reported_and_names_still_count(tmp_path: Path) -> None:
+    text = '(* X_INTERFACE_INFO = "axis s TDATA" *) input [7:0] s_tdata; input s_tvalid; output s_tready; input clk'
+    found = ports(tmp_path, text)
+    assert [i.name for i in found.interfaces] == ["s"]
+    assert any("X_INTERFACE_INFO is not" in str(problem) for problem in found.problems)
+
+
+@pytest.mark.parametrize("name", ["do", "bit", "final", "logic", "priority"])
+def test_systemverilog_keywords_are_names_in_verilog_files(tmp_path: Path, name: str) -> None:
+    found = ports(tmp_path, f"input {name}; output [3:0] q")
+    assert (found.language, found.ports[0].name, found.problems) == (Language.VERILOG, name, ())
+
+
+def test_systemverilog_in_a_verilog_file_is_read_as_such(tmp_path: Path) -> None:
+    found = module(tmp_path, "module m (input logic [3:0] a); always_comb begin end endmodule")
+    assert (found.language, found.port("a").width, found.problems) == (Language.SYSTEMVERILOG, 4, ())
+
+
+def test_what_cannot_cross_a_boundary_needs_a_flat_wrapper() -> None:
+    (unflat,) = extract([DATA / "unflat.sv"])
+    assert {port.name for port in unflat.ports if not port.flat} == {"open", "lanes", "sample", "stream", "unknown"}
+    assert not unflat.usable
+    assert all("needs a flat wrapper" in problem.message for problem in unflat.problems)
+    assert unflat.port("pixel").width == 24  # a packed struct is a vector
+    assert unflat.port("level").width == 2
+
+
+def test_buses_side_by_side_are_not_one_bus(tmp_path: Path) -> None:
+    text = "input clk; input [31:0] s_axis_tdata; input [3:0] s_axis_tvalid; output [3:0] s_axis_tready"
+    found = ports(tmp_path, text)
+    assert found.interfaces == ()
+    assert "s_axis_tvalid has 4 bits: several buses side by side" in found.leftovers[0].reason
+
+
+def test_one_of_several_buses_is_a_bus_when_the_parameter_says_one(tmp_path: Path) -> None:
+    text = "input clk; input [8*N-1:0] s_axis_tdata; input [N-1:0] s_axis_tvalid; output [N-1:0] s_axis_tready"
+    assert len(ports(tmp_path, text, "parameter N = 4", parameters={"N": "1"}).interfaces) == 1
+
+
+def test_monitor_port_is_not_a_bus(tmp_path: Path) -> None:
+    found = ports(tmp_path, "input clk; input [7:0] mon_tdata; input mon_tvalid; input mon_tready")
+    assert found.interfaces == ()
+    assert "directions are mixed" in found.leftovers[0].reason
+
+
+def test_axi_without_a_handshake_is_not_a_bus(tmp_path: Path) -> None:
+    text = lite("s_axi_").replace("output s_axi_awready; ", "").replace("output s_axi_arready; ", "")
+    found = ports(tmp_path, text + "input clk")
+    assert found.interfaces == ()
+    assert "is missing" in found.leftovers[0].reason
+
+
+def test_port_that_is_named_like_a_signal_by_chance_is_just_left_over(tmp_path: Path) -> None:
+    found = ports(tmp_path, "input tid; input [3:0] wid; output bvalid_count; input latched_wdata_x")
+    assert found.interfaces == ()
+    assert all("no bus" in left.reason for left in found.leftovers)
+    assert found.problems == ()
+
+
+@pytest.mark.parametrize(
+    ("declarations", "name"),
+    [
+        (stream("s_axis_", "slave"), "s_axis"),
+        (stream("S_AXIS_VIDEO_", "slave").replace("tdata", "TDATA"), "S_AXIS_VIDEO"),
+        (stream("", "slave"), "s_axis"),
+        ("input [7:0] tdata_0; input tvalid_0; output tready_0", "0"),
+        ("input [7:0] i_s_tdata; input i_s_tvalid; output o_s_tready", "s"),
+        ("input [7:0] s_tdata_i; input s_tvalid_i; output s_tready_o", "s"),
+        ("input [7:0] i_axis_data; input i_axis_valid; output o_axis_ready", "axis"),
+        ("input [7:0] videoTDATA; input videoTVALID; output videoTREADY", "video"),
+    ],
+)
+def test_a_stream_is_recognised_by_many_habits_of_naming(tmp_path: Path, declarations: str, name: str) -> None:
+    (found,) = ports(tmp_path, declarations + "; input clk").interfaces
+    assert (found.name, found.protocol, found.mode, len(found.ports)) == (name, "axis", Mode.SLAVE, 3)
+
+
+def test_streams_called_i_and_o_are_two(tmp_path: Path) -> None:
+    found = ports(tmp_path, stream("i_", "slave") + stream("o_", "master") + "input clk").interfaces
+    assert [(i.name, i.mode) for i in found] == [("i", Mode.SLAVE), ("o", Mode.MASTER)]
+
+
+@pytest.mark.parametrize(
+    ("extra", "protocol"),
+    [("", "axi4lite"), ("input [7:0] s_awlen; input [7:0] s_arlen;", "axi4"), ("input [3:0] s_awlen;", "axi3")],
+)
+def test_axi_flavour_follows_the_burst_signals(tmp_path: Path, extra: str, protocol: str) -> None:
+    assert ports(tmp_path, lite("s_") + extra + "input clk").interfaces[0].protocol == protocol
+
+
+def test_read_only_master_is_a_bus(tmp_path: Path) -> None:
+    half = lite("m_", "master")
+    (found,) = ports(tmp_path, half[half.index("output [11:0] m_araddr") :] + "input clk").interfaces
+    assert (found.reads, found.writes, found.mode) == (True, False, Mode.MASTER)
+
+
+@pytest.mark.parametrize(
+    ("clocks", "expected"),
+    [
+        ("input clk", ("clk", "clk")),
+        ("input s_axis_aclk; input m_axis_aclk", ("s_axis_aclk", "m_axis_aclk")),
+        ("input s_clk; input m_clk", ("s_clk", "m_clk")),
+        ("input ap_clk; input ref_clk", ("ap_clk", "ap_clk")),
+        ("input one_clk; input two_clk", (None, None)),
+    ],
+)
+def test_a_clock_is_recognised_by_name_or_not_at_all(
+    tmp_path: Path, clocks: str, expected: tuple[str | None, str | None]
+) -> None:
+    found = ports(tmp_path, stream("s_axis_", "slave") + stream("m_axis_", "master") + clocks)
+    assert tuple(interface.clock for interface in found.interfaces) == expected
+    assert bool(found.problems) == (expected[0] is None)
+
+
+@pytest.mark.parametrize(
+    ("name", "polarity"),
+    [
+        ("aresetn", Polarity.LOW),
+        ("rst_n", Polarity.LOW),
+        ("rst_ni", Polarity.LOW),
+        ("nreset", Polarity.LOW),
+        ("S_AXI_ARESETN", Polarity.LOW),
+        ("reset_b", Polarity.LOW),
+        ("rst", Polarity.HIGH),
+        ("areset", Polarity.HIGH),
+        ("i_reset", Polarity.HIGH),
+    ],
+)
+def test_polarity_of_a_reset_is_in_its_name(tmp_path: Path, name: str, polarity: Polarity) -> None:
+    assert [r.polarity for r in ports(tmp_path, f"input clk; input {name}").resets] == [polarity]
+
+
+_NEITHER = (
+    *("clk_en", "clken", "aclken", "clkdiv", "clk_sel", "sclk", "clk_req"),
+    *("reset_done", "rst_count", "preset", "irq_mask", "interior", "int_a"),
+)
+
+
+@pytest.mark.parametrize(
+    "name", ["clk", "aclk", "clk_i", "clk100m", "clk_50mhz", "pixelClk", "DMA_REQ_ACLK", "clkin1", "CLOCK"]
+)
+def test_a_clock_is_recognised_by_many_names(tmp_path: Path, name: str) -> None:
+    assert [clock.port for clock in ports(tmp_path, f"input {name}").clocks] == [name]
+
+
+@pytest.mark.parametrize("name", ["irq", "o_int", "interrupt", "rx_intr", "ip2intc_irpt", "irq_0", "int_o"])
+def test_an_interrupt_is_recognised_by_many_names(tmp_path: Path, name: str) -> None:
+    assert [interrupt.port for interrupt in ports(tmp_path, f"output {name}").interrupts] == [name]
+
+
+@pytest.mark.parametrize("name", _NEITHER)
+def test_enables_and_counters_are_not_clocks_resets_or_interrupts(tmp_path: Path, name: str) -> None:
+    found = ports(tmp_path, f"input {name}")
+    assert (found.clocks, found.resets, found.interrupts) == ((), (), ())
+    assert [left.port for left in found.leftovers] == [name]
+
+
+def test_roots_are_the_modules_that_no_other_instantiates() -> None:
+    modules = extract([DATA / "camera_edge.v"], include_dirs=[DATA / "include"])
+    assert [m.name for m in modules] == ["camera_edge", "camera_edge_kernel"]
+    assert [m.name for m in roots(modules)] == ["camera_edge"]
+
+
+def test_unknown_top_lists_the_modules() -> None:
+    with pytest.raises(ModuleNotFound, match="there are: tagged"):
+        extract([DATA / "tagged.v"], top="other")
+
+
+def test_unknown_parameter_lists_the_parameters() -> None:
+    with pytest.raises(HdlError, match="no parameter DEPTH in tagged; there are: WIDTH"):
+        extract([DATA / "tagged.v"], parameters={"DEPTH": "1"})
+
+
+def test_file_that_is_not_there_is_reported() -> None:
+    with pytest.raises(HdlError, match=r"nowhere\.v: cannot be read: No such file"):
+        extract(["nowhere.v"])
+
+
+def test_file_without_a_module_is_reported_with_the_first_error(tmp_path: Path) -> None:
+    (tmp_path / "a.v").write_text("this is not a Verilog")
+    with pytest.raises(HdlError, match=r"no module and no entity.*a\.v:1"):
+        extract([tmp_path / "a.v"])
+
+
+def test_syntax_error_is_a_problem_of_the_module_with_its_line(tmp_path: Path) -> None:
+    found = module(tmp_path, "module m (input clk);\nassign a = = 1;\nendmodule\n")
+    assert [(p.line, p.fatal) for p in found.problems] == [(2, False)]
+    assert [c.port for c in found.clocks] == ["clk"]
+
+
+def test_missing_include_is_reported_and_its_ranges_cannot_be_evaluated(tmp_path: Path) -> None:
+    found = module(tmp_path, '`include "no.vh"\nmodule m (input [`W-1:0] a);\nendmodule\n')
+    assert found.problems[0].message == "'no.vh': No such file or directory: name its folder (include_dirs:, or -I)"
+    assert found.port("a").width != 0
+
+
+def test_parameter_without_a_default_is_asked_for(tmp_path: Path) -> None:
+    found = ports(tmp_path, "input [W-1:0] a", "parameter int W", name="m.sv")
+    assert found.port("a").width is None
+    assert any("-P W=" in str(problem) for problem in found.problems)
+
+
+def test_module_declared_twice_is_reported(tmp_path: Path) -> None:
+    for name in ("a.v", "b.v"):
+        (tmp_path / name).write_text("module m (input clk); endmodule")
+    reading = read([tmp_path / "a.v", tmp_path / "b.v"])
+    assert len(reading.modules) == 1
+    assert "declared in" in reading.problems[0].message
+
+
+def test_package_in_another_file_is_known(tmp_path: Path) -> None:
+    (tmp_path / "p.sv").write_text("package p; localparam int W = 12; endpackage")
+    (tmp_path / "m.sv").write_text("module m (input logic [p::W-1:0] a); endmodule")
+    assert extract([tmp_path / "p.sv", tmp_path / "m.sv"])[0].port("a").width == 12
+
+
+def test_string_and_real_parameters_keep_their_kind(tmp_path: Path) -> None:
+    header = 'parameter KIND = "fast", parameter real RATE = 1.5, parameter [3:0] N = 4\'hA'
+    assert [p.value for p in ports(tmp_path, "input clk", header).parameters] == ["fast", 1.5, 10]
+
+
+@pytest.mark.parametrize(
+    ("given", "value"),
+    [("3", 3), ("-1", -1), ("8'hFF", 255), ("2*(3+1)", 8), ("True", 1), ("slow", "slow"), ('"x"', "x")],
+)
+def test_parameter_is_set_to_a_number_or_a_string(tmp_path: Path, given: str, value: object) -> None:
+    found = ports(tmp_path, "input clk", "parameter P = 0", parameters={"P": given})
+    assert [(p.value, p.overridden) for p in found.parameters] == [(value, True)]
+
+
+def test_included_file_in_another_encoding_is_read(tmp_path: Path) -> None:
+    (tmp_path / "w.vh").write_bytes("`define W 4 // à gauche\n".encode("latin-1"))
+    text = '`include "w.vh"\nmodule m #(parameter P = /* \xe0 */ `W) (input [`W-1:0] a);\nendmodule\n'
+    (tmp_path / "m.v").write_bytes(text.encode("latin-1"))
+    (found,) = extract([tmp_path / "m.v"])
+    assert (found.port("a").width, found.parameters[0].value) == (4, 4)
+
+
+def test_missing_parser_is_reported_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyslang", None)
+    with pytest.raises(ParserMissing, match=r"needs the Python package pyslang.*fpga-cm\[build\]"):
+        extract([DATA / "tagged.v"])
+
+
+def test_file_of_macros_counts_for_the_files_after_it(tmp_path: Path) -> None:
+    (tmp_path / "defs.v").write_text("`define W 8\n`define F(x) (x*2)\n")
+    (tmp_path / "m.v").write_text("module m (input [`F(`W)-1:0] a);\nendmodule")
+    (found,) = extract([tmp_path / "defs.v", tmp_path / "m.v"])
+    assert (found.port("a").width, found.port("a").line, found.problems) == (16, 1, ())
+
+
+def test_encrypted_file_is_reported(tmp_path: Path) -> None:
+    (tmp_path / "e.v").write_text("`pragma protect begin_protected\n`pragma protect end_protected\n")
+    with pytest.raises(HdlError, match=r"encrypted.*component\.xml"):
+        extract([tmp_path / "e.v"])
+
+
+def test_a_file_whose_name_is_not_utf8_is_read(tmp_path: Path) -> None:
+    folder = tmp_path / os.fsdecode(b"gr\xf6\xdfer")
+    folder.mkdir()
+    (folder / "w.vh").write_text("`define W 8\n")
+    (folder / "a.v").write_text("module a (input wire clk, output wire [`W-1:0] o);\nendmodule\n")
+    (found,) = extract([folder / "w.vh", folder / "a.v"])
+    assert found.name == "a"
+
+
+def test_a_verilog_header_among_the_sources_leaves_systemverilog_its_keywords(tmp_path: Path) -> None:
+    (tmp_path / "width.vh").write_text("`define WIDTH 8\n")
+    (tmp_path / "sizes.sv").write_text("package sizes;\n    localparam int HIGH = `WIDTH * 2 - 1;\nendpackage\n")
+    (tmp_path / "a.sv").write_text("module a (input logic clk, output logic [sizes::HIGH:0] o);\nendmodule\n")
+    (found,) = extract([tmp_path.resolve() / name for name in ("width.vh", "sizes.sv", "a.sv")])
+    assert (found.problems, found.port("o").width) == ((), 16)

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Interfaces of VHDL entities, and the expressions in their ranges."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+pytest.importorskip("tree_sitter_vhdl")
+
+from hdl_support import DATA
+
+from cm.design.hdl import HdlError, Language, ModuleInfo, PortDirection, extract
+from cm.design.hdl.vhdl_expr import Unknown, evaluate
+
+
+def entity(path: Path, ports: str, generics: str = "", before: str = "") -> ModuleInfo:
+    """The only entity of a text, with these ports."""
+    head = f"generic ({generics});" if generics else ""
+    (path / "e.vhd").write_text(f"{before}\nentity e is {head}\nport (\n{ports}\n);\nend entity;\n")
+    return extract([path / "e.vhd"])[0]
+
+
+def test_entity_with_streams_package_types_and_attributes_is_read_completely() -> None:
+    kernel_last = extract([DATA / "filter.vhd"])
+    assert [m.name for m in kernel_last] == ["Filter", "filter_kernel"]
+    found = kernel_last[0]
+    assert found.language is Language.VHDL
+    streams = [(i.name, i.protocol, i.mode.value, i.data_width, i.clock, i.reset) for i in found.interfaces]
+    assert streams == [
+        ("s_axis", "axis", "slave", 32, "S_AXIS_ACLK", "S_AXIS_ARESETN"),
+        ("m_axis", "axis", "master", 32, "S_AXIS_ACLK", "S_AXIS_ARESETN"),
+    ]
+    assert found.instantiates == ("filter_kernel",)
+    assert [i.port for i in found.interrupts] == ["done"]
+
+
+def test_widths_are_evaluated_from_generics_functions_and_both_directions() -> None:
+    found = extract([DATA / "filter.vhd"], top="filter", parameters={"C_DEPTH": "1024"})[0]
+    assert found.port("level").width == 11
+    assert found.port("address").width == 8
+    assert {p.name: (p.value, p.overridden) for p in found.parameters} == {
+        "C_ADDR_BITS": (7, False),
+        "C_BASE": (format(0x40000000, "032b"), False),
+        "C_DEPTH": (1024, True),
+    }
+
+
+def test_records_and_integers_need_a_flat_wrapper() -> None:
+    found = extract([DATA / "filter.vhd"], top="Filter")[0]
+    assert {port.name for port in found.ports if not port.flat} == {"debug", "count"}
+    assert not found.usable
+
+
+def test_comments_and_strings_do_not_confuse(tmp_path: Path) -> None:
+    found = entity(
+        tmp_path, "a : in bit; -- b : in bit;\n c : in bit /* d : in bit */ ; e2 : out bit", before="-- entity x is"
+    )
+    assert [port.name for port in found.ports] == ["a", "c", "e2"]
+
+
+def test_directions_buffers_and_defaults_are_read(tmp_path: Path) -> None:
+    found = entity(tmp_path, "a, b : std_logic := '1'; signal c : buffer std_logic; d : inout std_logic_vector(1 to 4)")
+    directions = [(p.name, p.direction, p.width, p.default) for p in found.ports]
+    assert directions == [
+        ("a", PortDirection.IN, 1, "'1'"),
+        ("b", PortDirection.IN, 1, "'1'"),
+        ("c", PortDirection.OUT, 1, ""),
+        ("d", PortDirection.INOUT, 4, ""),
+    ]
+
+
+def test_line_of_a_port_is_that_of_the_source(tmp_path: Path) -> None:
+    found = entity(tmp_path, "a : in bit;\n b : in bit", before="-- first\n-- second")
+    assert [port.line for port in found.ports] == [5, 6]
+
+
+def test_range_without_a_value_is_a_problem_that_names_the_generic(tmp_path: Path) -> None:
+    found = entity(tmp_path, "a : in std_logic_vector(N-1 downto 0)", generics="N : integer")
+    assert found.port("a").width is None
+    assert any("-P N=" in str(problem) for problem in found.problems)
+
+
+def test_file_without_an_entity_is_reported(tmp_path: Path) -> None:
+    (tmp_path / "a.vhd").write_text("architecture a of b is begin end;")
+    with pytest.raises(HdlError, match="no entity in this file"):
+        extract([tmp_path / "a.vhd"])
+
+
+def test_both_languages_in_one_call_keep_the_order_of_the_files() -> None:
+    pytest.importorskip("pyslang")
+    assert [m.name for m in extract([DATA / "tagged.v", DATA / "filter.vhd"])] == ["tagged", "Filter", "filter_kernel"]
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("8/3", 2),
+        ("-7/2", -3),
+        ("(-7) mod 4", 1),
+        ("(-7) rem 4", -3),
+        ("2**10-1", 1023),
+        ("-2**2", -4),
+        ("16#FF#", 255),
+        ("1_000", 1000),
+        ("1e3", 1000),
+        ('X"a5"', "10100101"),
+        ("integer(ceil(log2(real(1000))))", 10),
+        ("clog2(1)", 0),
+        ("maximum(3, work.types.n)", 4),
+        ("not (2 > 1 and true)", False),
+        ('"ab" & "cd"', "abcd"),
+        ("abs (2 - 5)", 3),
+    ],
+)
+def test_expression_has_the_value_that_the_standard_gives_it(text: str, value: object) -> None:
+    assert evaluate(text, {"n": 4}) == value
+
+
+@pytest.mark.parametrize(
+    "text", ["", "1 +", "f(2)", "a'length", "n n", "(1", "1/0", "10**99999", "$", "2**0.5**900000"]
+)
+def test_expression_without_a_value_is_unknown(text: str) -> None:
+    with pytest.raises(Unknown):
+        evaluate(text, {"n": 1})
+
+
+@given(st.text(alphabet="0123456789()+-*/ ndownto'\"#&=<>,.xX_e", max_size=40))
+def test_no_expression_does_anything_but_have_a_value_or_be_unknown(text: str) -> None:
+    try:
+        evaluate(text, {"n": 3})
+    except Unknown:
+        return
+
+
+@given(st.integers(0, 10**6), st.integers(1, 10**3), st.integers(-(10**6), 10**6))
+def test_integer_arithmetic_is_exact(a: int, b: int, c: int) -> None:
+    assert evaluate(f"{a} / {b} * {b} + {a} rem {b}", {}) == a
+    assert evaluate(f"({c}) mod {b} + n", {"n": 1}) == c % b + 1

@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The kernel modules are of the same version as the package."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from cm._version import __version__
+
+KMOD = Path(__file__).parents[3] / "kmod"
+MODULES = re.findall(r"^obj-m \+= (?!cm_kunit)(\w+)\.o$", (KMOD / "Kbuild").read_text(), re.MULTILINE)
+
+
+def test_version_of_the_headers() -> None:
+    said = re.search(r'#define CM_VERSION "(.*)"', (KMOD / "include/cm_compat.h").read_text())
+    assert said is not None
+    assert said[1] == __version__
+
+
+def test_version_of_dkms() -> None:
+    said = re.search(r'PACKAGE_VERSION="(.*)"', (KMOD / "dkms.conf").read_text())
+    assert said is not None
+    assert said[1] == __version__
+
+
+def test_dkms_builds_every_module() -> None:
+    assert sorted(re.findall(r'BUILT_MODULE_NAME\[\d\]="(\w+)"', (KMOD / "dkms.conf").read_text())) == sorted(MODULES)
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_each_module_says_its_version(module: str) -> None:
+    folder = {"cm_dma": "core", "cm_axidma_compat": "axidma"}.get(module, module.removeprefix("cm_"))
+    sources = (KMOD / folder).glob("*.c")
+    assert sum("MODULE_VERSION(CM_VERSION)" in source.read_text() for source in sources) == 1

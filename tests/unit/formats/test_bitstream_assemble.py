@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Assembled bitstreams: the same arguments give the same bytes. A change of the assembler changes the hashes here."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from bitstream_support import HERE, compressed, frames, small, two_sections
+
+from cm.formats.bitstream import FrameRun, assemble, assemble_module, default_footprint, inspect
+from cm.formats.bitstream.assemble import assemble_stream
+from cm.formats.bitstream.verify import expect_static
+from cm.schema import load
+
+CAMERA = Path(__file__).resolve().parents[3] / "cm" / "data" / "camera" / "camera.yaml"
+
+
+def short(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()[:16]
+
+
+@pytest.mark.parametrize(
+    ("make", "wanted"),
+    [
+        (small, "07be157ee25850c9"),
+        (lambda: small(partial=False), "947a890f533b9b15"),
+        (lambda: small(crc=False), "a5a0a282b0917e74"),
+        (compressed, "2523e3df641c2bf7"),
+        (two_sections, "cb66b654b53cbf58"),
+        (lambda: assemble("xck26", [FrameRun(HERE, bytes(93 * 4))]), "ea2e505bcbba6eae"),
+        (lambda: assemble_stream("xc7z020", [[FrameRun(HERE, frames(1))]]), "0e1f54b2593c615e"),
+        (lambda: assemble_stream("xc7z020", [[FrameRun(HERE, frames(1))]], partial=False), "3295689fcee7113d"),
+        (lambda: assemble_module("edge"), "3d1701c83a936f92"),
+        (lambda: assemble_module("edge", model="sobel", region_index=1, size=100_000), "db92833d0ffe5b82"),
+        (lambda: assemble_module("edge", device="xck26", size=1), "90b6bec9176c56ec"),
+    ],
+    ids=["small", "full", "no crc", "compressed", "sections", "ultrascale", "stream", "full stream", "module", "model",
+         "ultrascale module"],
+)  # fmt: skip
+def test_the_same_arguments_give_the_same_bytes_while_the_assembler_is_not_changed(
+    make: Callable[[], bytes], wanted: str
+) -> None:
+    assert short(make()) == wanted
+
+
+def test_a_module_fills_its_columns_one_after_the_other() -> None:
+    (range_,) = default_footprint(0, "xc7z020", 404 * 80)
+    found = inspect(assemble_module("edge", size=404 * 80)).footprint
+    assert [item.column for item in found] == list(range(range_.column_first, range_.column_last + 1))
+    assert sum(item.frames for item in found) == 80 + len(found), "each run ends with a frame of padding"
+
+
+def test_there_are_at_most_as_many_sections_as_runs() -> None:
+    with pytest.raises(ValueError, match="runs cannot fill"):
+        assemble("xc7z020", [FrameRun(HERE, frames(1))], sections=2)
+    with pytest.raises(ValueError, match="runs cannot fill"):
+        assemble("xc7z020", [FrameRun(HERE, frames(1))], sections=0)
+
+
+def test_names_that_do_not_fit_a_frame_are_refused_with_their_limit() -> None:
+    with pytest.raises(ValueError, match=r"module 'x.*together over 256 bytes"):
+        assemble_module("x" * 300)
+
+
+def test_a_static_image_must_match_its_schema() -> None:
+    config = replace(load(CAMERA), sha256="0" * 64, idcode=0x123, allow_encrypted=True)
+    expect = expect_static(config)
+    assert (expect.device, expect.sha256, expect.idcode) == ("xc7z020", "0" * 64, 0x123)
+    assert (expect.partial, expect.allow_encrypted) == (False, True)

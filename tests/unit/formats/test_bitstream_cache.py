@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from bitstream_support import small, two_sections
+
+import cm.formats.bitstream.cache as cache_module
+from cm.formats.bitstream import ReportCache, inspect
+from cm.formats.bitstream.errors import NoSync
+
+
+@pytest.fixture
+def counted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Lengths of the files that were really inspected."""
+    seen: list[int] = []
+
+    def counting(data: bytes) -> object:
+        seen.append(len(data))
+        return inspect(data)
+
+    monkeypatch.setattr(cache_module, "inspect", counting)
+    return seen
+
+
+def test_unchanged_file_is_inspected_once(tmp_path: Path, counted: list[int]) -> None:
+    path = tmp_path / "a.bit"
+    path.write_bytes(small())
+    cache = ReportCache()
+    assert cache.inspect(path) == cache.inspect(path) == inspect(small())
+    assert len(counted) == 1
+
+
+def test_hard_link_is_the_same_file(tmp_path: Path, counted: list[int]) -> None:
+    path, link = tmp_path / "a.bit", tmp_path / "b.bit"
+    path.write_bytes(small())
+    os.link(path, link)
+    cache = ReportCache()
+    cache.inspect(path)
+    cache.inspect(link)
+    assert len(counted) == 1
+
+
+def test_file_replaced_under_the_same_name_is_read_again(tmp_path: Path) -> None:
+    path, other = tmp_path / "a.bit", tmp_path / "new"
+    path.write_bytes(small(design="one"))
+    cache = ReportCache()
+    assert cache.inspect(path).design == "one"
+    other.write_bytes(small(design="two"))
+    stamp = path.stat()
+    os.utime(other, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
+    other.replace(path)
+    assert cache.inspect(path).design == "two"
+
+
+def test_file_changed_in_place_with_its_old_time_is_read_again(tmp_path: Path) -> None:
+    path = tmp_path / "a.bit"
+    path.write_bytes(small(design="one"))
+    stamp = path.stat()
+    cache = ReportCache()
+    cache.inspect(path)
+    path.write_bytes(small(design="two"))
+    os.utime(path, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
+    assert cache.inspect(path).design == "two"
+
+
+def test_bytes_come_with_the_report_of_these_bytes(tmp_path: Path) -> None:
+    path = tmp_path / "a.bit"
+    path.write_bytes(two_sections())
+    found = ReportCache().read(path)
+    assert found.data == two_sections()
+    assert found.report == inspect(two_sections())
+
+
+def test_cache_forgets_the_least_recently_used(tmp_path: Path, counted: list[int]) -> None:
+    paths = [tmp_path / f"{index}.bit" for index in range(3)]
+    cache = ReportCache(capacity=2)
+    for index, path in enumerate(paths):
+        path.write_bytes(small(design=f"d{index}"))
+        cache.inspect(path)
+    cache.inspect(paths[2])
+    assert len(counted) == 3
+    cache.inspect(paths[0])
+    assert len(counted) == 4
+
+
+def test_refused_file_is_not_kept(tmp_path: Path) -> None:
+    path = tmp_path / "a.bit"
+    path.write_bytes(b"no bitstream")
+    with pytest.raises(NoSync):
+        ReportCache().inspect(path)
+
+
+def test_missing_file_is_the_systems_error(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        ReportCache().inspect(tmp_path / "none.bit")

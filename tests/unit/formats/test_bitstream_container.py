@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import struct
+from contextlib import suppress
+
+import pytest
+from bitstream_support import HEADER, small
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cm.formats.bitstream import BitstreamError, Container, Image, convert, inspect, open_image, to_dma_words
+from cm.formats.bitstream.container import BitHeader, pack_bit
+from cm.formats.bitstream.errors import BadContainer, NoSync, Truncated
+
+TEXT = st.text("".join(chr(code) for code in range(33, 127) if chr(code) not in ";="), max_size=20)
+
+
+def partition(first: int, begin: int, length: int, destination: int) -> bytes:
+    """A partition header: lengths, then offset and attributes from word `first` on, and the check sum."""
+    words = [length // 4] * 3 + [0] * 13
+    words[first], words[first + 1] = begin // 4, destination << 4
+    words[15] = ~sum(words) & 0xFFFFFFFF
+    return struct.pack("<16I", *words)
+
+
+def boot_image(stream: bytes, encryption: int = 0, partitions: tuple[bytes, ...] = ()) -> bytes:
+    """A boot image as bootgen lays it out: header with width word and signature, table, stream, zeros."""
+    header = bytearray(0x2800)
+    header[0x20:0x24] = bytes.fromhex("665599aa")
+    header[0x24:0x28] = b"XNLX"
+    struct.pack_into("<I", header, 0x28, encryption)
+    struct.pack_into("<I", header, 0x9C, 0xC80)
+    table = b"".join(partitions)
+    header[0xC80 : 0xC80 + len(table)] = table
+    return bytes(header) + stream + bytes(200)
+
+
+def test_bit_header_is_read() -> None:
+    header = open_image(small(design="camera", part="7z020clg400")).header
+    assert header is not None
+    assert (header.design, header.part, header.date, header.time) == ("camera", "7z020clg400", "2024/01/01", "00:00:00")
+    assert header.partial
+    assert header.field("version") == "cm"
+
+
+@given(design=TEXT, part=TEXT, date=TEXT, time=TEXT)
+def test_bit_header_survives_packing(design: str, part: str, date: str, time: str) -> None:
+    header = BitHeader(design, (("UserID", "0"),), part, date, time)
+    assert open_image(pack_bit(header, bytes.fromhex("ffffffffaa995566"))).header == header
+
+
+@given(fields=st.binary(max_size=20).filter(lambda raw: not raw.endswith(bytes(1))))
+def test_odd_header_fields_survive_conversion(fields: bytes) -> None:
+    original = bytearray(small())
+    begin = original.index(b"UserID")
+    original[begin : begin + len(fields)] = fields
+    data = bytes(original)
+    header = open_image(data).header
+    assert convert(convert(data, Container.BIN_SWAPPED), Container.BIT, header) == data
+
+
+@pytest.mark.parametrize("form", [Container.BIN_SWAPPED, Container.BIN_STRAIGHT])
+def test_conversion_there_and_back_is_byte_exact(form: Container) -> None:
+    original = small()
+    there = convert(original, form)
+    assert open_image(there).container is form
+    assert convert(there, Container.BIT, open_image(original).header) == original
+
+
+def test_swapped_bin_has_the_sync_word_that_dma_wants() -> None:
+    assert bytes.fromhex("665599aa") in to_dma_words(small())
+    assert to_dma_words(small()) == convert(small(), Container.BIN_SWAPPED)
+    assert to_dma_words(convert(small(), Container.BIN_STRAIGHT)) == to_dma_words(small())
+
+
+def test_bit_from_bin_needs_a_header() -> None:
+    with pytest.raises(BadContainer, match="needs a header"):
+        convert(convert(small(), Container.BIN_SWAPPED), Container.BIT)
+
+
+def test_boot_image_is_opened_behind_its_own_sync_word() -> None:
+    stream = to_dma_words(small())
+    image = open_image(boot_image(stream))
+    assert (image.container, image.offset, bytes(image.stream)) == (Container.BOOTGEN, 0x2800, stream)
+
+
+@pytest.mark.parametrize("first", [5, 8])  # where Zynq and Zynq UltraScale+ have a partition's offset
+def test_boot_image_with_more_partitions_gives_the_one_for_the_pl(first: int) -> None:
+    stream = to_dma_words(small())
+    table = partition(first, 0x2800, 400, 1), partition(first, 0x3000, len(stream), 2)
+    loader = stream[:400] + bytes(400)  # looks like a stream, but is not for the PL
+    image = boot_image(loader + bytes(0x800 - len(loader)) + stream + b"u-boot" * 100, partitions=table)
+    found = open_image(image)
+    assert (found.offset, bytes(found.stream), found.encrypted) == (0x3000, stream, False)
+    assert inspect(image).problems == ()
+
+
+def test_damaged_partition_table_is_not_used() -> None:
+    table = bytearray(partition(5, 0x10, 400, 2))
+    table[0] ^= 1
+    stream = to_dma_words(small())
+    assert open_image(boot_image(stream, partitions=(bytes(table),))).offset == 0x2800
+
+
+def test_boot_image_converts_to_its_stream() -> None:
+    assert convert(boot_image(to_dma_words(small())), Container.BIN_STRAIGHT) == convert(
+        small(), Container.BIN_STRAIGHT
+    )
+
+
+def test_boot_image_says_that_it_is_encrypted() -> None:
+    assert open_image(boot_image(to_dma_words(small()), encryption=0xA5C3C5A3)).encrypted
+
+
+def test_boot_image_without_bitstream_has_no_sync() -> None:
+    with pytest.raises(NoSync, match="boot image"):
+        open_image(boot_image(b""))
+
+
+def test_boot_images_are_not_written() -> None:
+    with pytest.raises(BadContainer, match=r"^boot images are read, not written: use bootgen with the \.bit$"):
+        convert(small(), Container.BOOTGEN)
+
+
+def test_file_without_sync_is_refused() -> None:
+    with pytest.raises(NoSync):
+        open_image(b"MZ" * 500)
+
+
+def test_bit_header_whose_text_does_not_end_is_refused() -> None:
+    with pytest.raises(BadContainer, match=r"field 'b' at byte .* does not end with NUL"):
+        open_image(small().replace(b"xc7z020\0", b"xc7z020!"))
+
+
+def test_bit_with_swapped_words_is_refused() -> None:
+    with pytest.raises(BadContainer, match="byte-swapped"):
+        open_image(pack_bit(HEADER, bytes.fromhex("ffffffff665599aa")))
+
+
+def test_bit_with_bytes_behind_its_length_is_refused() -> None:
+    with pytest.raises(BadContainer, match="4 more follow"):
+        open_image(small() + bytes(4))
+
+
+@given(data=st.data())
+def test_every_truncation_of_a_bit_is_refused(data: st.DataObject) -> None:
+    whole = small()
+    cut = data.draw(st.integers(0, len(whole) - 1))
+    with pytest.raises((Truncated, NoSync)):
+        open_image(whole[:cut])
+
+
+@given(data=st.data())
+def test_every_truncation_of_a_bin_is_refused(data: st.DataObject) -> None:
+    whole = convert(small(), Container.BIN_SWAPPED)
+    cut = data.draw(st.integers(0, len(whole) - 16 * 4 - 1))  # what follows DESYNC may be missing
+    with suppress(BitstreamError):
+        assert inspect(whole[:cut]).problems
+
+
+@given(data=st.binary(max_size=300), prefix=st.sampled_from([b"", small()[:20], small()[:110], boot_image(b"")]))
+def test_any_bytes_are_opened_or_refused(data: bytes, prefix: bytes) -> None:
+    with suppress(BitstreamError):
+        assert isinstance(open_image(prefix + data), Image)
+        inspect(prefix + data)
+
+
+def test_words_by_which_a_bin_could_not_be_recognised_are_refused() -> None:
+    inner = next(data for data in (small(design="d" * n) for n in range(1, 5)) if open_image(data).offset % 4 == 0)
+    nested = pack_bit(HEADER, inner)  # a header written twice: without the first one it would be another .bit
+    assert open_image(nested).container is Container.BIT
+    with pytest.raises(BadContainer, match=r"begin .*bin-straight"):
+        convert(nested, Container.BIN_STRAIGHT)
+    assert len(to_dma_words(nested)) == len(inner)

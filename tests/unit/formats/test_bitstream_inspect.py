@@ -1,0 +1,266 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import pytest
+from bitstream_support import FRAME_BYTES, HERE, bit, compressed, frames, slow_crc, small, two_sections
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cm.formats.bitstream import (
+    Container,
+    CrcResult,
+    FrameAddress,
+    FrameRun,
+    assemble,
+    convert,
+    device_by_name,
+    inspect,
+)
+from cm.formats.bitstream.devices import DEVICES, Device, Family
+from cm.formats.bitstream.far import decode_far, encode_far
+from cm.formats.bitstream.report import Footprint
+
+RCRC = (0x30008001, 7)
+IDCODE = (0x30018001, 0x03727093)
+DESYNC = (0x30008001, 13)
+FDRI = (0x30004000 | 101, *([0] * 101))
+NOP = 0x20000000
+
+
+def codes(data: bytes) -> set[str]:
+    return {item.code for item in inspect(data).problems}
+
+
+def test_json_has_the_documented_keys() -> None:
+    found = inspect(small()).to_json()
+    assert found["device"] == "xc7z020"
+    assert found["idcode"] == "0x03727093"
+    assert found["family"] == "7series"
+    assert found["partial"] is True
+    assert found["encrypted"] is False
+    assert found["sha256"] == hashlib.sha256(small()).hexdigest()
+    assert found["sections"] == 1
+    assert found["frames"] == 1
+    assert found["crc"] == "ok"
+    assert found["footprint"] == [{"block_type": 0, "row": 0, "column": 26, "frames": 1, "last_column": 26}]
+
+
+def test_header_and_hash_are_reported() -> None:
+    report = inspect(small(design="camera", part="7z020clg400"))
+    assert (report.design, report.part, report.date) == ("camera", "7z020clg400", "2024/01/01 00:00:00")
+    assert report.sha256 == hashlib.sha256(small(design="camera", part="7z020clg400")).hexdigest()
+
+
+def test_path_and_bytes_give_the_same_report(tmp_path: Path) -> None:
+    path = tmp_path / "a.bit"
+    path.write_bytes(small())
+    assert inspect(path) == inspect(small())
+
+
+@pytest.mark.parametrize("form", [Container.BIN_SWAPPED, Container.BIN_STRAIGHT])
+def test_bin_gives_the_same_findings(form: Container) -> None:
+    plain, report = inspect(small()), inspect(convert(small(), form))
+    assert (report.device, report.frames, report.crc, report.footprint, report.partial, report.problems) == (
+        (plain.device, plain.frames, plain.crc, plain.footprint, plain.partial, ())
+    )
+
+
+def test_all_sections_are_read() -> None:
+    report = inspect(two_sections())
+    assert [section.frames for section in report.sections] == [1, 2]
+    assert report.footprint == (Footprint(0, 0, 26, 1, 26), Footprint(1, 2, 3, 2))
+    assert report.problems == ()
+
+
+def test_compressed_frames_are_counted_where_they_go() -> None:
+    report = inspect(compressed())
+    assert report.compressed
+    assert report.frames == 4  # one by FDRI, three by MFWR
+    assert report.footprint == (Footprint(0, 0, 26, 2, 26), Footprint(0, 3, 2, 1))
+
+
+def test_frames_written_twice_count_once_in_the_footprint() -> None:
+    run = FrameRun(HERE, frames(3))
+    report = inspect(assemble("xc7z020", [run, run]))
+    assert report.frames == 6
+    assert report.footprint == (Footprint(0, 0, 26, 3, 26),)
+
+
+def test_a_full_bitstream_is_distinguished_from_a_partial_one_without_a_header() -> None:
+    assert not inspect(convert(small(partial=False), Container.BIN_SWAPPED)).partial
+    assert inspect(convert(small(), Container.BIN_SWAPPED)).partial
+
+
+def test_missing_crcs_are_absent_not_wrong() -> None:
+    report = inspect(small(crc=False))
+    assert report.crc is CrcResult.ABSENT
+    assert report.problems == ()
+
+
+def test_wrong_crc_is_named_with_both_values() -> None:
+    data = bytearray(small())
+    data[data.index(bytes.fromhex("30000001")) + 4] ^= 1
+    report = inspect(bytes(data))
+    assert report.crc is CrcResult.WRONG
+    assert "in the stream" in report.problems[0].message
+    assert report.problems[0].code == "crc_mismatch"
+
+
+def test_assembled_crc_is_that_of_an_independent_computation() -> None:
+    crc = 0
+    for register, words in ((12, [0x03727093]), (1, [0]), (2, [0] * 101)):
+        crc = slow_crc(register, words, crc)
+    stream = bit(*RCRC, *IDCODE, 0x30002001, 0, *FDRI, 0x30000001, crc, *DESYNC)
+    assert inspect(stream).crc is CrcResult.OK
+
+
+def test_stream_without_idcode_is_refused() -> None:
+    assert codes(bit(*RCRC, *FDRI, *DESYNC)) == {"unknown_device"}
+
+
+def test_stream_for_two_devices_is_refused() -> None:
+    other = (0x30018001, 0x03722093)
+    assert "wrong_device" in codes(bit(*RCRC, *IDCODE, *other, *FDRI, *DESYNC))
+
+
+def test_header_of_another_device_is_refused() -> None:
+    assert codes(small(part="xc7z010clg400")) == {"wrong_device"}
+
+
+def test_silicon_revision_does_not_matter() -> None:
+    report = inspect(bit(*RCRC, 0x30018001, 0x23727093, *FDRI, *DESYNC))
+    assert report.device == "xc7z020"
+    assert report.problems == ()
+
+
+def test_stream_without_desync_is_truncated() -> None:
+    assert codes(bit(*RCRC, *IDCODE, *FDRI)) == {"bitstream_truncated"}
+
+
+def test_stream_that_ends_in_a_packet_is_truncated() -> None:
+    assert "bitstream_truncated" in codes(bit(*RCRC, *IDCODE, 0x30004000, 0x50000FFF, 1, 2, 3))
+
+
+def test_part_of_a_frame_is_refused_with_its_address() -> None:
+    report = inspect(bit(*RCRC, *IDCODE, 0x30002001, 0x00000D00, 0x30004003, 1, 2, 3, *DESYNC))
+    assert report.problems[0].code == "frames_incomplete"
+    assert "3 words of frame data at FAR 00000D00" in report.problems[0].message
+
+
+def test_stream_without_frames_is_refused() -> None:
+    assert codes(bit(*RCRC, *IDCODE, *DESYNC)) == {"frames_incomplete"}
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        pytest.param((0x30008001, 15), id="IPROG restarts the device"),
+        pytest.param((0x30008001, 12), id="GCAPTURE"),
+        pytest.param((0x30008002, 0, 0), id="two words for CMD"),
+        pytest.param((0x28018001,), id="a read"),
+        pytest.param((0x20000001,), id="a NOP with words"),
+        pytest.param((0x3003C001, 0), id="a register that nobody writes"),
+        pytest.param((0x50000010,), id="type 2 alone"),
+        pytest.param((0x30004000, NOP), id="type 1 without its type 2"),
+        pytest.param((0xE0000000,), id="a type that does not exist"),
+        pytest.param((0,), id="a lone zero"),
+        pytest.param((0x30002001, 0x80000000), id="no frame address"),
+    ],
+)
+def test_packet_in_a_wrong_place_is_refused(words: tuple[int, ...]) -> None:
+    assert "bitstream_packet" in codes(bit(*RCRC, *IDCODE, *words, *FDRI, *DESYNC))
+
+
+def test_words_after_the_last_crc_are_refused() -> None:
+    crc = slow_crc(2, [0] * 101, slow_crc(12, [0x03727093]))
+    checked = (*RCRC, *IDCODE, *FDRI, 0x30000001, crc)
+    assert codes(bit(*checked, *DESYNC)) == set()
+    assert codes(bit(*checked, 0x3000A001, 0x100, *DESYNC)) == {"crc_missing"}
+
+
+@pytest.mark.parametrize("counts", [(8, 4, 4), (14, 14, 14)])  # as Vivado writes for 7-series and UltraScale+
+def test_multiple_frame_writes_of_any_length_are_accepted(counts: tuple[int, ...]) -> None:
+    packets = [
+        word for minor, count in enumerate(counts) for word in (0x30002001, minor, 0x30014000 | count, *[0] * count)
+    ]
+    report = inspect(bit(*RCRC, *IDCODE, *FDRI, *packets, *DESYNC))
+    assert report.problems == ()
+    assert report.footprint == (Footprint(0, 0, 0, 3, 0),)
+
+
+def test_multiple_frame_writes_that_carry_data_are_refused() -> None:
+    assert codes(bit(*RCRC, *IDCODE, *FDRI, 0x30014002, 0, 5, *DESYNC)) == {"bitstream_packet"}
+
+
+def test_bitstream_of_another_family_is_refused_whatever_it_looks_like() -> None:
+    words = (0x30018001, 0x01C10093, 0x30016001, 0, 0x30004001, 0, *DESYNC)
+    assert "unknown_device" in codes(bit(*words).replace(b"7z020clg400", b"3s100ecp132"))
+
+
+def test_words_outside_of_sync_are_refused() -> None:
+    assert "bitstream_packet" in codes(bit(*RCRC, *IDCODE, *FDRI, *DESYNC, 0x12345678))
+
+
+def test_padding_frames_of_debug_bitstreams_are_accepted() -> None:
+    assert codes(bit(*RCRC, *IDCODE, *FDRI, *[0] * 202, *DESYNC)) == set()
+
+
+def test_encrypted_bitstream_is_recognised() -> None:
+    cipher = [0x5A5A5A5A] * 50
+    report = inspect(bit(*IDCODE, 0x30016004, 1, 2, 3, 4, 0x30034001, len(cipher), *cipher, NOP))
+    assert report.encrypted
+    assert report.problems == ()
+
+
+@pytest.mark.parametrize("family", list(Family))
+@given(data=st.data())
+def test_frame_addresses_survive_encoding(family: Family, data: st.DataObject) -> None:
+    layout = family.far
+    fields = (layout.block_type, layout.row, layout.column, layout.minor)
+    address = FrameAddress(*(data.draw(st.integers(0, (1 << width) - 1)) for _, width in fields))
+    assert decode_far(encode_far(address, family), family) == address
+    assert encode_far(address, family) & ~layout.used == 0
+
+
+def test_frame_addresses_of_real_bitstreams() -> None:
+    # From the two partials of a Z7020 design with two regions: bottom half (row bit 5), columns 26 and 28.
+    assert decode_far(0x00400D00, Family.SERIES7) == FrameAddress(0, 32, 26)
+    assert decode_far(0x00400E00, Family.SERIES7) == FrameAddress(0, 32, 28)
+    assert decode_far(0x0000250D, Family.ULTRASCALE_PLUS) == FrameAddress(0, 0, 37, 13)
+
+
+@pytest.mark.parametrize("device", DEVICES, ids=lambda device: device.name)
+def test_every_device_is_recognised(device: Device) -> None:
+    frame = bytes(4 * device.family.frame_words)
+    report = inspect(assemble(device, [FrameRun(HERE, frame)]))
+    assert (report.device, report.idcode, report.family) == (device.name, device.idcode, device.family)
+    assert report.problems == ()
+
+
+def test_part_names_lead_to_their_device() -> None:
+    names = ("7z020clg400", "xc7z020-1CLG400C", "XC7Z020", "xa7z020", "xck26-sfvc784-2LV-c", "xczu7eg")
+    found = [device.name for device in map(device_by_name, names) if device]
+    assert found == ["xc7z020", "xc7z020", "xc7z020", "xc7z020", "xck26", "xczu7ev"]
+
+
+def test_frame_size_is_that_of_the_family() -> None:
+    with pytest.raises(ValueError, match="not whole frames of 372 bytes"):
+        assemble("xczu3eg", [FrameRun(HERE, bytes(FRAME_BYTES))])
+
+
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 1), st.integers(0, 3), st.integers(0, 5), st.integers(1, 3)), min_size=1, max_size=6
+    )
+)
+def test_what_is_assembled_is_found_again(runs: list[tuple[int, int, int, int]]) -> None:
+    expected: dict[tuple[int, int, int], int] = {}
+    for block, row, column, count in runs:
+        expected[block, row, column] = max(count, expected.get((block, row, column), 0))
+    report = inspect(assemble("xc7z020", [FrameRun(FrameAddress(*run[:3]), frames(run[3])) for run in runs]))
+    assert {(item.block_type, item.row, item.column): item.frames for item in report.footprint} == expected
+    assert report.frames == sum(run[3] for run in runs)
+    assert report.problems == ()

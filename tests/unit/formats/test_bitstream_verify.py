@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import pytest
+from bitstream_support import HERE, bit, frames, small
+
+from cm.formats.bitstream import (
+    Container,
+    Expectation,
+    FrameAddress,
+    FrameRun,
+    assemble,
+    assemble_module,
+    convert,
+    default_footprint,
+    footprint_of,
+    inspect,
+    refusals,
+    verify,
+)
+from cm.formats.bitstream.errors import BitstreamError, FootprintOutside, Sha256Mismatch, WrongDevice, errors_by_code
+from cm.schema.model import FrameRange
+
+OWNED = (FrameRange(block_type=0, row=0, column_first=26, column_last=27),)
+
+
+def codes(data: bytes, expect: Expectation) -> list[str]:
+    return [item.code for item in refusals(inspect(data), expect)]
+
+
+def written_to(address: FrameAddress, count: int = 1) -> bytes:
+    return assemble("xc7z020", [FrameRun(address, frames(count))])
+
+
+def test_matching_bitstreams_are_not_refused() -> None:
+    report = inspect(small())
+    expect = Expectation("xc7z020", 0x13727093, True, OWNED, sha256=report.sha256.upper())
+    assert refusals(report, expect) == ()
+    verify(report, expect)
+
+
+def test_another_device_is_refused() -> None:
+    with pytest.raises(WrongDevice, match=r"built for xc7z020 \(IDCODE 03727093\), meant for xc7z010"):
+        verify(inspect(small()), Expectation("xc7z010"))
+
+
+def test_another_idcode_is_refused() -> None:
+    assert codes(small(), Expectation(idcode=0x03722093)) == ["wrong_device"]
+
+
+def test_device_that_is_in_no_table_is_compared_by_its_part_name() -> None:
+    unknown = bit(0x30018001, 0x04A11093, 0x30004000 | 93, *[0] * 93, 0x30008001, 13)
+    data = unknown.replace(b"7z020clg400", b"xczu99eg-sf")
+    assert codes(data, Expectation("xczu99eg")) == []
+    assert codes(data, Expectation("xczu98eg")) == ["wrong_device"]
+
+
+def test_full_bitstream_for_a_region_is_refused() -> None:
+    assert codes(small(partial=False), Expectation(partial=True)) == ["not_partial"]
+
+
+def test_partial_bitstream_for_the_whole_device_is_refused() -> None:
+    assert codes(small(), Expectation(partial=False)) == ["not_full"]
+
+
+def test_header_that_hides_a_full_bitstream_is_found_out() -> None:
+    full = small(partial=False)
+    header = inspect(small()).header
+    disguised = convert(convert(full, Container.BIN_SWAPPED), Container.BIT, header)
+    found = refusals(inspect(disguised), Expectation(partial=True))
+    assert [item.code for item in found] == ["not_partial"]
+    assert "sets WBSTAR and TIMER" in found[0].message
+
+
+def test_frames_of_another_region_are_refused_by_name() -> None:
+    report = inspect(written_to(FrameAddress(0, 0, 28), 3))
+    with pytest.raises(FootprintOutside, match=r"3 frames from block type 0 row 0 column 28; the region owns .*26-27"):
+        verify(report, Expectation(footprint=OWNED))
+
+
+@pytest.mark.parametrize("address", [FrameAddress(0, 1, 26), FrameAddress(1, 0, 2), FrameAddress(0, 0, 25)])
+def test_frames_elsewhere_are_refused(address: FrameAddress) -> None:
+    assert codes(written_to(address), Expectation(footprint=OWNED)) == ["footprint_outside"]
+
+
+def test_run_that_the_region_cannot_hold_is_refused() -> None:
+    assert codes(written_to(HERE, 73), Expectation(footprint=OWNED)) == []
+    assert codes(written_to(HERE, 500), Expectation(footprint=OWNED)) == ["footprint_outside"]
+
+
+def test_footprint_is_learned_from_a_good_module() -> None:
+    learned = footprint_of(inspect(written_to(HERE, 73)))
+    assert learned == OWNED  # two columns of 36 frames and one of padding
+    assert codes(written_to(FrameAddress(0, 0, 27)), Expectation(footprint=learned)) == []
+    assert codes(written_to(FrameAddress(0, 0, 28)), Expectation(footprint=learned)) == ["footprint_outside"]
+
+
+def test_other_file_than_recorded_is_refused() -> None:
+    with pytest.raises(Sha256Mismatch, match="recorded is 00"):
+        verify(inspect(small()), Expectation(sha256="0" * 64))
+
+
+def test_encrypted_bitstream_needs_permission() -> None:
+    data = bit(0x30018001, 0x03727093, 0x30016004, 1, 2, 3, 4, 0x30034001, 4, 9, 9, 9, 9)
+    assert codes(data, Expectation(partial=True)) == ["encrypted"]
+    assert codes(data, Expectation(partial=True, allow_encrypted=True)) == []
+
+
+def test_all_reasons_are_reported_and_the_first_names_the_error() -> None:
+    with pytest.raises(WrongDevice) as caught:
+        verify(inspect(small()), Expectation("xc7z010", partial=False))
+    assert "meant for xc7z010" in str(caught.value)
+    assert "needs a full one" in str(caught.value)
+
+
+def test_every_refusal_has_its_own_code() -> None:
+    assert len(errors_by_code()) == 1 + len(BitstreamError.__subclasses__())
+
+
+@pytest.mark.parametrize("device", ["xc7z020", "xck26"])
+@pytest.mark.parametrize("size", [1, 20_000, 400_000])
+def test_module_of_our_own_fits_its_footprint_and_no_other_regions(device: str, size: int) -> None:
+    own, other = default_footprint(0, device, size), default_footprint(1, device, size)
+    report = inspect(assemble_module("edge", device=device, size=size))
+    assert refusals(report, Expectation(device, partial=True, footprint=own)) == ()
+    assert [item.code for item in refusals(report, Expectation(footprint=other))] == ["footprint_outside"]
+    assert report.length >= size
+
+
+def test_module_keeps_to_a_stated_footprint() -> None:
+    report = inspect(assemble_module("edge", footprint=OWNED, size=10**6))
+    assert refusals(report, Expectation(footprint=OWNED)) == ()
+    assert report.frames == 2 * 36 + 2
+
+
+def test_same_arguments_give_the_same_bytes() -> None:
+    assert assemble_module("edge") == assemble_module("edge")
+    assert assemble_module("edge") != assemble_module("zoom")

@@ -1,0 +1,306 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from import_support import (
+    bitstream,
+    described,
+    hwh,
+    memory,
+    memory_range,
+    module,
+    port,
+    ports,
+    register,
+    register_field,
+    slot_overlay,
+)
+
+from cm.formats.bitstream import inspect
+from cm.formats.bitstream.errors import BitstreamError
+from cm.formats.hwh import HwhError
+from cm.formats.importers import Imported, ImportRefused, import_pynq, write
+from cm.schema import load
+from cm.schema.files import bitstream_path, overlay_path
+from cm.schema.model import Access, Config, ConfigType, Decoupler, Direction, FrameRange, GpioLine, LoaderKind
+
+PS = "processing_system7"
+FILTER = described(
+    register("CTRL", 0, register_field("AP_START", 0, 1), register_field("AP_DONE", 1, 1, "read-only")),
+    register("rows", 0x10, access="write-only"),
+    register("status", 0x14, access="read-only", RESET_VALUE="0x80"),
+    register("ISR", 0x18, register_field("DONE", 0, 1, MODIFIED_WRITE_VALUE="oneToClear")),
+    register("Memory_kernel", 0x40, size=16),
+    register("odd", 0x21, size=24),
+    register("narrow", 0x24, size=2),
+    register("again", 0x10),
+)
+
+
+def design() -> bytes:
+    """A filter, a DMA, a region behind a decoupler that a GPIO drives, an interrupt and a clock."""
+    return hwh(
+        module(
+            "ps",
+            PS,
+            ports(port("IRQ_F2P", "I", ("filter", "interrupt"), kind="INTERRUPT")),
+            memory(
+                ("filter", 0x40000000, 0x10000),
+                ("dma", 0x40400000, 0x10000),
+                ("gpio", 0x41200000, 0x10000),
+                ("pr_0", 0x43C00000, 0x10000),
+                ("blob", 0x43D00000, 0x1000),
+            ),
+            parameters={"PCW_FPGA_FCLK0_ENABLE": "1", "PCW_ACT_FPGA0_PERIPHERAL_FREQMHZ": "100.0"},
+        ),
+        module("filter", "filter", FILTER),
+        module("dma", "axi_dma", parameters={"C_INCLUDE_MM2S": "1", "C_INCLUDE_S2MM": "1"}),
+        module("gpio", "axi_gpio"),
+        module("blob", "custom"),
+        module(
+            "dec", "dfx_decoupler", ports(port("decouple", "I", ("gpio", "gpio_io_o")), port("rp", "I", ("pr_0", "x")))
+        ),
+        module("pr_0", "rm", region=True),
+        module("pr_1", "rm", region=True),
+    )
+
+
+def partial_design() -> bytes:
+    text = f"<BUSINTERFACE><MEMORYMAP>{memory_range('acc', 0, 0x1000)}</MEMORYMAP></BUSINTERFACE>"
+    return hwh(module("acc", "acc", described(register("GAIN", 0x10))), external=text, design="rm_gain")
+
+
+@pytest.fixture
+def overlay(tmp_path: Path) -> Path:
+    """A static design without partial bitstreams."""
+    (tmp_path / "cam.bit").write_bytes(bitstream())
+    (tmp_path / "cam.hwh").write_bytes(design())
+    return tmp_path / "cam.bit"
+
+
+@pytest.fixture
+def dfx(overlay: Path) -> Path:
+    """Two modules for region pr_0, one for a region that nothing names."""
+    folder = overlay.parent / "partial"
+    folder.mkdir()
+    for name, column in (("pr_0_edge", 3), ("pr_0_zoom", 3), ("other", 9)):
+        (folder / f"{name}.bit").write_bytes(bitstream(column))
+        (folder / f"{name}.hwh").write_bytes(partial_design())
+    return overlay
+
+
+def static(imported: Imported) -> Config:
+    return imported.configs[0]
+
+
+def test_static_design_becomes_a_full_configuration(overlay: Path) -> None:
+    config = static(import_pynq(overlay))
+    assert (config.name, config.type, config.device) == ("cam", ConfigType.FULL, "xc7z020")
+    assert config.sha256 == inspect(overlay).sha256
+
+
+def test_registers_have_name_place_access_and_fields(overlay: Path) -> None:
+    found = static(import_pynq(overlay)).registers
+    control = found["filter_ctrl"]
+    assert (control.address, control.width, control.access) == (0x40000000, 32, Access.RW)
+    assert [(item.name, item.lsb) for item in control.fields.values()] == [("ap_start", 0), ("ap_done", 1)]
+    assert control.volatile
+    assert found["filter_rows"].access is Access.WO
+    assert (found["filter_status"].access, found["filter_status"].reset) == (Access.RO, 0x80)
+    assert found["filter_isr"].access is Access.W1C
+    assert found["gpio_gpio_data"].address == 0x41200000
+    assert found["filter_narrow"].width == 32  # two bits, but a whole word on the bus
+
+
+def test_what_is_not_a_register_is_left_out_and_reported(overlay: Path) -> None:
+    imported = import_pynq(overlay)
+    assert "filter_memory_kernel" not in static(imported).registers
+    assert "filter: no plain registers, left out: Memory_kernel, odd, again" in imported.notes
+
+
+def test_registers_of_drivers_are_left_out_and_reported(overlay: Path) -> None:
+    imported = import_pynq(overlay)
+    assert not any(name.startswith("dma") for name in static(imported).registers)
+    assert any("dma (axi_dma) at 0x40400000" in note for note in imported.notes)
+    assert any("blob (custom) at 0x43d00000" in note for note in imported.notes)
+
+
+def test_channels_interrupts_and_clocks_are_carried_over(overlay: Path) -> None:
+    config = static(import_pynq(overlay))
+    assert {name: stream.direction for name, stream in config.streams.items()} == {
+        "dma_mm2s": Direction.MM2S,
+        "dma_s2mm": Direction.S2MM,
+    }
+    assert config.interrupts["filter_interrupt"].base_address == 0x40000000
+    assert config.clocks["fclk0"].rate == 100_000_000
+
+
+def bram_design(*ranges: str) -> bytes:
+    """A design whose processor addresses a BRAM controller."""
+    return hwh(module("ps", PS, f"<MEMORYMAP>{''.join(ranges)}</MEMORYMAP>"), module("bram", "axi_bram_ctrl"))
+
+
+@pytest.mark.parametrize("kind", ["MEMORY", "REGISTER"])
+def test_block_ram_becomes_a_memory(overlay: Path, kind: str) -> None:
+    overlay.with_suffix(".hwh").write_bytes(bram_design(memory_range("bram", 0x40000000, 0x2000, kind)))
+    imported = import_pynq(overlay)
+    (block,) = static(imported).memories.values()
+    assert (block.name, block.address, block.size, block.dtype) == ("bram", 0x40000000, 0x2000, "uint32")
+    assert not any("bram" in note for note in imported.notes)
+
+
+def test_the_registers_of_a_bram_controller_are_not_a_memory(overlay: Path) -> None:
+    ecc = memory_range("bram", 0x40010000, 0x1000).replace('"S_AXI"', '"S_AXI_CTRL"')
+    overlay.with_suffix(".hwh").write_bytes(bram_design(ecc))
+    imported = import_pynq(overlay)
+    assert not static(imported).memories
+    assert any("bram" in note and "describes no registers" in note for note in imported.notes)
+
+
+def test_block_ram_that_no_schema_can_have_is_left_out_and_reported(overlay: Path) -> None:
+    overlay.with_suffix(".hwh").write_bytes(bram_design(memory_range("bram", 0x40000000, 0x8000_0000, "MEMORY")))
+    imported = import_pynq(overlay)
+    assert not static(imported).memories
+    assert any("bram" in note and "left out" in note for note in imported.notes)
+
+
+def test_block_ram_of_a_module_lies_in_its_regions_window(dfx: Path, tmp_path: Path) -> None:
+    ranges = memory_range("table", 0x800, 0x400, "MEMORY") + memory_range("far", 0x20000, 0x400, "MEMORY")
+    external = f"<BUSINTERFACE><MEMORYMAP>{ranges}</MEMORYMAP></BUSINTERFACE>"
+    blocks = (module("table", "axi_bram_ctrl"), module("far", "axi_bram_ctrl"))
+    text = hwh(*blocks, external=external, design="rm_edge")
+    (dfx.parent / "partial" / "pr_0_edge.hwh").write_bytes(text)
+    imported = import_pynq(dfx)
+    (block,) = imported.configs[1].modules["pr_0_edge"].memories.values()
+    assert (block.name, block.address, block.size, block.region) == ("pr_0_table", 0x43C00800, 0x400, "pr_0")
+    assert any("far" in note and "left out" in note for note in imported.notes)
+    write(imported, tmp_path / "out")
+    assert load(tmp_path / "out" / f"{imported.configs[1].name}.yaml").modules["pr_0_edge"].memories
+
+
+def test_overlay_beside_the_bitstream_is_used(overlay: Path) -> None:
+    assert any("cam.dtbo: not there" in note for note in import_pynq(overlay).notes)
+    overlay.with_suffix(".dtbo").write_bytes(slot_overlay(0, None))
+    assert [item.file for item in static(import_pynq(overlay)).overlays] == [overlay.with_suffix(".dtbo")]
+
+
+def test_partials_become_regions_and_modules(dfx: Path) -> None:
+    _, config = import_pynq(dfx).configs
+    assert (config.name, config.type) == ("cam_regions", ConfigType.PARTIAL)
+    assert {name: item.region for name, item in config.modules.items()} == {
+        "other": "prr2",
+        "pr_0_edge": "pr_0",
+        "pr_0_zoom": "pr_0",
+    }
+    assert config.modes["pr_0_edge"].modules == ("pr_0_edge",)
+    assert config.regions["pr_0"].loader is LoaderKind.FPGA_MANAGER
+    assert config.regions["pr_0"].footprint == (FrameRange(0, 0, 3, 3),)
+
+
+def test_decoupler_of_a_region_is_found(dfx: Path) -> None:
+    imported = import_pynq(dfx)
+    assert imported.configs[1].regions["pr_0"].decoupler == Decoupler(base_address=0x41200000, offset=0, bit=0)
+    assert any("region prr2: no decoupler" in note for note in imported.notes)
+
+
+def test_decoupler_on_an_emio_pin_is_a_line_of_the_processors_gpio(dfx: Path) -> None:
+    handoff = dfx.with_suffix(".hwh")
+    wired = handoff.read_text(encoding="utf-8").replace(
+        'INSTANCE="gpio" PORT="gpio_io_o"', 'INSTANCE="ps" PORT="GPIO_O"'
+    )
+    assert 'PORT="GPIO_O"' in wired
+    handoff.write_text(wired, encoding="utf-8")
+    imported = import_pynq(dfx)
+    assert imported.configs[1].regions["pr_0"].decoupler == Decoupler(gpio=GpioLine("zynq_gpio", 54))
+    assert not any("region pr_0" in note and "cut off" in note for note in imported.notes)
+
+
+def test_registers_of_a_module_lie_in_its_regions_window(dfx: Path) -> None:
+    found = import_pynq(dfx).configs[1].modules["pr_0_edge"].registers
+    assert found["pr_0_acc_gain"].address == 0x43C00010
+    assert found["pr_0_acc_gain"].region == "pr_0"
+
+
+def test_absolute_addresses_in_a_modules_description_are_the_same_registers(dfx: Path) -> None:
+    text = partial_design().decode().replace("0x00000000", "0x43C00000").replace("0x00000FFF", "0x43C00FFF")
+    assert text != partial_design().decode()
+    (dfx.parent / "partial" / "pr_0_edge.hwh").write_text(text)
+    found = import_pynq(dfx).configs[1].modules["pr_0_edge"].registers
+    assert found["pr_0_acc_gain"].address == 0x43C00010
+
+
+def test_partial_whose_frames_are_elsewhere_is_left_out(dfx: Path) -> None:
+    (dfx.parent / "partial" / "pr_0_zoom.bit").write_bytes(bitstream(20))
+    imported = import_pynq(dfx)
+    assert "pr_0_zoom" not in imported.configs[1].modules
+    assert any(
+        "pr_0_zoom.bit: left out: by its name for pr_0" in note and "column 20" in note for note in imported.notes
+    )
+
+
+def test_damaged_and_foreign_partials_are_left_out(dfx: Path) -> None:
+    folder = dfx.parent / "partial"
+    damaged = bytearray(bitstream(3))
+    damaged[-100] ^= 1
+    (folder / "pr_0_bad.bit").write_bytes(damaged)
+    (folder / "pr_0_text.bit").write_bytes(b"text")
+    (folder / "pr_0_small.bit").write_bytes(bitstream(3, device="xc7z010"))
+    imported = import_pynq(dfx)
+    assert set(imported.configs[1].modules) == {"pr_0_edge", "pr_0_zoom", "other"}
+    assert sum("left out" in note and "pr_0_bad" in note for note in imported.notes) == 1
+    assert any("pr_0_text.bit: left out" in note for note in imported.notes)
+
+
+def test_what_is_written_loads_and_finds_its_files(dfx: Path, tmp_path: Path) -> None:
+    imported = import_pynq(dfx)
+    files = write(imported, tmp_path)
+    assert [path.name for path in files] == ["cam.yaml", "cam_regions.yaml"]
+    full, partial = map(load, files)
+    assert bitstream_path(full, None) == tmp_path / "cam.bit"
+    assert bitstream_path(partial, "pr_0_edge") == tmp_path / "partial" / "pr_0_edge.bit"
+    assert partial.modules["pr_0_edge"].bitstream == Path("partial/pr_0_edge.bit")  # moves with the package
+    assert full.registers == imported.configs[0].registers
+
+
+def test_schema_written_elsewhere_still_finds_the_package(overlay: Path, tmp_path: Path) -> None:
+    overlay.with_suffix(".dtbo").write_bytes(slot_overlay(0, None))
+    (path,) = write(import_pynq(overlay), tmp_path / "elsewhere")
+    config = load(path)
+    assert bitstream_path(config, None) == overlay
+    assert overlay_path(config, config.overlays[0]) == overlay.with_suffix(".dtbo")
+
+
+def test_partial_in_place_of_the_static_design_is_refused(dfx: Path) -> None:
+    with pytest.raises(ImportRefused, match=r"partial bitstream; give the \.bit of its static design"):
+        import_pynq(dfx.parent / "partial" / "pr_0_edge.bit")
+
+
+def test_overlay_without_handoff_is_refused(overlay: Path) -> None:
+    overlay.with_suffix(".hwh").unlink()
+    overlay.with_suffix(".tcl").write_text("")
+    with pytest.raises(ImportRefused, match=r"cam\.hwh: not there.*\.tcl is not read"):
+        import_pynq(overlay)
+
+
+def test_handoff_of_another_device_is_refused(overlay: Path) -> None:
+    overlay.with_suffix(".hwh").write_bytes(hwh(device="7z010"))
+    with pytest.raises(ImportRefused, match="of 7z010, the bitstream of xc7z020"):
+        import_pynq(overlay)
+
+
+def test_damaged_files_are_refused_by_their_readers(overlay: Path) -> None:
+    overlay.with_suffix(".hwh").write_bytes(b"<")
+    with pytest.raises(HwhError):
+        import_pynq(overlay)
+    overlay.write_bytes(overlay.read_bytes()[:-40])
+    with pytest.raises(BitstreamError):
+        import_pynq(overlay)
+
+
+def test_the_static_designs_user_id_goes_into_both_configurations(dfx: Path) -> None:
+    assert [config.static for config in import_pynq(dfx).configs] == [None, None]
+    dfx.write_bytes(dfx.read_bytes().replace(b"UserID=0XFFFFFFFF", b"UserID=0X00C0FFEE"))
+    found = import_pynq(dfx).configs
+    assert [config.static.user_id for config in found if config.static] == [0xC0FFEE, 0xC0FFEE]

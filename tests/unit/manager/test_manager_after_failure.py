@@ -1,0 +1,283 @@
+# SPDX-License-Identifier: Apache-2.0
+"""After a failure or a kill the board is as the manager says: registers, regions, and what it has learned."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import pytest
+from manager_schemas import REGIONS, written
+from manager_support import Rig, killed_at, rig
+
+from cm.device import Root, Uio
+from cm.manager.errors import NothingToUndo
+from cm.schema import load
+from cm.schema.model import Config
+from cm.simulation.software import Board as SimBoard
+from cm.wire.messages.requests import ChangeMode, RegWrite
+from cm.wire.messages.status import ErrorInfo
+
+SECOND = f"""
+config:
+  name: second
+  type: partial
+  device: xc7z020
+{REGIONS}
+  modules:
+    s0: {{region: prr0, identity: 0x50}}
+  mmio:
+    - base_address: 0x1000
+      registers:
+        led: {{offset: 0x24, default: 0x61}}
+        mixer: {{offset: 0x18, default: 0x62}}
+        tint: {{offset: 0x14, default: 0x63}}
+  modes:
+    default: {{modules: [s0]}}
+"""
+PLACES = {"led": 0x1018, "scratch": 0x1014, "led of second": 0x1024, "gain": 0x3010, "depth": 0x7010}
+
+
+@pytest.fixture(scope="module")
+def configs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Config]:
+    folder = tmp_path_factory.mktemp("configs")
+    (folder / "second.yaml").write_text(SECOND, encoding="utf-8")
+    return {**written(folder), "second": load(folder / "second.yaml")}
+
+
+@pytest.fixture
+def made(sim: SimBoard, configs: dict[str, Config], tmp_path: Path) -> Iterator[Rig]:
+    with rig(sim.root, tmp_path, *configs.values()) as started:
+        yield started
+        sim.control.clear()
+
+
+def held(sim: SimBoard) -> Mapping[str, int]:
+    """The board's registers, read without the manager."""
+    found = {}
+    for uio in (Uio.open(path.name, Root.of(sim.root)) for path in sorted((sim.root / "dev").glob("uio*"))):
+        with uio:
+            for name, address in PLACES.items():
+                for index, window in enumerate(uio.maps):
+                    if window.address <= address < window.address + window.size:
+                        found[name] = uio.read(address - window.address, 32, index)
+    return found
+
+
+def written_by_hand(made: Rig) -> Mapping[str, int]:
+    """A rig in duo/default with a distinct value in every register, and the board's registers."""
+    assert made.go("default", config="duo") is None
+    values = {"led": 0x21, "gain": 0x29, "depth": 0x28}
+    made.manager.write_registers(tuple(RegWrite(name, value) for name, value in values.items()))
+    made.manager.flush()
+    return values
+
+
+def failing_at(made: Rig, number: int, config: str, mode: str) -> ErrorInfo | None:
+    made.arm(number)
+    error: ErrorInfo | None = made.go(mode, config=config)
+    made.fault.at = -1
+    return error
+
+
+# ---- registers --------------------------------------------------------------------------
+
+
+def test_registers_of_the_static_part_are_what_they_were_when_another_configuration_failed(
+    made: Rig, sim: SimBoard
+) -> None:
+    """Registers with other names, with the same name at another address, and without a name in the previous mode."""
+    values, failed = written_by_hand(made), 0
+    before = held(sim)
+    assert {name: before[name] for name in values} == values
+    for number in range(100):
+        error = failing_at(made, number, "second", "default")
+        if error is None:
+            break
+        assert "the board is back in duo/default" in error.message or "store" in error.code, error
+        assert held(sim) == before, f"operation {number}: {error}"
+        failed += 1
+    assert failed > 20
+    assert {name: held(sim)[name] for name in ("led of second", "led", "scratch")} == {
+        "led of second": 0x61,
+        "led": 0x62,
+        "scratch": 0x63,
+    }
+
+
+@pytest.mark.parametrize("goal", [("duo", "both"), ("second", "default")])
+def test_registers_are_what_they_were_after_a_kill(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path, goal: tuple[str, str]
+) -> None:
+    with rig(sim.root, tmp_path, *configs.values()) as first:
+        written_by_hand(first)
+        before = held(sim)
+    number, back = 0, 0
+    while killed_at(sim.root, tmp_path, configs.values(), goal, number):
+        with rig(sim.root, tmp_path, *configs.values()) as again:
+            again.manager.wait_idle()
+            status = again.manager.status()
+            if (status.config_name, status.mode) == ("duo", "default"):
+                assert held(sim) == before, f"killed at operation {number}: {again.notes}"
+                back += 1
+            else:
+                assert (status.config_name, status.mode) == goal
+                written_by_hand(again)
+        number += 4
+    assert back > 5
+
+
+def changed(made: Rig, request: ChangeMode) -> ErrorInfo | None:
+    change = made.manager.submit(request)
+    assert change.wait(30.0)
+    return change.error
+
+
+UNDO = ChangeMode("duo", "default", undo="c1")
+
+
+@pytest.mark.parametrize("restarted", [False, True])
+@pytest.mark.parametrize("goal", [("duo", "both"), ("second", "default")])
+def test_a_change_that_went_well_is_undone_with_all_registers_also_by_the_next_manager(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path, goal: tuple[str, str], restarted: bool
+) -> None:
+    with rig(sim.root, tmp_path, *configs.values()) as first:
+        written_by_hand(first)
+        before = held(sim)
+        assert changed(first, ChangeMode(*goal, undoable="c1")) is None
+        first.manager.write_registers((RegWrite("led", 3),))
+        assert held(sim) != before
+        if not restarted:
+            assert changed(first, UNDO) is None
+    if restarted:
+        with rig(sim.root, tmp_path, *configs.values()) as again:
+            assert changed(again, UNDO) is None
+    assert held(sim) == before
+
+
+def test_an_undo_that_is_killed_anywhere_can_be_asked_for_again(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
+    number = 0
+    while True:
+        with rig(sim.root, tmp_path, *configs.values()) as first:
+            written_by_hand(first)
+            before = held(sim)
+            assert changed(first, ChangeMode("duo", "both", undoable="c1")) is None
+        cut = killed_at(sim.root, tmp_path, configs.values(), UNDO, number)
+        with rig(sim.root, tmp_path, *configs.values()) as again:
+            again.manager.wait_idle()
+            if again.manager.state.mode != "default":
+                assert changed(again, UNDO) is None
+            assert held(sim) == before, f"killed at operation {number}: {again.notes}"
+        if not cut:
+            break
+        number += 5
+    assert number > 20
+
+
+def test_only_the_last_change_is_undone_and_only_if_its_way_back_was_kept(made: Rig) -> None:
+    written_by_hand(made)
+    assert changed(made, ChangeMode("duo", "both", undoable="c1")) is None
+    with pytest.raises(NothingToUndo, match="came from duo/default, and does not go back to duo/other"):
+        made.manager.submit(ChangeMode("duo", "other", undo="c1"))
+    assert changed(made, ChangeMode("duo", "other")) is None
+    with pytest.raises(NothingToUndo, match="the last change on this board is not 'c1'"):
+        made.manager.submit(UNDO)
+
+
+# ---- regions ----------------------------------------------------------------------------
+
+
+def test_a_region_of_the_image_that_was_there_is_coupled_again_unless_its_load_had_begun(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
+    ends = set()
+    for number in range(60):
+        sim.control.reset()
+        with rig(sim.root, tmp_path / str(number), *configs.values()) as fresh:
+            error = failing_at(fresh, number, "duo", "default")
+            begun = {"prr0", "prr1"} if fresh.fault.names.count("icap.load") > 1 else set()
+            begun |= {"prr0"} if "icap.load" in fresh.fault.names else set()
+            if error is None:
+                break
+            for region in fresh.manager.status().regions:
+                real = sim.control.state()["regions"][region.name]["decoupled"]
+                assert real == (region.state == "failed"), f"{number}: {error}: {region}"
+                assert region.state != "unknown" or region.name not in begun, f"{number}: {error}: {region}"
+                ends.add((region.state, region.name in begun))
+    assert {("unknown", False), ("failed", True)} <= ends
+
+
+def test_a_region_that_stood_cut_off_before_is_not_coupled_by_a_failure(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
+    sim.control.reset()
+    with Uio.open(0x1000, Root.of(sim.root)) as uio:
+        uio.write(0, 0b01)
+    with rig(sim.root, tmp_path, *configs.values()) as fresh:
+        fresh.arm(-1)
+        fresh.fault.watch = lambda name: fresh.arm(0) if name == "icap.allocate" else None
+        assert fresh.go("default", config="duo") is not None
+        fresh.fault.watch = lambda _: None
+        regions = sim.control.state()["regions"]
+        assert (regions["prr0"]["decoupled"], regions["prr1"]["decoupled"]) == (True, False)
+
+
+def test_after_a_failed_whole_image_nothing_is_claimed_of_any_region(made: Rig, sim: SimBoard) -> None:
+    assert made.go("default", config="duo") is None
+    sim.control.inject("fpga_manager_error", count=0)
+    error = made.go("default", config="whole")
+    assert error is not None
+    assert made.manager.state.static_lost
+    assert {r.state for r in made.manager.status().regions} == {"unknown"}
+    sim.control.clear()
+    assert made.go("default", config="whole") is None
+
+
+@pytest.mark.parametrize("mode", ["both", "lit"])
+def test_a_region_that_the_mode_before_leaves_alone_is_whole_after_a_kill(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path, mode: str
+) -> None:
+    with rig(sim.root, tmp_path, *configs.values()) as first:
+        for before in ("default", "other"):
+            assert first.go(before, config="duo") is None
+    number = 0
+    while killed_at(sim.root, tmp_path, configs.values(), ("duo", mode), number):
+        with rig(sim.root, tmp_path, *configs.values()) as again:
+            again.manager.wait_idle()
+            there, real = again.manager.status(), sim.control.state()["regions"]
+            assert {r.name: (r.module, r.state) for r in there.regions} == {
+                name: (real[name]["module"], "ready") for name in ("prr0", "prr1")
+            }, f"killed at {number}: {again.notes}"
+            assert not any(region["decoupled"] for region in real.values())
+            if there.mode == "other":
+                assert real["prr1"]["module"] == "a1"
+            else:
+                assert again.go("default", config="duo") is None
+                assert again.go("other", config="duo") is None
+        number += 3
+    assert number > 8
+
+
+# ---- what was found out -------------------------------------------------------------------
+
+
+def test_what_was_found_at_start_is_reported_until_a_client_has_read_it(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
+    with rig(sim.root, tmp_path, *configs.values()) as first:
+        assert first.go("default", config="duo") is None
+    assert killed_at(sim.root, tmp_path, configs.values(), ("duo", "both"), 20)
+    with rig(sim.root, tmp_path, *configs.values()) as again:
+        again.manager.wait_idle()
+        assert again.go("other", config="duo") is None
+        told = again.manager.status().last_error
+        assert told is not None
+        assert told.code == "reconciled"
+        assert "the change to duo/both was cut short" in told.message
+        assert again.manager.status().pr_mode.value == "idle"
+        again.manager.reporter.was_read()
+        assert again.manager.status().last_error == told  # until something has happened since
+        assert again.go("default", config="duo") is None
+        assert again.manager.status().last_error is None

@@ -1,0 +1,675 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Changes of mode that go well, wait, are cancelled or refused: whole images, overlays, the queue, prefetch."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from bitstream_support import bit
+from manager_process import until
+from manager_schemas import DUO
+from manager_support import Rig, rig
+
+from cm.errors import CmError
+from cm.formats.bitstream import assemble_module
+from cm.manager.errors import ChangeBusy, NothingLoaded, RegionBusy
+from cm.manager.execution.worker import Change
+from cm.manager.loaders import Job, Loaders
+from cm.manager.ports import Image
+from cm.schema import loads
+from cm.schema.model import Config, LoaderKind, Module
+from cm.server.host.files import BoardFiles
+from cm.simulation.software import Board as SimBoard
+from cm.wire.messages.requests import ChangeMode, RegWrite
+
+# IDCODE of the xc7z020, IV, DWC and the words that only the device can read
+ENCRYPTED = bit(0x30018001, 0x03727093, 0x30016004, 1, 2, 3, 4, 0x30034001, 4, 9, 9, 9, 9)
+BOTH_REGIONS = ("a0", "b0", "a1", "b1")
+
+
+@pytest.fixture
+def made(sim: SimBoard, configs: dict[str, Config], tmp_path: Path) -> Iterator[Rig]:
+    with rig(sim.root, tmp_path / "state", *configs.values()) as started:
+        yield started
+        sim.control.clear()
+
+
+def at(made: Rig, *places: str) -> None:
+    for place in places:
+        config, _, mode = place.partition("/")
+        made.arm(-1)  # only the last one is recorded
+        assert made.go(mode, config=config) is None
+
+
+def error_of(made: Rig, place: str) -> str:
+    config, _, mode = place.partition("/")
+    made.arm(-1)
+    error = made.go(mode, config=config)
+    assert error is not None
+    assert made.manager.status().last_error == error
+    return str(error.code)
+
+
+def custom(sim: SimBoard, text: str, folder: Path) -> Config:
+    """A schema beside its own files; the rest is found in the board's firmware."""
+    folder.mkdir(exist_ok=True)
+    (folder / "schema.yaml").write_text(text, encoding="utf-8")
+    return loads(text, source=folder / "schema.yaml")
+
+
+# ---- whole images -------------------------------------------------------------------
+
+
+def test_from_partial_to_full_and_back_over_both_ports(made: Rig, sim: SimBoard, configs: dict[str, Config]) -> None:
+    at(made, "duo/default")
+    assert made.manager.state.static_sha256 is None
+    at(made, "whole/default")
+    whole = made.manager.state
+    assert whole.static_config == "whole"
+    assert whole.static_sha256 == made.files.static_image(configs["whole"]).sha256
+    assert {n: r.phase.value for n, r in whole.regions.items()} == {"prr0": "ready", "prr1": "unknown"}
+    assert sim.control.state()["overlays"] == ["whole_base"]
+    at(made, "duo/default")
+    assert made.manager.state.static_config == "whole"
+    at(made, "ported/only", "duo/both", "whole/full")
+    state = sim.control.state()
+    assert [state["regions"][n]["module"] for n in ("prr0", "prr1")] == ["w0", "w1"]
+    assert state["overlays"] == ["whole_base", "whole_extra"]
+    assert made.manager.registers.read(("led",)).values[0].value == 7
+
+
+def test_within_a_full_configuration_the_image_stays(made: Rig) -> None:
+    at(made, "whole/default", "whole/full")
+    assert "fpga_manager.load" not in made.fault.names
+    plan = made.manager.plan(ChangeMode(config_name="whole", mode="default"))
+    assert "load_full" not in [step.kind for step in plan.steps]
+    forced = made.manager.plan(ChangeMode(config_name="whole", mode="default", force=True))
+    assert "load_full" in [step.kind for step in forced.steps]
+
+
+def test_streams_end_before_the_image_and_begin_after_it(made: Rig) -> None:
+    at(made, "duo/default")
+    made.data_plane.calls.clear()
+    order: list[str] = []
+    made.fault.watch = lambda name: order.extend([*(kind for kind, _ in made.data_plane.calls), name])
+    at(made, "whole/full")
+    assert made.data_plane.calls == [("quiesce", ("through0", "through1")), ("resume", "full")]
+    load = order.index("fpga_manager.load")
+    assert "quiesce" in order[:load]
+    assert "resume" not in order[:load]
+
+
+def test_no_register_is_read_while_the_whole_device_is_loaded(made: Rig) -> None:
+    at(made, "duo/default")
+    seen: dict[str, type[Exception]] = {}
+
+    def read(name: str) -> None:
+        try:
+            made.manager.registers.read(("led",))
+        except CmError as error:
+            seen[name] = type(error)
+
+    made.fault.watch = lambda name: read(name) if name in ("overlays.remove", "fpga_manager.load") else None
+    at(made, "whole/default")
+    assert seen == {"overlays.remove": RegionBusy, "fpga_manager.load": NothingLoaded}
+
+
+def test_pr_mode_says_what_kind_of_change_runs_and_that_it_failed(made: Rig, sim: SimBoard) -> None:
+    seen = []
+    made.fault.watch = lambda _: seen.append(made.manager.status().pr_mode.value)
+    at(made, "duo/default")
+    assert set(seen[:-1]) == {"partial"}  # the last one is the record of the end
+    seen.clear()
+    at(made, "whole/default")
+    assert set(seen[:-1]) == {"full"}
+    assert made.manager.status().pr_mode.value == "idle"
+    sim.control.inject("overlay_error", "whole_extra")
+    assert error_of(made, "whole/full") == "device_invalid"
+    assert made.manager.status().pr_mode.value == "error"
+
+
+def test_a_lost_static_part_is_not_accessed_and_takes_no_partial_bitstream(made: Rig, sim: SimBoard) -> None:
+    """What the boot loader had loaded cannot be restored: only a whole image helps."""
+    at(made, "duo/default")
+    sim.control.inject("fpga_manager_error")
+    assert error_of(made, "whole/default") == "undo_failed"
+    load = made.fault.names.index("fpga_manager.load")
+    assert not [name for name in made.fault.names[load:] if name.startswith(("uio", "icap"))]
+    assert made.manager.status().config_name == ""
+    assert error_of(made, "duo/default") == "static_unknown"
+    at(made, "whole/default", "duo/default")
+
+
+def test_what_is_lost_is_still_known_after_a_restart(
+    made: Rig, sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
+    at(made, "duo/default")
+    sim.control.inject("fpga_manager_error")
+    assert error_of(made, "whole/default") == "undo_failed"
+    made.close()
+    with rig(sim.root, tmp_path / "state", *configs.values()) as again:
+        assert any("full image" in note for note in again.notes)
+        assert error_of(again, "duo/default") == "static_unknown"
+        at(again, "whole/default")
+
+
+def test_a_whole_image_by_overlay_is_refused_before_anything_is_touched(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
+    wrong = replace(configs["whole"], loader=LoaderKind.OVERLAY)
+    with rig(sim.root, tmp_path, configs["duo"], wrong) as made:
+        at(made, "duo/default")
+        assert error_of(made, "whole/default") == "load_failed"
+        assert made.manager.status().mode == "default"
+        assert set(made.fault.names) == {"journal.write"}
+
+
+# ---- overlays -----------------------------------------------------------------------
+
+
+def test_overlays_go_before_their_region_is_cut_off_and_come_after_it_is_loaded(made: Rig, sim: SimBoard) -> None:
+    at(made, "kernel/default")
+    at(made, "kernel/other")
+    steps = [name for name in made.fault.names if name != "journal.write" and name != "uio.read"]
+    assert steps[:2] == ["overlays.remove", "overlays.remove"]  # kernel_base, cm-prr0
+    assert steps[2:6] == ["uio.write", "overlays.apply", "overlays.apply", "uio.write"]
+    assert sim.control.state()["overlays"] == ["cm-prr1", "cm-prr0", "kernel_base"]
+
+
+def test_a_loading_overlay_that_was_taken_off_is_put_on_again(
+    made: Rig, sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
+    at(made, "kernel/default")
+    made.devices.overlays().remove("kernel_base")
+    made.devices.overlays().remove("cm-prr1")
+    made.close()
+    with rig(sim.root, tmp_path / "state", *configs.values()) as again:
+        assert any("cm-prr1 is no longer applied" in note for note in again.notes)
+        at(again, "kernel/default")
+        assert sorted(sim.control.state()["overlays"]) == ["cm-prr0", "cm-prr1", "kernel_base"]
+
+
+def test_overlays_of_a_run_whose_record_was_lost_are_recognised_and_removed(
+    made: Rig, sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
+    at(made, "duo/both")
+    made.close()
+    (tmp_path / "state" / "journal").write_bytes(b"\nnothing that could be read\n")
+    with rig(sim.root, tmp_path / "state", *configs.values()) as again:
+        assert "state record" in again.notes[0]
+        assert any("duo_extra is applied, but not recorded" in note for note in again.notes)
+        at(again, "duo/default")
+        assert sim.control.state()["overlays"] == ["duo_base"]
+
+
+def test_a_damaged_overlay_is_refused_before_anything_is_touched(made: Rig, sim: SimBoard) -> None:
+    at(made, "duo/default")
+    extra = sim.root / "lib/firmware/cm/duo/duo_extra.dtbo"
+    good = extra.read_bytes()
+    try:
+        extra.write_bytes(good[:-8])
+        assert error_of(made, "duo/both") == "bad_overlay"
+        extra.write_bytes(b"overlay")
+        assert error_of(made, "duo/both") == "bad_overlay"
+        assert made.fault.names == ["journal.write"] * len(made.fault.names)
+    finally:
+        extra.write_bytes(good)
+    at(made, "duo/both")
+
+
+def test_a_loading_overlay_for_another_bitstream_is_refused(made: Rig, sim: SimBoard) -> None:
+    """The kernel loads what the overlay names, so that must be what was validated."""
+    at(made, "kernel/default")
+    folder = sim.root / "lib/firmware/cm/kernel"
+    good = (folder / "l0.dtbo").read_bytes()
+    try:
+        (folder / "l0.dtbo").write_bytes((folder / "k0.dtbo").read_bytes())
+        assert error_of(made, "kernel/other") == "bad_overlay"
+    finally:
+        (folder / "l0.dtbo").write_bytes(good)
+    assert sim.control.state()["regions"]["prr0"]["module"] == "k0"
+
+
+def test_the_kernels_message_about_an_overlay_is_shown(made: Rig, sim: SimBoard) -> None:
+    at(made, "duo/default")
+    sim.control.inject("overlay_error", "duo_extra")
+    error = made.go("both", config="duo")
+    assert error is not None
+    assert "apply overlay duo_extra" in error.message
+    assert "EINVAL" in error.message
+    assert "back in duo/default" in error.message
+    assert sim.control.state()["overlays"] == ["duo_base"]
+
+
+# ---- the queue ----------------------------------------------------------------------
+
+
+@pytest.fixture
+def held(made: Rig) -> Iterator[threading.Event]:
+    """A change that stops at its first load until the event is set."""
+    at(made, "duo/default")
+    free, reached = threading.Event(), threading.Event()
+
+    def stop(name: str) -> None:
+        if name == "icap.load" and not free.is_set():
+            reached.set()
+            assert free.wait(60)
+
+    made.fault.watch = stop
+    made.manager.submit(ChangeMode(config_name="duo", mode="both"))
+    assert reached.wait(60)
+    yield free
+    free.set()
+    made.manager.wait_idle()
+
+
+def test_a_second_change_waits_for_the_first(made: Rig, held: threading.Event) -> None:
+    second = made.manager.submit(ChangeMode(config_name="duo", mode="default"))
+    assert not second.wait(0.05)
+    held.set()
+    assert second.wait(60)
+    assert second.error is None
+    assert made.manager.status().mode == "default"
+
+
+def test_a_mode_alone_belongs_to_the_configuration_that_is_being_loaded_first(made: Rig) -> None:
+    """As after `cm serve --load` or `--sim`: a client may be there before the first change has ended."""
+    held, let = threading.Event(), threading.Event()
+
+    def hold(name: str) -> None:
+        held.set()
+        assert let.wait(60)
+
+    with pytest.raises(NothingLoaded):
+        made.manager.submit(ChangeMode(mode="both"))
+    made.fault.watch = hold
+    first = made.manager.submit(ChangeMode(config_name="duo", mode="default"))
+    assert held.wait(60)
+    second, third = (made.manager.submit(change) for change in (ChangeMode(mode="both"), ChangeMode(mode="default")))
+    let.set()
+    assert all(change.wait(60) and change.error is None for change in (first, second, third))
+    assert (second.config, second.mode, third.mode) == ("duo", "both", "default")
+    assert made.manager.status().mode == "default"
+
+
+def test_a_change_that_does_not_want_to_wait_is_refused(made: Rig, held: threading.Event) -> None:
+    with pytest.raises(ChangeBusy, match="duo/both is running"):
+        made.manager.submit(ChangeMode(config_name="duo", mode="default", no_queue=True))
+    held.set()
+    made.manager.wait_idle()
+    assert made.manager.submit(ChangeMode(config_name="duo", mode="default", no_queue=True)).wait(60)
+
+
+def test_the_queue_is_bounded(made: Rig, held: threading.Event) -> None:
+    waiting = [made.manager.submit(ChangeMode(config_name="duo", mode="default")) for _ in range(8)]
+    with pytest.raises(ChangeBusy, match="8 changes wait"):
+        made.manager.submit(ChangeMode(config_name="duo", mode="default"))
+    held.set()
+    assert all(change.wait(60) and change.error is None for change in waiting)
+
+
+def test_changes_that_wait_are_cancelled_when_the_manager_stops(made: Rig, held: threading.Event) -> None:
+    waiting = [made.manager.submit(ChangeMode(config_name="duo", mode="default")) for _ in range(3)]
+    stopper = threading.Thread(target=made.manager.stop)
+    stopper.start()
+    assert not waiting[0].wait(0.05)
+    held.set()
+    stopper.join(60)
+    assert [c.error.code for c in waiting if c.error] == ["cancelled"] * 3
+    assert made.manager.status().mode == "both"
+
+
+def test_a_configuration_is_not_replaced_while_it_is_changed_to(made: Rig, held: threading.Event) -> None:
+    with pytest.raises(ChangeBusy):
+        made.manager.check_replaceable("duo")
+    made.manager.check_replaceable("whole")
+
+
+def test_cancelling_stops_before_the_next_region_and_goes_back(made: Rig, sim: SimBoard) -> None:
+    at(made, "duo/default")
+    loads: list[str] = []
+
+    def cancel(name: str) -> None:
+        if name == "icap.load":
+            loads.append(name)
+            made.manager.cancel()
+
+    made.fault.watch = cancel
+    assert error_of(made, "duo/both") == "cancelled"
+    assert len(loads) == 2  # one region forth and back; the other was only cut off
+    state = sim.control.state()
+    assert {r["module"] for r in state["regions"].values()} == {"a0", "a1"}
+    assert made.manager.status().pr_mode.value == "idle"
+
+
+def test_what_a_client_writes_during_a_change_stays_when_that_is_cancelled(made: Rig) -> None:
+    """The client was told that it is written; registers that the change itself wrote are restored."""
+    at(made, "duo/default")
+    write = made.manager.write_registers
+    write((RegWrite("scratch", 1), RegWrite("lamp", 2)))
+
+    loads: list[str] = []
+
+    def cancel(name: str) -> None:
+        loads.extend([name] if name == "icap.load" else [])
+        if loads == ["icap.load"] and name == "icap.load":
+            write((RegWrite("scratch", 3), RegWrite("led", 4)))
+            made.manager.cancel()
+
+    made.fault.watch = cancel
+    assert error_of(made, "duo/both") == "cancelled"
+    values = made.manager.registers.read(("scratch", "led", "lamp"))
+    assert [value.value for value in values.values] == [3, 4, 2]
+
+
+# ---- files --------------------------------------------------------------------------
+
+
+class CountingFiles(BoardFiles):
+    """Records what is read."""
+
+    def __init__(self, root: Path) -> None:
+        super().__init__(root)
+        self.read: list[str] = []
+
+    def port_bytes(self, image: Image) -> bytes:
+        self.read.append(image.path.name)
+        return super().port_bytes(image)
+
+    def _read_overlay(self, path: Path) -> bytes:
+        self.read.append(path.name)
+        return super()._read_overlay(path)
+
+
+def test_a_repeated_change_reads_no_file(sim: SimBoard, configs: dict[str, Config], tmp_path: Path) -> None:
+    with rig(sim.root, tmp_path, configs["duo"], prefetch=64 << 20, files=CountingFiles) as made:
+        assert isinstance(made.files, CountingFiles)
+        at(made, "duo/both", "duo/default")
+        until(lambda: sim.control.state()["buffers"] == len(BOTH_REGIONS))
+        made.files.read.clear()
+        at(made, "duo/both", "duo/default", "duo/other")
+        assert made.files.read == []
+    assert sim.control.state()["buffers"] == 0
+
+
+def test_prefetch_keeps_to_its_budget_and_does_not_push_out_what_it_fetched(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
+    duo = configs["duo"]
+    with rig(sim.root, tmp_path, duo) as made:
+        files = CountingFiles(sim.root)
+        modules = [duo.modules[name] for name in BOTH_REGIONS]
+        jobs = [
+            Job(duo, files.image(duo, m), duo.regions[m.region], m, port=duo.regions[m.region].loader_name)
+            for m in modules
+        ]
+        largest = max(job.image.length for job in jobs)
+        loaders = Loaders(made.devices, files, made.clock, prefetch_bytes=2 * largest + 8192)
+        files.read.clear()
+        loaders.prefetch(jobs)
+        assert files.read == ["a0.bit", "b0.bit"]
+        loaders.prefetch(jobs)
+        assert files.read == ["a0.bit", "b0.bit"]
+        loaders.prefetch(jobs[2:])
+        assert files.read == ["a0.bit", "b0.bit", "a1.bit", "b1.bit"]
+        assert sim.control.state()["buffers"] == 2
+        loaders.forget()
+        assert sim.control.state()["buffers"] == 0
+
+
+def test_a_plan_touches_nothing(made: Rig) -> None:
+    at(made, "duo/default")
+    before = made.manager.state
+    made.arm(-1)
+    plan = made.manager.plan(ChangeMode(config_name="duo", mode="both"))
+    assert [step.kind for step in plan.steps if step.bytes] == ["load", "load"]
+    assert plan.bytes == sum(step.bytes for step in plan.steps) > 0
+    assert plan.seconds > 0
+    assert made.fault.names == []
+    assert made.manager.state is before
+
+
+def refused(sim: SimBoard, config: Config, folder: Path, mode: str = "default") -> str:
+    """The code with which a mode of `config` is refused; nothing was touched."""
+    with rig(sim.root, folder / "state", config) as made:
+        made.arm(-1)
+        code = error_of(made, f"{config.name}/{mode}")
+        assert set(made.fault.names) == {"journal.write"}
+        return code
+
+
+def test_what_is_wrong_with_a_bitstream_is_found_before_anything_is_touched(sim: SimBoard, tmp_path: Path) -> None:
+    duo = custom(sim, DUO, tmp_path / "duo")
+    folder = tmp_path / "duo"
+    wrong = {**duo.modules, "a0": replace(duo.modules["a0"], sha256="0" * 64)}
+    assert refused(sim, replace(duo, modules=wrong), tmp_path) == "sha256_mismatch"
+    assert refused(sim, replace(duo, device="xc7z010"), tmp_path) == "wrong_device"
+    (folder / "a0.bit").write_bytes(assemble_module("a0", device="xc7z010"))
+    assert refused(sim, replace(duo, device=None), tmp_path) == "wrong_device"  # the port knows what it is
+    (folder / "a0.bit").write_bytes(b"nothing")
+    assert refused(sim, duo, tmp_path) == "no_sync"
+    (folder / "a0.bit").write_bytes((sim.root / "lib/firmware/cm/whole/whole.bit").read_bytes())
+    assert refused(sim, duo, tmp_path) == "not_partial"
+    (folder / "a0.bit").unlink()
+
+
+def test_encrypted_bitstreams_need_permission(sim: SimBoard, tmp_path: Path) -> None:
+    duo = custom(sim, DUO, tmp_path / "duo")
+    (tmp_path / "duo" / "a0.bit").write_bytes(ENCRYPTED)
+    assert refused(sim, duo, tmp_path) == "encrypted"
+    allowed = {n: replace(r, allow_encrypted=True) for n, r in duo.regions.items()}
+    with rig(sim.root, tmp_path / "allowed", replace(duo, regions=allowed)) as made:
+        assert error_of(made, "duo/default") == "device_unsupported"  # the simulated device has no key
+        assert "icap.load" in made.fault.names
+
+
+def test_the_footprint_is_learned_from_the_first_module_and_forgotten_with_its_configuration(
+    sim: SimBoard, tmp_path: Path
+) -> None:
+    duo = custom(sim, DUO, tmp_path / "duo")
+    (tmp_path / "duo" / "b0.bit").write_bytes(
+        (sim.root / "lib/firmware/cm/duo/b1.bit").read_bytes()  # made for the other region
+    )
+    with rig(sim.root, tmp_path / "state", duo) as made:
+        at(made, "duo/default")
+        assert error_of(made, "duo/other") == "footprint_outside"
+        assert set(made.fault.names) == {"journal.write"}
+        made.manager.add_config(duo)
+        at(made, "duo/default")
+
+
+def test_a_module_that_says_it_is_another_one_is_not_kept(sim: SimBoard, tmp_path: Path) -> None:
+    duo = custom(sim, DUO, tmp_path / "duo")
+    wrong = {**duo.modules, "b1": replace(duo.modules["b1"], identity=0x77)}
+    with rig(sim.root, tmp_path / "state", replace(duo, modules=wrong)) as made:
+        at(made, "duo/default")
+        assert error_of(made, "duo/both") == "identity_mismatch"
+        assert made.manager.status().mode == "default"
+        assert {r["module"] for r in sim.control.state()["regions"].values()} == {"a0", "a1"}
+
+
+# ---- registers ----------------------------------------------------------------------
+
+
+def test_values_come_back_with_the_mode_before_even_from_another_configuration(made: Rig, sim: SimBoard) -> None:
+    at(made, "ported/only", "duo/default")
+    made.manager.write_registers((RegWrite("gain", 5), RegWrite("depth", 6), RegWrite("led", 3)))
+    sim.control.inject("overlay_error", "whole_extra")
+    assert error_of(made, "whole/full") == "device_invalid"
+    values = {v.name: v.value for v in made.manager.registers.read(("gain", "depth", "led")).values}
+    assert values == {"gain": 5, "depth": 6, "led": 3}
+
+
+def test_a_value_that_was_never_recorded_comes_back_too(made: Rig, sim: SimBoard, configs: dict[str, Config]) -> None:
+    wrong = {**configs["duo"].modules, "b0": replace(configs["duo"].modules["b0"], identity=0x77)}
+    made.manager.add_config(replace(configs["duo"], modules=wrong))
+    at(made, "duo/default")
+    lamp = made.devices.window(0x101C, 32)
+    lamp.device.write(lamp.offset, 3, 32, lamp.map)  # as the boot loader may have left it
+    seen: list[int] = []
+    made.fault.watch = lambda name: (
+        seen.append(lamp.device.read(lamp.offset, 32, lamp.map)) if name[:4] == "icap" else None
+    )
+    assert error_of(made, "duo/lit") == "identity_mismatch"
+    assert set(seen) == {3, 5}  # 5 was written, and stayed while the rollback loaded
+    assert made.manager.registers.read(("lamp",)).values[0].value == 3
+
+
+def test_what_the_kernel_failed_to_load_is_not_trusted_after_a_restart(
+    made: Rig, sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
+    at(made, "managed/default")
+    state = sim.root / "sys/class/fpga_manager/fpga0/state"
+    state.write_text("write error\n", encoding="ascii")  # another program tried
+    made.close()
+    with rig(sim.root, tmp_path / "state", *configs.values()) as again:
+        assert any("fpga_manager says 'write error'" in note for note in again.notes)
+        again.manager.wait_idle()
+        assert again.fault.names.count("fpga_manager.load") == 2
+        assert again.manager.status().mode == "default"
+        at(again, "whole/default")
+    state.write_text("write error\n", encoding="ascii")
+    with rig(sim.root, tmp_path / "state", *configs.values()) as again:
+        assert again.manager.state.static_lost
+        assert "uio.read" not in again.fault.names
+        at(again, "whole/default")
+
+
+def test_a_value_written_in_one_configuration_does_not_affect_the_next(made: Rig) -> None:
+    at(made, "duo/default")
+    made.manager.write_registers((RegWrite("scratch", 5),))
+    at(made, "whole/default")
+    assert dict(made.manager.state.values) == {"led": 7}
+
+
+def test_a_replaced_configuration_without_the_mode_leaves_the_board_in_none(
+    made: Rig, configs: dict[str, Config]
+) -> None:
+    at(made, "duo/both")
+    modes = {name: mode for name, mode in configs["duo"].modes.items() if name != "both"}
+    made.manager.add_config(replace(configs["duo"], modes=modes))
+    status = made.manager.status()
+    assert (status.config_name, status.mode) == ("duo", "")
+    assert made.manager.registers.read(("led",)).values
+    assert made.manager.describe("", {}).mode == ""
+    at(made, "duo/default")
+
+
+# ---- the worker, and what it expects --------------------------------------------------
+
+
+def test_a_listener_that_fails_at_the_end_of_a_change_does_not_stop_later_changes(made: Rig) -> None:
+    def fails(_: Change) -> None:
+        raise RuntimeError("a listener's defect")
+
+    made.manager.submit(ChangeMode(config_name="duo", mode="default"), fails)
+    made.manager.wait_idle()
+    until(lambda: "a listener's defect" in str(made.manager.status().last_error))
+    at(made, "duo/both")
+
+
+def test_memory_that_runs_out_while_images_are_fetched_ahead_stops_no_change(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
+    class Greedy(BoardFiles):
+        def image(self, config: Config, module: Module) -> Image:
+            if threading.current_thread() is not threading.main_thread() and made.manager.status().last_change:
+                raise MemoryError
+            return super().image(config, module)
+
+    with rig(sim.root, tmp_path, configs["duo"], prefetch=64 << 20, files=Greedy) as made:
+        at(made, "duo/default")
+        error = made.go("both", config="duo")
+        assert error is not None
+        assert "MemoryError" in error.message
+        assert made.go("default", config="duo") is not None  # the thread lives and answers
+
+
+def test_a_plan_estimates_time_from_earlier_changes_even_after_a_restart(
+    made: Rig, sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
+    def slowly(name: str) -> None:
+        """Slow enough that the real time of the board's port does not matter."""
+        made.clock.ahead += 2.0 if name.startswith("uio") else 1.0 if name.startswith("overlays") else 0.0
+
+    request = ChangeMode(config_name="duo", mode="both")
+    at(made, "duo/default")
+    first = made.manager.plan(request).seconds
+    made.clock.stand_still()
+    made.fault.watch = slowly
+    at(made, *("duo/both", "duo/default") * 6)
+    made.fault.watch = lambda _: None
+    plan = made.manager.plan(request)
+    made.fault.watch = slowly
+    at(made, "duo/both")
+    took = made.manager.status().last_change_seconds
+    assert took > 1
+    assert first < 0.5 * took  # on a board that was quicker
+    assert abs(plan.seconds - took) < 0.25 * took
+    at(made, "duo/default")
+    made.close()
+    with rig(sim.root, tmp_path / "state", *configs.values()) as again:
+        assert abs(again.manager.plan(request).seconds - plan.seconds) < 0.25 * took
+
+
+def test_a_slow_first_change_does_not_raise_the_estimate_for_the_next(made: Rig) -> None:
+    """As after a start, where nothing is in a cache yet."""
+    made.clock.stand_still()
+
+    def slowly(name: str) -> None:
+        made.clock.ahead += cost if name.startswith("icap") else 0.001
+
+    made.fault.watch, cost = slowly, 3.0
+    at(made, "duo/default")
+    assert made.manager.status().last_change_seconds > 3
+    cost = 0.001
+    at(made, "duo/both", "duo/default")
+    made.fault.watch = lambda _: None
+    expected = made.manager.plan(ChangeMode(config_name="duo", mode="both")).seconds
+    made.fault.watch = slowly
+    at(made, "duo/both")
+    took = made.manager.status().last_change_seconds  # by the test's clock, whatever the speed of the machine
+    assert 0.5 * took < expected < 1.5 * took
+
+
+def test_a_mode_that_was_removed_while_its_change_waited_is_unknown(made: Rig, configs: dict[str, Config]) -> None:
+    """The configuration was provisioned anew without it."""
+    at(made, "duo/default")
+    duo = configs["duo"]
+    held, let = threading.Event(), threading.Event()
+
+    def hold(name: str) -> None:
+        held.set()
+        assert let.wait(60)
+
+    made.fault.watch = hold
+    first = made.manager.submit(ChangeMode(config_name="kernel", mode="default"))
+    assert held.wait(60)
+    second = made.manager.submit(ChangeMode(config_name="duo", mode="lit"))
+    made.manager.add_config(replace(duo, modes={n: m for n, m in duo.modes.items() if n != "lit"}))
+    made.fault.watch = lambda _: None
+    let.set()
+    assert first.wait(60)
+    assert second.wait(60)
+    assert first.error is None
+    assert second.error is not None
+    assert second.error.code == "unknown_mode"
+
+
+def test_a_board_that_is_restarted_during_a_change_waits_for_its_end(made: Rig) -> None:
+    seen: list[type[Exception]] = []
+
+    def restart(_: str) -> None:
+        try:
+            made.manager.board_restarted()
+        except ChangeBusy as error:
+            seen.append(type(error))
+
+    made.arm(-1)
+    made.fault.watch = restart
+    assert made.go("default", config="duo") is None
+    assert ChangeBusy in seen

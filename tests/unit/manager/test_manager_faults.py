@@ -1,0 +1,285 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every operation of a change fails once, and the manager dies at every step: the board is where it says."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from manager_process import until
+from manager_support import Rig, camera, make_rig, rig
+
+from cm.server.host.devices import BoardDevices
+from cm.simulation.software import Board as SimBoard
+
+HUNG = 60.0  # seconds for a load: a busy machine may take some
+
+
+@pytest.fixture(scope="module")
+def sim() -> Iterator[SimBoard]:
+    with SimBoard(arguments=["--icap-rate", "0"]) as board:
+        yield board
+
+
+@pytest.fixture
+def made(sim: SimBoard, tmp_path: Path) -> Iterator[Rig]:
+    with rig(sim.root, tmp_path, camera(timeout=HUNG)) as started:
+        assert started.go("default") is None
+        yield started
+        sim.control.clear()
+
+
+def truth(sim: SimBoard) -> dict[str, object]:
+    """What the board really holds."""
+    state = sim.control.state()
+    region = state["regions"]["prr0"]
+    return {"module": region["module"], "decoupled": region["decoupled"], "overlays": sorted(state["overlays"])}
+
+
+def settled(made: Rig, sim: SimBoard) -> str:
+    """Where the board is, a mode or ``cut off``; checks that the manager says the same."""
+    status, held = made.manager.status(), truth(sim)
+    region = next(r for r in status.regions if r.name == "prr0")
+    assert not status.fpga_busy
+    if region.state == "ready":
+        assert held["decoupled"] is False
+        assert held["module"] == region.module
+        expected = {"default": "default", "edge_detection": "edge"}[status.mode]
+        assert region.module == expected
+        return status.mode
+    assert region.state == "failed"
+    assert status.last_error is not None
+    assert "prr0" in status.last_error.message
+    return "cut off"
+
+
+def operations(made: Rig) -> int:
+    """How many operations going to edge_detection takes; the board is back in default afterwards."""
+    made.arm(-1)
+    assert made.go("edge_detection") is None
+    count = len(made.fault.names)
+    assert made.go("default") is None
+    assert count > 20
+    return count
+
+
+def test_one_failure_at_any_operation_ends_in_the_old_mode_or_the_new(made: Rig, sim: SimBoard) -> None:
+    ends = set()
+    for number in range(operations(made)):
+        made.arm(number)
+        error = made.go("edge_detection")
+        name = made.fault.names[-1] if number >= len(made.fault.names) else made.fault.names[number]
+        end = settled(made, sim)
+        ends.add(end)
+        assert end in ("default", "edge_detection"), f"one failure of {name} (operation {number}): {error}"
+        assert (error is None) == (end == "edge_detection"), f"operation {number}, {name}: {error}"
+        made.arm(-1)
+        assert made.go("default") is None
+    assert "default" in ends
+
+
+def test_failures_on_the_way_and_on_the_way_back_leave_the_region_cut_off_and_reported(
+    made: Rig, sim: SimBoard
+) -> None:
+    ends = set()
+    for number in range(operations(made)):
+        made.arm(number, times=10_000)
+        failed = made.go("edge_detection") is not None
+        made.arm(-1)
+        ends.add(_reported(made) if failed else settled(made, sim))  # the record of the end may fail harmlessly
+        assert made.go("edge_detection") is None
+        assert settled(made, sim) == "edge_detection"
+        assert made.go("default") is None
+    assert "failed" in ends
+
+
+def _reported(made: Rig) -> str:
+    """The region's state; with dead registers nobody can cut it off, but it is never called ready."""
+    status = made.manager.status()
+    region = next(r for r in status.regions if r.name == "prr0")
+    assert status.last_error is not None
+    if region.state == "ready":  # it failed before the region was touched, or after it was done
+        assert region.module == {"default": "default", "": "edge"}[status.mode]
+    return region.state
+
+
+@pytest.mark.parametrize("fault", ["icap_crc", "icap_id", "icap_hang"])
+def test_a_fault_of_the_port_brings_the_board_back(made: Rig, sim: SimBoard, fault: str) -> None:
+    sim.control.inject(fault)
+    error = made.go("edge_detection")
+    assert error is not None
+    assert error.code == "load_failed"
+    assert settled(made, sim) == "default"
+
+
+def test_a_load_that_takes_too_long_is_given_up_and_undone(sim: SimBoard, tmp_path: Path) -> None:
+    with rig(sim.root, tmp_path, camera(timeout=HUNG)) as patient:
+        assert patient.go("default") is None
+    with rig(sim.root, tmp_path, camera(timeout=0.05)) as hasty:
+        sim.control.inject("icap_hang")
+        error = hasty.go("edge_detection")
+        assert error is not None
+        # The port may be held for longer than the time-out, or have given up by itself before a busy machine looked.
+        assert error.code in ("step_timeout", "undo_failed", "load_failed")
+        assert settled(hasty, sim) in ("default", "cut off")
+    with rig(sim.root, tmp_path, camera(timeout=HUNG)) as again:
+        again.manager.wait_idle()
+        assert again.go("default") is None
+        assert settled(again, sim) == "default"
+
+
+def test_a_register_that_does_not_keep_its_value_brings_the_board_back(sim: SimBoard, tmp_path: Path) -> None:
+    with rig(sim.root, tmp_path, camera(defaults={"threshold": 40})) as made:
+        assert made.go("default") is None
+        sim.control.inject("register_stuck", "threshold")
+        error = made.go("edge_detection")
+        sim.control.clear()
+        assert error is not None
+        assert error.code == "verify_failed"
+        assert settled(made, sim) == "default"
+
+
+def _write(name: str, value: int):  # type: ignore[no-untyped-def]
+    from cm.wire.messages.requests import RegWrite
+
+    return RegWrite(name, value)
+
+
+def test_the_way_back_restores_registers_that_were_written_meanwhile(made: Rig, sim: SimBoard) -> None:
+    made.manager.write_registers((_write("focus", 3),))
+    sim.control.inject("icap_crc")
+    assert made.go("edge_detection") is not None
+    assert made.manager.registers.read(("focus",)).values[0].value == 3
+
+
+def test_nothing_leaks_over_failed_changes(made: Rig, sim: SimBoard) -> None:
+    def held() -> tuple[int, int, int]:
+        state = sim.control.state()
+        return len(list(Path("/proc/self/fd").iterdir())), state["buffers"], state["connections"]
+
+    for _ in range(3):
+        sim.control.inject("icap_crc")
+        made.go("edge_detection")
+    before = held()
+    for _ in range(10):
+        sim.control.inject("icap_crc")
+        assert made.go("edge_detection") is not None
+    until(lambda: all(now <= was for now, was in zip(held(), before, strict=True)))  # the board ends connections later
+
+
+def test_a_board_that_was_restarted_holds_nothing(tmp_path: Path) -> None:
+    with SimBoard(arguments=["--icap-rate", "0"]) as fresh:
+        with rig(fresh.root, tmp_path) as first:
+            assert first.go("edge_detection") is None
+        fresh.kill()
+        fresh.restart()
+        with rig(fresh.root, tmp_path) as second:
+            assert second.manager.status().config_name == ""
+            assert any("restarted" in note for note in second.notes)
+
+
+def test_a_region_that_was_reloaded_from_outside_is_not_trusted(sim: SimBoard, tmp_path: Path) -> None:
+    """The identity register names another module than the record, so the region is loaded again."""
+    with rig(sim.root, tmp_path / "one") as first:
+        assert first.go("default") is None
+    with rig(sim.root, tmp_path / "two") as other:
+        assert other.go("edge_detection") is None
+    with rig(sim.root, tmp_path / "one") as again:
+        again.manager.wait_idle()
+        assert any("identity" in note for note in again.notes)
+        assert truth(sim)["module"] == "default"
+
+
+# ---- the record ---------------------------------------------------------------------
+
+
+class Disk:
+    """Makes every write of the record fail from operation `at` on, like a card that turns read-only."""
+
+    def __init__(self, made: Rig, at: int = 0) -> None:
+        self._fault, self._at = made.fault, at
+        made.fault.watch = self
+
+    def __call__(self, name: str) -> None:
+        if name == "journal.write" and len(self._fault.names) >= self._at:
+            raise OSError(errno.EROFS, "Read-only file system")
+
+
+def test_a_record_that_cannot_be_written_refuses_the_change_before_anything_is_touched(
+    made: Rig, sim: SimBoard
+) -> None:
+    made.arm(-1)
+    Disk(made)
+    for _ in range(2):
+        error = made.go("edge_detection")
+        assert error is not None
+        assert error.code == "store"
+        assert "Read-only file system" in error.message
+        assert "is back in camera/default" in error.message
+        assert set(made.fault.names) <= {"journal.write"}
+        assert settled(made, sim) == "default"
+    made.fault.watch = lambda _: None
+    assert made.go("edge_detection") is None
+
+
+def test_a_record_that_fails_from_any_operation_on_leaves_the_board_whole(made: Rig, sim: SimBoard) -> None:
+    ends = {}
+    for number in range(operations(made)):
+        made.arm(-1)
+        Disk(made, number)
+        error = made.go("edge_detection")
+        ends[number] = settled(made, sim)
+        assert ends[number] == ("edge_detection" if error is None else "default"), f"operation {number}: {error}"
+        assert error is None or error.code == "store"
+        assert made.manager.status().last_error is not None
+        assert made.manager.status().last_error.code == "store"  # type: ignore[union-attr]
+        made.fault.watch = lambda _: None
+        assert made.go("default") is None
+    assert ends[0] == "default"
+    assert ends[len(ends) - 1] == "edge_detection"  # nothing is undone for the record of the end
+
+
+def test_a_manager_that_dies_after_its_record_failed_comes_back_to_the_mode_before(
+    sim: SimBoard, tmp_path: Path
+) -> None:
+    """The record on disk is older than the last operation, but still leads to the previous mode."""
+    with rig(sim.root, tmp_path, camera(timeout=HUNG)) as first:
+        assert first.go("default") is None
+        count = operations(first)
+    for number in range(1, count, 2):
+        with rig(sim.root, tmp_path, camera(timeout=HUNG)) as dying:
+            assert dying.go("default") is None
+            dying.arm(-1)
+            Disk(dying, number)
+            dying.go("edge_detection")  # no record of what became of it, nor of the end: as if killed
+        with rig(sim.root, tmp_path, camera(timeout=HUNG)) as again:
+            again.manager.wait_idle()
+            recorded = number >= count - 1  # the mode was entered and that recorded before the disk failed
+            assert settled(again, sim) == ("edge_detection" if recorded else "default"), f"operation {number}"
+            assert recorded or any("cut short" in note for note in again.notes)
+
+
+def test_a_manager_starts_where_the_record_cannot_be_written(sim: SimBoard, tmp_path: Path) -> None:
+    fresh = make_rig(sim.root, tmp_path, camera(timeout=HUNG))
+    Disk(fresh)
+    try:
+        fresh.manager.start()
+        error = fresh.go("default")
+        assert error is not None
+        assert error.code == "store"
+        assert fresh.manager.status().configs == ("camera",)
+    finally:
+        fresh.close()
+
+
+def test_without_a_boot_id_nothing_that_is_recorded_is_trusted(
+    sim: SimBoard, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(BoardDevices, "boot_id", lambda _: "")
+    with rig(sim.root, tmp_path) as first:
+        assert first.go("default") is None
+    with rig(sim.root, tmp_path) as second:
+        assert second.manager.status().config_name == ""
+        assert any("boot id" in note for note in second.notes)

@@ -1,0 +1,452 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is loaded is what was validated, whatever happens to the files meanwhile; and learning footprints from them."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import os
+import re
+import threading
+import zlib
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from manager_schemas import DUO, MANAGED, TEXTS, written
+from manager_support import Rig, rig
+
+from cm.errors import InvalidRequest
+from cm.formats.bitstream import Container, assemble_module, convert
+from cm.formats.bitstream.errors import BadContainer, FootprintOutside, Sha256Mismatch
+from cm.manager.errors import BadOverlay
+from cm.manager.ports import Image
+from cm.schema import loads
+from cm.schema.model import Config, FrameRange, Overlay
+from cm.server.folders import UnsafeFolder
+from cm.server.host.bitstreams import MAX_BYTES
+from cm.server.host.files import BoardFiles, Footprints, LearnedFootprint
+from cm.simulation.software import Board as SimBoard
+from cm.simulation.software.hardware.board_spec import BoardSpec
+
+DEVICE = "xc7z020"
+
+
+# ---- footprints -----------------------------------------------------------------------
+
+
+def module(name: str, region: int) -> bytes:
+    """A module's bitstream; each region has its own row."""
+    return assemble_module(name, device=DEVICE, region_index=region)
+
+
+@pytest.fixture
+def duo(tmp_path: Path) -> Config:
+    folder = tmp_path / "duo"
+    folder.mkdir()
+    for name in ("a0", "a1", "b0", "b1"):
+        (folder / f"{name}.bit").write_bytes(module(name, int(name[1])))
+    (folder / "schema.yaml").write_text(DUO, encoding="utf-8")
+    return loads(DUO, source=folder / "schema.yaml")
+
+
+def opened(tmp_path: Path) -> BoardFiles:
+    return BoardFiles(tmp_path / "root", Footprints(tmp_path / "state" / "footprints"))
+
+
+def image(files: BoardFiles, config: Config, name: str) -> Image:
+    return files.image(config, config.modules[name])
+
+
+def put(config: Config, name: str, data: bytes) -> None:
+    assert config.source is not None
+    (config.source.parent / f"{name}.bit").write_bytes(data)
+
+
+def test_what_was_learned_of_a_region_is_known_after_a_restart(duo: Config, tmp_path: Path) -> None:
+    image(opened(tmp_path), duo, "a0")
+    put(duo, "b0", module("b0", 1))  # made for the other region
+    with pytest.raises(FootprintOutside):
+        image(opened(tmp_path), duo, "b0")
+    assert image(BoardFiles(tmp_path / "root"), duo, "b0")  # with nothing known, it is the first
+
+
+def test_a_new_build_of_the_module_that_taught_is_learned_from_anew(duo: Config, tmp_path: Path) -> None:
+    image(opened(tmp_path), duo, "a0")
+    put(duo, "a0", module("a0", 1))  # another floorplan
+    put(duo, "b0", module("b0", 1))
+    again = opened(tmp_path)
+    assert image(again, duo, "b0")
+    assert image(again, duo, "a0")
+    third = opened(tmp_path)
+    put(duo, "b0", module("b0", 0))
+    assert image(third, duo, "b0")  # the footprint was learned from it
+
+
+def test_a_configuration_that_was_replaced_is_forgotten_for_good(duo: Config, tmp_path: Path) -> None:
+    first = opened(tmp_path)
+    image(first, duo, "a0")
+    image(first, duo, "a1")
+    first.forget("another")
+    first.forget("duo")
+    put(duo, "b0", module("b0", 1))
+    assert image(opened(tmp_path), duo, "b0")
+
+
+def test_a_module_that_left_the_schema_teaches_nothing(duo: Config, tmp_path: Path) -> None:
+    image(opened(tmp_path), duo, "a0")
+    put(duo, "b0", module("b0", 1))
+    without = replace(duo, modules={n: m for n, m in duo.modules.items() if n != "a0"})
+    assert image(opened(tmp_path), without, "b0")
+
+
+FOOTPRINT = LearnedFootprint("a0", "ab", (FrameRange(0, 1, 2, 3), FrameRange(1, 1, 2, 2)))
+
+
+def learned(path: Path, config: Config) -> tuple[FrameRange, ...]:
+    return Footprints(path).of(config, "prr0", lambda _: "ab")
+
+
+def test_a_file_damaged_anywhere_counts_as_unknown(duo: Config, tmp_path: Path) -> None:
+    path = tmp_path / "footprints"
+    Footprints(path).learn("duo", "prr0", FOOTPRINT)
+    assert learned(path, duo) == FOOTPRINT.frames
+    whole = path.read_bytes()
+    for length in range(len(whole) - 1):
+        path.write_bytes(whole[:length])
+        assert learned(path, duo) == ()
+    for at in range(len(whole) - 1):
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 2]) + whole[at + 1 :])
+        assert learned(path, duo) in ((), FOOTPRINT.frames)  # a digit of the CRC may be in the other case
+    Footprints(path).learn("duo", "prr0", FOOTPRINT)
+    assert learned(path, duo) == FOOTPRINT.frames
+
+
+@pytest.mark.parametrize(
+    "body", [b'{"version": 99, "regions": []}', b"[]", b"null", b'{"version": 1, "regions": [[1]]}']
+)
+def test_a_file_of_another_version_counts_as_unknown(duo: Config, tmp_path: Path, body: bytes) -> None:
+    path = tmp_path / "footprints"
+    path.write_bytes(b"%08x %b\n" % (zlib.crc32(body), body))
+    assert learned(path, duo) == ()
+
+
+def test_a_kill_while_it_is_written_leaves_the_old_one(
+    duo: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Killed(BaseException):
+        pass
+
+    def dies(_: int) -> None:
+        raise Killed
+
+    path = tmp_path / "footprints"
+    Footprints(path).learn("duo", "prr0", FOOTPRINT)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", dies)
+        with pytest.raises(Killed):
+            Footprints(path).forget("duo")
+    assert learned(path, duo) == FOOTPRINT.frames
+
+
+def test_if_the_file_cannot_be_written_a_footprint_is_known_until_the_manager_ends(duo: Config, tmp_path: Path) -> None:
+    (tmp_path / "state").write_text("no folder", encoding="ascii")
+    files = opened(tmp_path)
+    image(files, duo, "a0")
+    put(duo, "b0", module("b0", 1))
+    with pytest.raises(FootprintOutside):
+        image(files, duo, "b0")
+
+
+# ---- firmware ---------------------------------------------------------------------------
+
+
+@pytest.fixture
+def firmware(tmp_path: Path) -> Path:
+    return tmp_path / "root" / "lib" / "firmware"
+
+
+def copy_of(files: BoardFiles, config: Config, name: str, firmware: Path) -> Path:
+    return firmware / files.firmware_name(image(files, config, name))
+
+
+def test_a_copy_that_a_loss_of_power_has_torn_is_made_again(duo: Config, tmp_path: Path, firmware: Path) -> None:
+    files = opened(tmp_path)
+    copy = copy_of(files, duo, "a0", firmware)
+    good = copy.read_bytes()
+    for torn in (b"", good[:100], bytes(len(good)), good[:-4]):
+        copy.write_bytes(torn)
+        assert copy_of(opened(tmp_path), duo, "a0", firmware) == copy
+        assert copy.read_bytes() == good
+
+
+def test_a_link_in_place_of_a_copy_is_replaced_and_not_followed(duo: Config, tmp_path: Path, firmware: Path) -> None:
+    copy = copy_of(opened(tmp_path), duo, "a0", firmware)
+    victim = tmp_path / "victim"
+    victim.write_bytes(copy.read_bytes())
+    copy.unlink()
+    copy.symlink_to(victim)
+    before = victim.stat()
+    assert copy_of(opened(tmp_path), duo, "a0", firmware) == copy
+    assert not copy.is_symlink()
+    assert victim.stat() == before
+
+
+def test_copies_are_not_written_through_a_folder_that_is_a_link(duo: Config, tmp_path: Path, firmware: Path) -> None:
+    firmware.mkdir(parents=True)
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (firmware / "cm-converted").symlink_to(elsewhere)
+    with pytest.raises(InvalidRequest, match="symbolic link"):
+        copy_of(opened(tmp_path), duo, "a0", firmware)
+    assert list(elsewhere.iterdir()) == []
+
+
+def test_copies_are_not_put_in_a_world_writable_folder(duo: Config, tmp_path: Path, firmware: Path) -> None:
+    folder = firmware / "cm-converted"
+    folder.mkdir(parents=True)
+    folder.chmod(0o777)
+    with pytest.raises(UnsafeFolder, match="can be written by everybody"):
+        copy_of(opened(tmp_path), duo, "a0", firmware)
+    assert list(folder.iterdir()) == []
+
+
+def test_a_copy_that_does_not_fit_on_the_disk_leaves_nothing(
+    duo: Config, tmp_path: Path, firmware: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        with pytest.raises(OSError, match="No space left"):
+            copy_of(opened(tmp_path), duo, "a0", firmware)
+    assert list((firmware / "cm-converted").iterdir()) == []
+    assert copy_of(opened(tmp_path), duo, "a0", firmware).exists()
+
+
+def test_only_our_oldest_copies_are_removed_whatever_the_clock_says(
+    duo: Config, tmp_path: Path, firmware: Path
+) -> None:
+    folder = firmware / "cm-converted"
+    folder.mkdir(parents=True)
+    (folder / "users.bin").write_bytes(b"not ours")
+    future = 4_000_000_000  # a board whose clock was right before, and now starts in 1970
+    for number in range(80):
+        path = folder / f"{number:064x}.bin"
+        path.write_bytes(b"")
+        os.utime(path, (future + number, future + number))
+    (folder / ".killed.new").write_bytes(b"half")
+    first = copy_of(opened(tmp_path), duo, "a0", firmware)
+    second = copy_of(opened(tmp_path), duo, "a1", firmware)
+    assert first.exists()
+    left = {path.name for path in folder.iterdir()}
+    assert len(left) == 65
+    assert {first.name, second.name, "users.bin", f"{79:064x}.bin"} <= left
+    assert f"{17:064x}.bin" not in left
+
+
+@pytest.mark.parametrize("shadow", ["updates", os.uname().release, f"updates/{os.uname().release}"])
+def test_a_file_that_the_kernel_would_find_first_is_what_is_compared(
+    duo: Config, tmp_path: Path, firmware: Path, shadow: str
+) -> None:
+    files = opened(tmp_path)
+    name = files.firmware_name(image(files, duo, "a0"))
+    folder = firmware / shadow
+    (folder / name).parent.mkdir(parents=True)
+    (folder / name).write_bytes(module("b0", 0))
+    with pytest.raises(Sha256Mismatch, match="not the bitstream that was checked"):
+        files.firmware_name(image(files, duo, "a0"))
+    (folder / name).write_bytes((firmware / name).read_bytes())
+    assert files.firmware_name(image(files, duo, "a0")) == name
+
+
+def tell_kernel(root: Path, folder: str) -> Path:
+    """Make `folder` the first in which the kernel of the board below `root` looks."""
+    parameter = root / "sys/module/firmware_class/parameters/path"
+    parameter.parent.mkdir(parents=True)
+    parameter.write_text(f"{folder}\n", encoding="ascii")
+    place = root / folder.lstrip("/")
+    place.mkdir(parents=True)
+    return place
+
+
+def test_copies_go_to_the_folder_that_the_kernel_was_given(duo: Config, tmp_path: Path, firmware: Path) -> None:
+    place = tell_kernel(tmp_path / "root", "/run/cm/firmware")
+    files = opened(tmp_path)
+    name = files.firmware_name(image(files, duo, "a0"))
+    assert (place / name).is_file()
+    assert not (firmware / name).exists()
+
+
+def test_a_file_of_that_name_in_the_kernels_first_folder_is_what_is_compared(
+    duo: Config, tmp_path: Path, firmware: Path
+) -> None:
+    files = opened(tmp_path)
+    checked = image(files, duo, "a0")
+    name = files.firmware_name(checked)
+    place = tell_kernel(tmp_path / "root", "/srv/fw")
+    (place / name).parent.mkdir(parents=True)
+    (place / name).write_bytes(module("b0", 0))
+    with pytest.raises(Sha256Mismatch, match="not the bitstream that was checked"):
+        files.check_firmware(name, checked)
+
+
+def test_a_folder_for_copies_that_the_kernel_does_not_look_in_is_refused(duo: Config, tmp_path: Path) -> None:
+    files = BoardFiles(tmp_path / "root", copies=tmp_path / "root/elsewhere")
+    with pytest.raises(InvalidRequest, match="this kernel does not look there"):
+        files.firmware_name(image(files, duo, "a0"))
+
+
+# ---- sizes ------------------------------------------------------------------------------
+
+
+def test_a_huge_file_is_refused_before_it_is_read(duo: Config, tmp_path: Path) -> None:
+    assert duo.source is not None
+    with (duo.source.parent / "a0.bit").open("r+b") as file:
+        file.truncate(MAX_BYTES + 1)  # sparse
+    with pytest.raises(BadContainer, match="at most 512 MiB"):
+        image(opened(tmp_path), duo, "a0")
+    with (duo.source.parent / "duo_base.dtbo").open("wb") as file:
+        file.truncate(17 << 20)
+    with pytest.raises(BadOverlay, match="at most 16 MiB"):
+        opened(tmp_path).overlay(duo, Overlay("duo_base"), [])
+
+
+# ---- replaced while a change runs ---------------------------------------------------------
+
+
+def replaced(made: Rig, sim: SimBoard, config: str, victim: str, at: str) -> object:
+    """Go from default to both, replacing a firmware file at the first operation `at`; return the error."""
+    place = sim.root / "lib/firmware/cm" / config / victim
+    good, other = place.read_bytes(), module("someone_else", 0)
+    if victim.endswith(".bin"):
+        other = convert(other, Container.BIN_SWAPPED)
+    assert made.go("default", config=config) is None
+
+    def watch(name: str) -> None:
+        if name == at and place.read_bytes() == good:
+            place.write_bytes(other)
+
+    made.arm(-1)
+    made.fault.watch = watch
+    error = made.go("both", config=config)
+    made.fault.watch = lambda _: None
+    assert place.read_bytes() == other
+    place.write_bytes(good)
+    assert_same(made, sim)
+    assert made.go("both", config=config) is None
+    return error
+
+
+def assert_same(made: Rig, sim: SimBoard) -> None:
+    """Check that board and status name the same modules, and that all regions are intact."""
+    status, state = made.manager.status(), sim.control.state()["regions"]
+    assert [state[r.name]["module"] for r in status.regions] == [r.module for r in status.regions]
+    assert {r.state for r in status.regions} == {"ready"}
+
+
+def test_a_file_that_is_replaced_before_the_port_has_it_is_noticed_and_undone(sim: SimBoard, tmp_path: Path) -> None:
+    with rig(sim.root, tmp_path / "state", written(tmp_path)["duo"]) as made:
+        error = replaced(made, sim, "duo", "b0.bit", "uio.write")
+    assert error is not None
+    assert error.code == "sha256_mismatch"  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("at", ["uio.write", "overlays.apply"])
+def test_a_file_that_is_replaced_after_the_check_is_not_what_an_overlay_loads(
+    sim: SimBoard, tmp_path: Path, at: str
+) -> None:
+    with rig(sim.root, tmp_path / "state", written(tmp_path)["kernel"]) as made:
+        assert replaced(made, sim, "kernel", "l0.bin", at) is None
+
+
+def test_a_file_that_the_kernel_could_take_as_it_is_is_copied_all_the_same(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
+    """Otherwise the kernel would open, after the check, a file that others may write to."""
+    text = MANAGED.replace("l0: {region: prr0,", "l0: {region: prr0, bitstream: direct.bin,")
+    (tmp_path / "managed.yaml").write_text(text, encoding="utf-8")
+    config = loads(text, source=tmp_path / "managed.yaml")
+    direct = sim.root / "lib/firmware/cm/managed/direct.bin"
+    direct.write_bytes(convert(filling("l0", configs), Container.BIN_SWAPPED))
+    with rig(sim.root, tmp_path / "state", config) as made:
+        assert replaced(made, sim, "managed", "direct.bin", "fpga_manager.load") is None
+    copy = sim.root / "lib/firmware" / BoardFiles(sim.root).firmware_name(image(BoardFiles(sim.root), config, "l0"))
+    assert copy.parent.name == "cm-converted"
+    assert copy.stem == hashlib.sha256(direct.read_bytes()).hexdigest()
+    assert copy.read_bytes() == direct.read_bytes()
+
+
+def filling(name: str, configs: dict[str, Config]) -> bytes:
+    """A module's bitstream that fills the board's first region."""
+    footprint = BoardSpec.from_configs(configs.values()).regions["prr0"].footprint
+    columns = sum(frames.column_last - frames.column_first + 1 for frames in footprint)
+    return assemble_module(name, device=DEVICE, footprint=footprint, size=columns * (16 << 10))
+
+
+class Replacer(threading.Thread):
+    """Keeps replacing a file's contents until it is stopped, by renaming and in place."""
+
+    def __init__(self, place: Path, contents: Sequence[bytes]) -> None:
+        super().__init__(daemon=True)
+        self.place, self.contents = place, contents
+        self.stopped = threading.Event()
+        self.times = 0
+
+    def run(self) -> None:
+        new = self.place.with_name(".new")
+        while not self.stopped.wait(0.001):
+            content = self.contents[self.times % len(self.contents)]
+            if self.times % 3:
+                new.write_bytes(content)
+                new.replace(self.place)
+            else:
+                self.place.write_bytes(content)
+            self.times += 1
+
+
+@pytest.mark.parametrize(
+    ("config", "victim", "changes"), [("duo", "b0.bit", 120), ("managed", "l0.bin", 120), ("kernel", "l0.bin", 60)]
+)
+def test_what_is_loaded_is_what_was_hashed_even_if_the_file_is_replaced_meanwhile(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path, config: str, victim: str, changes: int
+) -> None:
+    """Two images alternate under the name; whichever is loaded, the record has its hash."""
+    text = re.sub(r"(, )?identity: (0x..|\{[^}]*\})", "", TEXTS[config])
+    if config == "managed":
+        text = text.replace("l0: {region: prr0", f"l0: {{region: prr0, bitstream: {victim}")
+    (tmp_path / "schema.yaml").write_text(text, encoding="utf-8")
+    schema = loads(text, source=tmp_path / "schema.yaml")
+    place = sim.root / "lib/firmware/cm" / config / victim
+    modules = (victim[:2], schema.modes["default"].modules[0])
+    contents = [filling(name, configs) for name in modules]
+    if victim.endswith(".bin"):
+        contents = [convert(each, Container.BIN_SWAPPED) for each in contents]
+    names = {hashlib.sha256(data).hexdigest(): name for data, name in zip(contents, modules, strict=True)}
+    place.write_bytes(contents[0])
+    replacer = Replacer(place, contents)
+    loaded: Counter[str] = Counter()
+    with rig(sim.root, tmp_path / "state", schema, prefetch=64 << 20) as made:
+        assert made.go("default", config=config) is None
+        replacer.start()
+        for _ in range(changes):
+            error = made.go("other", config=config)
+            assert error is None or error.code in _REFUSALS, error
+            held = made.manager.state.region("prr0")
+            there = sim.control.state()["regions"]["prr0"]
+            assert (there["module"], there["decoupled"]) == (names.get(held.sha256 or "", held.module), False)
+            loaded[there["module"] if error is None else "refused"] += 1
+            assert made.go("default", config=config) is None
+        replacer.stopped.set()
+        replacer.join()
+    place.write_bytes(contents[0])
+    assert modules[0] in loaded, loaded
+
+
+_REFUSALS = (  # for half a file, or one other than was validated
+    "sha256_mismatch", "bad_overlay", "bitstream_container", "bitstream_truncated", "crc_mismatch", "no_sync",
+    "bitstream_packet", "frames_incomplete", "crc_missing", "not_partial",
+)  # fmt: skip

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Isolation by a sequence of writes and polls, all of which are done before anything is loaded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from manager_support import Rig, rig
+
+from cm.device import Root, Uio
+from cm.schema import dump, load, loads
+from cm.schema.model import Config
+from cm.simulation.software import Board as SimBoard
+
+TEXT = """
+config:
+  name: kria
+  type: partial
+  device: xc7z020
+  regions:
+    slot0:
+      decoupler:
+        base_address: 0x5000
+        offset: 0x100
+        sequence:
+          - {offset: 0x0, cut: 0, couple: 0x01, verify: false}
+          - {offset: 0x4, cut: 0, couple: 0x0b}
+          - {offset: 0x4, cut: 0, couple: 0x0b, poll: true, timeout: 0.1}
+          - {offset: 0x8, cut: 0x20, couple: 0x00, mask: 0x20}
+    slot1:
+      decoupler: {base_address: 0x5000, offset: 0x108, bit: 6}
+  modules:
+    a0: {region: slot0}
+    b0: {region: slot0}
+    a1: {region: slot1}
+  modes:
+    default: {modules: [a0, a1]}
+    other: {modules: [b0]}
+"""
+
+
+@pytest.fixture(scope="module")
+def configs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Config]:
+    path = tmp_path_factory.mktemp("kria") / "kria.yaml"
+    path.write_text(TEXT, encoding="utf-8")
+    return {"kria": load(path)}
+
+
+@pytest.fixture(scope="module")
+def sim(configs: dict[str, Config]) -> Iterator[SimBoard]:
+    source = configs["kria"].source
+    assert source is not None
+    with SimBoard([source], arguments=["--icap-rate", "0"]) as board:
+        yield board
+
+
+@pytest.fixture
+def made(sim: SimBoard, configs: dict[str, Config], tmp_path: Path) -> Iterator[Rig]:
+    with rig(sim.root, tmp_path, *configs.values()) as started:
+        assert started.go("default", config="kria") is None
+        yield started
+
+
+def registers(sim: SimBoard) -> list[int]:
+    with Uio.open(0x5000, Root.of(sim.root)) as uio:
+        return [uio.read(0x100 + offset) for offset in (0, 4, 8)]
+
+
+def test_a_region_is_cut_off_by_all_of_the_sequence_before_its_load(made: Rig, sim: SimBoard) -> None:
+    seen: list[object] = []
+
+    def watch(name: str) -> None:
+        if name == "icap.load":
+            regions = sim.control.state()["regions"]
+            seen.append((registers(sim), regions["slot0"]["decoupled"], regions["slot1"]["decoupled"]))
+
+    made.arm(-1)
+    made.fault.watch = watch
+    assert made.go("other", config="kria") is None
+    assert seen == [([0, 0, 0x20], True, False)]
+    assert registers(sim) == [0x01, 0x0B, 0]
+    assert not sim.control.state()["regions"]["slot0"]["decoupled"]
+
+
+def test_whichever_operation_fails_the_region_is_as_the_status_says(made: Rig, sim: SimBoard) -> None:
+    failed = 0
+    for number in range(80):
+        assert made.go("default", config="kria") is None
+        made.arm(number)
+        error = made.go("other", config="kria")
+        made.fault.at = -1
+        state = sim.control.state()["regions"]["slot0"]
+        region = next(r for r in made.manager.status().regions if r.name == "slot0")
+        assert (region.state, region.module) == ("ready", state["module"]), f"{number}: {error}"
+        assert not state["decoupled"]
+        assert registers(sim) == [0x01, 0x0B, 0]
+        if error is None:
+            break
+        failed += 1
+    assert failed > 20
+
+
+def test_under_persistent_failures_a_region_is_as_the_status_says(made: Rig, sim: SimBoard) -> None:
+    ends = set()
+    for number in range(0, 60, 2):
+        assert made.go("default", config="kria") is None
+        made.arm(number, times=10_000)
+        error = made.go("other", config="kria")
+        made.arm(-1)
+        if error is None:
+            break
+        region = next(r for r in made.manager.status().regions if r.name == "slot0")
+        assert region.state != "failed" or sim.control.state()["regions"]["slot0"]["decoupled"], f"{number}: {error}"
+        ends.add(region.state)
+    assert "failed" in ends
+
+
+def test_a_poll_that_does_not_come_true_loads_nothing(sim: SimBoard, tmp_path: Path) -> None:
+    never = "{offset: 0x4, cut: 0x80, couple: 0x0b, mask: 0x80, poll: true, timeout: 0.1}"
+    text = TEXT.replace("{offset: 0x4, cut: 0, couple: 0x0b, poll: true, timeout: 0.1}", never)
+    assert text != TEXT
+    with rig(sim.root, tmp_path, loads(text)) as waiting:
+        loads_before = sim.control.state()["loads"]
+        error = waiting.go("default", config="kria")
+        assert error is not None
+        assert error.code == "verify_failed"
+        assert "after 0.1 s, not 0x80" in error.message
+        assert sim.control.state()["loads"] == loads_before
+
+
+def test_a_sequence_travels_with_the_schema(configs: dict[str, Config]) -> None:
+    again = loads(dump(configs["kria"]))
+    assert again.regions["slot0"].decoupler == configs["kria"].regions["slot0"].decoupler
+
+
+def test_values_that_do_not_fit_the_register_are_refused() -> None:
+    text = TEXT.replace("cut: 0, couple: 0x01", "cut: 0, couple: 0x100000001")
+    with pytest.raises(ValueError, match="does not fit a register of 32 bits"):
+        loads(text)

@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Provisioned configurations: stored completely or not at all, and never outside of their folder."""
+
+from __future__ import annotations
+
+import gc
+from pathlib import Path
+
+import pytest
+
+from cm.errors import Forbidden, InvalidRequest
+from cm.manager.errors import ChangeBusy, UnknownConfig
+from cm.schema import SchemaError, loads
+from cm.server.host.provision import Provisioner
+from cm.server.host.sent import SCHEMA_FILE, NoSpace, Quota, QuotaExceeded, Reserved, Sender
+from cm.wire.messages.requests import File
+
+SCHEMA = """
+config:
+  name: sent
+  type: partial
+  modules:
+    one: {bitstream: one.bit}
+  modes:
+    default: {modules: [one], overlays: [{name: nodes, file: nodes.dtbo}]}
+"""
+FILES = (File("one.bit", b"1"), File("nodes.dtbo", b"2"))
+
+
+@pytest.fixture
+def provisioner(tmp_path: Path) -> Provisioner:
+    return Provisioner(tmp_path / "configs")
+
+
+def content(provisioner: Provisioner) -> dict[str, bytes]:
+    found = (p for path in provisioner.stored() for p in path.parent.iterdir())
+    return {p.name: p.read_bytes() for p in found if p.name != ".owner"}
+
+
+def test_what_was_sent_is_stored_and_found_again(provisioner: Provisioner, tmp_path: Path) -> None:
+    config = provisioner.store(SCHEMA, FILES)
+    assert config.source == tmp_path / "configs" / "sent" / SCHEMA_FILE
+    assert content(provisioner) == {SCHEMA_FILE: SCHEMA.encode(), "one.bit": b"1", "nodes.dtbo": b"2"}
+    provisioner.store(SCHEMA, (File("one.bit", b"new"),))
+    assert content(provisioner) == {SCHEMA_FILE: SCHEMA.encode(), "one.bit": b"new"}
+    assert [p.name for p in (tmp_path / "configs").iterdir()] == ["sent"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("one.bit", "/etc/shadow"),
+        ("one.bit", "../other/one.bit"),
+        ("one.bit", "sub/../../one.bit"),
+        ("nodes.dtbo", "/boot/base.dtbo"),
+        ("nodes.dtbo", "../nodes.dtbo"),
+        ("type: partial", "type: full\n  bitstream: /dev/mem"),
+        ("type: partial", "overlays: [{name: base, file: ../base.dtbo}]"),
+    ],
+)
+def test_a_path_that_leaves_the_folder_is_refused(provisioner: Provisioner, tmp_path: Path, old: str, new: str) -> None:
+    with pytest.raises(InvalidRequest, match="leaves the configuration's folder"):
+        provisioner.store(SCHEMA.replace(old, new), FILES)
+    assert not (tmp_path / "configs").exists()
+
+
+@pytest.mark.parametrize("name", ["../x", "/x", ".x", "", "a/b", "a\\b", SCHEMA_FILE])
+def test_a_file_name_that_is_not_plain_is_refused(provisioner: Provisioner, name: str) -> None:
+    with pytest.raises(InvalidRequest):
+        provisioner.store(SCHEMA, (File(name, b"1"),))
+    assert provisioner.stored() == []
+
+
+def test_a_bad_schema_or_a_refusal_leaves_the_old_one(provisioner: Provisioner) -> None:
+    provisioner.store(SCHEMA, FILES)
+    before = content(provisioner)
+    with pytest.raises(SchemaError):
+        provisioner.store(SCHEMA.replace("modules: [one]", "modules: [two]"), FILES)
+
+    def busy(name: str) -> None:
+        raise ChangeBusy(name)
+
+    with pytest.raises(ChangeBusy, match="sent"):
+        provisioner.store(SCHEMA, (), busy)
+    assert content(provisioner) == before
+
+
+@pytest.mark.parametrize("after", range(3))
+def test_a_kill_at_any_of_the_renames_leaves_the_old_one_or_the_new(
+    provisioner: Provisioner, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after: int
+) -> None:
+    class Killed(BaseException):
+        pass
+
+    provisioner.store(SCHEMA, FILES)
+    count = 0
+    rename = Path.rename
+
+    def dying(self: Path, target: Path) -> Path:
+        nonlocal count
+        count += 1
+        if count > after:
+            raise Killed
+        return rename(self, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "rename", dying)
+        patch.setattr("cm.server.host.provision._remove", lambda *_, **__: None)  # a dead process cleans up nothing
+        if after < 2:
+            with pytest.raises(Killed):
+                provisioner.store(SCHEMA, (File("one.bit", b"new"),))
+        else:
+            provisioner.store(SCHEMA, (File("one.bit", b"new"),))
+    again = Provisioner(tmp_path / "configs")
+    again.recover()
+    assert content(again)["one.bit"] == (b"new" if after == 2 else b"1")
+    assert [p.name for p in (tmp_path / "configs").iterdir()] == ["sent"]
+
+
+def test_if_only_signed_configurations_are_accepted_none_can_be_provisioned(tmp_path: Path) -> None:
+    text = "config: {name: mine, modules: {a: {}}, modes: {default: {modules: [a]}}}\n"
+    assert Provisioner(tmp_path / "configs").store(text, ()).name == "mine"
+    closed = Provisioner(tmp_path / "configs", unsigned=False)
+    assert closed.configs() == {}
+    with pytest.raises(InvalidRequest, match="requires signed configurations"):
+        closed.store(text, ())
+
+
+# ---- whose it is, and how much ------------------------------------------------------------
+
+ANNA, BEN = Sender("uid:1", "anna"), Sender("uid:2", "ben")
+ROOT = Sender("uid:0", "root", admin=True)
+
+
+def named(name: str) -> str:
+    return SCHEMA.replace("name: sent", f"name: {name}")
+
+
+def test_the_administrators_configurations_are_never_replaced_nor_removed(provisioner: Provisioner) -> None:
+    provisioner.standing({"sent": loads(SCHEMA)})
+    with pytest.raises(Reserved, match="administrator"):
+        provisioner.store(SCHEMA, FILES, sender=ROOT)
+    with pytest.raises(Reserved, match="administrator"):
+        provisioner.remove("sent", ROOT)
+    assert provisioner.stored() == []
+
+
+def test_what_was_sent_before_the_administrator_had_one_of_that_name_is_left_out(
+    provisioner: Provisioner, caplog: pytest.LogCaptureFixture
+) -> None:
+    provisioner.store(SCHEMA, FILES, sender=ANNA)
+    own = loads(SCHEMA)
+    assert provisioner.standing({"sent": own}) == {"sent": own}
+    assert "anna sent is left out" in caplog.text
+
+
+def test_only_the_sender_or_an_admin_replaces_and_removes_a_configuration(tmp_path: Path) -> None:
+    for who in (ANNA, ROOT):
+        provisioner = Provisioner(tmp_path / "configs")
+        provisioner.store(SCHEMA, FILES, sender=ANNA)
+        again = Provisioner(tmp_path / "configs")  # it reads back what it knows from the disk
+        assert set(again.configs()) == {"sent"}
+        assert (again.owned["sent"].name, again.owned["sent"].account) == ("anna", "uid:1")
+        with pytest.raises(Forbidden, match="was sent by anna"):
+            again.store(SCHEMA, FILES, sender=BEN)
+        with pytest.raises(Forbidden, match="was sent by anna"):
+            again.remove("sent", BEN)
+        again.store(SCHEMA, (File("one.bit", b"new"),), sender=who)
+        again.remove("sent", who)
+        assert again.configs() == {}
+        assert list((tmp_path / "configs").iterdir()) == []
+
+
+def test_removing_an_unknown_configuration_lists_those_that_were_sent(provisioner: Provisioner) -> None:
+    provisioner.store(SCHEMA, FILES, sender=ANNA)
+    with pytest.raises(UnknownConfig, match="there are sent"):
+        provisioner.remove("other", ROOT)
+    with pytest.raises(UnknownConfig):
+        provisioner.remove("../sent", ROOT)
+
+
+def test_quotas_per_sender_and_in_total_are_kept(tmp_path: Path) -> None:
+    file = File("one.bit", bytes(10_000))
+    provisioner = Provisioner(tmp_path / "configs", quota=Quota(each=25_000, all=40_000))
+    for name in ("a", "b"):
+        provisioner.store(named(name), (file,), sender=ANNA)
+    with pytest.raises(QuotaExceeded, match="yours would have"):
+        provisioner.store(named("c"), (file,), sender=ANNA)
+    provisioner.store(named("b"), (file,), sender=ANNA)  # it replaces one that counted
+    provisioner.store(named("c"), (file,), sender=BEN)
+    with pytest.raises(QuotaExceeded, match="all clients' would have"):
+        provisioner.store(named("d"), (file,), sender=BEN)
+    provisioner.remove("a", ANNA)
+    provisioner.store(named("d"), (file,), sender=BEN)
+    assert set(provisioner.configs()) == {"b", "c", "d"}
+
+
+def long(name: str, registers: int) -> str:
+    """A schema with that many registers, at 43 bytes each."""
+    lines = "".join(f"          register_{i:06}: {{offset: {4 * i:#010x}}}\n" for i in range(registers))
+    return named(name) + f"  mmio:\n    - base_address: 0x20000\n      registers:\n{lines}"
+
+
+def test_schemas_have_a_quota_of_their_own_since_they_stay_in_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cm.server.host.provision.SCHEMAS_EACH", 3000)
+    monkeypatch.setattr("cm.server.host.provision.SCHEMAS_ALL", 4000)
+    provisioner = Provisioner(tmp_path / "configs")
+    provisioner.store(long("a", 50), (), sender=ANNA)
+    with pytest.raises(QuotaExceeded, match="schemas of yours would have"):
+        provisioner.store(long("b", 50), (), sender=ANNA)
+    provisioner.store(long("a", 50), (), sender=ANNA)
+    with pytest.raises(QuotaExceeded, match="schemas of all clients' would have"):
+        provisioner.store(long("b", 50), (), sender=BEN)
+    assert set(provisioner.configs()) == {"a"}
+
+
+def test_a_long_schema_is_read_without_a_search_for_garbage_in_all_that_there_is(provisioner: Provisioner) -> None:
+    """All threads wait for a collection: 0.2 s for 24,000 registers, several times for each schema."""
+    found: list[int] = []
+
+    def look(phase: str, info: dict[str, int]) -> None:
+        if phase == "start" and info["generation"] == 2:
+            found.append(len(gc.get_objects()))
+
+    gc.callbacks.append(look)
+    try:
+        kept = provisioner.store(long("a", 4000), ())
+        before = len(gc.get_objects())
+        provisioner.store(long("b", 4000), ())
+    finally:
+        gc.callbacks.remove(look)
+        gc.unfreeze()
+    assert len(kept.registers) == 4000
+    assert len(found) <= 2  # one before each schema
+    assert found[-1] <= before + 100  # and the second does not look through the first's
+
+
+def test_a_full_disk_changes_nothing(small_disk: Path) -> None:
+    provisioner = Provisioner(small_disk / "configs")
+    provisioner.store(SCHEMA, FILES, sender=ANNA)
+    with pytest.raises(NoSpace, match="nothing has changed"):
+        provisioner.store(SCHEMA, (File("one.bit", bytes(4 << 20)),), sender=ANNA)
+    assert content(provisioner)["one.bit"] == b"1"
+    assert [p.name for p in (small_disk / "configs").iterdir()] == ["sent"]

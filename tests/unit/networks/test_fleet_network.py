@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a fleet is reached, and the errors if it is not."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import cm.networks.fleet
+from cm import child
+from cm.cli.parser import build_parser
+from cm.errors import InvalidRequest
+from cm.networks.fleet.names import check
+from cm.networks.fleet.network import Network, NoNetwork, endpoint, session
+
+CLOSED = "127.0.0.1:9"
+
+
+@pytest.mark.parametrize(
+    ("text", "router"),
+    [("lan", "tcp/lan:7447"), ("lan:1", "tcp/lan:1"), ("[::1]", "tcp/[::1]:7447"), ("tls/lan:1", "tls/lan:1")],
+)
+def test_a_router_is_a_host_or_zenohs_own_spelling(text: str, router: str) -> None:
+    assert endpoint(text) == router
+
+
+@pytest.mark.parametrize(
+    ("text", "said"), [("http/lan:1", "zenoh has tcp, tls"), ("lan:x", "HOST:PORT"), (":1", "HOST:PORT")]
+)
+def test_an_invalid_router_address_is_refused_before_anything_is_tried(text: str, said: str) -> None:
+    with pytest.raises(InvalidRequest, match=said):
+        endpoint(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [(None, "No such file or directory"), ("{bad", r"is no file of zenoh's settings \(JSON5\): --> 1:1 .* expected")],
+)
+def test_an_invalid_file_of_settings_is_named_with_its_mistake(tmp_path: Path, text: str | None, said: str) -> None:
+    path = tmp_path / "anna.json5"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(NoNetwork, match=said) as caught:
+        cm.networks.fleet.connect(config=path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("router", "said"),
+    [(f"tcp/{CLOSED}", "is it there"), (f"tls/{CLOSED}", "does not take the other's certificate")],
+)
+def test_a_router_that_does_not_answer_is_named(tmp_path: Path, router: str, said: str) -> None:
+    path = tmp_path / "fleet.json5"  # zenoh's default of three seconds is for real networks
+    path.write_text(f'{{mode: "client", connect: {{endpoints: ["{router}"], timeout_ms: 50}}}}')
+    with pytest.raises(NoNetwork, match=f"no router answers at {router}: .*{said}"):
+        session(Network(config=path))
+
+
+def test_without_a_router_no_board_on_this_network_is_found(tmp_path: Path) -> None:
+    path = tmp_path / "fleet.json5"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        where = f"224.0.0.225:{free.getsockname()[1]}"  # not 7446, where someone may answer
+    path.write_text(f'{{mode: "client", scouting: {{timeout: 50, multicast: {{enabled: true, address: "{where}"}}}}}}')
+    with pytest.raises(NoNetwork, match="nobody answers on this network: name the fleet's router"):
+        session(Network(config=path))
+
+
+def test_a_name_that_cannot_be_part_of_a_key_is_refused_in_words() -> None:
+    with pytest.raises(InvalidRequest, match="caller 'a b' must not have a space in it"):
+        check("a b", "caller")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "fleet mode edge --policy quorum b1 b2",
+        "fleet mode --policy quorum edge b1 b2",
+        "fleet mode edge b1 b2 --policy quorum",
+    ],
+)
+def test_options_stand_anywhere_between_the_mode_and_the_boards(words: str) -> None:
+    args = build_parser("fleet").parse_args(words.split())
+    assert (args.mode, args.boards, args.policy) == ("edge", ["b1", "b2"], "quorum")
+
+
+@pytest.mark.parametrize("words", ["fleet mode --policy quorum", "fleet reg read", "fleet mode edge --nix", "fleet"])
+def test_what_is_missing_or_unknown_is_still_wrong_usage(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        build_parser("fleet").parse_args(words.split())
+    assert caught.value.code == 2
+    assert "error:" in capsys.readouterr().err
+
+
+def test_registers_and_keys_have_actions_of_their_own_below() -> None:
+    args = build_parser("fleet").parse_args(["fleet", "reg", "write", "led", "3", "--timeout", "2", "b1"])
+    assert (args.name, args.value, args.boards, args.timeout) == ("led", "3", ["b1"], 2.0)
+    args = build_parser("fleet").parse_args(["fleet", "keys", "DIR", "client", "anna", "--role", "operate"])
+    assert (args.name, args.role) == ("anna", "operate")
+
+
+def test_a_command_that_used_zenoh_ends_without_shutting_python_down() -> None:
+    """Threads of zenoh that call Python meanwhile end the process by SIGABRT."""
+    code = "import atexit, sys; atexit.register(print, 'shut down'); from cm.cli.main import main; sys.exit(main())"
+    command = [sys.executable, "-c", code, "fleet", "ls", "--router", CLOSED]
+    done = subprocess.run(command, capture_output=True, text=True, env=child.environment(), check=False, timeout=60)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert "is it there?" in done.stderr

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The ROS packages of ros2/, read by ROS's own tools if they are installed."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).resolve().parents[3]
+ROS2 = ROOT / "ros2"
+INTERFACES = ROS2 / "cm_interfaces"
+SOURCES = sorted(
+    path.relative_to(INTERFACES) for kind in ("msg", "srv", "action") for path in (INTERFACES / kind).iterdir()
+)
+SYSTEM = "/usr/bin/python3"  # Debian's, which sees python3-rosidl
+
+_READ = """
+import sys
+from pathlib import Path
+from rosidl_adapter import convert_to_idl
+from rosidl_parser.definition import IdlLocator
+from rosidl_parser.parser import parse_idl_file
+out = Path(sys.argv[2])
+for name in sys.argv[3:]:
+    written = convert_to_idl(Path(sys.argv[1]), "cm_interfaces", Path(name), out / Path(name).parent)
+    assert parse_idl_file(IdlLocator(out, written.relative_to(out))).content.elements, name
+print(len(sys.argv) - 3)
+"""
+
+
+def has_rosidl() -> bool:
+    done = subprocess.run(
+        [SYSTEM, "-c", "import rosidl_adapter.resource, rosidl_parser.parser"], capture_output=True, check=False
+    )
+    return done.returncode == 0
+
+
+def test_rosidl_reads_every_interface(tmp_path: Path) -> None:
+    if not Path(SYSTEM).exists() or not has_rosidl():
+        pytest.skip("needs_rosidl: Debian's python3-rosidl")
+    for source in SOURCES:
+        (tmp_path / source.parent).mkdir(exist_ok=True)
+    done = subprocess.run(
+        [SYSTEM, "-c", _READ, INTERFACES, tmp_path, *map(str, SOURCES)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout.split()[-1]) == len(SOURCES) > 15
+
+
+def test_every_interface_is_built() -> None:
+    text = (INTERFACES / "CMakeLists.txt").read_text()
+    assert sorted(re.findall(r"^  ((?:msg|srv|action)/\S+)$", text, re.MULTILINE)) == sorted(map(str, SOURCES))
+
+
+@pytest.mark.parametrize("package", ["cm_interfaces", "cm_ros2"])
+def test_a_package_says_what_it_is_by_format_3(package: str) -> None:
+    tree = ET.parse(ROS2 / package / "package.xml").getroot()
+    assert (tree.get("format"), tree.findtext("name"), tree.findtext("license")) == ("3", package, "Apache-2.0")
+    kind = "ament_cmake" if package == "cm_interfaces" else "ament_python"
+    assert tree.findtext("export/build_type") == kind
+
+
+def test_parameters_of_the_example_are_those_that_the_node_declares() -> None:
+    given = yaml.safe_load((ROS2 / "cm_ros2" / "config" / "board.yaml").read_text())["/**"]["ros__parameters"]
+    declared = re.findall(r'declare_parameter\("(\w+)"', (ROS2 / "cm_ros2" / "cm_ros2" / "node.py").read_text())
+    assert list(given) == declared
+
+
+def test_the_package_of_the_node_installs_what_ros_looks_for(tmp_path: Path) -> None:
+    """As colcon installs an ament_python package: by its setup.py."""
+    shutil.copytree(ROS2 / "cm_ros2", tmp_path / "cm_ros2")
+    command = [sys.executable, "setup.py", "-q", "install", "--prefix", tmp_path / "out", "--record", "record"]
+    done = subprocess.run(
+        [*command, "--single-version-externally-managed"],
+        cwd=tmp_path / "cm_ros2",
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    installed = {str(path.relative_to(tmp_path / "out")) for path in (tmp_path / "out").rglob("*")}
+    assert {
+        "lib/cm_ros2/board",
+        "share/cm_ros2/package.xml",
+        "share/cm_ros2/launch/board.launch.py",
+        "share/cm_ros2/config/cyclonedds.xml",
+        "share/ament_index/resource_index/packages/cm_ros2",
+    } <= installed
+
+
+def test_colcon_builds_the_package_of_the_node(tmp_path: Path) -> None:
+    colcon = shutil.which("colcon") or shutil.which("colcon", path=str(Path(sys.executable).parent))
+    if colcon is None:
+        pytest.skip("needs_colcon: pip install colcon-common-extensions")
+    shutil.copytree(ROS2 / "cm_ros2", tmp_path / "src" / "cm_ros2")
+    done = subprocess.run([colcon, "build"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "install" / "cm_ros2" / "lib" / "cm_ros2" / "board").exists()

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""docs/schema.md agrees with the code."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from test_schema_errors import CASES, MODE_CASES
+
+import cm.schema
+
+ROOT = Path(__file__).parents[3]
+PAGE = ROOT / "docs" / "schema.md"
+
+
+def maker() -> Any:
+    spec = importlib.util.spec_from_file_location("schema_tables", ROOT / "docs" / "schema_tables.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_tables_of_keys_are_those_of_the_json_schema() -> None:
+    text = PAGE.read_text()
+    assert maker().page(text, cm.schema.json_schema()) == text, "run: python docs/schema_tables.py"
+
+
+def test_every_definition_has_a_table() -> None:
+    definitions = set(cm.schema.json_schema()["definitions"])
+    assert definitions - set(maker().SECTIONS) == {"name", "stream_override"}
+
+
+def examples() -> list[str]:
+    return re.findall(r"```yaml\n(.*?)```", PAGE.read_text(), re.DOTALL)
+
+
+@pytest.mark.parametrize("text", examples(), ids=lambda text: text.split("name: ")[1].split()[0])
+def test_the_examples_load(text: str) -> None:
+    assert cm.schema.loads(text).modes
+
+
+def codes() -> set[str]:
+    """The codes in the page's table."""
+    table = PAGE.read_text().split("## Error codes")[1]
+    return set(re.findall(r"^\| `([a-z_]+)` \|", table, re.MULTILINE))
+
+
+def test_the_table_of_codes_has_every_code_that_a_mistake_is_tested_to_give() -> None:
+    assert {case[1] for case in (*CASES, *MODE_CASES)} <= codes()
+
+
+def test_the_table_of_codes_has_no_code_that_does_not_exist() -> None:
+    sources = "".join(file.read_text() for file in (ROOT / "cm" / "schema").glob("*.py"))
+    assert [code for code in sorted(codes()) if f'"{code}"' not in sources] == []

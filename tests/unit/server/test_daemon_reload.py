@@ -1,0 +1,290 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Schemas, settings and rights that are reread while the daemon serves, and its page of metrics."""
+
+from __future__ import annotations
+
+import json
+import re
+import urllib.request
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zmq
+from daemon_thread import HUNG, Daemon, daemon
+from manager_process import CAMERA, until
+from prometheus_client.parser import text_string_to_metric_families
+from zmq.utils.monitor import recv_monitor_message
+
+from cm.errors import InvalidRequest
+from cm.schema import load_folder
+from cm.schema.model import Config
+from cm.server.host.reload import Reloaded
+from cm.server.limits import Limits
+from cm.server.rights.model import Access
+from cm.wire.encode import decode_reply, encode_request
+from cm.wire.messages import requests as rq
+from cm.wire.messages.requests import ChangeMode, ReadReg, RegWrite, WriteReg
+
+DOCS = Path(__file__).resolve().parents[3] / "docs"
+OPERATE, OBSERVE = Access(insecure=("operate",)), Access(insecure=("observe",))
+
+
+class Source:
+    """A source that is reread, and how often it was."""
+
+    def __init__(self) -> None:
+        self.camera = load_folder(CAMERA)["camera"]
+        self.found: Reloaded | Exception = Reloaded({"camera": self.camera}, OPERATE)
+        self.stamp = 0
+        self.read = 0
+
+    def __call__(self) -> Reloaded:
+        self.read += 1
+        if isinstance(self.found, Exception):
+            raise self.found
+        return self.found
+
+    def named(self, name: str, **more: Any) -> Config:
+        """The camera's configuration by another name, from another text."""
+        return replace(self.camera, name=name, sha256_source=name, **more)
+
+
+@pytest.fixture
+def source() -> Source:
+    return Source()
+
+
+@pytest.fixture
+def served(source: Source) -> Iterator[Daemon]:
+    given = {"reload": source, "changed": lambda: source.stamp, "access": OPERATE, "metrics": "0"}
+    with daemon(listen=("tcp://127.0.0.1:0",), **given) as made:
+        (made.board.root / "lib/firmware/cm/other").symlink_to("camera")
+        yield made
+
+
+@pytest.fixture
+def reload(served: Daemon, source: Source) -> Callable[[Reloaded | Exception], None]:
+    """Reload, and wait until it takes effect: a later request is answered after it."""
+
+    def begin(found: Reloaded | Exception) -> None:
+        source.found, before = found, source.read
+        served.server.reload()
+        until(lambda: source.read > before, HUNG / 1000)
+
+    return begin
+
+
+def names(daemon: Daemon) -> set[str]:
+    return set(daemon.done(rq.ListConfigs()).names)
+
+
+# ---- configurations ----------------------------------------------------------------------------
+
+
+def test_new_configurations_appear_and_removed_ones_disappear(served: Daemon, source: Source, reload: Any) -> None:
+    reload(Reloaded({"camera": source.camera, "other": source.named("other")}, OPERATE))
+    until(lambda: names(served) == {"camera", "other"})
+    reload(Reloaded({"camera": source.camera}, OPERATE))
+    until(lambda: names(served) == {"camera"})
+    assert served.refused(ChangeMode("other", "default"))[0] == "unknown_config"
+
+
+def test_a_loaded_configuration_keeps_its_schema_until_it_is_unloaded(
+    served: Daemon, source: Source, reload: Any
+) -> None:
+    served.load("default")
+    reload(Reloaded({"other": source.named("other")}, OPERATE))
+    until(lambda: names(served) == {"camera", "other"})
+    served.load("edge_detection")
+    served.done(ChangeMode("other", "default"))
+    until(lambda: names(served) == {"other"})
+
+
+def test_a_changed_schema_of_the_loaded_configuration_applies_once_it_is_unloaded(
+    served: Daemon, source: Source, reload: Any
+) -> None:
+    served.load("default")
+    fewer = {name: mode for name, mode in source.camera.modes.items() if name != "colorise"}
+    changed = source.named("camera", modes=fewer)
+    reload(Reloaded({"camera": changed, "other": source.named("other")}, OPERATE))
+    until(lambda: "other" in names(served))
+    served.load("colorise")
+    served.done(ChangeMode("other", "default"))
+    until(lambda: served.ask(rq.PlanChange("camera", "colorise")).error is not None)
+    assert served.refused(ChangeMode("camera", "colorise"))[0] == "unknown_mode"
+
+
+def test_a_folder_with_a_damaged_schema_removes_no_configuration(served: Daemon, source: Source, reload: Any) -> None:
+    reload(Reloaded({"camera": source.camera, "other": source.named("other")}, OPERATE))
+    until(lambda: names(served) == {"camera", "other"})
+    reload(Reloaded({"camera": source.camera, "third": source.named("third")}, OPERATE, whole=False))
+    until(lambda: names(served) == {"camera", "other", "third"})
+
+
+@pytest.mark.parametrize("problem", [OSError(5, "no"), InvalidRequest("wrong")])
+def test_an_unreadable_file_changes_nothing(
+    served: Daemon, source: Source, reload: Any, problem: Exception, caplog: pytest.LogCaptureFixture
+) -> None:
+    reload(problem)
+    until(lambda: "not reloaded" in caplog.text)
+    assert names(served) == {"camera"}
+    reload(Reloaded({"camera": source.camera, "other": source.named("other")}, OPERATE))
+    until(lambda: names(served) == {"camera", "other"})
+
+
+def test_settings_that_have_changed_and_stay_are_read_by_itself(served: Daemon, source: Source) -> None:
+    assert source.read == 0
+    source.found = Reloaded({"camera": source.camera, "other": source.named("other")}, OPERATE)
+    source.stamp = 1
+    until(lambda: names(served) == {"camera", "other"}, HUNG / 1000)
+    assert source.read == 1
+
+
+def test_bounds_are_those_that_were_read_last(served: Daemon, source: Source, reload: Any) -> None:
+    def leases(most: int) -> None:
+        reload(Reloaded({"camera": source.camera, f"l{most}": source.named(f"l{most}")}, OPERATE, Limits(leases=most)))
+        until(lambda: f"l{most}" in names(served))
+
+    leases(1)
+    held = served.done(rq.TakeLease("registers:focus", holder="me"))
+    code, message = served.refused(rq.TakeLease("registers:zoom", holder="me"))
+    assert (code, "1 may be held" in message) == ("too_many_leases", True), (code, message)
+    leases(2)
+    other = served.done(rq.TakeLease("registers:zoom", holder="me"))
+    for lease in (held, other):
+        served.done(rq.ReleaseLease(lease.id))
+
+
+# ---- rights ------------------------------------------------------------------------------------
+
+
+class Remote:
+    """A client over TCP that notices when it is disconnected."""
+
+    def __init__(self, daemon: Daemon) -> None:
+        (told,) = json.loads((daemon.folder / "run" / "endpoints.json").read_text())["tcp"]
+        self.context = zmq.Context()
+        self.socket = self.context.socket(zmq.DEALER)
+        self.socket.linger, self.socket.rcvtimeo = 0, HUNG
+        self.monitor = self.socket.get_monitor_socket(zmq.EVENT_DISCONNECTED)
+        self.monitor.rcvtimeo = HUNG
+        self.socket.connect(told["req"])
+
+    def ask(self, request: rq.Request) -> Any:
+        self.socket.send_multipart([b"", *encode_request(request)])
+        return decode_reply(self.socket.recv_multipart()[1:])
+
+    def close(self) -> None:
+        self.socket.disable_monitor()
+        self.monitor.close(linger=0)
+        self.context.destroy(linger=0)
+
+
+@pytest.fixture
+def remote(served: Daemon) -> Iterator[Remote]:
+    made = Remote(served)
+    yield made
+    made.close()
+
+
+WRITE = WriteReg((RegWrite("focus", 3),))
+
+
+def test_a_client_whose_rights_change_is_disconnected_and_returns_with_the_new_ones(
+    served: Daemon, source: Source, reload: Any, remote: Remote
+) -> None:
+    served.load("default")
+    assert remote.ask(WRITE).error is None
+    reload(Reloaded({"camera": source.camera}, OBSERVE))
+    assert recv_monitor_message(remote.monitor)["event"] == zmq.EVENT_DISCONNECTED
+    refused = remote.ask(WRITE).error
+    assert (refused.code, "operate" in refused.message) == ("forbidden", True), refused
+    assert remote.ask(ReadReg(("focus",))).error is None
+    served.done(WRITE)  # this machine's own are who they were
+
+
+def test_a_client_whose_rights_stay_keeps_its_connection(
+    served: Daemon, source: Source, reload: Any, remote: Remote
+) -> None:
+    served.load("default")
+    assert remote.ask(WRITE).error is None
+    reload(Reloaded({"camera": source.camera, "other": source.named("other")}, OPERATE))
+    until(lambda: names(served) == {"camera", "other"})
+    assert remote.ask(WRITE).error is None
+    assert not remote.monitor.poll(0)
+
+
+# ---- the page of metrics -----------------------------------------------------------------------
+
+
+def page(daemon: Daemon) -> dict[str, Any]:
+    """Families of the page by name, as Prometheus' own client reads them."""
+    address = json.loads((daemon.folder / "run" / "endpoints.json").read_text())["metrics"]
+    with urllib.request.urlopen(address if "://" in address else f"http://{address}/metrics", timeout=60) as reply:
+        return {family.name: family for family in text_string_to_metric_families(reply.read().decode())}
+
+
+def samples(family: Any) -> dict[tuple[str, ...], float]:
+    """Values by the values of their labels, in the order of the labels' names."""
+    return {tuple(value for _, value in sorted(sample.labels.items())): sample.value for sample in family.samples}
+
+
+def test_the_page_says_what_the_board_holds_and_what_was_done(served: Daemon) -> None:
+    planned = 0
+    for mode in ("default", "edge_detection"):
+        planned += (last := served.done(rq.PlanChange("camera", mode)).bytes)
+        served.load(mode)
+    served.board.control.inject("icap_crc")
+    served.refused(ChangeMode("camera", "colorise"))
+    lease = served.done(rq.TakeLease("registers:focus", holder="me"))
+    told, status = page(served), served.status
+    assert samples(told["cm_info"]) == {(status.board, status.version): 1}
+    assert samples(told["cm_start_time_seconds"]) == {(): pytest.approx(status.started_ns / 1e9)}
+    assert samples(told["cm_mode"]) == {("camera", "edge_detection"): 1}
+    held = {(r.module or "", r.name, r.state): 1.0 for r in status.regions}
+    assert samples(told["cm_region"]) == held
+    assert (samples(told["cm_busy"]), samples(told["cm_failed"])) == ({(): 0}, {(): 1})
+    assert samples(told["cm_changes"]) == {("done",): 2, ("failed",): 1, ("cancelled",): 0}
+    assert samples(told["cm_change_failures"]) == {("load_failed",): 1}
+    assert samples(told["cm_last_change"]) == {(): 3}
+    assert samples(told["cm_last_change_seconds"]) == {(): pytest.approx(status.last_change_seconds)}
+    seconds = {sample.name: sample.value for sample in told["cm_change_seconds"].samples}
+    assert (seconds["cm_change_seconds_count"], seconds["cm_change_seconds_sum"] > 0) == (3, True)
+    steps = {s.labels["step"]: s.value for s in told["cm_change_step_seconds"].samples if s.name.endswith("_count")}
+    assert (steps["publish"], steps["load"] >= 2) == (3, True)
+    loads = {name: sum(samples(told[name]).values()) for name in ("cm_loads", "cm_loaded_bytes", "cm_load_seconds")}
+    assert (loads["cm_loads"], loads["cm_loaded_bytes"]) == (3, planned + last)  # and the way back
+    assert loads["cm_load_seconds"] > 0
+    assert samples(told["cm_leases"]) == {(): 1}
+    assert samples(told["cm_leases_by_scope"]) == {("alone", "registers"): 1}
+    assert {
+        quantity: len(samples(told[quantity])) for quantity in told if "_celsius" in quantity or "_watts" in quantity
+    }
+    assert set(samples(told["cm_stream_open"])) == {(stream.name,) for stream in status.streams}
+    assert samples(told["cm_stream_slots"]) == {(stream.name,): stream.slots for stream in status.streams}
+    (mine,) = [value for name, value in samples(told["cm_client_loop_seconds"]).items()]
+    assert 0 < mine < HUNG
+    served.done(rq.ReleaseLease(lease.id))
+    again = page(served)
+    assert samples(again["cm_leases"]) == {(): 0}
+    assert samples(again["cm_scrapes"])[()] > samples(told["cm_scrapes"])[()]
+    assert samples(again["cm_loop_lag_seconds"])
+
+
+def test_every_metric_is_documented_with_its_kind(served: Daemon) -> None:
+    served.load("default")
+    rows = (DOCS / "metrics.md").read_text(encoding="utf-8").splitlines()
+    said: dict[str, str] = {}
+    for row in rows:
+        if row.startswith("| `"):
+            named, kind = row.split("|")[1:3]
+            said |= dict.fromkeys(re.findall(r"`(\w+)`", named), kind.strip())
+    for name, family in page(served).items():
+        full = f"{name}_total" if family.type == "counter" else name
+        assert full in said, full
+        assert said[full] in (family.type, ""), (full, family.type)
+        assert family.documentation[:1].isupper() or family.documentation[:2] == "1 ", (full, family.documentation)
+        assert family.documentation.endswith("."), (full, family.documentation)

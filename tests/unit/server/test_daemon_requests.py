@@ -1,0 +1,384 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Requests at the daemon's sockets: each is answered once, with what was asked for or with a code and a sentence."""
+
+from __future__ import annotations
+
+import json
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import zmq
+from daemon_thread import Daemon, Subscriber, daemon
+from manager_process import patient, stalled
+
+from cm.wire.messages import requests as rq
+from cm.wire.messages.requests import ChangeMode, File, ReadReg, RegWrite, WriteReg
+from cm.wire.messages.status import ChangeInfo, Irq, RegValues, Status
+
+
+@pytest.fixture(scope="module")
+def shared() -> Iterator[Daemon]:
+    with daemon(name="bench") as made:
+        yield made
+
+
+@pytest.fixture
+def camera(shared: Daemon) -> Daemon:
+    """A daemon in the camera's default mode, freshly loaded."""
+    shared.done(ChangeMode("camera", "default", force=True))
+    return shared
+
+
+def written(name: str, value: int, mask: int | None = None) -> WriteReg:
+    return WriteReg((RegWrite(name, value, mask),))
+
+
+def values(daemon: Daemon, *names: str) -> list[int]:
+    return [value.value for value in daemon.done(ReadReg(names)).values]
+
+
+# ---- status and configurations -----------------------------------------------------------------
+
+
+def test_the_status_tells_board_mode_and_regions(camera: Daemon) -> None:
+    status = camera.status
+    assert (status.config_name, status.mode, status.board) == ("camera", "default", "bench")
+    assert {region.name: region.module for region in status.regions}["prr0"] == "default"
+    assert not status.fpga_busy
+    assert status.last_error is None
+
+
+def test_statuses_are_numbered_and_replies_say_how_far(camera: Daemon) -> None:
+    seen = Subscriber(camera)
+    first = seen.first.sequence
+    camera.load("edge_detection")
+    last = seen.until(Status, lambda status: status.mode == "edge_detection" and not status.fpga_busy)
+    assert last.sequence > first
+    assert camera.ask(rq.ReadStatus()).sequence >= last.sequence
+    seen.close()
+
+
+def test_a_configuration_is_described_and_all_are_listed(camera: Daemon) -> None:
+    described = camera.done(rq.ReadConfig())
+    assert described.name == "camera"
+    assert {"focus", "zoom"} <= {register.name for register in described.registers}
+    assert camera.done(rq.ReadConfig("camera")) == described
+    assert "camera" in camera.done(rq.ListConfigs()).names
+    code, message = camera.refused(rq.ReadConfig("camra"))
+    assert code == "unknown_config"
+    assert "did you mean 'camera'?" in message
+
+
+def test_a_description_counts_the_interrupts_that_came(camera: Daemon) -> None:
+    reader = Subscriber(camera, b"cm_irq", b"cm_stream/camera")
+    count = reader.until(Irq, lambda irq: irq.name == "frame_done").count
+    reader.close()
+    described = {interrupt.name: interrupt for interrupt in camera.done(rq.ReadConfig()).interrupts}
+    assert described["frame_done"].count >= count
+    assert camera.done(rq.ReadIrq("frame_done")).count >= count
+
+
+def test_an_unknown_interrupt_gets_a_suggestion(camera: Daemon) -> None:
+    code, message = camera.refused(rq.ReadIrq("frame_don"))
+    assert (code, "did you mean 'frame_done'?" in message) == ("unknown_interrupt", True)
+
+
+# ---- changes -------------------------------------------------------------------------------------
+
+
+def test_a_change_is_answered_when_it_has_ended(camera: Daemon) -> None:
+    told = camera.done(ChangeMode("camera", "edge_detection"))
+    assert isinstance(told, ChangeInfo)
+    assert told.done
+    assert camera.status.mode == "edge_detection"
+
+
+def test_a_change_that_is_not_waited_for_is_answered_at_once(camera: Daemon) -> None:
+    seen = Subscriber(camera)
+    told = camera.done(ChangeMode("camera", "colorise", no_wait=True))
+    assert not told.done
+    ended = seen.until(Status, lambda status: status.last_change >= told.number and not status.fpga_busy)
+    assert ended.mode == "colorise"
+    seen.close()
+
+
+def test_a_change_to_an_unknown_mode_is_refused(camera: Daemon) -> None:
+    code, message = camera.refused(ChangeMode("camera", "edges_detection"))
+    assert code == "unknown_mode"
+    assert "edge_detection" in message
+    assert camera.status.mode == "default"
+
+
+def test_a_plan_says_what_would_be_loaded_and_loads_nothing(camera: Daemon) -> None:
+    plan = camera.done(rq.PlanChange("camera", "edge_detection"))
+    assert (plan.config_name, plan.mode) == ("camera", "edge_detection")
+    assert plan.bytes > 0
+    assert any(step.kind == "load" for step in plan.steps)
+    assert camera.status.mode == "default"
+    assert not [step for step in camera.done(rq.PlanChange("camera", "default")).steps if step.kind == "load"]
+
+
+def test_a_change_that_fails_is_answered_with_its_error_and_undone(camera: Daemon) -> None:
+    camera.board.control.inject("icap_crc")
+    code, _ = camera.refused(ChangeMode("camera", "edge_detection"))
+    assert code == "load_failed"
+    status = camera.status
+    assert (status.mode, status.last_error.code) == ("default", "load_failed")
+
+
+def test_a_change_that_waits_is_cancelled(camera: Daemon) -> None:
+    camera.send(ChangeMode("camera", "edge_detection"))
+    camera.send(ChangeMode("camera", "colorise"))
+    camera.send(rq.CancelChange())
+    codes = [reply.error.code if reply.error else "" for reply in (camera.reply() for _ in range(3))]
+    assert set(codes) <= {"", "cancelled", "invalid_request"}
+    assert camera.status.mode in ("default", "edge_detection", "colorise")
+
+
+# ---- provisioning ----------------------------------------------------------------------------------
+
+EXTRA = """
+config:
+  name: extra
+  device: xc7z020
+  regions: {prr0: {decoupler: {base_address: 0x1000, offset: 0, bit: 0}}}
+  modules: {default: {region: prr0, bitstream: given.bit}}
+  modes: {only: {modules: [default]}}
+"""
+
+
+def image(daemon: Daemon) -> bytes:
+    return (daemon.board.root / "lib/firmware/cm/camera/default.bit").read_bytes()
+
+
+def test_a_configuration_that_is_provisioned_is_described_and_stays(camera: Daemon) -> None:
+    told = camera.done(rq.Provision(EXTRA, (File("given.bit", image(camera)),)))
+    assert (told.name, [mode.name for mode in told.modes]) == ("extra", ["only"])
+    assert camera.status.config_name == "camera"
+    assert {"camera", "extra"} <= set(camera.done(rq.ListConfigs()).names)
+    assert list((camera.folder / "state").rglob("given.bit"))
+    entries = {entry.name: entry.origin for entry in camera.done(rq.ListConfigs()).entries}
+    assert (entries["camera"], entries["extra"]) == ("administrator", "client")
+
+
+def test_a_configuration_is_provisioned_and_entered_in_one(camera: Daemon) -> None:
+    change = ChangeMode(mode="only")
+    camera.done(rq.Provision(EXTRA, (File("given.bit", image(camera)),), change))
+    assert (camera.status.config_name, camera.status.mode) == ("extra", "only")
+
+
+def test_a_schema_that_is_wrong_is_refused_with_its_place(camera: Daemon) -> None:
+    code, message = camera.refused(rq.Provision("config: {name: x, modes: 3}"))
+    assert code == "schema_invalid"
+    assert "1:" in message
+
+
+# ---- registers ---------------------------------------------------------------------------------------
+
+
+def test_registers_are_written_read_and_published(camera: Daemon) -> None:
+    seen = Subscriber(camera, b"cm_read_reg")
+    told = camera.done(WriteReg((RegWrite("focus", 5), RegWrite("led", 0x2A))))
+    assert [(value.name, value.value) for value in told.values] == [("focus", 5), ("led", 0x2A)]
+    published = seen.until(RegValues)
+    assert [(value.name, value.value) for value in published.values] == [("focus", 5), ("led", 0x2A)]
+    assert values(camera, "led", "focus") == [0x2A, 5]
+    seen.close()
+
+
+def test_fields_are_reported_beside_the_value(camera: Daemon) -> None:
+    camera.done(written("led", 0x2A))
+    (led,) = camera.done(ReadReg(("led",))).values
+    assert dict(led.fields) == {"pattern": 0xA, "blink": 2}
+    camera.done(written("led.blink", 1))
+    assert values(camera, "led") == [0x1A]
+
+
+def test_a_repeated_read_gets_the_current_value(camera: Daemon) -> None:
+    for value in (3, 4, 5, 6):
+        camera.done(written("focus", value))
+        assert values(camera, "focus") == [value]
+        assert values(camera, "focus", "led")[0] == value
+
+
+def test_a_repeated_read_after_a_change_of_mode_is_of_the_new_mode(camera: Daemon) -> None:
+    assert values(camera, "ident") == [0xCA3E0001]
+    assert values(camera, "ident") == [0xCA3E0001]
+    camera.load("edge_detection")
+    assert values(camera, "ident") == [0xCA3E0002]
+    camera.done(written("threshold", 9))
+    assert values(camera, "threshold") == [9]
+    camera.load("default")
+    assert camera.refused(ReadReg(("threshold",)))[0] == "unknown_register"
+
+
+@pytest.mark.parametrize(
+    ("request_", "code", "words"),
+    [
+        (ReadReg(("focsu",)), "unknown_register", "did you mean 'focus'?"),
+        (written("focsu", 1), "unknown_register", "did you mean 'focus'?"),
+        (ReadReg(("led.zzz",)), "unknown_register", "'led' has no field 'zzz'; there are blink, pattern"),
+        (ReadReg(("zoom.zzz",)), "unknown_register", "'zoom' has no field 'zzz'; there are none"),
+        (written("focus", 1, mask=1 << 32), "out_of_range", "mask 0x100000000 does not fit 32 bits"),
+        (rq.DefineMemory("camera", 0x1A00, 16), "invalid_request", "'camera' is a stream of configuration 'camera'"),
+        (rq.DefineMemory("scratchpad", 0x1A00, 16), "invalid_request", "'scratchpad' is a memory of configuration"),
+        (written("version", 1), "access", "read-only"),
+        (written("focus", 16), "out_of_range", "15"),
+        (rq.RenewLease("none"), "unknown_lease", "none"),
+        (rq.TakeLease("registers:nothing"), "not_found", "nothing"),
+        (rq.ReadData("nothing"), "unknown_stream", "nothing"),
+        (rq.WriteData("nothing", b"1"), "unknown_stream", "nothing"),
+        (rq.DescribeData("nothing"), "unknown_stream", "nothing"),
+        (rq.DefineMemory("block", 0x1000, 3), "invalid_request", "4"),
+    ],
+)
+def test_impossible_requests_are_refused_with_their_codes(
+    camera: Daemon, request_: rq.Request, code: str, words: str
+) -> None:
+    found, message = camera.refused(request_)
+    assert (found, words in message) == (code, True), message
+
+
+# ---- leases --------------------------------------------------------------------------------------------
+
+
+def test_a_lease_keeps_others_from_writing_until_it_is_given_back(camera: Daemon) -> None:
+    lease = camera.done(rq.TakeLease("registers:focus", holder="me"))
+    code, message = camera.refused(written("focus", 3))
+    assert (code, "me" in message) == ("held_by", True)
+    camera.done(WriteReg((RegWrite("focus", 4),), lease.id))
+    camera.done(written("zoom", 2))
+    renewed = camera.done(rq.RenewLease(lease.id, 60))
+    assert renewed.id == lease.id
+    camera.done(rq.ReleaseLease(lease.id))
+    camera.done(written("focus", 3))
+    assert values(camera, "focus") == [3]
+
+
+# ---- memories ------------------------------------------------------------------------------------------
+
+
+def test_a_memory_is_written_and_read_by_bytes(camera: Daemon) -> None:
+    camera.done(rq.WriteData("scratchpad", bytes(range(64)), offset=16))
+    reply = camera.ask(rq.ReadData("scratchpad", offset=20, length=8))
+    assert bytes(reply.payload[0]) == bytes(range(4, 12))
+    assert (reply.body.stream, reply.body.offset, reply.body.length) == ("scratchpad", 20, 8)
+    assert (reply.body.shape, reply.body.dtype) == ((2,), "uint32")
+    whole = camera.done(rq.ReadData("scratchpad"))
+    assert (whole.shape, whole.dtype, whole.mode) == ((16, 32), "uint32", "default")
+    info = camera.done(rq.DescribeData("scratchpad"))
+    assert (info.name, info.size, info.dtype) == ("scratchpad", 0x800, "uint32")
+    assert camera.refused(rq.ReadData("scratchpad", offset=0x800, length=4))[0] == "out_of_range"
+    assert camera.refused(rq.ConfigureStream("scratchpad", slots=3))[0] == "invalid_request"
+
+
+def test_a_block_is_defined_and_used(camera: Daemon) -> None:
+    info = camera.done(rq.DefineMemory("block", 0x1A00, 32, (8,), "uint32", "ro"))
+    assert (info.address, info.size, info.defined) == (0x1A00, 32, True)
+    camera.done(rq.WriteData("scratchpad", b"\1" * 4, offset=0x200))
+    assert bytes(camera.ask(rq.ReadData("block", length=4)).payload[0]) == b"\1" * 4
+    assert camera.refused(rq.WriteData("block", b"\1" * 4))[0] == "access"
+
+
+# ---- the sockets ---------------------------------------------------------------------------------------
+
+
+def test_a_message_without_a_reply_takes_effect_and_its_error_is_reported(camera: Daemon) -> None:
+    seen = Subscriber(camera, b"cm_read_reg")
+    sender = camera.connect(zmq.XPUB, "sub")
+    assert sender.recv() == b"\1cm_"
+    sender.send_multipart([b"cm_write_reg", b"{ 'focus':0x2}"])
+    assert seen.until(RegValues).values[0].value == 2
+    sender.send_multipart([b"cm_write_reg", b"{ 'focsu':0x2}"])
+    told = seen.until(Status, lambda status: status.last_error is not None)
+    assert told.last_error.code == "unknown_register"
+    sender.send(b"cm_config edge")
+    assert seen.until(Status, lambda status: not status.fpga_busy and status.mode == "edge_detection")
+    sender.close(linger=0)
+    seen.close()
+
+
+@pytest.mark.parametrize(
+    ("sent", "back"),
+    [
+        ([b"cm_read_reg", b""], [b"cm_read_reg"]),
+        ([b"", b"cm_status", b""], [b"", b"cm_status"]),
+        ([b"mine", b"", b"cm_status", b""], [b"mine", b"", b"cm_status"]),
+        ([b"cm_mine", b"x"], [b"cm_mine"]),
+    ],
+)
+def test_a_reply_comes_back_in_the_envelope_of_its_request(
+    camera: Daemon, sent: list[bytes], back: list[bytes]
+) -> None:
+    dealer = camera.connect(zmq.DEALER, "req")
+    dealer.send_multipart(sent)
+    assert dealer.recv_multipart()[: len(back)] == back
+    dealer.close(linger=0)
+
+
+def test_a_message_that_is_not_a_request_is_answered(camera: Daemon) -> None:
+    for frames, words in (([b"cm_nothing", b""], "unknown topic"), ([b"cm_status", b"", b"x"], "payload")):
+        error = camera.raw(*frames).error
+        assert error is not None
+        assert (error.code, words in error.message) == ("invalid_request", True)
+
+
+def test_a_write_behind_a_change_waits_for_it(camera: Daemon) -> None:
+    camera.send(ChangeMode("camera", "edge_detection"))
+    camera.send(written("focus", 7))
+    camera.send(written("scratch", 3))
+    replies = [camera.reply() for _ in range(3)]
+    assert [reply.error for reply in replies] == [None] * 3
+    assert values(camera, "focus", "scratch") == [7, 3]
+
+
+def test_more_than_may_wait_behind_a_change_is_refused(tmp_path: Path) -> None:
+    with daemon(schemas=patient(tmp_path)) as made:
+        made.load("default")
+        with stalled(made.board):
+            made.send(ChangeMode("camera", "edge_detection"))
+            for _ in range(260):
+                made.send(written("focus", 7))
+            refused = [made.reply().error for _ in range(4)]
+        assert [error.code for error in refused if error] == ["busy"] * 4
+        assert [made.reply().error for _ in range(257)] == [None] * 257
+
+
+# ---- life ----------------------------------------------------------------------------------------------
+
+
+def test_the_configuration_named_at_the_start_is_loaded_and_known_after_a_restart(tmp_path: Path) -> None:
+    with daemon(load="camera/colorise") as first:
+        seen = Subscriber(first)
+        seen.until(Status, lambda status: status.mode == "colorise" and not status.fpga_busy)
+        folder, board = first.folder, first.board
+        first.close()
+        again = Daemon(folder, board)
+        assert again.status.mode == "colorise"
+        assert again.status.last_error is None
+        again.close()
+
+
+def test_the_status_says_that_nothing_is_loaded(tmp_path: Path) -> None:
+    with daemon() as fresh:
+        assert fresh.status.config_name == ""
+        assert fresh.refused(ReadReg(("focus",)))[0] == "nothing_loaded"
+        assert fresh.refused(rq.ReadData("camera"))[0] == "nothing_loaded"
+
+
+def test_the_page_of_metrics_counts_what_was_asked_and_changed() -> None:
+    with daemon(metrics="0") as made:
+        made.load("default")
+        made.load("edge_detection")
+        assert made.refused(ReadReg(("nothing",)))[0] == "unknown_register"
+        address = json.loads((made.folder / "run" / "endpoints.json").read_text())["metrics"]
+        with urllib.request.urlopen(address if "://" in address else f"http://{address}/metrics", timeout=60) as page:
+            text = page.read().decode()
+    lines = dict(line.rpartition(" ")[::2] for line in text.splitlines() if not line.startswith("#"))
+    assert float(lines["cm_requests_total"]) >= 3
+    assert lines['cm_request_errors_total{code="unknown_register"}'] == "1.0"
+    assert (lines["cm_busy"], lines["cm_failed"], lines["cm_last_change"]) == ("0.0", "0.0", "2.0")
+    changes = {name: value for name, value in lines.items() if name.startswith("cm_changes_total")}
+    assert sum(map(float, changes.values())) == 2, changes

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runtime and state folders: they must belong to this user, and no file is opened through another user's link."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+import pytest
+
+from cm.server.endpoints import FolderLock
+from cm.server.folders import UnsafeFolder, open_inside, own_folder, share
+from cm.server.host.provision import Provisioner
+
+needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to give folders to other users")
+STRANGER = 47113
+
+
+def mode(path: Path) -> int:
+    return stat.S_IMODE(path.stat().st_mode)
+
+
+def test_a_folder_is_made_for_this_user_and_its_group(tmp_path: Path) -> None:
+    own_folder(tmp_path / "run")
+    assert mode(tmp_path / "run") & 0o027 == 0
+    own_folder(tmp_path / "run")  # again is fine
+
+
+@needs_root
+def test_a_folder_is_given_to_the_group_that_may_connect(tmp_path: Path) -> None:
+    own_folder(tmp_path / "run", group=STRANGER)
+    status = (tmp_path / "run").stat()
+    assert (status.st_gid, stat.S_IMODE(status.st_mode) & 0o077) == (STRANGER, 0o050)
+
+
+@needs_root
+def test_another_users_folder_is_refused(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    os.chown(folder, STRANGER, STRANGER)
+    with pytest.raises(UnsafeFolder, match=f"belongs to user {STRANGER}"):
+        FolderLock(folder)
+    assert list(folder.iterdir()) == []
+
+
+def test_a_world_writable_folder_is_refused(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    folder.chmod(0o777)
+    with pytest.raises(UnsafeFolder, match="written by everybody"):
+        FolderLock(folder)
+
+
+def test_a_link_in_the_place_of_a_folder_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "run").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(UnsafeFolder, match="a link to one"):
+        FolderLock(tmp_path / "run")
+    with pytest.raises(UnsafeFolder, match="a link to one"):
+        Provisioner(tmp_path / "run").store("config: {name: a, modules: {m: {}}, modes: {m: {modules: [m]}}}", ())
+    assert list((tmp_path / "elsewhere").iterdir()) == []
+
+
+@pytest.mark.parametrize("dangles", [False, True], ids=["to a file", "to nothing"])
+def test_the_lock_is_not_opened_through_a_link_and_what_it_leads_to_stays(tmp_path: Path, dangles: bool) -> None:
+    victim = tmp_path / "victim"
+    if not dangles:
+        victim.write_text("precious")
+    (tmp_path / "run").mkdir(0o700)
+    (tmp_path / "run/lock").symlink_to(victim)
+    with pytest.raises(UnsafeFolder, match="is a link"):
+        FolderLock(tmp_path / "run")
+    assert victim.exists() is not dangles
+    assert dangles or victim.read_text() == "precious"
+
+
+def test_what_is_not_a_regular_file_is_not_opened_as_one(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "lock")
+    with pytest.raises(UnsafeFolder, match="is not a file"):
+        open_inside(tmp_path, "lock", os.O_RDWR | os.O_NONBLOCK)
+
+
+@needs_root
+def test_a_socket_is_for_its_owner_and_the_group(tmp_path: Path) -> None:
+    path = tmp_path / "socket"
+    path.touch(0o777)
+    share(path, STRANGER)
+    assert (path.stat().st_gid, mode(path)) == (STRANGER, 0o660)

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who did what, in the log: once for a burst, and in lines that outsiders cannot forge."""
+
+from __future__ import annotations
+
+import logging
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cm.cli.serve import Lines
+from cm.server.rights.audit import BURST, Audit, described
+from cm.server.rights.principal import Principal, of_process
+from cm.wire.messages import requests as rq
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def messages(caplog: pytest.LogCaptureFixture) -> list[str]:
+    return [record.getMessage() for record in caplog.records]
+
+
+def test_the_first_of_a_burst_is_reported_at_once_and_the_others_as_one(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "cm.audit")
+    clock = Clock()
+    audit = Audit(clock)
+    for _ in range(1000):
+        audit.note("a", "WriteReg", lambda: "anna: WriteReg focus")
+    audit.note("b", "WriteReg", lambda: "ben: WriteReg focus")
+    audit.look()
+    assert messages(caplog) == ["anna: WriteReg focus", "ben: WriteReg focus"]
+    clock.now += BURST
+    audit.look()
+    audit.look()
+    assert messages(caplog)[2:] == ["anna: WriteReg focus: 999 times more within 10 s"]
+    audit.note("a", "WriteReg", lambda: "anna: WriteReg zoom")
+    assert messages(caplog)[3:] == ["anna: WriteReg zoom"]
+
+
+def test_however_many_there_are_the_log_has_few_lines(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "cm.audit")
+    audit = Audit(Clock())
+    for number in range(10_000):
+        audit.note(f"client {number}", "enter", lambda: "refused")
+    assert len(messages(caplog)) < 600
+
+
+def test_a_request_is_described_by_what_it_changes() -> None:
+    who = of_process("ipc", 1000, 1000, 7)
+    assert described(who, rq.ChangeMode("camera", "edge")) == "user (uid 1000, pid 7): ChangeMode camera/edge"
+    writes = tuple(rq.RegWrite(f"r{i}", i) for i in range(9))
+    assert described(who, rq.WriteReg(writes)).endswith("WriteReg r0, r1, r2, r3 and 5 more")
+    assert described(who, rq.WriteData("to_pl", b"secret")).endswith("WriteData to_pl")
+    assert described(who, rq.ReleaseLease("")).endswith("ReleaseLease")
+
+
+@given(st.text(), st.text())
+def test_nothing_from_outside_begins_a_line_of_the_log(name: str, word: str) -> None:
+    who = Principal("x", "curve", name=name, key="k" * 40)
+    record = logging.LogRecord(
+        "cm", logging.INFO, "", 0, "%s said %s", (described(who, rq.ReadConfig(word)), word), None
+    )
+    first, *rest = Lines("cm serve: %(message)s").format(record).split("\n")
+    assert first.startswith("cm serve: ")
+    assert all(line.startswith("    ") for line in rest)
+    assert all(c.isprintable() or c == "\t" for line in (first, *rest) for c in line)
+
+
+def test_a_forged_ready_line_does_not_count() -> None:
+    record = logging.LogRecord("cm", logging.INFO, "", 0, "unknown topic %s", ("x\ncm serve: ready at /run/cm",), None)
+    assert "\ncm serve: ready" not in Lines("cm serve: %(message)s").format(record)

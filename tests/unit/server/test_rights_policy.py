@@ -1,0 +1,373 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The policy by itself: identities, the rights that they have, and the rights that each request needs."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, get_args
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cm.errors import Forbidden, InvalidRequest
+from cm.manager.planning.goals import target
+from cm.schema import load_folder
+from cm.server.rights.gate import Gate
+from cm.server.rights.keys import authorized, pairs_of
+from cm.server.rights.model import Access, AuthorizedKey, Grant, Need, Rights, Role
+from cm.server.rights.needs import Scene, least, needs_of
+from cm.server.rights.policy import Users, rights_of
+from cm.server.rights.principal import NOBODY, Principal, from_id, guest_of, introduced, of_process, on_behalf
+from cm.wire.messages import requests as rq
+
+ROOT = Path(__file__).resolve().parents[3]
+KEY, OTHER = "k" * 40, "o" * 40
+CAMERA = load_folder(ROOT / "cm/data/camera")["camera"]
+USERS = Users({1000: "anna", 1001: "ben"}.get, lambda uid, gid: ("lab",) if uid == 1001 else (), 500)  # type: ignore[arg-type]
+SCENE = Scene(CAMERA, "edge_detection", lambda r: target(r, {"camera": CAMERA}, "camera"))
+EMPTY = Scene(None, None, lambda r: target(r, {"camera": CAMERA}, None))
+
+names = st.sampled_from(["focus", "zoom", "threshold", "camera", "prr0", "*", "static"])
+maybe = st.none() | names
+roles = st.sampled_from([role for role in Role if role])
+needs = st.builds(Need, roles, st.sampled_from(["cm_status", "cm_write_reg"]), maybe, maybe, maybe, maybe)
+patterns = st.lists(st.sampled_from(["*", "f*", "zoom", "prr?", "cm_*", "static"]), min_size=1, max_size=2).map(tuple)
+grants = st.builds(Grant, roles, patterns, patterns, patterns, patterns, patterns)
+
+
+def user(uid: int) -> Principal:
+    return of_process("ipc", uid, uid, 77)
+
+
+def rights(who: Principal, **said: Any) -> Rights:
+    return rights_of(who, Access(**said), USERS)
+
+
+# ---- identities --------------------------------------------------------------------------
+
+
+def test_over_ipc_the_kernel_says_who_the_client_is() -> None:
+    who = introduced("ipc", "localhost:1000:1001:77", "NULL")
+    assert (who.uid, who.gid, who.pid, who.account) == (1000, 1001, 77, "uid:1000")
+    assert from_id(who.id) == who
+
+
+@pytest.mark.parametrize(
+    ("domain", "address", "mechanism", "key"),
+    [
+        ("ipc", "", "NULL", ""),
+        ("ipc", "localhost", "NULL", ""),
+        ("ipc", "1:2", "NULL", ""),
+        ("ipc", "localhost:-1:2:3", "NULL", ""),
+        ("ipc", "localhost:1:2:3", "PLAIN", ""),
+        ("curve", "127.0.0.1", "NULL", ""),
+        ("curve", "127.0.0.1", "CURVE", ""),
+        ("tcp", "127.0.0.1", "PLAIN", ""),
+        ("", "127.0.0.1", "NULL", ""),
+    ],
+)
+def test_a_client_that_is_not_introduced_has_no_identity_and_may_do_nothing(
+    domain: str, address: str, mechanism: str, key: str
+) -> None:
+    assert introduced(domain, address, mechanism, key) == NOBODY
+    assert Gate(Access(), USERS).enter(domain, address, mechanism, key) is None
+
+
+def test_an_address_over_tcp_is_never_taken_for_a_process() -> None:
+    for domain in ("tcp", "curve"):
+        who = introduced(domain, "x:0:0:1", "NULL" if domain == "tcp" else "CURVE", KEY)
+        assert who.uid is None
+        assert from_id(who.id).uid is None
+
+
+@given(st.text())
+def test_a_text_is_an_id_only_if_it_is_well_formed(text: str) -> None:
+    who = from_id(text)
+    assert who == NOBODY or who.id == text
+    assert who.uid is None or text.split(":")[0] in ("ipc", "data")
+
+
+# ---- which rights that gives ----------------------------------------------------------------
+
+
+def test_the_managers_user_and_root_are_admin_whatever_the_settings() -> None:
+    for uid in (0, 500):
+        assert rights(user(uid), local=(), users={str(uid): ("observe",)}).everywhere is Role.ADMIN
+
+
+def test_without_settings_a_local_client_may_do_all_but_what_concerns_others() -> None:
+    assert rights(user(1000)).everywhere is Role.PROVISION
+
+
+def test_a_named_user_has_its_own_rights_and_not_the_default_ones() -> None:
+    said = {"users": {"anna": ("observe",)}, "groups": {"lab": ("operate",)}, "local": ("provision",)}
+    assert rights(user(1000), **said).everywhere is Role.OBSERVE
+    assert rights(user(1001), **said).everywhere is Role.OPERATE
+    assert rights(user(1002), **said).everywhere is Role.PROVISION
+    assert rights(user(1000), users={"1000": ()}).role is Role.NONE
+
+
+def test_a_key_has_its_roles_until_its_end_and_an_unknown_one_has_none() -> None:
+    clock = [100.0]
+    keys = (AuthorizedKey(KEY, "laptop", ("operate",), 200.0),)
+    gate = Gate(Access(keys=keys), USERS, lambda: clock[0])
+    connection = gate.enter("curve", "10.0.0.1", "CURVE", KEY)
+    assert connection is not None
+    assert gate.principal(connection).name == "laptop"
+    assert gate.everywhere(connection) is Role.OPERATE
+    assert gate.enter("curve", "10.0.0.1", "CURVE", OTHER) is None
+    assert gate.expired() == frozenset()
+    clock[0] = 200.0
+    assert gate.everywhere(connection) is Role.NONE
+    assert gate.expired() == {KEY}
+    assert gate.expired() == frozenset()
+    assert gate.enter("curve", "10.0.0.1", "CURVE", KEY) is None
+
+
+def test_a_new_policy_counts_at_once_and_tells_whose_rights_changed() -> None:
+    before = Access(keys=(AuthorizedKey(KEY, "a"), AuthorizedKey(OTHER, "b")))
+    gate = Gate(before, USERS)
+    one, two = (gate.enter("curve", "10.0.0.1", "CURVE", key) for key in (KEY, OTHER))
+    changed = gate.renew(replace(before, keys=before.keys[:1], users=MappingProxyType({"anna": ()})))
+    assert gate.everywhere(one or "") is Role.PROVISION
+    assert gate.everywhere(two or "") is Role.NONE
+    assert [changed(gate.principal(each or "")) for each in (one, two)] == [False, True]
+    assert {who.key for who in gate.from_address("10.0.0.1")} == {KEY, OTHER}
+    assert [changed(user(uid)) for uid in (1000, 1001, 0)] == [True, False, False]
+
+
+def test_custom_roles_are_narrow_and_add_up() -> None:
+    tuner = MappingProxyType({"tuner": Grant(Role.OPERATE, registers=("focus", "led.*"))})
+    found = rights(user(1000), users={"anna": ("observe", "tuner")}, roles=tuner)
+    assert (found.role, found.everywhere) == (Role.OPERATE, Role.OBSERVE)
+    for name, allowed in (("focus", True), ("zoom", False), ("led.red", True), ("led", False), ("*", False)):
+        assert found.allow(Need(Role.OPERATE, "cm_write_reg", "camera", "static", name)) is allowed, name
+
+
+# ---- what holds for every policy ---------------------------------------------------------------
+
+
+@given(grants, needs)
+def test_a_higher_role_may_do_no_less(grant: Grant, need: Need) -> None:
+    higher = replace(grant, role=Role(min(grant.role + 1, Role.ADMIN)))
+    assert not grant.allows(need) or higher.allows(need)
+
+
+@given(grants, needs)
+def test_patterns_only_take_away(grant: Grant, need: Need) -> None:
+    assert not grant.allows(need) or Grant(grant.role).allows(need)
+
+
+@given(st.lists(grants, max_size=3), grants, needs)
+def test_a_further_grant_takes_nothing_away(some: list[Grant], more: Grant, need: Need) -> None:
+    assert not Rights(tuple(some)).allow(need) or Rights((*some, more)).allow(need)
+
+
+@given(st.lists(grants, max_size=3), st.lists(grants, max_size=3), needs)
+def test_no_guest_gets_more_than_the_bridge_that_speaks_for_it(a: list[Grant], b: list[Grant], need: Need) -> None:
+    bridge = Rights(tuple(b))
+    guest = Rights(tuple(a), under=bridge)
+    assert not guest.allow(need) or bridge.allow(need)
+    assert guest.role <= bridge.role
+    assert guest.everywhere <= bridge.everywhere
+
+
+@given(st.lists(grants, max_size=3), needs)
+def test_a_client_with_a_role_everywhere_is_refused_nothing_of_it(some: list[Grant], need: Need) -> None:
+    """The fast path of `Gate.admit`, which does not determine what a request touches."""
+    found = Rights(tuple(some))
+    assert need.role > found.everywhere or found.allow(need)
+
+
+# ---- what each request takes --------------------------------------------------------------------
+
+
+def test_every_kind_of_request_has_a_role() -> None:
+    assert {kind for kind in get_args(rq.Request) if not least(_bare(kind)).topic} == set()
+
+
+def _bare(kind: type) -> Any:
+    return object.__new__(kind)
+
+
+class Unknown:
+    """A kind of request unknown to the policy."""
+
+
+def test_an_unknown_request_takes_an_admin() -> None:
+    assert least(Unknown()) == Need(Role.ADMIN, "")  # type: ignore[arg-type]
+
+
+def touched(request: rq.Request, scene: Scene = SCENE) -> set[tuple[str | None, ...]]:
+    return {(need.config, need.region, need.register, need.data) for need in needs_of(request, scene)}
+
+
+def test_a_change_within_a_configuration_touches_the_regions_of_its_modules() -> None:
+    assert touched(rq.ChangeMode(mode="edge_detection")) == {
+        ("camera", None, None, None),
+        ("camera", "prr0", None, None),
+    }
+
+
+def test_a_change_to_another_configuration_or_by_force_touches_everything() -> None:
+    regions = {region for _, region, _, _ in touched(rq.ChangeMode("camera", "default"), EMPTY)}
+    assert regions == {None, "prr0", "prr1", "static"}
+    assert {region for _, region, _, _ in touched(rq.ChangeMode(mode="default", force=True))} == regions
+
+
+def test_a_register_touches_its_region() -> None:
+    assert touched(rq.WriteReg((rq.RegWrite("threshold", 1),))) == {("camera", "prr0", "threshold", None)}
+    assert touched(rq.ReadReg(("nothing",))) == {("camera", "*", "nothing", None)}
+    assert touched(rq.ReadReg()) == {("camera", "*", "*", None)}
+
+
+def test_a_lease_needs_rights_to_everything_that_it_reserves() -> None:
+    assert touched(rq.TakeLease("board")) == {("*", "*", "*", "*")}
+    assert touched(rq.TakeLease("region:prr1")) == {(None, "prr1", None, None)}
+    assert touched(rq.TakeLease("registers:threshold")) == {("camera", "prr0", "threshold", None)}
+
+
+def test_a_user_that_may_reach_one_region_changes_it_and_no_other() -> None:
+    roles = MappingProxyType({"left": Grant(Role.OPERATE, regions=("prr0",))})
+    gate = Gate(Access(users=MappingProxyType({"anna": ("left",)}), roles=roles), USERS)
+    anna = user(1000).id
+    said = gate.admit(anna, rq.ChangeMode(name_or_mode="edge"), lambda: SCENE)
+    assert said == rq.ChangeMode("camera", "edge_detection")  # what was checked is what is done
+    gate.admit(anna, rq.WriteReg((rq.RegWrite("threshold", 1),)), lambda: SCENE)
+    for request in (
+        rq.ChangeMode(mode="loopback"),
+        rq.ChangeMode(mode="edge_detection", force=True),
+        rq.WriteReg((rq.RegWrite("threshold", 1), rq.RegWrite("scratch", 1))),
+        rq.Provision("config: {}"),
+        rq.TakeLease("config"),
+    ):
+        with pytest.raises(Forbidden, match="anna"):
+            gate.admit(anna, request, lambda: SCENE)
+
+
+def test_for_a_client_that_may_do_everything_the_loaded_state_is_not_read() -> None:
+    def scene() -> Scene:
+        raise AssertionError
+
+    request = rq.WriteReg((rq.RegWrite("x", 1),))
+    assert Gate(Access(), USERS).admit(user(1000).id, request, scene) is request
+
+
+# ---- files of keys -----------------------------------------------------------------------------
+
+
+def test_a_keys_file_says_role_and_end() -> None:
+    text = f"# client laptop\npublic: {KEY}\nrole: observe, tuner\nexpires: 2030-12-31\n"
+    key = authorized("laptop", pairs_of(text))
+    assert (key.public, key.name, key.roles) == (KEY, "laptop", ("observe", "tuner"))
+    assert key.until == 1924991999.0  # the last second of that day, UTC
+    assert authorized("x", {"public": KEY}).roles == ("provision",)
+    assert authorized("x", {"public": KEY, "expires": "2030-12-31T12:00:00+01:00"}).until == 1924945200.0
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "no line 'public:'"),
+        ("public: short\n", "no line 'public:'"),
+        (f"public: {KEY}\nsecret: {KEY}\n", "holds a secret key"),
+        (f"public: {KEY}\nroles: admin\n", "unknown line 'roles'"),
+        (f"public: {KEY}\nexpires: tomorrow\n", "not a day such as"),
+    ],
+)
+def test_the_error_for_a_keys_file_says_what_is_wrong(text: str, told: str) -> None:
+    with pytest.raises(InvalidRequest, match=told):
+        authorized("laptop", pairs_of(text))
+
+
+@given(st.text())
+def test_no_text_breaks_the_reader_of_keys(text: str) -> None:
+    try:
+        key = authorized("x", pairs_of(text))
+    except InvalidRequest:
+        return
+    assert len(key.public) == 40
+
+
+# ---- the page -------------------------------------------------------------------------------------
+
+
+def test_the_page_has_the_roles_in_their_order() -> None:
+    text = (ROOT / "docs/security.md").read_text("utf-8").split("a test compares this table")[1].split("\n\n| who")[0]
+    assert re.findall(r"^\| `(\w+)` \|", text, re.MULTILINE) == [role.name.lower() for role in Role if role]
+
+
+# ---- bridges --------------------------------------------------------------------------------------
+
+WEB = MappingProxyType({"web": Grant(Role.OPERATE, guests=("web:*",))})
+
+
+def test_a_bridge_speaks_only_for_the_guests_that_its_role_names() -> None:
+    guests = MappingProxyType({"web:ann": ("observe",), "web:boss": ("admin",), "*": ()})
+    gate = Gate(Access(users=MappingProxyType({"anna": ("web",)}), roles=WEB, guests=guests), USERS)
+    bridge = user(1000).id
+    assert gate.everywhere(bridge) is Role.OPERATE  # the right to speak narrows nothing
+    for name, role in (("web:ann", Role.OBSERVE), ("web:boss", Role.OPERATE), ("web:else", Role.NONE)):
+        guest = gate.guest(bridge, name)
+        assert gate.everywhere(guest) is role, name
+        assert (gate.principal(guest).name, gate.principal(guest).account) == (name, f"for:{name}")
+        assert str(gate.principal(guest)) == f"{name} through {bridge}"
+    for name in ("ros:ann", "root", "web:" + "x" * 64, "web:a\nb"):
+        assert gate.everywhere(gate.guest(bridge, name)) is Role.NONE, name
+    assert gate.guest(bridge, "") == bridge
+
+
+def test_a_guests_own_name_counts_before_patterns_and_a_long_pattern_before_a_short_one() -> None:
+    guests = MappingProxyType({"*": (), "web:*": ("observe",), "web:a*": ("provision",), "web:ann": ("operate",)})
+    roles = MappingProxyType({"web": Grant(Role.ADMIN, guests=("*",))})
+    gate = Gate(Access(users=MappingProxyType({"anna": ("web",)}), roles=roles, guests=guests), USERS)
+    for name, role in (
+        ("web:ann", Role.OPERATE),
+        ("web:anna", Role.PROVISION),
+        ("web:bob", Role.OBSERVE),
+        ("ros:bob", Role.NONE),
+        ("WEB:bob", Role.NONE),
+    ):
+        assert gate.everywhere(gate.guest(user(1000).id, name)) is role, name
+
+
+def test_an_admin_speaks_for_every_guest_and_a_user_without_the_right_for_none() -> None:
+    guests = MappingProxyType({"boss": ("admin",)})
+    gate = Gate(Access(guests=guests), USERS)
+    guest = gate.guest(user(0).id, "boss")
+    assert gate.everywhere(guest) is Role.ADMIN
+    gate = Gate(Access(guests=guests), USERS)
+    assert gate.everywhere(gate.guest(user(1000).id, "boss")) is Role.NONE
+
+
+@given(st.text(min_size=1, max_size=64), st.sampled_from([user(0).id, user(1000).id]))
+def test_a_guests_name_is_read_out_of_its_id_whatever_it_is(name: str, bridge: str) -> None:
+    assert guest_of(on_behalf(from_id(bridge), name).id) == (name, bridge)
+    assert from_id(on_behalf(from_id(bridge), name).id) == NOBODY
+
+
+def test_the_rights_of_a_guest_end_with_those_of_its_bridge() -> None:
+    clock = [0.0]
+    keys = (AuthorizedKey(KEY, "gateway", ("admin",), 10.0),)
+    gate = Gate(Access(keys=keys, guests=MappingProxyType({"*": ("operate",)})), USERS, lambda: clock[0])
+    bridge = gate.enter("curve", "10.0.0.1", "CURVE", KEY) or ""
+    guest = gate.guest(bridge, "anybody")
+    assert gate.everywhere(guest) is Role.OPERATE
+    clock[0] = 10.0
+    assert gate.everywhere(guest) is Role.NONE
+
+
+def test_every_promise_of_the_page_names_a_test_that_there_is() -> None:
+    text = (ROOT / "docs/security.md").read_text("utf-8").split("## Promises")[1]
+    rows = [line for line in text.splitlines() if line.startswith("| ") and "`" in line]
+    assert len(rows) > 25
+    for row in rows:
+        path = ""
+        for file, name in re.findall(r"`(tests/[\w/]+\.py)?::(test_\w+)`", row):
+            path = file or path
+            assert f"def {name}(" in (ROOT / path).read_text("utf-8"), f"{path}::{name}"
+        assert path, row

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Requests: one class for each intent, each of which survives the wire and has a handler."""
+
+from __future__ import annotations
+
+from hashlib import sha256
+from types import SimpleNamespace
+from typing import Any, get_args
+
+import pytest
+
+from cm.server.handlers import Handlers
+from cm.wire.cm_pb2 import DataConfig, Lease, ReadConfig, WriteConfig
+from cm.wire.decode import decode_request
+from cm.wire.encode import encode_request
+from cm.wire.messages import requests as rq
+
+CHANGE = rq.ChangeMode("camera", "edge", no_wait=True, no_queue=True, force=True, lease="l")
+ALL: list[Any] = [
+    rq.ReadStatus(),
+    rq.ReadConfig("camera"),
+    rq.ListConfigs(),
+    rq.PlanChange("camera", "edge"),
+    rq.PlanChange("camera"),
+    CHANGE,
+    rq.ChangeMode(name_or_mode="edge"),
+    rq.CancelChange(),
+    rq.Provision("config: {}", (rq.File("a.bit", b"1", sha256(b"1").hexdigest()),)),
+    rq.Provision("config: {}", change=rq.ChangeMode(mode="edge", force=True, lease="l"), lease="l"),
+    rq.RemoveConfig("camera", "l"),
+    rq.ReadReg(("focus", "led.blink")),
+    rq.WriteReg((rq.RegWrite("focus", 2), rq.RegWrite("led", 1, 3)), "l"),
+    rq.DescribeData("camera", "l"),
+    rq.ConfigureStream("camera", (2, 3), "uint8", 4, "s2mm", 2.5, cyclic=False, enable=True, force=True, lease="l"),
+    rq.ConfigureStream("camera", backpressure=False, stride=8, automatic=True, compression="lz4"),
+    rq.ConfigureStream("camera", enable=False),
+    rq.DefineMemory("taps", 0x1000, 64, (4, 4), "uint32", "ro", "static", "l"),
+    rq.DefineMemory("taps", 0, 4),
+    rq.DefineMemory("taps", None, 4),
+    rq.ReadData("camera", 1.5),
+    rq.ReadData("taps", offset=4, length=8),
+    rq.WriteData("taps", b"1234", "l", 4),
+    rq.BreakLease(3),
+    rq.Upload("a", 10, 4, b"part"),
+    rq.Upload("a", discard=True),
+    rq.WriteData("s", upload="a"),
+    rq.ReadIrq("done"),
+    rq.TakeLease("region:prr0", False, 5.0, "anna", 7),
+    rq.RenewLease("id", 5.0, 7),
+    rq.ReleaseLease("id"),
+]
+
+
+def named(request: object) -> str:
+    return type(request).__name__
+
+
+@pytest.mark.parametrize("request_", ALL, ids=named)
+def test_a_request_is_unchanged_after_the_wire(request_: Any) -> None:
+    assert decode_request(encode_request(request_)) == request_
+
+
+def test_every_intent_is_among_them_and_has_a_handler() -> None:
+    manager = SimpleNamespace(memories=None)
+    services: Any = SimpleNamespace(
+        manager=manager, streams=None, memories=None, board=None, pieces=None, provisioner=None, sessions=None
+    )
+    intents = set(get_args(rq.Request))
+    assert {type(request) for request in ALL} == intents
+    assert set(Handlers(services).table) == intents
+
+
+@pytest.mark.parametrize(
+    ("topic", "message", "intent"),
+    [
+        (b"cm_read_config", ReadConfig(config_name="a", list=True, plan=True), rq.ListConfigs()),
+        (b"cm_read_config", ReadConfig(plan_mode="edge"), rq.PlanChange("", "edge")),
+        (b"cm_write_config", WriteConfig(cancel=True, mode="edge", schema="config: {}"), rq.CancelChange()),
+        (b"cm_write_config", WriteConfig(schema="s", provision_only=True, mode="edge"), rq.Provision("s")),
+        (b"cm_data_config", DataConfig(stream="a", address=0), rq.DefineMemory("a", 0)),
+        (b"cm_data_config", DataConfig(stream="a", access="ro", slots=3), rq.DefineMemory("a", access="ro")),
+        (b"cm_data_config", DataConfig(stream="a", force=True), rq.ConfigureStream("a", force=True)),
+        (b"cm_lease", Lease(id="a", release=True, seconds=3), rq.ReleaseLease("a")),
+        (b"cm_lease", Lease(id="a", scope="board"), rq.RenewLease("a", 0.0)),
+        (b"cm_lease", Lease(release=True), rq.ReleaseLease("")),
+    ],
+)
+def test_messages_with_several_intents_keep_their_meaning(topic: bytes, message: Any, intent: rq.Request) -> None:
+    assert decode_request([topic, message.SerializeToString()]) == intent
