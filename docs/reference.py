@@ -49,8 +49,10 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "The simulated board",
         "From Python, for tests. [The guide](../simulator.md).",
         (
-            "cm.simulation.software", "cm.simulation.software.hardware.board_spec:ModuleSpec", "cm.simulation.software.hardware.board_spec:ChannelSpec",
-            "cm.simulation.software.hardware.board_spec:RegionSpec", "cm.simulation.software.hardware.board_spec:WindowSpec",
+            "cm.simulation.software", "cm.simulation.software.hardware.board_spec:ModuleSpec",
+            "cm.simulation.software.hardware.board_spec:ChannelSpec",
+            "cm.simulation.software.hardware.board_spec:RegionSpec",
+            "cm.simulation.software.hardware.board_spec:WindowSpec",
         ),
     ),
     "schema": (
@@ -62,7 +64,8 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "Many boards",
         "`cm.networks.fleet.connect()` gives a `Fleet`. [The guide](../fleet.md).",
         (
-            "cm.networks.fleet.blocking", "cm.networks.fleet.changing:Course Leg", "cm.networks.fleet.change.coordinator:Outcome",
+            "cm.networks.fleet.blocking", "cm.networks.fleet.changing:Course Leg",
+            "cm.networks.fleet.change.coordinator:Outcome",
             "cm.networks.fleet.clocks:Reading", "cm.networks.fleet.errors:NoSuchBoard FleetRefused ChangeFailed",
             "cm.networks.fleet.network:NoNetwork",
             "cm.wire.messages.fleet:BoardStatus ClockSync FleetRecord Policy Decision BundleState",
@@ -70,7 +73,8 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     ),
     "fleet-aio": (
         "Many boards, with asyncio",
-        "`cm.networks.fleet.aio.connect()`: the same names, awaited; `Looker` has what only looks. [The guide](../fleet.md).",
+        "`cm.networks.fleet.aio.connect()`: the same names, awaited; `Looker` has what only looks. [The "
+        "guide](../fleet.md).",
         ("cm.networks.fleet.aio", "cm.networks.fleet.looking", "cm.networks.fleet.asking:Answer Told"),
     ),
     "bitstream": (

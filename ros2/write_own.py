@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write ``cm/networks/ros/own.py`` from the files of cm_interfaces, which are the one source: ``python ros2/write_own.py``."""
+"""Write ``cm/networks/ros/own.py`` from the files of cm_interfaces, the one source: ``python ros2/write_own.py``."""
 
 from __future__ import annotations
 

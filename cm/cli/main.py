@@ -22,15 +22,7 @@ EXIT_INTERRUPTED = 130
 EXIT_PIPE = 141
 # zenoh's threads may still call Python after its session was closed, and abort a process that is shutting Python down
 _AT_ONCE = ("bridge", "fleet")
-_PACKAGES = {
-    "data": "sim",
-    "demo": "sim",
-    "rtl": "sim",
-    "bits": "sim",
-    "fleet": "bridge",
-    "rmw_zenoh": "bridge",
-    "ros": "bridge",
-}
+_PACKAGES = {"data": "sim", "simulation": "sim", "design": "build", "networks": "bridge", "tools.demo": "sim"}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -78,7 +70,8 @@ def _outcome(words: list[str], as_json: bool) -> int:
         part = (error.name or "").split(".")
         if part[0] != "cm" or len(part) < 2:
             raise
-        return _fail(_absent(part[1]), "not_installed", as_json)
+        absent = ".".join(part[1:3]) if part[1] == "tools" else part[1]
+        return _fail(_absent(absent), "not_installed", as_json)
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
     except BrokenPipeError:
@@ -89,7 +82,7 @@ def _outcome(words: list[str], as_json: bool) -> int:
 
 def _absent(part: str) -> str:
     """The error for a missing part: distributions split the package, and say which of their packages has it."""
-    name = _PACKAGES.get(part, part)
+    name = _PACKAGES.get(part, part.removeprefix("tools."))
     return f"cm.{part} is not installed here: on Debian it is in fpga-cm-{name}, on Yocto in python3-fpga-cm-{name}"
 
 

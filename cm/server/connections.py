@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The connections over ZeroMQ, and how many there may be: `cm.device.native.guard` below libzmq, with this manager's bounds.
+"""The connections over ZeroMQ, and how many: `cm.device.native.guard` below libzmq, with this manager's bounds.
 
 libzmq cannot refuse a connection, and ends its process when descriptors run out; docs/decisions/guarded-connections.md
 says what was tried.

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import cm.fleet
-
 from cm.networks.fleet.errors import ChangeFailed, FleetRefused
 from cm.wire.messages.fleet import BoardStatus
 from cm.wire.messages.status import ErrorInfo

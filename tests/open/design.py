@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """nextpnr's routed design: which cell stands where, and by which pips each net comes to which of its pins.
 
-Nothing of `cm.simulation.bits` and nothing of the database: names are nextpnr's, of places too (``X87Y12``, ``SLICE_X0Y0``).
+Nothing of `cm.simulation.bits` and nothing of the database: names are nextpnr's, of places too (``X87Y12``,
+``SLICE_X0Y0``).
 """
 
 from __future__ import annotations

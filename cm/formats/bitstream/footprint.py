@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Footprints: which frames a bitstream writes, and whether they are those of a region.
 
-A frame address says where a run of frames begins. It continues into the columns that follow. If it is public how many
-frames these have (`cm.formats.bitstream.geometry`), the end is checked to the frame; otherwise only the widest column of the
-family is known, so the beginning is checked exactly, and the length against what the region can hold at most.
+A frame address says where a run of frames begins. It continues into the columns that follow. If it is public how
+many frames these have (`cm.formats.bitstream.geometry`), the end is checked to the frame; otherwise only the widest
+column of the family is known, so the beginning is checked exactly, and the length against what the region can hold at
+most.
 """
 
 from __future__ import annotations

@@ -64,7 +64,10 @@ class Body(Protocol):
 
 
 class Transport(Protocol):
-    """Topics and services of one node; names are whole (``/cm/status``), types as `cm.networks.ros.definitions` has them."""
+    """Topics and services of one node.
+
+    Names are whole (``/cm/status``), types as `cm.networks.ros.definitions` has them.
+    """
 
     def publisher(self, topic: str, kind: str, qos: Qos) -> Publisher:
         """Publish a topic."""

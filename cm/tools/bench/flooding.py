@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A client that makes as many requests as it can, in every way at once, of a manager on this machine.
 
-``python -m cm.tools.bench.flooding RUNTIME_DIR``: prints ``flooding`` once each way is under way, goes on in rounds until
-its input ends, and then prints the outcome of its requests, as JSON.
+``python -m cm.tools.bench.flooding RUNTIME_DIR``: prints ``flooding`` once each way is under way, goes on in rounds
+until its input ends, and then prints the outcome of its requests, as JSON.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The driver of the Python client: ``python -m cm.tools.conformance.driver``. docs/conformance.md says what one does."""
+"""The Python client's driver: ``python -m cm.tools.conformance.driver``. docs/conformance.md says what one does."""
 
 from __future__ import annotations
 

@@ -220,7 +220,8 @@ def test_the_manager_starts_without_numpy() -> None:
     """Importing it takes a quarter of the time to the first reply, which does not need it."""
     code = (
         "import sys, cm.cli.serve, cm.client.address, cm.server.server, cm.schema.loader\n"
-        "print([n for n in sys.modules if n in ('numpy', 'jsonschema', 'cm.simulation.software.process.main', 'cm.cli.check')])"
+        "unwanted = ('numpy', 'jsonschema', 'cm.simulation.software.process.main', 'cm.cli.check')\n"
+        "print([n for n in sys.modules if n in unwanted])"
     )
     assert run_python(code).stdout.endswith("[]\n")
 

@@ -156,6 +156,6 @@ def test_a_frame_that_is_not_a_picture_has_no_rows() -> None:
 def test_the_core_knows_no_network_but_the_managers() -> None:
     code = (
         "import sys\nfor name in ('rclpy', 'zenoh'): sys.modules[name] = None\n"
-        "import cm.networks.bridge.commands, cm.networks.bridge.follower, cm.networks.bridge.formats, cm.networks.bridge.frames"
+        "from cm.networks.bridge import commands, follower, formats, frames"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -350,7 +350,8 @@ def test_a_board_ends_when_its_parent_has_died_and_it_is_unused(tmp_path):
     root = tmp_path / "root"
     script = (
         "import subprocess, sys, os\n"
-        f"board = subprocess.Popen([sys.executable, '-m', 'cm.simulation.software', '--root', {str(root)!r}, '--linger', '0.5'],"
+        "words = [sys.executable, '-m', 'cm.simulation.software']\n"
+        f"board = subprocess.Popen([*words, '--root', {str(root)!r}, '--linger', '0.5'],"
         " stdout=subprocess.PIPE)\n"
         "board.stdout.readline()\n"
         "print(board.pid, flush=True)\n"

@@ -4,7 +4,8 @@
 plan on all → prepare → apply → the decision, which most seats vote for → told to all
 
 Until most seats have voted to keep it, no board stays in the new mode for good; afterwards every board that can does.
-Boards that hear nothing ask the seats (`cm.networks.fleet.change.seats`), so it does not matter when the coordinator ends.
+Boards that hear nothing ask the seats (`cm.networks.fleet.change.seats`), so it does not matter when the coordinator
+ends.
 """
 
 from __future__ import annotations

@@ -220,7 +220,7 @@ class Models:
         self._added.update(found)
 
     def load_entry_points(self) -> None:
-        """Add what installed packages offer under the entry point group ``cm.simulation.software.models``, when it is needed."""
+        """Add what installed packages offer under the entry point group ``cm.sim.models``, when it is needed."""
         self._offered = None
 
     @property

@@ -61,7 +61,8 @@ class Control:
         """Write the signals of the RTL to files in a folder; None ends that.
 
         Raises:
-            SimError: the logic has no signals, or was compiled without traces (``python -m cm.simulation.rtl --traces``).
+            SimError: the logic has no signals, or was compiled without traces
+                (``python -m cm.simulation.rtl --traces``).
         """
         self._order("trace", folder=str(Path(folder).absolute()) if folder else "")
 

@@ -61,13 +61,13 @@ do_install_ptest() {
 
 CM = "${PYTHON_SITEPACKAGES_DIR}/cm"
 FILES:${PN}-client += "${bindir}/cm ${datadir}/bash-completion ${PYTHON_SITEPACKAGES_DIR}/*.dist-info ${CM}/*.py ${CM}/py.typed \
-                       ${CM}/cli ${CM}/client ${CM}/messages ${CM}/native ${CM}/view ${CM}/wire"
-FILES:${PN}-sim += "${CM}/data ${CM}/demo ${CM}/rtl ${CM}/sim"
+                       ${CM}/cli ${CM}/client ${CM}/device ${CM}/wire"
+FILES:${PN}-sim += "${CM}/data ${CM}/simulation ${CM}/tools/demo"
 FILES:${PN}-web += "${CM}/web"
-FILES:${PN}-bridge += "${CM}/bridge ${CM}/fleet ${CM}/rmw_zenoh ${CM}/ros \
+FILES:${PN}-bridge += "${CM}/networks \
                        ${systemd_system_unitdir}/cm-bridge* ${sysconfdir}/cm/bridge-*.conf"
-FILES:${PN}-build += "${CM}/build"
-FILES:${PN}-bench += "${CM}/bench"
+FILES:${PN}-build += "${CM}/design"
+FILES:${PN}-bench += "${CM}/tools/bench"
 FILES:${PN}-udev += "${nonarch_base_libdir}/udev ${nonarch_base_libdir}/modprobe.d"
 FILES:${PN} += "${nonarch_base_libdir}/firmware ${nonarch_libdir}/tmpfiles.d"
 CONFFILES:${PN} = "${sysconfdir}/cm/cm.yaml"
