@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-TARGET = HERE.parent / "cm" / "ros" / "own.py"
+TARGET = HERE.parent / "cm" / "networks" / "ros" / "own.py"
 HEAD = '''\
 # SPDX-License-Identifier: Apache-2.0
 """The interfaces of ros2/cm_interfaces without comments and constants; ``python ros2/write_own.py`` writes it."""

@@ -11,7 +11,7 @@ import pytest
 from conftest import HERE, needs
 from simulation import simulate
 
-RTL = HERE.parent.parent / "cm" / "build" / "openflow" / "rtl"
+RTL = HERE.parent.parent / "cm" / "design" / "openflow" / "rtl"
 SOURCES = [HERE / "tb" / "tb_axi_dma.v", RTL / "cm_axi_dma.v", *sorted(RTL.glob("cm_dma_*.v"))]
 SHAPES = {  # bytes of memory's words, of either stream's beats
     "bytes": {"DATA_BYTES": 8, "MM2S_BYTES": 1, "S2MM_BYTES": 1},

@@ -9,7 +9,7 @@ import pytest
 from conftest import HERE, needs
 from simulation import simulate
 
-RTL = HERE.parent.parent / "cm" / "build" / "rtl"
+RTL = HERE.parent.parent / "cm" / "design" / "rtl"
 
 pytestmark = [needs("iverilog"), pytest.mark.timeout(600)]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from conftest import HERE, needs
 from simulation import simulate
 
-RTL = HERE.parent.parent / "cm" / "build" / "openflow" / "rtl"
+RTL = HERE.parent.parent / "cm" / "design" / "openflow" / "rtl"
 
 
 @needs("verilator")

@@ -13,7 +13,7 @@ from conftest import HERE, needs
 
 from cm.design.generate.tree import Design
 
-RTL = HERE.parent.parent / "cm" / "build" / "rtl"
+RTL = HERE.parent.parent / "cm" / "design" / "rtl"
 
 
 def lint(*words: str | Path) -> None:

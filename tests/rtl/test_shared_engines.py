@@ -13,7 +13,7 @@ from simulation import simulate
 
 from cm.design.generate.tree import generate, load_design, output_folder
 
-RTL = HERE.parent.parent / "cm" / "build" / "rtl"
+RTL = HERE.parent.parent / "cm" / "design" / "rtl"
 WIDTHS = (32, 8, 24)
 SHARED = """\
 project: {name: small, part: xc7z020clg400-1}

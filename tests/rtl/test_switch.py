@@ -22,7 +22,7 @@ from manager_process import Manager
 
 from cm.simulation.rtl.main import prepare
 
-RTL = HERE.parent.parent / "cm" / "build" / "rtl"
+RTL = HERE.parent.parent / "cm" / "design" / "rtl"
 CHAIN = """\
 project: {name: chain, part: xc7z020clg400-1}
 switch:

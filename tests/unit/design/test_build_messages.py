@@ -17,8 +17,8 @@ from cm.cli.main import main
 
 pytest.importorskip("pyslang", reason="needs pyslang: the extra [build] is not installed")
 
-HERE = Path(__file__).parents[1]
-PAGE = HERE.parent.parent / "docs/build-vivado.md"
+HERE = Path(__file__).parent
+PAGE = HERE.parents[2] / "docs/build-vivado.md"
 GOOD = STREAM_MODULE.format(name="one", high=31)
 PLACED = MINIMAL.replace("pblock: auto", "pblock: [SLICE_X26Y50:SLICE_X43Y99, RAMB36_X2Y10:RAMB36_X2Y19]")
 EXTERNAL = MINIMAL.replace("{pblock: auto}", "{pblock: auto, interfaces: {m_axis: {connect: external}}}")
