@@ -13,8 +13,7 @@ from typing import Protocol
 from cm.cli.client import connected
 from cm.cli.common import add_connection_options, completes, natural
 from cm.cli.drawing.drawing import WAYS
-from cm.cli.drawing.screen import Screen, into_file, on_terminal
-from cm.cli.drawing.terminal import Size
+from cm.cli.drawing.screen import Screen, Size, into_file, on_terminal
 from cm.client.board import Board
 from cm.client.frame import Frame
 from cm.errors import InvalidRequest, Timeout
@@ -33,9 +32,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "view",
         help="show a stream in the terminal or a window",
-        description="Keep drawing the newest frame until q or Ctrl-C is pressed: with kitty's "
-        "graphics protocol or sixels if the terminal supports them, otherwise with half "
-        "blocks. Works over ssh.",
+        description="Keep drawing the newest frame until q or Ctrl-C is pressed: with sixels or kitty's graphics "
+        "protocol, if the terminal has them and the extra fpga-cm[view] is installed, otherwise with half blocks. "
+        "Works over ssh.",
     )
     completes(parser.add_argument("stream", metavar="STREAM"), "<stream>")
     parser.add_argument("--as", dest="way", choices=("auto", *WAYS, "window"), default="auto", help="how to draw")
@@ -66,7 +65,7 @@ def _size(text: str) -> Size:
     columns, _, rows = text.lower().partition("x")
     if not (columns.isdecimal() and rows.isdecimal() and 0 < int(columns) <= 4096 and 0 < int(rows) <= 4096):
         raise argparse.ArgumentTypeError(f"{text!r} is not a size such as 80x24")
-    return Size(int(columns), int(rows))
+    return int(columns), int(rows)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -88,7 +87,7 @@ def _screen(args: argparse.Namespace) -> Iterator[Screen]:
                 "standard output is not a terminal: choose --as kitty, sixel or blocks, or --as window; "
                 "'cm stream capture' writes files"
             )
-        yield into_file(args.way, args.size or Size(80, 24))
+        yield into_file(args.way, args.size or (80, 24))
         return
     with on_terminal(args.way) as screen:
         yield screen

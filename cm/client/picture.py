@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from cm.client.pixels import scaled
 from cm.errors import InvalidRequest
 
 Array = npt.NDArray[Any]
@@ -62,17 +63,7 @@ def _bytes_of(array: Array) -> npt.NDArray[np.uint8]:
         return pixels
     if pixels.dtype == np.bool_:
         return pixels.astype(np.uint8) * np.uint8(255)
-    return _scaled(np.abs(pixels) if np.iscomplexobj(pixels) else pixels)
-
-
-def _scaled(pixels: Array) -> npt.NDArray[np.uint8]:
-    values = pixels.astype(np.float64)
-    finite = values[np.isfinite(values)]
-    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
-    if high == low:
-        return np.zeros(values.shape, np.uint8)
-    shares = (np.clip(np.nan_to_num(values, nan=low, posinf=high, neginf=low), low, high) - low) / (high - low)
-    return np.asarray(np.rint(shares * 255), np.uint8)
+    return scaled(pixels)[0]
 
 
 def _chunk(kind: bytes, content: bytes) -> bytes:

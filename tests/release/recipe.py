@@ -38,7 +38,7 @@ OPTIONAL = {
     "pytest", "tkinter",  # of whoever runs tests, or has a screen
     "argcomplete", "cocotb", "grpc_tools", "iceoryx2", "lz4", "matplotlib", "PIL", "cryptography",
     "prometheus_client", "pyslang", "scipy",
-    "systemrdl", "tree_sitter", "tree_sitter_vhdl", "xxhash", "zenoh", "setuptools",
+    "systemrdl", "tree_sitter", "tree_sitter_vhdl", "xxhash", "zenoh", "rich", "textual_image", "setuptools",
 }  # fmt: skip
 
 

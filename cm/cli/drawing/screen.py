@@ -4,56 +4,56 @@
 from __future__ import annotations
 
 import os
+import re
 import select
 import sys
+import termios
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, TextIO
 
 import numpy.typing as npt
 
-from cm.cli.drawing import kitty
-from cm.cli.drawing.drawing import Drawing, drawing
-from cm.cli.drawing.terminal import Ability, Size, asked, has_true_colour, keys_as_they_come, size_of
+from cm.cli.drawing.drawing import Drawer
+from cm.errors import InvalidRequest
 
 _BEGIN = "\x1b[?1049h\x1b[?25l"  # the alternate screen, no cursor
 _END = "\x1b[?25h\x1b[?1049l"
 _HOME, _CLEAR, _TO_END = "\x1b[H", "\x1b[2J", "\x1b[K"
 _TOGETHER, _SHOW = "\x1b[?2026h", "\x1b[?2026l"  # no half-drawn pictures, if the terminal knows this mode
+_ANSWER = 1.0  # seconds in which a terminal answers, even over a slow line
+Size = tuple[int, int]  # columns and rows
 
 
 class Screen:
     """Where frames go: a terminal, or a file that gets what a terminal would be sent."""
 
-    def __init__(self, out: TextIO, size: Callable[[], Size], ability: Ability, keys: int | None) -> None:
+    def __init__(self, out: TextIO, size: Callable[[], Size], drawer: Drawer, keys: int | None = None) -> None:
         self._out = out
         self._size = size
-        self._ability = ability
+        self._drawer = drawer
         self._keys = keys
-        self._true_colour = has_true_colour(os.environ)
         self._before: Size | None = None
 
     def once(self, frame: npt.NDArray[Any]) -> None:
         """A picture that stays, with the cursor under it."""
-        made = self._drawing(frame)
-        below = "\n" * made.rows if self._ability.way == "kitty" else "\n"
-        self._write(f"{made.text}{below}")
+        columns, rows = self._size()
+        self._write(self._drawer.text(frame, columns, max(1, rows - 1))[0])
 
     def draw(self, frame: npt.NDArray[Any], says: str) -> None:
         """Draw in place of the last picture, with a line under it."""
-        made, size = self._drawing(frame), self._size()
+        columns, rows = size = self._size()
+        text, note = self._drawer.text(frame, columns, max(1, rows - 1))
         clear = _CLEAR if size != self._before else ""
         self._before = size
-        line = " · ".join(filter(None, [says, made.note]))[: size.columns - 1]
-        self._write(f"{_TOGETHER}{clear}{_HOME}{made.text}\x1b[{size.rows};1H{line}{_TO_END}{_SHOW}")
+        line = " · ".join(filter(None, [says, note]))[: columns - 1]
+        self._write(f"{_TOGETHER}{clear}{_HOME}{text}\x1b[{rows};1H{line}{_TO_END}{_SHOW}")
 
     def say(self, line: str) -> None:
         """A line at the bottom, without a new picture."""
-        size = self._size()
-        self._write(f"\x1b[{size.rows};1H{line[: size.columns - 1]}{_TO_END}")
-
-    def _drawing(self, frame: npt.NDArray[Any]) -> Drawing:
-        return drawing(frame, self._ability.way, self._size(), self._true_colour)
+        columns, rows = self._size()
+        self._write(f"\x1b[{rows};1H{line[: columns - 1]}{_TO_END}")
 
     def ended(self) -> bool:
         """Whether the user has pressed q or Escape."""
@@ -67,7 +67,8 @@ class Screen:
 
     def end(self) -> None:
         """Restore the terminal."""
-        self._write((kitty.DELETE if self._ability.way == "kitty" else "") + _END)
+        self._drawer.close()
+        self._write(_END)
 
     def _write(self, text: str) -> None:
         self._out.write(text)
@@ -76,16 +77,52 @@ class Screen:
 
 @contextmanager
 def on_terminal(way: str) -> Iterator[Screen]:
-    """The terminal at our standard output, asked what it can do unless `way` says it. Raises OSError without one."""
+    """The terminal at our standard output. Raises OSError without one, and InvalidRequest."""
     descriptor = os.open("/dev/tty", os.O_RDWR | os.O_NOCTTY | os.O_CLOEXEC)
     try:
         with keys_as_they_come(descriptor):
-            ability = asked(descriptor) if way == "auto" else Ability(way, asked(descriptor).cell)
-            yield Screen(sys.stdout, lambda: size_of(descriptor, ability.cell), ability, descriptor)
+            drawer = Drawer(way)
+            if drawer.uses_placeholders and _old_kitty(descriptor):
+                if way == "kitty":
+                    raise InvalidRequest("--as kitty needs kitty 0.28 or newer")
+                drawer = Drawer("blocks")
+            yield Screen(sys.stdout, lambda: _size_of(descriptor), drawer, descriptor)
     finally:
         os.close(descriptor)
 
 
 def into_file(way: str, size: Size) -> Screen:
-    """Write what a terminal of that size would be sent to standard output."""
-    return Screen(sys.stdout, lambda: size, Ability(way, size.cell), None)
+    """Write what a terminal of that size would be sent to standard output. Raises InvalidRequest."""
+    return Screen(sys.stdout, lambda: size, Drawer(way))
+
+
+def _old_kitty(descriptor: int) -> bool:
+    """Whether the terminal is a kitty that has its protocol, but not the placeholders that the library draws with.
+
+    XTVERSION asks for its name; DA1, which every terminal answers, says that no more will come.
+    """
+    os.write(descriptor, b"\x1b[>q\x1b[c")
+    answer, end = b"", time.monotonic() + _ANSWER
+    while not re.search(rb"\x1b\[\?[\d;]*c", answer) and (left := end - time.monotonic()) > 0:
+        if select.select([descriptor], [], [], left)[0]:
+            answer += os.read(descriptor, 4096)
+    found = re.search(rb"kitty\((\d+)\.(\d+)", answer)
+    return found is not None and (int(found[1]), int(found[2])) < (0, 28)
+
+
+def _size_of(descriptor: int) -> Size:
+    columns, rows = os.get_terminal_size(descriptor)
+    return columns or 80, rows or 24
+
+
+@contextmanager
+def keys_as_they_come(descriptor: int) -> Iterator[None]:
+    """Keys are delivered at once and not shown; Ctrl-C works as always."""
+    before = termios.tcgetattr(descriptor)
+    try:
+        attributes = termios.tcgetattr(descriptor)
+        attributes[3] &= ~(termios.ECHO | termios.ICANON)  # lflag
+        termios.tcsetattr(descriptor, termios.TCSANOW, attributes)
+        yield
+    finally:
+        termios.tcsetattr(descriptor, termios.TCSANOW, before)

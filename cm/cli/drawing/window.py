@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cm.cli.drawing.pixels import coloured, fitted, outline, plotted, visible
+from cm.client.pixels import coloured, picture
 
 _SIGNAL = (1024, 384)
 
@@ -36,25 +36,21 @@ class Window:
 
     def draw(self, frame: npt.NDArray[Any], says: str) -> None:
         """Draw in place of the last frame."""
-        picture = self._picture(np.asarray(frame))
-        height, width = picture.shape[:2]
-        data = b"P6 %d %d 255\n" % (width, height) + coloured(picture).tobytes()
+        pixels = coloured(picture(frame, *self._room(np.shape(frame)))[0])
+        data = b"P6 %d %d 255\n" % (pixels.shape[1], pixels.shape[0]) + pixels.tobytes()
         self._image = tkinter.PhotoImage(data=data, format="PPM", master=self._root)
         self._label.configure(image=self._image)
         self.say(says)
 
-    def _picture(self, frame: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
-        if frame.ndim < 2 or frame.size == 0:
-            signal = outline(np.atleast_1d(frame) if frame.size else np.zeros(1), _SIGNAL[0])
-            return plotted(signal, *_SIGNAL)
-        pixels = visible(frame, 1 << 14).pixels
+    def _room(self, shape: tuple[int, ...]) -> tuple[int, int]:
+        """Pixels for a frame: as many as it has itself, until the user resizes the window."""
         room = self._label.winfo_width(), self._label.winfo_height()
-        if self._image is None or min(room) < 16:  # as large as the frame, until the user resizes it
-            room = (
-                min(pixels.shape[1], self._root.winfo_screenwidth()),
-                min(pixels.shape[0], self._root.winfo_screenheight() - 80),
-            )
-        return fitted(pixels, *room)
+        if len(shape) < 2:
+            return _SIGNAL
+        if self._image is None or min(room) < 16:
+            height, width = shape[-3:-1] if len(shape) > 2 and shape[-1] in (1, 3, 4) else shape[-2:]
+            return min(width, self._root.winfo_screenwidth()), min(height, self._root.winfo_screenheight() - 80)
+        return room
 
     def say(self, line: str) -> None:
         """The line under the picture."""

@@ -129,7 +129,7 @@ def test_a_large_frame_is_shown_with_every_nth_pixel() -> None:
 
 def test_numbers_are_spread_over_the_visible_range() -> None:
     header, payload = opened(pictures.raw("depth", np.array([[-2.0, 0.0], [np.nan, 6.0]], np.float32), {}))
-    assert (header["range"], list(payload)) == ([-2.0, 6.0], [0, 63, 0, 255])
+    assert (header["range"], list(payload)) == ([-2.0, 6.0], [0, 64, 0, 255])
 
 
 def test_a_signal_keeps_its_peaks_however_long_it_is() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can be seen of a frame, whatever its shape and numbers."""
+"""Arrays as pixels: what can be seen of a frame, whatever its shape and numbers."""
 
 from __future__ import annotations
 
@@ -39,6 +39,18 @@ class Outline:
         return float(self.low.min()), float(self.high.max())
 
 
+def picture(frame: Array, width: int, height: int) -> tuple[Bytes, str]:
+    """Any frame within that many pixels, a signal as its curve; and the span of its numbers, where they were spread."""
+    values = np.asarray(frame)
+    if values.size == 0:
+        return np.zeros((1, 1), np.uint8), "nothing in it"
+    if values.ndim < 2:
+        signal = outline(np.atleast_1d(values), width)
+        return plotted(signal, width, min(height, width // 2 + 1)), "{:g} to {:g}".format(*signal.span)
+    seen = visible(values, 4 * max(width, height))
+    return fitted(seen.pixels, width, height), "{:g} to {:g}".format(*seen.span) if seen.span else ""
+
+
 def visible(values: Array, side: int) -> Visible:
     """A frame of two axes or more as a picture of at most `side` pixels in each direction."""
     while values.ndim > 3 or (values.ndim == 3 and values.shape[2] not in (1, 3, 4)):
@@ -52,13 +64,18 @@ def visible(values: Array, side: int) -> Visible:
 def _bytes(values: Array, step: int) -> Visible:
     if values.dtype == np.uint8:
         return Visible(values, step)
+    pixels, span = scaled(values)
+    return Visible(pixels, step, span)
+
+
+def scaled(values: Array) -> tuple[Bytes, tuple[float, float]]:
+    """Numbers as bytes, from the smallest finite one to the largest; and these two."""
     numbers = _real(values)
     finite = numbers[np.isfinite(numbers)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
     with np.errstate(all="ignore"):  # of values that are infinite, nearly so, or not numbers
-        scaled = (numbers - low) / (high - low) * 255.0 if high > low else np.zeros_like(numbers)
-    pixels = np.nan_to_num(scaled, nan=0.0, posinf=255.0, neginf=0.0).clip(0, 255).astype(np.uint8)
-    return Visible(pixels, step, (low, high))
+        shares = (numbers - low) / (high - low) * 255.0 if high > low else np.zeros_like(numbers)
+    return np.rint(np.nan_to_num(shares, nan=0.0, posinf=255.0, neginf=0.0).clip(0, 255)).astype(np.uint8), (low, high)
 
 
 def outline(values: Array, columns: int) -> Outline:
