@@ -299,5 +299,5 @@ def _simulated_root(args: argparse.Namespace, runtime: Path, paths: list[Path], 
     arguments += ["--time-scale", args.sim_time_scale] if args.sim_time_scale else []
     root = Path(args.root) if args.root else runtime / "board"
     starter = stack.enter_context(ThreadPoolExecutor(1, "cm-board"))
-    program = f"cm.{args.sim}" if args.sim in _HDL else "cm.simulation.software"
+    program = f"cm.simulation.{args.sim}" if args.sim in _HDL else "cm.simulation.software"
     return starter.submit(stack.enter_context, simulated_board(runtime, root, paths, arguments, program))
