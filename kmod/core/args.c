@@ -9,19 +9,20 @@
  * cm_args_get() - copy an ioctl's structure from user space
  * @args: filled in; what the caller's structure lacks is zero
  * @size: bytes of @args
+ * @least: bytes that the structure had when it was new
  * @from: the caller's structure; its first word is its size
  *
- * Return: 0, -EINVAL for a size that cannot hold size and flags, -E2BIG where
- * bytes that this kernel does not know are not zero, or -EFAULT.
+ * Return: 0, -EINVAL for a size below @least, -E2BIG where bytes that this
+ * kernel does not know are not zero, or -EFAULT.
  */
-int cm_args_get(void *args, size_t size, const void __user *from)
+int cm_args_get(void *args, size_t size, size_t least, const void __user *from)
 {
 	u32 user_size;
 	int ret;
 
 	if (get_user(user_size, (const u32 __user *)from))
 		return -EFAULT;
-	if (user_size < 2 * sizeof(u32))
+	if (user_size < least)
 		return -EINVAL;
 	if (user_size > PAGE_SIZE)
 		return -E2BIG;

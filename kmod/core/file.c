@@ -178,7 +178,7 @@ static long ioctl_info(struct cm_file *self, void __user *arg)
 {
 	struct cm_dma_info info;
 	u32 size;
-	int ret = cm_args_get(&info, sizeof(info), arg);
+	int ret = cm_args_get(&info, sizeof(info), CM_DMA_INFO_SIZE_VER0, arg);
 
 	if (ret)
 		return ret;
@@ -230,7 +230,7 @@ static long ioctl_submit(struct cm_file *self, void __user *arg)
 {
 	struct cm_request request = {};
 	struct cm_dma_submit args;
-	int ret = cm_args_get(&args, sizeof(args), arg);
+	int ret = cm_args_get(&args, sizeof(args), CM_DMA_SUBMIT_SIZE_VER0, arg);
 
 	if (ret)
 		return ret;
@@ -248,7 +248,7 @@ static long ioctl_submit_video(struct cm_file *self, void __user *arg)
 {
 	struct cm_request request = {};
 	struct cm_dma_submit_video args;
-	int ret = cm_args_get(&args, sizeof(args), arg);
+	int ret = cm_args_get(&args, sizeof(args), CM_DMA_SUBMIT_VIDEO_SIZE_VER0, arg);
 
 	if (ret)
 		return ret;
@@ -266,7 +266,7 @@ static long ioctl_submit_video(struct cm_file *self, void __user *arg)
 static long ioctl_cancel(struct cm_file *self, void __user *arg)
 {
 	struct cm_dma_cancel args;
-	int ret = cm_args_get(&args, sizeof(args), arg);
+	int ret = cm_args_get(&args, sizeof(args), CM_DMA_CANCEL_SIZE_VER0, arg);
 
 	if (ret)
 		return ret;
@@ -278,7 +278,7 @@ static long cm_dma_ioctl(struct file *file, unsigned int command, unsigned long 
 	struct cm_file *self = file->private_data;
 	void __user *arg = (void __user *)value;
 
-	if (_IOC_TYPE(command) != CM_DMA_IOC_MAGIC)
+	if (_IOC_TYPE(command) != CM_IOC_MAGIC)
 		return -ENOTTY;
 	if (!READ_ONCE(self->channel->chan) && _IOC_NR(command) != _IOC_NR(CM_DMA_IOC_FREE))
 		return -ENODEV;

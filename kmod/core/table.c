@@ -116,11 +116,11 @@ long cm_buffer_ioctl_alloc(struct cm_buffer_table *table, struct device *dev, vo
 {
 	struct cm_buffer_alloc args;
 	struct cm_buffer *buffer;
-	int ret = cm_args_get(&args, sizeof(args), arg);
+	int ret = cm_args_get(&args, sizeof(args), CM_BUFFER_ALLOC_SIZE_VER0, arg);
 
 	if (ret)
 		return ret;
-	if (args.flags || args.reserved || args.size < sizeof(args))
+	if (args.flags || args.reserved)
 		return -EINVAL;
 	buffer = cm_buffer_alloc(dev, args.length);
 	if (IS_ERR(buffer))
@@ -150,11 +150,11 @@ long cm_buffer_ioctl_import(struct cm_buffer_table *table, struct device *dev,
 {
 	struct cm_buffer_import args;
 	struct cm_buffer *buffer;
-	int ret = cm_args_get(&args, sizeof(args), arg);
+	int ret = cm_args_get(&args, sizeof(args), CM_BUFFER_IMPORT_SIZE_VER0, arg);
 
 	if (ret)
 		return ret;
-	if (args.flags || args.size < sizeof(args))
+	if (args.flags)
 		return -EINVAL;
 	buffer = cm_buffer_import(dev, args.fd, direction);
 	if (IS_ERR(buffer))
@@ -183,11 +183,11 @@ long cm_buffer_ioctl_free(struct cm_buffer_table *table, void __user *arg)
 {
 	struct cm_buffer_free args;
 	struct cm_buffer *buffer;
-	int ret = cm_args_get(&args, sizeof(args), arg);
+	int ret = cm_args_get(&args, sizeof(args), CM_BUFFER_FREE_SIZE_VER0, arg);
 
 	if (ret)
 		return ret;
-	if (args.flags || args.reserved || args.size < sizeof(args))
+	if (args.flags || args.reserved)
 		return -EINVAL;
 	mutex_lock(&table->lock);
 	buffer = xa_load(&table->buffers, args.handle);

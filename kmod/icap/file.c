@@ -172,7 +172,7 @@ static long ioctl_info(struct cm_icap *icap, void __user *arg)
 {
 	struct cm_icap_info info;
 	u32 size;
-	int ret = cm_args_get(&info, sizeof(info), arg);
+	int ret = cm_args_get(&info, sizeof(info), CM_ICAP_INFO_SIZE_VER0, arg);
 
 	if (ret)
 		return ret;
@@ -188,7 +188,7 @@ static long ioctl_status(struct cm_icap *icap, void __user *arg)
 {
 	struct cm_icap_status status;
 	u32 size;
-	int ret = cm_args_get(&status, sizeof(status), arg);
+	int ret = cm_args_get(&status, sizeof(status), CM_ICAP_STATUS_SIZE_VER0, arg);
 
 	if (ret)
 		return ret;
@@ -251,7 +251,7 @@ static long ioctl_load(struct cm_icap_file *self, void __user *arg)
 	struct cm_icap_request request = { .done = file_done, .context = self,
 					   .own_bridges = true };
 	struct cm_icap_load args;
-	long ret = cm_args_get(&args, sizeof(args), arg);
+	long ret = cm_args_get(&args, sizeof(args), CM_ICAP_LOAD_SIZE_VER0, arg);
 
 	if (ret)
 		return ret;
@@ -277,7 +277,7 @@ static long cm_icap_ioctl(struct file *file, unsigned int command, unsigned long
 	struct device *dev = self->icap->channel->alloc_dev;
 	void __user *arg = (void __user *)value;
 
-	if (_IOC_TYPE(command) != CM_ICAP_IOC_MAGIC)
+	if (_IOC_TYPE(command) != CM_IOC_MAGIC)
 		return -ENOTTY;
 	if (READ_ONCE(self->icap->gone) && _IOC_NR(command) != _IOC_NR(CM_ICAP_IOC_FREE))
 		return -ENODEV;

@@ -3,6 +3,7 @@
 #ifndef _CM_ICAP_PRIVATE_H
 #define _CM_ICAP_PRIVATE_H
 
+#include <linux/completion.h>
 #include <linux/kref.h>
 #include <linux/miscdevice.h>
 #include <linux/mutex.h>
@@ -14,8 +15,9 @@
 #include "cm_icap.h"
 #include "cm_icap_port.h"
 
+struct clk;
+struct device_node;
 struct fpga_manager;
-struct platform_driver;
 
 /**
  * struct cm_icap_request - one load
@@ -65,15 +67,23 @@ enum cm_icap_select {
  * @timeout_ms: longest load
  * @hvc: ZynqMP: the firmware is called by HVC, not SMC
  * @devcfg: Zynq-7000: CTRL
+ * @devcfg_clock: Zynq-7000: of devcfg's registers
  * @pcap_pr: Zynq-7000: PCAP_PR as it was before the load
+ * @platform: node of the platform's own FPGA manager; a reference is held
+ * @held: that manager, during a load
  * @manager: FPGA manager
- * @lock: protects @gone, @status and the start of a load
+ * @start_lock: one start at a time
+ * @lock: protects @gone and @status
  * @gone: the device is unbound
  * @status: as user space sees it
+ * @state_before: state to go back to where nothing was touched
  * @request: load under way
+ * @queue: runs @work
+ * @work: one load
+ * @started: it has begun, or failed to with @start_error
+ * @start_error: 0 or a negative errno
  * @started_ns: when it was triggered
- * @deadline: when it should have ended, in jiffies
- * @work: ends a load, or finds that it did not end
+ * @sent: all descriptors have ended
  * @dma_lock: protects @dma_left and @dma_error
  * @dma_left: descriptors under way
  * @dma_error: first error of one
@@ -94,15 +104,23 @@ struct cm_icap {
 	u32 timeout_ms;
 	bool hvc;
 	void __iomem *devcfg;
+	struct clk *devcfg_clock;
 	u32 pcap_pr;
+	struct device_node *platform;
+	struct fpga_manager *held;
 	struct fpga_manager *manager;
-	struct mutex lock; /* protects gone, status and the start of a load */
+	struct mutex start_lock; /* one start at a time */
+	struct mutex lock; /* protects gone and status */
 	bool gone;
 	struct cm_icap_status status;
+	u32 state_before;
 	struct cm_icap_request request;
+	struct workqueue_struct *queue;
+	struct work_struct work;
+	struct completion started;
+	int start_error;
 	u64 started_ns;
-	unsigned long deadline;
-	struct delayed_work work;
+	struct completion sent;
 	spinlock_t dma_lock; /* protects dma_left and dma_error */
 	u32 dma_left;
 	int dma_error;
@@ -133,6 +151,5 @@ int cm_icap_bridges_enable(struct cm_icap *icap);
 int cm_icap_manager_init(struct cm_icap *icap);
 
 extern const struct file_operations cm_icap_fops;
-extern struct platform_driver cm_decoupler_driver;
 
 #endif /* _CM_ICAP_PRIVATE_H */

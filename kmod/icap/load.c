@@ -1,13 +1,16 @@
 // SPDX-License-Identifier: GPL-2.0-only
 /*
- * One load: select the port, send the words, wait for the port's own end.
+ * One load: have the port, send the words, wait for the port's own end.
  *
- * That the DMA is done only means that the data left memory.
+ * That the DMA is done only means that the data left memory.  All of a load is
+ * one piece of work, since the mutex of the platform's FPGA manager, which is
+ * held meanwhile, belongs to who took it.
  */
 #include <linux/delay.h>
 #include <linux/io.h>
 #include <linux/iopoll.h>
 #include <linux/ktime.h>
+#include <linux/workqueue.h>
 
 #include "cm_compat.h"
 #include "icap.h"
@@ -64,29 +67,27 @@ static void dma_done(void *context, const struct cm_result *result)
 	last = --icap->dma_left == 0;
 	spin_unlock_bh(&icap->dma_lock);
 	if (last)
-		mod_delayed_work(CM_SYSTEM_WQ, &icap->work, 0);
+		complete(&icap->sent);
 }
 
-static int dma_result(struct cm_icap *icap, bool *running)
+static int dma_error(struct cm_icap *icap)
 {
 	int error;
 
 	spin_lock_bh(&icap->dma_lock);
-	*running = icap->dma_left;
 	error = icap->dma_error;
 	spin_unlock_bh(&icap->dma_lock);
 	return error;
 }
 
-static u32 load_errors(struct cm_icap *icap)
+/* how the transfer ended, and then the port */
+static u32 await_end(struct cm_icap *icap)
 {
-	bool running;
-	int error = dma_result(icap, &running);
+	int error;
 
-	if (running) {
+	if (!wait_for_completion_timeout(&icap->sent, msecs_to_jiffies(icap->timeout_ms)))
 		cm_channel_cancel(icap->channel);
-		error = dma_result(icap, &running);
-	}
+	error = dma_error(icap);
 	if (error == -ECANCELED)
 		return CM_ICAP_ERR_TIMEOUT;
 	return error ? CM_ICAP_ERR_DMA : port_errors(icap);
@@ -109,51 +110,28 @@ static void finish(struct cm_icap *icap, u32 errors)
 	if (request.own_bridges && !completion.status)
 		completion.status = cm_icap_bridges_enable(icap);
 	completion.finished_ns = ktime_get_ns();
+	cm_buffer_put(request.buffer);
 	mutex_lock(&icap->lock);
 	icap->status.state = completion.status ? CM_ICAP_STATE_ERROR : CM_ICAP_STATE_IDLE;
 	icap->status.errors = errors;
 	icap->status.bytes_done = completion.length;
 	icap->status.loads++;
-	icap->request.buffer = NULL;
 	mutex_unlock(&icap->lock);
-	cm_buffer_put(request.buffer);
 	request.done(request.context, &completion);
 	wake_up_all(&icap->idle);
 }
 
-/**
- * cm_icap_work() - the DMA is done, or should have been
- * @work: of a port
- */
-void cm_icap_work(struct work_struct *work)
+/* all of it before the first word is sent */
+static void arm(struct cm_icap *icap)
 {
-	struct cm_icap *icap = container_of(to_delayed_work(work), struct cm_icap, work);
-	unsigned long now = jiffies;
-	bool early;
+	u64 most = round_down(icap->channel->info.max_length, 4);
 
-	if (!READ_ONCE(icap->request.buffer))
-		return;
-	/* woken by what an earlier load left behind */
+	reinit_completion(&icap->sent);
 	spin_lock_bh(&icap->dma_lock);
-	early = icap->dma_left && time_before(now, icap->deadline);
-	if (early)
-		queue_delayed_work(CM_SYSTEM_WQ, &icap->work, icap->deadline - now);
+	icap->dma_left = DIV64_U64_ROUND_UP(icap->request.length, most);
+	icap->dma_error = 0;
 	spin_unlock_bh(&icap->dma_lock);
-	if (!early)
-		finish(icap, load_errors(icap));
-}
-
-/* not before all is sent: the work must not end a load that is still being sent */
-static void watch(struct cm_icap *icap)
-{
-	unsigned long timeout = msecs_to_jiffies(icap->timeout_ms);
-
-	spin_lock_bh(&icap->dma_lock);
-	icap->deadline = jiffies + timeout;
-	/* otherwise the end has queued the work, or will */
-	if (icap->dma_left)
-		mod_delayed_work(CM_SYSTEM_WQ, &icap->work, timeout);
-	spin_unlock_bh(&icap->dma_lock);
+	icap->started_ns = ktime_get_ns();
 }
 
 /* the port sees one stream, however many descriptors it is cut into */
@@ -175,8 +153,6 @@ static int send(struct cm_icap *icap)
 		if (ret)
 			break;
 	}
-	if (!ret)
-		watch(icap);
 	return ret;
 }
 
@@ -215,17 +191,16 @@ static void withdraw(struct cm_icap *icap, u32 state)
 {
 	mutex_lock(&icap->lock);
 	icap->status.state = state;
-	icap->request.buffer = NULL;
 	mutex_unlock(&icap->lock);
 	wake_up_all(&icap->idle);
 }
 
 /* the port is asked for before anything is decoupled: it may be refused */
-static int prepare(struct cm_icap *icap, const struct cm_icap_request *request)
+static int prepare(struct cm_icap *icap)
 {
 	int ret = cm_icap_select_port(icap);
 
-	if (ret || !request->own_bridges)
+	if (ret || !icap->request.own_bridges)
 		return ret;
 	ret = cm_icap_bridges_disable(icap);
 	if (ret) {
@@ -236,21 +211,39 @@ static int prepare(struct cm_icap *icap, const struct cm_icap_request *request)
 	return ret;
 }
 
-/* all of it before the buffer, by which the work sees that there is a load */
-static void arm(struct cm_icap *icap, const struct cm_icap_request *request)
+/* what was sent before the engine took no more is ended, and not reported */
+static void send_back(struct cm_icap *icap)
 {
-	u64 most = round_down(icap->channel->info.max_length, 4);
+	cm_channel_cancel(icap->channel);
+	cm_icap_deselect_port(icap);
+}
 
-	spin_lock_bh(&icap->dma_lock);
-	icap->dma_left = DIV64_U64_ROUND_UP(request->length, most);
-	icap->dma_error = 0;
-	icap->deadline = jiffies + MAX_JIFFY_OFFSET;
-	spin_unlock_bh(&icap->dma_lock);
-	icap->started_ns = ktime_get_ns();
-	mutex_lock(&icap->lock);
-	icap->request = *request;
-	cm_buffer_get(request->buffer);
-	mutex_unlock(&icap->lock);
+/**
+ * cm_icap_work() - one load, from its start to its end
+ * @work: of a port
+ */
+void cm_icap_work(struct work_struct *work)
+{
+	struct cm_icap *icap = container_of(work, struct cm_icap, work);
+	u32 otherwise = icap->state_before;
+	int ret = prepare(icap);
+
+	if (!ret) {
+		arm(icap);
+		ret = send(icap);
+		if (ret) {
+			send_back(icap);
+			otherwise = CM_ICAP_STATE_ERROR;
+		}
+	}
+	icap->start_error = ret;
+	if (ret) {
+		cm_buffer_put(icap->request.buffer);
+		withdraw(icap, otherwise);
+	}
+	complete(&icap->started);
+	if (!ret)
+		finish(icap, await_end(icap));
 }
 
 /**
@@ -260,34 +253,26 @@ static void arm(struct cm_icap *icap, const struct cm_icap_request *request)
  *
  * Return: 0, and @request's done will be called; or a negative errno, and it
  * will not: -EINVAL for a range that is not made of words or lies outside the
- * buffer, -EMSGSIZE above the longest load, -EBUSY while one runs, -EACCES or
- * -EIO where the platform does not give the port.
+ * buffer, -EMSGSIZE above the longest load, -EBUSY while one runs, or while the
+ * platform's own FPGA manager is in use, -EACCES or -EIO where the platform does
+ * not give the port.
  */
 int cm_icap_start(struct cm_icap *icap, const struct cm_icap_request *request)
 {
 	int ret = check(icap, request);
-	u32 before;
 
-	if (!ret)
-		ret = begin(icap, request, &before);
 	if (ret)
 		return ret;
-	ret = prepare(icap, request);
-	if (ret) {
-		/* nothing was touched */
-		withdraw(icap, before);
-		return ret;
+	mutex_lock(&icap->start_lock);
+	ret = begin(icap, request, &icap->state_before);
+	if (!ret) {
+		icap->request = *request;
+		cm_buffer_get(request->buffer);
+		reinit_completion(&icap->started);
+		queue_work(icap->queue, &icap->work);
+		wait_for_completion(&icap->started);
+		ret = icap->start_error;
 	}
-	arm(icap, request);
-	ret = send(icap);
-	if (ret) {
-		/* what was sent of it is ended, and not reported */
-		cancel_delayed_work_sync(&icap->work);
-		cm_channel_cancel(icap->channel);
-		cancel_delayed_work_sync(&icap->work);
-		cm_icap_deselect_port(icap);
-		withdraw(icap, CM_ICAP_STATE_ERROR);
-		cm_buffer_put(request->buffer);
-	}
+	mutex_unlock(&icap->start_lock);
 	return ret;
 }

@@ -29,6 +29,7 @@ static void icap_free(struct kref *ref)
 		cm_channel_put(icap->channel);
 	ida_free(&cm_icap_ids, icap->id);
 	mutex_destroy(&icap->lock);
+	mutex_destroy(&icap->start_lock);
 	kfree(icap);
 }
 
@@ -61,7 +62,10 @@ static struct cm_icap *icap_new(struct device *dev)
 	mutex_init(&icap->lock);
 	spin_lock_init(&icap->dma_lock);
 	init_waitqueue_head(&icap->idle);
-	INIT_DELAYED_WORK(&icap->work, cm_icap_work);
+	mutex_init(&icap->start_lock);
+	init_completion(&icap->started);
+	init_completion(&icap->sent);
+	INIT_WORK(&icap->work, cm_icap_work);
 	icap->dev = dev;
 	snprintf(icap->name, sizeof(icap->name), "cm_icap%d", icap->id);
 	return icap;
@@ -110,7 +114,16 @@ static void stop(void *data)
 	mutex_unlock(&icap->lock);
 	wake_up_all(&icap->idle);
 	await_idle(icap);
-	cancel_delayed_work_sync(&icap->work);
+	destroy_workqueue(icap->queue);
+}
+
+/* not the system's: a load may take long */
+static int add_queue(struct cm_icap *icap)
+{
+	icap->queue = alloc_workqueue("%s", WQ_UNBOUND, 1, icap->name);
+	if (!icap->queue)
+		return -ENOMEM;
+	return devm_add_action_or_reset(icap->dev, stop, icap);
 }
 
 static void disable_clock(void *clock)
@@ -196,7 +209,7 @@ static int cm_icap_probe(struct platform_device *pdev)
 	if (!ret)
 		ret = add_channel(icap);
 	if (!ret)
-		ret = devm_add_action_or_reset(&pdev->dev, stop, icap);
+		ret = add_queue(icap);
 	if (!ret)
 		ret = cm_icap_manager_init(icap);
 	return ret ?: add_node(icap);
@@ -236,23 +249,7 @@ static struct platform_driver cm_icap_driver = {
 	},
 };
 
-static struct platform_driver * const drivers[] = {
-	&cm_icap_driver,
-	&cm_decoupler_driver,
-};
-
-static int __init cm_icap_init(void)
-{
-	return platform_register_drivers(drivers, ARRAY_SIZE(drivers));
-}
-module_init(cm_icap_init);
-
-static void __exit cm_icap_exit(void)
-{
-	platform_unregister_drivers(drivers, ARRAY_SIZE(drivers));
-	ida_destroy(&cm_icap_ids);
-}
-module_exit(cm_icap_exit);
+module_platform_driver(cm_icap_driver);
 
 MODULE_DESCRIPTION("Partial reconfiguration through a DMA-fed configuration port");
 MODULE_VERSION(CM_VERSION);

@@ -18,15 +18,23 @@
  * for the register (PM_MMIO_READ, 20) when the driver starts.  Whether by SMC or
  * HVC says the firmware's node, as to the kernel's own driver.
  *
+ * Who selects the port has the platform's own FPGA manager locked meanwhile, as
+ * each of its loads has: -EBUSY otherwise.
+ *
  * None of it was run on silicon.
  */
 #include <linux/arm-smccc.h>
+#include <linux/clk.h>
 #include <linux/io.h>
 #include <linux/of.h>
 #include <linux/of_address.h>
 #include <linux/property.h>
 
 #include "icap.h"
+
+#if IS_REACHABLE(CONFIG_FPGA)
+#include <linux/fpga/fpga-mgr.h>
+#endif
 
 #define ZYNQ_PCAP_PR BIT(27)
 
@@ -36,19 +44,71 @@
 #define ZYNQMP_PM_MMIO_READ 0xC2000014
 #define ZYNQMP_XST_PM_NO_ACCESS 2002
 
-static void zynq_select(struct cm_icap *icap)
+#if IS_REACHABLE(CONFIG_FPGA)
+/* a platform whose manager has no driver loads nothing by itself */
+static int hold_platform(struct cm_icap *icap)
 {
-	u32 value = readl(icap->devcfg);
+	struct fpga_manager *manager;
+	int ret;
 
-	icap->pcap_pr = value & ZYNQ_PCAP_PR;
-	writel(value & ~ZYNQ_PCAP_PR, icap->devcfg);
+	if (!icap->platform)
+		return 0;
+	manager = of_fpga_mgr_get(icap->platform);
+	if (IS_ERR(manager))
+		return PTR_ERR(manager) == -ENODEV ? 0 : PTR_ERR(manager);
+	ret = fpga_mgr_lock(manager);
+	if (ret)
+		fpga_mgr_put(manager);
+	else
+		icap->held = manager;
+	return ret;
 }
 
-static void zynq_restore(struct cm_icap *icap)
+static void let_go_of_platform(struct cm_icap *icap)
 {
-	u32 value = readl(icap->devcfg);
+	if (!icap->held)
+		return;
+	fpga_mgr_unlock(icap->held);
+	fpga_mgr_put(icap->held);
+	icap->held = NULL;
+}
+#else
+static int hold_platform(struct cm_icap *icap)
+{
+	return 0;
+}
 
+static void let_go_of_platform(struct cm_icap *icap)
+{
+}
+#endif
+
+/* mainline's driver stops the clock of these registers after each access of its own */
+static int zynq_select(struct cm_icap *icap)
+{
+	int ret = clk_prepare_enable(icap->devcfg_clock);
+	u32 value;
+
+	if (ret)
+		return ret;
+	value = readl(icap->devcfg);
+	icap->pcap_pr = value & ZYNQ_PCAP_PR;
+	writel(value & ~ZYNQ_PCAP_PR, icap->devcfg);
+	clk_disable_unprepare(icap->devcfg_clock);
+	return 0;
+}
+
+static int zynq_restore(struct cm_icap *icap)
+{
+	int ret = clk_prepare_enable(icap->devcfg_clock);
+	u32 value;
+
+	if (ret)
+		return ret;
+	value = readl(icap->devcfg);
 	writel((value & ~ZYNQ_PCAP_PR) | icap->pcap_pr, icap->devcfg);
+	clk_disable_unprepare(icap->devcfg_clock);
+	return 0;
 }
 
 #ifdef CONFIG_ARM64
@@ -92,9 +152,26 @@ static int zynqmp_ask(const struct cm_icap *icap)
 }
 #endif
 
+static void put_node(void *node)
+{
+	of_node_put(node);
+}
+
+static void put_clock(void *clock)
+{
+	clk_put(clock);
+}
+
+static int keep_platform(struct cm_icap *icap, struct device_node *node)
+{
+	icap->platform = of_node_get(node);
+	return devm_add_action_or_reset(icap->dev, put_node, icap->platform);
+}
+
 static int zynqmp_init(struct cm_icap *icap)
 {
 	struct device_node *node = of_find_compatible_node(NULL, NULL, "xlnx,zynqmp-firmware");
+	struct device_node *pcap = of_find_compatible_node(NULL, NULL, "xlnx,zynqmp-pcap-fpga");
 	const char *method;
 	int ret = -EINVAL;
 
@@ -104,7 +181,12 @@ static int zynqmp_init(struct cm_icap *icap)
 	}
 	of_node_put(node);
 	if (ret)
-		return dev_err_probe(icap->dev, ret, "no firmware node with a method\n");
+		dev_err_probe(icap->dev, ret, "no firmware node with a method\n");
+	else if (pcap)
+		ret = keep_platform(icap, pcap);
+	of_node_put(pcap);
+	if (ret)
+		return ret;
 	icap->select = CM_SELECT_ZYNQMP;
 	ret = zynqmp_ask(icap);
 	if (ret) {
@@ -121,9 +203,21 @@ static int zynq_init(struct cm_icap *icap)
 	struct resource range;
 	int ret = node ? of_address_to_resource(node, 0, &range) : -EINVAL;
 
+	if (!ret)
+		ret = keep_platform(icap, node);
 	of_node_put(node);
 	if (ret)
 		return dev_err_probe(icap->dev, ret, "no devcfg node\n");
+	icap->devcfg_clock = of_clk_get_by_name(icap->platform, "ref_clk");
+	ret = PTR_ERR_OR_ZERO(icap->devcfg_clock);
+	if (ret == -ENOENT || ret == -EINVAL) {
+		icap->devcfg_clock = NULL;
+		ret = 0;
+	}
+	if (!ret)
+		ret = devm_add_action_or_reset(icap->dev, put_clock, icap->devcfg_clock);
+	if (ret)
+		return dev_err_probe(icap->dev, ret, "no clock of devcfg\n");
 	icap->select = CM_SELECT_ZYNQ;
 	/* CTRL is its first register */
 	icap->devcfg = devm_ioremap(icap->dev, range.start, sizeof(u32));
@@ -153,14 +247,23 @@ int cm_icap_select_init(struct cm_icap *icap)
  * cm_icap_select_port() - before a load
  * @icap: port
  *
- * Return: 0, -EACCES where the firmware does not allow it, -EIO for another
- * answer of it, -EOPNOTSUPP.
+ * Return: 0, and the port is this load's until cm_icap_deselect_port() by the
+ * same task; -EBUSY while the platform's own manager is in use, -EACCES where
+ * the firmware does not allow it, -EIO for another answer of it, -EOPNOTSUPP.
  */
 int cm_icap_select_port(struct cm_icap *icap)
 {
+	int ret = hold_platform(icap);
+
+	if (ret)
+		return ret;
 	if (icap->select == CM_SELECT_ZYNQ)
-		zynq_select(icap);
-	return icap->select == CM_SELECT_ZYNQMP ? zynqmp_set(icap, 0) : 0;
+		ret = zynq_select(icap);
+	else if (icap->select == CM_SELECT_ZYNQMP)
+		ret = zynqmp_set(icap, 0);
+	if (ret)
+		let_go_of_platform(icap);
+	return ret;
 }
 
 /**
@@ -169,8 +272,13 @@ int cm_icap_select_port(struct cm_icap *icap)
  */
 void cm_icap_deselect_port(struct cm_icap *icap)
 {
+	int ret = 0;
+
 	if (icap->select == CM_SELECT_ZYNQ)
-		zynq_restore(icap);
-	if (icap->select == CM_SELECT_ZYNQMP && zynqmp_set(icap, ZYNQMP_PCAP_PR))
-		dev_warn(icap->dev, "PCAP could not be selected again\n");
+		ret = zynq_restore(icap);
+	else if (icap->select == CM_SELECT_ZYNQMP)
+		ret = zynqmp_set(icap, ZYNQMP_PCAP_PR);
+	if (ret)
+		dev_warn(icap->dev, "PCAP could not be selected again (%d)\n", ret);
+	let_go_of_platform(icap);
 }

@@ -96,4 +96,13 @@ static inline void cm_vm_flags_set(struct vm_area_struct *vma, unsigned long fla
 #endif
 }
 
+static inline void cm_vm_flags_clear(struct vm_area_struct *vma, unsigned long flags)
+{
+#if LINUX_VERSION_CODE >= KERNEL_VERSION(6, 3, 0)
+	vm_flags_clear(vma, flags);
+#else
+	vma->vm_flags &= ~flags;
+#endif
+}
+
 #endif /* _CM_COMPAT_H */

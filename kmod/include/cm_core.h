@@ -122,7 +122,7 @@ long cm_buffer_ioctl_import(struct cm_buffer_table *table, struct device *dev,
 			    enum dma_data_direction direction, void __user *arg);
 long cm_buffer_ioctl_free(struct cm_buffer_table *table, void __user *arg);
 
-int cm_args_get(void *args, size_t size, const void __user *from);
+int cm_args_get(void *args, size_t size, size_t least, const void __user *from);
 int cm_args_put(void __user *to, const void *args, size_t size);
 
 /**

@@ -44,3 +44,4 @@ module_exit(plsim_exit);
 MODULE_DESCRIPTION("Simulated programmable logic: DMA channels, registers, configuration port");
 MODULE_VERSION(CM_VERSION);
 MODULE_LICENSE("GPL");
+CM_IMPORT_CORE;

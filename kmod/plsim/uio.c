@@ -5,6 +5,7 @@
  * The registers are memory: what is written stays, and nothing sees it
  * happen.  A word may be named as a doorbell: it is looked at every
  * millisecond, and a value other than 0 is taken and raises the interrupt.
+ * Where it has an address its pages can be lent, as those of real logic.
  */
 #include <linux/debugfs.h>
 #include <linux/mod_devicetable.h>
@@ -17,6 +18,7 @@
 #include <linux/workqueue.h>
 
 #include "cm_compat.h"
+#include "cm_window_core.h"
 #include "plsim.h"
 
 #define NO_DOORBELL U32_MAX
@@ -189,6 +191,37 @@ static int init_memory(struct device *dev, struct plsim_uio *uio)
 	return devm_add_action_or_reset(dev, free_memory, uio->memory);
 }
 
+static unsigned long page_of_memory(void *context, unsigned long page)
+{
+	struct plsim_uio *uio = context;
+
+	return page_to_pfn(uio->pages[page]);
+}
+
+static void unregister_window(void *window)
+{
+	cm_window_unregister(window);
+}
+
+static int offer_pages(struct device *dev, struct plsim_uio *uio)
+{
+	struct cm_window_config config = {
+		.address = uio->info.mem[0].addr,
+		.length = uio->size,
+		.pfn = page_of_memory,
+		.context = uio,
+		.memory = true,
+	};
+	struct cm_window *window;
+
+	if (!config.address)
+		return 0;
+	window = cm_window_register(&config);
+	if (IS_ERR(window))
+		return dev_err_probe(dev, PTR_ERR(window), "its address is another window's\n");
+	return devm_add_action_or_reset(dev, unregister_window, window);
+}
+
 static int start_poll(struct device *dev, struct plsim_uio *uio)
 {
 	if (uio->doorbell == NO_DOORBELL)
@@ -219,6 +252,8 @@ static int plsim_uio_probe(struct platform_device *pdev)
 	ret = read_properties(dev, uio);
 	if (!ret)
 		ret = init_memory(dev, uio);
+	if (!ret)
+		ret = offer_pages(dev, uio);
 	if (ret)
 		return ret;
 	uio->info.version = "plsim";

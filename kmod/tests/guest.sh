@@ -2,7 +2,7 @@
 # What the guest of run-kvm.sh does; sourced by busybox sh as root.
 set -e
 cd /modules
-for module in configfs uio cm_dma cm_icap cm_plsim cm_axidma_compat; do
+for module in configfs uio cm_dma cm_window cm_icap cm_plsim cm_axidma_compat; do
 	if [ -e $module.ko ]; then insmod $module.ko; fi
 done
 mount -t configfs configfs /sys/kernel/config
@@ -37,7 +37,7 @@ engine=/sys/kernel/debug/cm_plsim/$(cat $board/dev_name)
 ls $engine /sys/kernel/debug/cm_dma
 
 smoke_dma $engine
-for test in uio icap axidma; do
+for test in uio window icap axidma; do
 	if command -v smoke_$test >/dev/null; then smoke_$test $engine; fi
 done
 
@@ -57,7 +57,7 @@ done
 echo 1 >$board/live
 for name in to_pl from_pl camera display icap vcam; do rmdir $board/dma/$name; done
 rmdir $board/uio/camera $board
-for module in cm_axidma_compat cm_plsim cm_icap cm_dma; do
+for module in cm_axidma_compat cm_plsim cm_icap cm_window cm_dma; do
 	if grep -q "^$module " /proc/modules; then rmmod $module; fi
 done
 if dmesg | grep -E 'BUG|WARNING|Oops|refcount|leak'; then exit 1; fi

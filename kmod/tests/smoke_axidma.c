@@ -275,7 +275,7 @@ int main(int argc, char **argv)
 
 	/* a dma-buf of another device; here of the port's node */
 	other = open("/dev/cm_icap0", O_RDWR);
-	CHECK(other >= 0 && ioctl(other, _IOWR(0xCE, 1, struct cm_buffer_alloc), &alloc) == 0);
+	CHECK(other >= 0 && ioctl(other, _IOWR(CM_IOC_MAGIC, 0x21, struct cm_buffer_alloc), &alloc) == 0);
 	registered.fd = alloc.fd;
 	registered.address = mmap(NULL, LENGTH, PROT_READ | PROT_WRITE, MAP_SHARED, alloc.fd, 0);
 	CHECK(registered.address != MAP_FAILED);

@@ -104,12 +104,12 @@ static void test_info(int channel)
 	CHECK(info.direction == CM_DMA_S2MM && !strcmp((char *)info.name, "camera"));
 	CHECK(info.frame_length == 4096 && info.queue_depth == 64);
 	CHECK(info.caps & CM_DMA_CAP_CYCLIC && info.caps & CM_DMA_CAP_RESIDUE);
-	CHECK(ioctl(channel, _IOWR(CM_DMA_IOC_MAGIC, 0, longer), &longer) == 0);
+	CHECK(ioctl(channel, _IOWR(CM_IOC_MAGIC, 0, longer), &longer) == 0);
 	longer.later = 1;
-	CHECK(ioctl(channel, _IOWR(CM_DMA_IOC_MAGIC, 0, longer), &longer) == -1 && errno == E2BIG);
+	CHECK(ioctl(channel, _IOWR(CM_IOC_MAGIC, 0, longer), &longer) == -1 && errno == E2BIG);
 	info.flags = 1;
 	CHECK(ioctl(channel, CM_DMA_IOC_INFO, &info) == -1 && errno == EINVAL);
-	CHECK(ioctl(channel, _IOC(0, CM_DMA_IOC_MAGIC, 99, 0), &info) == -1 && errno == ENOTTY);
+	CHECK(ioctl(channel, _IOC(0, CM_IOC_MAGIC, 99, 0), &info) == -1 && errno == ENOTTY);
 	CHECK(open_channel("camera") == -1 && errno == EBUSY);
 }
 
@@ -393,6 +393,63 @@ static void test_bad_answers(int channel)
 	release(&buffer);
 }
 
+static void prepare_submit(int fd, void *args)
+{
+	struct cm_dma_submit *submit = args;
+	struct cm_buffer_alloc alloc;
+
+	make_buffer(fd, &alloc);
+	close(alloc.fd);
+	submit->handle = alloc.handle;
+	submit->length = 4096;
+}
+
+static void prepare_video(int fd, void *args)
+{
+	struct cm_dma_submit_video *submit = args;
+	struct cm_buffer_alloc alloc;
+
+	make_buffer(fd, &alloc);
+	close(alloc.fd);
+	submit->handle = alloc.handle;
+	submit->lines = 4;
+	submit->line_bytes = 256;
+	submit->stride = 256;
+}
+
+static void undo_submit(int fd, void *args)
+{
+	struct cm_dma_cancel cancel = { .size = sizeof(cancel) };
+	struct cm_dma_completion completion;
+
+	ioctl(fd, CM_DMA_IOC_CANCEL, &cancel);
+	while (read(fd, &completion, sizeof(completion)) > 0)
+		;
+	free_buffer(fd, made);
+}
+
+static void test_sizes(void)
+{
+	static const __u32 info[] = { CM_DMA_INFO_SIZE_VER0, 0 };
+	static const __u32 submit[] = { CM_DMA_SUBMIT_SIZE_VER0, 0 };
+	static const __u32 video[] = { CM_DMA_SUBMIT_VIDEO_SIZE_VER0, 0 };
+	static const __u32 cancel[] = { CM_DMA_CANCEL_SIZE_VER0, 0 };
+	int channel = open_channel("vcam");
+
+	_Static_assert(sizeof(struct cm_dma_info) == CM_DMA_INFO_SIZE_VER0, "info");
+	_Static_assert(sizeof(struct cm_dma_submit) == CM_DMA_SUBMIT_SIZE_VER0, "submit");
+	_Static_assert(sizeof(struct cm_dma_submit_video) == CM_DMA_SUBMIT_VIDEO_SIZE_VER0, "video");
+	_Static_assert(sizeof(struct cm_dma_cancel) == CM_DMA_CANCEL_SIZE_VER0, "cancel");
+	CHECK(channel >= 0);
+	fcntl(channel, F_SETFL, O_NONBLOCK);
+	check_buffer_sizes(channel, 0);
+	check_sizes(channel, 0, info, nothing, nothing);
+	check_sizes(channel, 4, submit, prepare_submit, undo_submit);
+	check_sizes(channel, 5, video, prepare_video, undo_submit);
+	check_sizes(channel, 6, cancel, nothing, nothing);
+	close(channel);
+}
+
 int main(int argc, char **argv)
 {
 	int channel;
@@ -417,6 +474,7 @@ int main(int argc, char **argv)
 	close(channel);
 	test_loopback();
 	test_death();
+	test_sizes();
 	printf("%s: %d failures\n", failures ? "FAIL" : "PASS", failures);
 	return failures != 0;
 }

@@ -137,6 +137,54 @@ static void test_unread(int port, uint32_t handle, size_t length)
 	CHECK(i == 65);
 }
 
+static __u32 loaded;
+static __u64 loads_before;
+
+static struct cm_icap_status status_of(int port)
+{
+	struct cm_icap_status status = { .size = sizeof(status) };
+
+	CHECK(ioctl(port, CM_ICAP_IOC_STATUS, &status) == 0);
+	return status;
+}
+
+/* one word is taken, and ends in an error of its own */
+static void prepare_load(int port, void *args)
+{
+	struct cm_icap_load *load = args;
+
+	load->handle = loaded;
+	load->length = 4;
+	loads_before = status_of(port).loads;
+}
+
+/* what was refused does not end */
+static void undo_load(int port, void *args)
+{
+	struct cm_icap_completion completion;
+
+	while (status_of(port).state == CM_ICAP_STATE_LOADING)
+		usleep(1000);
+	if (status_of(port).loads > loads_before)
+		CHECK(finished(port, &completion) == -EIO);
+}
+
+static void test_sizes(int port, __u32 handle)
+{
+	static const __u32 info[] = { CM_ICAP_INFO_SIZE_VER0, 0 };
+	static const __u32 load[] = { CM_ICAP_LOAD_SIZE_VER0, 0 };
+	static const __u32 status[] = { CM_ICAP_STATUS_SIZE_VER0, 0 };
+
+	_Static_assert(sizeof(struct cm_icap_info) == CM_ICAP_INFO_SIZE_VER0, "info");
+	_Static_assert(sizeof(struct cm_icap_load) == CM_ICAP_LOAD_SIZE_VER0, "load");
+	_Static_assert(sizeof(struct cm_icap_status) == CM_ICAP_STATUS_SIZE_VER0, "status");
+	loaded = handle;
+	check_buffer_sizes(port, 0x20);
+	check_sizes(port, 0x20, info, nothing, nothing);
+	check_sizes(port, 0x24, load, prepare_load, undo_load);
+	check_sizes(port, 0x25, status, nothing, nothing);
+}
+
 int main(int argc, char **argv)
 {
 	struct cm_buffer_alloc args = { .size = sizeof(args), .length = 1 << 16 };
@@ -207,6 +255,7 @@ int main(int argc, char **argv)
 	CHECK(ioctl(port, CM_ICAP_IOC_LOAD, &bad) == -1 && errno == EINVAL);
 
 	test_unread(port, args.handle, length);
+	test_sizes(port, args.handle);
 
 	/* closing waits for the end of the load */
 	loads = counter("icap", "loads");

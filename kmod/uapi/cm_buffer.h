@@ -9,14 +9,23 @@
  * Every structure begins with its own size as the caller knows it.  A kernel
  * that knows a shorter structure accepts a longer one if all bytes beyond its
  * own are zero (-E2BIG otherwise); one that knows a longer structure takes the
- * missing bytes as zero.  Unknown flags and non-zero reserved fields are
- * refused with -EINVAL.
+ * missing bytes as zero, and fills in what the caller has room for.  A size
+ * below that of the structure's first form (*_SIZE_VER0) is -EINVAL, as
+ * unknown flags and reserved fields other than zero are.
  */
 #ifndef _UAPI_CM_BUFFER_H
 #define _UAPI_CM_BUFFER_H
 
 #include <linux/ioctl.h>
 #include <linux/types.h>
+
+/* of all calls of these modules: cm_dma from 0x00 on, cm_icap from 0x20, cm_window from 0x40 */
+#define CM_IOC_MAGIC 0xC5
+
+#define CM_BUFFER_ALLOC_SIZE_VER0 32
+#define CM_BUFFER_ALLOC_SIZE_VER1 40 /* address */
+#define CM_BUFFER_IMPORT_SIZE_VER0 24
+#define CM_BUFFER_FREE_SIZE_VER0 16
 
 /**
  * struct cm_buffer_alloc - allocate a buffer the device can reach

@@ -13,7 +13,11 @@
 
 #include "cm_buffer.h"
 
-#define CM_DMA_IOC_MAGIC 0xCD
+#define CM_DMA_INFO_SIZE_VER0 72
+#define CM_DMA_SUBMIT_SIZE_VER0 48
+#define CM_DMA_SUBMIT_VIDEO_SIZE_VER0 40
+#define CM_DMA_CANCEL_SIZE_VER0 8
+
 #define CM_DMA_NAME_MAX 32
 
 /* direction of a channel, seen from memory as the AXI DMA's data sheet does */
@@ -143,12 +147,12 @@ struct cm_dma_completion {
 	__u32 flags;
 };
 
-#define CM_DMA_IOC_INFO _IOWR(CM_DMA_IOC_MAGIC, 0x00, struct cm_dma_info)
-#define CM_DMA_IOC_ALLOC _IOWR(CM_DMA_IOC_MAGIC, 0x01, struct cm_buffer_alloc)
-#define CM_DMA_IOC_IMPORT _IOWR(CM_DMA_IOC_MAGIC, 0x02, struct cm_buffer_import)
-#define CM_DMA_IOC_FREE _IOW(CM_DMA_IOC_MAGIC, 0x03, struct cm_buffer_free)
-#define CM_DMA_IOC_SUBMIT _IOW(CM_DMA_IOC_MAGIC, 0x04, struct cm_dma_submit)
-#define CM_DMA_IOC_SUBMIT_VIDEO _IOW(CM_DMA_IOC_MAGIC, 0x05, struct cm_dma_submit_video)
-#define CM_DMA_IOC_CANCEL _IOW(CM_DMA_IOC_MAGIC, 0x06, struct cm_dma_cancel)
+#define CM_DMA_IOC_INFO _IOWR(CM_IOC_MAGIC, 0x00, struct cm_dma_info)
+#define CM_DMA_IOC_ALLOC _IOWR(CM_IOC_MAGIC, 0x01, struct cm_buffer_alloc)
+#define CM_DMA_IOC_IMPORT _IOWR(CM_IOC_MAGIC, 0x02, struct cm_buffer_import)
+#define CM_DMA_IOC_FREE _IOW(CM_IOC_MAGIC, 0x03, struct cm_buffer_free)
+#define CM_DMA_IOC_SUBMIT _IOW(CM_IOC_MAGIC, 0x04, struct cm_dma_submit)
+#define CM_DMA_IOC_SUBMIT_VIDEO _IOW(CM_IOC_MAGIC, 0x05, struct cm_dma_submit_video)
+#define CM_DMA_IOC_CANCEL _IOW(CM_IOC_MAGIC, 0x06, struct cm_dma_cancel)
 
 #endif /* _UAPI_CM_DMA_H */

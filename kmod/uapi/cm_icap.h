@@ -13,7 +13,9 @@
 
 #include "cm_buffer.h"
 
-#define CM_ICAP_IOC_MAGIC 0xCE
+#define CM_ICAP_INFO_SIZE_VER0 32
+#define CM_ICAP_LOAD_SIZE_VER0 40
+#define CM_ICAP_STATUS_SIZE_VER0 40
 
 /**
  * struct cm_icap_info - what this port is
@@ -120,11 +122,11 @@ struct cm_icap_completion {
 	__u32 errors;
 };
 
-#define CM_ICAP_IOC_INFO _IOWR(CM_ICAP_IOC_MAGIC, 0x00, struct cm_icap_info)
-#define CM_ICAP_IOC_ALLOC _IOWR(CM_ICAP_IOC_MAGIC, 0x01, struct cm_buffer_alloc)
-#define CM_ICAP_IOC_IMPORT _IOWR(CM_ICAP_IOC_MAGIC, 0x02, struct cm_buffer_import)
-#define CM_ICAP_IOC_FREE _IOW(CM_ICAP_IOC_MAGIC, 0x03, struct cm_buffer_free)
-#define CM_ICAP_IOC_LOAD _IOW(CM_ICAP_IOC_MAGIC, 0x04, struct cm_icap_load)
-#define CM_ICAP_IOC_STATUS _IOWR(CM_ICAP_IOC_MAGIC, 0x05, struct cm_icap_status)
+#define CM_ICAP_IOC_INFO _IOWR(CM_IOC_MAGIC, 0x20, struct cm_icap_info)
+#define CM_ICAP_IOC_ALLOC _IOWR(CM_IOC_MAGIC, 0x21, struct cm_buffer_alloc)
+#define CM_ICAP_IOC_IMPORT _IOWR(CM_IOC_MAGIC, 0x22, struct cm_buffer_import)
+#define CM_ICAP_IOC_FREE _IOW(CM_IOC_MAGIC, 0x23, struct cm_buffer_free)
+#define CM_ICAP_IOC_LOAD _IOW(CM_IOC_MAGIC, 0x24, struct cm_icap_load)
+#define CM_ICAP_IOC_STATUS _IOWR(CM_IOC_MAGIC, 0x25, struct cm_icap_status)
 
 #endif /* _UAPI_CM_ICAP_H */

@@ -14,7 +14,7 @@ DRIVERS = {
     "fpga-cm,uio": "uio_pdrv_genirq",
     "fpga-cm,dma-client": "cm_dma",
     "fpga-cm,icap-loader": "cm_icap",
-    "fpga-cm,decoupler": "cm_icap",
+    "fpga-cm,decoupler": "xilinx_pr_decoupler",
     "fpga-cm,clocks": "cm_clock",
     "xlnx,axi-dma-1.00.a": "xilinx_dma",
     "xlnx,axi-vdma-1.00.a": "xilinx_dma",

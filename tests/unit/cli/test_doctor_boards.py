@@ -193,7 +193,7 @@ def test_the_pmu_firmware_does_not_matter_on_zynq_7000(pynq: Tree) -> None:
     ("compatible", "module"),
     [
         ("fpga-cm,dma-client", "cm_dma"),
-        ("fpga-cm,decoupler", "cm_icap"),
+        ("fpga-cm,decoupler", "xilinx_pr_decoupler"),
         ("fpga-cm,clocks", "cm_clock"),
         ("xlnx,pr-decoupler", "xilinx_pr_decoupler"),
         ("fpga-cm,uio", "uio_pdrv_genirq"),

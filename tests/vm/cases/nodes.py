@@ -15,7 +15,7 @@ DRIVERS = {
     "fpga-cm,uio": "uio_pdrv_genirq",
     "fpga-cm,clocks": "cm_clock",
     "fpga-cm,dma-client": "cm_dma",
-    "fpga-cm,decoupler": "cm_decoupler",
+    "fpga-cm,decoupler": "xlnx_pr_decoupler",
     "fpga-cm,icap-loader": "cm_icap",
     "xlnx,axi-dma-1.00.a": "xilinx-vdma",
     "xlnx,axi-mcdma-1.00.a": "xilinx-vdma",
