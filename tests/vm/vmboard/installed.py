@@ -7,7 +7,8 @@ import shutil
 import sys
 from pathlib import Path
 
-from vmboard import initrd, qemu
+from vmboard import initrd, qemu, software
+from vmboard import kernel as kernels
 from vmboard.arch import Arch
 from vmboard.booted import Booted
 from vmboard.cache import Cache, source_files
@@ -68,10 +69,10 @@ def _fetch(arch: Arch, out: Path) -> None:
         raise MissingError(f"the wheels in {BRIDGES.name} cannot be fetched: {str(error).splitlines()[-1]}") from None
 
 
-def disk(files: list[Path], place: Path, bridges: Path | None = None) -> Path:
+def disk(files: list[Path], place: Path, bridges: Path | None = None, logic: Path | None = None) -> Path:
     """A disk with the artefacts, the configuration's archive, the upgrade, and what a board has instead of a PL.
 
-    `bridges` is the folder of wheels for them.
+    `bridges` is the folder of wheels for them, `logic` the module of the simulated PL, which our packages lack.
     """
     from vmboard.camera import archive
 
@@ -88,6 +89,8 @@ def disk(files: list[Path], place: Path, bridges: Path | None = None) -> Path:
     shutil.copy2(REPOSITORY / "system/sysv/cm", root / "sysv")
     shutil.copytree(BOARD, root / "board")
     shutil.copy2(SHARED, root / "board")
+    if logic is not None:
+        shutil.copy2(logic, root / "board")
     image = place / "disk.ext4"
     run(["mke2fs", "-q", "-t", "ext4", "-O", "^has_journal", "-d", root, image, "64M"])
     return image
@@ -129,7 +132,8 @@ def release(arch: Arch, root: System) -> list[Path]:
 def _install(cache: Cache, tier: Tier, plain: System, place: Path) -> None:
     copy(plain.root, place / "root.ext4")
     files = artefacts(tier.arch)
-    image = disk(files, place)
+    logic = software.kernel_modules(cache, kernels.stock(cache, tier.arch)) / "cm_plsim.ko"
+    image = disk(files, place, logic=logic)
     board = Booted(machine(cache, tier, System(plain.kernel, place / "root.ext4"), image), place / "log")
     board.boot()
     try:
