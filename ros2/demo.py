@@ -59,7 +59,9 @@ def light_route(runtime: Path) -> Iterator[list[str]]:
     from cm.tools.bench.peers.zenoh_pictures import routing
 
     router, where = routing()
-    words = child.command("cm.cli.main", "bridge", "ros", "--runtime-dir", str(runtime), "--domain", "0")
+    words = child.command(
+        "cm.cli.main", "bridge", "ros", "--runtime-dir", str(runtime), "--domain", "0", "--write", "frames"
+    )
     with running([*words, "--router", where], {}, stderr=subprocess.PIPE) as bridge:
         assert bridge.stderr is not None
         while b"cm bridge: /" not in (line := bridge.stderr.readline()):
@@ -75,7 +77,7 @@ def ros(runtime: Path) -> Iterator[list[str]]:
     os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     path = os.pathsep.join([str(HERE / "cm_ros2"), str(HERE.parent), os.environ.get("PYTHONPATH", "")])
-    arguments = ["--ros-args", "-r", "__node:=cm", "-p", f"connect:={runtime}"]
+    arguments = ["--ros-args", "-r", "__node:=cm", "-p", f"connect:={runtime}", "-p", "write:=frames"]
     with running([sys.executable, "-m", "cm_ros2.node", *arguments], {"PYTHONPATH": path}):
         yield [sys.executable, str(HERE / "demo_peer.py")]
 

@@ -40,12 +40,11 @@ class Bridge(BridgeProcess):
 
     def __init__(self, runtime: Path, router: str, *arguments: str, direct: bool = False) -> None:
         environment = {**child.environment(), "ROS_DOMAIN_ID": str(DOMAIN)}
-        environment.pop("ZENOH_CONFIG_OVERRIDE", None)  # set by a ROS environment in which these tests run
         if direct:
             environment["ZENOH_CONFIG_OVERRIDE"] = f'connect/endpoints=["tcp/{router}"]'
         else:
             arguments += ("--router", router)
-        super().__init__("ros", runtime, arguments, environment)
+        super().__init__("ros", runtime, ("--write", "all", *arguments), environment)
 
 
 class Peer(ListeningPeer):
@@ -73,6 +72,14 @@ class Peer(ListeningPeer):
             for reply in replies:
                 return reply
         raise AssertionError(f"nobody answers {key}")
+
+    def refused(self, name: str, kind: str, **request: Any) -> bool:
+        """Whether a request that a router does not let through gets no answer."""
+        key = self.transport._end(End.CLIENT, name, kind, SERVICES).key
+        attachment = Attachment(5, time.time_ns(), bytes(range(16))).to_bytes()
+        return not list(
+            self.session.get(key, payload=cdr.encode(f"{kind}_Request", request), attachment=attachment, timeout=5.0)
+        )
 
     def send(self, name: str, kind: str, **request: Any) -> None:
         """Call a service that was met already, and do not wait."""

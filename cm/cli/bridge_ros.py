@@ -44,6 +44,13 @@ def add_ros_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser])
         metavar="HOST[:PORT]",
         help="send everything through this router instead, such as one on another machine",
     )
+    parser.add_argument(
+        "--write",
+        default="",
+        metavar="WHAT",
+        help="what nodes may change: modes, registers, frames, several with commas between them, or all (default: "
+        "nothing); every node that reaches this one may then, see docs/ros2.md",
+    )
     parser.add_argument("--guest", default="", metavar="NAME", help="guest in whose name requests reach the manager")
     parser.add_argument(
         "--best-effort",
@@ -71,12 +78,13 @@ def run(args: argparse.Namespace) -> int:
         raise NotInstalled(
             f"cm bridge ros needs eclipse-zenoh and xxhash: pip install 'fpga-cm[zenoh]' ({error})"
         ) from None
+    from cm.networks.bridge.commands import writes_named
     from cm.networks.ros.node import NodeName
 
-    name = NodeName(args.name, args.namespace)
+    name, writes = NodeName(args.name, args.namespace), writes_named(args.write)
     transport = ZenohTransport(name, domain_of(args), args.router)
     try:
-        serve(args, transport, name)
+        serve(args, transport, name, writes)
     finally:
         transport.close()
     end()
@@ -93,7 +101,7 @@ def domain_of(args: argparse.Namespace) -> int:
     return number
 
 
-def serve(args: argparse.Namespace, transport: Transport, name: NodeName) -> None:
+def serve(args: argparse.Namespace, transport: Transport, name: NodeName, writes: frozenset[str]) -> None:
     """Until interrupted."""
     from cm.client.board import connect
     from cm.networks.bridge.commands import Commands
@@ -104,7 +112,7 @@ def serve(args: argparse.Namespace, transport: Transport, name: NodeName) -> Non
     def connected(guest: str = "") -> Board:
         return connect(args.connect, runtime_dir=args.runtime_dir, keys=args.keys, guest=guest)
 
-    commands = Commands(connected)
+    commands = Commands(connected, writes)
     node = BoardNode(transport, name, commands, args.guest, SENSOR_DATA if args.best_effort else EVENTS)
     follower = Follower(connected, node, args.patience)
     ended = threading.Event()

@@ -18,7 +18,7 @@ from manager_process import until as until_true
 import cm
 from cm.client.errors import RequestFailed
 from cm.errors import CmError
-from cm.networks.bridge.commands import Commands
+from cm.networks.bridge.commands import WRITES, Commands
 from cm.networks.bridge.follower import Follower
 from cm.networks.bridge.frames import FrameReader
 from cm.networks.bridge.records import Caller, ConfigRecord, FrameRecord, InterruptRecord, RegistersRecord, StatusRecord
@@ -73,7 +73,7 @@ def following(manager: Manager, patience: float = 30.0) -> Iterator[Told]:
 
 @pytest.fixture
 def commands(manager: Manager) -> Iterator[Commands]:
-    made = Commands(lambda guest: cm.connect(runtime_dir=manager.runtime, timeout=30))
+    made = Commands(lambda guest: cm.connect(runtime_dir=manager.runtime, timeout=30), WRITES)
     yield made
     made.close()
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import os
 import queue
 import re
@@ -16,7 +17,9 @@ import pytest
 from manager_process import REPOSITORY, Manager, until
 
 import cm
+from cm.errors import InvalidRequest
 from cm.simulation.software import Board as SimBoard
+from cm.tools.demo.boards import free_ports
 
 pytest.importorskip("zenoh")
 pytest.importorskip("xxhash")
@@ -24,7 +27,7 @@ pytest.importorskip("xxhash")
 from zenoh_support import DOMAIN, PATIENCE, Bridge, Peer, Router
 
 from cm.networks.ros.standard import STANDARD
-from cm.networks.ros.transport import EVENTS, Qos
+from cm.networks.ros.transport import EVENTS, LATCHED, Qos
 from cm.networks.ros.typehash import type_hash
 
 IMAGE = "sensor_msgs/msg/Image"
@@ -246,6 +249,85 @@ def test_the_action_tells_its_progress_and_is_cancelled(
         assert status == 0, said
 
 
+def test_a_node_that_was_not_told_to_write_observes(own: tuple[Manager, SimBoard], peer: Peer, router: Router) -> None:
+    """Nothing that another node asks reaches the board; it is told what would let it through."""
+    with own[0].connected() as board:
+        board.load("camera")
+        board.mode = "loopback"
+        before = (board.mode, board.registers["focus"], board.status.last_change)
+        bridge = Bridge(own[0].runtime, router.where, "--name", "fourth", "--write", "")
+        ours, theirs = "cm_interfaces/srv/", "rcl_interfaces/srv/"
+        write = {"writes": [{"name": "focus", "value": 7}]}
+        focus = {"name": "registers.focus", "value": {"type": 2, "integer_value": 7}}
+        until(lambda: peer.call("/fourth/list_parameters", f"{theirs}ListParameters")["result"]["names"], PATIENCE)
+        refused = [
+            peer.call("/fourth/set_mode", f"{ours}SetMode", mode="default"),
+            peer.call("/fourth/load_config", f"{ours}LoadConfig", config_name="camera"),
+            peer.call("/fourth/write_registers", f"{ours}WriteRegisters", **write),
+        ]
+        assert [(one["code"], one["message"][-11:]) for one in refused] == [
+            ("forbidden", "write modes"), ("forbidden", "write modes"), ("forbidden", "e registers")
+        ]  # fmt: skip
+        (result,) = peer.call("/fourth/set_parameters", f"{theirs}SetParameters", parameters=[focus])["results"]
+        assert (result["successful"], "write registers" in result["reason"]) == (False, True)
+        described = peer.call("/fourth/describe_parameters", f"{theirs}DescribeParameters", names=["registers.focus"])
+        assert described["descriptors"][0]["read_only"]
+        action, kind, goal = "/fourth/change_mode/_action", "cm_interfaces/action/ChangeMode", {"uuid": bytes(16)}
+        peer.call(f"{action}/send_goal", f"{kind}_SendGoal", goal_id=goal, goal={"mode": "default"})
+        ended = peer.call(f"{action}/get_result", f"{kind}_GetResult", goal_id=goal)
+        assert (ended["status"], ended["result"]["code"]) == (6, "forbidden")
+        publisher = peer.transport.publisher("/fourth/to_pl/write", IMAGE, EVENTS)
+        seen = peer.next("/fourth/configuration", "cm_interfaces/msg/Configuration", LATCHED)
+        assert (seen["writable_streams"], publisher.listeners()) == (["to_pl"], 0)
+        assert peer.call("/fourth/plan", f"{ours}Plan", mode="default")["success"]
+        assert (board.mode, board.registers["focus"], board.status.last_change) == before
+        publisher.close()
+        assert bridge.stop()[0] == 0
+
+
+def test_the_router_of_the_documentation_lets_viewers_see_and_operators_change(
+    shared: tuple[Manager, SimBoard], board: cm.Board, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = (REPOSITORY / "docs" / "ros2.md").read_text().partition("```json5\n")[2].partition("```")[0]
+    port, users = free_ports(), tmp_path / "users"
+    users.write_text("".join(f"{name}:{name[0]}-secret\n" for name in ("board", "operator", "viewer")))
+    file = tmp_path / "router.json5"
+    file.write_text(text.replace("0.0.0.0:7447", f"127.0.0.1:{port}").replace('"users"', json.dumps(str(users))))
+
+    def as_user(name: str, password: str = "") -> None:
+        said = {"user": name, "password": password or f"{name[0]}-secret"}
+        pairs = [f'transport/auth/usrpwd/{key}="{value}"' for key, value in said.items()]
+        monkeypatch.setenv("ZENOH_CONFIG_OVERRIDE", ";".join(pairs))
+
+    set_mode, plan = ("/door/set_mode", "cm_interfaces/srv/SetMode"), ("/door/plan", "cm_interfaces/srv/Plan")
+    file.write_text(file.read_text().replace("*/cm/", "*/door/"))
+    import zenoh
+
+    with zenoh.open(zenoh.Config.from_file(str(file))):
+        as_user("board")
+        bridge = Bridge(shared[0].runtime, f"127.0.0.1:{port}", "--name", "door")
+        try:
+            as_user("viewer")
+            viewer = Peer(f"127.0.0.1:{port}")
+            assert viewer.call(*plan, mode="colorise")["success"]
+            assert viewer.next("/door/status", "cm_interfaces/msg/Status", LATCHED)["config_name"] == "camera"
+            tokens = viewer.session.liveliness().get(f"@ros2_lv/{DOMAIN}/**")
+            assert [reply for reply in tokens if "/%door%status/" in str(reply.ok.key_expr)]
+            assert viewer.refused(*set_mode, mode="colorise")
+            as_user("operator")
+            operator = Peer(f"127.0.0.1:{port}")
+            assert board.mode == "default"
+            assert operator.call(*set_mode, mode="colorise")["success"]
+            as_user("operator", "guessed")
+            with pytest.raises(InvalidRequest, match="does not start"):
+                Peer(f"127.0.0.1:{port}")
+            viewer.close()
+            operator.close()
+        finally:
+            status, said = bridge.stop()
+        assert status == 0, said
+
+
 def test_an_invalid_request_is_refused_and_the_service_goes_on(bridge: Bridge, peer: Peer) -> None:
     name, kind = "/lab/cm/plan", "cm_interfaces/srv/Plan"
     assert "attachment" in peer.ask(name, kind, b"\0\1\0\0", None).err.payload.to_string()
@@ -275,6 +357,8 @@ def test_the_command_says_what_is_wrong(capfd: pytest.CaptureFixture[str], monke
     assert "HOST" in capfd.readouterr().err
     assert main(["bridge", "ros", "--domain", "999"]) == 1
     assert "232" in capfd.readouterr().err
+    assert main(["bridge", "ros", "--write", "registers,mode"]) == 1
+    assert "write mode: what is known is modes, registers, frames, or all" in capfd.readouterr().err
     monkeypatch.setenv("ZENOH_CONFIG_OVERRIDE", "mode")
     assert main(["bridge", "ros"]) == 1
     assert "KEY=VALUE" in capfd.readouterr().err

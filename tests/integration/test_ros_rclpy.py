@@ -84,7 +84,7 @@ def lifecycle_node(manager: Manager) -> Iterator[None]:
     path = os.pathsep.join([str(REPOSITORY / "ros2" / "cm_ros2"), str(REPOSITORY), os.environ.get("PYTHONPATH", "")])
     environment = {**os.environ, "PYTHONPATH": path}
     words = [sys.executable, "-m", "cm_ros2.node", "--ros-args", "-r", "__node:=cm", "-r", "__ns:=/lab"]
-    process = subprocess.Popen([*words, "-p", f"connect:={manager.runtime}"], env=environment)
+    process = subprocess.Popen([*words, "-p", f"connect:={manager.runtime}", "-p", "write:=all"], env=environment)
     try:
         yield
     finally:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from typing import TypeVar
 
@@ -11,6 +11,7 @@ from cm.client.board import Board
 from cm.client.core import calls
 from cm.client.core.calls import Call
 from cm.client.core.values import register_write
+from cm.errors import Forbidden, InvalidRequest
 from cm.networks.bridge.connections import Connect, Connections
 from cm.networks.bridge.frames import FrameWriter
 from cm.networks.bridge.records import Caller
@@ -18,16 +19,35 @@ from cm.wire.messages.requests import WriteReg
 from cm.wire.messages.status import ConfigEntry, ConfigInfo, PlanInfo, Progress, RegValues, Status
 
 _T = TypeVar("_T")
+WRITES = ("modes", "registers", "frames")  # what callers may change
+
+
+def writes_named(text: str) -> frozenset[str]:
+    """Some of `WRITES`, as a user names them: ``modes,registers``, ``all``, or nothing. Raises InvalidRequest."""
+    named = frozenset(filter(None, (word.strip() for word in text.split(","))))
+    if named == {"all"}:
+        return frozenset(WRITES)
+    if unknown := named.difference(WRITES):
+        raise InvalidRequest(f"write {', '.join(sorted(unknown))}: what is known is {', '.join(WRITES)}, or all")
+    return named
 
 
 class Commands:
     """Requests of callers; threads may share it. Every call raises CmError with what was refused, and why.
 
-    Calls that wait when it is closed raise BridgeEnds.
+    `writes`: which of `WRITES` callers may change, if the manager lets the bridge; what is not among them raises
+    Forbidden. Calls that wait when it is closed raise BridgeEnds.
     """
 
-    def __init__(self, connect: Connect) -> None:
+    def __init__(self, connect: Connect, writes: Collection[str] = ()) -> None:
         self._connections = Connections(connect)
+        self.writes = frozenset(writes)
+
+    def _must(self, what: str) -> None:
+        if what not in self.writes:
+            raise Forbidden(
+                f"this bridge only observes {what}: what its nodes may change is named when it starts, as write {what}"
+            )
 
     def board(self, caller: Caller) -> Board:
         """The connection for a caller's short requests, which remains ours to close."""
@@ -69,6 +89,7 @@ class Commands:
 
         It uses a connection of its own, so that others are answered meanwhile.
         """
+        self._must("modes")
         with self._connections.ending(), self._connections.own(caller.guest) as board:
             return board.load(
                 config, mode, progress=progress or False, timeout=timeout, queue=queue, force=force, lease=caller.lease
@@ -76,6 +97,7 @@ class Commands:
 
     def cancel(self, caller: Caller) -> None:
         """Cancel the change that runs."""
+        self._must("modes")
         self._ask(caller, calls.cancel())
 
     def read_registers(self, caller: Caller, *names: str) -> RegValues:
@@ -89,6 +111,7 @@ class Commands:
 
         `masks`: for a register named there, only these bits are written.
         """
+        self._must("registers")
         writes = [register_write(name, value) for name, value in values.items()]
         masked = [
             replace(write, mask=masks[write.name]) if masks and write.name in masks else write for write in writes
@@ -98,6 +121,7 @@ class Commands:
 
     def writer(self, caller: Caller, stream: str) -> FrameWriter:
         """Frames towards the hardware; the caller closes it."""
+        self._must("frames")
         return FrameWriter(self.board(caller), stream, caller.lease)
 
     def close(self) -> None:

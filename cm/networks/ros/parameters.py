@@ -130,7 +130,7 @@ class Parameters:
             "type": _INTEGER,
             "description": field.doc if field is not None else register.doc,
             "additional_constraints": choices or f"{register.access}, {register.width} bits at {register.address:#x}",
-            "read_only": register.access == "ro",
+            "read_only": register.access == "ro" or "registers" not in self._commands.writes,
             "integer_range": [{"from_value": first, "to_value": last, "step": 1}],
         }
 

@@ -146,7 +146,8 @@ class Streams:
 
     def take(self, record: ConfigRecord, board: Board) -> None:
         """Open new topics and close old ones; those that have not changed continue."""
-        wanted = {stream.name: stream for stream in record.streams if not stream.writes or stream.shape}
+        may = "frames" in self._commands.writes
+        wanted = {s.name: s for s in record.streams if not s.writes or (may and s.shape)}
         for name in [name for name, (kept, _) in self._open.items() if kept != _kind(wanted.get(name))]:
             self._open.pop(name)[1].close()
         for name, stream in wanted.items():

@@ -11,7 +11,7 @@ from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, State, TransitionCallbackReturn
 
 from cm.client.board import Board, connect
-from cm.networks.bridge.commands import Commands
+from cm.networks.bridge.commands import Commands, writes_named
 from cm.networks.bridge.follower import Follower
 from cm.networks.ros.node import BoardNode, NodeName
 from cm.networks.ros.transport import EVENTS, SENSOR_DATA, Qos
@@ -32,6 +32,7 @@ class BoardLifecycle(LifecycleNode):
         self.declare_parameter("connect", "")
         self.declare_parameter("keys", "")
         self.declare_parameter("guest", "")
+        self.declare_parameter("write", "")
         self.declare_parameter("best_effort", False)
         self.declare_parameter("autostart", True)
         self._transport: RclpyTransport | None = None
@@ -47,7 +48,7 @@ class BoardLifecycle(LifecycleNode):
     def on_configure(self, state: State) -> TransitionCallbackReturn:
         """Topics and services."""
         self._transport = RclpyTransport(self)
-        self._commands = Commands(self._connected)
+        self._commands = Commands(self._connected, writes_named(self.text("write")))
         name = NodeName(self.get_name(), self.get_namespace())
         guest = self.text("guest")
         self._board = BoardNode(self._transport, name, self._commands, guest, self._inputs(), _WAITING)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Several boards, a namespace each: ``ros2 launch cm_ros2 boards.launch.py boards:=left=tcp://a,right=tcp://b``."""
+"""Boards in namespaces: ``ros2 launch cm_ros2 boards.launch.py boards:=left=tcp://a,right=tcp://b [write:=modes]``."""
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
@@ -10,11 +10,17 @@ from launch_ros.actions import LifecycleNode
 def generate_launch_description() -> LaunchDescription:
     """A node for each board of the argument."""
     described = "NAMESPACE=ADDRESS,NAMESPACE=ADDRESS"
-    return LaunchDescription([DeclareLaunchArgument("boards", description=described), OpaqueFunction(function=_nodes)])
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("boards", description=described),
+            DeclareLaunchArgument("write", default_value="", description="modes, registers, frames; or all"),
+            OpaqueFunction(function=_nodes),
+        ]
+    )
 
 
 def _nodes(context: LaunchContext) -> list[LifecycleNode]:
-    boards = LaunchConfiguration("boards").perform(context)
+    boards, write = (LaunchConfiguration(name).perform(context) for name in ("boards", "write"))
     found = []
     for board in boards.split(","):
         namespace, divider, address = board.partition("=")
@@ -26,7 +32,7 @@ def _nodes(context: LaunchContext) -> list[LifecycleNode]:
                 executable="board",
                 name="cm",
                 namespace=namespace,
-                parameters=[{"connect": address, "autostart": True}],
+                parameters=[{"connect": address, "write": write}],
                 output="screen",
             )
         )
