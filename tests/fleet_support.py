@@ -18,7 +18,7 @@ from manager_process import CAMERA, Manager, environment, short_folder, until
 
 import cm.networks.fleet
 from cm import child
-from cm.design.collect.layout import archive
+from cm.design.collect.collected import archive
 from cm.networks.fleet.blocking import Fleet
 from cm.simulation.software import Board as SimBoard
 from cm.tools.demo.boards import free_ports

@@ -9,13 +9,13 @@ from pathlib import Path
 from cm.cli.build_common import add_out_option, add_schema_argument
 from cm.cli.common import add_json_option, print_json
 from cm.design.boundary.analyse import analyse
-from cm.design.check.finding import Finding
 from cm.design.check.rules import check_system
 from cm.design.generate.manifest import Written
 from cm.design.generate.tree import generate, load_design, output_folder
 from cm.design.openflow.rules import RULE, check_open
 from cm.design.plan.planner import plan_system
 from cm.design.project.load import load_project
+from cm.design.project.source_position import Finding
 from cm.design.report import as_dict, lines
 from cm.design.runtime.answers import Answers
 from cm.design.runtime.schema import runtime_config

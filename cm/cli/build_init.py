@@ -19,7 +19,7 @@ def add_init_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]
         nargs="+",
         type=Path,
         metavar="FILE",
-        help="Verilog, SystemVerilog, VHDL, FuseSoC .core, IP-XACT component.xml, .xci, C++ for Vitis HLS",
+        help="Verilog, SystemVerilog, VHDL, FuseSoC .core, IP-XACT component.xml, .xci",
     )
     parser.add_argument("--output", "-o", type=Path, default=Path("build.yaml"), metavar="FILE")
     parser.add_argument("--name", help="name of the configuration (default: that of the folder)")

@@ -19,9 +19,8 @@ from cm.design.hdl import (
     compare,
     load_component_xml,
     load_protocols,
-    read,
-    roots,
 )
+from cm.design.input_kinds import Options, read_inputs
 
 _ASSIGNMENT = re.compile(r"([A-Za-z_]\w*)(?:=(.*))?", re.DOTALL)
 _DESCRIPTION = """\
@@ -36,7 +35,7 @@ def add_interfaces_parser(subparsers: argparse._SubParsersAction[argparse.Argume
         "interfaces", help="find the bus interfaces of HDL modules", description=_DESCRIPTION
     )
     parser.add_argument(
-        "files", nargs="+", type=Path, metavar="FILE", help="Verilog, SystemVerilog, VHDL; component.xml"
+        "files", nargs="+", type=Path, metavar="FILE", help="Verilog, SystemVerilog, VHDL, .core, component.xml, .xci"
     )
     parser.add_argument("--top", metavar="NAME", help="only this module or entity")
     parser.add_argument("--all", action="store_true", help="show every module in the files")
@@ -86,14 +85,16 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _modules(args: argparse.Namespace) -> tuple[list[ModuleInfo], Sequence[Problem]]:
-    components = [load_component_xml(path) for path in args.files if path.suffix.lower() == ".xml"]
-    files = [path for path in args.files if path.suffix.lower() != ".xml"]
-    if not files:
-        return components, ()
-    protocols = load_protocols(args.protocols) if args.protocols else ()
-    reading = read(files, args.top, args.include, dict(args.define), dict(args.parameter), protocols)
-    chosen = list(reading.modules) if args.top or args.all else roots(reading.modules)
-    return chosen + components, reading.problems
+    options = Options(
+        args.top,
+        args.all,
+        include_dirs=args.include,
+        defines=dict(args.define),
+        parameters=dict(args.parameter),
+        protocols=load_protocols(args.protocols) if args.protocols else (),
+    )
+    given, problems = read_inputs(args.files, options)
+    return [one.info for one in given], problems
 
 
 def as_dict(module: ModuleInfo, differences: Sequence[Difference] | None = None) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from cm.design.generate.tree import output_folder
 from cm.design.partition.advise import problem_of, static_report, todays_groups, with_reports
 from cm.design.partition.advisor import SECONDS
 from cm.design.partition.model import Partition, evaluate
-from cm.design.partition.proved import proposal
+from cm.design.partition.proposal import proposal
 from cm.design.partition.utilisation import read_utilisation
 from cm.design.project.load import load_project
 

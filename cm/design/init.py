@@ -4,19 +4,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cm.design import hdl
 from cm.design.boundary import boundary
 from cm.design.boundary.model import Boundary
 from cm.design.errors import BuildError
-from cm.design.given import Given, is_hdl, others, relative
-from cm.design.hdl.flat import Wanted, needs_wrapper
-from cm.design.hdl.flatten import flatten
 from cm.design.hdl.model import Mode, ModuleInfo
 from cm.design.hdl.register_maps import identifier
+from cm.design.input_kinds import Options, read_inputs
 from cm.design.platforms import platform_of
 from cm.design.project.load import DEFAULT_CLOCK, DEFAULT_RATE
 from cm.design.render import Renderer
@@ -61,19 +58,19 @@ def init_text(
 ) -> str:
     """Return the text of a build schema in `folder` for the modules in `files`.
 
-    Files are HDL, FuseSoC cores (those that they depend on below `cores`), component.xml, .xci, C++ for Vitis HLS.
+    Files are HDL, FuseSoC cores (those that they depend on below `cores`), component.xml, .xci.
     Of HDL, modules that no other one instantiates and that have a bus interface become modules of one region;
     with `top`, only that module does. Raises BuildError if there is none.
     """
     platform = platform_of(part)
-    sources = [path for path in files if is_hdl(path)]
-    given = [*(_from_hdl(sources, folder, top) if sources else []), *others(files, folder, cores, top)]
-    usable = [one for one in given if one.info.interfaces and one.info.usable]
+    given = read_inputs(files, Options(top, keys=True, folder=folder, cores=cores))[0]
+    read = [(one.flat, one.keys) for one in given]
+    usable = [(info, keys) for info, keys in read if info.interfaces and info.usable]
     if not usable:
-        names = "; ".join(_why_not(one.info) for one in given) or f"no module {top}"
+        names = "; ".join(_why_not(info) for info, _ in read) or f"no module {top}"
         raise BuildError(f"no module with a bus interface that could go into a region: found {names}")
-    modules = [Proposal(identifier(one.info.name), one.info, one.keys) for one in usable]
-    found = boundary([one.info for one in usable])  # whether they fit one region
+    modules = [Proposal(identifier(info.name), info, keys) for info, keys in usable]
+    found = boundary([info for info, _ in usable])  # whether they fit one region
     context = {
         "name": identifier(name),
         "part": part,
@@ -81,7 +78,7 @@ def init_text(
         "clock": DEFAULT_CLOCK if platform.name == "zynq7000" else "pl_clk0",
         "rate": f"{DEFAULT_RATE:_}",
         "modules": modules,
-        "left_out": [one.info for one in given if one not in usable],
+        "left_out": [one[0] for one in read if one not in usable],
         "streams": list(_streams(found)),
         "refused": [f"{a.module}: {sentence}" for a in found.adaptations for sentence in a.refused],
         "registers": {module.name: _register_bus(module.info) for module in modules},
@@ -89,40 +86,10 @@ def init_text(
     return Renderer(folder, folder, "").render("build.yaml.j2", context)
 
 
-def _from_hdl(files: Sequence[Path], folder: Path, top: str | None) -> list[Given]:
-    known = hdl.read(files).modules
-    chosen = [info for info in hdl.roots(known) if top is None or info.name == top]
-    if top is not None and not chosen:
-        chosen = [info for info in known if info.name == top]
-    return [Given(_flat(info, files), {"sources": _files(info, known, files, folder)}) for info in chosen]
-
-
-def _flat(info: ModuleInfo, files: Sequence[Path]) -> ModuleInfo:
-    """Return a module with the ports of its flat wrapper, if it needs one, under its own name."""
-    if not needs_wrapper(info):
-        return info
-    return replace(flatten(info, Wanted(info.name, files, {}, [], {}, {}, {}))[0], name=info.name)
-
-
 def _why_not(info: ModuleInfo) -> str:
     """Name a module and what is wrong with it."""
     reasons = [str(problem) for problem in info.problems if problem.fatal]
     return f"{info.name} ({reasons[-1]})" if reasons else info.name
-
-
-def _files(info: ModuleInfo, known: Sequence[ModuleInfo], files: Sequence[Path], folder: Path) -> list[str]:
-    """Files of the module and what it instantiates, and those without a module (packages, macros), in order."""
-    by_name = {module.name: module for module in known}
-    needed = {Path(info.file), *files} - {Path(module.file) for module in known if module.file != info.file}
-    queue = [info]
-    seen = {info.name}
-    for module in queue:
-        for name in module.instantiates:
-            if name in by_name and name not in seen:
-                seen.add(name)
-                queue.append(by_name[name])
-                needed.add(Path(by_name[name].file))
-    return [relative(path, folder) for path in files if path in needed]
 
 
 def _streams(found: Boundary) -> Iterable[Mapping[str, str]]:

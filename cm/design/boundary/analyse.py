@@ -15,12 +15,12 @@ from cm.design.errors import BuildError, MissingTool
 from cm.design.hdl import UserProtocol
 from cm.design.hdl.flat import Flat, Wanted, needs_wrapper
 from cm.design.hdl.flatten import flatten
-from cm.design.hdl.hls import hls_registers, load_hls
+from cm.design.hdl.hls_registers import HDL, differences
 from cm.design.hdl.model import Language, ModuleInfo, Problem
 from cm.design.hdl.register_maps import read_register_map
 from cm.design.hdl.vhdl_units import missing_units
 from cm.design.project.model import ModuleSpec, Project, in_libraries
-from cm.design.project.where import fault
+from cm.design.project.source_position import fault
 
 _SUBJECT = re.compile(r"(?:port )?(\w+)(?:\.(\w+))?")
 _PRIMITIVE = re.compile(r"[A-Z][A-Z0-9_]*|xpm_\w+")  # in the vendor's library: BUFG, RAMB36E2, xpm_cdc_single
@@ -83,12 +83,13 @@ class Analysis:
 
 
 def _with_registers(project: Project, spec: ModuleSpec) -> ModuleSpec:
-    if spec.hls is not None and spec.register_map is None:
-        return replace(spec, registers={**hls_registers(spec.hls, spec.top), **spec.registers})
     if spec.register_map is None:
         return spec
     try:
         found = read_register_map(spec.register_map, spec.top)
+        for path in (path for path in spec.sources if HDL.match(path.name) and path != spec.register_map):
+            if wrong := differences(found, read_register_map(path, spec.top)):
+                raise BuildError(f"{spec.register_map.name} and {path} disagree: {'; '.join(wrong)}")
     except MissingTool:
         raise
     except BuildError as error:
@@ -136,8 +137,6 @@ def _key(spec: ModuleSpec, error: hdl.HdlError) -> tuple[str, ...]:
         return ("parameters", error.name)
     if spec.component is not None and str(error).startswith(f"{spec.component}:"):
         return ("component",)
-    if spec.hls is not None:
-        return ("hls",)
     return ("top",) if isinstance(error, hdl.ModuleNotFound) else ("sources",)
 
 
@@ -148,8 +147,6 @@ def _boundary(project: Project, region: str, modules: Mapping[str, ModuleInfo]) 
 
 
 def _module(spec: ModuleSpec, protocols: tuple[UserProtocol, ...]) -> tuple[ModuleInfo, tuple[str, ...]]:
-    if spec.hls is not None:
-        return load_hls(spec.hls, spec.top, protocols), ()
     if not spec.readable:
         if spec.component is None and spec.ip:
             return hdl.load_xci(spec.ip[0], protocols), ()

@@ -15,9 +15,9 @@ from itertools import combinations
 from typing import Any
 
 from cm.design.check.dma import check_dma
-from cm.design.check.finding import Finding
 from cm.design.plan.block_design import ClockPin, Segment
 from cm.design.plan.system import System
+from cm.design.project.source_position import Finding
 
 PORTS = 16  # on either side of a SmartConnect
 _FCLK = re.compile(r"PCW_FPGA\d_PERIPHERAL_FREQMHZ")

@@ -21,9 +21,9 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 
-from cm.design.check.finding import Finding
 from cm.design.plan.dma_cells import DmaCell
 from cm.design.plan.engines import MC_CHANNELS, EngineKind
+from cm.design.project.source_position import Finding
 from cm.schema.problems import KeyPath
 
 _POWERS = tuple(1 << n for n in range(3, 11))  # 8 to 1024

@@ -6,10 +6,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import combinations
 
-from cm.design.check.finding import Finding
 from cm.design.plan.floorplan import CLOCK_REGION, KINDS, Device, Rectangle, device_sites, holds, rectangle
 from cm.design.plan.system import RegionPlan, System
 from cm.design.project.model import Resources
+from cm.design.project.source_position import Finding
 
 _NAMES = (("lut", "LUT"), ("ff", "flip-flops"), ("bram", "block RAM (36 Kbit)"), ("dsp", "DSP"))
 

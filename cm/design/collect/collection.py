@@ -10,18 +10,23 @@ from dataclasses import replace
 from pathlib import Path
 
 from cm.design.collect import handoff
-from cm.design.collect.collected import Collected, Inputs
+from cm.design.collect.collected import Collected, Inputs, archive, compile_overlays, write_folder
 from cm.design.collect.foreign import their_config
-from cm.design.collect.images import Image, check_images, check_regions, footprint, read_images, to_bin
-from cm.design.collect.layout import archive, write_folder
-from cm.design.collect.overlays import compile_overlays
-from cm.design.collect.static import check_generated, user_id_of
+from cm.design.collect.images import (
+    Image,
+    check_generated,
+    check_images,
+    check_regions,
+    footprint,
+    read_images,
+    to_bin,
+    user_id_of,
+)
 from cm.design.errors import BuildError
 from cm.design.generate.outputs import identified
 from cm.design.plan.system import System
 from cm.design.runtime.answers import Answers
-from cm.design.runtime.schema import runtime_config
-from cm.design.runtime.text import runtime_text
+from cm.design.runtime.schema import runtime_config, runtime_text
 from cm.formats import hwh
 from cm.schema import loads
 from cm.schema.model import Config

@@ -10,13 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from cm.design.collect import handoff
-from cm.design.collect.collected import Collected, Inputs
-from cm.design.collect.foreign_dma import engines
-from cm.design.collect.foreign_interrupts import interrupts
+from cm.design.collect.collected import Collected, Inputs, compile_overlays
+from cm.design.collect.foreign_dma import engines, interrupts
 from cm.design.collect.foreign_overlay import overlay
 from cm.design.collect.handoff import Handoff
 from cm.design.collect.images import Image, by_region, check_regions, footprint, to_bin
-from cm.design.collect.overlays import compile_overlays
 from cm.design.errors import BuildError
 from cm.design.hdl.register_maps import identifier
 from cm.design.platforms import platform_of

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cm.design.collect.foreign_dma import PS_CLOCKS, ClockInput, Engines
-from cm.design.collect.foreign_interrupts import ForeignInterrupts
+from cm.design.collect.foreign_dma import PS_CLOCKS, ClockInput, Engines, ForeignInterrupts
 from cm.design.hdl.register_maps import identifier
 from cm.design.platforms import Platform
 from cm.design.render import Renderer

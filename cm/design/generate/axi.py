@@ -2,6 +2,8 @@
 """Signals of AXI interfaces: which exist on an interface, who drives them, how they are packed.
 
 Names and directions: AMBA AXI and ACE protocol specification (IHI 0022), AMBA AXI-Stream (IHI 0051).
+
+Signals of a clock's AXI4-Lite interconnect, and which of them each window's slave uses.
 """
 
 from __future__ import annotations
@@ -9,7 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cm.design.errors import BuildError
-from cm.design.hdl.model import Interface
+from cm.design.hdl.model import Interface, PortDirection
+from cm.design.plan.system import Domain
 
 ADDRESS = ("ADDR", "SIZE", "BURST", "LOCK", "CACHE", "PROT", "QOS", "REGION")
 STREAM = ("TDATA", "TKEEP", "TSTRB", "TID", "TDEST", "TUSER")
@@ -42,3 +45,43 @@ def width_of(interface: Interface, logical: str) -> int:
     if not width:
         raise BuildError(f"{interface.name}: the width of {logical} could not be evaluated")
     return width
+
+
+IN, OUT = PortDirection.IN, PortDirection.OUT
+
+# name, direction at the static part, bits
+LITE = (
+    ("awaddr", IN, 32),
+    ("awprot", IN, 3),
+    ("awvalid", IN, 1),
+    ("awready", OUT, 1),
+    ("wdata", IN, 32),
+    ("wstrb", IN, 4),
+    ("wvalid", IN, 1),
+    ("wready", OUT, 1),
+    ("bresp", OUT, 2),
+    ("bvalid", OUT, 1),
+    ("bready", IN, 1),
+    ("araddr", IN, 32),
+    ("arprot", IN, 3),
+    ("arvalid", IN, 1),
+    ("arready", OUT, 1),
+    ("rdata", OUT, 32),
+    ("rresp", OUT, 2),
+    ("rvalid", OUT, 1),
+    ("rready", IN, 1),
+)
+PER_SLAVE = {"bresp": 2, "rresp": 2, "rdata": 32}
+SHARED = ("awaddr", "awprot", "wdata", "wstrb", "araddr", "arprot")
+
+
+def slave_port(domain: Domain, window: str, signal: str) -> str:
+    """The interconnect's signal for a window: the shared one, or that slave's share."""
+    index = [entry.name for entry in domain.windows].index(window)
+    name = f"{domain.clock}_{signal}"
+    if signal in SHARED:
+        return name
+    width = PER_SLAVE.get(signal, 1)
+    if len(domain.windows) == 1:
+        return name
+    return f"{name}[{index}]" if width == 1 else f"{name}[{index * width}+:{width}]"

@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files that the steps of the flow read: what their scripts name, and what decides whether a step runs again."""
+"""The files that the steps of the flow read: what their scripts name, and what decides whether a step runs again.
+
+The static part's identity: a hash of everything that it is made from, the same on every machine.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from cm.design.hdl import hls_text
 from cm.design.plan.system import Implementation, System
 from cm.design.project.model import in_libraries
 from cm.design.render import by_language
@@ -42,8 +46,7 @@ def module_files(one: Implementation, out: Path) -> dict[str, Any]:
     defines = [name if value == "1" else f"{name}={value}" for name, value in module.defines.items()]
     include_dirs = list(dict.fromkeys([*module.include_dirs, *(path.parent for path in sources["header"])]))
     context: dict[str, Any] = {"name": one.name, "module": module, "region": one.region}
-    exported = [out / f"hls/{one.name}/solution1/impl/ip"] if module.hls else []
-    context["ip_repositories"] = [*module.ip_repositories, *exported]
+    context["ip_repositories"] = module.ip_repositories
     return context | sources | {"defines": defines, "include_dirs": include_dirs, "libraries": module.libraries}
 
 
@@ -70,9 +73,6 @@ def _module(one: Implementation, out: Path) -> Iterator[Path]:
     for kind in _KINDS:
         yield from context[kind]
     yield from in_libraries(module.libraries)
-    if module.hls:
-        yield out / f"tcl/hls_{one.name}.tcl"
-        yield from (*module.hls.sources, *(path for source in module.hls.sources for path in included(source)))
     yield from (*module.ip, *module.constraints, *module.tcl, *_headers(module.include_dirs))
     yield from memories(module.sources)
 
@@ -94,6 +94,40 @@ def memories(sources: Iterable[Path]) -> Iterator[Path]:
                 yield found
 
 
-def included(source: Path) -> list[Path]:
-    """Headers that C++ includes from beside it."""
-    return hls_text.headers(source, source.read_text(encoding="utf-8", errors="replace"), "")
+STEPS = ("system", "static", "run_1")  # steps whose inputs make the locked static part, beside run_1's
+
+
+def static_paths(system: System, out: Path) -> list[Path]:
+    """The files that the static part is made from: generated ones below `out`, and the user's."""
+    return list(dict.fromkeys(path for step in STEPS for path in of_step(system, step, out)))
+
+
+def static_identity(system: System, out: Path, texts: Mapping[str, str]) -> int:
+    """32 bits of SHA-256 over names and contents, and ``static: revision``; never 0 or all ones.
+
+    `texts` are the generated files (path below `out` → text) with an identity of 0; the others are read, and one that
+    is missing counts as such, although `load_project` would have refused it.
+    """
+    digest = hashlib.sha256()
+    _add(digest, "revision", system.project.static.revision.encode())
+    for path in static_paths(system, out):
+        name, data = _content(system, path, out, texts)
+        _add(digest, name, data)
+    return int.from_bytes(digest.digest()[:4], "big") % 0xFFFF_FFFE + 1
+
+
+def _content(system: System, path: Path, out: Path, texts: Mapping[str, str]) -> tuple[str, bytes]:
+    name = path.relative_to(out).as_posix() if path.is_relative_to(out) else ""
+    if name in texts:
+        return f"generated {name}", texts[name].encode()
+    if name.startswith("hdl/lib/"):
+        path = RTL / path.name
+        return f"library {path.name}", path.read_bytes()
+    name = Path(os.path.relpath(path, system.project.folder)).as_posix()
+    return f"given {name}", path.read_bytes() if path.is_file() else b"missing"
+
+
+def _add(digest: hashlib._Hash, name: str, data: bytes) -> None:
+    """Add a file, with lengths before name and content, so that different lists of files never give the same bytes."""
+    for part in (name.encode(), data):
+        digest.update(len(part).to_bytes(8, "big") + part)

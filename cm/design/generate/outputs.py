@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from cm.design.generate import inputs
-from cm.design.generate.identity import static_identity, static_paths
-from cm.design.generate.software import software_outputs
+from cm.design.generate.inputs import static_identity, static_paths
 from cm.design.generate.static_part.module import static_part
+from cm.design.generate.target_files import software_outputs
 from cm.design.generate.top import top
 from cm.design.generate.wrapper import black_box, wrapper
 from cm.design.plan import block_design, flow
@@ -105,10 +105,6 @@ def _tcl(system: System, out: Path) -> Iterator[Output]:
     yield Output("tcl/step_static.tcl", "step_static.tcl.j2", inputs.static_files(system, out))
     for one in system.implementations:
         yield Output(f"tcl/step_synth_{one.name}.tcl", "step_synth.tcl.j2", inputs.module_files(one, out))
-        if one.module.hls:
-            period = 1e9 / project.clocks[one.region.spec.clock].rate
-            context = {"name": one.name, "module": one.module, "part": project.part, "period": f"{period:.3f}"}
-            yield Output(f"tcl/hls_{one.name}.tcl", "hls.tcl.j2", context | {"source": source})
     runs = flow.runs(system)
     for run in runs:
         context = {"name": run.name, "run_doc": run.doc, "cells": run.cells, "greybox": run.greybox}

@@ -14,7 +14,7 @@ from __future__ import annotations
 from cm.design.hdl.compare import Difference, compare
 from cm.design.hdl.errors import HdlError, ModuleNotFound, ParserMissing, UnknownParameter
 from cm.design.hdl.extract import Reading, extract, read, roots
-from cm.design.hdl.ipxact import load_component_xml
+from cm.design.hdl.ipxact import load_component_xml, load_xci
 from cm.design.hdl.model import (
     FoundBy,
     Interface,
@@ -32,7 +32,6 @@ from cm.design.hdl.model import (
     Reset,
 )
 from cm.design.hdl.protocols import Binding, UserProtocol, load_protocols, parse_protocols
-from cm.design.hdl.xci import load_xci
 
 __all__ = [
     "Binding",

@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
+from cm.design.hdl.clock_reset_names import stem, words
 from cm.design.hdl.model import FoundBy, Interface, ModuleClock, Problem, Reset
-from cm.design.hdl.signals import stem, words
 
 _BARE = ("", "ap", "axi", "axis")  # the stems of aclk, ap_clk, axi_aclk
 _SIDES = frozenset(["s", "m", "i", "o", "in", "out", "slave", "master"])

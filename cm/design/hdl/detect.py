@@ -6,10 +6,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from cm.design.hdl import attributes
+from cm.design.hdl import vivado_attributes
 from cm.design.hdl.associate import associate
 from cm.design.hdl.buses import Protocol, aximm, axis, axis_short
-from cm.design.hdl.judge import judge, make_interface
+from cm.design.hdl.clock_reset_names import drives_clock, interrupt_mode, is_clock, is_reset, reset_polarity
+from cm.design.hdl.group_ports import Candidate, candidates
 from cm.design.hdl.model import (
     FoundBy,
     Interface,
@@ -22,10 +23,9 @@ from cm.design.hdl.model import (
     Problem,
     Reset,
 )
-from cm.design.hdl.naming import Candidate, candidates
 from cm.design.hdl.protocols import UserProtocol
-from cm.design.hdl.signals import drives_clock, interrupt_mode, is_clock, is_reset, reset_polarity
-from cm.design.hdl.tagged import Tagged, read_tags
+from cm.design.hdl.validate_bus import judge, make_interface
+from cm.design.hdl.vivado_attributes import Tagged, read_tags
 
 NOTHING_KNOWN = "belongs to no bus, clock, reset or interrupt that could be recognised"
 
@@ -115,7 +115,7 @@ class _Detection:
             self._reasons.pop(name, None)
 
     def _take_tagged(self, tagged: Tagged) -> None:
-        for port in attributes.malformed(self._module.ports):
+        for port in vivado_attributes.malformed(self._module.ports):
             text = f'port {port.name}: X_INTERFACE_INFO is not "vendor:library:name:version BUS SIGNAL"'
             self._problems.append(Problem(text, port.file, port.line))
         self._reasons.update(tagged.rejected)
@@ -148,7 +148,7 @@ class _Detection:
 
     def _drop_ignored(self) -> None:
         for port in list(self._free.values()):
-            if attributes.ignored(port):
+            if vivado_attributes.ignored(port):
                 self._reasons[port.name] = "is marked X_INTERFACE_IGNORE"
                 self._take((port.name,))
 
@@ -161,7 +161,7 @@ class _Detection:
             name = self._unique(candidate.name or f"{verdict.mode.value[0]}_{protocol.name}".replace("mm", ""))
             stated: dict[str, str] = {}
             for port in candidate.ports.values():
-                stated.update(attributes.parameters(port))
+                stated.update(vivado_attributes.parameters(port))
             self._add(make_interface(name, protocol, verdict.mode, candidate.ports, found_by, stated))
 
     def _reject(self, candidate: Candidate, reason: str) -> None:
@@ -187,7 +187,7 @@ class _Detection:
         return [Reset(port.name, port.name, self._polarity(port)) for port in found]
 
     def _polarity(self, port: Port) -> Polarity:
-        stated = attributes.parameters(port).get("POLARITY", "").upper()
+        stated = vivado_attributes.parameters(port).get("POLARITY", "").upper()
         if stated in ("ACTIVE_LOW", "ACTIVE_HIGH"):
             return Polarity.LOW if stated == "ACTIVE_LOW" else Polarity.HIGH
         if port.name[-2:].lower() == "_b":  # the second of reset_a and reset_b, or "bar"
@@ -199,7 +199,7 @@ class _Detection:
         found = [(port, mode) for port in self._unrejected() if (mode := interrupt_mode(port))]
         self._take(port.name for port, _ in found)
         return [
-            Interrupt(port.name, port.name, mode, port.width, attributes.parameters(port).get("SENSITIVITY", ""))
+            Interrupt(port.name, port.name, mode, port.width, vivado_attributes.parameters(port).get("SENSITIVITY", ""))
             for port, mode in found
         ]
 
@@ -220,15 +220,15 @@ def _worth_a_word(candidate: Candidate) -> bool:
 
 
 def _clock(port: Port) -> ModuleClock:
-    stated = attributes.parameters(port)
+    stated = vivado_attributes.parameters(port)
     frequency = stated.get("FREQ_HZ", "")
     return ModuleClock(
         port.name,
         port.name,
         port.direction,
         int(frequency) if frequency.isdigit() else None,
-        attributes.names(stated, "ASSOCIATED_BUSIF"),
-        next(iter(attributes.names(stated, "ASSOCIATED_RESET")), None),
+        vivado_attributes.names(stated, "ASSOCIATED_BUSIF"),
+        next(iter(vivado_attributes.names(stated, "ASSOCIATED_RESET")), None),
     )
 
 

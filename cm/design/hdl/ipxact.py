@@ -2,17 +2,26 @@
 """IP-XACT component files (IEEE 1685-2009 `spirit`, as Vivado writes `component.xml`) as `ModuleInfo`.
 
 Names are compared without namespace, so that 1685-2014 files of the same shape load too.
+
+Elements of IP-XACT files by their names without namespace, so that 1685-2009 and 1685-2014 read alike.
+
+The files that an IP-XACT component's synthesis view lists.
+
+Reads Vivado's IP instances (.xci) since 2020.2: JSON with the instance's name and ports as customised.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 from xml.etree import ElementTree
 
 from cm.design.hdl.buses import axi_flavour, aximm
-from cm.design.hdl.elements import children, component_root, local, text_of
+from cm.design.hdl.detect import Detector
 from cm.design.hdl.errors import HdlError
 from cm.design.hdl.model import (
     FoundBy,
@@ -29,6 +38,38 @@ from cm.design.hdl.model import (
     PortDirection,
     Reset,
 )
+from cm.design.hdl.protocols import UserProtocol
+from cm.formats.hwh.markup import root_of
+
+
+def component_root(data: bytes) -> ElementTree.Element:
+    """Parse a file's bytes and return the root element. Raises ValueError for what is not XML.
+
+    Real files have licence comments before the XML declaration, although XML does not allow that.
+    """
+    return root_of(data[max(data.find(b"<?xml"), 0) :])
+
+
+def local(tag: str) -> str:
+    """A tag or an attribute's name without namespace; empty for a comment, whose tag is not text."""
+    return tag.rpartition("}")[2] if isinstance(tag, str) else ""
+
+
+def children(node: ElementTree.Element, name: str) -> Iterator[ElementTree.Element]:
+    """Direct children of this name."""
+    return (child for child in node if local(child.tag) == name)
+
+
+def descendants(node: ElementTree.Element, name: str) -> Iterator[ElementTree.Element]:
+    """Elements of this name at any depth, in document order."""
+    return (child for child in node.iter() if local(child.tag) == name)
+
+
+def text_of(node: ElementTree.Element, name: str) -> str:
+    """Text of the first direct child of this name, without surrounding white space; empty if there is none."""
+    found = next(children(node, name), None)
+    return (found.text or "").strip() if found is not None else ""
+
 
 _DIRECTIONS = {"in": PortDirection.IN, "out": PortDirection.OUT, "inout": PortDirection.INOUT}
 _MODES = {
@@ -244,3 +285,103 @@ def _number(text: str) -> int | None:
         return int(text, 0)
     except ValueError:
         return int(text) if text.isascii() and text.isdigit() and len(text) < 20 else None
+
+
+_SOURCES = ("verilogSource", "systemVerilogSource", "vhdlSource")
+
+
+@dataclass(slots=True)
+class ComponentFiles:
+    """Files in order; VHDL that belongs to a named library is listed by library."""
+
+    sources: list[Path] = field(default_factory=list)
+    libraries: dict[str, list[Path]] = field(default_factory=dict)
+    include_dirs: list[Path] = field(default_factory=list)
+    ip: list[Path] = field(default_factory=list)
+    constraints: list[Path] = field(default_factory=list)
+    tcl: list[Path] = field(default_factory=list)
+
+
+def component_files(path: Path) -> ComponentFiles:
+    """Return the files for synthesis. Raises `HdlError` if one is missing, or if another component is needed."""
+    try:
+        root = component_root(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise HdlError(f"{path}: cannot be read: {error}") from None
+    found = ComponentFiles()
+    sets = {text_of(node, "name"): node for node in descendants(root, "fileSet")}
+    for name in _synthesis(root):
+        if name not in sets:
+            continue
+        for node in descendants(sets[name], "componentRef"):
+            other = next((value for key, value in node.attrib.items() if local(key) == "name"), "another component")
+            what = f"needs other IP ({other}): make an instance of it in Vivado, and give its .xci"
+            raise HdlError(f"{path}: {what}")
+        for node in descendants(sets[name], "file"):
+            _add(found, path, node)
+    return found
+
+
+def _synthesis(root: ElementTree.Element) -> list[str]:
+    """Names of the file sets for synthesis, each once; Verilog's, for a component in both languages."""
+    names: dict[str, None] = {}
+    kinds = [text_of(view, "envIdentifier") for view in descendants(root, "view")]
+    both = any(kind.startswith("verilogSource") and kind.endswith(":synthesis") for kind in kinds)
+    for view in descendants(root, "view"):
+        kind = text_of(view, "envIdentifier")
+        if both and kind.startswith("vhdlSource"):
+            continue
+        if kind.endswith((":synthesis", "synthesis.constraints")):
+            names |= dict.fromkeys(text_of(ref, "localName") for ref in descendants(view, "fileSetRef"))
+    return list(names)
+
+
+def _add(found: ComponentFiles, component: Path, node: ElementTree.Element) -> None:
+    path = component.parent / text_of(node, "name")
+    kinds = [(child.text or "").strip() for child in node if local(child.tag) in ("fileType", "userFileType")]
+    if not path.exists():
+        raise HdlError(f"{component}: lists {text_of(node, 'name')}, which is not there")
+    if text_of(node, "isIncludeFile") == "true":
+        if path.parent not in found.include_dirs:
+            found.include_dirs.append(path.parent)
+    elif any(kind.startswith(_SOURCES) for kind in kinds):
+        library = text_of(node, "logicalName")
+        vhdl = any(kind.startswith("vhdl") for kind in kinds)
+        named = vhdl and library not in ("", "work", "xil_defaultlib")
+        (found.libraries.setdefault(library, []) if named else found.sources).append(path)
+    elif path.suffix == ".xci":
+        found.ip.append(path)
+    elif path.suffix == ".xdc" and not any(kind.startswith("USED_IN_implementation") for kind in kinds):
+        found.constraints.append(path)
+
+
+_SCHEMA = "xilinx.com:schema:json_instance"
+
+
+def load_xci(path: Path, protocols: Sequence[UserProtocol] = ()) -> ModuleInfo:
+    """Read the instance as a module with the ports of its customisation. Raises `HdlError`.
+
+    Older files are XML without ports; use their component.xml, or a module with the same ports, instead.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8", errors="replace"))
+        instance = data["ip_inst"]
+        if not str(data.get("schema", "")).startswith(_SCHEMA):
+            raise ValueError
+        name, ports = str(instance["xci_name"]), instance["boundary"]["ports"]
+    except OSError as error:
+        raise HdlError(f"{path}: cannot be read: {error.strerror}") from error
+    except (ValueError, KeyError, TypeError):
+        text = "has no list of ports (it is of a Vivado before 2020.2, or its output products were never generated)"
+        raise HdlError(f"{path}: {text}: give component: or sim_sources:") from None
+    found = tuple(_port(str(port), entries, str(path)) for port, entries in ports.items())
+    return Detector(protocols).detect(ModuleInfo(name, str(path), Language.IPXACT, ports=found))
+
+
+def _port(name: str, entries: Any, file: str) -> Port:
+    entry = entries[0] if isinstance(entries, list) and entries else {}
+    left, right = (str(entry.get(key, "0")) for key in ("size_left", "size_right"))
+    width = abs(int(left) - int(right)) + 1 if left.isdigit() and right.isdigit() else None
+    text = f"[{left}:{right}]" if "size_left" in entry else ""
+    direction = _DIRECTIONS.get(str(entry.get("direction", "")), PortDirection.UNKNOWN)
+    return Port(name, direction, width, file, range=text)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads registers from the files of other tools: IP-XACT, .hwh, headers of Vitis HLS, SystemRDL."""
+"""Reads registers from the files of other tools: IP-XACT, .hwh, files of Vitis HLS, SystemRDL."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from typing import Any
 from xml.etree import ElementTree
 
 from cm.design.errors import BuildError, MissingTool
-from cm.design.hdl.elements import component_root, descendants, text_of
+from cm.design.hdl.hls_registers import hls_registers, is_hls
+from cm.design.hdl.ipxact import component_root, descendants, text_of
 from cm.design.project.model import FieldSpec, RegisterSpec
 from cm.schema.model import Access
 
@@ -22,16 +23,21 @@ def read_register_map(path: Path, module: str) -> Registers:
     readers: Mapping[str, Callable[[Path, str], Registers]] = {
         ".xml": _ipxact,
         ".hwh": _hwh,
-        ".h": _hls_header,
         ".rdl": _systemrdl,
+        ".h": _hls,
     }
-    reader = readers.get(path.suffix.lower())
+    reader = _hls if is_hls(path) else readers.get(path.suffix.lower())
     if reader is None:
-        raise BuildError(f"{path}: registers are read from {', '.join(readers)} files")
+        raise BuildError(f"{path}: registers are read from {', '.join(readers)} files, and *_s_axi.v or .vhd of HLS")
     found = reader(path, module)
     if not found:
         raise BuildError(f"{path} describes no registers")
     return found
+
+
+def _hls(path: Path, module: str) -> Registers:
+    del module  # one file for each bus of a module
+    return hls_registers(path)
 
 
 def identifier(name: str) -> str:
@@ -134,36 +140,6 @@ def register_of(register: Any) -> RegisterSpec:
     name, width = identifier(register.name), _width(register.size if register.offset % 4 else max(register.size, 32))
     access = access_of(register.access, clearing)
     return RegisterSpec(name, register.offset, width, access, None, register.reset, fields=fields, doc=register.doc)
-
-
-# HLS -----------------------------------------------------------------------------------------
-
-_DEFINE = re.compile(
-    r"^\s*#\s*define\s+X\w+?_(?:CONTROL|CTRL|AXILITES|[A-Z0-9]+)_ADDR_(\w+)\s+(0x[0-9a-fA-F]+|\d+)", re.MULTILINE
-)
-_BITS = re.compile(r"^\s*#\s*define\s+X\w+?_BITS_(\w+)\s+(\d+)", re.MULTILINE)
-
-
-def _hls_header(path: Path, module: str) -> Registers:
-    """``x<name>_hw.h`` of Vitis HLS: ``X…_CONTROL_ADDR_<NAME>_DATA 0x10`` and ``X…_CONTROL_BITS_<NAME>_DATA 32``."""
-    del module
-    text = path.read_text(encoding="utf-8", errors="replace")
-    bits = {name: int(width) for name, width in _BITS.findall(text)}
-    found: Registers = {}
-    for name, offset in _DEFINE.findall(text):
-        if name.endswith(("_BASE", "_HIGH")):  # memories are not registers
-            continue
-        plain = identifier(name.removesuffix("_DATA"))
-        width = bits.get(name, 32)
-        found[plain] = RegisterSpec(plain, int(offset, 0), _width(max(width, 32)), _hls_access(text, int(offset, 0)))
-    return found
-
-
-def _hls_access(text: str, offset: int) -> Access:
-    """Access from the comment at the head of the file: ``0x10 : Data signal of x`` … ``bit 31~0 - x[31:0] (Read)``."""
-    found = re.search(rf"^//\s*0x0*{offset:x}\s*:.*\n((?://\s+bit.*\n)*)", text, re.MULTILINE | re.IGNORECASE)
-    bits = found[1] if found else ""
-    return Access.RO if "(Read)" in bits and "Write" not in bits else Access.RW
 
 
 # SystemRDL -----------------------------------------------------------------------------------

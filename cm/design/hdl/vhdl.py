@@ -16,9 +16,8 @@ from typing import Any
 
 from cm.design.hdl.errors import parser_missing
 from cm.design.hdl.model import Language, ModuleInfo, Parameter, Port, PortDirection, Problem
-from cm.design.hdl.vhdl_expr import Unknown, Value, evaluate
+from cm.design.hdl.vhdl_expr import NotFlat, Subtypes, Unknown, Value, evaluate, width_of
 from cm.design.hdl.vhdl_text import Unit, blank_comments, design_units, instances, signal_attributes
-from cm.design.hdl.vhdl_types import NotFlat, Subtypes, width_of
 
 _INTERFACE_DECLARATIONS = (
     "interface_declaration",

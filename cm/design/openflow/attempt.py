@@ -14,9 +14,8 @@ from cm.design.errors import BuildError
 from cm.design.openflow.job import Job, labels, module_job, pins_xdc, static_job, with_cells
 from cm.design.openflow.layout import Layout
 from cm.design.openflow.merge import CLOCK, Side, left_out, module_features, static_features, strays
-from cm.design.openflow.place import SCRIPTS, Files, cells_of, place_and_route, read_side, timing
+from cm.design.openflow.place import SCRIPTS, Files, cells_of, place_and_route, read_side, slacks, timing
 from cm.design.openflow.steps import OpenStepEndless, OpenStepFailed, Steps, Tell, key_of
-from cm.design.openflow.timing import slacks
 from cm.design.openflow.tools import Tools
 from cm.design.plan.pins import placements
 from cm.design.plan.system import Implementation, System

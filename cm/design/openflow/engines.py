@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from cm.design.generate.lite import LITE, PER_SLAVE, SHARED
+from cm.design.generate.axi import LITE, PER_SLAVE, SHARED
 from cm.design.generate.netlist import Netlist, concat, ones
 from cm.design.openflow.processor import INTERRUPTS, READ, WORD, WRITE, memory_pin
+from cm.design.plan.addresses import Window
 from cm.design.plan.engines import Dma, Engine
 from cm.design.plan.system import Domain, StreamBus, System
-from cm.design.plan.window import Window
 from cm.schema.model import Direction
 
 WIDEST = 8 * WORD  # bits of a stream

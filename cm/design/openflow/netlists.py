@@ -7,7 +7,7 @@ the harness is left out of the bitstreams.
 
 from __future__ import annotations
 
-from cm.design.generate.lite import LITE
+from cm.design.generate.axi import LITE
 from cm.design.generate.netlist import Netlist, zeros
 from cm.design.generate.static_part.module import static_part
 from cm.design.generate.wrapper import black_box

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cm.design.generate.lite import LITE
+from cm.design.generate.axi import LITE
 from cm.design.generate.netlist import Netlist, zeros
 from cm.design.hdl.model import PortDirection
 

@@ -22,7 +22,7 @@ Pip = tuple[str, str]  # name in nextpnr (X85Y13/DESTINATION/SOURCE), name of th
 
 @dataclass(frozen=True)
 class Routed:
-    """The dump of `inside/dump.py`; `inputs`: labels of the anchors whose input side this run contains."""
+    """The dump of `nextpnr_scripts/dump.py`; `inputs`: labels of the anchors whose input side this run contains."""
 
     cells: Mapping[str, tuple[str, str]]  # name → type, place
     nets: Mapping[str, Mapping[str, Any]]

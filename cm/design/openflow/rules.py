@@ -7,7 +7,6 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from cm.design.check.finding import Finding
 from cm.design.errors import BuildError
 from cm.design.openflow.engines import WIDEST, halves
 from cm.design.openflow.processor import MEMORY_PORTS
@@ -15,6 +14,7 @@ from cm.design.plan.engines import Dma, EngineKind
 from cm.design.plan.floorplan import rectangle
 from cm.design.plan.system import Implementation, RegionPlan, System
 from cm.design.project.model import in_libraries
+from cm.design.project.source_position import Finding
 from cm.formats.bitstream.geometry import geometry_of
 from cm.schema.model import Direction
 

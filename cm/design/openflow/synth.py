@@ -15,8 +15,7 @@ from cm.design.openflow.clocking import check_clocks
 from cm.design.openflow.memories import packable
 from cm.design.openflow.netlists import ANCHOR, HARNESS
 from cm.design.openflow.rules import check_cells
-from cm.design.openflow.separate import separate
-from cm.design.openflow.shifts import unchain
+from cm.design.openflow.shifts import separate, unchain
 from cm.design.openflow.steps import run_tool, write_whole
 from cm.design.openflow.tools import Tool
 

@@ -3,14 +3,32 @@
 
 From the platform's base: 16 MiB per clock for the register windows that run on it (the control
 registers first), 64 KiB per DMA engine from +64 MiB, and AXI4 windows from +128 MiB.
+
+A range of addresses.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 from cm.design.errors import BuildError
-from cm.design.plan.window import Window
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A range of addresses: `base` physical, `size` a power of two."""
+
+    name: str
+    base: int
+    size: int
+    doc: str = ""
+
+    @property
+    def end(self) -> int:
+        """The first address after it."""
+        return self.base + self.size
+
 
 CONTROL_SIZE = 0x1000
 DMA_SIZE = 0x10000

@@ -9,10 +9,10 @@ from pathlib import Path
 
 from cm.design.errors import BuildError
 from cm.design.hdl.model import Interface
+from cm.design.plan.addresses import Window
 from cm.design.plan.dma_cells import DmaCell, dma_cell
 from cm.design.plan.ports import HPM_WIDTH, MAX_SLAVES, WIDTH, MemoryPort, memory_ports
 from cm.design.plan.system import System, used_clocks
-from cm.design.plan.window import Window
 
 
 @dataclass(frozen=True, slots=True)

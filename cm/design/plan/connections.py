@@ -13,7 +13,7 @@ from cm.design.plan.streams import stream_bus
 from cm.design.plan.switch import check_switched
 from cm.design.plan.system import Line, MemoryBus, RegionPlan, RegisterBus, StreamBus
 from cm.design.project.model import ConnectionSpec, Project, RegionSpec
-from cm.design.project.where import fault
+from cm.design.project.source_position import fault
 from cm.schema.problems import KeyPath, did_you_mean
 
 _CONNECTIONS = {

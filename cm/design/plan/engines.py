@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 
-from cm.design.plan.window import Window
+from cm.design.plan.addresses import Window
 from cm.schema.model import Direction
 
 MC_CHANNELS = 16  # of an MCDMA, in each direction

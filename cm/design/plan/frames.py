@@ -11,7 +11,7 @@ from dataclasses import replace
 from cm.design.plan.engines import Dma, EngineKind
 from cm.design.plan.system import RegionPlan, StreamBus, SwitchPlan
 from cm.design.project.model import Project
-from cm.design.project.where import fault
+from cm.design.project.source_position import fault
 from cm.schema.problems import KeyPath
 
 MAX_LINES, MAX_LINE = (1 << 13) - 1, (1 << 16) - 1  # a VDMA's VSIZE, HSIZE (xaxivdma_hw.h of Xilinx/embeddedsw)

@@ -9,12 +9,11 @@ from collections.abc import Iterator, Mapping
 from cm.design.boundary.model import Boundary
 from cm.design.errors import BuildError
 from cm.design.hdl.model import Interface
-from cm.design.plan.addresses import CONTROL_SIZE, Allocator
+from cm.design.plan.addresses import CONTROL_SIZE, Allocator, Window
 from cm.design.plan.connections import RegionPlanner
-from cm.design.plan.cover import Cover, cover
 from cm.design.plan.engines import Dma
 from cm.design.plan.frames import check_frames
-from cm.design.plan.shells import check_shells, first_run
+from cm.design.plan.minimal_runs import Cover, check_shells, cover, first_run
 from cm.design.plan.streams import crowding, place
 from cm.design.plan.switch import own_streams, plan_switch, switch_width
 from cm.design.plan.system import (
@@ -25,10 +24,9 @@ from cm.design.plan.system import (
     SwitchPlan,
     System,
 )
-from cm.design.plan.window import Window
 from cm.design.platforms import Platform, device_of, platform_of
 from cm.design.project.model import ConnectionSpec, Project
-from cm.design.project.where import fault
+from cm.design.project.source_position import fault
 from cm.schema.model import Direction, LoaderKind
 
 MAX_INTERRUPTS = 128  # of all modules together: cm_control.v

@@ -12,12 +12,11 @@ from dataclasses import dataclass, replace
 
 from cm.design.errors import BuildError
 from cm.design.hdl.model import Interface, Mode
-from cm.design.plan.addresses import Allocator
+from cm.design.plan.addresses import Allocator, Window
 from cm.design.plan.engines import MC_CHANNELS, Dma, EngineKind
 from cm.design.plan.system import RegionPlan, StreamBus
-from cm.design.plan.window import Window
 from cm.design.project.model import ConnectionSpec, Project, RegionSpec
-from cm.design.project.where import fault
+from cm.design.project.source_position import fault
 from cm.schema.model import Direction
 from cm.schema.problems import KeyPath
 

@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 
 from cm.design.hdl.model import Interface, Mode
+from cm.design.plan.addresses import Window
 from cm.design.plan.streams import dma_width, stream_bus
 from cm.design.plan.system import RegionPlan, StreamBus, SwitchPlan
-from cm.design.plan.window import Window
 from cm.design.project.model import ModeSpec, Project, RegionSpec
-from cm.design.project.where import fault
+from cm.design.project.source_position import fault
 from cm.schema.problems import KeyPath, did_you_mean
 
 MAX_ENDS = 16  # on either side (PG085, "Switch Properties")

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 from cm.design.boundary.model import Boundary, BoundaryPort, Role
 from cm.design.hdl.model import Interface
-from cm.design.plan.cover import Cover
+from cm.design.plan.addresses import Window
 from cm.design.plan.engines import Dma, Engine, engines_of
-from cm.design.plan.window import Window
+from cm.design.plan.minimal_runs import Cover
 from cm.design.platforms import Platform
 from cm.design.project.model import ConnectionSpec, ModuleSpec, Project, RegionSpec
 

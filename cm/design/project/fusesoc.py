@@ -4,19 +4,22 @@
 They are read as FuseSoC does (its user guide, "CAPI2 reference"): `filesets` of a target in order, those of
 dependencies first; `_append` keys; `flag ? (…)` and `!flag ? (…)` in names, with the flags that
 `tool: vivado` sets. Dependencies are looked for below given folders; nothing is fetched, and no generator is run.
+
+Modules whose files are listed in a FuseSoC core.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from cm.design.errors import BuildError
+from cm.design.project.model import ModuleSpec
 
 _TOKEN = re.compile(r"\s*(?:(!?)([\w+-]+)\s*\?\s*\(|(\))|([^\s()]+))")
 _RELATION = re.compile(r"(>=|<=|>|<|=|~|\^)?(.*)")
@@ -234,3 +237,28 @@ def _fits(have: tuple[int, ...], relation: str, want: tuple[int, ...]) -> bool:
     return {"=": left == right, ">=": left >= right, ">": left > right, "<=": left <= right, "<": left < right}[
         relation
     ]
+
+
+def with_core(module: ModuleSpec, path: Path, target: str, roots: Iterable[Path], named: bool) -> ModuleSpec:
+    """Return `module` with the core's files before its own; values in the build schema take precedence.
+
+    `named`: the build schema names the top. Raises BuildError for what the core lacks.
+    """
+    found = core_files(path, target, roots)
+    if found.missing:
+        raise BuildError("; ".join(found.missing))
+    libraries = {name: tuple(files) for name, files in found.libraries.items()}
+    for name, files in module.libraries.items():
+        libraries[name] = (*libraries.get(name, ()), *files)
+    return replace(
+        module,
+        top=module.top if named or found.top is None else found.top,
+        sources=(*found.sources, *module.sources),
+        libraries=libraries,
+        include_dirs=(*found.include_dirs, *module.include_dirs),
+        constraints=(*found.constraints, *module.constraints),
+        tcl=(*found.tcl, *module.tcl),
+        ip=(*found.ip, *module.ip),
+        defines={**found.defines, **module.defines},
+        parameters={**found.parameters, **module.parameters},
+    )

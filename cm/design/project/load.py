@@ -1,35 +1,122 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads a build schema: YAML → `cm.design.project.model.Project`, every problem with its position."""
+"""Reads a build schema: YAML → `cm.design.project.model.Project`, every problem with its position.
+
+File names in a build schema: relative to its folder; `*` matches files, in sorted order.
+
+Small parts of a build schema: connections, registers, streams of modes, values of macros.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from cm.design.boards import BoardDefinition, boards
 from cm.design.errors import BuildError
 from cm.design.project import references
-from cm.design.project.cores import with_core
+from cm.design.project.fusesoc import with_core
 from cm.design.project.model import (
     BitstreamSpec,
     ClockSpec,
-    HlsSpec,
+    ConnectionSpec,
+    FieldSpec,
     ModeSpec,
+    ModeStreamSpec,
     ModuleSpec,
     Project,
     RegionSpec,
+    RegisterSpec,
     Resources,
     StaticSpec,
+    SwitchSpec,
 )
-from cm.design.project.parts import connection, macro, mode_stream, registers, switch
-from cm.design.project.paths import PathReader
-from cm.schema.model import LoaderKind
+from cm.schema.model import Access, LoaderKind
 from cm.schema.problems import KeyPath, Problem, SchemaError, key_path
 from cm.schema.reader import Refused, read
 from cm.schema.structure import Structure
 from cm.schema.tree import Mark, Node, Scalar, locate, plain
+
+
+def connection(spec: dict[str, Any]) -> ConnectionSpec:
+    """An interface of a region."""
+    spec = dict(spec)
+    shape, single = spec.pop("shape", None), spec.pop("pin", None)
+    pins = {name.lower(): tuple(given) for name, given in (spec.pop("pins", None) or {}).items()}
+    if single:
+        pins[""] = tuple(single)
+    return ConnectionSpec(**spec, shape=tuple(shape) if shape else None, pins=pins)
+
+
+def switch(spec: dict[str, Any], clock: str) -> SwitchSpec:
+    """The switch between regions; `clock` is the default one."""
+    ends = {
+        side: {name: replace(connection(value or {}), stream=name) for name, value in (spec.get(side) or {}).items()}
+        for side in ("inputs", "outputs")
+    }
+    return SwitchSpec(spec.get("clock", clock), **ends)
+
+
+def mode_stream(spec: dict[str, Any]) -> ModeStreamSpec:
+    """A stream in a mode."""
+    shape = spec.get("shape")
+    return ModeStreamSpec(tuple(shape) if shape else None, spec.get("dtype"))
+
+
+def registers(spec: dict[str, Any]) -> dict[str, RegisterSpec]:
+    """Registers by name."""
+    return {name: _register(name, value) for name, value in (spec.get("registers") or {}).items()}
+
+
+def _register(name: str, spec: dict[str, Any]) -> RegisterSpec:
+    fields = {key: FieldSpec(key, **value) for key, value in (spec.get("fields") or {}).items()}
+    rest = {key: value for key, value in spec.items() if key not in ("access", "fields", "min", "max")}
+    access = Access(spec.get("access", "rw"))
+    return RegisterSpec(name, access=access, fields=fields, minimum=spec.get("min"), maximum=spec.get("max"), **rest)
+
+
+def macro(value: object) -> str:
+    """Write a macro's value as the preprocessor expects it."""
+    if value is None or value is True:
+        return "1"
+    return "0" if value is False else str(value)
+
+
+Report = Callable[[KeyPath, str, str, str], None]
+
+
+class PathReader:
+    """Turns names into absolute paths, and reports those that do not exist."""
+
+    def __init__(self, folder: Path, report: Report) -> None:
+        self._folder, self._report = folder, report
+
+    def many(self, names: Sequence[str] | None, key: KeyPath) -> tuple[Path, ...]:
+        """The files of a list of names, in order."""
+        found: list[Path] = []
+        for index, name in enumerate(names or ()):
+            found += self._expand(name, (*key, index))
+        return tuple(found)
+
+    def one(self, name: str | None, key: KeyPath) -> Path | None:
+        """One file, or None if no name is given."""
+        return next(iter(self._expand(name, key)), None) if name else None
+
+    def _expand(self, name: str, key: KeyPath) -> list[Path]:
+        pattern = Path(name)
+        if "*" in name:
+            base, relative = (Path("/"), str(pattern)[1:]) if pattern.is_absolute() else (self._folder, name)
+            files = sorted(path for path in base.glob(relative) if path.is_file())
+            if not files:
+                self._report(key, "file_not_found", f"no file fits {name}", f"looked in {self._folder}")
+            return files
+        path = pattern if pattern.is_absolute() else self._folder / pattern
+        if not path.exists():
+            self._report(key, "file_not_found", f"{name} does not exist", f"looked in {self._folder}")
+        return [path]
+
 
 SCHEMA_FILE = Path(__file__).parents[1] / "data" / "build.schema.json"
 DEFAULT_CLOCK = "fclk0"
@@ -54,6 +141,8 @@ class Reporter:
 
     def fitted(self, mark: Mark, path: KeyPath, code: str, message: str, hint: str) -> None:
         """Report a problem that the walk along the schema found."""
+        if code == "unknown_key" and path[-1:] == ("hls",):
+            hint = "run Vitis HLS, and give component: or sources: with what it wrote"
         self.at(mark, code, message, hint, key_path(path))
 
     def stop(self) -> None:
@@ -228,7 +317,6 @@ class _Builder:
             defines={key: macro(value) for key, value in (spec.get("defines") or {}).items()},
             parameters=spec.get("parameters") or {},
             interface_parameters=spec.get("interface_parameters") or {},
-            hls=self._hls(spec.get("hls"), (*where, "hls")),
             component=self._files.one(spec.get("component"), (*where, "component")),
             model=spec.get("model"),
             registers=registers(spec),
@@ -248,11 +336,6 @@ class _Builder:
             self._report.key((*where, "core"), "bad_core", str(error), "")
             self._report.stop()
             raise
-
-    def _hls(self, spec: dict[str, Any] | None, where: KeyPath) -> HlsSpec | None:
-        if spec is None:
-            return None
-        return HlsSpec(self._files.many(spec["sources"], (*where, "sources")), spec.get("cflags", ""))
 
     def _modes(self, modules: dict[str, ModuleSpec]) -> dict[str, ModeSpec]:
         given = self._data.get("modes")

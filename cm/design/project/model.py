@@ -126,14 +126,6 @@ def in_libraries(libraries: Mapping[str, tuple[Path, ...]]) -> tuple[Path, ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class HlsSpec:
-    """C++ of a module: `sources` contain the function; `cflags` are for Vitis HLS; -I and -D are used here too."""
-
-    sources: tuple[Path, ...]
-    cflags: str = ""
-
-
-@dataclass(frozen=True, slots=True)
 class ModuleSpec:
     """A module: HDL with `top`, and the regions it may go to."""
 
@@ -147,7 +139,6 @@ class ModuleSpec:
     parameters: Mapping[str, int | float | str | bool] = field(default_factory=empty)
     interface_parameters: Mapping[str, Mapping[str, int | str]] = field(default_factory=empty)  # by port
     flat: tuple[str, str] | None = None  # file and text of a generated wrapper, which is then the top
-    hls: HlsSpec | None = None
     ip: tuple[Path, ...] = ()
     ip_repositories: tuple[Path, ...] = ()
     component: Path | None = None

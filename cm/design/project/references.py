@@ -102,8 +102,8 @@ def _module(project: Project, module: ModuleSpec, report: Report) -> None:
     for index, region in enumerate(module.regions):
         if region not in project.regions:
             unknown(report, (*key, "regions", index), "region", region, project.regions)
-    if not (module.sources or module.libraries or module.hls or module.ip or module.tcl):
-        report(key, "missing_key", "nothing to build it from", "give sources, core, hls, ip or tcl")
+    if not (module.sources or module.libraries or module.ip or module.tcl):
+        report(key, "missing_key", "nothing to build it from", "give sources, core, ip or tcl")
     has_ports = bool(module.ip) and _lists_ports(module.ip[0])
     if module.ip and not (module.readable or module.component or has_ports):
         hint = "give component: (IP-XACT) or sim_sources: with a module of the same ports"

@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A system → the runtime schema that the CM loads (`cm.schema.model.Config`)."""
+"""A system → the runtime schema that the CM loads (`cm.schema.model.Config`).
+
+The runtime schema as text, with a comment wherever the user should decide something.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,8 +16,9 @@ from cm.design.plan.frames import frame_problem
 from cm.design.plan.switch import COMMIT, CONTROL, MUX, NONE, UPDATE, chain_of, register_name, route_values
 from cm.design.plan.system import RegionPlan, SwitchPlan, System
 from cm.design.project.model import FieldSpec, ModeSpec, ModeStreamSpec, ModuleSpec, RegisterSpec
-from cm.design.project.where import fault
+from cm.design.project.source_position import fault
 from cm.design.runtime.answers import Answers
+from cm.schema import dump
 from cm.schema.model import (
     Access,
     BitField,
@@ -254,3 +259,42 @@ def _streams(system: System, answers: Answers) -> list[Stream]:
 def _interrupt(system: System, name: str, bit: int) -> Interrupt:
     status = _bank_name("irq_status", bit // 32)
     return Interrupt(name, system.control.base, status=status, bit=bit % 32, acknowledge=True)
+
+
+_KEY = re.compile(r"( *)(?:- )?([^\s:#][^:]*):")
+
+
+def runtime_text(system: System, config: Config) -> str:
+    """Write `config` in normal form; each comment is above the key that it is about."""
+    notes = dict(_notes(system, config))
+    lines: list[str] = []
+    stack: list[tuple[int, str]] = []
+    for line in dump(config).splitlines():
+        found = _KEY.match(line)
+        if found:
+            depth = len(found[1])
+            stack = [entry for entry in stack if entry[0] < depth]
+            stack.append((depth, found[2].strip("\"'")))
+            note = notes.get(".".join(key for _, key in stack))
+            if note:
+                lines.append(f"{found[1]}# {note}")
+        lines.append(line)
+    return "\n".join(lines)
+
+
+def _notes(system: System, config: Config) -> Iterator[tuple[str, str]]:
+    yield "config.default_mode", f"decide: the mode after start, one of {', '.join(config.modes)}"
+    if config.overlays:
+        yield "config.overlays", "decide: leave out where dts/system-user.dtsi is part of the board's own device tree"
+    for name, stream in config.streams.items():
+        if stream.shape is None:
+            text = "decide: shape (one frame) and dtype; without them frames are flat bytes of the length that arrived"
+        else:
+            text = "decide: shape, dtype and slots of a frame"
+        yield f"config.streams.{name}", text
+    for region in system.regions:
+        if not region.spec.decoupling:
+            yield f"config.regions.{region.name}", "not decoupled: a load may disturb what is connected to it"
+    for name, module in config.modules.items():
+        if module.registers and all(register.default is None for register in module.registers.values()):
+            yield f"config.modules.{name}", "decide: default: of registers that a mode should set when it is entered"

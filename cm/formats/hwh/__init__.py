@@ -5,7 +5,6 @@
 `cm import pynq` and by `cm build collect`.
 """
 
-from cm.formats.hwh.known import registers as registers
 from cm.formats.hwh.model import BusInterface as BusInterface
 from cm.formats.hwh.model import ConnectedPort as ConnectedPort
 from cm.formats.hwh.model import Hwh as Hwh
@@ -26,4 +25,5 @@ from cm.formats.hwh.trace import decouplers as decouplers
 from cm.formats.hwh.trace import dma_channels as dma_channels
 from cm.formats.hwh.trace import interrupts as interrupts
 from cm.formats.hwh.trace import memories as memories
+from cm.formats.hwh.trace import registers as registers
 from cm.formats.hwh.trace import windows as windows

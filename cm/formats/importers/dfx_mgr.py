@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from cm.formats.importers.dfx_json import Fields
 from cm.formats.importers.dfx_slots import import_slots
-from cm.formats.importers.fields import Fields
 from cm.formats.importers.images import find_image, find_overlay
-from cm.formats.importers.names import to_name
-from cm.formats.importers.result import Imported, ImportRefused, frozen, static_of
+from cm.formats.importers.result import Imported, ImportRefused, frozen, static_of, to_name
 from cm.schema.model import Config, ConfigType, Mode, Overlay
 
 _KNOWN = ("XRT_FLAT", "PL_FLAT", "PL_DFX")

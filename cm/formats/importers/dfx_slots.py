@@ -9,11 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cm.formats.bitstream import footprint_of, outside
-from cm.formats.importers.accel import accel_registers, accel_streams
-from cm.formats.importers.fields import Fields, to_number
+from cm.formats.importers.dfx_json import Fields, accel_registers, accel_streams, to_number
 from cm.formats.importers.images import FoundImage, FoundOverlay, find_image, find_overlay
-from cm.formats.importers.names import Names, to_name
-from cm.formats.importers.result import frozen, static_of
+from cm.formats.importers.result import Names, frozen, static_of, to_name
 from cm.schema.model import (
     Config,
     ConfigType,

@@ -13,11 +13,9 @@ from cm.formats import hwh as handoff
 from cm.formats.bitstream import Expectation, Report, inspect, verify
 from cm.formats.bitstream.devices import base_name
 from cm.formats.hwh import Hwh
-from cm.formats.importers.memories import memories
-from cm.formats.importers.names import Names, to_name
 from cm.formats.importers.pynq_regions import import_regions
-from cm.formats.importers.registers import RegisterBank
-from cm.formats.importers.result import Imported, ImportRefused, frozen, static_of
+from cm.formats.importers.registers import RegisterBank, memories
+from cm.formats.importers.result import Imported, ImportRefused, Names, frozen, static_of, to_name
 from cm.schema.model import Clock, Config, ConfigType, Direction, Interrupt, Mode, Overlay, Register, Stream
 
 # Their registers belong to kernel drivers; written behind a driver's back they hang the bus.

@@ -15,10 +15,8 @@ from pathlib import Path
 from cm.formats import hwh as handoff
 from cm.formats.bitstream import BitstreamError, Report, footprint_of, inspect, outside
 from cm.formats.hwh import DecouplerInfo, Hwh, HwhError
-from cm.formats.importers.memories import memories, within
-from cm.formats.importers.names import Names, to_name
-from cm.formats.importers.registers import RegisterBank
-from cm.formats.importers.result import frozen, static_of
+from cm.formats.importers.registers import RegisterBank, memories, within
+from cm.formats.importers.result import Names, frozen, static_of, to_name
 from cm.schema.model import (
     Config,
     ConfigType,

@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Registers of a `.hwh` as registers of the runtime schema."""
+"""Registers of a `.hwh` as registers of the runtime schema.
+
+Block RAM of a `.hwh` as memories of the runtime schema.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
-from cm.formats.hwh import RegisterField, RegisterInfo
-from cm.formats.importers.names import Names
-from cm.formats.importers.result import frozen
-from cm.schema.model import Access, BitField, Register
+from cm.formats import hwh as handoff
+from cm.formats.hwh import Hwh, MemoryRange, RegisterField, RegisterInfo
+from cm.formats.importers.result import Names, frozen
+from cm.schema.model import Access, BitField, Memory, Register, Stream
 
 _ACCESS = {"read-only": Access.RO, "write-only": Access.WO, "read-write": Access.RW}
 _WIDTHS = (8, 16, 32, 64)
@@ -88,3 +91,43 @@ def _fields(infos: Sequence[RegisterField], size: int) -> dict[str, BitField]:
 
 def _one_line(text: str) -> str:
     return " ".join(text.split())[:500]
+
+
+_WORD = 4
+_LARGEST = 1 << 30  # most bytes that the schema allows
+
+
+def memories(
+    hwh: Hwh,
+    notes: list[str],
+    streams: Iterable[Stream] = (),
+    prefix: str = "",
+    window: tuple[int, int] | None = None,
+    region: str | None = None,
+) -> dict[str, Memory]:
+    """A memory for each BRAM controller; `window` is (base, size) of the region that it lies in."""
+    names = Names()
+    for stream in streams:
+        names.take(stream.name)  # a name must belong to one thing only
+    found: dict[str, Memory] = {}
+    base, limit = window or (0, 1 << 64)
+    for item in handoff.memories(hwh):
+        offset = within(item.base, base, limit)
+        aligned = item.size % _WORD == 0 and item.base % _WORD == 0
+        if not aligned or item.size > _LARGEST or offset is None or offset + item.size > limit:
+            notes.append(f"{prefix}{_where(item)}: no memory that a schema can have, left out")
+            continue
+        name = names.take(f"{prefix}{item.instance}")
+        found[name] = Memory(name, base + offset, item.size, region=region, doc=f"Block RAM of {item.instance}")
+    return found
+
+
+def within(address: int, base: int, size: int) -> int | None:
+    """Return where in a window of `size` bytes at `base` an address lies that is relative to it, or absolute."""
+    if base <= address < base + size:
+        return address - base
+    return address if address < size else None
+
+
+def _where(item: MemoryRange) -> str:
+    return f"{item.instance} at 0x{item.base:x}, {item.size} bytes"

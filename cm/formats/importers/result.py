@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The result of an import, and how it is written."""
+"""The result of an import, and how it is written.
+
+Names of other formats as names of the runtime schema.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,6 +17,33 @@ from cm.errors import CmError
 from cm.formats.bitstream import Report
 from cm.schema import dump, loads
 from cm.schema.model import Config, Mode, Module, Overlay, StaticIdentity
+
+_LONGEST = 64
+
+
+def to_name(text: str) -> str:
+    """Return `text` with what a name cannot have replaced by ``_``; ``unnamed`` if nothing is left."""
+    name = re.sub(r"[^A-Za-z0-9_-]+", "_", text).strip("_-")[:_LONGEST].rstrip("_-") or "unnamed"
+    return name if not name[0].isdigit() else f"_{name}"[:_LONGEST]
+
+
+class Names:
+    """Gives each thing a unique name: the second `irq` becomes `irq_2`."""
+
+    def __init__(self) -> None:
+        self._taken: set[str] = set()
+
+    def take(self, text: str) -> str:
+        """Return a name made from `text` that has not been used before."""
+        name = base = to_name(text)
+        count = 1
+        while name in self._taken:
+            count += 1
+            suffix = f"_{count}"
+            name = base[: _LONGEST - len(suffix)] + suffix
+        self._taken.add(name)
+        return name
+
 
 _T = TypeVar("_T")
 

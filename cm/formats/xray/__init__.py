@@ -13,10 +13,10 @@ from cm.formats.xray.encode import Clash as Clash
 from cm.formats.xray.encode import Encoded as Encoded
 from cm.formats.xray.encode import bits_of as bits_of
 from cm.formats.xray.encode import encode as encode
-from cm.formats.xray.errors import DatabaseMissing as DatabaseMissing
-from cm.formats.xray.errors import XrayError as XrayError
+from cm.formats.xray.features import DatabaseMissing as DatabaseMissing
 from cm.formats.xray.features import Feature as Feature
 from cm.formats.xray.features import Setting as Setting
+from cm.formats.xray.features import XrayError as XrayError
 from cm.formats.xray.features import fasm as fasm
 from cm.formats.xray.features import parse as parse
 from cm.formats.xray.features import read_features as read_features

@@ -10,8 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from cm.formats.xray.errors import DatabaseMissing, XrayError
-from cm.formats.xray.features import Feature, read_features
+from cm.formats.xray.features import DatabaseMissing, Feature, XrayError, read_features
 from cm.formats.xray.segbits import Segbits, read_ppips, read_segbits
 from cm.formats.xray.tiles import BLOCKS, Tile, read_tiles
 

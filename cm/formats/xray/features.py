@@ -1,13 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Features, and their text form (FASM): the settings of a tile, each of which is on or off."""
+"""Features, and their text form (FASM): the settings of a tile, each of which is on or off.
+
+What can be wrong with a database of Project X-Ray, or with features that are to become frames.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
-from cm.formats.xray.errors import XrayError
+from cm.errors import CmError
+
+
+class XrayError(CmError):
+    """The database, a line of FASM or a set of features is not what it should be; the sentence says where."""
+
+    code: ClassVar[str] = "xray"
+
+
+class DatabaseMissing(XrayError):
+    """There is no database of Project X-Ray here, or it does not have the part."""
+
+    code: ClassVar[str] = "xray_database_missing"
+
 
 _LINE = re.compile(
     r"(?P<tile>[A-Za-z0-9_]+)\.(?P<name>[A-Za-z0-9_.]+)"

@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
-from cm.formats.xray.errors import XrayError
+from cm.formats.xray.features import XrayError
 
 _INDEX = re.compile(r"\[0*(\d+)\]$")
 _BIT = re.compile(r"(!?)(\d+)_(\d+)")

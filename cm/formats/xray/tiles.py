@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cm.formats.xray.errors import XrayError
+from cm.formats.xray.features import XrayError
 from cm.formats.xray.segbits import Bit
 
 BLOCKS = {"CLB_IO_CLK": "", "BLOCK_RAM": ".block_ram"}  # block of bits → suffix of the segbits file

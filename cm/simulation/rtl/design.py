@@ -201,7 +201,7 @@ def _static_sources(folder: Path) -> tuple[Path, ...]:
 def _unit(one: Implementation, folder: Path, renderer: Renderer) -> Unit:
     """A module in its wrapper; where vendor IP is used, `sim_sources` stand for it."""
     module = one.module
-    if (module.ip or module.tcl or module.hls) and not module.sim_sources:
+    if (module.ip or module.tcl) and not module.sim_sources:
         raise RtlError(
             f"module {module.name} is made of vendor IP or C++: give sim_sources: with HDL that does the same"
         )

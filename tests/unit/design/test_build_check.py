@@ -18,7 +18,7 @@ from cm.design.check.rules import check_system
 from cm.design.errors import BuildError
 from cm.design.generate.outputs import render_all
 from cm.design.generate.tree import generate, load_design
-from cm.design.partition.parts import part_of
+from cm.design.partition.utilisation import part_of
 from cm.design.plan.block_design import context
 from cm.design.plan.floorplan import DEVICES, Rectangle, device_sites, rectangle
 from cm.design.plan.system import System

@@ -16,7 +16,7 @@ from cm.design.collect.collection import collect
 from cm.design.collect.foreign_dma import engines
 from cm.design.collect.handoff import MAX_ARCHIVE, MAX_MEMBER, streams
 from cm.design.errors import BuildError
-from cm.design.partition.parts import part_of
+from cm.design.partition.utilisation import part_of
 from cm.design.platforms import ZYNQ7000, ZYNQMP, device_of, platform_of
 from cm.formats import hwh as handoff
 from cm.schema.model import Direction

@@ -11,7 +11,7 @@ import pytest
 from import_support import bitstream, described, hwh, memory, module, port, ports, register
 
 from cm.design.collect.collection import collect
-from cm.design.collect.foreign_interrupts import interrupts
+from cm.design.collect.foreign_dma import interrupts
 from cm.design.platforms import ZYNQ7000
 from cm.formats import hwh as handoff
 from cm.formats.hwh import HwhError

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cm.design.plan.cover import cover
+from cm.design.plan.minimal_runs import cover
 
 REGIONS = {"a": ["a1", "a2", "a3"], "b": ["b1", "b2"]}
 
@@ -81,7 +81,7 @@ def test_the_runs_are_reachable_cover_all_and_are_the_fewest(system: tuple[dict,
 def test_with_too_many_states_to_list_the_runs_are_reachable_and_cover_all(system: tuple[dict, list]) -> None:
     regions, modes = system
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("cm.design.plan.cover.MAX_STATES", 0)
+        patch.setattr("cm.design.plan.minimal_runs.MAX_STATES", 0)
         found = cover(regions, modes, free=False, first=modes[0])
     names = list(regions)
     states = reachable(names, modes)

@@ -18,7 +18,7 @@ from test_build_tcl import replay, scripts
 from cm import schema
 from cm.design.check.block_design import check_block_design
 from cm.design.check.rules import check_system
-from cm.design.collect.overlays import QUIET
+from cm.design.collect.collected import QUIET
 from cm.design.errors import BuildError
 from cm.design.generate.tree import Design, generate, load_design, output_folder
 from cm.design.plan.block_design import context

@@ -1,29 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Modules given in other forms than HDL: FuseSoC cores, IP-XACT components, IP instances, C++ for Vitis HLS."""
+"""Modules given in other forms than HDL: FuseSoC cores, IP-XACT components, IP instances."""
 
 from __future__ import annotations
 
 import contextlib
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import yaml
-from build_support import MINIMAL, STREAM_MODULE, needs, project
+from build_support import MINIMAL, STREAM_MODULE, project
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_build_sources import XCI
-from test_build_tcl import TCL, replay, scripts
 
 from cm.cli.main import main
 from cm.design.errors import BuildError
-from cm.design.generate.tree import generate, load_design, output_folder
 from cm.design.hdl.errors import HdlError
-from cm.design.hdl.hls import hls_registers, load_hls
-from cm.design.hdl.ipxact_files import component_files
+from cm.design.hdl.ipxact import component_files
 from cm.design.project.fusesoc import core_files, names
-from cm.design.project.model import HlsSpec
 
 pytest.importorskip("pyslang", reason="needs pyslang: the extra [build] is not installed")
 pytest.importorskip("jinja2", reason="needs jinja2: the extra [build] is not installed")
@@ -239,135 +233,15 @@ def test_init_takes_an_instance_of_ip(tmp_path: Path) -> None:
     assert begun(tmp_path, str(tmp_path / "fifo_8.xci")) == {"fifo_8": {"ip": ["fifo_8.xci"]}}
 
 
-AXIS = """\
-#include "sizes.h"
-typedef ap_axis<WORD * 2, 0, 0, 0> packet;
-// void copy(int x) { is a comment }
-static void inner(hls::stream<packet> &from, hls::stream<packet> &to) { to.write(from.read()); }
-void copy(hls::stream<packet> &strm_in, hls::stream<packet> &strm_out) {
-#pragma HLS INTERFACE ap_ctrl_none port=return
-#pragma HLS INTERFACE axis port=strm_in
-#pragma HLS INTERFACE mode=axis port=strm_out
-    inner(strm_in, strm_out);
-}
-"""
-
-
-def test_streams_of_cpp_have_the_ports_that_vitis_hls_gave_them(tmp_path: Path) -> None:
-    """The ports of PiniponSelvagem/HLS_KV260_AXIS 7797b94, design_1_axis_0_0.xci, of Vitis HLS 2022.2."""
-    (tmp_path / "copy.cpp").write_text(AXIS)
-    (tmp_path / "sizes.h").write_text("#define WORD 32\n")
-    info = load_hls(HlsSpec((tmp_path / "copy.cpp",)))
-    stated = {"ap_clk": ("in", 1), "ap_rst_n": ("in", 1)}
-    for name, there, back in (("strm_in", "in", "out"), ("strm_out", "out", "in")):
-        stated |= {f"{name}_TVALID": (there, 1), f"{name}_TREADY": (back, 1), f"{name}_TDATA": (there, 64)}
-        stated |= {f"{name}_TLAST": (there, 1), f"{name}_TKEEP": (there, 8), f"{name}_TSTRB": (there, 8)}
-    assert {port.name: (port.direction.value, port.width) for port in info.ports} == stated
-    assert [i.clock for i in info.interfaces] == ["ap_clk", "ap_clk"]
-
-
-KERNEL = """\
-void hbm_kernel(ap_uint<32> *maxi, const int size, unsigned pattern, int range) {
-#pragma HLS INTERFACE m_axi port=maxi offset=slave bundle=gmem
-#pragma HLS INTERFACE s_axilite port=maxi bundle=control
-#pragma HLS INTERFACE s_axilite port=size bundle=control
-#pragma HLS INTERFACE s_axilite port=pattern bundle=control
-#pragma HLS INTERFACE s_axilite port=range bundle=control
-#pragma HLS INTERFACE s_axilite port=return bundle=control
-    for (int i = 0; i < size; i++) maxi[i] = pattern + range;
-}
-"""
-
-
-def test_registers_of_cpp_lie_where_vitis_hls_put_them(tmp_path: Path) -> None:
-    """xhbm_kernel_hw.h of yxd97/check_vitis (Vitis HLS 2022.1): maxi 0x10, size 0x1c, pattern 0x24, range 0x2c."""
-    (tmp_path / "k.cpp").write_text(KERNEL)
-    found = hls_registers(HlsSpec((tmp_path / "k.cpp",)), None)
-    assert {name: register.offset for name, register in found.items()} == {
-        "ap_ctrl": 0, "maxi_0": 0x10, "maxi_1": 0x14, "size": 0x1C, "pattern": 0x24, "range": 0x2C,
-    }  # fmt: skip
-    info = load_hls(HlsSpec((tmp_path / "k.cpp",)))
-    assert {(i.name, i.protocol, i.mode.value) for i in info.interfaces} == {
-        ("s_axi_control", "axi4lite", "slave"),
-        ("m_axi_gmem", "axi4", "master"),
-    }
-    assert [irq.port for irq in info.interrupts] == ["interrupt"]
-    assert next(port.width for port in info.ports if port.name == "s_axi_control_AWADDR") == 6
-
-
-def test_outputs_of_cpp_have_a_register_that_is_read_only(tmp_path: Path) -> None:
-    """xkernel_hw.h of ilbertt/FPGAcademyMLG: op at 0x10, res at 0x18 with its valid bit at 0x1c."""
-    text = "void k(int op, int *res) {\n#pragma HLS INTERFACE s_axilite port=op\n"
-    text += "#pragma HLS INTERFACE s_axilite port=res\n#pragma HLS INTERFACE s_axilite port=return\n  *res = op;\n}\n"
-    (tmp_path / "k.cpp").write_text(text)
-    found = hls_registers(HlsSpec((tmp_path / "k.cpp",)), "k")
-    assert (found["op"].offset, found["res"].offset, found["res"].access.value) == (0x10, 0x18, "ro")
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (("packet> &strm_in", "mystery> &strm_in"), "argument strm_in: the width of its type"),
-        (("to.write(from.read());", ""), "argument strm_in: whether the stream is read or written cannot be seen"),
-        (("#pragma HLS INTERFACE axis port=strm_in\n", "#pragma HLS INTERFACE ap_fifo port=strm_in\n"), "mode=ap_fifo"),
-    ],
-)
-def test_what_is_not_understood_of_cpp_is_refused_with_its_line(
-    tmp_path: Path, change: tuple[str, str], said: str
-) -> None:
-    (tmp_path / "copy.cpp").write_text(AXIS.replace(*change).replace('#include "sizes.h"', "#define WORD 32"))
-    with pytest.raises(HdlError, match=said):
-        load_hls(HlsSpec((tmp_path / "copy.cpp",)))
-
-
-def hls_project(folder: Path) -> Path:
-    (folder / "copy.cpp").write_text(AXIS)
-    (folder / "sizes.h").write_text("#define WORD 32\n")
-    assert begun(folder, str(folder / "copy.cpp")) == {"copy": {"hls": {"sources": ["copy.cpp"]}}}
-    return folder / "build.yaml"
-
-
-def test_init_takes_cpp_and_the_header_is_an_input_of_its_synthesis(tmp_path: Path) -> None:
-    hls_project(tmp_path)
-    listed = (tmp_path / "build/inputs/synth_copy.list").read_text().splitlines()
-    assert {"../copy.cpp", "../sizes.h", "tcl/hls_copy.tcl"} <= set(listed)
-
-
-def test_the_script_for_vitis_hls_has_known_commands_only(tmp_path: Path) -> None:
-    pytest.importorskip("tclint", reason="needs tclint, which is not installed")
-    hls_project(tmp_path)
-    command = [sys.executable, "-m", "tclint", "--commands", str(TCL / "vitis_hls_commands.json"),
-               "--style-line-length", "400", str(tmp_path / "build/tcl/hls_copy.tcl")]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout
-
-
-@needs("tclsh")
-def test_the_flow_runs_vitis_hls_and_makes_an_instance_of_what_it_exports(
-    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = tmp_path_factory.mktemp("flow") / "design"
-    folder.mkdir()
-    design = load_design(hls_project(folder))
-    out = output_folder(design.project, None)
-    generate(design, out)
-    (tmp_path / "bin").mkdir()
-    tool = tmp_path / "bin/vitis_hls"
-    tool.write_text(
-        "#!/bin/sh\nmkdir -p hls/copy/solution1/impl/ip && touch hls/copy/solution1/impl/ip/component.xml\n"
-    )
-    step = "tcl/step_synth_copy.tcl"
-    monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}:/usr/bin:/bin")
-    for earlier in scripts(out)[: scripts(out).index(step)]:
-        assert replay(out, earlier, tmp_path)[0] == 0
-    status, said, _ = replay(out, step, tmp_path)
-    assert status == 1
-    assert "Vitis HLS stopped at copy" in said
-    tool.chmod(0o755)
-    status, said, calls = replay(out, step, tmp_path)
-    assert status == 0, said
-    created = "create_ip -vendor xilinx.com -library hls -name copy -version 1.0 -module_name copy -dir hls/copy_ip"
-    assert created in calls
+def test_cpp_is_refused_with_the_way_to_what_can_be_read(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    (tmp_path / "copy.cpp").write_text("void copy(int x) {}\n")
+    assert main(["build", "init", str(tmp_path / "copy.cpp"), "-o", str(tmp_path / "build.yaml")]) == 1
+    assert "run Vitis HLS, and give the component.xml or the Verilog that it wrote" in capsys.readouterr().err
+    path = project(tmp_path, MINIMAL.replace("sources: [one.v]", "hls: {sources: [copy.cpp]}"))
+    assert main(["build", "check", str(path)]) == 1
+    said = capsys.readouterr().err
+    assert "build.yaml:6:5: modules.one.hls: unknown key 'hls'" in said
+    assert "run Vitis HLS, and give" in said
 
 
 def damaged(text: str) -> st.SearchStrategy[str]:
@@ -375,16 +249,6 @@ def damaged(text: str) -> st.SearchStrategy[str]:
     place = st.integers(0, len(text))
     noise = st.text(alphabet='(){}<>[];:,*&"#/\\? \nabc019=', max_size=12)
     return st.builds(lambda a, b, n: text[: min(a, b)] + n + text[max(a, b) :] * (1 + len(n) % 2), place, place, noise)
-
-
-@given(damaged(AXIS.replace('#include "sizes.h"', "#define WORD 32") + KERNEL), st.sampled_from(["copy", "hbm_kernel"]))
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_any_damage_of_cpp_is_read_or_refused(tmp_path: Path, text: str, top: str) -> None:
-    (tmp_path / "k.cpp").write_text(text)
-    with contextlib.suppress(HdlError):
-        load_hls(HlsSpec((tmp_path / "k.cpp",)), top)
-    with contextlib.suppress(HdlError):
-        hls_registers(HlsSpec((tmp_path / "k.cpp",)), None)
 
 
 @given(damaged(CORE))

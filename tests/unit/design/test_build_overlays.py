@@ -13,7 +13,7 @@ import pytest
 from build_support import copy_examples, generated, needs
 
 from cm import schema
-from cm.design.collect.overlays import QUIET
+from cm.design.collect.collected import QUIET
 from cm.design.plan.system import System
 
 DTS = Path(__file__).parents[3] / "dts"

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from cm.design.errors import BuildError, MissingTool
 from cm.design.partition.advisor import advise
 from cm.design.partition.model import Part, Problem, Unit, UsedMode, compatible, evaluate, group_of
-from cm.design.partition.parts import part_of
+from cm.design.partition.utilisation import part_of
 from cm.design.project.model import Resources
 
 pytest.importorskip("scipy", reason="needs scipy: the extra [advise] is not installed")

@@ -15,8 +15,8 @@ pytest.importorskip("pyslang", reason="needs pyslang: the extra [build] is not i
 pytest.importorskip("jinja2", reason="needs jinja2: the extra [build] is not installed")
 
 from cm.cli.main import main
-from cm.design.check.finding import Finding
 from cm.design.plan.system import System
+from cm.design.project.source_position import Finding
 
 
 def proposed(path: Path, *options: str) -> dict[str, dict[str, dict[str, object]]]:
@@ -86,7 +86,7 @@ def test_a_proposal_that_cannot_be_generated_is_replaced_by_one_with_fewer_regio
     def at_most_three(system: System) -> list[Finding]:
         return [Finding("full", ("regions",), "three is the limit")] if len(system.regions) > 3 else []
 
-    monkeypatch.setattr("cm.design.partition.proved.check_system", at_most_three)
+    monkeypatch.setattr("cm.design.partition.proposal.check_system", at_most_three)
     text = "project: {name: many, part: xc7z020clg400-1}\nregions: {prr0: {}}\nmodules:\n"
     names = [f"m{index}" for index in range(6)]
     text += "".join(f"  {name}: {{sources: [{name}.v], resources: {{lut: 900}}}}\n" for name in names)

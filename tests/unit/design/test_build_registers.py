@@ -42,6 +42,77 @@ HLS = """\
 #define XFILTER_CONTROL_ADDR_TABLE_HIGH 0x7f
 """
 
+# As Vivado HLS 2018 to 2020 and Vitis HLS 2021 to 2024 write them: names and addresses of the authors' own files, words
+# of their comments by version.
+S_AXI = {
+    "2019": """\
+//------------------------Address Info-------------------
+// 0x00 : Control signals
+//        bit 0  - ap_start (Read/Write/COH)
+//        bit 1  - ap_done (Read/COR)
+//        bit 2  - ap_idle (Read)
+//        bit 3  - ap_ready (Read)
+//        bit 7  - auto_restart (Read/Write)
+//        others - reserved
+// 0x04 : Global Interrupt Enable Register
+//        bit 0  - Global Interrupt Enable (Read/Write)
+//        others - reserved
+// 0x08 : IP Interrupt Enable Register (Read/Write)
+//        bit 0  - Channel 0 (ap_done)
+//        bit 1  - Channel 1 (ap_ready)
+//        others - reserved
+// 0x0c : IP Interrupt Status Register (Read/TOW)
+//        bit 0  - Channel 0 (ap_done)
+//        bit 1  - Channel 1 (ap_ready)
+//        others - reserved
+// 0x10 : Data signal of gain
+//        bit 31~0 - gain[31:0] (Read/Write)
+// 0x14 : reserved
+// 0x18 : Data signal of where_r
+//        bit 31~0 - where_r[31:0] (Read/Write)
+// 0x1c : Data signal of where_r
+//        bit 31~0 - where_r[63:32] (Read/Write)
+// 0x20 : reserved
+// 0x24 : Data signal of sum
+//        bit 15~0 - sum[15:0] (Read)
+//        others   - reserved
+// 0x28 : Control signal of sum
+//        bit 0  - sum_ap_vld (Read/COR)
+//        others - reserved
+// 0x40 ~
+// 0x7f : Memory 'table' (16 * 32b)
+//        Word n : bit [31:0] - table[n]
+// (SC = Self Clear, COR = Clear on Read, TOW = Toggle on Write, COH = Clear on Handshake)
+
+//------------------------Parameter----------------------
+localparam
+    ADDR_AP_CTRL       = 7'h00,
+    ADDR_GIE           = 7'h04,
+    ADDR_IER           = 7'h08,
+    ADDR_ISR           = 7'h0c,
+    ADDR_GAIN_DATA_0   = 7'h10,
+    ADDR_GAIN_CTRL     = 7'h14,
+    ADDR_WHERE_R_DATA_0 = 7'h18,
+    ADDR_WHERE_R_DATA_1 = 7'h1c,
+    ADDR_SUM_DATA_0    = 7'h24,
+    ADDR_SUM_CTRL      = 7'h28,
+    ADDR_TABLE_BASE    = 7'h40,
+    ADDR_TABLE_HIGH    = 7'h7f;
+""",
+}
+S_AXI["2024"] = (
+    S_AXI["2019"]
+    .replace("- ap_ready (Read)", "- ap_ready (Read/COR)")
+    .replace("//        bit 7  - auto", "//        bit 7  - auto")
+    .replace("Channel 0 (ap_done)\n", "enable ap_done interrupt (Read/Write)\n", 1)
+    .replace("Channel 1 (ap_ready)\n", "enable ap_ready interrupt (Read/Write)\n", 1)
+    .replace("Channel 0 (ap_done)\n", "ap_done (Read/TOW)\n")
+    .replace("Channel 1 (ap_ready)\n", "ap_ready (Read/TOW)\n")
+)
+S_AXI["vhdl"] = "\n".join(
+    line.replace("//", "--", 1) for line in S_AXI["2019"].split("//------------------------Parameter")[0].splitlines()
+)
+
 RDL = """\
 addrmap filter {
     reg { field { sw = rw; hw = r; } value[7:0] = 8'h10; } gain @ 0x4;
@@ -75,6 +146,42 @@ def test_hls_header(tmp_path: Path) -> None:
     }
 
 
+@pytest.mark.parametrize("style", sorted(S_AXI))
+def test_registers_of_hls_are_those_of_its_comment(style: str, tmp_path: Path) -> None:
+    path = tmp_path / f"filter_control_s_axi.{'vhd' if style == 'vhdl' else 'v'}"
+    path.write_text(S_AXI[style])
+    found = read_register_map(path, "filter")
+    assert {name: (one.offset, one.access.value) for name, one in found.items()} == {
+        "ap_ctrl": (0, "rw"), "gie": (4, "rw"), "ier": (8, "rw"), "isr": (0xC, "rw"), "gain": (0x10, "rw"),
+        "where_r_0": (0x18, "rw"), "where_r_1": (0x1C, "rw"), "sum": (0x24, "ro"), "sum_ctrl": (0x28, "ro"),
+    }  # fmt: skip
+    control = {name: (one.lsb, one.doc) for name, one in found["ap_ctrl"].fields.items()}
+    assert control["start"] == (0, "cleared by the handshake")
+    assert control["done"] == (1, "read only; reading clears it")
+    assert control["idle"] == (2, "read only")
+    assert control["auto_restart"] == (7, "")
+    assert {name: set(found[name].fields) for name in ("gie", "ier", "isr")} == {
+        "gie": {"enable"}, "ier": {"done", "ready"}, "isr": {"done", "ready"},
+    }  # fmt: skip
+    assert "writing 1 toggles it" in found["isr"].doc + found["isr"].fields["done"].doc
+    assert [name for name, one in found.items() if one.volatile] == ["ap_ctrl", "isr", "sum", "sum_ctrl"]
+
+
+def test_addresses_of_hls_alone_are_enough(tmp_path: Path) -> None:
+    path = tmp_path / "filter_control_s_axi.v"
+    path.write_text("localparam" + S_AXI["2019"].split("localparam")[1])
+    found = read_register_map(path, "filter")
+    assert (found["gain"].offset, found["where_r_1"].offset, found["sum"].offset) == (0x10, 0x1C, 0x24)
+    assert "table" not in found
+
+
+def test_a_comment_and_constants_that_disagree_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "filter_control_s_axi.v"
+    path.write_text(S_AXI["2019"].replace("ADDR_GAIN_DATA_0   = 7'h10", "ADDR_GAIN_DATA_0   = 7'h14"))
+    with pytest.raises(BuildError, match="gain is at 0x10 in the comment, at 0x14 in the constants"):
+        read_register_map(path, "filter")
+
+
 def test_systemrdl(tmp_path: Path) -> None:
     pytest.importorskip("systemrdl", reason="needs systemrdl-compiler: the extra [build] is not installed")
     (tmp_path / "filter.rdl").write_text(RDL)
@@ -87,6 +194,7 @@ def test_systemrdl(tmp_path: Path) -> None:
     ("name", "text", "words"),
     [
         ("a.txt", "", "registers are read from"),
+        ("a_s_axi.v", "module a_s_axi; endmodule", "describes no registers"),
         ("a.xml", "<spirit", "not XML"),
         ("a.xml", '<?xml version="1.0" encoding="aTF-8"?><a/>', "not XML"),
         ("a.xml", "<a/>", "describes no registers"),
@@ -113,3 +221,30 @@ def test_a_map_reaches_the_runtime_schema_and_the_build_schema_goes_first(tmp_pa
     registers = schema.load(tmp_path / "build/config/small.yaml").modules["one"].registers
     assert (registers["gain"].default, registers["gain"].maximum) == (3, 9)
     assert registers["sum"].offset == 0x18
+
+
+def test_what_hls_wrote_needs_no_line_for_its_registers_and_two_sources_are_compared(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    pytest.importorskip("pyslang", reason="needs pyslang: the extra [build] is not installed")
+    from build_support import AXIL_MODULE
+
+    from cm import schema
+    from cm.cli.main import main
+
+    files = [tmp_path / "one.v", tmp_path / "one_control_s_axi.v"]
+    files[0].write_text(AXIL_MODULE.replace("endmodule", "    one_control_s_axi inner ();\nendmodule"))
+    files[1].write_text(S_AXI["2019"].replace("//----", "module one_control_s_axi;\n//----", 1) + "endmodule\n")
+    build = tmp_path / "build.yaml"
+    assert main(["build", "init", *map(str, files), "-o", str(build)]) == 0
+    assert "register_map: one_control_s_axi.v" in build.read_text()
+    assert main(["build", "generate", str(build)]) == 0
+    path = next((tmp_path / "build/config").glob("*.yaml"))
+    registers = schema.load(path).modules["one"].registers
+    assert registers["ap_ctrl"].fields["auto_restart"].lsb == 7
+    assert registers["where_r_1"].offset == 0x1C
+    (tmp_path / "xone_hw.h").write_text(HLS.replace("0x10", "0x20"))
+    build.write_text(build.read_text().replace("register_map: one_control_s_axi.v", "register_map: xone_hw.h"))
+    capsys.readouterr()
+    assert main(["build", "check", str(build)]) == 1
+    assert "disagree: gain is at 0x20 and at 0x10; sum is at 0x18 and at 0x24" in capsys.readouterr().err

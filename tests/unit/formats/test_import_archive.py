@@ -21,7 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cm.cli.main import main
-from cm.design.collect.layout import archive
+from cm.design.collect.collected import archive
 from cm.errors import CmError
 from cm.formats.importers import back, unpack, versions
 from cm.schema import load_folder

@@ -14,7 +14,7 @@ SIZE = 16 * 1024  # bytes of a bitstream: an emulated processor looks at each wo
 _PACK = """
 import sys
 from cm.formats.bitstream import assemble_module
-from cm.design.collect.layout import archive
+from cm.design.collect.collected import archive
 name, schema, size, modules = sys.argv[1], sys.argv[2], int(sys.argv[3]), sys.argv[4:]
 files = {f"{m}.bit": assemble_module(m, region_index=int(i), size=size) for m, i in (e.split("=") for e in modules)}
 sys.stdout.buffer.write(archive(name, {f"{name}.yaml": schema.encode(), **files}))

@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-from cm.design.generate.lite import LITE, PER_SLAVE, SHARED, slave_port
+from cm.design.generate.axi import LITE, PER_SLAVE, SHARED, slave_port
 from cm.design.generate.netlist import Netlist, concat, zeros
 from cm.design.generate.static_part.region import add_region
 from cm.design.generate.static_part.shared import add_shared
 from cm.design.hdl.model import PortDirection
+from cm.design.plan.addresses import Window
 from cm.design.plan.system import Domain, System, used_clocks
-from cm.design.plan.window import Window
 
 IN, OUT = PortDirection.IN, PortDirection.OUT
 

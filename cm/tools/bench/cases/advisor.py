@@ -10,7 +10,7 @@ import time
 from cm.design.errors import MissingTool
 from cm.design.partition.advisor import advise
 from cm.design.partition.model import Partition, Problem, Unit, UsedMode
-from cm.design.partition.parts import part_of
+from cm.design.partition.utilisation import part_of
 from cm.design.project.model import Resources
 from cm.tools.bench.result import Goal, Result, unavailable
 from cm.tools.bench.run import Run

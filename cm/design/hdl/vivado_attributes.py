@@ -1,17 +1,82 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gathers a module's X_INTERFACE attributes into interfaces, clocks, resets and interrupts."""
+"""Gathers a module's X_INTERFACE attributes into interfaces, clocks, resets and interrupts.
+
+Vivado's interface attributes (UG994, "Using X_INTERFACE_INFO"), which take precedence over names.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
-from cm.design.hdl import attributes
-from cm.design.hdl.attributes import Tag
 from cm.design.hdl.buses import Protocol, make_protocol
-from cm.design.hdl.judge import judge, make_interface
+from cm.design.hdl.clock_reset_names import reset_polarity
 from cm.design.hdl.model import FoundBy, Interface, Interrupt, Mode, ModuleClock, Polarity, Port, PortDirection, Reset
-from cm.design.hdl.signals import reset_polarity
+from cm.design.hdl.validate_bus import judge, make_interface
+
+_INFO = re.compile(
+    r"\s*(?P<vlnv>[\w.-]+[:/][\w.-]+[:/](?P<kind>[\w.-]+)[:/][\w.-]+)\s+(?P<bus>\S+)\s+(?P<signal>\S+)\s*"
+)
+_PARAMETER = re.compile(r"\s*(\w+)\s+(.*)", re.DOTALL)
+_TRUE = ("true", "1", "yes")
+
+
+@dataclass(frozen=True, slots=True)
+class Tag:
+    """One X_INTERFACE_INFO: the port is `signal` of the interface `bus` of type `vlnv`."""
+
+    port: Port
+    vlnv: str
+    kind: str  # the VLNV's name: aximm, axis, clock, reset, interrupt, …
+    bus: str
+    signal: str
+
+
+def tags(ports: Iterable[Port]) -> Iterator[Tag]:
+    """All tags of all ports, in order; a malformed one is left out (`malformed` tells)."""
+    for port in ports:
+        for match in _infos(port):
+            if match is not None:
+                vlnv = match["vlnv"].replace("/", ":")
+                yield Tag(port, vlnv, match["kind"].lower(), match["bus"], match["signal"].upper())
+
+
+def malformed(ports: Iterable[Port]) -> Iterator[Port]:
+    """Ports whose X_INTERFACE_INFO is not "vendor:library:name:version BUS SIGNAL"."""
+    return (port for port in ports if any(match is None for match in _infos(port)))
+
+
+def _infos(port: Port) -> Iterator[re.Match[str] | None]:
+    for text in port.attributes.get("x_interface_info", "").split(","):
+        if text.strip():
+            yield _INFO.fullmatch(text)
+
+
+def parameters(port: Port) -> dict[str, str]:
+    """X_INTERFACE_PARAMETER as a mapping, keys upper case: "POLARITY ACTIVE_LOW, FREQ_HZ 100000000"."""
+    found: dict[str, str] = {}
+    for text in port.attributes.get("x_interface_parameter", "").split(","):
+        if match := _PARAMETER.fullmatch(text):
+            found[match[1].upper()] = match[2].strip()
+    return found
+
+
+def ignored(port: Port) -> bool:
+    """X_INTERFACE_IGNORE is set: no interface may be inferred from the name."""
+    return port.attributes.get("x_interface_ignore", "").lower() in _TRUE
+
+
+def _stated_mode(port: Port) -> Mode | None:
+    """X_INTERFACE_MODE: "slave", "Slave S_AXI", "monitor", …"""
+    word = port.attributes.get("x_interface_mode", "").lower().partition(" ")[0].removeprefix("mirrored")
+    return next((mode for mode in Mode if mode.value == word), None)
+
+
+def names(parameters: Mapping[str, str], key: str) -> tuple[str, ...]:
+    """The names of a colon-separated list such as ASSOCIATED_BUSIF."""
+    return tuple(name for name in parameters.get(key, "").split(":") if name)
+
 
 _SIGNAL_KINDS = ("clock", "reset", "interrupt")
 _SLAVE_WORDS = ("s", "slave", "sink", "target")
@@ -33,7 +98,7 @@ def read_tags(ports: Iterable[Port], protocols: Mapping[str, Protocol]) -> Tagge
     """Gather the tags of all ports; `protocols` by the name in their VLNV (aximm, axis)."""
     result = Tagged()
     groups: dict[tuple[str, str], list[Tag]] = {}
-    for tag in attributes.tags(ports):
+    for tag in tags(ports):
         if tag.kind in _SIGNAL_KINDS:
             _signal(tag, result)
         else:
@@ -44,11 +109,11 @@ def read_tags(ports: Iterable[Port], protocols: Mapping[str, Protocol]) -> Tagge
 
 
 def _signal(tag: Tag, result: Tagged) -> None:
-    port, stated = tag.port, attributes.parameters(tag.port)
+    port, stated = tag.port, parameters(tag.port)
     if tag.kind == "clock":
         frequency = stated.get("FREQ_HZ", "")
-        busses = attributes.names(stated, "ASSOCIATED_BUSIF")
-        reset = next(iter(attributes.names(stated, "ASSOCIATED_RESET")), None)
+        busses = names(stated, "ASSOCIATED_BUSIF")
+        reset = next(iter(names(stated, "ASSOCIATED_RESET")), None)
         hertz = int(frequency) if frequency.isdigit() else None
         result.clocks.append(ModuleClock(tag.bus, port.name, port.direction, hertz, busses, reset, FoundBy.ATTRIBUTE))
     elif tag.kind == "reset":
@@ -69,10 +134,10 @@ def _polarity(port: Port, stated: Mapping[str, str]) -> Polarity:
 def _bus(group: list[Tag], protocols: Mapping[str, Protocol], result: Tagged) -> None:
     first = group[0]
     ports = {tag.signal: tag.port for tag in group}
-    parameters: dict[str, str] = {}
+    given: dict[str, str] = {}
     for tag in group:
-        parameters.update(attributes.parameters(tag.port))
-    stated = next((mode for tag in group if (mode := attributes.mode(tag.port))), None)
+        given.update(parameters(tag.port))
+    stated = next((mode for tag in group if (mode := _stated_mode(tag.port))), None)
     known = protocols.get(first.kind)
     if known is None:
         mode = stated or _guess(first.bus, ports)
@@ -80,7 +145,7 @@ def _bus(group: list[Tag], protocols: Mapping[str, Protocol], result: Tagged) ->
             text = f"the mode of {first.bus} ({first.vlnv}) is a guess from its name and directions: {mode.value}"
             result.problems.append(f"{text}; state it with X_INTERFACE_MODE")
         protocol = make_protocol(first.kind, [], vlnv=first.vlnv)
-        result.interfaces.append(make_interface(first.bus, protocol, mode, ports, FoundBy.ATTRIBUTE, parameters))
+        result.interfaces.append(make_interface(first.bus, protocol, mode, ports, FoundBy.ATTRIBUTE, given))
         return
     strange = [signal for signal in ports if signal not in known.signals]
     for signal in strange:
@@ -94,7 +159,7 @@ def _bus(group: list[Tag], protocols: Mapping[str, Protocol], result: Tagged) ->
         result.problems.append(verdict.reason)
         result.rejected.update({port.name: verdict.reason for port in ports.values()})
         return
-    result.interfaces.append(make_interface(first.bus, known, mode_, ports, FoundBy.ATTRIBUTE, parameters))
+    result.interfaces.append(make_interface(first.bus, known, mode_, ports, FoundBy.ATTRIBUTE, given))
 
 
 def _guess(bus: str, ports: Mapping[str, Port]) -> Mode:

@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mistakes that show only after the HDL is read, reported with their place in the build schema like all others."""
+"""Mistakes that show only after the HDL is read, reported with their place in the build schema like all others.
+
+What a check has found: a sentence, its place in the build schema, and where the rule comes from.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from cm.design.errors import BuildError
@@ -25,3 +29,22 @@ def _mark(source: Path, key: KeyPath) -> Mark:
         return locate(read(source.read_text(encoding="utf-8"), lambda *_: None), key)
     except (OSError, UnicodeDecodeError, Refused):  # it was read before, so it has just been removed or changed
         return Mark(0, 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Something that Vivado would refuse (`error`) or that a designer should know.
+
+    `rule` is the message's number in Vivado, or a name made up here if Vivado has none; `docs/build-vivado.md` has
+    the sources.
+    """
+
+    rule: str
+    key: KeyPath
+    message: str
+    hint: str = ""
+    error: bool = True
+
+    def text(self, source: Path) -> str:
+        """With file, line, column and key."""
+        return f"{fault(source, self.key, self.message, self.hint)} [{self.rule}]"

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Registers of modules that Vivado HLS or Vitis HLS wrote, from the files that it wrote with them.
+
+``<top>_<bundle>_s_axi.v`` (or ``.vhd``) and the driver's ``x<top>_hw.h`` list the registers in a comment, the same in
+every version since 2018 but for words; the HDL has their addresses as ``ADDR_…`` constants too, the header as
+``…_ADDR_…`` macros. Both are read and have to agree. `component.xml` is read by `cm.design.hdl.register_maps`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+
+from cm.design.errors import BuildError
+from cm.design.project.model import FieldSpec, RegisterSpec
+from cm.schema.model import Access
+
+HDL = re.compile(r".+_s_axi\.(?:v|sv|vhdl?)$", re.IGNORECASE)
+HEADER = re.compile(r"x?\w+_hw\.h$", re.IGNORECASE)
+_REGISTER = re.compile(r"^\s*(?://|--)\s*0x([0-9a-f]+)\s*:\s*(.*?)\s*$", re.IGNORECASE)
+_ACCESS = r"(?:read|write|r|w|cor|tow|coh|sc)"
+_FIELD = re.compile(
+    rf"^\s*(?://|--)\s*bit\s+(\d+)(?:~(\d+))?\s*-\s*(.*?)\s*(?:\(({_ACCESS}(?:/{_ACCESS})*)\))?\s*$", re.IGNORECASE
+)
+_MEMORY = re.compile(r"^\s*(?://|--)\s*0x([0-9a-f]+)\s*~\s*$", re.IGNORECASE)
+_OF = re.compile(r"(?:Data|Control) signal of (\w+)", re.IGNORECASE)
+_SLICE = re.compile(r"\w+\[(?:\d+:)?(\d+)\]")  # its lowest bit
+_CONSTANT = re.compile(
+    r"\bADDR_(\w+)\s*=\s*\d+'h([0-9a-f]+)|\bADDR_(\w+)\s*:[^:;]*:=\s*(?:16#|x\")([0-9a-f]+)", re.IGNORECASE
+)
+_MACRO = re.compile(r"^\s*#\s*define\s+X\w+?_ADDR_(\w+)\s+(0x[0-9a-f]+|\d+)", re.MULTILINE | re.IGNORECASE)
+_CONTROL = {"ap_start": "start", "ap_done": "done", "ap_idle": "idle", "ap_ready": "ready", "ap_continue": "continue"}
+_INTERRUPTS = (("global interrupt enable", "gie"), ("interrupt enable", "ier"), ("interrupt status", "isr"))
+_READING = {
+    "COR": "reading clears it",
+    "TOW": "writing 1 toggles it",
+    "COH": "cleared by the handshake",
+    "SC": "clears itself",
+}
+_VOLATILE = ("ap_ctrl", "isr")
+
+
+def is_hls(path: Path) -> bool:
+    """Whether a file has the registers of an HLS module, by its name."""
+    return bool(HDL.match(path.name) or HEADER.match(path.name))
+
+
+def hls_registers(path: Path) -> dict[str, RegisterSpec]:
+    """Read the registers of one file; empty if it has none. Arguments of more than 32 bits have a register a word.
+
+    Raises BuildError where the comment and the constants of the file disagree.
+    """
+    text = path.read_text(encoding="utf-8", errors="replace")
+    listed = dict(_listed(text))
+    stated = dict(_constants(text))
+    wrong = [
+        f"{name} is at {spec.offset:#x} in the comment, at {stated[name]:#x} in the constants"
+        for name, spec in listed.items()
+        if stated.get(name, spec.offset) != spec.offset
+    ]
+    if wrong:
+        raise BuildError(f"{path}: {'; '.join(wrong)}")
+    if listed:
+        return listed
+    return {name: RegisterSpec(name, offset, volatile=name in _VOLATILE) for name, offset in stated.items()}
+
+
+def differences(ours: Mapping[str, RegisterSpec], theirs: Mapping[str, RegisterSpec]) -> list[str]:
+    """What two descriptions of a module's registers say differently of a register that both have."""
+    return [
+        f"{name} is at {ours[name].offset:#x} and at {theirs[name].offset:#x}"
+        for name in ours
+        if name in theirs and ours[name].offset != theirs[name].offset
+    ]
+
+
+def _listed(text: str) -> Iterator[tuple[str, RegisterSpec]]:
+    """The registers of the comment; reserved words and memories are none."""
+    found: list[tuple[int, str, list[re.Match[str]]]] = []
+    for line in text.splitlines():
+        if head := _REGISTER.match(line):
+            found.append((int(head[1], 16), head[2], []))
+        elif _MEMORY.match(line):
+            found.append((0, "memory", []))
+        elif found and (part := _FIELD.match(line)):
+            found[-1][2].append(part)
+    counts = Counter(of[1] for _, title, _ in found if (of := _OF.match(title)) and title.lower().startswith("data"))
+    for offset, title, parts in found:
+        if name := _name(title, parts, counts):
+            yield name, _register(name, offset, title, parts)
+
+
+def _name(title: str, parts: list[re.Match[str]], counts: Mapping[str, int]) -> str:
+    """Name a register as its constant is named, in lower case; empty for what is no register."""
+    lower = title.lower()
+    if lower.startswith("control signals"):
+        return "ap_ctrl"
+    of = _OF.match(title)
+    if of is None:
+        return next((name for words, name in _INTERRUPTS if words in lower), "")
+    if lower.startswith("control"):
+        return f"{of[1]}_ctrl".lower()
+    place = _SLICE.match(parts[0][3]) if parts else None
+    word = int(place[1]) // 32 if place else 0
+    return (f"{of[1]}_{word}" if counts[of[1]] > 1 else of[1]).lower()
+
+
+def _register(name: str, offset: int, title: str, parts: list[re.Match[str]]) -> RegisterSpec:
+    whole = re.search(r"\(([^()]*)\)\s*$", title)
+    said = [_said(part[4] or (whole[1] if whole else "")) for part in parts] or [_said(whole[1] if whole else "")]
+    readable, writable = any(one[0] for one in said), any(one[1] for one in said)
+    access = Access.RO if readable and not writable else Access.WO if writable and not readable else Access.RW
+    changing = name in _VOLATILE or any(one[2] for one in said) or access is Access.RO
+    fields = dict(_fields(parts)) if len(parts) > 1 or not _SLICE.match(parts[0][3] if parts else "a[0]") else {}
+    plain = "" if _OF.match(title) else re.sub(r"\s*\([^()]*\)\s*$", "", title)
+    doc = "; ".join(filter(None, (plain, _said(whole[1])[2] if whole else "")))
+    return RegisterSpec(name, offset, access=access, volatile=changing, fields=fields, doc=doc)
+
+
+def _said(words: str) -> tuple[bool, bool, str]:
+    """Whether a comment's ``Read/Write/COR`` allows reading, and writing, and what else an access does."""
+    parts = {word.strip().upper() for word in words.split("/")}
+    known = bool(parts & {"READ", "WRITE", "R", "W"})
+    more = "; ".join(text for word, text in _READING.items() if word in parts)
+    writes = bool(parts & {"WRITE", "W", "TOW"})
+    return "READ" in parts or "R" in parts or not known, writes or not known, more
+
+
+def _fields(parts: Iterable[re.Match[str]]) -> Iterator[tuple[str, FieldSpec]]:
+    for part in parts:
+        high, low, what = int(part[1]), int(part[2] or part[1]), part[3]
+        channel = re.match(r"Channel \d+ \((\w+)\)|enable (\w+) interrupt|(\w+)(?: interrupt)?", what, re.IGNORECASE)
+        word = next((text for text in channel.groups() if text), "") if channel else ""
+        name = _CONTROL.get(word.lower(), re.sub(r"\W+", "_", word).lower())
+        if not name or name in ("others", "reserved"):
+            continue
+        name = "enable" if what.lower().startswith("global") else name
+        readable, writable, more = _said(part[4] or "")
+        only = "" if part[4] is None or (readable and writable) else "read only" if readable else "write only"
+        yield name, FieldSpec(name, min(high, low), abs(high - low) + 1, doc="; ".join(filter(None, (only, more))))
+
+
+def _constants(text: str) -> Iterator[tuple[str, int]]:
+    """``ADDR_<NAME>_DATA_0`` of the HDL, ``X…_ADDR_<NAME>_DATA`` of the header, as the names above."""
+    raw = [(a or c, int(b or d, 16)) for a, b, c, d in _CONSTANT.findall(text)]
+    raw += [(name, int(value, 0)) for name, value in _MACRO.findall(text)]
+    plain = [(name.lower(), offset) for name, offset in raw if not name.upper().endswith(("_BASE", "_HIGH"))]
+    several = {re.sub(r"_data_\d+$", "", name) for name, _ in plain if re.search(r"_data_[1-9]\d*$", name)}
+    for name, offset in plain:
+        base, _, word = name.rpartition("_data_")
+        if base and word.isdigit():
+            yield (f"{base}_{word}" if base in several else base), offset
+        else:
+            yield name.removesuffix("_data"), offset
