@@ -135,13 +135,15 @@ lint: $(LINT_STAMP) ## ruff, ruff format, mypy (strict; the client for macOS and
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/lint-imports --no-cache >build/lint-imports.log || { cat build/lint-imports.log; exit 1; }
+	$(BIN)/python docs/rooms.py --check
 	@for system in win32 darwin; do echo "$(BIN)/mypy --platform $$system"; \
 		$(BIN)/mypy --config-file release/laptops.ini --platform $$system --cache-dir .mypy_cache/$$system || exit 1; done
 	$(BIN)/clang-format --style=file:csrc/.clang-format --dry-run -Werror $(C_FILES)
 	$(BIN)/reuse lint --quiet || { $(BIN)/reuse lint; exit 1; }
 
-docs: $(LINT_STAMP) ## the pages that are made: the Python reference, the tables of keys and errors
-	@for script in reference schema_tables reconfiguration_tables; do $(BIN)/python docs/$$script.py || exit 1; done
+docs: $(LINT_STAMP) ## the pages that are made: the picture of the rooms, the Python reference, the tables of keys and errors
+	@for script in rooms reference schema_tables reconfiguration_tables; do $(BIN)/python docs/$$script.py || exit 1; done
 
 format: $(LINT_STAMP) ## format Python and C
 	$(BIN)/ruff format .

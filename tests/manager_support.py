@@ -16,7 +16,7 @@ from typing import Any
 
 from cm.device import DeviceError, GpioLine, PlClock, PlClocks, Root
 from cm.manager.manager import Environment, Manager, Settings
-from cm.manager.ports import Window
+from cm.manager.interfaces import Window
 from cm.manager.state.journal import Journal
 from cm.schema import loads
 from cm.schema.model import Config

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clients of the configuration manager: `connect()` and its asyncio twin `aio.connect()`.
+"""Clients of the manager: `connect()` gives a `Board`, `aio.connect()` its asyncio twin.
 
-`calls` defines requests and what their replies mean; `board` and `aio` only differ in how they wait.
+In: calls in Python's terms. Out: requests over `cm.wire`, and frames that stay in DMA memory. `core` holds what both
+clients do, without sockets; the two differ in how they wait. They must not know the manager or devices.
 """

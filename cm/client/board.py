@@ -286,8 +286,8 @@ class Board(Guarded):
         `copy`: use ZeroMQ on the manager's machine too, so that nobody else can access the frames (docs/security.md).
         Guests of a bridge request each frame (`newest`), in their own name.
         """
+        from cm.client.core.remote_stream import Wanted, check_compression
         from cm.client.stream import LocalStream, NewestStream, RemoteStream  # imported here: they need numpy
-        from cm.client.zmq_frames import Wanted, check_compression
 
         if self._place.data is not None and not copy:
             check_compression(compression)

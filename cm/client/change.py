@@ -11,13 +11,13 @@ from cm.client.link import Subscription
 from cm.wire.messages.status import Progress
 
 if TYPE_CHECKING:
-    from cm.client.board import Board
+    from cm.client.link import Caller
 
 
 class ChangeHandle:
     """A change under way. Dropping the handle does not stop the change."""
 
-    def __init__(self, board: Board, number: int, subscription: Subscription) -> None:
+    def __init__(self, board: Caller, number: int, subscription: Subscription) -> None:
         self._board = board
         self._subscription = subscription
         self._watch = ChangeWatch(number, subscription)

@@ -12,7 +12,7 @@ from cm.client.link import Subscription
 from cm.errors import Timeout
 
 if TYPE_CHECKING:
-    from cm.client.board import Board
+    from cm.client.link import Caller
 
 T = TypeVar("T")
 
@@ -20,7 +20,7 @@ T = TypeVar("T")
 class EventStream(Generic[T]):
     """All events since it was made, as an iterator and a context manager. Iterating ends only by an exception."""
 
-    def __init__(self, board: Board, subscription: Subscription, events: Events[T]) -> None:
+    def __init__(self, board: Caller, subscription: Subscription, events: Events[T]) -> None:
         self._board = board  # keeps the board alive
         self._subscription = subscription
         self._events = events

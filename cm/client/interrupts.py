@@ -12,13 +12,13 @@ from cm.client.events import EventStream
 from cm.wire.messages.status import Irq
 
 if TYPE_CHECKING:
-    from cm.client.board import Board
+    from cm.client.link import Caller
 
 
 class Interrupts:
     """Interrupts of the loaded configuration by name."""
 
-    def __init__(self, board: Board) -> None:
+    def __init__(self, board: Caller) -> None:
         self._board = board
 
     def __getitem__(self, name: str) -> Interrupt:
@@ -37,7 +37,7 @@ class Interrupts:
     @property
     def names(self) -> tuple[str, ...]:
         """The interrupts of the loaded configuration."""
-        return tuple([i.name for i in self._board.config().interrupts])
+        return tuple([i.name for i in self._board.ask(calls.describe()).interrupts])
 
     def __repr__(self) -> str:
         return f"<interrupts of {self._board!r}>"
@@ -49,7 +49,7 @@ class Interrupts:
 class Interrupt:
     """One interrupt."""
 
-    def __init__(self, board: Board, name: str) -> None:
+    def __init__(self, board: Caller, name: str) -> None:
         self._board = board
         self.name = name
 

@@ -11,7 +11,7 @@ from cm.client.core.leases import HeldLeases
 from cm.wire.messages.requests import TakeLease
 
 if TYPE_CHECKING:
-    from cm.client.board import Board
+    from cm.client.link import Caller
 
 
 class BoardLease:
@@ -21,7 +21,7 @@ class BoardLease:
     process dies (on the manager's machine).
     """
 
-    def __init__(self, board: Board, held: HeldLeases, request: TakeLease) -> None:
+    def __init__(self, board: Caller, held: HeldLeases, request: TakeLease) -> None:
         self._board = board
         self._held = held
         self._wanted = request

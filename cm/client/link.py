@@ -6,18 +6,33 @@ from __future__ import annotations
 import struct
 import time
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import zmq
 from zmq import zmq_poll
 
 from cm.client.core.calls import Call
-from cm.client.core.effects import AskBeside, Deadline, Flow, Pause, Receive, seconds
+from cm.client.core.effects import DEFAULT, AskBeside, Deadline, Flow, Limit, Pause, Receive, seconds
 from cm.client.core.requests import Requests, result
 from cm.client.sockets import Socket, Sockets, not_subscribed
 from cm.wire import multipart
 
 _T = TypeVar("_T")
+
+
+class Caller(Protocol):
+    """What a board's parts need of it: they hold it, so that it stays open while one of them is used."""
+
+    def ask(self, call: Call[_T], timeout: Limit = DEFAULT) -> _T:
+        """Make a call and return its result."""
+
+    def run(self, flow: Flow[_T]) -> _T:
+        """Run a flow of `cm.client.core` to its end."""
+
+    def subscribe(self, *topics: bytes, depth: int = 0) -> Subscription:
+        """Listen to topics; the caller closes it."""
+
+
 _TOLD = struct.Struct("=Hi")  # event and value, zmq_socket_monitor(3); pyzmq's own reader of it imports asyncio
 _NOBLOCK = int(zmq.NOBLOCK)
 _POLLIN = int(zmq.POLLIN)  # an operation on pyzmq's enums costs as much as a system call

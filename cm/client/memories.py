@@ -6,18 +6,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from cm.client.core import memory
+from cm.client.core import calls, memory
 from cm.wire.messages.status import MemoryInfo
 
 if TYPE_CHECKING:
-    from cm.client.board import Board
     from cm.client.core.memory import Array, Key
+    from cm.client.link import Caller
 
 
 class Memory:
     """A memory; its content is not cached. Offsets and lengths are in bytes, multiples of 4."""
 
-    def __init__(self, board: Board, name: str) -> None:
+    def __init__(self, board: Caller, name: str) -> None:
         self._board = board
         self.name = name
 
@@ -79,7 +79,7 @@ class Memory:
 class Memories(Mapping[str, Memory]):
     """Memories of the current mode by name."""
 
-    def __init__(self, board: Board) -> None:
+    def __init__(self, board: Caller) -> None:
         self._board = board
 
     def __getitem__(self, name: str) -> Memory:
@@ -98,7 +98,7 @@ class Memories(Mapping[str, Memory]):
     @property
     def info(self) -> dict[str, MemoryInfo]:
         """What the manager knows about each memory of the current mode."""
-        config = self._board.config()
+        config = self._board.ask(calls.describe())
         return memory.visible(config)
 
     def __repr__(self) -> str:

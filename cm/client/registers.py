@@ -15,7 +15,7 @@ from cm.wire.messages import html
 from cm.wire.messages.status import RegisterInfo, RegValues
 
 if TYPE_CHECKING:
-    from cm.client.board import Board
+    from cm.client.link import Caller
 
 _T = TypeVar("_T")
 
@@ -23,7 +23,7 @@ _T = TypeVar("_T")
 class Registers(MutableMapping[str, int]):
     """Registers (``"focus"``) and fields (``"control.enable"``) of the current mode by name."""
 
-    def __init__(self, board: Board) -> None:
+    def __init__(self, board: Caller) -> None:
         self._board = board
 
     def __getitem__(self, name: str) -> int:
@@ -59,7 +59,7 @@ class Registers(MutableMapping[str, int]):
     @property
     def info(self) -> dict[str, RegisterInfo]:
         """What the schema says about each register of the current mode."""
-        return registers.visible(self._board.config())
+        return registers.visible(self._board.ask(calls.describe()))
 
     @property
     def generation(self) -> int:

@@ -10,17 +10,16 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from cm.client.core.effects import DEFAULT, Deadline, Flow, Limit, at_least, seconds, time_limit
 from cm.client.core.generations import FirstAfter, Written
-from cm.client.core.remote_stream import NewestReader, PublishedReader, Reader
+from cm.client.core.remote_stream import NewestReader, PublishedReader, Reader, Wanted
 from cm.client.errors import BoardClosed, ConnectionLost
 from cm.client.frame import Frame
 from cm.client.link import Link
-from cm.client.zmq_frames import Wanted
 from cm.errors import Timeout
 from cm.wire.plane_packets import Geometry, Open
 
 if TYPE_CHECKING:
-    from cm.client.board import Board
     from cm.client.data_connection import DataConnection
+    from cm.client.link import Caller
 
 _T = TypeVar("_T")
 _ANSWER = 5.0  # least seconds that opening a stream waits for the manager's answer
@@ -220,7 +219,7 @@ class LocalStream(Stream):
 class RemoteStream(Stream):
     """Frames over ZeroMQ; losses show in `sequence`."""
 
-    def __init__(self, board: Board, wanted: Wanted) -> None:
+    def __init__(self, board: Caller, wanted: Wanted) -> None:
         self.name = wanted.name
         self._timeout = time_limit(wanted.timeout)
         self._board = board  # keeps the board alive
@@ -256,7 +255,7 @@ class RemoteStream(Stream):
 class NewestStream(RemoteStream):
     """Requests each frame when it is read, over a connection of its own: others are answered meanwhile."""
 
-    def __init__(self, board: Board, wanted: Wanted, connect: Callable[[], Link]) -> None:
+    def __init__(self, board: Caller, wanted: Wanted, connect: Callable[[], Link]) -> None:
         super().__init__(board, wanted)
         self._connect = connect
         self._link: Link | None = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cm.manager.ports import DataPlane, Devices, Files, Observer, TimeSource
+from cm.manager.interfaces import DataPlane, Devices, Files, Observer, TimeSource
 from cm.manager.state.journal import Journal
 
 

@@ -16,7 +16,7 @@ import zmq
 from manager_process import CAMERA, Manager, environment, served, until
 
 import cm
-from cm.client import zmq_frames as remote
+from cm.client.core import remote_stream as remote
 from cm.client.frame import Frame
 from cm.client.stream import NewestStream, RemoteStream, Stream
 from cm.errors import InvalidRequest, NotFound, Timeout

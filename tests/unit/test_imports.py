@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What imports where something is missing; which package may import which, .importlinter says (`make lint`)."""
+"""What imports where something is missing; which room may import which, pyproject.toml says (`make lint`)."""
 
 from __future__ import annotations
 

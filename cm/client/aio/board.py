@@ -30,12 +30,12 @@ from cm.client.core.calls import Call
 from cm.client.core.effects import DEFAULT, Flow, Limit, at_least, later, seconds, time_limit
 from cm.client.core.events import StatusEvents
 from cm.client.core.leases import HeldLeases
+from cm.client.core.remote_stream import Wanted, check_compression
 from cm.client.core.values import mode_name
 from cm.client.frame import Frame
 from cm.client.guard import Guarded
 from cm.client.progress import OnProgress, Shown
 from cm.client.sockets import Sockets
-from cm.client.zmq_frames import Wanted, check_compression
 from cm.wire.messages import requests as rq
 from cm.wire.messages.requests import ConfigureStream, DefineMemory
 from cm.wire.messages.status import (

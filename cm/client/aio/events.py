@@ -12,7 +12,7 @@ from cm.client.core.events import Events
 from cm.errors import Timeout
 
 if TYPE_CHECKING:
-    from cm.client.aio.board import Board
+    from cm.client.aio.link import Caller
 
 T = TypeVar("T")
 
@@ -20,7 +20,7 @@ T = TypeVar("T")
 class EventStream(Generic[T]):
     """Every event from its opening on; an async iterator and context manager, each of which opens it."""
 
-    def __init__(self, board: Board, subscription: Subscription, events: Events[T]) -> None:
+    def __init__(self, board: Caller, subscription: Subscription, events: Events[T]) -> None:
         self._board = board  # keeps the board alive
         self._subscription = subscription
         self._events = events

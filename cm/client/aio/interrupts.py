@@ -11,13 +11,13 @@ from cm.client.core.events import InterruptEvents
 from cm.wire.messages.status import Irq
 
 if TYPE_CHECKING:
-    from cm.client.aio.board import Board
+    from cm.client.aio.link import Caller
 
 
 class Interrupts:
     """Interrupts of the loaded configuration by name."""
 
-    def __init__(self, board: Board) -> None:
+    def __init__(self, board: Caller) -> None:
         self._board = board
 
     def __getitem__(self, name: str) -> Interrupt:
@@ -26,7 +26,7 @@ class Interrupts:
 
     async def names(self) -> tuple[str, ...]:
         """The interrupts of the loaded configuration."""
-        return tuple([i.name for i in (await self._board.config()).interrupts])
+        return tuple([i.name for i in (await self._board.ask(calls.describe())).interrupts])
 
     def __repr__(self) -> str:
         return f"<interrupts of {self._board!r}>"
@@ -35,7 +35,7 @@ class Interrupts:
 class Interrupt:
     """One interrupt."""
 
-    def __init__(self, board: Board, name: str) -> None:
+    def __init__(self, board: Caller, name: str) -> None:
         self._board = board
         self.name = name
 

@@ -11,13 +11,13 @@ from cm.client.core.leases import HeldLeases
 from cm.wire.messages.requests import TakeLease
 
 if TYPE_CHECKING:
-    from cm.client.aio.board import Board
+    from cm.client.aio.link import Caller
 
 
 class BoardLease:
     """As `cm.client.lease.BoardLease`, awaited."""
 
-    def __init__(self, board: Board, held: HeldLeases, request: TakeLease) -> None:
+    def __init__(self, board: Caller, held: HeldLeases, request: TakeLease) -> None:
         self._board = board
         self._held = held
         self._wanted = request

@@ -7,19 +7,32 @@ import asyncio
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import zmq.asyncio
 from zmq.utils.monitor import parse_monitor_message
 
 from cm.client.aio.waiting import wake
 from cm.client.core.calls import Call
-from cm.client.core.effects import Ask, AskBeside, Flow, Pause, Receive, seconds
+from cm.client.core.effects import DEFAULT, Ask, AskBeside, Flow, Limit, Pause, Receive, seconds
 from cm.client.core.handshake import Handshake
 from cm.client.core.requests import Requests, result
 from cm.client.sockets import Sockets, not_subscribed
 
 _T = TypeVar("_T")
+
+
+class Caller(Protocol):
+    """As `cm.client.link.Caller`, awaited."""
+
+    async def ask(self, call: Call[_T], timeout: Limit = DEFAULT) -> _T:
+        """Make a call and return its result."""
+
+    async def run(self, flow: Flow[_T]) -> _T:
+        """Run a flow of `cm.client.core` to its end."""
+
+    def subscribe(self, *topics: bytes, depth: int = 0) -> Subscription:
+        """Listen to topics; the caller closes it."""
 
 
 class Subscription:

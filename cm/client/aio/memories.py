@@ -5,18 +5,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from cm.client.core import memory
+from cm.client.core import calls, memory
 from cm.wire.messages.status import MemoryInfo
 
 if TYPE_CHECKING:
-    from cm.client.aio.board import Board
+    from cm.client.aio.link import Caller
     from cm.client.core.memory import Array, Key
 
 
 class Memory:
     """As `cm.client.memories.Memory`, awaited."""
 
-    def __init__(self, board: Board, name: str) -> None:
+    def __init__(self, board: Caller, name: str) -> None:
         self._board = board
         self.name = name
 
@@ -55,7 +55,7 @@ class Memory:
 class Memories:
     """Memories of the current mode by name."""
 
-    def __init__(self, board: Board) -> None:
+    def __init__(self, board: Caller) -> None:
         self._board = board
 
     def __getitem__(self, name: str) -> Memory:
@@ -64,7 +64,7 @@ class Memories:
 
     async def info(self) -> dict[str, MemoryInfo]:
         """What the manager knows about each memory of the current mode."""
-        return memory.visible(await self._board.config())
+        return memory.visible(await self._board.ask(calls.describe()))
 
     def __repr__(self) -> str:
         return f"<memories of {self._board!r}>"

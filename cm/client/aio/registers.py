@@ -14,7 +14,7 @@ from cm.client.errors import RequestNotFound
 from cm.wire.messages.status import RegisterInfo, RegValues
 
 if TYPE_CHECKING:
-    from cm.client.aio.board import Board
+    from cm.client.aio.link import Caller
 
 _T = TypeVar("_T")
 
@@ -22,7 +22,7 @@ _T = TypeVar("_T")
 class Registers:
     """Registers (``"focus"``) and fields (``"control.enable"``) of the current mode by name."""
 
-    def __init__(self, board: Board) -> None:
+    def __init__(self, board: Caller) -> None:
         self._board = board
 
     @overload
@@ -38,7 +38,7 @@ class Registers:
 
     async def info(self) -> dict[str, RegisterInfo]:
         """What the schema says about each register of the current mode."""
-        return registers.visible(await self._board.config())
+        return registers.visible(await self._board.ask(calls.describe()))
 
     async def generation(self) -> int:
         """The registers' current generation: grows with every write by any client, and with every change of mode."""

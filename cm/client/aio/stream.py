@@ -13,16 +13,15 @@ from cm.client.aio.link import Subscription
 from cm.client.aio.waiting import Waits
 from cm.client.core.effects import DEFAULT, Limit, seconds, time_limit
 from cm.client.core.generations import FirstAfter, Written
-from cm.client.core.remote_stream import NewestReader, PublishedReader, Reader
+from cm.client.core.remote_stream import NewestReader, PublishedReader, Reader, Wanted
 from cm.client.errors import BoardClosed
 from cm.client.frame import Frame
 from cm.client.stream import LocalStream
-from cm.client.zmq_frames import Wanted
 from cm.errors import Timeout
 from cm.wire.plane_packets import Geometry, Open
 
 if TYPE_CHECKING:
-    from cm.client.aio.board import Board
+    from cm.client.aio.link import Caller
 
 Self = TypeVar("Self", bound="Stream")
 
@@ -89,7 +88,7 @@ class Stream:
 class AsyncLocalStream(Stream):
     """Frames in DMA memory; see `cm.client.stream.LocalStream`."""
 
-    def __init__(self, board: Board, folder: Path, wanted: Open, timeout: float | None, newest: bool = False) -> None:
+    def __init__(self, board: Caller, folder: Path, wanted: Open, timeout: float | None, newest: bool = False) -> None:
         self._stream = LocalStream(folder, wanted, timeout, newest, owner=board)
         self._waits = Waits()
         self._timeout = time_limit(timeout)
@@ -141,7 +140,7 @@ class AsyncLocalStream(Stream):
 class AsyncRemoteStream(Stream):
     """Frames over ZeroMQ; losses show in `sequence`."""
 
-    def __init__(self, board: Board, wanted: Wanted) -> None:
+    def __init__(self, board: Caller, wanted: Wanted) -> None:
         self.name = wanted.name
         self._timeout = time_limit(wanted.timeout)
         self._board = board  # keeps the board alive

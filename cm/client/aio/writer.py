@@ -19,14 +19,14 @@ from cm.errors import InvalidRequest, Timeout
 from cm.wire.plane_packets import Descriptor, Geometry, Open
 
 if TYPE_CHECKING:
-    from cm.client.aio.board import Board
+    from cm.client.aio.link import Caller
     from cm.client.writer import Writer
 
 
 class AsyncWriter:
     """Borrow slots, fill them, send them; see `Writer`. Entered with ``async with``."""
 
-    def __init__(self, board: Board, folder: Path, wanted: Open, timeout: float | None) -> None:
+    def __init__(self, board: Caller, folder: Path, wanted: Open, timeout: float | None) -> None:
         self._board = board  # keeps the board alive
         self._folder, self._wanted, self._timeout = folder, wanted, time_limit(timeout)
         self.name: str = wanted.name

@@ -1,22 +1,115 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames over ZeroMQ: subscribed to, or requested one by one."""
+"""Frames over ZeroMQ, subscribed to or requested one by one, without sockets: shared by both clients' streams."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Protocol
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, Protocol
 
 from cm.client.core import calls
-from cm.client.core.effects import Ask, Deadline, Flow, Limit, Pause, Receive, Subscription, later, seconds
+from cm.client.core.effects import Ask, Deadline, Flow, Limit, Pause, Receive, Subscription, later, seconds, time_limit
 from cm.client.errors import RequestFailed, RequestTimeout
-from cm.client.frame import Frame
-from cm.client.zmq_frames import ASK_FOR, STOPPED_PAUSE, Arrivals, Wanted, is_stopped
-from cm.errors import Timeout
+from cm.client.frame import Frame, frame_of
+from cm.errors import InvalidRequest, Timeout
+from cm.wire import topics
+from cm.wire.encode import decode_event
 from cm.wire.messages.requests import ConfigureStream
+from cm.wire.messages.status import FrameInfo
 
+STOPPED_PAUSE = 0.05  # seconds until a stream that is stopped for a change is requested again
+ASK_FOR = 5.0  # seconds that one request for the newest frame waits for it
 STREAM_HWM = 4  # frames that wait in a slow reader's socket before newer ones are lost
 _ANSWER = 5.0  # seconds beyond a frame's own time-out until its reply counts as missing
 _LEAST = 1e-3  # seconds that the manager is asked to wait at least: 0 would mean its own default
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """A stream over ZeroMQ. `newest`: each read requests the next frame; otherwise frames are subscribed to."""
+
+    name: str
+    timeout: float | None
+    newest: bool = False
+    compression: str = ""
+    depth: int = 0  # frames that wait in our socket before newer ones are lost, 0: the usual number
+
+    def __post_init__(self) -> None:
+        """Refuse impossible combinations. Raises InvalidRequest, also if a package is missing here."""
+        time_limit(self.timeout)
+        if self.depth < 0:
+            raise InvalidRequest(f"a stream of depth {self.depth}: frames that may wait are 1 or more")
+        if self.compression and self.newest:
+            raise InvalidRequest("newest=True requests each frame as it is, without compression: leave out one of them")
+        check_compression(self.compression)
+        if self.compression:
+            lz4_frame()
+
+    @property
+    def topic(self) -> bytes:
+        """What to subscribe to."""
+        return (topics.LZ4_PREFIX if self.compression else topics.STREAM_PREFIX) + self.name.encode()
+
+
+def check_compression(name: str) -> None:
+    """Raise InvalidRequest for one that there is not."""
+    if name not in ("", "lz4"):
+        raise InvalidRequest(f"frames cannot be compressed with {name!r}; there is 'lz4'")
+
+
+class Arrivals:
+    """Published messages → frames; counts those that are missing between them."""
+
+    def __init__(self) -> None:
+        self.lost = 0
+        self._expected: int | None = None
+
+    def frame(self, frames: Sequence[Any]) -> Frame:
+        """Raises InvalidRequest for what is not a frame."""
+        info = decode_event(frames)
+        if not isinstance(info, FrameInfo) or len(frames) != 3:
+            raise InvalidRequest(f"{type(info).__name__} in {len(frames)} parts came on a stream's topic")
+        return self.count(frame_of(info, unpacked(info, frames[2])))
+
+    def count(self, frame: Frame) -> Frame:
+        """Note the frame's number."""
+        if self._expected is not None and frame.sequence > self._expected:
+            self.lost += frame.sequence - self._expected
+        self._expected = frame.sequence + 1
+        return frame
+
+
+def unpacked(info: FrameInfo, payload: Any) -> Any:
+    """The bytes of a frame, decompressed if need be. Raises InvalidRequest."""
+    if not info.compression:
+        return payload
+    if info.compression != "lz4":
+        raise InvalidRequest(f"frame {info.sequence} of {info.stream!r} is compressed with {info.compression!r}")
+    lz4 = lz4_frame()
+    try:
+        unpacker = lz4.LZ4FrameDecompressor()
+        data = unpacker.decompress(bytes(payload), max_length=info.length + 1)  # no more than it claims to have
+    except (RuntimeError, EOFError, ValueError) as error:
+        raise InvalidRequest(f"frame {info.sequence} of {info.stream!r} is not an lz4 frame: {error}") from error
+    if len(data) != info.length:
+        raise InvalidRequest(f"frame {info.sequence} of {info.stream!r} has not the {info.length} bytes that it claims")
+    return data
+
+
+def lz4_frame() -> Any:
+    """The module lz4.frame. Raises InvalidRequest if it is not installed."""
+    try:
+        return import_module("lz4.frame")
+    except ModuleNotFoundError:
+        raise InvalidRequest(
+            "compressed frames need the package lz4: pip install 'fpga-cm[lz4]', or apt install python3-lz4"
+        ) from None
+
+
+def is_stopped(error: RequestFailed) -> bool:
+    """Whether a stream is only stopped while its region changes."""
+    return error.code == "stream_stopped"
 
 
 class Reader(Protocol):

@@ -14,7 +14,7 @@ from itertools import count
 
 from cm.errors import Busy, InvalidRequest, NotFound
 from cm.manager.errors import HeldBy
-from cm.manager.ports import TimeSource
+from cm.manager.interfaces import TimeSource
 from cm.schema.model import Config
 from cm.wire.messages.requests import BreakLease, ReleaseLease, RenewLease, TakeLease
 from cm.wire.messages.status import LeaseInfo, LeaseStatus

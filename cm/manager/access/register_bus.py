@@ -8,7 +8,7 @@ import time
 
 from cm.manager.access.register_names import in_range
 from cm.manager.errors import AccessDenied, VerifyFailed
-from cm.manager.ports import Devices, Window
+from cm.manager.interfaces import Devices, Window
 from cm.schema.model import Access, Decoupler, GpioLine, IsolationStep, Memory, Register
 
 _WO = Access.WO

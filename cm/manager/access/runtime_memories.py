@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from cm.errors import InvalidRequest
 from cm.manager.planning.goals import listed
-from cm.manager.ports import AddressRange
+from cm.manager.interfaces import AddressRange
 from cm.schema.model import ITEM_BYTES, Access, Config, Memory
 from cm.wire.messages.requests import DefineMemory
 

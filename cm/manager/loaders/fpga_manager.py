@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 from cm.manager.errors import LoadFailed, LoadUnsupported
 from cm.manager.loaders.job import Job, OnBytes, Start
-from cm.manager.ports import Devices, Files, Image, KernelLoader
+from cm.manager.interfaces import Devices, Files, Image, KernelLoader
 
 
 class FpgaManagerLoader:

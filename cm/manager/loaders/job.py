@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Protocol
 
-from cm.manager.ports import Image
+from cm.manager.interfaces import Image
 from cm.schema.model import Config, Module, Region
 
 OnBytes = Callable[[int], None]

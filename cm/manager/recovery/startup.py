@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from cm.manager.access.register_bus import RegisterBus
 from cm.manager.errors import NothingToUndo
 from cm.manager.execution.worker import Change
-from cm.manager.ports import Devices
+from cm.manager.interfaces import Devices
 from cm.manager.recovery.reconcile import Finding, reconcile
 from cm.manager.state.board_state import ManagerState
 from cm.manager.state.record import Pending

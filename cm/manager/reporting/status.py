@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from operator import is_
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from cm.manager.ports import Observer
+from cm.manager.interfaces import Observer
 from cm.manager.state.board_state import ManagerState
 from cm.manager.state.choice import Choice
 from cm.manager.state.table import BoardState, RegionState

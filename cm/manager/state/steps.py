@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cm.manager.ports import Image
+from cm.manager.interfaces import Image
 from cm.manager.state.clock_step import SetClock as SetClock
 from cm.schema.model import LoaderKind, Module, Overlay, Region, Register, StaticIdentity
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from cm.formats.bitstream import Expectation, Report, ReportCache, to_dma_words, verify
 from cm.formats.bitstream.cache import Inspected
 from cm.formats.bitstream.errors import BadContainer, BitstreamError, Sha256Mismatch
-from cm.manager.ports import Image
+from cm.manager.interfaces import Image
 
 MAX_BYTES = 512 << 20  # more than the largest device of the supported families needs
 

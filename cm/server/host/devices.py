@@ -7,14 +7,14 @@ import threading
 from pathlib import Path
 
 from cm.device import AxiDma, FpgaManager, GpioLine, Icap, Overlays, PlClocks, Root, Uio, find_uio, list_icap, list_uio
-from cm.manager.ports import Window
+from cm.manager.interfaces import Window
 from cm.server.host.memory import DeviceMemory, device_memory, port_memory
 
 _BOOT_ID = "proc/sys/kernel/random/boot_id"
 
 
 class BoardDevices:
-    """`cm.manager.ports.Devices` over `cm.device`. Both threads of the daemon use it."""
+    """`cm.manager.interfaces.Devices` over `cm.device`. Both threads of the daemon use it."""
 
     def __init__(self, root: Root) -> None:
         self._root = root

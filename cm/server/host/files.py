@@ -19,7 +19,7 @@ from typing import Any
 
 from cm.errors import CmError
 from cm.formats.bitstream import expect_module, expect_static, footprint_of, to_dma_words
-from cm.manager.ports import Image
+from cm.manager.interfaces import Image
 from cm.schema.files import bitstream_path
 from cm.schema.model import Config, FrameRange, Module, Overlay, Region
 from cm.server.host.bitstreams import BitstreamReader, image_of
@@ -145,7 +145,7 @@ def _decode(data: bytes) -> Mapping[_Key, LearnedFootprint]:
 
 
 class BoardFiles:
-    """`cm.manager.ports.Files` over the file system below a root."""
+    """`cm.manager.interfaces.Files` over the file system below a root."""
 
     def __init__(self, root: Path, footprints: Footprints | None = None, copies: Path | None = None) -> None:
         """`copies`: the folder for files converted for the kernel, see `FirmwareFolder`."""

@@ -17,7 +17,7 @@ from pathlib import Path, PurePosixPath
 from cm.errors import InvalidRequest
 from cm.formats.bitstream import Container, convert
 from cm.formats.bitstream.errors import BitstreamError, Sha256Mismatch
-from cm.manager.ports import Image
+from cm.manager.interfaces import Image
 from cm.server.folders import own_folder
 from cm.server.host.bitstreams import BitstreamReader
 

@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 from cm.errors import CmError
 from cm.formats import fdt
 from cm.manager.errors import BadOverlay
-from cm.manager.ports import Image
+from cm.manager.interfaces import Image
 from cm.schema.files import find_file, overlay_path
 from cm.schema.model import Config, Module, Overlay
 from cm.server.host.bitstreams import BitstreamReader

@@ -33,7 +33,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class Streams:
-    """Implements `cm.manager.ports.DataPlane`, and the requests that concern streams."""
+    """Implements `cm.manager.interfaces.DataPlane`, and the requests that concern streams."""
 
     def __init__(
         self,

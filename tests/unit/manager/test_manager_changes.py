@@ -19,7 +19,7 @@ from cm.formats.bitstream import assemble_module
 from cm.manager.errors import ChangeBusy, NothingLoaded, RegionBusy
 from cm.manager.execution.worker import Change
 from cm.manager.loaders import Job, Loaders
-from cm.manager.ports import Image
+from cm.manager.interfaces import Image
 from cm.schema import loads
 from cm.schema.model import Config, LoaderKind, Module
 from cm.server.host.files import BoardFiles

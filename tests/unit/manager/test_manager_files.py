@@ -22,7 +22,7 @@ from cm.errors import InvalidRequest
 from cm.formats.bitstream import Container, assemble_module, convert
 from cm.formats.bitstream.errors import BadContainer, FootprintOutside, Sha256Mismatch
 from cm.manager.errors import BadOverlay
-from cm.manager.ports import Image
+from cm.manager.interfaces import Image
 from cm.schema import loads
 from cm.schema.model import Config, FrameRange, Overlay
 from cm.server.folders import UnsafeFolder

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from cm.manager.access.register_bus import RegisterBus
-from cm.manager.ports import Window
+from cm.manager.interfaces import Window
 from cm.manager.recovery.startup import Destination, destination
 from cm.manager.state.record import Pending
 from cm.manager.state.table import BoardState

@@ -9,7 +9,7 @@ from typing import Any
 from cm.manager.access.leases import Leases
 from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_service import RegisterService
-from cm.manager.ports import Window
+from cm.manager.interfaces import Window
 from cm.manager.state.board_state import ManagerState
 from cm.manager.state.table import BoardState
 from cm.schema import loads

@@ -18,7 +18,7 @@ from cm.manager.access.leases import Leases
 from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_service import RegisterService
 from cm.manager.errors import HeldBy, RegionBusy
-from cm.manager.ports import Window
+from cm.manager.interfaces import Window
 from cm.manager.state.board_state import ManagerState
 from cm.manager.state.table import BoardState, RegionPhase, RegionState
 from cm.schema import loads

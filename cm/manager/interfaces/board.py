@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Protocol
 
-from cm.manager.ports.loading import ConfigPort, KernelLoader
-from cm.manager.ports.registers import Window
+from cm.manager.interfaces.loading import ConfigPort, KernelLoader
+from cm.manager.interfaces.registers import Window
 
 
 class OverlayFolder(Protocol):

@@ -5,11 +5,11 @@
 the manager runs, and is tested, where no shim was compiled.
 """
 
-from cm.manager.ports.board import Clocks, Devices, OutputLine, OverlayFolder, PlClock
-from cm.manager.ports.files import Files, Image
-from cm.manager.ports.loading import ConfigPort, KernelLoader, PortBuffer, PortCompletion, PortInfo, PortStatus
-from cm.manager.ports.registers import AddressRange, RegisterDevice, Window
-from cm.manager.ports.surroundings import DataPlane, Observer, TimeSource
+from cm.manager.interfaces.board import Clocks, Devices, OutputLine, OverlayFolder, PlClock
+from cm.manager.interfaces.files import Files, Image
+from cm.manager.interfaces.loading import ConfigPort, KernelLoader, PortBuffer, PortCompletion, PortInfo, PortStatus
+from cm.manager.interfaces.registers import AddressRange, RegisterDevice, Window
+from cm.manager.interfaces.surroundings import DataPlane, Observer, TimeSource
 
 __all__ = [
     "AddressRange",
