@@ -9,8 +9,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from cm.errors import InvalidRequest
-from cm.manager.planning.goals import listed
 from cm.manager.interfaces import AddressRange
+from cm.manager.planning.goals import listed
 from cm.schema.model import ITEM_BYTES, Access, Config, Memory
 from cm.wire.messages.requests import DefineMemory
 

@@ -13,10 +13,10 @@ from typing import Any
 
 from cm.manager.access.register_bus import RegisterBus
 from cm.manager.errors import Cancelled, NoPort, RecordFailed
+from cm.manager.interfaces import DataPlane, Devices, Files, TimeSource
 from cm.manager.loaders import Loaders, resolved
 from cm.manager.planning.goals import Goal, Plan, image_bytes
 from cm.manager.planning.planner import make_plan
-from cm.manager.interfaces import DataPlane, Devices, Files, TimeSource
 from cm.manager.reporting.status import StatusReporter
 from cm.manager.state import steps as s
 from cm.manager.state.board_state import ManagerState

@@ -10,11 +10,11 @@ from types import MappingProxyType
 
 from cm.errors import CmError
 from cm.manager.errors import NoPort
+from cm.manager.interfaces import Devices, Files, TimeSource
 from cm.manager.loaders.fpga_manager import FpgaManagerLoader
 from cm.manager.loaders.icap import IcapLoader
 from cm.manager.loaders.job import Job, Loader, Start
 from cm.manager.loaders.overlay import OverlayLoader
-from cm.manager.interfaces import Devices, Files, TimeSource
 from cm.manager.state.choice import Choice
 from cm.schema.model import Config, LoaderKind, Region
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from cm.manager.errors import LoadFailed, LoadUnsupported
-from cm.manager.loaders.job import Job, OnBytes, Start
 from cm.manager.interfaces import Devices, Files, Image, KernelLoader
+from cm.manager.loaders.job import Job, OnBytes, Start
 
 
 class FpgaManagerLoader:

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 from cm.errors import Busy
 from cm.manager.errors import LoadFailed, StepTimeout, WrongDevice
-from cm.manager.loaders.job import Job, OnBytes, Start
 from cm.manager.interfaces import ConfigPort, Devices, Files, Image, PortBuffer, PortCompletion, TimeSource
+from cm.manager.loaders.job import Job, OnBytes, Start
 
 _POLL = 0.05  # seconds between two looks at a load's progress; most loads are shorter, and looking slows none
 _REVISION = 0xF0000000  # bits of an IDCODE that differ between revisions of one device

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from cm.manager.errors import LoadFailed
-from cm.manager.loaders.job import Job, OnBytes, Start
 from cm.manager.interfaces import Devices, Files, OverlayFolder
+from cm.manager.loaders.job import Job, OnBytes, Start
 from cm.manager.state.table import loading_overlay
 from cm.schema.model import Region
 

@@ -13,9 +13,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from cm.manager.errors import StaticUnknown
+from cm.manager.interfaces import Devices, Files, Image
 from cm.manager.planning.goals import Goal, Plan
 from cm.manager.planning.settings import OverlayChange, Writing, clock_steps, overlay_change, wanted_overlays
-from cm.manager.interfaces import Devices, Files, Image
 from cm.manager.state import steps as s
 from cm.manager.state.record import Throughput
 from cm.manager.state.table import BoardState, RegionPhase, loading_overlay

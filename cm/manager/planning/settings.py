@@ -8,8 +8,8 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from cm.manager.errors import ClockRate
-from cm.manager.planning.goals import Goal
 from cm.manager.interfaces import Devices, Files, Image, PlClock
+from cm.manager.planning.goals import Goal
 from cm.manager.state.clock_step import SetClock, hertz
 from cm.manager.state.steps import ApplyOverlay, Place, SetRegister
 from cm.manager.state.table import BoardState, OverlayState, RegionPhase, loading_overlay

@@ -13,8 +13,8 @@ from types import MappingProxyType
 
 from cm.errors import CmError
 from cm.manager.access.register_bus import RegisterBus, is_cut
-from cm.manager.loaders import resolved
 from cm.manager.interfaces import Devices
+from cm.manager.loaders import resolved
 from cm.manager.state.clock_step import hertz
 from cm.manager.state.record import Pending, Record
 from cm.manager.state.table import (

@@ -18,8 +18,8 @@ from cm.errors import CmError
 from cm.formats.bitstream import assemble_module
 from cm.manager.errors import ChangeBusy, NothingLoaded, RegionBusy
 from cm.manager.execution.worker import Change
-from cm.manager.loaders import Job, Loaders
 from cm.manager.interfaces import Image
+from cm.manager.loaders import Job, Loaders
 from cm.schema import loads
 from cm.schema.model import Config, LoaderKind, Module
 from cm.server.host.files import BoardFiles
