@@ -62,20 +62,16 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     ),
     "fleet": (
         "Many boards",
-        "`cm.networks.fleet.connect()` gives a `Fleet`. [The guide](../fleet.md).",
+        "`cm.fleet.connect()` gives a `Fleet` whose calls block, `cm.fleet.aio.connect()` one whose calls are awaited: "
+        "the same names, arguments and errors. [The guide](../fleet.md).",
         (
-            "cm.networks.fleet.blocking", "cm.networks.fleet.changing:Course Leg",
-            "cm.networks.fleet.change.coordinator:Outcome",
+            "cm.networks.fleet.aio", "cm.networks.fleet.looking", "cm.networks.fleet.change:Course Leg",
+            "cm.networks.fleet.asking:Answer Told",
             "cm.networks.fleet.clocks:Reading", "cm.networks.fleet.errors:NoSuchBoard FleetRefused ChangeFailed",
             "cm.networks.fleet.network:NoNetwork",
-            "cm.wire.messages.fleet:BoardStatus ClockSync FleetRecord Policy Decision BundleState",
+            "cm.networks.fleet.store:View Wanted Claim Settings Entry StoreAway StoreRefused",
+            "cm.wire.messages.fleet:BoardStatus FleetState ClockSync Policy Decision BundleState",
         ),
-    ),
-    "fleet-aio": (
-        "Many boards, with asyncio",
-        "`cm.networks.fleet.aio.connect()`: the same names, awaited; `Looker` has what only looks. [The "
-        "guide](../fleet.md).",
-        ("cm.networks.fleet.aio", "cm.networks.fleet.looking", "cm.networks.fleet.asking:Answer Told"),
     ),
     "bitstream": (
         "Bitstreams",

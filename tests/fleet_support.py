@@ -63,20 +63,22 @@ class Router:
 
 
 class Bridge:
-    """``cm bridge zenoh`` before one manager."""
+    """``cm bridge fleet`` before one manager."""
 
     def __init__(self, folder: Path, name: str, manager: Manager, arguments: Sequence[str]) -> None:
         self.folder = folder
         self.name = name
         self.log = b""
+        self.inside: tuple[str, ...] = ()  # what its command begins with
         self._command = child.command(
-            "cm.cli.main", "bridge", "zenoh", "--runtime-dir", str(manager.runtime), "--name", name,
+            "cm.cli.main", "bridge", "fleet", "--runtime-dir", str(manager.runtime), "--name", name,
             "--state-dir", str(folder), *arguments,
         )  # fmt: skip
         self.process: subprocess.Popen[bytes] | None = None
 
-    def start(self) -> Bridge:
-        self.process = subprocess.Popen(self._command, stderr=subprocess.PIPE, env=environment(), cwd="/")
+    def start(self, **variables: str) -> Bridge:
+        command, env = [*self.inside, *self._command], environment(**variables)
+        self.process = subprocess.Popen(command, stderr=subprocess.PIPE, env=env, cwd="/")
         assert self.process.stderr is not None
         self.log = b""
         while b"ready as" not in self.log:
@@ -158,13 +160,22 @@ def fleet_boards(
 
 @contextlib.contextmanager
 def fleet_of(
-    arguments: dict[str, Sequence[str]], guests: str = '{"*": operate}'
+    arguments: dict[str, Sequence[str]], guests: str = '{"*": operate}', store: str = "keeper"
 ) -> Iterator[tuple[Router, dict[str, FleetBoard], Fleet]]:
-    """A router, boards by name with further arguments of their bridges, and a client named anna."""
+    """A router, boards by name with further arguments of their bridges, and a client named anna.
+
+    All are in the inventory; the first keeps the wanted state, if `store` says so.
+    """
+    keeper = ("--keeper",) if store == "keeper" else ()
+    first = next(iter(arguments))
+    options = {n: (*more, "--join", "--store", store, *(keeper if n == first else ())) for n, more in arguments.items()}
     with contextlib.ExitStack() as stack:
         router = Router()
         stack.callback(router.kill)
-        found = stack.enter_context(fleet_boards(("--router", router.endpoint), arguments, guests))
-        fleet = stack.enter_context(cm.networks.fleet.connect(router.endpoint, caller="anna", timeout=30.0))
+        found = stack.enter_context(fleet_boards(("--router", router.endpoint), options, guests))
+        fleet = stack.enter_context(
+            cm.networks.fleet.connect(router.endpoint, caller="anna", timeout=30.0, store=store)
+        )
         until(lambda: set(fleet.boards()) == set(arguments), 60.0)
+        until(lambda: set(fleet.inventory()) == set(arguments), 60.0)
         yield router, found, fleet

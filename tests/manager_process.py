@@ -24,9 +24,9 @@ CAMERA = REPOSITORY / "cm" / "data" / "camera"
 _T = TypeVar("_T")
 
 
-def environment() -> dict[str, str]:
+def environment(**variables: str) -> dict[str, str]:
     """The test's environment, with the package importable from the work tree."""
-    return {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    return {**os.environ, "PYTHONPATH": str(REPOSITORY), **variables}
 
 
 def until(condition: Callable[[], _T], timeout: float = 60.0) -> _T:

@@ -7,8 +7,8 @@ import argparse
 import sys
 from collections.abc import Callable
 
+from cm.cli.bridge_fleet import add_fleet_parser
 from cm.cli.bridge_ros import add_ros_parser
-from cm.cli.bridge_zenoh import add_zenoh_parser
 from cm.errors import NotInstalled
 
 EXIT_CONFIG = 78  # EX_CONFIG of sysexits(3): the unit does not start it again
@@ -24,7 +24,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser("bridge", help="connect a board to another network", description=_DESCRIPTION)
     actions = parser.add_subparsers(dest="action", metavar="NETWORK", required=True)
     add_ros_parser(actions)
-    add_zenoh_parser(actions)
+    add_fleet_parser(actions)
     for action in set(actions.choices.values()):  # some have two names
         action.set_defaults(run=_final(action.get_default("run")))
 

@@ -26,6 +26,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--fleet", action="store_true", help="instead, run three boards over zenoh, one of which is killed"
     )
+    parser.add_argument(
+        "--store", choices=("keeper", "etcd"), default="keeper", help="with --fleet: where the wanted state is (keeper)"
+    )
     parser.add_argument("--bits", type=Path, metavar="FILE",
         help="run what the bits configure: modules of a build schema that the open flow has built")  # fmt: skip
     parser.set_defaults(run=run)
@@ -41,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     if args.fleet:
         from cm.tools.demo.fleet import run_fleet_demo
 
-        print(f"wrote     {run_fleet_demo(args.out)} after {time.monotonic() - started:.1f} s")
+        print(f"wrote     {run_fleet_demo(args.out, args.store)} after {time.monotonic() - started:.1f} s")
         return 0
     if args.bits:
         from cm.tools.demo.bits import run_bits_demo

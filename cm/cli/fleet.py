@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 
-from cm.cli import fleet_change, fleet_keys, fleet_look, fleet_send
+from cm.cli import fleet_boards, fleet_change, fleet_keys, fleet_look, fleet_send
 from cm.cli.fleet_options import Intermixed
 
 
@@ -14,13 +14,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "fleet",
         help="watch many boards, and change them together",
-        description="A board belongs to the fleet while its bridge (`cm bridge zenoh`) is running. "
-        "Select boards by name, glob ('line1-*') or label (@camera); the default is all "
-        "of them.",
+        description="A board is in the fleet's inventory (`cm fleet add`), and there while its bridge (`cm bridge "
+        "fleet`) is running. Select boards by name, glob ('line1-*') or label (@camera); the default is all of them.",
     )
     kind: type[argparse.ArgumentParser] = Intermixed
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True, parser_class=kind)
     fleet_look.add(actions)
+    fleet_boards.add(actions)
     fleet_change.add(actions)
     fleet_send.add(actions)
     fleet_keys.add(actions)

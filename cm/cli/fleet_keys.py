@@ -24,7 +24,11 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
         "--host", action="append", default=[], metavar="NAME", help="a name under which the router is reached"
     )
     router.add_argument("--port", type=int, default=PORT, help=f"port of the router ({PORT})")
+    router.add_argument(
+        "--store", default="", metavar="WHERE", help="where the wanted state is, if that is etcd: its URLs"
+    )
     board = kinds.add_parser("board", help="make a file for a board's bridge")
+    board.add_argument("--keeper", action="store_true", help="it may keep the fleet's wanted state")
     client = kinds.add_parser("client", help="make a file for a user of the fleet")
     client.add_argument("--role", default="observe", help="observe, operate or provision (observe)")
     client.add_argument("--boards", action="append", default=[], metavar="NAME", help="only these (default: all)")
@@ -43,7 +47,11 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 def _add_router(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = actions.add_parser("router", help="run a zenoh router in this process, for machines without zenohd")
     parser.add_argument(
-        "--listen", action="append", default=[], metavar="HOST:PORT", help=f"address to listen on (0.0.0.0:{PORT})"
+        "--listen",
+        action="append",
+        default=[],
+        metavar="HOST:PORT",
+        help=f"address to listen on (127.0.0.1:{PORT}: without certificates, whoever reaches it is anybody)",
     )
     parser.add_argument(
         "--connect", action="append", default=[], metavar="HOST:PORT", help="another router to connect to"
@@ -58,7 +66,7 @@ def run_router(args: argparse.Namespace) -> int:
 
     listen = tuple(map(endpoint, args.listen))
     if not listen and args.zenoh_config is None:
-        listen = (endpoint("0.0.0.0"),)
+        listen = (endpoint("127.0.0.1"),)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: sys.exit(0))
     connect = tuple(map(endpoint, args.connect))
@@ -83,14 +91,16 @@ def run(args: argparse.Namespace) -> int:
         print(f"{args.name} has no rights any more, once the router is started anew with {args.folder}/router.json5")
         return 0
     if args.kind == "router":
-        path = keys.create(tuple(args.host), args.port, args.days)
+        path = keys.create(tuple(args.host), args.port, args.days, args.store)
         print(f"{path}: for the router (`zenohd -c {path.name}`, or `cm fleet router --zenoh-config {path.name}`)")
         return 0
     client = args.kind == "client"
     boards = tuple(args.boards) if client and args.boards else ALL_BOARDS
-    member = Member(args.name, args.kind, args.role if client else "observe", boards)
+    member = Member(
+        args.name, args.kind, args.role if client else "observe", boards, args.kind == "board" and args.keeper
+    )
     path = keys.add(member, args.days)
-    option = "cm bridge zenoh" if args.kind == "board" else "cm fleet cache" if args.kind == "cache" else "cm fleet …"
+    option = "cm bridge fleet" if args.kind == "board" else "cm fleet cache" if args.kind == "cache" else "cm fleet …"
     print(f"{path}: for `{option} --zenoh-config {path.name}`; whoever has this file is {args.name}")
     if client and args.role != "observe":
         print(f'cm.yaml of the boards: access.guests: {{"zenoh:{args.name}": {args.role}}}')

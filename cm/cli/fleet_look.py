@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm fleet ls|status|watch|plan|reg``: what many boards say."""
+"""``cm fleet status|watch|plan|reg``: what many boards say."""
 
 from __future__ import annotations
 
@@ -19,13 +19,16 @@ if TYPE_CHECKING:
 def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the actions."""
     for name, run, text in (
-        ("ls", run_ls, "list the boards of the fleet"),
-        ("status", run_status, "what is loaded where, what is going on, and how closely the clocks agree"),
+        ("status", run_status, "what is loaded where, what is wanted there, and how closely the clocks agree"),
         ("watch", run_watch, "follow the boards as they change, come and go"),
     ):
         parser = actions.add_parser(name, help=text)
         add_fleet_options(parser)
         add_json_option(parser)
+        if name == "status":
+            parser.add_argument(
+                "--prometheus", action="store_true", help="as metrics, for node_exporter's textfile collector"
+            )
         parser.set_defaults(run=run)
     _add_plan(actions)
     _add_reg(actions)
@@ -55,50 +58,40 @@ def _add_reg(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
         each.set_defaults(run=run_reg)
 
 
-def run_ls(args: argparse.Namespace) -> int:
-    """Print the names; the exit status."""
-    with connected_fleet(args) as fleet:
-        found = fleet.chosen(args.boards) if args.boards else fleet.boards()
-    if args.json:
-        print_json(found)
-    else:
-        print("\n".join(found) if found else NOBODY)
-    return 0
-
-
 def run_status(args: argparse.Namespace) -> int:
-    """Print a line for each board; 1 where one of them did not answer, or two hold different decisions."""
-    from cm.networks.fleet.standing import disagreeing
+    """Print a line for each board; 1 where one of them did not answer, or is not where it is wanted."""
+    from cm.networks.fleet.telling import prometheus, stands_apart
+    from cm.wire.messages.status import ErrorInfo
 
     with connected_fleet(args) as fleet:
         found = fleet.status(args.boards)
-    apart = disagreeing(found)
-    failed = _failed(found) or bool(apart)
+    failed = _failed(found) or any(stands_apart(s) for s in found.values() if not isinstance(s, ErrorInfo))
     if args.json:
         print_json({name: _plain(status) for name, status in found.items()})
-        return int(failed)
-    if not found:
+    elif args.prometheus:
+        print("\n".join(prometheus(found)))
+    elif not found:
         print(NOBODY)
-        return 0
-    print_table([_row(name, status, apart.get(name, "")) for name, status in found.items()], HEADERS)
-    print(clocks_line(found))
+    else:
+        print_table([_row(name, status) for name, status in found.items()], HEADERS)
+        print(clocks_line(found))
     return int(failed)
 
 
 NOBODY = "no board's bridge is running"
-HEADERS = ("BOARD", "CONFIG", "MODE", "STATE", "LABELS", "CLOCK", "NOTE")
+HEADERS = ("BOARD", "CONFIG", "MODE", "STATE", "FLEET", "LABELS", "CLOCK", "NOTE")
 
 
-def _row(name: str, status: BoardStatus | ErrorInfo, apart: str = "") -> tuple[object, ...]:
-    from cm.networks.fleet.standing import difference
+def _row(name: str, status: BoardStatus | ErrorInfo) -> tuple[object, ...]:
+    from cm.networks.fleet.telling import note
     from cm.wire.messages.status import ErrorInfo
 
     if isinstance(status, ErrorInfo):
-        return name, "", "", "no answer" if status.code == "no_answer" else status.code, "", "", status.message
+        return name, "", "", "no answer" if status.code == "no_answer" else status.code, "away", "", "", status.message
     own = status.status
-    note = apart or difference(status) or (own.last_error.message if own.last_error else "")
-    state = "busy" if own.fpga_busy else own.pr_mode.value
-    return name, own.config_name, own.mode, state, " ".join(status.labels), clock_words(status), note
+    why = note(name, status) or (own.last_error.message if own.last_error else "")
+    state, fleet = "busy" if own.fpga_busy else own.pr_mode.value, status.fleet.state if status.fleet else ""
+    return name, own.config_name, own.mode, state, fleet, " ".join(status.labels), clock_words(status), why
 
 
 def clock_words(status: BoardStatus) -> str:
@@ -144,9 +137,9 @@ def _tell(args: argparse.Namespace, told: dict[str, tuple[object, ...]], name: s
         line: tuple[object, ...] = (name, "gone")
     else:
         line = _row(name, status)
-        if told.get(name) == line[:5]:
+        if told.get(name) == line[:6]:
             return
-        told[name] = line[:5]
+        told[name] = line[:6]
     if args.json:
         print_json({"board": name, "status": None if status is None else plain(status)}, lines=True)
     else:

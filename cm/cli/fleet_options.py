@@ -32,7 +32,7 @@ class Intermixed(argparse.ArgumentParser):
 
 
 def add_network_options(parser: argparse.ArgumentParser) -> None:
-    """Add ``--router`` and ``--zenoh-config``: where the fleet is, and with which certificate."""
+    """Add ``--router``, ``--zenoh-config`` and ``--store``: where the fleet is, and with which certificate."""
     group = parser.add_argument_group("network")
     group.add_argument(
         "--router",
@@ -44,6 +44,13 @@ def add_network_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--zenoh-config", type=Path, metavar="FILE", help="zenoh's own settings, as `cm fleet keys` writes them"
     )
+    group.add_argument(
+        "--store",
+        default="",
+        metavar="WHERE",
+        help="where the wanted state is: keeper, etcd's https://HOST:2379,…, or a file about etcd (default: "
+        "$CM_FLEET_STORE, else what --zenoh-config says, else keeper)",
+    )
 
 
 def network_of(args: argparse.Namespace, **more: object) -> Network:
@@ -53,7 +60,7 @@ def network_of(args: argparse.Namespace, **more: object) -> Network:
     connect = tuple(map(endpoint, args.router))
     if not connect and args.zenoh_config is None:
         connect = from_environment()
-    return Network(connect=connect, config=args.zenoh_config, **more)  # type: ignore[arg-type]
+    return Network(connect=connect, config=args.zenoh_config, store=args.store, **more)  # type: ignore[arg-type]
 
 
 def add_fleet_options(parser: argparse.ArgumentParser, boards: bool = True) -> None:
@@ -82,4 +89,4 @@ def connected_fleet(args: argparse.Namespace) -> Fleet:
     from cm.networks.fleet.network import endpoint
 
     routers = tuple(map(endpoint, args.router))
-    return connect(routers, config=args.zenoh_config, caller=args.caller, timeout=args.timeout)
+    return connect(routers, config=args.zenoh_config, caller=args.caller, timeout=args.timeout, store=args.store)

@@ -11,7 +11,8 @@ from typing import Any
 from cm.errors import CmError
 from cm.networks.fleet.aio import Fleet
 from cm.networks.fleet.clocks import said_apart
-from cm.networks.fleet.standing import difference, disagreeing, stands_apart
+from cm.networks.fleet.store import StoreAway, StoreRefused
+from cm.networks.fleet.telling import note, stands_apart, wanted
 from cm.web.topics import Topics
 from cm.wire.messages.fleet import BoardStatus
 from cm.wire.messages.status import Status
@@ -47,11 +48,19 @@ class FleetWatch:
         teller = asyncio.create_task(self._tell_on())
         try:
             async with fleet.watch() as statuses:
+                for name in await self._listed(fleet):  # those of the inventory that are away from the beginning
+                    self._rows.setdefault(name, {**row(name, BoardStatus(Status())), "state": "gone"})
                 async for name, status in statuses:
                     self._take(name, status)
         finally:
             teller.cancel()
             await asyncio.gather(teller, return_exceptions=True)
+
+    async def _listed(self, fleet: Fleet) -> tuple[str, ...]:
+        try:
+            return tuple(await fleet.inventory())
+        except (StoreAway, StoreRefused):  # each board says so
+            return ()
 
     def _take(self, name: str, status: BoardStatus | None) -> None:
         if status is None:
@@ -70,16 +79,14 @@ class FleetWatch:
 
     def _tell(self, problem: str) -> None:
         apart = said_apart({name: status.clock for name, status in self._statuses.items()}) if self._statuses else None
-        two = disagreeing(self._statuses)
-        rows = {**self._rows, **{name: {**self._rows[name], "note": why, "differs": True} for name, why in two.items()}}
-        shown = [rows[name] for name in sorted(rows)[:_SHOWN]]
+        shown = [self._rows[name] for name in sorted(self._rows)[:_SHOWN]]
         self._topics.tell("fleet", {"boards": shown, "count": len(self._rows), "problem": problem, "apart_ns": apart})
 
 
 def row(name: str, status: BoardStatus) -> dict[str, Any]:
     """A board as the page shows it."""
     own = status.status
-    note = difference(status) or (own.last_error.message if own.last_error else "")
+    why = note(name, status) or (own.last_error.message if own.last_error else "")
     return {
         "name": name,
         "loaded": f"{own.config_name} / {own.mode}" if own.mode else "",
@@ -87,6 +94,7 @@ def row(name: str, status: BoardStatus) -> dict[str, Any]:
         "fraction": own.progress.fraction if own.progress else None,
         "labels": list(status.labels),
         "clock_ns": status.clock.error_ns if status.clock.synchronised else None,
-        "note": note,
+        "wanted": wanted(status.fleet).replace("/", " / "),
+        "note": why,
         "differs": stands_apart(status),
     }

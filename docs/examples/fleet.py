@@ -23,10 +23,10 @@ def main() -> None:
                 print(name, error.message)
             return
         except ChangeFailed as failed:  # the fleet went back, or went on without some boards
-            for name, why in failed.outcome.differing.items():
+            for name, why in failed.course.differing.items():
                 print(name, why)
             return
-        print(f"{len(course.outcome.records)} boards in {course.seconds:.3f} s")
+        print(f"{len(course.states)} boards in {course.seconds:.3f} s")
         fleet.mode("default")
 
 

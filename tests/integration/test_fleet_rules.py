@@ -15,6 +15,7 @@ import cm.networks.fleet
 from cm.networks.fleet.network import NoNetwork
 from cm.networks.fleet.security.folder import KeyFolder
 from cm.networks.fleet.security.rules import Member
+from cm.networks.fleet.store import StoreAway
 from cm.tools.demo.boards import free_ports
 from cm.wire.messages.fleet import BoardStatus
 from cm.wire.messages.status import ErrorInfo, RegValues
@@ -39,7 +40,7 @@ def closed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Closed]:
     keys, port = KeyFolder(tmp_path_factory.mktemp("fleet") / "keys"), free_ports()
     keys.create(("127.0.0.1",), port, 30)
     for member in (
-        Member("b1", "board"),
+        Member("b1", "board", keeper=True),
         Member("anna", "client", "operate"),
         Member("olga", "client"),
         Member("nina", "client", "operate", ("b1",)),
@@ -47,7 +48,7 @@ def closed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Closed]:
     ):
         keys.add(member, 30)
     router = Router(keys.folder / "router.json5", listen=False)
-    bridge = ("--zenoh-config", str(keys.folder / "b1.json5"))
+    bridge = ("--zenoh-config", str(keys.folder / "b1.json5"), "--keeper")
     guests = '{"zenoh:anna": operate, "zenoh:nina": observe}'
     with fleet_board("b1", bridge, guests=guests) as board:
         yield Closed(keys, board)
@@ -68,6 +69,14 @@ def test_an_operator_changes_modes_and_registers_under_the_name_in_its_certifica
         fleet.mode("default")
 
 
+def test_who_may_operate_some_boards_only_reads_the_wanted_state_and_writes_none(closed: Closed) -> None:
+    """A transaction may be about any boards. A board puts its own settings there, and nothing else."""
+    with closed.connected("nina", patience=5.0) as fleet:
+        assert set(fleet.inventory()) == {"b1"}  # with a certificate it has joined by itself
+        with pytest.raises(StoreAway, match="rules keep us off"):
+            fleet.mode("edge_detection")
+
+
 def test_an_observer_sees_everything_and_the_router_drops_its_commands(closed: Closed) -> None:
     with closed.connected("olga") as fleet:
         assert isinstance(fleet.status()["b1"], BoardStatus)
@@ -79,7 +88,7 @@ def test_an_observer_sees_everything_and_the_router_drops_its_commands(closed: C
 
 def test_no_client_speaks_in_the_name_of_another(closed: Closed) -> None:
     with closed.connected("olga", caller="anna", patience=5.0) as fleet:
-        assert error_of(fleet.write({"led": 3})).code == "no_answer"
+        assert error_of(fleet.write({"led": 3}, ["b1"])).code == "no_answer"
 
 
 def test_what_the_router_lets_through_the_managers_policy_may_still_refuse(closed: Closed) -> None:

@@ -129,7 +129,7 @@ def test_every_module_of_the_wheel_is_in_one_debian_package() -> None:
     assert set(files) == wanted
 
 
-SETTINGS = tuple(f"etc/cm/bridge-{name}.conf" for name in ("ros", "zenoh"))
+SETTINGS = tuple(f"etc/cm/bridge-{name}.conf" for name in ("ros", "fleet"))
 
 
 @debs

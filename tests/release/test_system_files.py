@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SYSTEM = ROOT / "system"
 UNIT = SYSTEM / "systemd/cm.service"
 BRIDGE = SYSTEM / "systemd/cm-bridge@.service"
-BRIDGES = ("zenoh", "ros")
+BRIDGES = ("fleet", "ros")
 LIMIT = 2.5  # exposure, of 10
 
 
@@ -55,7 +55,7 @@ def test_the_service_is_little_exposed(unit_file: Path) -> None:
 def test_the_unit_has_no_line_that_systemd_does_not_know(name: str, tmp_path: Path) -> None:
     for path in (SYSTEM / "systemd").iterdir():
         (tmp_path / path.name).write_text(path.read_text().replace("/usr/bin/cm ", "/bin/true "))
-    shown = name.replace("@.", "@zenoh.")
+    shown = name.replace("@.", "@fleet.")
     done = subprocess.run(
         ["systemd-analyze", "verify", "--man=no", str(tmp_path / shown)],
         capture_output=True,

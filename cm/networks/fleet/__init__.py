@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many boards over zenoh: a client of the bridges that ``cm bridge zenoh`` starts beside their managers."""
+"""Many boards over zenoh: a client of the bridges that ``cm bridge fleet`` starts beside their managers."""
 
 from __future__ import annotations
 

@@ -8,6 +8,7 @@ import getpass
 import os
 import secrets
 from collections.abc import Generator, Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -16,22 +17,21 @@ from cm.client.core.calls import write_data, write_registers
 from cm.client.errors import request_error
 from cm.client.frame import Frame, frame_of
 from cm.errors import InvalidRequest
-from cm.networks.fleet import answers, asking, bundles, names
+from cm.networks.fleet import asking, bundles, names
 from cm.networks.fleet.asking import Answer, absent
-from cm.networks.fleet.change.asks import Ask, Verb
-from cm.networks.fleet.change.coordinator import Outcome, first_step
-from cm.networks.fleet.changing import Course, Progress, carried_out, nothing
+from cm.networks.fleet.change import Coordinator, Course, Progress, nothing
 from cm.networks.fleet.errors import ChangeFailed, FleetRefused
 from cm.networks.fleet.looking import ALL, Looker
-from cm.networks.fleet.network import Network, from_environment, member_of, session
+from cm.networks.fleet.network import Network, from_environment, member_of, opened_store, session
 from cm.networks.fleet.presence import Presence
-from cm.networks.fleet.recovering import open_changes, recovered, refuse_other, useful_seats
+from cm.networks.fleet.store import Entry, Put, Settings, StoreRefused, key, packed, views
 from cm.wire import fleet as wire
-from cm.wire import fleet_records as records
 from cm.wire import topics
 from cm.wire.encode import decode_event, decode_reply, encode_request
-from cm.wire.messages.fleet import BundleState, FleetRecord, FleetStep, Policy
+from cm.wire.messages.fleet import BundleState, Decision, FleetState, FleetStep, Policy
 from cm.wire.messages.status import ErrorInfo, FrameInfo, RegValues
+
+ABSENT = ("refuse", "wait", "go-on")
 
 
 def connect(
@@ -40,17 +40,21 @@ def connect(
     config: str | os.PathLike[str] | None = None,
     caller: str = "",
     timeout: float = 10.0,
+    store: str = "",
 ) -> Fleet:
-    """A fleet, to be entered with ``async with``, or awaited.
+    """A fleet, to be entered with ``async with``, or awaited; ``with`` for the blocking one.
 
-    `router`: zenoh's ``tcp/host:port`` or ``tls/host:port`` (default: `$CM_FLEET`, or else whoever is found on this
-    network). `config`: a file of zenoh's settings, as ``cm fleet keys`` writes them. `caller`: the name to make
-    requests under; with certificates, the one in your own. `timeout` in seconds. Raises NoNetwork when it is entered.
+    ``with cm.networks.fleet.connect("tcp/router:7447") as fleet: fleet.mode("edge_detection")``. `router`: zenoh's
+    ``tcp/host:port`` or ``tls/host:port`` (default: `$CM_FLEET`, or else whoever is found on this network). `config`: a
+    file of zenoh's settings, as ``cm fleet keys`` writes them. `caller`: the name to make requests under; with
+    certificates, the one in your own, else this user's. `timeout`: seconds for an answer. `store`: where the wanted
+    state is, "keeper", etcd's URLs or a file about it (default: `$CM_FLEET_STORE`, or what `config` says, or the
+    keeper). Raises NoNetwork, InvalidRequest for a caller's name that cannot be part of a key.
     """
     routers = (router,) if isinstance(router, str) else tuple(router)
     if not routers and config is None:
         routers = from_environment()
-    network = Network(connect=routers, config=Path(config) if config else None)
+    network = Network(connect=routers, config=Path(config) if config else None, store=store)
     return Fleet(network, caller or member_of(network.config) or getpass.getuser(), timeout)
 
 
@@ -58,13 +62,19 @@ class Fleet(Looker):
     """Many boards. Groups of them are given by name, glob (``line1-*``) or label (``@camera``); by default all."""
 
     def __init__(self, network: Network, caller: str, timeout: float) -> None:
-        self.caller = names.check(caller, "caller")
+        self._caller = names.check(caller, "caller")
         self.timeout = timeout
         self._network = network
         self.session: Any = None
 
+    @property
+    def caller(self) -> str:
+        """The name under which requests are made: each board's manager knows it as its guest ``zenoh:<name>``."""
+        return self._caller
+
     async def __aenter__(self) -> Fleet:
         self.session = await asyncio.to_thread(session, self._network)
+        self._store = opened_store(self._network, self.session, self.caller)
         self._presence = Presence(self.session)
         try:
             await self._presence.begin(self.timeout)
@@ -84,7 +94,73 @@ class Fleet(Looker):
     async def close(self) -> None:
         """Disconnect; twice is fine."""
         if self.session is not None:
+            await self._store.close()
             await asyncio.to_thread(self.session.close)
+
+    # ---- the inventory --------------------------------------------------------------------------
+
+    async def add(self, boards: Iterable[str]) -> tuple[str, ...]:
+        """Put boards into the inventory, by name or, if they are there, by glob; returns those that are new in it.
+
+        Raises NoSuchBoard for a glob that matches none.
+        """
+        known = await self.inventory()
+        found = [name for name in await self.chosen(boards, exist=False) if not known.get(name)]
+        for name in found:
+            puts = {key(names.check(name, "board"), "settings"): Put(packed(Settings()))}
+            await self._store.txn({key(name, "settings"): 0}, puts)
+        return tuple(found)
+
+    async def remove(self, boards: Iterable[str]) -> tuple[str, ...]:
+        """Take boards out of the inventory, and forget what is wanted of them. Raises NoSuchBoard, StoreRefused.
+
+        A board of a certificate that is still running puts itself in again.
+        """
+        known, found = await self.inventory(), await self.chosen(boards)
+        for name in found:
+            view = known[name]
+            expect = {key(name, part): revision for part, revision in view.expected().items()}
+            if view.open or not await self._store.txn(
+                expect, {key(name, part): None for part in ("settings", "wanted")}
+            ):
+                raise StoreRefused(f"a change is open on {name}: wait for its end")
+        return found
+
+    async def stored(self) -> dict[str, Entry]:
+        """Everything in the store, as it lies there."""
+        return await self._store.get("")
+
+    async def move_store(self, to: str) -> int:
+        """Copy the wanted state into another store, which must have none; how many values there were.
+
+        Raises StoreRefused if a change is open, or the other is not empty.
+        """
+        other = opened_store(replace(self._network, store=to), self.session, self.caller)
+        try:
+            found = await self._store.get("")
+            if any(view.open for view in views(found).values()):
+                raise StoreRefused("a change is open: wait for its end")
+            if await other.get(""):
+                raise StoreRefused(f"{to} has wanted state already")
+            kept = {k: Put(e.value) for k, e in found.items() if not k.endswith(("/claim", "/wanted"))}
+            for name, view in views(found).items():  # in the name of who moves it: a keeper lets nobody else's in
+                if view.wanted:
+                    kept[key(name, "wanted")] = Put(packed(replace(view.wanted, by=self.caller)))
+            for name, put in kept.items():  # one by one: a store bounds the length of a transaction
+                await other.txn({name: 0}, {name: put})
+            return len(kept)
+        finally:
+            await other.close()
+
+    async def reconcile(self, boards: Iterable[str] = ALL) -> dict[str, FleetState | ErrorInfo]:
+        """Have boards go to what is wanted of them now: also if somebody took them elsewhere, or it failed before.
+
+        Returns each board's state, or its error. Raises NoSuchBoard.
+        """
+        chosen = await self.meant(boards)
+        step = FleetStep(names.AGAIN)
+        found = await asyncio.gather(*(self._step(name, "reconcile", step, max(60.0, self.timeout)) for name in chosen))
+        return dict(zip(chosen, found, strict=True))
 
     # ---- changing -------------------------------------------------------------------------------
 
@@ -95,10 +171,10 @@ class Fleet(Looker):
 
         The answer's payload is a Reply; it has an error if none came within `timeout` seconds (0: the fleet's).
         """
-        key = names.command_key(names.check(board, "board"), verb, self.caller)
+        where = names.command_key(names.check(board, "board"), verb, self.caller)
         payload, attachment = (message, None) if data is None else (data, message)
-        found = await asking.get(self.session, key, payload, attachment, timeout or self.timeout)
-        return found[0] if found else Answer(board, key, b"", error=absent(board in await self.boards()))
+        found = await asking.get(self.session, where, payload, attachment, timeout or self.timeout)
+        return found[0] if found else Answer(board, where, b"", error=absent(board in await self.boards()))
 
     async def write(
         self, values: Mapping[str, int | str], boards: Iterable[str] = ALL
@@ -108,16 +184,16 @@ class Fleet(Looker):
         Raises NoSuchBoard.
         """
         message = bytes(encode_request(write_registers(values).request)[1])
-        chosen = await self.chosen(boards)
+        chosen = await self.meant(boards)
         said = await asyncio.gather(*(self.do("reg", name, message) for name in chosen))
-        return {n: answers.registers(a) for n, a in zip(chosen, said, strict=True)}
+        return {n: asking.registers(a) for n, a in zip(chosen, said, strict=True)}
 
     async def frame(self, board: str, stream: str) -> Frame:
         """The next frame of a stream of one board, as an array of the stream's shape. Raises RequestFailed."""
         found = await asking.get(self.session, names.key(board, "frames", stream), timeout=self.timeout)
         answer = found[0] if found else Answer(board, "", b"", error=absent(board in await self.boards()))
         if answer.error is not None:
-            raise request_error(answers.named(board, answer.error))
+            raise request_error(_named(board, answer.error))
         info = decode_event([topics.READ_DATA, answer.attachment])
         if not isinstance(info, FrameInfo):
             raise InvalidRequest(f"{board}: no frame came back")
@@ -129,7 +205,7 @@ class Fleet(Looker):
         answer = await self.do("data", board, bytes(frames[1]), bytes(frames[2]))
         error = answer.error or decode_reply([b"", answer.payload]).error
         if error is not None:
-            raise request_error(answers.named(board, error))
+            raise request_error(_named(board, error))
 
     async def load(
         self,
@@ -138,32 +214,34 @@ class Fleet(Looker):
         boards: Iterable[str] = ALL,
         *,
         policy: Policy | str = Policy.ALL,
+        absent: str = "",
         timeout: float = 60.0,
-        settle: float = 0.0,
         tell: Progress = nothing,
     ) -> Course:
-        """Take all boards to a mode, or none: plan on all, prepare all, change all, then keep the new mode or go back.
+        """Take boards to a mode, or none: prepare all, change all, then one transaction of the store decides.
 
         `policy`: ``all``, ``quorum`` or ``best-effort``: how many boards must succeed for the change to be kept.
-        `timeout`: seconds for each phase. `settle`: seconds after which a board that hears nothing asks what was
-        decided (0: twice `timeout`). `tell` is called with the phase, a board, and its answer. Returns the outcome with
-        the critical path. Raises NoSuchBoard, FleetRefused (nothing was touched), ChangeFailed (its outcome names each
-        board that differs). If this is cancelled or killed at any moment, the boards end the change by themselves;
-        `recover` hastens that.
+        `absent`, for boards of the inventory that are away: ``refuse`` (default under ``all``), ``wait`` for them
+        `timeout` seconds, or ``go-on`` (default otherwise): then they are named, and go there when they are back.
+        `timeout`: seconds for each phase. `tell` is called with the phase, a board, and its answer; in another thread,
+        if this is the blocking client. Returns the course with the critical path. Raises NoSuchBoard, StoreAway, Busy
+        (another change is open there), FleetRefused (nothing was touched), ChangeFailed (not every named board is
+        there; its course names each). If this is cancelled or killed at any moment, boards go on by themselves.
         """
-        rule = records.policy(policy)
+        rule = wire.policy(policy)
         chosen = await self.chosen(boards)
-        plans = await self.plan(mode, config, chosen)
-        problems = {name: plan for name, plan in plans.items() if isinstance(plan, ErrorInfo)}
-        able = [name for name in chosen if name not in problems]
-        if not rule.holds(len(chosen), len(able)):
-            raise FleetRefused(problems)
+        away = await self._away(chosen, absent or ("refuse" if rule is Policy.ALL else "go-on"), timeout)
+
+        async def ask(board: str, verb: str, step: FleetStep) -> FleetState | ErrorInfo:
+            return await self._step(board, verb, step, timeout)
+
         change = f"{self.caller}-{secrets.token_hex(4)}"
-        where = await useful_seats(able, await self.boards(), self._ask, change)
-        step = first_step(change, chosen, config, mode, rule, settle or 2 * timeout, where)
-        course = await carried_out(step, lambda ask: self._step(ask, timeout), tell)
-        if course.outcome.differing or course.outcome.decision is None or course.outcome.decision.value != "keep":
-            raise ChangeFailed(course.outcome)
+        coordinator = Coordinator(self._store, ask, self.caller, change, chosen, config, mode, rule, away, tell)
+        course = await coordinator.run()
+        if course.decision is Decision.REVERT and not course.touched:
+            raise FleetRefused(course.causes)
+        if course.differing or course.decision is not Decision.KEEP:
+            raise ChangeFailed(course)
         return course
 
     async def mode(
@@ -172,45 +250,27 @@ class Fleet(Looker):
         boards: Iterable[str] = ALL,
         *,
         policy: Policy | str = Policy.ALL,
+        absent: str = "",
         timeout: float = 60.0,
-        settle: float = 0.0,
         tell: Progress = nothing,
     ) -> Course:
-        """Take all boards to a mode of what they have loaded, or none; as `load`."""
-        return await self.load("", mode, boards, policy=policy, timeout=timeout, settle=settle, tell=tell)
+        """Take boards to a mode of what they have loaded, or none; as `load`."""
+        return await self.load("", mode, boards, policy=policy, absent=absent, timeout=timeout, tell=tell)
 
-    async def _step(self, ask: Ask, timeout: float) -> FleetRecord | ErrorInfo:
-        answer = await self.do(ask.verb.value, ask.board, records.encode_step(ask.step), timeout=timeout)
-        return answers.record(answer)
+    async def _away(self, chosen: Iterable[str], absent: str, timeout: float) -> dict[str, ErrorInfo]:
+        """Boards that are not there, under the policy about them. Raises FleetRefused, InvalidRequest."""
+        if absent not in ABSENT:
+            raise InvalidRequest(f"boards that are away: one of {', '.join(ABSENT)} is wanted, not {absent!r}")
+        wanted = set(chosen)
+        if absent == "wait":
+            await self._presence.all_there(wanted, timeout)
+        gone = {name: asking.absent(False) for name in sorted(wanted - {*await self.boards()})}
+        if gone and absent != "go-on":
+            raise FleetRefused(gone)
+        return gone
 
-    async def _ask(self, ask: Ask) -> FleetRecord | ErrorInfo:
-        """A step of ending a change; deciding may take as long as a load."""
-        return await self._step(ask, 60.0 if ask.verb is Verb.DECIDE else self.timeout)
-
-    async def recover(self, change: str = "", boards: Iterable[str] = ALL) -> dict[str, Outcome]:
-        """End changes whose coordinator is gone, by the boards' records; returns each change's outcome, by its name.
-
-        A majority of the seats of a change can decide it, or any board that knows the decision. Without `change`: all
-        that are open on these boards and whose time is over; with it that one, at once. An outcome whose decision is
-        None has too few seats left: its boards are named, and keep waiting. Raises NoSuchBoard, NotFound (no board has
-        that change).
-        """
-        records = open_changes(await self.status(boards), change)
-        outcomes = await asyncio.gather(*(recovered(record, self._ask) for record in records.values()))
-        return dict(zip(records, outcomes, strict=True))
-
-    async def settle(self, change: str, keep: bool, boards: Iterable[str] = ALL) -> dict[str, FleetRecord | ErrorInfo]:
-        """Decide in place of seats that will never come back: if they do, they may contradict it.
-
-        Returns the record of each board, or its error. Raises NoSuchBoard, NotFound (no board has that change),
-        InvalidRequest if the change is decided, or can be decided without this, differently.
-        """
-        (record,) = open_changes(await self.status(boards), change).values()
-        await refuse_other(record, keep, self._ask)
-        step = FleetStep(change, seats=record.seats, keep=keep)
-        chosen = await self.chosen(boards)
-        said = await asyncio.gather(*(self._ask(Ask(name, Verb.DECIDE, step)) for name in chosen))
-        return dict(zip(chosen, said, strict=True))
+    async def _step(self, board: str, verb: str, step: FleetStep, timeout: float) -> FleetState | ErrorInfo:
+        return asking.said(await self.do(verb, board, wire.encode_step(step), timeout=timeout), FleetState)
 
     async def push(
         self, archive: str | os.PathLike[str], boards: Iterable[str] = ALL, *, timeout: float = 600.0
@@ -222,8 +282,13 @@ class Fleet(Looker):
         """
         path = Path(archive)
         bundle = await asyncio.to_thread(bundles.described, path)
-        chosen = await self.chosen(boards)
+        chosen = await self.meant(boards)
         with bundles.offered(self.session, path, bundle):
             asked = (self.do("bundle", name, wire.encode_fetch(bundle), timeout=timeout) for name in chosen)
             said = await asyncio.gather(*asked)
-        return {n: answers.bundle(a) for n, a in zip(chosen, said, strict=True)}
+        return {n: asking.said(a, BundleState) for n, a in zip(chosen, said, strict=True)}
+
+
+def _named(board: str, error: ErrorInfo) -> ErrorInfo:
+    """The error with its board in the sentence, for where nothing else names it."""
+    return ErrorInfo(error.code, f"{board}: {error.message}")

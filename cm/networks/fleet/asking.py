@@ -7,14 +7,15 @@ import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
-from cm.errors import InvalidRequest
+from cm.errors import CmError, InvalidRequest
 from cm.networks.fleet import names
 from cm.networks.fleet.network import zenoh_module
 from cm.networks.fleet.presence import Presence
 from cm.wire import fleet as wire
-from cm.wire.messages.status import ErrorInfo
+from cm.wire.encode import decode_reply
+from cm.wire.messages.status import ErrorInfo, RegValues
 
 ABSENT = "no_answer"
 
@@ -96,6 +97,30 @@ class Told:
     key: str
     payload: bytes | None
     attachment: bytes = b""
+
+
+_Body = TypeVar("_Body")
+
+
+def said(answer: Answer, kind: type[_Body]) -> _Body | ErrorInfo:
+    """The body of a Reply, or the refusal."""
+    if answer.error is not None:
+        return answer.error
+    try:
+        found = wire.decode_answer(answer.payload)
+    except CmError as error:
+        return ErrorInfo(error.code, str(error))
+    return found if isinstance(found, (kind, ErrorInfo)) else ErrorInfo("network", f"no {kind.__name__} came back")
+
+
+def registers(answer: Answer) -> RegValues | ErrorInfo:
+    """Values that were read back, or the refusal."""
+    if answer.error is not None:
+        return answer.error
+    reply = decode_reply([b"", answer.payload])
+    if reply.error is not None:
+        return reply.error
+    return reply.body if isinstance(reply.body, RegValues) else ErrorInfo("network", "no registers came back")
 
 
 @contextlib.asynccontextmanager

@@ -4,24 +4,20 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import os
 import threading
 import weakref
-from collections.abc import Coroutine, Iterable, Iterator, Mapping
+from collections.abc import Callable, Coroutine, Iterable, Iterator
 from contextlib import contextmanager
 from types import TracebackType
-from typing import Any, TypeVar
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from cm.client.frame import Frame
 from cm.networks.fleet import aio
-from cm.networks.fleet.change.coordinator import Outcome
-from cm.networks.fleet.changing import Course, Progress, nothing
-from cm.networks.fleet.clocks import Reading
-from cm.networks.fleet.looking import ALL
-from cm.wire.messages.fleet import BoardStatus, BundleState, FleetRecord, Policy
-from cm.wire.messages.status import ErrorInfo, PlanInfo, RegValues
+from cm.wire.messages.fleet import BoardStatus
 
 _T = TypeVar("_T")
+_P = ParamSpec("_P")
 
 
 class _Loop:
@@ -48,21 +44,28 @@ class _Loop:
             self.loop.close()
 
 
+def _blocking(
+    method: Callable[Concatenate[aio.Fleet, _P], Coroutine[Any, Any, _T]],
+) -> Callable[Concatenate[Fleet, _P], _T]:
+    """The same method, waited for."""
+
+    def waited(self: Fleet, /, *args: _P.args, **kwargs: _P.kwargs) -> _T:
+        return self._loop.wait_for(method(self._fleet, *args, **kwargs))
+
+    functools.update_wrapper(waited, method)
+    return waited
+
+
+@functools.wraps(aio.connect)
 def connect(
     router: str | Iterable[str] = (),
     *,
     config: str | os.PathLike[str] | None = None,
     caller: str = "",
     timeout: float = 10.0,
+    store: str = "",
 ) -> Fleet:
-    """A fleet, connected: ``with cm.networks.fleet.connect("tcp/router:7447") as fleet: fleet.mode("edge_detection")``.
-
-    `router`: zenoh's ``tcp/host:port`` or ``tls/host:port`` (default: `$CM_FLEET`, or else whoever is found on this
-    network). `config`: a file of zenoh's settings, as ``cm fleet keys`` writes them. `caller`: the name to make
-    requests under; with certificates the one in your own, else this user's. `timeout`: seconds for an answer. Raises
-    NoNetwork, InvalidRequest for a caller's name that cannot be part of a key.
-    """
-    return Fleet(aio.connect(router, config=config, caller=caller, timeout=timeout))
+    return Fleet(aio.connect(router, config=config, caller=caller, timeout=timeout, store=store))
 
 
 class Fleet:
@@ -95,116 +98,24 @@ class Fleet:
         """The name under which requests are made: each board's manager knows it as its guest ``zenoh:<name>``."""
         return self._fleet.caller
 
-    def boards(self) -> tuple[str, ...]:
-        """Names of all boards whose bridges are running, sorted."""
-        return self._loop.wait_for(self._fleet.boards())
-
-    def chosen(self, boards: Iterable[str] = ALL) -> tuple[str, ...]:
-        """The boards of a group, sorted: by name, glob or ``@label``. Raises NoSuchBoard for one that matches none."""
-        return self._loop.wait_for(self._fleet.chosen(boards))
-
-    def status(self, boards: Iterable[str] = ALL) -> dict[str, BoardStatus | ErrorInfo]:
-        """The status of each board, or why there is none (code ``no_answer``, or what its manager said).
-
-        Raises NoSuchBoard for a glob or a label that matches none; a name that does not exist gets an error.
-        """
-        return self._loop.wait_for(self._fleet.status(boards))
-
-    def plan(self, mode: str = "", config: str = "", boards: Iterable[str] = ALL) -> dict[str, PlanInfo | ErrorInfo]:
-        """What a change would do on each board, in steps, bytes and seconds; touches nothing.
-
-        Without `mode` to the default mode, without `config` of the loaded configuration. Raises NoSuchBoard.
-        """
-        return self._loop.wait_for(self._fleet.plan(mode, config, boards))
-
-    def read(self, register: str, boards: Iterable[str] = ALL) -> dict[str, RegValues | ErrorInfo]:
-        """A register, or ``register.field``, of each board. Raises NoSuchBoard, InvalidRequest (a name with ``/``)."""
-        return self._loop.wait_for(self._fleet.read(register, boards))
-
-    def write(self, values: Mapping[str, int | str], boards: Iterable[str] = ALL) -> dict[str, RegValues | ErrorInfo]:
-        """Write registers on each board, in order; each board does all of it or nothing, and answers for itself.
-
-        Raises NoSuchBoard.
-        """
-        return self._loop.wait_for(self._fleet.write(values, boards))
-
-    def frame(self, board: str, stream: str) -> Frame:
-        """The next frame of a stream of one board, as an array of the stream's shape. Raises RequestFailed."""
-        return self._loop.wait_for(self._fleet.frame(board, stream))
-
-    def send(self, board: str, stream: str, data: Any) -> None:
-        """An array or bytes for a stream of one board; returns when the hardware has taken it. Raises RequestFailed."""
-        self._loop.wait_for(self._fleet.send(board, stream, data))
-
-    def clocks(self, boards: Iterable[str] = ALL) -> dict[str, Reading | ErrorInfo]:
-        """How far each board's clock may be off, ns: as it says itself, and the bounds measured from here.
-
-        Raises NoSuchBoard.
-        """
-        return self._loop.wait_for(self._fleet.clocks(boards))
-
-    def load(
-        self,
-        config: str = "",
-        mode: str = "",
-        boards: Iterable[str] = ALL,
-        *,
-        policy: Policy | str = Policy.ALL,
-        timeout: float = 60.0,
-        settle: float = 0.0,
-        tell: Progress = nothing,
-    ) -> Course:
-        """Take all boards to a mode, or none: plan on all, prepare all, change all, then keep the new mode or go back.
-
-        `policy`: ``all``, ``quorum`` or ``best-effort``: how many boards must succeed for the change to be kept.
-        `timeout`: seconds for each phase. `settle`: seconds after which a board that hears nothing asks what was
-        decided (0: twice `timeout`). `tell` is called with the phase, a board, and its answer, in another thread.
-        Returns the outcome with the critical path. Raises NoSuchBoard, FleetRefused (nothing was touched), ChangeFailed
-        (its outcome names each board that differs).
-        """
-        changing = self._fleet.load(config, mode, boards, policy=policy, timeout=timeout, settle=settle, tell=tell)
-        return self._loop.wait_for(changing)
-
-    def mode(
-        self,
-        mode: str,
-        boards: Iterable[str] = ALL,
-        *,
-        policy: Policy | str = Policy.ALL,
-        timeout: float = 60.0,
-        settle: float = 0.0,
-        tell: Progress = nothing,
-    ) -> Course:
-        """Take all boards to a mode of what they have loaded, or none; as `load`."""
-        return self.load("", mode, boards, policy=policy, timeout=timeout, settle=settle, tell=tell)
-
-    def recover(self, change: str = "", boards: Iterable[str] = ALL) -> dict[str, Outcome]:
-        """End changes whose client is gone, by the boards' own records; returns each change's outcome, by its name.
-
-        A majority of the seats of a change can decide it, or any board that knows the decision. Without `change`: all
-        that are open on these boards and whose time is over; with it that one, at once. An outcome whose decision is
-        None has too few seats left: its boards are named, and keep waiting. Raises NoSuchBoard, NotFound (no board has
-        that change).
-        """
-        return self._loop.wait_for(self._fleet.recover(change, boards))
-
-    def settle(self, change: str, keep: bool, boards: Iterable[str] = ALL) -> dict[str, FleetRecord | ErrorInfo]:
-        """Decide in place of seats that will never come back: if they do, they may contradict it.
-
-        Returns the record of each board, or its error. Raises NoSuchBoard, NotFound (no board has that change),
-        InvalidRequest if the change is decided, or can be decided without this, differently.
-        """
-        return self._loop.wait_for(self._fleet.settle(change, keep, boards))
-
-    def push(
-        self, archive: str | os.PathLike[str], boards: Iterable[str] = ALL, *, timeout: float = 600.0
-    ) -> dict[str, BundleState | ErrorInfo]:
-        """Have boards fetch an archive of ``cm build collect`` from here and put it in force.
-
-        `timeout` in seconds, for all of it. Parts that have reached a board stay there: a repeated push continues.
-        Raises NoSuchBoard, NotFound (no such file), OSError.
-        """
-        return self._loop.wait_for(self._fleet.push(archive, boards, timeout=timeout))
+    boards = _blocking(aio.Fleet.boards)
+    inventory = _blocking(aio.Fleet.inventory)
+    chosen = _blocking(aio.Fleet.chosen)
+    add = _blocking(aio.Fleet.add)
+    remove = _blocking(aio.Fleet.remove)
+    stored = _blocking(aio.Fleet.stored)
+    move_store = _blocking(aio.Fleet.move_store)
+    status = _blocking(aio.Fleet.status)
+    plan = _blocking(aio.Fleet.plan)
+    read = _blocking(aio.Fleet.read)
+    write = _blocking(aio.Fleet.write)
+    frame = _blocking(aio.Fleet.frame)
+    send = _blocking(aio.Fleet.send)
+    clocks = _blocking(aio.Fleet.clocks)
+    load = _blocking(aio.Fleet.load)
+    mode = _blocking(aio.Fleet.mode)
+    reconcile = _blocking(aio.Fleet.reconcile)
+    push = _blocking(aio.Fleet.push)
 
     @contextmanager
     def watch(self, boards: str = "*") -> Iterator[Iterator[tuple[str, BoardStatus | None]]]:

@@ -6,7 +6,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from cm.errors import CmError, NotFound
-from cm.networks.fleet.change.coordinator import Outcome
+from cm.networks.fleet.change import Course
+from cm.wire.messages.fleet import Decision
 from cm.wire.messages.status import ErrorInfo
 
 
@@ -22,45 +23,41 @@ class FleetRefused(CmError):
     code = "fleet_refused"
 
     def __init__(self, problems: Mapping[str, ErrorInfo]) -> None:
-        super().__init__("nothing was changed: " + told(problems))
+        super().__init__("nothing was changed: " + told({name: error.message for name, error in problems.items()}))
         self.problems = dict(problems)
 
 
 class ChangeFailed(CmError):
-    """A change that the fleet undid, or that not all boards took part in; `outcome` has each."""
+    """A change that was taken back, or after which not every board is where it is wanted; `course` has each."""
 
     code = "fleet_change_failed"
 
-    def __init__(self, outcome: Outcome) -> None:
-        super().__init__(sentence(outcome))
-        self.outcome = outcome
+    def __init__(self, course: Course) -> None:
+        super().__init__(sentence(course))
+        self.course = course
 
 
-def told(problems: Mapping[str, ErrorInfo]) -> str:
+def told(said: Mapping[str, str]) -> str:
     """Each board with what is wrong there; boards with the same problem together."""
-    return _together({name: error.message for name, error in problems.items()})
-
-
-def _together(said: Mapping[str, str]) -> str:
     boards: dict[str, list[str]] = {}
     for name, why in sorted(said.items()):
         boards.setdefault(why, []).append(name)
     return "; ".join(f"{', '.join(names)}: {why}" for why, names in boards.items())
 
 
-def sentence(outcome: Outcome) -> str:
+def sentence(course: Course) -> str:
     """How a change ended, with each board that differs."""
-    differing = _together(outcome.differing)
-    if outcome.decision is None:
+    causes = {name: error.message for name, error in course.causes.items()}
+    if course.decision is None:
         return (
-            f"what was decided is not known, for too few of its seats ({', '.join(outcome.seats)}) answered. Boards "
-            "ask them again, as `cm fleet recover` does; `cm fleet settle` is for when they never come back: "
-            + differing
+            f"what was decided is not known ({told(causes)}); boards go where the store says, and `cm fleet status` "
+            "shows it"
         )
-    where = "in the new mode" if outcome.decision.value == "keep" else "back in the mode before"
-    if not outcome.records and outcome.decision.value == "revert":
-        known = " as far as is known" if outcome.silent else ""
-        return f"nothing was changed{known}: {told(outcome.causes)}"
-    others = {n: e for n, e in outcome.causes.items() if outcome.differing.get(n) != e.message}
-    cause = f" ({told(others)})" if others else ""
-    return f"the fleet is {where}{cause}" + (f", but for {differing}" if differing else "")
+    if not course.touched and course.decision is Decision.REVERT:
+        return f"nothing was changed: {told(causes)}"
+    differing = course.differing
+    where = "in the new mode" if course.decision is Decision.KEEP else "back in the mode before"
+    others = told({name: why for name, why in causes.items() if differing.get(name) != why})
+    return f"the fleet is {where}{f' ({others})' if others else ''}" + (
+        f", but for {told(differing)}" if differing else ""
+    )

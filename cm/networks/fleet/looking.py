@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import asyncio
 import fnmatch
-from collections.abc import AsyncIterator, Iterable, Mapping
+from collections.abc import AsyncIterator, Iterable
 from contextlib import asynccontextmanager
 from time import time_ns
 from typing import Any
@@ -15,6 +15,7 @@ from cm.networks.fleet.asking import Answer, Told, absent
 from cm.networks.fleet.clocks import Reading, reading
 from cm.networks.fleet.errors import NoSuchBoard
 from cm.networks.fleet.presence import Presence
+from cm.networks.fleet.store import BOARDS, Store, StoreAway, StoreRefused, View, views
 from cm.wire import fleet as wire
 from cm.wire.encode import decode_plan, decode_registers
 from cm.wire.messages.fleet import BoardStatus
@@ -27,6 +28,7 @@ class Looker:
     """Boards, by name, glob (``line1-*``) or label (``@camera``); all if none is named."""
 
     session: Any
+    _store: Store
     _presence: Presence
     timeout: float  # seconds
 
@@ -36,34 +38,58 @@ class Looker:
         """Names of all boards whose bridges are running, sorted."""
         return self._presence.boards()
 
-    async def chosen(self, wanted: Iterable[str] = ALL) -> tuple[str, ...]:
-        """The boards of a group, sorted. Raises NoSuchBoard for a part of it that matches none."""
-        there, groups = await self.boards(), tuple(wanted) or ALL
-        labels: Mapping[str, tuple[str, ...]] = {}
-        if any(group.startswith("@") for group in groups):
-            found = await self.status()
-            labels = {n: s.labels for n, s in found.items() if isinstance(s, BoardStatus)}
-        if not there:
-            raise NoSuchBoard("no board's bridge is running")
-        chosen: set[str] = set()
+    async def inventory(self) -> dict[str, View]:
+        """The boards of the fleet, there or away, sorted: each with its settings and with what is wanted of it.
+
+        Raises StoreAway.
+        """
+        found = views(await self._store.get(BOARDS))
+        return {name: view for name, view in found.items() if view.settings is not None}
+
+    async def chosen(self, boards: Iterable[str] = ALL, exist: bool = True) -> tuple[str, ...]:
+        """The boards of a group, sorted, from the inventory. Raises NoSuchBoard for a part of it that matches none.
+
+        `exist`: False: also those that are there and not in the inventory, and any that are given by name.
+        """
+        groups, known = tuple(boards) or ALL, await self.inventory()
+        there = set(known) if exist else {*known, *await self.boards()}
+        found: set[str] = set()
         for group in groups:
             if group.startswith("@"):
-                members = {name for name, has in labels.items() if group[1:] in has}
+                members = {n for n, view in known.items() if view.settings and group[1:] in view.settings.labels}
             else:
-                members = set(fnmatch.filter(there, group))
+                members = set(fnmatch.filter(there, group)) or ({group} if not exist and _is_name(group) else set())
             if not members:
-                raise NoSuchBoard(f"no board is called or labelled {group}; there are {', '.join(there) or 'none'}")
-            chosen |= members
-        return tuple(sorted(chosen))
+                loose = ", ".join(sorted({*await self.boards()} - {*known}))
+                raise NoSuchBoard(
+                    f"no board of the inventory is called or labelled {group}; it has {', '.join(known) or 'none'}"
+                    + (f" (there, but not in it: {loose}; `cm fleet add` puts them in)" if loose else "")
+                )
+            found |= members
+        return tuple(sorted(found))
+
+    async def meant(self, boards: Iterable[str]) -> tuple[str, ...]:
+        """The boards of a group for what is no change: of names, those; of none, all that are there, store or not."""
+        groups = tuple(boards) or ALL
+        if groups == ALL:
+            return await self.boards()
+        return tuple(sorted(groups)) if all(map(_is_name, groups)) else await self.chosen(groups)
 
     # ---- looking ------------------------------------------------------------------------------
 
     async def status(self, boards: Iterable[str] = ALL) -> dict[str, BoardStatus | ErrorInfo]:
         """The status of each board, or why there is none (code ``no_answer``, or what its manager said).
 
-        Raises NoSuchBoard for a glob or a label that matches none; a name that does not exist gets an error.
+        By default of all that are there or in the inventory; if the store is away, of those that are there. Raises
+        NoSuchBoard for a glob or a label that matches none; a name that does not exist gets an error.
         """
         found = await self._each("status", boards)
+        if tuple(boards) in ((), ALL):
+            try:
+                away = set(await self.inventory()) - set(found)
+            except (StoreAway, StoreRefused):
+                away = set()
+            found = dict(sorted({**{n: Answer(n, "", b"", error=absent(False)) for n in away}, **found}.items()))
         return {n: a.error or wire.board_status(a.payload) for n, a in found.items()}
 
     async def plan(
@@ -87,7 +113,7 @@ class Looker:
 
         Raises NoSuchBoard.
         """
-        chosen = await self.chosen(boards)
+        chosen = await self.meant(boards)
         found = await asyncio.gather(*(self._clock(name) for name in chosen))
         return dict(zip(chosen, found, strict=True))
 

@@ -9,7 +9,9 @@ from cm.errors import InvalidRequest
 
 ROOT = "cm"
 BUNDLES = "cm-bundles"
+STORE = "cm-store"
 WILD = frozenset("*$?#")
+AGAIN = "again"  # in place of a change's id: a person asks a board to go where it is wanted
 NOBODY = "nobody"  # a caller that gives no name
 SECTIONS = ("reg", "irq", "frames")
 

@@ -12,8 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from cm.errors import CmError, InvalidRequest, NotInstalled
+from cm.networks.fleet.store import Store
 
 PORT = 7447
+KEEPER = "keeper"
 LEASE = 10.0  # seconds, zenoh's own
 _PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws", "unixsock-stream", "unixpipe", "serial", "vsock")
 _TRY = 3000  # milliseconds of one try to reach a router
@@ -35,6 +37,7 @@ class Network:
     listen: tuple[str, ...] = ()
     config: Path | None = None
     lease: float = LEASE  # seconds until a process that has stopped answering counts as gone
+    store: str = ""  # "keeper", etcd's URLs, or a file; empty: what the environment or `config` says
 
 
 def endpoint(text: str) -> str:
@@ -93,10 +96,24 @@ def settings_of(path: Path) -> Any:
 
 def member_of(config: Path | None) -> str:
     """The name in a file that ``cm fleet keys`` wrote; empty in another, and without a file. Raises NoNetwork."""
-    if config is None:
-        return ""
-    name = (json.loads(settings_of(config).get_json("metadata")) or {}).get("name")
-    return name if isinstance(name, str) else ""
+    return _metadata(config, "name")
+
+
+def _metadata(config: Path | None, what: str) -> str:
+    said = (json.loads(settings_of(config).get_json("metadata")) or {}).get(what) if config else ""
+    return said if isinstance(said, str) else ""
+
+
+def opened_store(network: Network, opened: Any, caller: str) -> Store:
+    """Where the wanted state is, for a caller; `opened` is the session, through which a keeper is reached.
+
+    Raises InvalidRequest.
+    """
+    from cm.networks.fleet.etcd import Cluster, Etcd
+    from cm.networks.fleet.keeper import KeeperStore
+
+    said = network.store or os.environ.get("CM_FLEET_STORE") or _metadata(network.config, "store") or KEEPER
+    return KeeperStore(opened, caller) if said == KEEPER else Etcd(Cluster.read(said))
 
 
 def _unreachable(routers: tuple[str, ...]) -> str:

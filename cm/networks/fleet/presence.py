@@ -9,6 +9,7 @@ complete.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import threading
 import time
 from collections.abc import Callable
@@ -61,6 +62,25 @@ class Presence:
         """The boards that are present, sorted."""
         with self._lock:
             return tuple(sorted(self._boards))
+
+    async def all_there(self, wanted: set[str], timeout: float) -> None:
+        """Wait until all of them are, at most `timeout` seconds."""
+        loop, changed = asyncio.get_running_loop(), asyncio.Event()
+
+        def came(*_: object) -> None:
+            loop.call_soon_threadsafe(changed.set)
+
+        end = self.listen(came)
+        until = time.monotonic() + timeout
+        try:
+            while (left := until - time.monotonic()) > 0:
+                changed.clear()
+                if wanted <= set(self.boards()):
+                    break
+                with contextlib.suppress(asyncio.TimeoutError):
+                    await asyncio.wait_for(changed.wait(), left)
+        finally:
+            end()
 
     def listen(self, tell: Listener) -> Callable[[], None]:
         """Be told which boards are present, come and go, in any thread; call the returned function to end this."""

@@ -27,8 +27,6 @@ VERBS = {
     "provision": Verb("WriteConfig", "provision", topics.WRITE_CONFIG),
     "prepare": Verb("FleetStep", "operate"),
     "apply": Verb("FleetStep", "operate"),
-    "vote": Verb("FleetStep", "operate"),
-    "decide": Verb("FleetStep", "operate"),
-    "settle": Verb("FleetStep", "operate"),
+    "reconcile": Verb("FleetStep", "operate"),
     "bundle": Verb("FetchBundle", "provision"),
 }

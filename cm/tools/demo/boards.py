@@ -9,7 +9,8 @@ import signal
 import socket
 import subprocess
 import threading
-from collections.abc import Iterable
+import time
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -78,13 +79,42 @@ def ended(process: subprocess.Popen[bytes] | None, number: int = signal.SIGTERM)
         raise Timeout(f"process {process.pid} did not end") from None
 
 
+@contextlib.contextmanager
+def local_etcd(folder: Path) -> Iterator[str]:
+    """One member of etcd on this machine; its URL. Raises FleetFailed."""
+    port = free_ports(2)
+    client, peer = f"http://127.0.0.1:{port}", f"http://127.0.0.1:{port + 1}"
+    command = (
+        "etcd", "--data-dir", str(folder), "--listen-client-urls", client, "--advertise-client-urls", client,
+        "--listen-peer-urls", peer, "--initial-advertise-peer-urls", peer, "--initial-cluster", f"default={peer}",
+    )  # fmt: skip
+    process = subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, start_new_session=True)
+    try:
+        end = time.monotonic() + _PATIENCE
+        while not _listens(client):
+            if time.monotonic() > end or process.poll() is not None:
+                raise FleetFailed(f"etcd did not start: {' '.join(command)}")
+            time.sleep(0.05)
+        yield client
+    finally:
+        ended(process)
+
+
+def _listens(url: str) -> bool:
+    with contextlib.suppress(OSError):
+        socket.create_connection(("127.0.0.1", int(url.rpartition(":")[2])), timeout=1.0).close()
+        return True
+    return False
+
+
 @dataclass
 class BoardProcesses:
-    """One board: `cm serve --sim` and `cm bridge zenoh`."""
+    """One board: `cm serve --sim` and `cm bridge fleet`."""
 
     name: str
     folder: Path
     router: str
+    bridge_options: tuple[str, ...] = ()
     manager: subprocess.Popen[bytes] | None = None
     bridge: subprocess.Popen[bytes] | None = None
 
@@ -104,8 +134,8 @@ class BoardProcesses:
             "--settings", str(settings),
         )  # fmt: skip
         self.bridge = started(
-            b"ready as", "bridge", "zenoh", "--runtime-dir", run, "--router", self.router,
-            "--state-dir", str(self.folder / "fleet"),
+            b"ready as", "bridge", "fleet", "--runtime-dir", run, "--router", self.router,
+            "--state-dir", str(self.folder / "fleet"), "--join", *self.bridge_options,
         )  # fmt: skip
         return self
 
@@ -123,11 +153,17 @@ class BoardProcesses:
 
 
 class LocalFleet:
-    """A router and boards, as a context manager."""
+    """A router and boards, as a context manager; the first board keeps the store, if it is not elsewhere."""
 
-    def __init__(self, names: Iterable[str], folder: Path, at_once: int = 4) -> None:
+    def __init__(self, names: Iterable[str], folder: Path, at_once: int = 4, store: str = "") -> None:
         self.router = f"tcp/127.0.0.1:{free_ports()}"
-        self.boards = {name: BoardProcesses(name, folder / name, self.router) for name in names}
+        named = tuple(names)
+        where = ("--store", store or "keeper")
+        keeper = () if store else ("--keeper",)
+        self.boards = {
+            name: BoardProcesses(name, folder / name, self.router, where + (keeper if name == named[0] else ()))
+            for name in named
+        }
         self._at_once = at_once
         self._stack = ExitStack()
 

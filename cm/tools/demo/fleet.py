@@ -3,21 +3,23 @@
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cm.errors import Timeout
+import cm
+from cm.errors import NotInstalled, Timeout
 from cm.networks.fleet.blocking import Fleet, connect
 from cm.networks.fleet.errors import ChangeFailed
-from cm.tools.demo.boards import LocalFleet
+from cm.tools.demo.boards import LocalFleet, local_etcd
 from cm.tools.demo.course import Course, Picture
 from cm.wire.messages.fleet import BoardStatus, Decision
 
@@ -25,34 +27,45 @@ EYE, MIND, HAND = "eye", "mind", "hand"
 PICTURE = "fleet.png"
 BUSY = 0.10  # share of strong edges above which a closer look is worth it
 _PATIENCE = 120.0  # seconds
-# Seconds after which a board that has heard nothing asks: the third when it is there again, but none before the change
-# is decided, however busy the machine is.
-_SETTLE = 15.0
+_SHOWN = 1.0  # seconds for which the drift stays, to be seen in the picture
 
 
-def run_fleet_demo(out: Path) -> Path:
-    """Run all of it; returns the path of the picture. Raises FleetFailed, Timeout, RequestFailed."""
+def run_fleet_demo(out: Path, store: str = "keeper") -> Path:
+    """Run all of it, with the wanted state in "keeper" or "etcd"; returns the path of the picture.
+
+    Raises FleetFailed, Timeout, RequestFailed, NotInstalled.
+    """
     from cm.tools.demo.timeline import draw
 
+    if store == "etcd" and shutil.which("etcd") is None:
+        raise NotInstalled("etcd is not installed (Debian: apt install etcd-server)")
     out.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix="cmf-", dir="/tmp") as folder:
-        local = LocalFleet((EYE, MIND, HAND), Path(folder))
-        with local, connect(local.router, caller="demo", timeout=60.0) as fleet:
-            _until(lambda: len(fleet.boards()) == 3 and all(_mode(fleet, name) for name in local.boards))
-            course = Course()
-            with _watched(fleet, course):
-                _observe_decide_act(fleet, course)
-                _change_with_a_death(fleet, local, course)
-                _until(lambda: bool(course.modes[HAND]) and course.modes[HAND][-1][1] == "edge_detection")
-            course.ended = course.now
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="cmf-", dir="/tmp")))
+        where = stack.enter_context(local_etcd(folder / "etcd")) if store == "etcd" else ""
+        local = stack.enter_context(LocalFleet((EYE, MIND, HAND), folder, store=where))
+        fleet = stack.enter_context(connect(local.router, caller="demo", timeout=60.0, store=where or "keeper"))
+        _until(lambda: len(fleet.inventory()) == 3 and all(_mode(fleet, name) for name in local.boards))
+        course = Course()
+        with _watched(fleet, course):
+            _observe_decide_act(fleet, course)
+            _change_with_a_death(fleet, local, course)
+            _drift(fleet, local, course)
+        course.ended = course.now
     draw(course, out / PICTURE)
     return out / PICTURE
 
 
 @contextmanager
 def _watched(fleet: Fleet, course: Course) -> Iterator[None]:
-    """What boards say goes into the course, from another thread."""
+    """What boards say, and what is wanted of them, goes into the course, from other threads."""
     over = threading.Event()
+
+    def follow_wanted() -> None:
+        while not over.wait(0.05):
+            for name, view in fleet.inventory().items():
+                course.wants(name, view.wanted.mode if view.wanted else "")
+
     with fleet.watch() as statuses:
 
         def follow() -> None:
@@ -61,14 +74,16 @@ def _watched(fleet: Fleet, course: Course) -> Iterator[None]:
                     return
                 course.saw(name, status)
 
-        thread = threading.Thread(target=follow, daemon=True)
-        thread.start()
+        threads = [threading.Thread(target=each, daemon=True) for each in (follow, follow_wanted)]
+        for thread in threads:
+            thread.start()
         _until(lambda: len(course.modes) == 3)
         try:
             yield
         finally:
             over.set()
-            thread.join(_PATIENCE)  # boards say something each second
+            for thread in threads:
+                thread.join(_PATIENCE)  # boards say something each second
 
 
 def _observe_decide_act(fleet: Fleet, course: Course) -> None:
@@ -112,17 +127,34 @@ def _change_with_a_death(fleet: Fleet, local: LocalFleet, course: Course) -> Non
             local.boards[HAND].kill()
 
     try:
-        fleet.mode("edge_detection", policy="quorum", timeout=60.0, settle=_SETTLE, tell=tell)
+        fleet.mode("edge_detection", policy="quorum", timeout=60.0, tell=tell)
     except ChangeFailed as error:
-        if error.outcome.decision is not Decision.KEEP:
+        if error.course.decision is not Decision.KEEP:
             raise
-        for board, why in error.outcome.differing.items():
+        for board, why in error.course.differing.items():
             course.say(board, f"is named: {why}")
     course.say("fleet", "eye and mind are in edge_detection: two of three are enough")
     local.boards[HAND].start()
     course.say(HAND, "is there again")
     _until(lambda: _mode(fleet, HAND) == "edge_detection")
-    course.say(HAND, "has asked what was decided, and is in edge_detection too")
+    course.say(HAND, "has looked at what is wanted, and is in edge_detection too")
+
+
+def _drift(fleet: Fleet, local: LocalFleet, course: Course) -> None:
+    """Somebody at the second board takes it elsewhere; it is told, and taken back."""
+    with cm.connect(runtime_dir=local.boards[MIND].runtime_dir) as board:
+        board.mode = "default"
+    _until(lambda: _state(fleet, MIND) == "drift")
+    course.say(MIND, "was taken to default by hand, and says so: drift")
+    time.sleep(_SHOWN)
+    fleet.reconcile([MIND])
+    _until(lambda: _mode(fleet, MIND) == "edge_detection")
+    course.say(MIND, "was asked to reconcile: all are where they are wanted")
+
+
+def _state(fleet: Fleet, board: str) -> str:
+    status = fleet.status([board])[board]
+    return status.fleet.state if isinstance(status, BoardStatus) and status.fleet else ""
 
 
 def _mode(fleet: Fleet, board: str) -> str:

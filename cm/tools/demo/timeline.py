@@ -9,7 +9,8 @@ from PIL import Image, ImageDraw
 
 from cm.tools.demo.course import Course
 
-_WIDTH, _MARGIN, _LANE, _NAME, _LINE = 1200, 16, 44, 70, 18
+_WIDTH, _MARGIN, _LANE, _NAME, _LINE = 1200, 16, 58, 70, 18
+_WANTED = 16  # of a lane: what is wanted, above what is
 _BACKGROUND, _INK, _FAINT = (24, 26, 30), (230, 230, 230), (120, 124, 132)
 _COLOURS = {
     "default": (70, 110, 170),
@@ -49,13 +50,27 @@ def _place(course: Course, second: float) -> int:
 
 def _lane(canvas: ImageDraw.ImageDraw, course: Course, board: str, top: int) -> None:
     canvas.text((_MARGIN, top + _LANE // 3), board, fill=_INK)
-    changes = course.modes[board]
+    _band(
+        canvas, course, course.wanted.get(board, []), (top + 4, top + 4 + _WANTED), "wanted: {}", "nothing wanted yet"
+    )
+    _band(canvas, course, course.modes[board], (top + 6 + _WANTED, top + _LANE - 8), "{}", "gone")
+
+
+def _band(
+    canvas: ImageDraw.ImageDraw,
+    course: Course,
+    changes: list[tuple[float, str]],
+    rows: tuple[int, int],
+    words: str,
+    empty: str,
+) -> None:
+    """One colour for each mode over time; `rows` are the band's first and last."""
     for number, (second, mode) in enumerate(changes):
         until = changes[number + 1][0] if number + 1 < len(changes) else course.ended
-        left, right = _place(course, second), _place(course, until)
-        canvas.rectangle((left, top + 4, right, top + _LANE - 8), fill=_COLOURS.get(mode, _FAINT))
-        if right - left > 7 * len(mode or "gone"):
-            canvas.text((left + 4, top + _LANE // 3), mode or "gone", fill=_INK)
+        left, right, text = _place(course, second), _place(course, until), words.format(mode) if mode else empty
+        canvas.rectangle((left, rows[0], right, rows[1]), fill=_COLOURS.get(mode, _FAINT))
+        if right - left > 7 * len(text):
+            canvas.text((left + 4, (rows[0] + rows[1]) // 2 - 6), text, fill=_INK)
 
 
 def _marks(canvas: ImageDraw.ImageDraw, course: Course, lanes: list[str]) -> None:

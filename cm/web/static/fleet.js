@@ -10,7 +10,7 @@ export class Fleet {
     byId("fleet").hidden = false;
     const there = fleet.boards.filter((board) => board.state !== "gone").length;
     const more = fleet.count > fleet.boards.length ? ` The first ${fleet.boards.length} of ${fleet.count} are shown.` : "";
-    const named = listed("Gone", fleet, (board) => board.state === "gone") + listed("Elsewhere than decided", fleet, apart);
+    const named = listed("Gone", fleet, (board) => board.state === "gone") + listed("Elsewhere than wanted", fleet, apart);
     text(byId("fleet-about"), fleet.problem || `${there} of ${fleet.count} are there. ${named}${agreement(fleet)}${more}`);
     const node = byId("fleet-boards");
     keyed(node, fleet.boards, (board) => board.name, (board) => {
@@ -23,7 +23,8 @@ export class Fleet {
       const share = board.fraction === null ? "" : ` ${Math.round(board.fraction * 100)} %`;
       text(parts.state, apart(board) ? "differs" : `${STATES[board.state] ?? board.state}${share}`);
       parts.state.dataset.state = board.state === "gone" || apart(board) ? "error" : board.state;
-      text(parts.loaded, board.loaded || "nothing loaded");
+      const elsewhere = board.wanted && board.wanted !== board.loaded ? ` (wanted: ${board.wanted})` : "";
+      text(parts.loaded, (board.loaded || "nothing loaded") + elsewhere);
       text(parts.labels, board.labels.join(" "));
       text(parts.note, board.note);
       text(parts.clock, board.clock_ns ? `±${(board.clock_ns / 1e6).toPrecision(2)} ms` : "");

@@ -39,7 +39,7 @@ class Policy(str, Enum):
 
 
 class Decision(str, Enum):
-    """The outcome of a change, decided once: what a majority of its seats has voted for."""
+    """The outcome of a change, decided once, by one transaction of the store."""
 
     KEEP = "keep"
     REVERT = "revert"
@@ -58,48 +58,36 @@ class ClockSync:
 
 @dataclass(frozen=True, slots=True)
 class FleetStep:
-    """A step of a change of many boards, as a coordinator requests it; a board that hears nothing for `seconds` asks.
-
-    `ballot` is that of a vote or of a requested promise; 0 is the coordinator's own.
-    """
+    """A step of a change of many boards, as its coordinator asks for it; `generation` is the one that it would make."""
 
     id: str
     config_name: str = ""
     mode: str = ""
-    seats: tuple[str, ...] = ()
-    members: tuple[str, ...] = ()
-    policy: Policy = Policy.ALL
-    seconds: float = 30.0
-    keep: bool = False
-    ballot: int = 0
+    generation: int = 0
 
 
 @dataclass(frozen=True, slots=True)
-class FleetRecord:
-    """What a board has written down about a change: from where, to where, how far, and what was decided.
+class FleetState:
+    """How a board stands to what its fleet wants of it; docs/fleet.md explains each `state`.
 
-    `promised`, `vote` and `vote_ballot` are those of a seat: it accepts no vote with a ballot below the promised one.
+    `generation` is the newest that it has reached, or that a local change has set aside; `wanted_*` what the store had
+    when it was last read, `store_error` why it cannot be read now. `change` is open here. The figures are of that.
     """
 
-    id: str
-    state: str
-    config_name: str = ""
+    state: str = "free"
+    generation: int = 0
+    wanted_generation: int = 0
+    wanted_config: str = ""
+    wanted_mode: str = ""
+    wanted_by: str = ""
+    change: str = ""
+    config_name: str = ""  # where that change goes
     mode: str = ""
-    old_config_name: str = ""
-    old_mode: str = ""
-    seats: tuple[str, ...] = ()
-    decision: Decision | None = None
     error: ErrorInfo | None = None
+    store_error: str = ""
     plan_seconds: float = 0.0
     plan_bytes: int = 0
     seconds: float = 0.0
-    caller: str = ""
-    members: tuple[str, ...] = ()
-    policy: Policy = Policy.ALL
-    deadline: float = 0.0  # CLOCK_REALTIME, seconds
-    promised: int = 0
-    vote: Decision | None = None
-    vote_ballot: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,4 +120,4 @@ class BoardStatus:
     status: Status
     labels: tuple[str, ...] = ()
     clock: ClockSync = field(default_factory=ClockSync)
-    fleet: FleetRecord | None = None
+    fleet: FleetState | None = None

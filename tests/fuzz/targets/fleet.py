@@ -15,16 +15,14 @@ from pieces import join, split
 
 from cm.errors import CmError
 from cm.networks.fleet import names
+from cm.networks.fleet.board import Board, Notes, Part, Place, Planned, Seen
 from cm.networks.fleet.bridge.commands import Commands
 from cm.networks.fleet.bridge.queries import Queries
 from cm.networks.fleet.bridge.reading import Reader
-from cm.networks.fleet.change.member import OPEN
-from cm.networks.fleet.change.participant import Participant
-from cm.networks.fleet.change.ports import Planned
+from cm.networks.fleet.store import Claim, Entry, Wanted, packed
 from cm.wire import cm_pb2 as pb
-from cm.wire.fleet import encode_answer, encode_fetch
-from cm.wire.fleet_records import decode_record, encode_record, encode_step
-from cm.wire.messages.fleet import FetchBundle, FleetRecord, FleetStep
+from cm.wire.fleet import encode_answer, encode_fetch, encode_step
+from cm.wire.messages.fleet import FetchBundle, FleetStep
 from cm.wire.messages.status import ErrorInfo
 
 PACKAGES = ("cm.networks.fleet", "cm.wire")
@@ -35,17 +33,13 @@ _REFUSED = encode_answer(ErrorInfo("unknown", "the manager of this fuzzer knows 
 
 class _Disk:
     def __init__(self) -> None:
-        self.files: dict[str, bytes] = {}
+        self.notes = Notes()
 
-    def read(self, change: str) -> FleetRecord | None:
-        return decode_record(self.files[change]) if change in self.files else None
+    def read(self) -> Notes:
+        return self.notes
 
-    def last(self) -> FleetRecord | None:
-        own = (self.read(change) for change in reversed(self.files))
-        return next((record for record in own if record is not None and record.state != OPEN), None)
-
-    def write(self, record: FleetRecord) -> None:
-        self.files[record.id] = encode_record(record)
+    def write(self, notes: Notes) -> None:
+        self.notes = notes
 
 
 class _Manager:
@@ -59,22 +53,26 @@ class _Manager:
         return [b"", _REFUSED]
 
     async def ask(self, asked: Any, guest: str = "", timeout: float | None = None) -> Any:
-        if isinstance(asked, list):  # boards, of which none answers
-            return {}
         raise CmError("nothing is known")
 
-    async def where(self) -> tuple[str, str]:
-        return "camera", "default"
+    async def get(self, prefix: str) -> dict[str, Entry]:
+        wanted, claim = Wanted(3, "camera", "default", "bob", "c0"), Claim(4, "c1", "anna")
+        return {f"{prefix}wanted": Entry(packed(wanted), 5), f"{prefix}claim": Entry(packed(claim), 6)}
 
-    async def plan(self, config: str, mode: str, caller: str) -> Planned:
-        return Planned(config, mode, 0.1, 1)
+    async def where(self) -> Seen:
+        return Seen(("camera", "default"), 1)
 
-    async def hold(self, record: FleetRecord) -> None: ...
+    async def plan(self, step: FleetStep, caller: str) -> Planned:
+        return Planned((step.config_name, step.mode), 0.1, 1)
 
-    async def release(self, record: FleetRecord) -> None: ...
+    async def hold(self, part: Part) -> None: ...
 
-    async def load(self, config: str, mode: str, caller: str) -> float:
+    async def release(self, part: Part) -> None: ...
+
+    async def load(self, place: Place, caller: str, undoable: str = "") -> float:
         return 0.1
+
+    async def undo(self, part: Part) -> None: ...
 
 
 class _Query:
@@ -99,15 +97,15 @@ class _Query:
 
 
 def seeds() -> list[bytes]:
-    step = encode_step(FleetStep("c1", "camera", "edge", ("b1",), ("b1", "b2"), keep=True, ballot=1))
+    step = encode_step(FleetStep("c1", "camera", "edge", 4))
     fetch = encode_fetch(FetchBundle("0" * 64, 5, ("1" * 64, "2" * 64), 4, "a.tar.gz"))
-    verbs = ("prepare", "apply", "vote", "decide", "settle")
+    verbs = ("prepare", "apply", "reconcile")
     found = [[f"cm/b1/do/{verb}/anna".encode(), b"", step, b""] for verb in verbs]
     found += [
         [b"cm/b1/do/bundle/anna", b"", fetch, b""],
         [b"cm/b1/do/data/anna", b"", b"1234", pb.WriteData(stream="camera").SerializeToString()],
         [b"cm/b1/do/reg/anna", b"format=json", b'{"writes": [{"name": "led", "value": 5}]}', b""],
-        [b"cm/b1/do/settle/anna", b"format=json", b'{"id": "c1", "ballot": "1", "policy": "all"}', b""],
+        [b"cm/b1/do/prepare/anna", b"format=json", b'{"id": "c1", "generation": "4", "mode": "edge"}', b""],
         [b"cm/*/reg/led", b"format=json", b"", b""],
         [b"cm/b1/config", b"plan=edge;config=camera", b"", b""],
         [b"cm/b1/frames/camera", b"", b"", b""],
@@ -136,8 +134,8 @@ def one(data: bytes) -> None:
 
 async def _answered(query: _Query) -> None:
     manager: Any = _Manager()
-    participant = Participant("b1", _Disk(), manager, manager, lambda: 0.0)
-    commands = Commands(manager, participant, manager, _no_bundle)
+    board = Board("b1", manager, manager, _Disk(), lambda: 0.0)
+    commands = Commands(manager, board, manager, _no_bundle)
     session: Any = SimpleNamespace(declare_queryable=lambda *_, **__: None)
 
     async def status() -> bytes:
@@ -146,7 +144,7 @@ async def _answered(query: _Query) -> None:
     queries = Queries("b1", session, Reader("b1", manager, status), commands)
     await queries._answer(query)
     assert query.answers or names.WILD & set(str(query.key_expr)), "nobody was told anything"
-    await participant.go_on()  # whatever was written down can be gone on from
+    await board.look()  # whatever was written down can be gone on from
 
 
 async def _no_bundle(bundle: FetchBundle, caller: str) -> Any:

@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 
 from cm import child
-from cm.cli.bridge_zenoh import _name
+from cm.cli.bridge_fleet import _name
 from cm.errors import InvalidRequest
 
 _WITHOUT = "import sys; sys.modules[sys.argv[1]] = None; from cm.cli.main import main; sys.exit(main(sys.argv[2:]))"
 
 
 @pytest.mark.parametrize(
-    ("network", "library"), [("ros", "zenoh"), ("ros", "xxhash"), ("rmw-zenoh", "zenoh"), ("zenoh", "zenoh")]
+    ("network", "library"), [("ros", "zenoh"), ("ros", "xxhash"), ("rmw-zenoh", "zenoh"), ("fleet", "zenoh")]
 )
 def test_a_library_that_is_missing_is_named_and_the_unit_does_not_try_again(network: str, library: str) -> None:
     command = [sys.executable, "-c", _WITHOUT, library, "bridge", network]

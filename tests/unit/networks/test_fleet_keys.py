@@ -102,11 +102,13 @@ def queried(control: dict[str, list[dict[str, list[str]]]]) -> set[str]:
 def test_an_observer_asks_for_no_command_and_an_operator_in_its_own_name_only() -> None:
     observer = queried(access_control([Member("olga", "client")]))
     assert not {key for key in observer if "/do/" in key}
+    assert "cm-store/get/olga" in observer
+    assert not any(key.startswith("cm-store/txn") for key in observer)
     operator = {key for key in queried(access_control([Member("anna", "client", "operate")])) if "/do/" in key}
     assert operator == {f"cm/*/do/{verb}/anna" for verb in verbs_of("operate")}
     assert "cm/*/do/bundle/anna" not in operator
     narrow = queried(access_control([Member("bob", "client", "operate", ("b1",))]))
-    assert all(key.startswith("cm/b1/") for key in narrow)
+    assert all(key.startswith("cm/b1/") or key == "cm-store/get/bob" for key in narrow)
 
 
 REQUESTS = {

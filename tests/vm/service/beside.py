@@ -23,9 +23,10 @@ python3 -c "import cm.device.native._cm as m; print(m.__file__)"
 python3 -m cm check /usr/lib/firmware/cm/camera/camera.yaml
 """
 # The keys of a fleet whose router runs on the board, and what the page has a board's owner do before the unit starts.
+_KEEPS = "sudo sed -i 's,^ARGUMENTS=.*,& --keeper,' /etc/cm/bridge-fleet.conf"
 _FLEET = """
 cm fleet keys fleet router --host 127.0.0.1
-cm fleet keys fleet board b1
+cm fleet keys fleet board b1 --keeper
 for name in anna olga; do cm fleet keys fleet client $name --role operate; done
 cd fleet
 """
@@ -45,9 +46,10 @@ class Beside:
 
     def __init__(self, board: Board) -> None:
         board.do(_INDEX)  # pip finds what the disk has
-        block = documented("docs/fleet.md", "enable --now cm-bridge@zenoh")
+        block = documented("docs/fleet.md", "enable --now cm-bridge@fleet")
         edit = next(line for line in block.splitlines() if "sudo editor" in line)
-        before, self.starting_the_bridge = block.replace(edit, library("zenoh")).split("sudo systemctl", 1)
+        block = block.replace(edit, f"{library('fleet')}; {_KEEPS}")
+        before, self.starting_the_bridge = block.split("sudo systemctl", 1)
         self.fleet = board.booted.begin("bash -exs", "alice", given=_FLEET + before)
         self.wheel = board.booted.begin("bash -s", "carol", given=_WHEEL)
         self.refused = board.run("cm serve --sim --runtime-dir /tmp/sim", "bob")

@@ -35,15 +35,15 @@ def member(board: Board, beside: Beside) -> Iterator[Board]:
     assert made.status == 0, made.said
     board.do(_ROUTER)
     board.do("bash -exs", "alice", given=f"sudo systemctl{beside.starting_the_bridge}")
-    board.until(lambda: "ready as b1" in _said(board, "zenoh"))
+    board.until(lambda: "ready as b1" in _said(board, "fleet"))
     yield board
-    board.do("systemctl stop fleet-router; systemctl disable --now cm-bridge@zenoh")
+    board.do("systemctl stop fleet-router; systemctl disable --now cm-bridge@fleet")
     board.do("cp /root/cm.yaml /etc/cm/cm.yaml; systemctl reload cm")
 
 
 def test_the_fleets_bridge_runs_as_its_own_user_without_a_capability(member: Board) -> None:
-    assert (_property(member, "zenoh", "ActiveState"), _property(member, "zenoh", "NRestarts")) == ("active", "0")
-    status = dict(re.findall(r"(\w+):\s+(.*)", member.do(f"cat /proc/{_property(member, 'zenoh', 'MainPID')}/status")))
+    assert (_property(member, "fleet", "ActiveState"), _property(member, "fleet", "NRestarts")) == ("active", "0")
+    status = dict(re.findall(r"(\w+):\s+(.*)", member.do(f"cat /proc/{_property(member, 'fleet', 'MainPID')}/status")))
     numbers = member.do("id -u cm-bridge; getent group fpga | cut -d : -f 3").split()
     assert (status["Uid"].split(), status["Gid"].split()) == ([numbers[0]] * 4, [numbers[1]] * 4)
     assert int(status["CapEff"], 16) == 0
@@ -59,20 +59,20 @@ def test_the_managers_policy_knows_callers_by_the_names_in_their_certificates(me
 
 
 def test_it_outlives_its_manager_and_is_restarted_where_it_dies_itself(member: Board) -> None:
-    before = _property(member, "zenoh", "MainPID")
+    before = _property(member, "fleet", "MainPID")
     member.do("systemctl restart cm")
     member.until(lambda: "edge_detection" in member.run(_ANNA.format("status"), "alice").out)
-    assert _property(member, "zenoh", "MainPID") == before
+    assert _property(member, "fleet", "MainPID") == before
     member.do(f"kill -9 {before}")
-    member.until(lambda: _said(member, "zenoh").count("ready as b1") == 2)
-    assert _property(member, "zenoh", "NRestarts") == "1"
+    member.until(lambda: _said(member, "fleet").count("ready as b1") == 2)
+    assert _property(member, "fleet", "NRestarts") == "1"
 
 
 def test_it_stops_when_it_is_told_to(member: Board) -> None:
-    member.do("systemctl stop cm-bridge@zenoh")
-    ends = [_property(member, "zenoh", name) for name in ("Result", "ExecMainCode", "ExecMainStatus")]
+    member.do("systemctl stop cm-bridge@fleet")
+    ends = [_property(member, "fleet", name) for name in ("Result", "ExecMainCode", "ExecMainStatus")]
     assert ends == ["success", "1", "0"]
-    assert "Traceback" not in _said(member, "zenoh")
+    assert "Traceback" not in _said(member, "fleet")
 
 
 def test_a_bridge_whose_library_is_missing_says_so_once(member: Board) -> None:

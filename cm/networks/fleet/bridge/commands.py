@@ -9,14 +9,11 @@ from collections.abc import Awaitable, Callable
 from cm.client.aio.relay import Relay
 from cm.errors import Busy, CmError, NotFound
 from cm.networks.fleet import names
+from cm.networks.fleet.board import Board
 from cm.networks.fleet.bridge.managed import ManagedBoard
-from cm.networks.fleet.change import member
-from cm.networks.fleet.change.participant import Participant
-from cm.networks.fleet.change.ports import Unsettled
 from cm.networks.fleet.verbs import VERBS
 from cm.wire import fleet as wire
-from cm.wire.fleet_records import decode_step
-from cm.wire.messages.fleet import BundleState, FetchBundle, FleetRecord, FleetStep
+from cm.wire.messages.fleet import BundleState, FetchBundle, FleetState, FleetStep
 from cm.wire.messages.status import ErrorInfo
 
 MANY = 64  # commands that may be under way at once
@@ -27,12 +24,12 @@ FetchAndImport = Callable[[FetchBundle, str], Awaitable[BundleState]]
 class Commands:
     """Of one board."""
 
-    def __init__(self, relay: Relay, participant: Participant, managed: ManagedBoard, bundles: FetchAndImport) -> None:
+    def __init__(self, relay: Relay, board: Board, managed: ManagedBoard, bundles: FetchAndImport) -> None:
         self._relay = relay
-        self._participant = participant
+        self._board = board
         self._managed = managed
         self._bundles = bundles
-        self._one = asyncio.Lock()  # steps of changes, one after the other
+        self._one = asyncio.Lock()  # what the board does for its fleet, one after the other
         self._running = 0
 
     async def do(self, command: names.Command, message: bytes, payload: list[bytes]) -> bytes:
@@ -49,7 +46,7 @@ class Commands:
         except CmError as error:
             return wire.encode_answer(ErrorInfo(error.code, str(error)))
         except OSError as error:
-            return wire.encode_answer(ErrorInfo("io", f"the bridge cannot write its record: {error}"))
+            return wire.encode_answer(ErrorInfo("io", f"the bridge cannot write its notes: {error}"))
 
     async def _do(self, verb: str, caller: str, message: bytes, payload: list[bytes]) -> bytes:
         found = VERBS.get(verb)
@@ -60,26 +57,20 @@ class Commands:
             return (await self._relay.forward(frames, self._managed.guest(caller)))[1]
         if verb == "bundle":
             return wire.encode_answer(await self._bundles(wire.decode_fetch(message), caller))
-        return wire.encode_answer(await self._step(verb, decode_step(message), caller))
+        return wire.encode_answer(await self._step(verb, wire.decode_step(message), caller))
 
-    async def _step(self, verb: str, step: FleetStep, caller: str) -> FleetRecord:
-        if verb in ("settle", "vote"):  # the one who asks must not wait for this board's present work
-            return self._participant.settle(step) if verb == "settle" else self._participant.vote(step)
+    async def _step(self, verb: str, step: FleetStep, caller: str) -> FleetState:
         async with self._one:
             if verb == "prepare":
-                return await self._participant.prepare(step, caller)
-            return await (self._participant.apply(step) if verb == "apply" else self._participant.decide(step))
+                return await self._board.prepare(step, caller)
+            if verb == "apply":
+                return await self._board.apply(step)
+            return await self._board.look(again=step.id == names.AGAIN)
 
-    async def go_on(self) -> str:
-        """Do what the record says is to be done; returns why that is not possible yet, empty if all is done."""
-        if self._one.locked():
-            return ""
+    async def look(self) -> str:
+        """Do what is wanted of the board now; returns why that is not possible yet, empty if all is done."""
         async with self._one:
             try:
-                await self._participant.go_on()
-                record = self._participant.record
-                if record is not None and not member.ended(record):
-                    await self._managed.keep_holding(record)
-            except (Unsettled, CmError, OSError) as error:
+                return (await self._board.look()).store_error
+            except (CmError, OSError) as error:
                 return str(error)
-        return ""

@@ -1,67 +1,67 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The manager, as a change of a fleet needs it: asked in the caller's name, with a lease that keeps others off."""
+"""What a board of a fleet is given: its manager, asked in a caller's name, and a file on its disk."""
 
 from __future__ import annotations
 
 import contextlib
+import json
+import os
+import tempfile
 import time
+from dataclasses import asdict
+from pathlib import Path
 
 from cm.client.aio.relay import Relay
 from cm.client.core import calls
 from cm.client.errors import ConnectionLost, NoAnswer, RequestFailed
 from cm.errors import CmError
-from cm.networks.fleet.bridge.records import Records
-from cm.networks.fleet.change.ports import Planned, Unsettled
+from cm.networks.fleet.board import Notes, NotUndone, Part, Place, Planned, Seen, Unsettled
 from cm.wire.messages import requests as rq
-from cm.wire.messages.fleet import FleetRecord
+from cm.wire.messages.fleet import FleetStep
+from cm.wire.messages.status import ErrorInfo
 
-HOLD = 60.0  # seconds of the lease; renewed while the change is open
+HOLD = 15.0  # seconds for which others are kept off; renewed while a change is open and the store answers
 
 
 class ManagedBoard:
-    """`guest`: from a caller's name to the one that the manager knows; empty: in the bridge's own name."""
+    """The manager. With `own_name` it is asked in the bridge's own name, whoever the caller is."""
 
-    def __init__(self, relay: Relay, records: Records, own_name: bool) -> None:
+    def __init__(self, relay: Relay, folder: Path, own_name: bool) -> None:
         self._relay = relay
-        self._records = records
+        self._lease_file = folder / "lease"  # by its id the next process can give it back, or use it
         self._own_name = own_name
-        self._held = 0.0  # when the lease was taken or renewed last, CLOCK_MONOTONIC
+        self._held = 0.0  # when the lease was taken or renewed last, monotonic
 
     def guest(self, caller: str) -> str:
-        """The name of a caller at the manager."""
+        """The name of a caller at the manager; empty: the bridge's own."""
         return "" if self._own_name else f"zenoh:{caller}"
 
-    async def where(self) -> tuple[str, str]:
-        """Configuration and mode. Raises Unsettled while a change runs, or the manager is away."""
+    async def where(self) -> Seen:
+        """As OwnManager has it."""
         try:
             status = await self._relay.ask(calls.status())
         except (ConnectionLost, NoAnswer) as error:
             raise Unsettled(str(error)) from error
         if status.fpga_busy:
             raise Unsettled("a change is under way on this board")
-        return status.config_name, status.mode
+        return Seen((status.config_name, status.mode), status.started_ns)
 
-    async def plan(self, config: str, mode: str, caller: str) -> Planned:
-        """What the change would involve; all files are read and checked for that."""
-        plan = await self._relay.ask(calls.plan(mode, config), self.guest(caller), timeout=60.0)
-        return Planned(plan.config_name, plan.mode, plan.seconds, plan.bytes)
+    async def plan(self, step: FleetStep, caller: str) -> Planned:
+        """As OwnManager has it; all files are read and checked for that."""
+        plan = await self._relay.ask(calls.plan(step.mode, step.config_name), self.guest(caller), timeout=60.0)
+        return Planned((plan.config_name, plan.mode), plan.seconds, plan.bytes)
 
-    async def hold(self, record: FleetRecord) -> None:
-        """Take the lease on the board, or renew it."""
-        self._held = time.monotonic()
-        held = self._records.lease(record.id)
-        if held and await self._renewed(held, record.caller):
+    async def hold(self, part: Part) -> None:
+        """As OwnManager has it."""
+        if time.monotonic() - self._held < HOLD / 3:
             return
-        holder = f"fleet change {record.id} of {record.caller}"
-        lease = await self._relay.ask(
-            calls.lease(rq.TakeLease("board", True, HOLD, holder, 0)), self.guest(record.caller)
-        )
-        self._records.keep_lease(record.id, lease.id)
-
-    async def keep_holding(self, record: FleetRecord) -> None:
-        """Renew it in time while the change is open. Raises the manager's refusal."""
-        if time.monotonic() - self._held > HOLD / 3:
-            await self.hold(record)
+        held = self._lease()
+        if not (held and await self._renewed(held, part.caller)):
+            holder = f"fleet change {part.change} of {part.caller}"
+            taking = rq.TakeLease("board", True, HOLD, holder, 0)
+            lease = await self._relay.ask(calls.lease(taking), self.guest(part.caller))
+            self._lease_file.write_text(lease.id, encoding="utf-8")
+        self._held = time.monotonic()
 
     async def _renewed(self, lease: str, caller: str) -> bool:
         try:
@@ -70,20 +70,81 @@ class ManagedBoard:
             return False
         return True
 
-    async def release(self, record: FleetRecord) -> None:
-        """Give the lease back; if that is not possible, it runs out."""
-        held = self._records.lease(record.id)
-        if held:
+    async def release(self, part: Part) -> None:
+        """As OwnManager has it; if it cannot be given back, it runs out."""
+        if held := self._lease():
             with contextlib.suppress(CmError):
-                await self._relay.ask(calls.lease(rq.ReleaseLease(held)), self.guest(record.caller))
-            self._records.keep_lease(record.id, "")
+                await self._relay.ask(calls.lease(rq.ReleaseLease(held)), self.guest(part.caller))
+            self._lease_file.unlink()
+        self._held = 0.0
 
-    async def load(self, config: str, mode: str, caller: str) -> float:
-        """Go there. Raises Unsettled if the manager went away during it, and the manager's errors."""
-        record = self._records.last()
-        lease = self._records.lease(record.id) if record else ""
-        call = calls.load(config, mode, wait=True, queue=True, force=False, lease=lease)
+    async def load(self, place: Place, caller: str, undoable: str = "") -> float:
+        """As OwnManager has it."""
+        return await self._change(place, caller, undoable=undoable)
+
+    async def undo(self, part: Part) -> None:
+        """As OwnManager has it."""
+        try:
+            await self._change(part.old, part.caller, undo=part.change)
+        except RequestFailed as error:
+            raise NotUndone(str(error)) if error.code == NotUndone.code else error from None
+
+    async def _change(self, place: Place, caller: str, undoable: str = "", undo: str = "") -> float:
+        call = calls.load(*place, wait=True, queue=True, force=False, lease=self._lease(), undoable=undoable, undo=undo)
         try:
             return (await self._relay.ask(call, self.guest(caller), timeout=None)).seconds
         except (ConnectionLost, NoAnswer) as error:
             raise Unsettled(str(error)) from error
+
+    def _lease(self) -> str:
+        with contextlib.suppress(FileNotFoundError):
+            return self._lease_file.read_text(encoding="utf-8")
+        return ""
+
+
+class NotesFile:
+    """A board's notes, replaced in one step and synced before anything relies on them."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        self._path = folder / "notes.json"
+
+    def read(self) -> Notes:
+        """What was written last; nothing, if that is damaged or of another version."""
+        try:
+            return unpacked(self._path.read_bytes())
+        except (FileNotFoundError, ValueError, KeyError, TypeError):
+            return Notes()
+
+    def write(self, notes: Notes) -> None:
+        """As Disk has it."""
+        handle, path = tempfile.mkstemp(prefix=".new-", dir=self._path.parent)  # mode 0600
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(packed(notes))
+                file.flush()
+                os.fsync(file.fileno())
+            Path(path).rename(self._path)
+        except BaseException:
+            Path(path).unlink(missing_ok=True)
+            raise
+        folder = os.open(self._path.parent, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+def packed(notes: Notes) -> bytes:
+    """As they lie on the disk."""
+    return json.dumps(asdict(notes)).encode()
+
+
+def unpacked(data: bytes) -> Notes:
+    """The inverse of `packed`. Raises ValueError, KeyError, TypeError."""
+    plain = json.loads(data)
+    part = plain["part"]
+    if part is not None:
+        error = ErrorInfo(**part["error"]) if part["error"] else None
+        part = Part(**{**part, "old": tuple(part["old"]), "goal": tuple(part["goal"]), "error": error})
+    return Notes(**{**plain, "place": tuple(plain["place"]), "part": part})

@@ -19,17 +19,17 @@ from cm.client.core import calls
 from cm.client.errors import NotAdmitted
 from cm.errors import Busy, CmError, NotFound
 from cm.networks.fleet import names
+from cm.networks.fleet.board import Board
 from cm.networks.fleet.bridge import clock
-from cm.networks.fleet.bridge.asking import Network as Others
 from cm.networks.fleet.bridge.bundles import Bundles, Import
 from cm.networks.fleet.bridge.commands import Commands
-from cm.networks.fleet.bridge.managed import ManagedBoard
+from cm.networks.fleet.bridge.managed import ManagedBoard, NotesFile
 from cm.networks.fleet.bridge.publishing import BEAT, Publications
 from cm.networks.fleet.bridge.queries import Queries
 from cm.networks.fleet.bridge.reading import Reader
-from cm.networks.fleet.bridge.records import Records
-from cm.networks.fleet.change.participant import Participant
-from cm.networks.fleet.network import Network, awaited
+from cm.networks.fleet.keeper import Keeper
+from cm.networks.fleet.network import Network, awaited, opened_store
+from cm.networks.fleet.store import BOARDS, Settings, Store, StoreAway, StoreRefused, packed, views
 from cm.wire import fleet as wire
 from cm.wire import topics
 from cm.wire.messages.fleet import ClockSync
@@ -54,6 +54,9 @@ class Options:
     site: str = ""  # the site whose cache it fetches bundles from
     own_name: bool = False  # make all requests in the bridge's own name
     take: Import | None = None  # puts an archive in force; None: none are taken
+    follow: str = "fleet"  # or "local": told what is wanted, and staying where it is
+    joins: bool = False  # puts itself into the inventory
+    keeps: bool = False  # is the fleet's keeper
 
 
 @dataclass
@@ -63,6 +66,7 @@ class Bridge:
     options: Options
     ready: Callable[[str], None]
     _status: bytes = b""
+    _wake: asyncio.Event = field(default_factory=asyncio.Event)
     _clock: ClockSync = field(default_factory=ClockSync)
 
     async def run(self) -> None:
@@ -107,19 +111,23 @@ class Bridge:
 
     async def _serve(self, board: str, relay: Relay, network: Any) -> None:
         await _alone(board, network, self.options.network.lease)
-        records = Records(self.options.state / board)
-        managed = ManagedBoard(relay, records, self.options.own_name)
-        self._participant = Participant(board, records, managed, Others(board, network), _now)
-        place = self.options.state / board / "bundles"
-        bundles = Bundles(network, place, self.options.site, self.options.take, relay, managed)
-        commands = Commands(relay, self._participant, managed, bundles.fetch)
+        folder = self.options.state / board
+        keeper = await asyncio.to_thread(Keeper, network, folder / "store.sqlite") if self.options.keeps else None
+        store = opened_store(self.options.network, network, board)
+        managed = ManagedBoard(relay, folder, self.options.own_name)
+        self._board = Board(board, store, managed, NotesFile(folder), time.monotonic, self.options.follow)
+        bundles = Bundles(network, folder / "bundles", self.options.site, self.options.take, relay, managed)
+        commands = Commands(relay, self._board, managed, bundles.fetch)
         reader = Reader(board, relay, lambda: self._status_now(relay))
         publications = Publications(board, network, relay, self._with_extras)
         queries = Queries(board, network, reader, commands)
         self._clock = await asyncio.to_thread(clock.read)
         token = network.liveliness().declare_token(names.key(board, "alive"))  # last: who sees it may ask
         self.ready(board)
-        work = (self._listen(relay, publications), self._beat(publications, commands), self._look_at_clock())
+        work = (
+            self._listen(relay, publications), self._beat(publications), self._look_at_clock(),
+            self._reconcile(publications, commands), self._follow_store(board, store),
+        )  # fmt: skip
         tasks = [asyncio.create_task(each) for each in work]
         try:
             await asyncio.gather(*tasks)
@@ -130,6 +138,9 @@ class Bridge:
             await asyncio.gather(*tasks, return_exceptions=True)
             publications.end()
             queries.end()
+            await store.close()
+            if keeper is not None:
+                await asyncio.to_thread(keeper.close)
 
     # ---- the status -----------------------------------------------------------------------
 
@@ -145,7 +156,7 @@ class Bridge:
         clock_now = ClockSync(
             self._clock.source, self._clock.synchronised, self._clock.error_ns, self._clock.reference, clock.now_ns()
         )
-        return self._status + wire.extras(self.options.labels, clock_now, self._participant.record)
+        return self._status + wire.extras(self.options.labels, clock_now, self._board.state)
 
     # ---- what goes on by itself -------------------------------------------------------------
 
@@ -163,23 +174,47 @@ class Bridge:
         topic, message = frames[:2]
         if topic == topics.STATUS:
             self._status = message
-            publications.offer_streams(wire.stream_names(message))
+            streams, place = wire.glance(message)
+            if place not in (None, self._board.place):
+                self._wake.set()  # somebody has taken the board elsewhere
+            publications.offer_streams(streams)
             publications.tell_status()
         elif topic == topics.READ_REG:
             publications.tell_registers(message)
         elif topic == topics.IRQ:
             publications.tell_interrupt(message)
 
-    async def _beat(self, publications: Publications, commands: Commands) -> None:
-        said = ""
+    async def _beat(self, publications: Publications) -> None:
         while True:
-            problem = await commands.go_on()
-            if problem and problem != said:
-                _LOG.warning("the open change of the fleet: %s", problem)
-            said = problem
             if self._status:
                 publications.beat()
+            if self._board.unsettled:
+                self._wake.set()
             await asyncio.sleep(BEAT)
+
+    async def _follow_store(self, board: str, store: Store) -> None:
+        """Look whenever something of this board changes in the store; be in its inventory first."""
+        own = Settings(self.options.labels, self.options.follow)
+        async for _ in store.watch(f"{BOARDS}{board}/"):
+            self._wake.set()
+            with suppress(StoreAway, StoreRefused):
+                known = views(await store.get(f"{BOARDS}{board}/")).get(board)
+                listed = known is not None and known.settings is not None
+                if (self.options.joins or listed) and not (known and known.settings == own):
+                    await store.join(board, packed(own))
+
+    async def _reconcile(self, publications: Publications, commands: Commands) -> None:
+        said = ""
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            before = self._board.state
+            problem = await commands.look()
+            if problem and problem != said:
+                _LOG.warning("what the fleet wants: %s", problem)
+            said = problem
+            if self._status and self._board.state != before:
+                publications.tell_status()
 
     async def _look_at_clock(self) -> None:
         while True:
@@ -192,10 +227,6 @@ def _once(before: str, error: CmError) -> str:
     if str(error) != before:
         _LOG.warning("%s; it is tried again", error)
     return str(error)
-
-
-def _now() -> float:
-    return clock.now_ns() / 1e9
 
 
 async def _alone(board: str, network: Any, lease: float) -> None:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
     from cryptography.x509 import CertificateBuilder, Name
 
-_EARLIER = datetime.timedelta(hours=24)  # because clocks of boards may be behind
+_FROM = datetime.datetime(1970, 1, 1, tzinfo=datetime.timezone.utc)  # boards without a battery begin there
 AUTHORITY_DAYS = 3653
 
 
@@ -96,7 +96,7 @@ def _builder(subject: Name, issuer: Name, public: Any, days: int) -> Certificate
         .issuer_name(issuer)
         .public_key(public)
         .serial_number(x509.random_serial_number())
-        .not_valid_before(now - _EARLIER)
+        .not_valid_before(_FROM)
         .not_valid_after(now + datetime.timedelta(days=days))
     )
     return builder

@@ -32,10 +32,10 @@ class KeyFolder:
 
     # ---- what it is asked for ---------------------------------------------------------------
 
-    def create(self, hosts: tuple[str, ...], port: int, days: int) -> Path:
+    def create(self, hosts: tuple[str, ...], port: int, days: int, store: str = "") -> Path:
         """Make a new fleet: its authority, and the router's file. `hosts`: the names by which the router is reached.
 
-        Raises Busy if there is one already.
+        `store`: where its wanted state is, which the members' files then say. Raises Busy if there is one already.
         """
         if (self.folder / _MEMBERS).exists():
             raise Busy(f"{self.folder} has the keys of a fleet already")
@@ -47,7 +47,7 @@ class KeyFolder:
         _write(self.folder / _CA, ca.certificate, 0o644)
         endpoint = f"tls/{hosts[0]}:{port}"
         identity = issued(ca, ROUTER, days, hosts)
-        self._save(endpoint, ())
+        self._save(endpoint, (), store)
         return self._write_router(port, identity)
 
     def add(self, member: Member, days: int) -> Path:
@@ -56,23 +56,23 @@ class KeyFolder:
         if member.name in _RESERVED or not member.name.isascii():
             raise InvalidRequest(f"{member.name!r} cannot be the name of a {member.kind}: take another")
         verbs_of(member.role)
-        endpoint, members = self._load()
+        endpoint, members, store = self._load()
         if member.name in {other.name for other in members}:
             raise Busy(f"{member.name} has a certificate already; `remove` it first, and it is worth nothing any more")
         identity = issued(self._authority(), member.name, days)
         path = self.folder / f"{member.name}.json5"
-        _write(path, _json(_member_settings(member, identity, self._ca(), endpoint)), 0o600)
-        self._save(endpoint, (*members, member))
+        _write(path, _json(_member_settings(member, identity, self._ca(), endpoint, store)), 0o600)
+        self._save(endpoint, (*members, member), store)
         self._rewrite_router()
         return path
 
     def remove(self, name: str) -> None:
         """Remove a member's rights: its certificate then means nothing to the router. Raises NotFound."""
-        endpoint, members = self._load()
+        endpoint, members, store = self._load()
         left = tuple(member for member in members if member.name != name)
         if len(left) == len(members):
             raise NotFound(f"nobody has the name {name}; there are {', '.join(m.name for m in members) or 'none'}")
-        self._save(endpoint, left)
+        self._save(endpoint, left, store)
         self._rewrite_router()
         (self.folder / f"{name}.json5").unlink(missing_ok=True)
 
@@ -82,15 +82,16 @@ class KeyFolder:
 
     # ---- files ------------------------------------------------------------------------------
 
-    def _load(self) -> tuple[str, tuple[Member, ...]]:
+    def _load(self) -> tuple[str, tuple[Member, ...], str]:
         try:
             said = json.loads((self.folder / _MEMBERS).read_text(encoding="utf-8"))
         except FileNotFoundError:
             raise NotFound(f"{self.folder} has no keys of a fleet: begin with `cm fleet keys DIR router`") from None
-        return said["router"], tuple(Member(**{**m, "boards": tuple(m["boards"])}) for m in said["members"])
+        members = tuple(Member(**{**m, "boards": tuple(m["boards"])}) for m in said["members"])
+        return said["router"], members, said.get("store", "")
 
-    def _save(self, endpoint: str, members: Iterable[Member]) -> None:
-        text = json.dumps({"router": endpoint, "members": [asdict(m) for m in members]}, indent=2)
+    def _save(self, endpoint: str, members: Iterable[Member], store: str) -> None:
+        text = json.dumps({"router": endpoint, "store": store, "members": [asdict(m) for m in members]}, indent=2)
         _write(self.folder / _MEMBERS, text.encode(), 0o600)
 
     def _authority(self) -> Identity:
@@ -120,10 +121,10 @@ class KeyFolder:
         _write(path, _json(settings), 0o600)
 
 
-def _member_settings(member: Member, identity: Identity, ca: bytes, endpoint: str) -> dict[str, Any]:
+def _member_settings(member: Member, identity: Identity, ca: bytes, endpoint: str, store: str) -> dict[str, Any]:
     return {
         "mode": "client",
-        "metadata": {"name": member.name, "kind": member.kind},
+        "metadata": {"name": member.name, "kind": member.kind, **({"store": store} if store else {})},
         "connect": {"endpoints": [endpoint], "timeout_ms": 3000},
         "scouting": {"multicast": {"enabled": False}},
         "transport": {"link": {"tls": _tls("connect", identity, ca)}},

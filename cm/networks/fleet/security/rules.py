@@ -14,7 +14,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from cm.errors import InvalidRequest
-from cm.networks.fleet.names import BUNDLES
+from cm.networks.fleet.keeper import OPERATIONS
+from cm.networks.fleet.names import BUNDLES, STORE
 from cm.networks.fleet.verbs import VERBS
 
 ROLES = ("observe", "operate", "provision")
@@ -33,6 +34,7 @@ class Member:
     kind: str
     role: str = "observe"
     boards: tuple[str, ...] = ALL_BOARDS
+    keeper: bool = False  # a board that may keep the fleet's wanted state
 
 
 def verbs_of(role: str) -> tuple[str, ...]:
@@ -71,15 +73,44 @@ def _rule(flow: str, messages: Iterable[str], keys: Iterable[str]) -> dict[str, 
 
 
 def _board(member: Member) -> list[dict[str, Any]]:
-    """Rules for a board: it may speak only under its own name; any query of others for it reaches it."""
-    own, settle = f"cm/{member.name}/**", [f"cm/*/do/{verb}/{member.name}" for verb in ("settle", "vote")]
+    """Rules for a board: it may speak only under its own name; any query of others for it reaches it.
+
+    It may read the keeper's store, and put its own settings there; and it may be the keeper.
+    """
+    own, store = f"cm/{member.name}/**", [f"{STORE}/{operation}/{member.name}" for operation in ("get", "join")]
     return [
         _rule("ingress", ("put", "declare_queryable", "reply", "liveliness_token"), [own]),
-        _rule("ingress", ("query",), [*settle, f"{BUNDLES}/**"]),
+        _rule("ingress", ("query",), [*store, f"{BUNDLES}/**"]),
         _rule("ingress", ("liveliness_query",), [f"cm/{member.name}/alive"]),
         _rule("egress", ("query", "declare_subscriber"), ["cm/**"]),
-        _rule("egress", ("reply", "declare_queryable"), [*settle, "cm/*/**", f"{BUNDLES}/**"]),
+        _rule("egress", ("reply", "declare_queryable"), [*store, "cm/*/**", f"{BUNDLES}/**"]),
         _rule("egress", ("liveliness_token",), [f"cm/{member.name}/alive"]),
+        *_follows_store(f"boards/{member.name}/**"),
+        *(_keeper() if member.keeper else ()),
+    ]
+
+
+def _keeper() -> list[dict[str, Any]]:
+    """Whoever keeps the store answers for it, and tells what has changed."""
+    offered, alive = [f"{STORE}/*/*"], [f"{STORE}/alive"]
+    return [
+        _rule("ingress", ("declare_queryable", "reply"), offered),
+        _rule("ingress", ("put",), [f"{STORE}/changed/**"]),
+        _rule("ingress", ("liveliness_token", "liveliness_query"), alive),
+        _rule("egress", ("query",), offered),
+        _rule("egress", ("declare_subscriber",), [f"{STORE}/**"]),
+    ]
+
+
+def _follows_store(what: str) -> list[dict[str, Any]]:
+    """Being told of changes in it, and whether its keeper is there."""
+    changed, alive = [f"{STORE}/changed/{what}"], [f"{STORE}/alive"]
+    return [
+        _rule("ingress", ("declare_subscriber",), changed),
+        _rule("ingress", ("declare_liveliness_subscriber", "liveliness_query"), alive),
+        _rule("egress", ("put",), changed),
+        _rule("egress", ("liveliness_token",), alive),
+        _rule("egress", ("declare_queryable",), [f"{STORE}/**"]),
     ]
 
 
@@ -88,6 +119,9 @@ def _client(member: Member) -> list[dict[str, Any]]:
     commands = [f"cm/{b}/do/{verb}/{member.name}" for b in member.boards for verb in verbs_of(member.role)]
     alive = [f"cm/{board}/alive" for board in member.boards]
     seen = [f"cm/{board}/**" for board in member.boards]
+    # A transaction may be about any boards: who is limited to some may read the store, and write nothing there.
+    writes = member.role != "observe" and member.boards == ALL_BOARDS
+    commands += [f"{STORE}/{each}/{member.name}" for each in (OPERATIONS if writes else OPERATIONS[:1])]
     # Tokens are queried with one expression, which has to be allowed as a whole; they reveal only names.
     found = [
         _rule("ingress", ("query",), [*read, *commands]),
@@ -96,6 +130,7 @@ def _client(member: Member) -> list[dict[str, Any]]:
         _rule("egress", ("put", "reply"), [*read, *commands]),
         _rule("egress", ("declare_queryable",), seen),
         _rule("egress", ("liveliness_token",), ["cm/*/alive"]),
+        *_follows_store("boards/**"),
     ]
     if member.role == "provision":
         found.append(_rule("ingress", ("declare_queryable", "reply"), [f"{BUNDLES}/origin/**"]))

@@ -136,8 +136,8 @@ def _change(fleet: Any, bench: Run, count: int) -> Result:
     courses.sort(key=lambda each: each[0])
     seconds, course = courses[len(courses) // 2]
     path = {leg.phase: {"ms": leg.seconds * 1000, "last": leg.slowest} for leg in course.legs}
-    path["plan"] = {"ms": (seconds - course.seconds) * 1000, "last": ""}
-    loads = sorted(record.seconds for record in course.outcome.records.values())
+    path["read"] = {"ms": (seconds - course.seconds) * 1000, "last": ""}
+    loads = sorted(state.seconds for state in course.figures.values())
     details = {
         "critical_path": path,
         "load_of_the_median_board_ms": loads[len(loads) // 2] * 1000,

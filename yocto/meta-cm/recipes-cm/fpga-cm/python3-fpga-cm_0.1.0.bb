@@ -46,7 +46,7 @@ do_install:append:class-target() {
     fi
     install -D -m 0644 ${S}/system/completion/cm ${D}${datadir}/bash-completion/completions/cm
     install -D -m 0644 ${S}/system/cm.yaml ${D}${sysconfdir}/cm/cm.yaml
-    install -m 0644 ${S}/system/bridge-ros.conf ${S}/system/bridge-zenoh.conf ${D}${sysconfdir}/cm/
+    install -m 0644 ${S}/system/bridge-ros.conf ${S}/system/bridge-fleet.conf ${D}${sysconfdir}/cm/
     install -d ${D}${sysconfdir}/cm/configs
     install -d -o cm -g fpga -m 0700 ${D}${sysconfdir}/cm/keys
     install -d ${D}${nonarch_base_libdir}/firmware/cm
@@ -71,7 +71,7 @@ FILES:${PN}-bench += "${CM}/tools/bench"
 FILES:${PN}-udev += "${nonarch_base_libdir}/udev ${nonarch_base_libdir}/modprobe.d"
 FILES:${PN} += "${nonarch_base_libdir}/firmware ${nonarch_libdir}/tmpfiles.d"
 CONFFILES:${PN} = "${sysconfdir}/cm/cm.yaml"
-CONFFILES:${PN}-bridge = "${sysconfdir}/cm/bridge-ros.conf ${sysconfdir}/cm/bridge-zenoh.conf"
+CONFFILES:${PN}-bridge = "${sysconfdir}/cm/bridge-ros.conf ${sysconfdir}/cm/bridge-fleet.conf"
 
 # What the modules of each package import, as a test verifies. The native variant needs none of it.
 CM_NEEDS_CLIENT = "python3-asyncio \

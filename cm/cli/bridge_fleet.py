@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm bridge zenoh``: a board in a fleet."""
+"""``cm bridge fleet``: a board in a fleet."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from cm.networks.fleet.bridge.process import Options
 
 
-def add_zenoh_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_fleet_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the network."""
     parser = actions.add_parser(
-        "zenoh",
+        "fleet",
         help="make a board a member of a fleet, over zenoh",
         description="Run beside a board's manager until stopped, and make the board a member of a "
         "fleet (docs/fleet.md). The manager's policy decides what callers may do: "
@@ -45,9 +45,21 @@ def add_zenoh_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser
     parser.add_argument(
         "--label", action="append", default=[], metavar="TEXT", help="a group that the board belongs to"
     )
+    parser.add_argument(
+        "--follow",
+        choices=("fleet", "local"),
+        default="fleet",
+        help="whether it goes where it is wanted when it comes back, or stays and says so (fleet)",
+    )
+    parser.add_argument(
+        "--join", action="store_true", help="put the board into the inventory, as one with a certificate does by itself"
+    )
+    parser.add_argument(
+        "--keeper", action="store_true", help="keep the fleet's wanted state here; on one board, and without etcd"
+    )
     parser.add_argument("--site", default="", help="the site whose cache it fetches bundles from")
     parser.add_argument(
-        "--state-dir", type=Path, metavar="DIR", help="folder for records of changes (default: /var/lib/cm/fleet)"
+        "--state-dir", type=Path, metavar="DIR", help="folder for what it has to remember (default: /var/lib/cm/fleet)"
     )
     parser.add_argument(
         "--import-to", type=Path, metavar="DIR", help="accept bundles from the fleet, and unpack them below this folder"
@@ -78,7 +90,7 @@ def add_zenoh_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser
 
 def run(args: argparse.Namespace) -> int:
     """Serve until interrupted; the exit status."""
-    logging.basicConfig(level=logging.INFO, format="cm bridge zenoh: %(message)s", stream=sys.stderr)
+    logging.basicConfig(level=logging.INFO, format="cm bridge fleet: %(message)s", stream=sys.stderr)
     from cm.networks.fleet.network import zenoh_module
 
     zenoh_module()  # if it is missing, this is said at once
@@ -100,7 +112,7 @@ async def _serve(options: Options) -> None:
 def _options(args: argparse.Namespace) -> Options:
     from cm.networks.fleet import names
     from cm.networks.fleet.bridge.process import Options, default_state
-    from cm.networks.fleet.network import endpoint
+    from cm.networks.fleet.network import endpoint, member_of
 
     listen = tuple(map(endpoint, args.listen))
     network = network_of(args, listen=listen, mode="peer" if listen else "client", lease=args.lease)
@@ -117,6 +129,9 @@ def _options(args: argparse.Namespace) -> Options:
         names.check(args.site, "site") if args.site else "",
         args.own_name,
         _importer(args.import_to, args.settings, args.after_import) if args.import_to else None,
+        args.follow,
+        args.join or bool(member_of(network.config)),
+        args.keeper,
     )
 
 

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm fleet ls|add|remove|store``: the inventory of a fleet, and where its wanted state lies."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+from cm.cli.common import add_json_option, print_json, print_table
+from cm.cli.fleet_options import add_fleet_options, connected_fleet
+from cm.errors import InvalidRequest
+
+if TYPE_CHECKING:
+    from cm.networks.fleet.store import View
+
+
+def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the actions."""
+    ls = actions.add_parser("ls", help="list the boards of the fleet: there, away, and not in its inventory")
+    add_fleet_options(ls)
+    add_json_option(ls)
+    ls.set_defaults(run=run_ls)
+    for name, run, text in (
+        ("add", run_add, "put boards into the inventory (a board with a certificate does so by itself)"),
+        ("remove", run_remove, "take boards out of the inventory, for good"),
+    ):
+        parser = actions.add_parser(name, help=text)
+        add_fleet_options(parser)
+        parser.set_defaults(run=run)
+    store = actions.add_parser("store", help="show or move what the fleet wants of its boards")
+    verbs = store.add_subparsers(dest="verb", metavar="ACTION", required=True)
+    show = verbs.add_parser("show", help="everything that is in it, as it lies there")
+    move = verbs.add_parser(
+        "move",
+        help="copy the wanted state into another store, which must have none",
+        description="Afterwards start the bridges, and whoever changes the fleet, with the new --store. The old one is "
+        "left as it is; no change may be open in it.",
+    )
+    move.add_argument("to", metavar="TO", help="keeper, etcd's https://HOST:2379,…, or a file about etcd")
+    for each in (show, move):
+        add_fleet_options(each, boards=False)
+        each.set_defaults(run=run_store)
+
+
+def run_ls(args: argparse.Namespace) -> int:
+    """Print the boards; the exit status."""
+    with connected_fleet(args) as fleet:
+        known, there = fleet.inventory(), set(fleet.boards())
+        chosen = fleet.chosen(args.boards) if args.boards else sorted({*known, *there})
+    if args.json:
+        print_json([{"board": n, "there": n in there, "listed": n in known, **_plain(known.get(n))} for n in chosen])
+        return 0
+    if not chosen:
+        print(NOBODY)
+        return 0
+    rows = []
+    for name in chosen:
+        seen = ("there" if name in there else "away") if name in known else "there, not in the inventory"
+        plain = _plain(known.get(name))
+        wanted = f"{plain['config']}/{plain['mode']}" if plain["generation"] else ""
+        rows.append((name, seen, wanted, plain["generation"] or "", plain["follow"], " ".join(plain["labels"])))
+    print_table(rows, ("BOARD", "", "WANTED", "GENERATION", "FOLLOWS", "LABELS"))
+    return 0
+
+
+NOBODY = "no board is in the inventory, and no board's bridge is running"
+
+
+def _plain(view: View | None) -> dict[str, Any]:
+    wanted = view.wanted if view else None
+    settings = view.settings if view else None
+    return {
+        "config": wanted.config if wanted else "",
+        "mode": wanted.mode if wanted else "",
+        "generation": wanted.generation if wanted else 0,
+        "by": wanted.by if wanted else "",
+        "follow": settings.follow if settings else "",
+        "labels": list(settings.labels) if settings else [],
+    }
+
+
+def run_add(args: argparse.Namespace) -> int:
+    """Add; 0 where all are in the inventory."""
+    with connected_fleet(args) as fleet:
+        found = fleet.add(args.boards)
+    print(f"added: {', '.join(found)}" if found else "all of these are in the inventory already")
+    return 0
+
+
+def run_remove(args: argparse.Namespace) -> int:
+    """Remove; 0 where they are gone."""
+    if not args.boards:
+        raise InvalidRequest("say which boards to remove; '*' for all")
+    with connected_fleet(args) as fleet:
+        print(f"removed: {', '.join(fleet.remove(args.boards))}")
+    return 0
+
+
+def run_store(args: argparse.Namespace) -> int:
+    """Show, or copy; the exit status."""
+    with connected_fleet(args) as fleet:
+        if args.verb == "move":
+            print(f"{fleet.move_store(args.to)} values are in {args.to} now")
+        else:
+            print_json({name: entry.value for name, entry in fleet.stored().items()})
+    return 0

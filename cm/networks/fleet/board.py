@@ -1,0 +1,323 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A board of a fleet: it takes part in changes, and goes to what is wanted of it.
+
+It never carries out a decision. It looks at what the store wants of it now, and at what it wrote down itself; so it
+does not matter which messages it missed, how long it was away, or what its clock says. What it is given (the store,
+its manager, its disk) are ports, so that a death at every point can be tested.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from cm.errors import Busy, CmError
+from cm.networks.fleet.store import BOARDS, Store, StoreAway, StoreRefused, View, views
+from cm.wire.messages.fleet import FleetState, FleetStep
+from cm.wire.messages.status import ErrorInfo
+
+Place = tuple[str, str]  # configuration and mode
+NOTHING: Place = ("", "")
+_FIRST, _LONGEST = 2.0, 300.0  # seconds until what failed is tried again: doubled each time
+
+
+class NotNow(CmError):
+    """A step that the board's part in the change does not allow."""
+
+    code = "fleet_state"
+
+
+class NotUndone(CmError):
+    """The manager has no way back of that change."""
+
+    code = "nothing_to_undo"
+
+
+class Unsettled(CmError):
+    """The manager is away, or a change runs: where the board is cannot be said."""
+
+    code = "unsettled"
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """The board's part in an open change. It is written down before the work that it names is begun."""
+
+    change: str
+    generation: int
+    caller: str
+    old: Place
+    goal: Place
+    phase: str = "prepared"  # changing, changed, failing
+    plan_seconds: float = 0.0
+    plan_bytes: int = 0
+    seconds: float = 0.0
+    error: ErrorInfo | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Notes:
+    """What lies on the board's disk."""
+
+    reached: int = 0  # the newest generation that the board has reached, or that a local change has set aside
+    place: Place = NOTHING  # where the board was when it was last looked at,
+    manager: int = 0  # and which manager said so
+    part: Part | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """Where the board is, as its manager says, and which manager: its start is its name."""
+
+    place: Place
+    manager: int
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """Where a change would lead, and what it would involve."""
+
+    place: Place
+    seconds: float
+    bytes: int
+
+
+class Disk(Protocol):
+    """`write` returns when a loss of power would not undo it. Raises OSError."""
+
+    def read(self) -> Notes: ...
+    def write(self, notes: Notes) -> None: ...
+
+
+class OwnManager(Protocol):
+    """The manager, asked in a caller's name. All raise CmError, and Unsettled if the manager is away."""
+
+    async def where(self) -> Seen: ...
+    async def plan(self, step: FleetStep, caller: str) -> Planned: ...
+    async def hold(self, part: Part) -> None:
+        """Keep others off the board; renewed while the change is open."""
+
+    async def release(self, part: Part) -> None: ...
+    async def load(self, place: Place, caller: str, undoable: str = "") -> float: ...
+    async def undo(self, part: Part) -> None:
+        """Raises NotUndone."""
+
+
+class Board:
+    """One board. The caller ensures that no two of its coroutines run at a time."""
+
+    def __init__(
+        self, name: str, store: Store, manager: OwnManager, disk: Disk, now: Callable[[], float], follow: str = "fleet"
+    ) -> None:
+        """`now` is monotonic; nothing that it says is written down."""
+        self._name, self._store, self._manager, self._disk, self._now = name, store, manager, disk, now
+        self._follow = follow
+        self._notes = disk.read()
+        self._view = View()
+        self._store_error = "it was not read yet"
+        self._error: ErrorInfo | None = None  # of going to what is wanted
+        self._again, self._pause = 0.0, _FIRST
+        self._going = False
+        self.place = self._notes.place
+
+    @property
+    def state(self) -> FleetState:
+        """As it is told."""
+        wanted, part = self._view.wanted, self._notes.part
+        found = FleetState(
+            self._word(), self._notes.reached, error=self._error, store_error=self._store_error
+        )  # fmt: skip
+        if wanted:
+            found = replace(
+                found, wanted_generation=wanted.generation, wanted_config=wanted.config, wanted_mode=wanted.mode,
+                wanted_by=wanted.by,
+            )  # fmt: skip
+        if part is None:
+            return found
+        return replace(
+            found, change=part.change, config_name=part.goal[0], mode=part.goal[1], error=part.error,
+            plan_seconds=part.plan_seconds, plan_bytes=part.plan_bytes, seconds=part.seconds,
+        )  # fmt: skip
+
+    def _word(self) -> str:
+        wanted, notes = self._view.wanted, self._notes
+        if notes.part is not None:
+            return notes.part.phase
+        if wanted is None:
+            return "free"
+        if wanted.generation < notes.reached:
+            return "behind"
+        if wanted.generation == notes.reached:
+            return "there" if self.place == (wanted.config, wanted.mode) else "drift"
+        if self._follow == "local":
+            return "local"
+        return "failed" if self._error and not self._going else "going"
+
+    # ---- what a coordinator asks for ----------------------------------------------------------
+
+    async def prepare(self, step: FleetStep, caller: str) -> FleetState:
+        """Check everything for a change, keep others off the board, and write down where it is.
+
+        Raises NotNow if the store has no such change open here, Busy, and the manager's refusals.
+        """
+        await self.look()
+        known = self._notes.part
+        if known is not None and known.change != step.id:
+            raise Busy(f"change {known.change} of {known.caller} is {known.phase} here, and not ended yet")
+        if known is None:
+            await self._begin(step, caller)
+        return self.state
+
+    async def _begin(self, step: FleetStep, caller: str) -> None:
+        claim = self._view.open
+        if claim is None or (claim.change, claim.generation) != (step.id, step.generation):
+            raise NotNow(f"the store has no change {step.id} open on {self._name}: it came too late")
+        seen = await self._manager.where()
+        if seen.place == NOTHING:
+            raise NotNow("nothing is loaded on this board, so there would be no way back: load something first")
+        plan = await self._manager.plan(step, caller)
+        part = Part(step.id, step.generation, caller, seen.place, plan.place, "prepared", plan.seconds, plan.bytes)
+        await self._manager.hold(part)
+        self._write(place=seen.place, manager=seen.manager, part=part)
+
+    async def apply(self, step: FleetStep) -> FleetState:
+        """Go to the new mode; the answer says whether the board is there. Raises NotNow, Unsettled."""
+        part = self._notes.part
+        if part is None or part.change != step.id:
+            raise NotNow(f"{self._name} has not prepared change {step.id}, or has gone back already")
+        if part.phase != "prepared":
+            return self.state
+        self._part(replace(part, phase="changing"))
+        try:
+            seconds = await self._manager.load(part.goal, part.caller, part.change)
+        except Unsettled:
+            raise
+        except CmError as error:
+            self._part(replace(part, phase="failing", error=ErrorInfo(error.code, str(error))))
+        else:
+            self._part(replace(part, phase="changed", seconds=seconds))
+        return self.state
+
+    # ---- what it does by itself -----------------------------------------------------------------
+
+    async def look(self, again: bool = False) -> FleetState:
+        """Read what is wanted, and do it. `again`: also what failed before, or was changed by hand. Raises Unsettled.
+
+        If the store cannot be read, nothing is done: what is open stays open, and the manager's lock on the board runs
+        out, so that its local users are free.
+        """
+        try:
+            found = views(await self._store.get(f"{BOARDS}{self._name}/"))
+        except (StoreAway, StoreRefused) as error:
+            self._store_error = str(error)
+            return self.state
+        self._view, self._store_error = found.get(self._name, View()), ""
+        if again:
+            self._again = 0.0
+        await self._reconcile(again)
+        return self.state
+
+    @property
+    def unsettled(self) -> bool:
+        """Whether it has to be looked at again without being told to."""
+        wanted = self._view.generation > self._notes.reached and self._follow == "fleet"
+        return self._notes.part is not None or wanted or bool(self._store_error)
+
+    async def _reconcile(self, again: bool) -> None:
+        part = self._notes.part
+        if part is not None:
+            claim = self._view.open
+            if claim is not None and claim.change == part.change:
+                await self._manager.hold(part)
+                return
+            await self._end(part, kept=self._view.generation == part.generation)
+        await self._notice(again)
+        wanted = self._view.wanted
+        if wanted is None:
+            return
+        if wanted.generation <= self._notes.reached or self._follow != "fleet":
+            self._error = None
+        elif self._now() >= self._again:
+            await self._go((wanted.config, wanted.mode), wanted.by, wanted.generation)
+
+    async def _end(self, part: Part, kept: bool) -> None:
+        """The change is decided, or its coordinator gone: stay, or let the manager undo what it did."""
+        seen = await self._manager.where()
+        if kept and seen.place == part.goal and part.phase == "changed":
+            await self._manager.release(part)
+            self._write(place=seen.place, manager=seen.manager, part=None, reached=part.generation)
+            self.place = seen.place
+            return
+        reached = self._notes.reached
+        if not kept and part.phase != "prepared" and self._still_ours(part, seen):
+            try:
+                await self._back(part, seen)
+            except Unsettled:
+                raise
+            except CmError as error:  # told, and from then on a board that is not where it is wanted
+                self._error = ErrorInfo(error.code, f"change {part.change} could not be undone: {error}")
+                reached = min(reached, self._view.generation - 1)
+            seen = await self._manager.where()
+        await self._manager.release(part)
+        self._write(place=seen.place, manager=seen.manager, part=None, reached=reached)
+        self.place = seen.place
+
+    async def _back(self, part: Part, seen: Seen) -> None:
+        try:
+            await self._manager.undo(part)
+        except NotUndone:  # the manager went back by itself, or the hardware was lost with its power
+            if seen.place != part.old:
+                await self._manager.load(part.old, part.caller)
+
+    def _still_ours(self, part: Part, seen: Seen) -> bool:
+        """Whether nobody took the board elsewhere meanwhile: its lock may have run out while the store was away."""
+        return seen.place in (part.old, part.goal, NOTHING) or seen.manager != self._notes.manager
+
+    async def _notice(self, again: bool) -> None:
+        """Find out whether somebody took the board elsewhere: that stays, until something new is wanted.
+
+        After a restart of the manager nobody can tell an operator from a loss of power: what is wanted counts then.
+        """
+        seen, notes, wanted = await self._manager.where(), self._notes, self._view.wanted
+        self.place = seen.place
+        reached = notes.reached
+        if seen.place != notes.place and wanted is not None:
+            by_hand = seen.manager == notes.manager and seen.place != (wanted.config, wanted.mode)
+            reached = max(reached, wanted.generation) if by_hand else min(reached, wanted.generation - 1)
+        if again and wanted is not None and seen.place != (wanted.config, wanted.mode):
+            reached = min(reached, wanted.generation - 1)
+        if (reached, seen.place, seen.manager) != (notes.reached, notes.place, notes.manager):
+            self._write(place=seen.place, manager=seen.manager, reached=reached)
+
+    async def _go(self, place: Place, by: str, generation: int) -> None:
+        """Go to what is wanted; a failure is told, and tried again later."""
+        self._going = True
+        try:
+            if self.place != place:
+                await self._manager.load(place, by)
+            seen = await self._manager.where()
+            self._write(place=seen.place, manager=seen.manager, reached=generation)
+            self.place, self._error, self._pause = seen.place, None, _FIRST
+        except Unsettled:
+            raise
+        except CmError as error:
+            self._error = ErrorInfo(error.code, str(error))
+            self._again = self._now() + self._pause
+            self._pause = min(2 * self._pause, _LONGEST)
+            seen = await self._manager.where()
+            self._write(place=seen.place, manager=seen.manager)
+            self.place = seen.place
+        finally:
+            self._going = False
+
+    # ---- the disk -------------------------------------------------------------------------------
+
+    def _part(self, part: Part) -> None:
+        self._write(part=part)
+
+    def _write(self, **changes: object) -> None:
+        notes = replace(self._notes, **changes)  # type: ignore[arg-type]
+        if notes != self._notes:
+            self._disk.write(notes)
+            self._notes = notes

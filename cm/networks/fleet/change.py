@@ -1,0 +1,307 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A change of many boards: its coordinator.
+
+    open     a transaction claims the boards for this change, under a lease, if their generations are what was read
+    prepare  each board checks everything, keeps others off, and writes down where it is
+    apply    each goes there
+    decide   one transaction: if the claims still stand, all boards are wanted there. Or the lease is revoked
+    reconcile  boards look at what is wanted of them now: they stay, or let their managers undo the change
+
+Until that transaction nothing is wanted that was not wanted before; from then on all of it is. If the coordinator
+dies, the store ends its lease, the claims vanish, and no transaction can decide for the change any more.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from cm.errors import Busy
+from cm.networks.fleet.store import (
+    BOARDS,
+    GENERATION,
+    LEASE,
+    Claim,
+    Put,
+    Store,
+    StoreAway,
+    View,
+    Wanted,
+    key,
+    packed,
+    views,
+)
+from cm.wire.messages.fleet import Decision, FleetState, FleetStep, Policy
+from cm.wire.messages.status import ErrorInfo
+
+Ask = Callable[[str, str, FleetStep], Awaitable[FleetState | ErrorInfo]]  # board, verb → its answer, or "no_answer"
+Progress = Callable[[str, str, FleetState | ErrorInfo], None]  # phase, board, its answer
+_OPENING = LEASE + 3.0  # seconds for another's change to end: it may be one whose coordinator is dead
+_DECIDING = LEASE + 5.0  # seconds in which a store that does not answer is asked again for the decision
+
+
+def nothing(phase: str, board: str, answer: FleetState | ErrorInfo) -> None:
+    """A receiver of progress that ignores it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """One phase of a change: how long it took, and which board it waited for longest."""
+
+    phase: str  # open, prepare, apply, decide, reconcile
+    seconds: float
+    slowest: str = ""  # the board
+    slowest_seconds: float = 0.0
+
+
+@dataclass
+class Course:
+    """A change that has ended.
+
+    `decision` is None if the store did not answer when it was to decide: boards go to what it says. `states` are the
+    boards' own words at the end, `silent` says why there is none. `causes`: what went wrong before the decision.
+    """
+
+    id: str
+    generation: int = 0
+    decision: Decision | None = None
+    states: dict[str, FleetState] = field(default_factory=dict)
+    silent: dict[str, ErrorInfo] = field(default_factory=dict)
+    causes: dict[str, ErrorInfo] = field(default_factory=dict)
+    touched: bool = False  # whether any board was asked to go anywhere
+    figures: dict[str, FleetState] = field(default_factory=dict)  # the boards' answers of prepare and apply
+    legs: list[Leg] = field(default_factory=list)
+
+    @property
+    def seconds(self) -> float:
+        """Of all phases."""
+        return sum(leg.seconds for leg in self.legs)
+
+    @property
+    def differing(self) -> dict[str, str]:
+        """Boards that are not where the decision wants them, or may not be, each with the reason."""
+        found = {name: error.message for name, error in self.silent.items()}
+        for name, state in self.states.items():
+            if self.decision is Decision.KEEP:
+                right = state.state == "there" and state.generation == self.generation
+            else:
+                right = not state.change and state.error is None
+            if not right:
+                found[name] = state.error.message if state.error else state.store_error or f"it is {state.state}"
+        return found
+
+
+@dataclass
+class Coordinator:
+    """One change, once. `members` are all its boards; those of `away` are not asked, and go there when they are back.
+
+    `caller` wants it. It may be cancelled at any moment: then it stops where it is.
+    """
+
+    store: Store
+    ask: Ask
+    caller: str
+    change: str
+    members: Sequence[str]
+    config: str = ""
+    mode: str = ""
+    policy: Policy = Policy.ALL
+    away: Mapping[str, ErrorInfo] = field(default_factory=dict)
+    tell: Progress = nothing
+    clock: Callable[[], float] = time.monotonic
+    sleep: Callable[[float], Awaitable[None]] = asyncio.sleep
+    _lost: bool = False  # the lease has ended
+
+    def __post_init__(self) -> None:
+        self.course = Course(self.change, causes=dict(self.away), silent=dict(self.away))
+        self._views: Mapping[str, View] = {}
+        self._opened = 0
+        self._goals: dict[str, tuple[str, str]] = {}
+
+    async def run(self) -> Course:
+        """Raises Busy, StoreAway, StoreRefused: then nothing was changed."""
+        begun = self.clock()
+        lease = await self._open()
+        self.course.legs.append(Leg("open", self.clock() - begun))
+        keeping = asyncio.ensure_future(self._keep(lease))
+        try:
+            there = await self._there()
+        except BaseException:  # cancelled, before anything was decided: the boards need not wait for the lease's end
+            keeping.cancel()
+            with contextlib.suppress(StoreAway):
+                await self.store.revoke(lease)
+            raise
+        try:
+            await self._decide(lease, there)
+        finally:
+            keeping.cancel()
+        await self._reconcile()
+        return self.course
+
+    # ---- opening ----------------------------------------------------------------------------
+
+    async def _open(self) -> str:
+        """Claim the boards; returns the lease under which they are claimed."""
+        end = self.clock() + _OPENING
+        while True:
+            found = await self.store.get("")
+            self._views = views({k: entry for k, entry in found.items() if k.startswith(BOARDS)})
+            taken = {n: claim for n in self.members if (claim := self._view(n).open) is not None}
+            if not taken:
+                counter = found.get(GENERATION)
+                lease = await self._claimed(int(counter.value) if counter else 0, counter.revision if counter else 0)
+                if lease:
+                    return lease
+            elif self.clock() > end:
+                name, claim = next(iter(taken.items()))
+                raise Busy(f"change {claim.change} of {claim.by} is open on {name}: try again when it has ended")
+            await self.sleep(0.1)
+
+    async def _claimed(self, newest: int, revision: int) -> str:
+        lease, generation = await self.store.grant(LEASE), newest + 1
+        claim = Put(packed(Claim(generation, self.change, self.caller)), lease)
+        puts: dict[str, Put | None] = {key(name, "claim"): claim for name in self.members}
+        puts[GENERATION] = Put(str(generation))
+        self._opened = await self.store.txn({GENERATION: revision, **self._expected(0)}, puts)
+        if not self._opened:
+            await self.store.revoke(lease)
+            return ""
+        self.course.generation = generation
+        return lease
+
+    def _view(self, name: str) -> View:
+        return self._views.get(name, View())
+
+    def _expected(self, opened: int) -> dict[str, int]:
+        """What has to stand in the store: what was read, or after the opening, our own claims."""
+        found = {}
+        for name in self.members:
+            for part, revision in self._view(name).expected().items():
+                found[key(name, part)] = opened if opened and part == "claim" else revision
+        return found
+
+    async def _keep(self, lease: str) -> None:
+        while not self._lost:
+            await self.sleep(LEASE / 3)
+            with contextlib.suppress(StoreAway):
+                self._lost = not await self.store.keep(lease)
+
+    # ---- the boards ---------------------------------------------------------------------------
+
+    async def _there(self) -> list[str]:
+        """Have the boards prepare, and go there; those that did."""
+        asked = [name for name in self.members if name not in self.away]
+        answers = await self._leg("prepare", asked, FleetStep(self.change, self.config, self.mode, self._generation))
+        ready = [name for name, state in answers.items() if state.state == "prepared"]
+        self._goals = {name: (answers[name].config_name, answers[name].mode) for name in ready}
+        self._goals |= {name: self._unasked(name) for name in self.members if name not in ready}
+        if not ready or not self._enough(ready):
+            return []
+        self.course.touched = True
+        answers = await self._leg("apply", ready, FleetStep(self.change, generation=self._generation))
+        return [name for name, state in answers.items() if state.state == "changed"]
+
+    def _unasked(self, name: str) -> tuple[str, str]:
+        """Where a board is to go that could not say what that means there: as it was wanted before, or as others."""
+        wanted = self._view(name).wanted
+        others = next(iter(self._goals.values()), ("", ""))
+        return self.config or (wanted.config if wanted else others[0]), self.mode or others[1]
+
+    def _enough(self, there: Sequence[str]) -> bool:
+        """Under the policy `all`, boards that are known to be away do not count."""
+        among = len(self.members) - (len(self.away) if self.policy is Policy.ALL else 0)
+        return not self._lost and self.policy.holds(among, len(there))
+
+    @property
+    def _generation(self) -> int:
+        return self.course.generation
+
+    async def _leg(self, phase: str, boards: Iterable[str], step: FleetStep) -> dict[str, FleetState]:
+        """Ask all at once; the states of those that answered with one."""
+        begun, last = self.clock(), Leg(phase, 0.0)
+        found: dict[str, FleetState] = {}
+
+        async def one(board: str) -> None:
+            nonlocal last
+            answer = await self.ask(board, phase, step)
+            last = Leg(phase, 0.0, board, self.clock() - begun)
+            self.tell(phase, board, answer)
+            if isinstance(answer, FleetState):
+                found[board] = answer
+            self._note(phase, board, answer)
+
+        await asyncio.gather(*map(one, boards))
+        self.course.legs.append(Leg(phase, self.clock() - begun, last.slowest, last.slowest_seconds))
+        return found
+
+    def _note(self, phase: str, board: str, answer: FleetState | ErrorInfo) -> None:
+        course, error = self.course, answer if isinstance(answer, ErrorInfo) else answer.error
+        if phase == "reconcile":
+            return
+        if isinstance(answer, FleetState):
+            course.figures[board] = answer
+        if error is not None:
+            course.causes[board] = error
+
+    # ---- the decision -------------------------------------------------------------------------
+
+    async def _decide(self, lease: str, there: Sequence[str]) -> None:
+        begun = self.clock()
+        if there and self._enough(there):
+            self.course.decision = await self._kept()
+        else:
+            self.course.decision = Decision.REVERT  # nobody else could decide, and we never will
+            if self._lost:
+                self.course.causes.setdefault("the store", ErrorInfo("lease", "ended the coordinator's lease"))
+        if self.course.decision is not None:
+            with contextlib.suppress(StoreAway):  # it runs out by itself
+                await self.store.revoke(lease)
+        self.course.legs.append(Leg("decide", self.clock() - begun))
+
+    async def _kept(self) -> Decision | None:
+        """The transaction; one whose answer is lost is asked for again, and cannot be done twice."""
+        puts: dict[str, Put | None] = {}
+        for name in self.members:
+            config, mode = self._goals[name]
+            puts[key(name, "wanted")] = Put(packed(Wanted(self._generation, config, mode, self.caller, self.change)))
+        end = self.clock() + _DECIDING
+        while True:
+            try:
+                if await self.store.txn(self._expected(self._opened), puts):
+                    return Decision.KEEP
+                return await self._told()
+            except StoreAway as error:
+                self.course.causes["the store"] = ErrorInfo(error.code, str(error))
+                if self.clock() > end:
+                    return None
+                await self.sleep(0.2)
+
+    async def _told(self) -> Decision | None:
+        """Why the transaction was refused: it had been done already, or the lease had ended."""
+        first = self.members[0]
+        found = views(await self.store.get(f"{BOARDS}{first}/")).get(first, View())
+        if found.wanted is not None and found.wanted.change == self.change:
+            return Decision.KEEP
+        if found.generation > self._generation:  # by a later change, before which ours may have been kept
+            return None
+        self.course.causes.setdefault("the store", ErrorInfo("lease", "ended the coordinator's lease"))
+        return Decision.REVERT
+
+    async def _reconcile(self) -> None:
+        """Have all boards that can be asked look at what is wanted of them now."""
+        asked = [n for n in self.members if n not in self.away]
+        answers: dict[str, Any] = {}
+        tell = self.tell
+
+        def kept(phase: str, board: str, answer: FleetState | ErrorInfo) -> None:
+            answers[board] = answer
+            tell(phase, board, answer)
+
+        self.tell = kept
+        states = await self._leg("reconcile", asked, FleetStep(self.change))
+        self.course.states = states
+        self.course.silent |= {n: a for n, a in answers.items() if isinstance(a, ErrorInfo)}

@@ -1,0 +1,272 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The keeper: a store in one process of the fleet, in SQLite, with the operations offered over zenoh.
+
+It is a single place: while it is away no change of many boards begins. Leases run by its monotonic clock, and begin
+anew with it, so that no time lies on the disk.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import secrets
+import sqlite3
+import threading
+import time
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from cm.errors import Busy, CmError, InvalidRequest
+from cm.networks.fleet import asking
+from cm.networks.fleet.names import STORE
+from cm.networks.fleet.store import BOARDS, Entry, Put, StoreAway, StoreRefused, key
+
+_TIMEOUT = 3.0  # seconds for an answer
+_TICK = 0.25  # seconds between two looks at leases
+_CHANGED, _ALIVE = f"{STORE}/changed", f"{STORE}/alive"
+OPERATIONS = ("get", "join", "txn", "grant", "keep", "revoke")  # the first two are a board's, the first a reader's
+_TABLES = """
+CREATE TABLE IF NOT EXISTS entries (key TEXT PRIMARY KEY, value TEXT, revision INTEGER, lease TEXT) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS leases (id TEXT PRIMARY KEY, seconds REAL);
+CREATE TABLE IF NOT EXISTS counter (revision INTEGER);
+INSERT INTO counter SELECT 0 WHERE NOT EXISTS (SELECT * FROM counter);
+"""
+
+
+class Ledger:
+    """The store itself, on one file. For one thread at a time."""
+
+    def __init__(
+        self, path: Path | str, changed: Callable[[Iterable[str]], None], now: Callable[[], float] = time.monotonic
+    ) -> None:
+        """`changed` is told the keys of each transaction. Raises StoreRefused if the file is no such store."""
+        self._changed, self._now = changed, now
+        try:
+            self._file = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+            self._file.execute("PRAGMA journal_mode=WAL")
+            self._file.execute("PRAGMA synchronous=FULL")  # a transaction that was answered outlives a loss of power
+            self._file.executescript(_TABLES)
+            leases = self._file.execute("SELECT id, seconds FROM leases").fetchall()
+        except sqlite3.Error as error:
+            raise StoreRefused(f"{path}: {error}") from None
+        self._ends = {lease: (now() + seconds, seconds) for lease, seconds in leases}
+
+    def close(self) -> None:
+        """Everything that was answered is on the disk."""
+        self._file.close()
+
+    def get(self, prefix: str) -> dict[str, Entry]:
+        """As Store has it."""
+        found = self._file.execute(
+            "SELECT key, value, revision FROM entries WHERE substr(key, 1, ?) = ?", (len(prefix), prefix)
+        )
+        return {k: Entry(value, revision) for k, value, revision in found}
+
+    def txn(self, expect: Mapping[str, int], puts: Mapping[str, Put | None]) -> int:
+        """As Store has it."""
+        with self._whole():
+            for name, revision in expect.items():
+                row = self._file.execute("SELECT revision FROM entries WHERE key = ?", (name,)).fetchone()
+                if (row[0] if row else 0) != revision:
+                    return 0
+            unknown = {put.lease for put in puts.values() if put and put.lease} - set(self._ends)
+            if unknown:
+                raise StoreRefused(f"lease {unknown.pop()} has ended")
+            return self._put(puts)
+
+    def _put(self, puts: Mapping[str, Put | None]) -> int:
+        self._file.execute("UPDATE counter SET revision = revision + 1")
+        revision = int(self._file.execute("SELECT revision FROM counter").fetchone()[0])
+        for name, put in puts.items():
+            if put is None:
+                self._file.execute("DELETE FROM entries WHERE key = ?", (name,))
+            else:
+                row = (name, put.value, revision, put.lease)
+                self._file.execute("INSERT OR REPLACE INTO entries VALUES (?, ?, ?, ?)", row)
+        self._changed(puts)
+        return revision
+
+    def grant(self, seconds: float) -> str:
+        """As Store has it."""
+        lease = secrets.token_hex(8)
+        self._file.execute("INSERT INTO leases VALUES (?, ?)", (lease, seconds))
+        self._ends[lease] = (self._now() + seconds, seconds)
+        return lease
+
+    def keep(self, lease: str) -> bool:
+        """As Store has it."""
+        self.expire()
+        found = self._ends.get(lease)
+        if found:
+            self._ends[lease] = (self._now() + found[1], found[1])
+        return found is not None
+
+    def revoke(self, lease: str) -> None:
+        """As Store has it."""
+        with self._whole():
+            keys = [row[0] for row in self._file.execute("SELECT key FROM entries WHERE lease = ?", (lease,))]
+            self._file.execute("DELETE FROM leases WHERE id = ?", (lease,))
+            if keys:
+                self._put(dict.fromkeys(keys))
+        self._ends.pop(lease, None)
+
+    def expire(self) -> None:
+        """End the leases whose time is over."""
+        for lease in [lease for lease, (end, _) in self._ends.items() if self._now() >= end]:
+            self.revoke(lease)
+
+    @contextlib.contextmanager
+    def _whole(self) -> Any:
+        self._file.execute("BEGIN IMMEDIATE")
+        try:
+            yield
+        except BaseException:
+            self._file.execute("ROLLBACK")
+            raise
+        self._file.execute("COMMIT")
+
+
+class Keeper:
+    """Offers a ledger in a zenoh session, from a thread of its own. Raises Busy if the fleet has a keeper."""
+
+    def __init__(self, session: Any, path: Path) -> None:
+        if any(reply.ok is not None for reply in session.liveliness().get(_ALIVE, timeout=2.0)):
+            raise Busy("this fleet has a keeper already: one only keeps the wanted state")
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        self._session = session
+        self._told: list[str] = []
+        self._lock, self._over = threading.Lock(), threading.Event()
+        self._ledger = Ledger(path, self._told.extend)
+        self._queryable = session.declare_queryable(f"{STORE}/*/*", self._came, complete=True)
+        self._thread = threading.Thread(target=self._tick, name="cm-keeper", daemon=True)
+        self._thread.start()
+        self._token = session.liveliness().declare_token(_ALIVE)
+
+    def close(self) -> None:
+        """Offer nothing more."""
+        self._token.undeclare()
+        self._queryable.undeclare()
+        self._over.set()
+        self._thread.join()
+        with self._lock:
+            self._ledger.close()
+
+    def _tick(self) -> None:
+        while not self._over.wait(_TICK):
+            with self._lock:
+                self._ledger.expire()
+                self._tell()
+
+    def _tell(self) -> None:
+        for name in self._told:
+            self._session.put(f"{_CHANGED}/{name}", b"")
+        self._told.clear()
+
+    def _came(self, query: Any) -> None:
+        """In zenoh's thread."""
+        with query:
+            where = str(query.key_expr)
+            try:
+                operation, caller = where.split("/")[1:]
+                asked = json.loads(bytes(query.payload)) if query.payload is not None else {}
+                with self._lock:
+                    answer: Any = {"ok": self._done(operation, caller, asked)}
+                    self._tell()
+            except CmError as error:
+                answer = {"code": error.code, "error": str(error)}
+            except (ValueError, KeyError, TypeError, AttributeError, sqlite3.Error) as error:
+                answer = {"code": "invalid_request", "error": f"{type(error).__name__}: {error}"}
+            query.reply(where, json.dumps(answer).encode(), encoding="application/json")
+
+    def _done(self, operation: str, caller: str, asked: Mapping[str, Any]) -> Any:
+        ledger = self._ledger
+        if operation == "get":
+            return {k: [entry.value, entry.revision] for k, entry in ledger.get(asked["prefix"]).items()}
+        if operation == "join":
+            return ledger.txn({}, {key(caller, "settings"): Put(str(asked["settings"]))})
+        if operation == "txn":
+            puts = {k: None if put is None else Put(*map(str, put)) for k, put in asked["puts"].items()}
+            _check_names(puts, caller)
+            return ledger.txn({k: int(revision) for k, revision in asked["expect"].items()}, puts)
+        if operation == "grant":
+            return ledger.grant(float(asked["seconds"]))
+        if operation in ("keep", "revoke"):
+            return getattr(ledger, operation)(str(asked["lease"]))
+        raise InvalidRequest(f"the keeper has {', '.join(OPERATIONS)}, and no {operation}")
+
+
+def _check_names(puts: Mapping[str, Put | None], caller: str) -> None:
+    """What is wanted is wanted in one's own name: boards obey by it. Raises StoreRefused."""
+    for name, put in puts.items():
+        if put is not None and name.startswith(BOARDS) and name.endswith(("/wanted", "/claim")):
+            said = json.loads(put.value).get("by")
+            if said != caller:
+                raise StoreRefused(f"{name}: {caller} cannot want something in the name of {said}")
+
+
+class KeeperStore:
+    """The keeper's operations, as Store has them, for a client or a board of that name."""
+
+    def __init__(self, session: Any, caller: str) -> None:
+        self._session, self._caller = session, caller
+
+    async def get(self, prefix: str) -> dict[str, Entry]:
+        """As Store has it."""
+        return {k: Entry(*entry) for k, entry in (await self._ask("get", prefix=prefix)).items()}
+
+    async def txn(self, expect: Mapping[str, int], puts: Mapping[str, Put | None]) -> int:
+        """As Store has it."""
+        plain = {k: None if put is None else [put.value, put.lease] for k, put in puts.items()}
+        return int(await self._ask("txn", expect=dict(expect), puts=plain))
+
+    async def join(self, board: str, settings: str) -> None:  # noqa: ARG002 (the caller's name is the board's)
+        """As Store has it."""
+        await self._ask("join", settings=settings)
+
+    async def grant(self, seconds: int) -> str:
+        """As Store has it."""
+        return str(await self._ask("grant", seconds=seconds))
+
+    async def keep(self, lease: str) -> bool:
+        """As Store has it."""
+        return bool(await self._ask("keep", lease=lease))
+
+    async def revoke(self, lease: str) -> None:
+        """As Store has it."""
+        await self._ask("revoke", lease=lease)
+
+    async def close(self) -> None:
+        """The session is not ours."""
+
+    async def watch(self, prefix: str) -> AsyncIterator[None]:
+        """As Store has it; the keeper's coming back is a gap, too."""
+        changed, loop = asyncio.Event(), asyncio.get_running_loop()
+
+        def came(_: Any) -> None:
+            with contextlib.suppress(RuntimeError):  # the loop has ended
+                loop.call_soon_threadsafe(changed.set)
+
+        changed.set()
+        subscriber = self._session.declare_subscriber(f"{_CHANGED}/{prefix.rstrip('/')}/**", came)
+        keeper = self._session.liveliness().declare_subscriber(_ALIVE, came)
+        try:
+            while True:
+                await changed.wait()
+                changed.clear()
+                yield
+        finally:
+            subscriber.undeclare()
+            keeper.undeclare()
+
+    async def _ask(self, operation: str, **what: Any) -> Any:
+        asked = json.dumps(what).encode()
+        found = await asking.get(self._session, f"{STORE}/{operation}/{self._caller}", asked, timeout=_TIMEOUT)
+        if not found:
+            raise StoreAway("the fleet's keeper does not answer: `cm bridge fleet --keeper` runs on one board, or the "
+                            "router's rules keep us off")  # fmt: skip
+        answer = json.loads(found[0].payload or b"{}")
+        if "error" in answer:
+            raise StoreRefused(str(answer["error"]))
+        return answer["ok"]

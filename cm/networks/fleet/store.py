@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a fleet's wanted state lies: what a store has to offer, and what is kept in it under which key.
+
+A store is one sequence of transactions. All keys and values are text; `revision` numbers the transactions.
+
+    generation              number of the newest change that was opened
+    boards/<name>/settings  the board is in the inventory: its labels, whether it follows the fleet
+    boards/<name>/wanted    where it is to be, and since which generation
+    boards/<name>/claim     the change that is open here; lies under its coordinator's lease, and vanishes with it
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import AsyncIterator, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol
+
+from cm.errors import CmError, InvalidRequest
+
+LEASE = 5  # seconds that a coordinator may be silent
+GENERATION, BOARDS = "generation", "boards/"
+
+
+class StoreAway(CmError, ConnectionError):
+    """The store does not answer. What was asked of it may have been done, or may still be."""
+
+    code = "store_away"
+
+
+class StoreRefused(CmError):
+    """The store refuses a request: rights, its own limits."""
+
+    code = "store_refused"
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A value, and the revision of the transaction that put it."""
+
+    value: str
+    revision: int
+
+
+@dataclass(frozen=True, slots=True)
+class Put:
+    """A value to put; with a lease it vanishes when that ends."""
+
+    value: str
+    lease: str = ""
+
+
+class Store(Protocol):
+    """All calls raise StoreAway and StoreRefused; what `get` returns is the newest there is, not a copy's."""
+
+    async def get(self, prefix: str) -> dict[str, Entry]:
+        """All keys that begin so."""
+
+    async def txn(self, expect: Mapping[str, int], puts: Mapping[str, Put | None]) -> int:
+        """If each key has that revision (0: is absent), put all (None: delete). Its revision; 0: nothing was done."""
+
+    async def join(self, board: str, settings: str) -> None:
+        """Put a board's own settings: all that a board may write."""
+
+    async def grant(self, seconds: int) -> str:
+        """A lease, by the store's clock."""
+
+    async def keep(self, lease: str) -> bool:
+        """Renew it; False if it has ended."""
+
+    async def revoke(self, lease: str) -> None:
+        """End it, and with it the keys under it."""
+
+    def watch(self, prefix: str) -> AsyncIterator[None]:
+        """Says that something under a prefix may have changed: at the beginning, after every gap, and when it has."""
+
+    async def close(self) -> None:
+        """Disconnect."""
+
+
+# ---- what lies in it ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Of a board of the inventory. `follow`: "fleet", or "local": then it is told what is wanted, and stays."""
+
+    labels: tuple[str, ...] = ()
+    follow: str = "fleet"
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """Where a board is to be, since which generation, and in whose name."""
+
+    generation: int
+    config: str
+    mode: str
+    by: str
+    change: str
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """The change that is open on a board."""
+
+    generation: int
+    change: str
+    by: str
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """A board as the store has it; `revisions` by the last part of its keys, 0 for one that is absent."""
+
+    settings: Settings | None = None
+    wanted: Wanted | None = None
+    claim: Claim | None = None
+    revisions: Mapping[str, int] | None = None
+
+    @property
+    def generation(self) -> int:
+        """Since when it is wanted where it is; 0: nobody ever wanted anything."""
+        return self.wanted.generation if self.wanted else 0
+
+    @property
+    def open(self) -> Claim | None:
+        """The change that is not decided here: one whose generation is wanted already is."""
+        return self.claim if self.claim and self.claim.generation > self.generation else None
+
+    def expected(self) -> dict[str, int]:
+        """What a transaction compares that must find a board as it is here; to be put behind its key."""
+        return {part: (self.revisions or {}).get(part, 0) for part in ("wanted", "claim")}
+
+
+_KINDS: dict[str, Any] = {"settings": Settings, "wanted": Wanted, "claim": Claim}
+
+
+def key(board: str, part: str) -> str:
+    """Of one of a board's three values."""
+    return f"{BOARDS}{board}/{part}"
+
+
+def packed(value: Settings | Wanted | Claim) -> str:
+    """As it lies in the store."""
+    return json.dumps(asdict(value), separators=(",", ":"))
+
+
+def views(found: Mapping[str, Entry]) -> dict[str, View]:
+    """Boards by name. Raises InvalidRequest for what no version of this program wrote."""
+    parts: dict[str, dict[str, Any]] = {}
+    revisions: dict[str, dict[str, int]] = {}
+    for name, entry in found.items():
+        _, board, part = name.split("/") if name.startswith(BOARDS) else ("", "", "")
+        if part in _KINDS:
+            parts.setdefault(board, {})[part] = _unpacked(name, part, entry.value)
+            revisions.setdefault(board, {})[part] = entry.revision
+    return {board: View(revisions=revisions[board], **values) for board, values in sorted(parts.items())}
+
+
+def _unpacked(name: str, part: str, text: str) -> Any:
+    try:
+        plain = json.loads(text)
+        known = {field: plain[field] for field in _KINDS[part].__slots__ if field in plain}
+        made = _KINDS[part](**known)
+    except (ValueError, TypeError, KeyError) as error:
+        raise InvalidRequest(f"the store has {text[:60]!r} under {name}: {error}") from None
+    return Settings(tuple(made.labels), made.follow) if part == "settings" else made

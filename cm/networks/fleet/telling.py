@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a board stands to what its fleet wants, in words and figures for people. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from cm.wire.messages.fleet import BoardStatus, FleetState
+from cm.wire.messages.status import ErrorInfo
+
+FINE = ("free", "there")
+_OPEN = ("prepared", "changing", "changed", "failing")
+_NOTES = {
+    "drift": "somebody took it elsewhere, which stays until something new is wanted: `cm fleet reconcile {board}`",
+    "local": "it follows nobody (--follow local): `cm fleet mode {mode} {board}` while it is there",
+    "behind": "it has seen generation {generation}: the store was set back, and it stays where it is",
+    "going": "on its way",
+}
+
+
+def stands_apart(status: BoardStatus) -> bool:
+    """Whether a person should look: the board is not where it is wanted, or cannot know."""
+    state = status.fleet
+    return state is not None and (state.state not in (*FINE, *_OPEN) or bool(state.store_error) or bool(state.error))
+
+
+def note(board: str, status: BoardStatus) -> str:
+    """What is the matter with a board, and what to type; empty if nothing is."""
+    state = status.fleet
+    if state is None:
+        return ""
+    said = []
+    if state.state in _OPEN:
+        said.append(f"change {state.change} to {state.config_name}/{state.mode} is open")
+    elif state.state not in FINE:
+        text = _NOTES.get(state.state, "").format(board=board, mode=state.wanted_mode, generation=state.generation)
+        said.append(f"wanted {wanted(state)} since generation {state.wanted_generation}{f'; {text}' if text else ''}")
+    if state.error is not None:
+        said.append(state.error.message)
+    if state.store_error:
+        said.append(f"what is wanted is not known: {state.store_error}")
+    return "; ".join(said)
+
+
+def wanted(state: FleetState | None) -> str:
+    """Where a board is wanted; empty if nobody ever wanted anything."""
+    return f"{state.wanted_config}/{state.wanted_mode}" if state is not None and state.wanted_generation else ""
+
+
+def prometheus(found: Mapping[str, BoardStatus | ErrorInfo]) -> Iterator[str]:
+    """Lines for node_exporter's textfile collector."""
+    yield "# HELP cm_fleet_board_state 1 for the state of each board to what its fleet wants (away: no answer)."
+    yield "# TYPE cm_fleet_board_state gauge"
+    states = {n: s.fleet for n, s in found.items() if isinstance(s, BoardStatus) and s.fleet is not None}
+    for name in found:
+        yield f'cm_fleet_board_state{{board="{name}",state="{states[name].state if name in states else "away"}"}} 1'
+    for metric, which, text in (
+        ("generation", "generation", "The newest generation that a board has reached or set aside."),
+        ("wanted_generation", "wanted_generation", "The newest that is wanted of it."),
+    ):
+        yield f"# HELP cm_fleet_board_{metric} {text}"
+        yield f"# TYPE cm_fleet_board_{metric} gauge"
+        yield from (f'cm_fleet_board_{metric}{{board="{n}"}} {getattr(s, which)}' for n, s in states.items())
