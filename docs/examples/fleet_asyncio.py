@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import asyncio
 
-import cm.fleet.aio
+import cm.fleet
 
 
 async def main(statuses: int = 3) -> None:
