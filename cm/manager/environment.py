@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cm.manager.interfaces import DataPlane, Devices, Files, Observer, TimeSource
-from cm.manager.state.journal import Journal
+from cm.manager.state.record import Journal
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,9 +22,8 @@ from cm.manager.execution.worker import Change, Worker
 from cm.manager.loaders import Loaders
 from cm.manager.planning import goals
 from cm.manager.planning.goals import Goal
-from cm.manager.recovery.startup import destination, is_whole, repair, take_stock, undo, way_back
-from cm.manager.reporting.descriptions import config_info
-from cm.manager.reporting.status import Moment, StatusReporter
+from cm.manager.recovery import destination, is_whole, repair, take_stock, undo, way_back
+from cm.manager.reporting import Moment, StatusReporter, config_info
 from cm.manager.state.board_state import ManagerState
 from cm.manager.state.record import Pending
 from cm.manager.state.table import BoardState, slept

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from cm.manager.errors import ChangeBusy
 from cm.manager.manager import Manager
-from cm.manager.reporting.descriptions import config_list, is_long
+from cm.manager.reporting import config_list, is_long
 from cm.server.host.provision import Provisioner
 from cm.server.host.sent import Sender
 from cm.server.memory_transfers import MemoryTransfers

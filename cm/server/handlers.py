@@ -9,7 +9,7 @@ from functools import partial
 from typing import TypeVar
 
 from cm.errors import CmError
-from cm.manager.access.lease_scopes import check_scope_names_something
+from cm.manager.access.leases import check_scope_names_something
 from cm.manager.errors import UnknownInterrupt
 from cm.manager.execution.worker import Change
 from cm.manager.manager import Manager

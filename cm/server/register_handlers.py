@@ -5,8 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from cm.manager.access.register_pieces import AT_ONCE, ReadPieces, WritePieces
-from cm.manager.access.register_service import RegisterService
+from cm.manager.access.register_service import AT_ONCE, ReadPieces, RegisterService, WritePieces
 from cm.manager.manager import Manager
 from cm.server.board_watch import BoardWatch
 from cm.server.pieces import Pieces

@@ -15,8 +15,8 @@ import zmq
 from cm.manager.access.leases import Leases
 from cm.manager.execution.worker import QUEUE_LENGTH
 from cm.manager.manager import Environment, Manager
-from cm.manager.reporting.status import Moment
-from cm.manager.state.journal import Journal
+from cm.manager.reporting import Moment
+from cm.manager.state.record import Journal
 from cm.schema.model import Config
 from cm.server.board_watch import BoardWatch
 from cm.server.client_jobs import ClientJobs

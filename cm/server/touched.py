@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from cm.errors import CmError
-from cm.manager.access.lease_scopes import scopes_written
+from cm.manager.access.leases import scopes_written
 from cm.manager.execution.worker import Change
 from cm.manager.manager import Manager
 from cm.schema.model import Memory

@@ -6,7 +6,7 @@ from __future__ import annotations
 import threading
 import time
 
-from cm.manager.access.register_names import in_range
+from cm.manager.access.register_view import in_range
 from cm.manager.errors import AccessDenied, VerifyFailed
 from cm.manager.interfaces import Devices, Window
 from cm.schema.model import Access, Decoupler, GpioLine, IsolationStep, Memory, Register

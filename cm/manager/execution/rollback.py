@@ -15,8 +15,7 @@ from cm.manager.access.register_bus import drive
 from cm.manager.errors import RecordFailed, StaticUnknown, StepFailed, UndoFailed
 from cm.manager.execution.transaction import StepContext, Tools
 from cm.manager.planning.goals import Goal
-from cm.manager.state.clock_step import hertz
-from cm.manager.state.steps import Place, Step
+from cm.manager.state.steps import Place, Step, hertz
 from cm.manager.state.table import BoardState, RegionEvent, RegionPhase
 from cm.schema.model import Config, ConfigType, Region
 

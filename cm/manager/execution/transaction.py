@@ -17,7 +17,7 @@ from cm.manager.interfaces import DataPlane, Devices, Files, TimeSource
 from cm.manager.loaders import Loaders, resolved
 from cm.manager.planning.goals import Goal, Plan, image_bytes
 from cm.manager.planning.planner import make_plan
-from cm.manager.reporting.status import StatusReporter
+from cm.manager.reporting import StatusReporter
 from cm.manager.state import steps as s
 from cm.manager.state.board_state import ManagerState
 from cm.manager.state.steps import Step

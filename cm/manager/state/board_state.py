@@ -13,10 +13,8 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from cm.manager.errors import RecordFailed, StoreCorrupt
-from cm.manager.state.choice import Choice
-from cm.manager.state.journal import Journal
-from cm.manager.state.record import Pending, Record, Throughput, WayBack
-from cm.manager.state.steps import ApplyOverlay, Place, RemoveOverlay, SetClock, Step
+from cm.manager.state.record import Journal, Pending, Record, Throughput, WayBack
+from cm.manager.state.steps import ApplyOverlay, Choice, Place, RemoveOverlay, SetClock, Step
 from cm.manager.state.table import BoardState
 from cm.manager.state.totals import ChangeTotals
 from cm.schema.model import Config, LoaderKind, Memory

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from cm.errors import Busy
 from cm.manager.access.leases import Leases
-from cm.manager.reporting.status import stream_status
+from cm.manager.reporting import stream_status
 from cm.schema.model import Config, Direction, Stream
 from cm.server.host.devices import BoardDevices
 from cm.server.limits import Limits

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from cm.device import AxiDma, DmaBuffer, DmaInfo, DmaType
 from cm.device.data_plane import Plane
 from cm.errors import CmError
-from cm.manager.reporting.status import stream_status
+from cm.manager.reporting import stream_status
 from cm.schema.model import Direction, Stream
 from cm.server.streams.figures import Moved, median, rate, transfer_error
 from cm.server.streams.joiners import Joiners

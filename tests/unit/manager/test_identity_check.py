@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from cm.manager.errors import IdentityMismatch
-from cm.manager.execution.actions.pl import IDENTITY_READS, check_identity
+from cm.manager.execution.actions import IDENTITY_READS, check_identity
 from cm.manager.state.table import RegionEvent
 
 EXPECTED = 0x5D27_8DE1

@@ -18,8 +18,7 @@ from types import MappingProxyType
 import pytest
 
 from cm.manager.errors import StateInUse, StoreCorrupt
-from cm.manager.state.journal import LENGTH, Journal
-from cm.manager.state.record import Pending, Record, Throughput, encode, newest
+from cm.manager.state.record import LENGTH, Journal, Pending, Record, Throughput, encode, newest
 from cm.manager.state.table import BoardState, OverlayState, RegionPhase, RegionState
 from cm.schema.model import LoaderKind
 

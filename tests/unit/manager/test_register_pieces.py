@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from cm.manager.access import register_pieces
-from cm.manager.access.register_pieces import ReadPieces, WritePieces
+from cm.manager.access import register_service
+from cm.manager.access.register_service import ReadPieces, WritePieces
 from cm.wire.messages.requests import RegWrite
 from cm.wire.messages.status import RegValue, RegValues
 
@@ -40,7 +40,7 @@ class Slow:
 
 def done(monkeypatch: pytest.MonkeyPatch, service: Slow, work: Any) -> list[int]:
     """The registers of each piece."""
-    monkeypatch.setattr(register_pieces, "monotonic_ns", lambda: service.now)
+    monkeypatch.setattr(register_service, "monotonic_ns", lambda: service.now)
     while not work.step():
         pass
     assert [value.name for value in work.result.values] == list(NAMES)
@@ -64,7 +64,7 @@ def test_a_piece_has_fewer_registers_where_an_access_takes_long(
 def test_pieces_grow_again_when_accesses_are_fast(monkeypatch: pytest.MonkeyPatch) -> None:
     service = Slow(1000)
     work: Any = ReadPieces(service, NAMES)  # type: ignore[arg-type]
-    monkeypatch.setattr(register_pieces, "monotonic_ns", lambda: service.now)
+    monkeypatch.setattr(register_service, "monotonic_ns", lambda: service.now)
     for _ in range(6):
         work.step()
     service._each = 1

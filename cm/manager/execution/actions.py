@@ -1,20 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What steps do to the PL: regions, the whole device, registers; and how a change begins and ends."""
+"""What is done at each step of a plan: one function per kind of step, and the table of them."""
 
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from types import MappingProxyType
+from typing import Any
 
 from cm.errors import Busy
 from cm.manager.access.register_bus import drive, is_cut
 from cm.manager.errors import IdentityMismatch, RecordFailed, VerifyFailed, WrongStatic
-from cm.manager.execution.actions.overlays import note_applied
 from cm.manager.execution.transaction import StepContext
 from cm.manager.loaders import Job, Start
 from cm.manager.planning.goals import Goal
-from cm.manager.planning.settings import place_of
+from cm.manager.planning.planner import check_rate, place_of
 from cm.manager.state import steps as s
 from cm.manager.state.table import BoardState, OverlayState, RegionEvent, RegionPhase, all_lost, loading_overlay
 from cm.schema.model import Access, LoaderKind, Register
@@ -237,3 +238,75 @@ def _entered(state: BoardState, goal: Goal, written: dict[str, int]) -> BoardSta
     if state.config != goal.config.name:
         state = replace(state, values=MappingProxyType(dict(written)))
     return replace(state, config=goal.config.name, mode=goal.mode)
+
+
+def set_clock(run: StepContext, step: s.SetClock) -> None:
+    """Set a clock, keep it running, and read back its rate, since rates are rounded without an error.
+
+    Raises ClockRate if that is not near enough, DeviceError.
+    """
+    name = step.clock.name
+    if not step.before:
+        run.update(lambda board: board.with_clock(name, 0))
+        return
+    clock = run.tools.devices.clocks().find(name)
+    run.rates[name] = step.before
+    if clock.rate != step.clock.rate:
+        clock.rate = step.clock.rate
+    if not step.running:
+        clock.enabled = True
+    rate = clock.rate
+    run.update(lambda board: board.with_clock(name, rate))
+    if not step.restores:
+        check_rate(step.clock, rate)
+
+
+def remove_overlay(run: StepContext, step: s.RemoveOverlay) -> None:
+    """Take an overlay off, if it is still there."""
+    overlays = run.tools.devices.overlays()
+    if step.name in overlays.list():
+        overlays.remove(step.name)
+    run.update(lambda state: _without(state, step.name))
+    run.tools.registers.forget()
+
+
+def apply_overlay(run: StepContext, step: s.ApplyOverlay) -> None:
+    """Put an overlay on, in place of a leftover one with its name."""
+    overlays = run.tools.devices.overlays()
+    if step.overlay.name in overlays.list():
+        overlays.remove(step.overlay.name)
+    overlays.apply(step.overlay.name, step.data)
+    note_applied(run, OverlayState(step.overlay.name, step.sha256))
+
+
+def note_applied(run: StepContext, overlay: OverlayState) -> None:
+    """An overlay is on, the newest of all."""
+
+    def on_top(state: BoardState) -> BoardState:
+        return replace(state, overlays=(*_without(state, overlay.name).overlays, overlay))
+
+    run.update(on_top)
+    run.tools.registers.forget()
+
+
+def _without(state: BoardState, name: str) -> BoardState:
+    return replace(state, overlays=tuple(o for o in state.overlays if o.name != name))
+
+
+ACTIONS: Mapping[type, Callable[[StepContext, Any], None]] = MappingProxyType(
+    {
+        s.Validate: validate,
+        s.CheckStatic: check_static,
+        s.Quiesce: quiesce,
+        s.RemoveOverlay: remove_overlay,
+        s.Decouple: decouple,
+        s.Load: load,
+        s.LoadStatic: load_static,
+        s.ApplyOverlay: apply_overlay,
+        s.Recouple: recouple,
+        s.CheckIdentity: check_identity,
+        s.SetRegister: set_register,
+        s.SetClock: set_clock,
+        s.Publish: publish,
+    }
+)

@@ -1,0 +1,313 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the manager is given: devices, files, a data plane, the time and an observer. Protocols only.
+
+`cm.device` has all that is asked for here, and `cm.server.host` puts it together; nothing of either is imported, so
+the manager runs, and is tested, where no shim was compiled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from cm.schema.model import Config, Module, Overlay
+from cm.wire.messages.status import RegValues
+
+
+class AddressRange(Protocol):
+    """A run of physical addresses."""
+
+    @property
+    def address(self) -> int:
+        """The first one."""
+
+    @property
+    def size(self) -> int:
+        """Bytes."""
+
+
+class RegisterDevice(Protocol):
+    """Maps of registers, read and written by accesses of 8 to 64 bits. All raise DeviceError."""
+
+    @property
+    def maps(self) -> Sequence[AddressRange]:
+        """What is mapped, in order."""
+
+    def read(self, offset: int, width: int = 32, map: int = 0) -> int:  # noqa: A002 (as in `cm.device.Uio`)
+        """The value at an offset (bytes) of a map; `width` in bits."""
+
+    def write(self, offset: int, value: int, width: int = 32, map: int = 0) -> None:  # noqa: A002
+        """Write to an offset of a map."""
+
+    def read_block(self, offset: int, length: int, map: int = 0) -> bytearray:  # noqa: A002
+        """`length` bytes by accesses of 32 bits."""
+
+    def write_block(self, offset: int, data: memoryview, map: int = 0) -> None:  # noqa: A002
+        """Write bytes by accesses of 32 bits."""
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A register's place: a device, the number of its map and the offset in it (bytes)."""
+
+    device: RegisterDevice
+    map: int
+    offset: int
+
+
+class OverlayFolder(Protocol):
+    """Device-tree overlays, by name. All but `available` raise DeviceError."""
+
+    def available(self) -> bool:
+        """Whether this kernel can apply any."""
+
+    def list(self) -> Collection[str]:
+        """Those that are applied."""
+
+    def apply(self, name: str, dtbo: bytes) -> None:
+        """Put one on."""
+
+    def remove(self, name: str) -> None:
+        """Take one off."""
+
+
+class PlClock(Protocol):
+    """A clock of the processing system for the PL. All raise DeviceError."""
+
+    rate: int  # Hz; what was set is rounded without an error, so it is read back
+    enabled: bool  # whether it is held running
+
+    def rounded(self, hertz: int) -> int | None:
+        """What it would run at if it were set to `hertz`; None where that cannot be asked."""
+
+
+class OutputLine(Protocol):
+    """A line that the processor drives. Raises DeviceError."""
+
+    value: int  # 0 or 1; setting it makes the line an output
+
+
+class Clocks(Protocol):
+    """The clocks of a board. All raise DeviceError."""
+
+    def names(self) -> Collection[str]:
+        """Those that can be set; none where the kernel has no driver for them."""
+
+    def find(self, name: str) -> PlClock:
+        """One of them, by any of its names. Raises NotFound with those that there are."""
+
+
+class Devices(Protocol):
+    """Open devices of one board. Handles belong to the provider, which keeps and closes them."""
+
+    def boot_id(self) -> str:
+        """An id that is new whenever the board was started anew."""
+
+    def window(self, address: int, width: int) -> Window:
+        """Where `width` bits at a physical address are mapped. Raises DeviceNotFound."""
+
+    def icap(self, name: str | None) -> ConfigPort:
+        """A configuration access port; the only one if no name is given."""
+
+    def fpga_manager(self, name: str | None) -> KernelLoader:
+        """The kernel's FPGA manager."""
+
+    def overlays(self) -> OverlayFolder:
+        """The device-tree overlays."""
+
+    def gpio(self, chip: str, line: int) -> OutputLine:
+        """A line of a GPIO chip, by the chip's label or name; held until `lost`. Raises DeviceError."""
+
+    def clocks(self) -> Clocks:
+        """The clocks of the processing system for the PL."""
+
+    def check(self) -> None:
+        """Ask the board for something that changes nothing. Raises DeviceError where it does not answer."""
+
+    def forget(self) -> None:
+        """Close register windows: UIO devices may have come or gone with an overlay."""
+
+    def lost(self) -> None:
+        """Close everything: the board is gone, or is another one now."""
+
+
+class PortBuffer(Protocol):
+    """Memory from which a configuration port can load."""
+
+    @property
+    def length(self) -> int:
+        """Bytes."""
+
+    def memoryview(self) -> memoryview:
+        """Its bytes, to be written between `sync_begin` and `sync_end`."""
+
+    def sync_begin(self, write: bool) -> None:
+        """The processor accesses it from here on."""
+
+    def sync_end(self, write: bool) -> None:
+        """The processor has accessed it."""
+
+    def close(self) -> None:
+        """Give it back. Raises Busy while a load uses it."""
+
+
+class PortInfo(Protocol):
+    """A configuration port."""
+
+    @property
+    def idcode(self) -> int:
+        """Of its device; 0 where the driver does not know it."""
+
+    @property
+    def denied(self) -> bool:
+        """Whether the platform's firmware does not let the port be used."""
+
+
+class PortStatus(Protocol):
+    """What a configuration port does."""
+
+    @property
+    def loading(self) -> bool:
+        """Whether a load runs, also one that another process began."""
+
+    @property
+    def bytes_done(self) -> int:
+        """Of the running or the last load."""
+
+
+class PortCompletion(Protocol):
+    """The end of a load."""
+
+    @property
+    def cookie(self) -> int:
+        """What the load was begun with."""
+
+    @property
+    def status(self) -> int:
+        """0, or a negative errno."""
+
+    @property
+    def reason(self) -> str:
+        """A sentence for why it failed."""
+
+
+class ConfigPort(Protocol):
+    """A configuration access port that loads from memory by itself. All raise DeviceError."""
+
+    @property
+    def info(self) -> PortInfo:
+        """What it is."""
+
+    def allocate(self, length: int) -> PortBuffer:
+        """At least `length` bytes."""
+
+    def load(
+        self, buffer: Any, length: int | None = None, *, cookie: int = 0, full: bool = False, encrypted: bool = False
+    ) -> None:
+        """Start a load of a buffer of its own, and return at once."""
+
+    def wait(self, timeout: float | None = None) -> PortCompletion:
+        """The next end of a load. Raises TimeoutError after `timeout` seconds."""
+
+    def status(self) -> PortStatus:
+        """What it does now."""
+
+
+class KernelLoader(Protocol):
+    """The kernel's FPGA manager."""
+
+    @property
+    def name(self) -> str:
+        """As the kernel calls it."""
+
+    @property
+    def state(self) -> str:
+        """``operating`` after a load that went well."""
+
+    @property
+    def can_load(self) -> bool:
+        """Whether it can be told to load through sysfs."""
+
+    def load(self, firmware_name: str, partial: bool = False, encrypted: bool = False) -> None:
+        """Load a file below /lib/firmware; returns when the kernel is done. Raises DeviceError."""
+
+
+@dataclass(frozen=True, slots=True)
+class Image:
+    """A validated bitstream: where it lies, its hash, and what is asked of it before a load."""
+
+    path: Path
+    sha256: str
+    length: int  # bytes of the stream, as the port takes it
+    idcode: int | None  # of the device that it was made for, where it says so
+    partial: bool
+    encrypted: bool
+
+
+class Files(Protocol):
+    """Bitstreams and overlays of a configuration."""
+
+    def image(self, config: Config, module: Module) -> Image:
+        """The validated image of a module. Raises the refusals of `cm.formats.bitstream`, NotFound."""
+
+    def static_image(self, config: Config) -> Image:
+        """The validated image of a full configuration."""
+
+    def port_bytes(self, image: Image) -> bytes:
+        """The image as words in the order in which a DMA-fed port takes them from memory."""
+
+    def firmware_name(self, image: Image) -> str:
+        """A name below /lib/firmware under which the kernel finds our own copy of the image in .bin form."""
+
+    def check_firmware(self, name: str, image: Image) -> None:
+        """Raise Sha256Mismatch where the kernel finds something else under the name than the image."""
+
+    def overlay(self, config: Config, overlay: Overlay, images: Sequence[Image]) -> bytes:
+        """The .dtbo, without what would load one of `images`, which the device holds when it is applied.
+
+        Raises BadOverlay where it would load anything else.
+        """
+
+    def loading_overlay(self, config: Config, module: Module, image: Image) -> bytes:
+        """The .dtbo by which a module is loaded, ``<module>.dtbo``, with the `firmware_name` of its image.
+
+        Raises BadOverlay where the firmware it names has not the content of `image`.
+        """
+
+    def forget(self, config: str) -> None:
+        """This configuration was replaced: what was learned from its files is no longer so."""
+
+
+class DataPlane(Protocol):
+    """The streams, as far as a change has to stop and start them."""
+
+    def quiesce(self, streams: Collection[str]) -> None:
+        """Stop these streams; when it returns no transfer of theirs is under way."""
+
+    def resume(self, config: Config | None, mode: str | None, held: Mapping[str, str | None]) -> None:
+        """Streams are those of this mode now, where regions hold what `held` says; start again what is listened to."""
+
+    def wrote(self, generation: int) -> None:
+        """Registers were written, by requests or a change: frames that begin from now on have this generation."""
+
+
+class TimeSource(Protocol):
+    """The time that passes; Python's module `time` is one, and tests have their own."""
+
+    def monotonic(self) -> float:
+        """Seconds."""
+
+
+class Observer(Protocol):
+    """It is told of what changes; called from any thread, must not block."""
+
+    def status_changed(self) -> None:
+        """The status differs from before."""
+
+    def progressed(self) -> None:
+        """Likewise, in nothing but how far the running change is."""
+
+    def registers_changed(self, values: RegValues) -> None:
+        """Registers were written."""
