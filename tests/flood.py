@@ -66,12 +66,13 @@ for _ in range(each):
         one.send_multipart(ask)
 print("asked", flush=True)
 sys.stdin.readline()
-poller, read = zmq.Poller(), 0
+poller, read, whole = zmq.Poller(), 0, 0
 for one in made:
     poller.register(one, zmq.POLLIN)
 while read < connections * each and (ready := poller.poll(60_000)):
-    read += sum([10 << 10 < len(one.recv_multipart()[-1]) < 16 << 10 for one, _ in ready])
-print(read, flush=True)
+    read += len(ready)
+    whole += sum([10 << 10 < len(one.recv_multipart()[-1]) < 16 << 10 for one, _ in ready])
+print(read, whole, flush=True)
 """
 
 # Sends seven MiB of a message of eight over its connections, as far as they are accepted, and holds them.
@@ -116,7 +117,7 @@ def running(*words: object, first: str) -> Iterator[subprocess.Popen[str]]:
 def unread_replies(runtime: Path, connections: int, each: int) -> Iterator[subprocess.Popen[str]]:
     """A process that requests the configuration, of 15 KiB, `each` times over each connection, and reads no reply.
 
-    When it gets a line on its input, it reads them and prints how many came.
+    When it gets a line on its input, it reads them and prints how many came, and how many of those were not refusals.
     """
     with running("-c", _UNREAD, runtime, connections, each, first="asked") as process:
         yield process

@@ -19,13 +19,12 @@ from cm.cli.serve_options import (
     default_runtime_dir,
     default_state_dir,
     group_of,
-    limits_of,
-    quota_of,
     read_again,
     secure_as,
     security_of,
     settings_of,
     stamps,
+    without_effect,
 )
 from cm.errors import InvalidRequest
 from cm.server.settings.model import FILE as SETTINGS_FILE
@@ -209,6 +208,7 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
     # While the simulator starts, in a process of its own, this one gets on with its imports.
     from cm.device import Root
     from cm.manager.manager import Settings as ManagerSettings
+    from cm.server.limits import Limits
     from cm.server.options import Options
 
     configs, left_out = configs_of(paths, settings)
@@ -219,7 +219,7 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
     root = Root.of(args.root) if board is None else _started(board, args.sim)
     listen, keys, insecure = secure_as(args, settings)
     access, notes = access_of(settings, keys)
-    for sentence in notes:
+    for sentence in (*notes, *without_effect(settings)):
         logging.getLogger("cm").warning("%s", sentence)
     example = args.sim and not args.config and not args.build
     said = settings or Defaults()
@@ -240,9 +240,8 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
         settings=ManagerSettings(prefetch_bytes=prefetch << 20),
         queue_bytes=queue,
         firmware_dir=said.firmware_dir,
-        limits=limits_of(said),
+        limits=Limits.of(said.limits),
         example=example,
-        quota=quota_of(said),
         unsigned=said.policy.signatures != "require",
         reload=partial(read_again, args, paths, settings),
         changed=partial(stamps, args, settings),

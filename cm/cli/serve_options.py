@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from cm.errors import CmError, InvalidRequest
 from cm.server.rights.keys import FOLDER, OLD_FOLDER
 from cm.server.settings.model import FILE as SETTINGS_FILE
+from cm.server.settings.model import FORMER_LIMITS, LimitSettings
 from cm.server.settings.model import Settings as Defaults
 from cm.wire.topics import split_tcp
 
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
     from cm.schema.model import Config
     from cm.server.endpoints import Security
     from cm.server.host.reload import Reloaded
-    from cm.server.host.sent import Quota
-    from cm.server.limits import Limits
     from cm.server.rights.model import Access
     from cm.server.settings import Settings
 
@@ -170,14 +169,18 @@ def read_again(args: argparse.Namespace, paths: Sequence[Path], began: Settings 
     `began`: the settings of the start; changes in them that need a restart are noted.
     """
     from cm.server.host.reload import Reloaded
+    from cm.server.limits import Limits
 
     settings = settings_of(args)
     configs, left_out = configs_of(paths, settings)
     listen, keys, insecure = secure_as(args, settings)
     security_of(listen, keys, insecure)
     access, notes = access_of(settings, keys)
-    said, notes = settings or Defaults(), (*notes, *left_out, *_needs_restart(began, settings))
-    return Reloaded(configs, access, limits_of(said), quota_of(said), notes, not left_out)
+    said, notes = (
+        settings or Defaults(),
+        (*notes, *left_out, *_needs_restart(began, settings), *without_effect(settings)),
+    )
+    return Reloaded(configs, access, Limits.of(said.limits), notes, not left_out)
 
 
 def stamps(args: argparse.Namespace, began: Settings | None) -> Stamps:
@@ -214,31 +217,8 @@ def _needs_restart(began: Settings | None, now: Settings | None) -> tuple[str, .
     return tuple(f"settings: {name} has changed; it counts after a restart" for name in names)
 
 
-def quota_of(settings: Settings) -> Quota:
-    """How much space configurations of clients may take."""
-    from cm.server.host.sent import Quota
-
-    said = settings.limits
-    return Quota(said.provisioned_each_mib << 20, said.provisioned_mib << 20)
-
-
-def limits_of(settings: Settings) -> Limits:
-    """The limits of clients, in bytes."""
-    from cm.server.limits import MIB, Limits
-
-    said = settings.limits
-    return Limits(
-        connections=said.connections,
-        connections_each=said.connections_each,
-        message_bytes=said.message_mib * MIB,
-        waiting_bytes=said.waiting_mib * MIB,
-        replies_bytes=said.replies_mib * MIB,
-        upload_bytes=said.upload_mib * MIB,
-        uploads_bytes=said.uploads_mib * MIB,
-        leases=said.leases,
-        leases_each=said.leases_each,
-        slots_each=said.slots_each,
-        memory_bytes=said.memory_mib * MIB,
-        memory_each_bytes=said.memory_each_mib * MIB,
-        shares=said.shares,
-    )
+def without_effect(settings: Settings | None) -> tuple[str, ...]:
+    """A note for each key that an earlier version knew, and that is read and not used any more."""
+    said = settings.limits if settings else LimitSettings()
+    names = [name for name in FORMER_LIMITS if getattr(said, name) != getattr(LimitSettings(), name)]
+    return tuple(f"settings: limits.{name} has no effect any more (docs/limits.md)" for name in names)

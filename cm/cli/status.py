@@ -64,14 +64,13 @@ def run_clients(args: argparse.Namespace) -> int:
             _mebibytes(x.unread_bytes),
             _mebibytes(x.upload_bytes),
             _mebibytes(x.memory_bytes),
-            f"{x.loop_seconds:.3f}",
             x.requests,
             x.refused,
         )
         for x in clients
     ]
     heads = ("CLIENT", "ACCOUNT", "CONNECTIONS", "LEASES", "SLOTS", "WAITING", "WAITING MIB", "UNREAD MIB", "SENT MIB")
-    print_table(rows, (*heads, "MEMORY MIB", "LOOP S", "REQUESTS", "REFUSED"))
+    print_table(rows, (*heads, "MEMORY MIB", "REQUESTS", "REFUSED"))
     return 0
 
 

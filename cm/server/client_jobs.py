@@ -3,16 +3,14 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from time import thread_time_ns
 from typing import Any, TypeVar
 
 from cm.errors import Busy
 from cm.server.loop import Loop
-from cm.server.shares.budget import PENDING, Budget
-from cm.server.shares.turns import least
+from cm.server.shares.clients import PENDING, Client
+from cm.server.shares.ring import Ring
 
 _T = TypeVar("_T")
 Result = Callable[[], _T]  # returns the job's result, or raises what it raised
@@ -20,27 +18,22 @@ _Job = tuple[Callable[[], Any], Callable[[Result[Any]], None]]
 
 
 class ClientJobs:
-    """Runs each client's jobs in the order of its requests, next that of the client that has used least.
+    """Runs each client's jobs in the order of its requests; clients take turns.
 
-    The processor time of a job counts as used, because the loop cannot have it meanwhile. Used in the loop's thread;
-    jobs run in another.
+    Used in the loop's thread; jobs run in another.
     """
 
     def __init__(self, loop: Loop) -> None:
         self._loop = loop
         self.thread = ThreadPoolExecutor(1, "cm-files")  # other work submitted to it waits for at most one job
-        self._waiting: dict[Budget, deque[_Job]] = {}
+        self._waiting: Ring[Client, _Job] = Ring()
         self._runs = False
 
-    def submit(self, client: Budget, work: Callable[[], _T], then: Callable[[Result[_T]], None]) -> None:
+    def submit(self, client: Client, work: Callable[[], _T], then: Callable[[Result[_T]], None]) -> None:
         """Queue a client's job, and call `then` with its result in the loop's thread. Raises Busy."""
-        jobs = self._waiting.get(client)
-        if jobs is None:
-            client.comes()
-            jobs = self._waiting[client] = deque()
-        if len(jobs) >= PENDING:
+        if self._waiting.count(client) >= PENDING:
             raise Busy(f"{PENDING} requests of {client.name} for what takes long wait already; await a reply")
-        jobs.append((work, then))
+        self._waiting.add(client, (work, then))
         self._go_on()
 
     def close(self) -> None:
@@ -49,24 +42,17 @@ class ClientJobs:
         self.thread.shutdown()
 
     def _go_on(self) -> None:
-        client = None if self._runs else least(self._waiting)
-        if client is None:
+        if self._runs or not self._waiting:
             return
-        client.goes()
-        jobs = self._waiting.pop(client)
-        work, then = jobs.popleft()
-        if jobs:
-            self._waiting[client] = jobs  # after others that have used as much
+        _, (work, then) = self._waiting.take()
         self._runs = True
-        self.thread.submit(self._run, client, work, then)
+        self.thread.submit(self._run, work, then)
 
-    def _run(self, client: Budget, work: Callable[[], Any], then: Callable[[Result[Any]], None]) -> None:
-        began, result = thread_time_ns(), _outcome(work)
-        took = thread_time_ns() - began
+    def _run(self, work: Callable[[], Any], then: Callable[[Result[Any]], None]) -> None:
+        result = _outcome(work)
 
         def ended() -> None:
             self._runs = False
-            client.spend(took)
             self._go_on()
             then(result)
 

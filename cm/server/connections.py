@@ -1,50 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The connections over ZeroMQ, and how many: `cm.device.native.guard` below libzmq, with this manager's bounds.
+"""The connections of this process as the kernel has them: where each leads, and their end.
 
-libzmq cannot refuse a connection, and ends its process when descriptors run out; docs/decisions/guarded-connections.md
-says what was tried.
+libzmq has no call that closes one client's connection. But every connection is a descriptor of this process, and the
+kernel says where it leads, so those that have to end are shut down beneath libzmq. Honest clients connect again.
 """
 
 from __future__ import annotations
 
+import fcntl
 import logging
+import os
 import resource
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import replace
+import socket
+import stat
+import struct
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
-from cm.device.native import guard
-from cm.device.native.guard import REQUESTS, TOPICS
-from cm.loop import Loop
-from cm.server.intake import Intake
-from cm.server.limits import Limits
-from cm.server.shares.budget import Bounds
-from cm.server.shares.names import Who, place_of
-from cm.server.shares.registry import Budgets
-from cm.server.uploads import Uploads
-
-__all__ = ["REQUESTS", "TOPICS", "Connections", "listening", "raise_descriptors"]
+from cm.server.rights.principal import IPC, of_process
+from cm.server.shares.clients import place_of
+from cm.wire.topics import Endpoints
 
 _LOG = logging.getLogger("cm")
-_DESCRIPTORS = 65536  # requested, if as many are allowed
-_RESERVE = 128  # descriptors that no connection takes: for devices, frames, files and leases
-_NEWCOMERS = 64  # connections for clients that have few
-PARTS = 300  # of one message
-_TOPICS = 1024  # subscriptions and unsubscriptions at once; 64 more each second
-_CAUSES = {
-    "full": "as many are connected as may be (limits.connections)",
-    "each": "it has as many connections as one client may have (limits.connections_each)",
-    "descriptors": "the other descriptors of this process are kept for the manager's own work (RLIMIT_NOFILE)",
-    "protocol": "it does not speak ZMTP 3",
-    "parts": f"it sent a message of more than {PARTS} parts",
-    "bytes": "it sent a message that is too long, or has no end (limits.message_mib)",
-    "rate": f"it subscribed to more than {_TOPICS} topics at once, or four times as many over all its connections",
-    "cut": "it has lost its right to be connected, or does not read its answers and goes on asking",
-    "unread": "it has read nothing for longest of those that leave frames unread, which are too many (--stream-queue)",
-    "often": "it connects more often than limits.connections_each times a second, while others wait to be let in",
-    "slow": "others had long messages to send while it did not end one (64 KiB in a second, 10 s in all)",
-}
+_DESCRIPTORS = 65536  # requested, if as many are allowed: libzmq ends its process when it has none for a connection
+_CREDENTIALS = struct.Struct("=iII")  # struct ucred
+_OUTQ = 0x5411  # SIOCOUTQ: bytes that the other end has not taken yet
+_STUCK, _LOOK = 0.1, 0.05  # seconds without taking anything, and between two looks
+_TOPICS = ("pub", "sub", "req")
 
 
 def raise_descriptors() -> None:
@@ -55,90 +40,102 @@ def raise_descriptors() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
 
 
-@contextmanager
-def listening(kind: int) -> Iterator[None]:
-    """Sockets that this thread binds meanwhile are guarded."""
-    guard.expect(kind)
-    try:
-        yield
-    finally:
-        guard.expect(guard.NONE)
+def sockets() -> Iterator[socket.socket]:
+    """All sockets of this process, each as a copy that has to be closed."""
+    for number in (int(path.name) for path in Path("/proc/self/fd").iterdir()):
+        try:
+            if stat.S_ISSOCK(os.fstat(number).st_mode):
+                yield socket.socket(fileno=os.dup(number))
+        except OSError:  # gone meanwhile
+            continue
 
 
-class Guarded:
-    """Connections by their descriptors, as long as they come from the expected place."""
-
-    def hold(self, fd: int, place: str) -> bool:
-        """Stop reading a connection; False if it comes from another place."""
-        with suppress(OSError):
-            if place_of(guard.peer(fd)) == place:
-                guard.hold(fd, True)
-                return True
-        return False
-
-    def release(self, fd: int) -> None:
-        """Read it again."""
-        with suppress(OSError):  # it has gone
-            guard.hold(fd, False)
-
-    def cut(self, fd: int, place: str) -> None:
-        """End it."""
-        with suppress(OSError):
-            if place_of(guard.peer(fd)) == place:
-                guard.cut(fd)
+def credentials(connection: socket.socket) -> tuple[int, int, int]:
+    """pid, uid, gid of the process that connected. Raises OSError."""
+    raw = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+    pid, uid, gid = _CREDENTIALS.unpack(raw)
+    return pid, uid, gid
 
 
 class Connections:
-    """Sets the bounds, knows what each client uses, and logs now and then which connections were refused."""
+    """Those over ZeroMQ: of the sockets in a runtime folder, and of TCP ports. The loop's thread."""
 
-    def __init__(
-        self,
-        limits: Limits,
-        who: Callable[[str], Who],
-        folder: Path,
-        loop: Loop,
-    ) -> None:
-        raise_descriptors()
-        if not guard.install():
-            _LOG.warning("connections cannot be limited here: libzmq does not call the C library by its tables")
-        guard.limit(bounds(limits))
-        each = Bounds(limits.waiting_bytes, limits.replies_bytes)
-        self.budgets = budgets = Budgets(each, who, guard.taken, guard.peers, limits.shares)
-        self.intake = Intake(budgets, loop, Guarded())
-        self.uploads = Uploads(folder, limits.upload_bytes, limits.uploads_bytes, budgets.upload_bytes)
-        self._message_bytes = limits.message_bytes
-        self._told = guard.counts().refused
+    def __init__(self, folder: Path, tcp: list[Endpoints]) -> None:
+        """`tcp` grows as ports are bound."""
+        self._paths = {name: str(folder.absolute() / name) for name in _TOPICS}
+        self._tcp = tcp
+        self._stuck: dict[tuple[int, str], tuple[int, float]] = {}  # by inode and peer: bytes, and since when
+        self._looked = 0.0
 
-    def renew(self, limits: Limits) -> None:
-        """Apply other bounds from now on; a client that exceeds them keeps what it has.
+    def counted(self) -> Counter[str]:
+        """How many lead to each place (`cm.server.shares.clients.Client.place`)."""
+        found = Counter[str]()
+        for connection in sockets():
+            with connection, suppress(OSError):  # a listening one, or one that has just ended
+                found[self._place(connection)] += 1
+        del found[""]
+        return found
 
-        The length of messages stays.
+    def _place(self, connection: socket.socket, names: tuple[str, ...] = _TOPICS) -> str:
+        """Where one of ours leads; empty for others. Raises OSError."""
+        peer, here = connection.getpeername(), connection.getsockname()
+        if connection.family == socket.AF_UNIX:
+            return place_of(credentials(connection)[0], "") if here in {self._paths[name] for name in names} else ""
+        ports = {int(getattr(bound, name).rpartition(":")[2]) for bound in self._tcp for name in names}
+        return place_of(None, str(peer[0])) if here[1] in ports else ""
+
+    @staticmethod
+    def end(fd: int, whose: str) -> None:
+        """End a connection by its descriptor, if it is still that of the client with this id (ZMQ's User-Id)."""
+        with suppress(OSError), socket.socket(fileno=os.dup(fd)) as connection:
+            if connection.family == socket.AF_UNIX:
+                pid, uid, gid = credentials(connection)
+                same = of_process(IPC, uid, gid, pid).id == whose
+            else:
+                same = f":{place_of(None, str(connection.getpeername()[0]))}" in whose
+            if same:
+                connection.shutdown(socket.SHUT_RDWR)
+                _LOG.warning("a connection of %s was ended: it subscribes to too much", whose)
+
+    def settle(self) -> None:
+        """Once a second: end those of the client with the most if they take up a quarter of all descriptors.
+
+        libzmq would take more until there are none, and then end this process (``Too many open files``).
         """
-        guard.limit(bounds(replace(limits, message_bytes=self._message_bytes)))
-        self.budgets.renew(Bounds(limits.waiting_bytes, limits.replies_bytes), limits.shares)
-        self.uploads.renew(limits.upload_bytes, limits.uploads_bytes)
+        if len(os.listdir("/proc/self/fd")) <= resource.getrlimit(resource.RLIMIT_NOFILE)[0] // 4:  # noqa: PTH208
+            return
+        for place, count in self.counted().most_common(1):
+            _LOG.warning("%d connections of %s were ended: they take up the descriptors (RLIMIT_NOFILE)", count, place)
+            for connection in sockets():
+                with connection, suppress(OSError):
+                    if self._place(connection) == place:
+                        connection.shutdown(socket.SHUT_RDWR)
 
-    def close(self) -> None:
-        """Forget what was sent in parts."""
-        self.uploads.close()
+    def end_stuck(self) -> None:
+        """End the connection of the subscriber that has taken nothing for longest; asked again and again."""
+        now = time.monotonic()
+        if now < self._looked + _LOOK:
+            return
+        self._looked, before, self._stuck = now, self._stuck, {}
+        for connection in sockets():
+            with connection, suppress(OSError):
+                if place := self._place(connection, ("pub",)):
+                    left = int.from_bytes(fcntl.ioctl(connection, _OUTQ, bytes(4)), "little")
+                    key = os.fstat(connection.fileno()).st_ino, place
+                    then, since = before.get(key, (left, now))
+                    if left:
+                        self._stuck[key] = left, since if then == left else now
+        if self._stuck:
+            longest = min(self._stuck, key=lambda key: self._stuck[key][1])
+            if now - self._stuck[longest][1] >= _STUCK:
+                self._end(longest)
 
-    def tell(self) -> None:
-        """Forget clients that have gone, and log refusals since the last call: one line for each cause."""
-        guard.look_on()
-        self.uploads.forget_old()
-        self.budgets.settle()
-        now = guard.counts()
-        for cause, count in now.refused.items():
-            more = count - self._told[cause]
-            if more:
-                name = place_of(now.last) if cause == now.last_cause else "others"
-                _LOG.warning("%d connections refused, the last of %s: %s", more, name, _CAUSES[cause])
-        self._told = now.refused
-
-
-def bounds(limits: Limits) -> guard.Limits:
-    """The bounds as the guard has them."""
-    newcomers = min(_NEWCOMERS, limits.connections // 4)
-    return guard.Limits(
-        limits.connections, limits.connections_each, newcomers, _RESERVE, PARTS, limits.message_bytes, _TOPICS
-    )
+    def _end(self, which: tuple[int, str]) -> None:
+        del self._stuck[which]
+        for connection in sockets():
+            with connection, suppress(OSError):
+                if os.fstat(connection.fileno()).st_ino == which[0]:
+                    connection.shutdown(socket.SHUT_RDWR)
+                    _LOG.warning(
+                        "a subscriber of %s was ended: it left frames unread for longest (--stream-queue)", which[1]
+                    )

@@ -14,7 +14,7 @@ from cm.schema.model import Stream
 from cm.server.board_watch import BoardWatch
 from cm.server.memory_transfers import MemoryTransfers, frame_info
 from cm.server.replies import Respond, error_info, refusal
-from cm.server.shares.budget import Budget
+from cm.server.shares.clients import Client
 from cm.server.streams.registry import Streams
 from cm.server.streams.stream import Frame
 from cm.wire.messages import requests as rq
@@ -73,7 +73,7 @@ class DataHandlers:
         except UnknownStream as error:
             raise UnknownStream(f"{error}{self._memories.listed()}") from None
 
-    def _read_data(self, request: rq.ReadData, respond: Respond, client: Budget) -> None:
+    def _read_data(self, request: rq.ReadData, respond: Respond, client: Client) -> None:
         if request.offset or request.length or self._memories.find(request.stream):
             self._transfer(client, self._memories.begin_read(request.stream, request.offset, request.length), respond)
             return
@@ -89,7 +89,7 @@ class DataHandlers:
 
         self._streams.read_once(request.stream, request.timeout, done)
 
-    def _write_data(self, request: rq.WriteData, respond: Respond, client: Budget) -> None:
+    def _write_data(self, request: rq.WriteData, respond: Respond, client: Client) -> None:
         if request.offset or self._memories.find(request.stream):
             written = self._memories.begin_write(request.stream, request.offset, request.data, request.lease)
             self._transfer(client, written, respond)
@@ -102,7 +102,7 @@ class DataHandlers:
 
         self._streams.write(request.stream, request.data, done, request.lease)
 
-    def _transfer(self, client: Budget, transfer: Transfer, respond: Respond) -> None:
+    def _transfer(self, client: Client, transfer: Transfer, respond: Respond) -> None:
         def done(problem: Exception | None) -> None:
             if problem is None:
                 respond(self._moved(transfer))

@@ -4,9 +4,13 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
+
+import zmq
+from zmq import zmq_poll
 
 from cm.errors import Busy, CmError, InvalidRequest
 from cm.manager.execution.worker import Change
@@ -14,13 +18,14 @@ from cm.manager.manager import Manager
 from cm.server.board_watch import BoardWatch
 from cm.server.endpoints import Sockets
 from cm.server.handlers import Handlers
-from cm.server.intake import Rest
+from cm.server.loop import Loop
 from cm.server.publisher import Publisher
 from cm.server.read_cache import ReadCache
 from cm.server.register_handlers import takes_long
 from cm.server.replies import Respond, refusal
 from cm.server.rights.model import Role
-from cm.server.shares.budget import Budget
+from cm.server.shares.clients import LITTLE, PENDING, Client, TooMuchWaiting
+from cm.server.shares.ring import Ring
 from cm.server.touched import Touched
 from cm.wire import multipart
 from cm.wire.decode import Frame, decode_request, split_text
@@ -28,7 +33,7 @@ from cm.wire.encode import encode_reply
 from cm.wire.envelope import envelope_length, guest_named, split_envelope
 from cm.wire.messages import requests as rq
 from cm.wire.messages.status import ErrorInfo, Reply
-from cm.wire.multipart import Message
+from cm.wire.multipart import Message, receive_from
 from cm.wire.parse import LONG, in_slices
 from cm.wire.topics import READ_REG, WRITE_REG
 
@@ -38,7 +43,17 @@ _LOOKS = (rq.ReadStatus, rq.ReadConfig, rq.ListConfigs, rq.PlanChange, rq.ReadIr
 _STORES = (rq.Provision, rq.RemoveConfig)
 _LASTING = frozenset({rq.ChangeMode, rq.PlanChange, *_STORES, rq.ReadData, rq.WriteData})  # not done at once
 _WRITES = (rq.WriteReg, rq.WriteData, rq.ConfigureStream, rq.DefineMemory)
-_Waiting = tuple[rq.Request, Respond, str]  # and the client's connection, as in `cm.server.rights`
+_AHEAD = 32  # messages that are read in one turn, before one of them is served
+_KEEPING = 1024  # bytes of overhead for each message that is read and waits for its turn
+
+
+@dataclass(slots=True)
+class _Waiting:
+    """A request that waits; None as long as it is still being read, in slices."""
+
+    request: rq.Request | None
+    respond: Respond
+    connection: str  # of the client, as in `cm.server.rights`
 
 
 @dataclass(slots=True)
@@ -84,7 +99,24 @@ class Order:
         elif len(state.queue) >= _MOST:
             respond(refusal(Busy(f"{_MOST} requests wait for the end of a change; ask again after it")))
         else:
-            state.queue.append((request, respond, connection))
+            state.queue.append(_Waiting(request, respond, connection))
+
+    def take_long(self, sender: bytes, frames: Sequence[Frame], respond: Respond, connection: str) -> Iterator[None]:
+        """Read a long request in these steps; what the sender asks for meanwhile waits behind it."""
+        state = self.senders.setdefault(sender, _Sender())
+        waiting = _Waiting(None, respond, connection)
+        state.queue.append(waiting)
+
+        def read(request: rq.Request) -> None:
+            waiting.request = request
+            self._go_on(sender)
+
+        def refuse(error: CmError) -> None:
+            state.queue.remove(waiting)
+            respond(refusal(error))
+            self._go_on(sender)
+
+        return in_slices(frames, read, refuse)
 
     def _is_blocked(self, state: _Sender, request: rq.Request) -> bool:
         if state.long or isinstance(request, (rq.ChangeMode, *_STORES)):
@@ -130,8 +162,12 @@ class Order:
         state = self.senders.get(sender)
         if state is None:
             return
-        while state.queue and not self._is_blocked(state, state.queue[0][0]):
-            self._do(sender, *state.queue.popleft())
+        while state.queue:
+            waiting = state.queue[0]
+            if waiting.request is None or self._is_blocked(state, waiting.request):
+                break
+            state.queue.popleft()
+            self._do(sender, waiting.request, waiting.respond, waiting.connection)
         if state.idle:
             self.senders.pop(sender, None)
 
@@ -141,6 +177,7 @@ class Dispatcher:
 
     def __init__(
         self,
+        loop: Loop,
         sockets: Sockets,
         handlers: Handlers,
         manager: Manager,
@@ -149,8 +186,9 @@ class Dispatcher:
         board: BoardWatch,
         note_error: Callable[[ErrorInfo], None],
     ) -> None:
+        self._loop = loop
         self._sockets = sockets
-        self._gate, intake = handlers.gate, handlers.intake
+        self._gate, self._clients, self._steps = handlers.gate, handlers.clients, handlers.steps
         self._order = Order(handlers, manager)
         self._read_cache = read_cache
         self._publisher = publisher
@@ -158,36 +196,102 @@ class Dispatcher:
         self._note_error = note_error
         self.taken = 0
         self.refused = Counter[str]()  # by the error's code
-        # For messages on the ROUTER, which are answered now or when their work has ended.
-        self.on_request = intake.add(sockets.req, self._answer, self._turn_away, lambda came: bytes(came.frames[0]))
-        # For messages on the SUB socket: as above without a reply; errors show in the status.
-        self.on_message = intake.add(sockets.sub, self._obey, self._ignore, lambda came: came.connection)
+        self._known = self._clients.known
+        self._coming: list[tuple[Any, int]] = [(sockets.req, int(zmq.POLLIN))]
+        self._kept: Ring[Client, Message] = Ring()  # of clients that ask over several connections
 
-    def _turn_away(self, came: Message, budget: Budget, error: Busy) -> None:
+    # ---- what comes ---------------------------------------------------------------------------
+
+    def on_message(self) -> None:
+        """Take a message off the SUB socket: as a request without a reply; errors show in the status."""
+        came = receive_from(self._sockets.sub, routed=False)
+        client = self._known.get(came.connection) or self._clients.of(came.connection)
+        client.requests += 1
+        self.taken += 1
+        self._dispatch(_PUBLISHED, came, split_text(came.frames), self._fire_and_forget, client)
+
+    def on_request(self) -> None:
+        """Take a message off the ROUTER, and answer one, now or when its work has ended.
+
+        ROUTER hands out one message of each connection in turn, so clients with one connection each are served in turn
+        by that alone. Of a client that asks over several, messages are read ahead and wait here for the client's turn:
+        otherwise 200 connections would be 200 turns.
+        """
+        if self._kept:  # it goes on by itself
+            return
+        came = receive_from(self._sockets.req, routed=True)
+        client = self._known.get(came.connection) or self._clients.of(came.connection)
+        client.requests += 1
+        sender: bytes = came.frames[0]  # type: ignore[assignment]
+        if client.sender == sender:
+            self._serve(came, client)
+            return
+        several, client.sender = client.sender != b"", sender
+        if several:
+            self._keep(client, came)
+            self._go_on()
+        else:
+            self._serve(came, client)
+
+    def _go_on(self) -> None:
+        """Read what came meanwhile, and serve the client whose turn it is."""
+        try:
+            for _ in range(_AHEAD):
+                if not zmq_poll(self._coming, 0):
+                    break
+                message = receive_from(self._sockets.req, routed=True)
+                client = self._clients.of(message.connection)
+                client.requests += 1
+                client.sender = message.frames[0]  # type: ignore[assignment]
+                self._keep(client, message)
+            if not self._kept:  # all were turned away
+                return
+            client, came = self._kept.take()
+            client.waiting_bytes -= _size(came)
+        finally:
+            if self._kept:
+                self._loop.call_soon(self._go_on)
+        self._serve(came, client)
+
+    def _keep(self, client: Client, came: Message) -> None:
+        try:
+            client.queue(_size(came))
+        except TooMuchWaiting as error:
+            self._turn_away(came, client, error)
+        else:
+            self._kept.add(client, came)
+
+    def _serve(self, came: Message, client: Client) -> None:
+        if client.unread_bytes > LITTLE and not client.reads(came.frames[0]):  # type: ignore[arg-type]
+            if client.reads_nothing:
+                client.refused += 1  # and not even told
+            else:
+                self._turn_away(came, client, client.unread())
+            return
+        self._answer(came, client)
+
+    def _turn_away(self, came: Message, client: Client, error: Busy) -> None:
         """Refuse a request, because too much of its client's waits."""
+        client.refused += 1
         envelope, message = split_envelope(came.frames)
         topic = bytes(split_text(message)[0]) if message else b""
-        self._reply(envelope, topic, budget, refusal(error))
+        self._reply(envelope, topic, client, refusal(error))
 
-    def _ignore(self, _: Message, __: Budget, error: Busy) -> None:
-        self._fire_and_forget(refusal(error))
-
-    def _answer(self, came: Message, budget: Budget) -> Rest:
+    def _answer(self, came: Message, client: Client) -> None:
         self.taken += 1
         frames = came.frames
         cut = 2 if len(frames) == 4 and not frames[1] else envelope_length(frames)
         if cut > 2 and (guest := guest_named(frames[:cut])):  # a bridge may speak for one
             came = came._replace(connection=self._gate.guest(came.connection, guest))
-        if len(frames) == cut + 2 and frames[cut] == READ_REG and self._read_again(came, budget):
-            return None
+        if len(frames) == cut + 2 and frames[cut] == READ_REG and self._read_again(came, client):
+            return
         envelope, message = frames[:cut], split_text(frames[cut:])
         topic = bytes(message[0]) if message else b""
-        rest = self._dispatch(bytes(frames[0]), came, message, partial(self._reply, envelope, topic, budget), budget)
+        self._dispatch(bytes(frames[0]), came, message, partial(self._reply, envelope, topic, client), client)
         if topic == READ_REG:
             self._read_cache.learn(message)
-        return rest
 
-    def _read_again(self, came: Message, budget: Budget) -> bool:
+    def _read_again(self, came: Message, client: Client) -> bool:
         """Answer a read of registers that was answered before; False where it was not."""
         frames, order, gate, who = came.frames, self._order, self._gate, came.connection
         allowed = who in gate.observers or gate.everywhere(who) >= Role.OBSERVE  # to read what others read
@@ -197,50 +301,52 @@ class Dispatcher:
             reply = self._read_cache.answer(bytes(frames[-1]), self._publisher.sequence)
         except Exception as error:  # noqa: BLE001 (every request gets an answer)
             self._board.noticed(error)
-            self._reply(frames[:-2], READ_REG, budget, refusal(error))
+            self._reply(frames[:-2], READ_REG, client, refusal(error))
             return True
         if reply is not None:
             frames[-1] = reply
-            self._send(frames, budget)
+            self._send(frames, client)
         return reply is not None
 
-    def _reply(self, envelope: list[Frame], topic: bytes, budget: Budget, reply: Reply) -> None:
+    def _reply(self, envelope: list[Frame], topic: bytes, client: Client, reply: Reply) -> None:
         if reply.error is not None:
             self.refused[reply.error.code] += 1
-        self._send([*envelope, *encode_reply(topic, reply, self._publisher.sequence)], budget)
+        self._send([*envelope, *encode_reply(topic, reply, self._publisher.sequence)], client)
 
-    def _send(self, frames: list[Frame], budget: Budget) -> None:
-        """Send a reply. It may stay in ZeroMQ unread; the client's budget knows how much does."""
-        told = budget.replied(frames[0], sum(map(len, frames)))
+    def _send(self, frames: list[Frame], client: Client) -> None:
+        """Send a reply. It may stay in ZeroMQ unread; the client's record knows how much does."""
+        told = self._clients.replied(frames[0], sum(map(len, frames)))  # type: ignore[arg-type]
         if told:
-            budget.sent(multipart.send_tracked(self._sockets.req, frames), told, frames[0])
+            client.sent(multipart.send_tracked(self._sockets.req, frames), told, bytes(frames[0]))
         else:
             multipart.send(self._sockets.req, frames)
-
-    def _obey(self, came: Message, budget: Budget) -> Rest:
-        self.taken += 1
-        return self._dispatch(_PUBLISHED, came, split_text(came.frames), self._fire_and_forget, budget)
 
     def _fire_and_forget(self, reply: Reply) -> None:
         if reply.error is not None:
             self.refused[reply.error.code] += 1
             self._note_error(reply.error)
 
-    def _dispatch(self, sender: bytes, came: Message, frames: Sequence[Frame], respond: Respond, by: Budget) -> Rest:
-        if len(frames) == 2 and len(frames[1]) > LONG and frames[0] == WRITE_REG:  # in slices
-            take = partial(self._order.take, sender, respond=respond, connection=came.connection)
-            return in_slices(frames, take, partial(_refuse, respond, by))
+    def _dispatch(
+        self, sender: bytes, came: Message, frames: Sequence[Frame], respond: Respond, client: Client
+    ) -> None:
+        if len(frames) == 2 and len(frames[1]) > LONG and frames[0] == WRITE_REG:
+            reads = "reads", client
+            if self._steps.count(reads) < PENDING:
+                self._steps.run(self._order.take_long(sender, frames, respond, came.connection), reads)
+            else:
+                client.refused += 1
+                respond(refusal(TooMuchWaiting(f"{PENDING} long requests of {client.name} wait: await a reply")))
+            return
         try:
             request: rq.Request = decode_request(frames)
             if type(request) in _LASTING:
-                respond = by.under_way(respond, came.large)
+                respond = client.under_way(respond, sum(map(len, frames)))
         except (InvalidRequest, Busy) as error:
-            _refuse(respond, by, error)
+            client.refused += 1
+            respond(refusal(error))
         else:
             self._order.take(sender, request, respond, came.connection)
-        return None
 
 
-def _refuse(respond: Respond, by: Budget, error: CmError) -> None:
-    by.refused += 1
-    respond(refusal(error))
+def _size(message: Message) -> int:
+    return sum(map(len, message.frames)) + _KEEPING

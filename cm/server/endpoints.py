@@ -15,9 +15,8 @@ import zmq
 from cm.device.base import AnyRoot
 from cm.device.paths import Root
 from cm.errors import Busy, InvalidRequest
-from cm.server.connections import REQUESTS, TOPICS, listening
 from cm.server.folders import open_inside, own_folder, share
-from cm.server.limits import Limits
+from cm.server.limits import USUAL, Limits
 from cm.server.rights.principal import CURVE, IPC, TCP
 from cm.wire.plane_packets import SOCKET
 from cm.wire.topics import Endpoints, ipc_endpoints, split_tcp, tcp_endpoints
@@ -27,7 +26,7 @@ _TRIES = 64  # tries of ports, until three in a row are free
 _LAST = 65533  # the first of the last three
 _HANDSHAKE = 10_000  # milliseconds for which a connection may stay silent
 _TOPIC = 512  # bytes of a subscription, and of a handshake
-_WAITING = 64  # messages of each connection that wait to be read
+_WAITING = 16  # messages of each connection that wait to be read
 
 
 class AlreadyServed(Busy):
@@ -124,9 +123,6 @@ class Security:
     secret_key: bytes
 
 
-_DEFAULTS = Limits()
-
-
 class Sockets:
     """XPUB, SUB and ROUTER, bound. `waiting`: messages that may wait for each slow subscriber.
 
@@ -138,7 +134,7 @@ class Sockets:
         context: zmq.Context[zmq.Socket[bytes]],
         runtime_dir: Path,
         waiting: int,
-        limits: Limits = _DEFAULTS,
+        limits: Limits = USUAL,
         group: int | None = None,
     ) -> None:
         self._folder = runtime_dir
@@ -154,7 +150,7 @@ class Sockets:
         # No client can take another's replies by its routing id: while the first connection with that id lasts, a
         # second one gets none. Clients that set no id, as ours, get one from ROUTER.
         self.req.setsockopt(zmq.ROUTER_HANDOVER, 0)
-        self.req.setsockopt(zmq.SNDHWM, 0)  # replies are bounded by bytes, and none is dropped: see budget.py
+        self.req.setsockopt(zmq.SNDHWM, 0)  # replies are bounded by bytes: see cm/server/shares/clients.py
         for socket in self.all:
             socket.setsockopt(zmq.LINGER, 0)  # a client that does not read must not keep the manager from ending
             socket.setsockopt(zmq.IPV6, 1)
@@ -162,7 +158,6 @@ class Sockets:
             socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)  # without an answer from our authenticator, nobody may enter
             socket.setsockopt(zmq.MAXMSGSIZE, limits.message_bytes)
             socket.setsockopt(zmq.HANDSHAKE_IVL, _HANDSHAKE)
-        for socket in (self.sub, self.req):
             socket.setsockopt(zmq.RCVHWM, _WAITING)
         self.pub.setsockopt(zmq.MAXMSGSIZE, _TOPIC)
         self.tcp: list[Endpoints] = []
@@ -243,7 +238,6 @@ class Sockets:
 
 def _bind(socket: zmq.Socket[bytes], address: str) -> None:
     try:
-        with listening(TOPICS if socket.type == zmq.XPUB else REQUESTS):
-            socket.bind(address)
+        socket.bind(address)
     except zmq.ZMQError as error:
         raise InvalidRequest(f"cannot listen on {address}: {error}") from error

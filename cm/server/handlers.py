@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeVar
 
-from cm.errors import CmError
+from cm.errors import Busy, CmError
 from cm.manager.access.leases import check_scope_names_something
 from cm.manager.errors import UnknownInterrupt
-from cm.manager.execution.worker import Change
+from cm.manager.execution.worker import QUEUE_LENGTH, Change
 from cm.manager.manager import Manager
 from cm.manager.planning.goals import hint
 from cm.schema.model import Config
@@ -21,25 +21,24 @@ from cm.server.config_handlers import Description, SentConfigs
 from cm.server.connections import Connections
 from cm.server.data_handlers import DataHandlers
 from cm.server.host.provision import Provisioner
-from cm.server.intake import Intake
 from cm.server.interrupts import InterruptWatch
 from cm.server.lease_watch import LeaseWatch
 from cm.server.loop import Loop
 from cm.server.memory_transfers import MemoryTransfers
-from cm.server.pieces import Pieces
 from cm.server.register_handlers import RegisterHandlers
 from cm.server.replies import Respond, refusal
 from cm.server.rights.gate import Gate
 from cm.server.sessions import Sessions
-from cm.server.shares.budget import Budget
-from cm.server.shares.places import Places
-from cm.server.shares.registry import with_holdings
+from cm.server.shares.clients import Client, Clients, with_holdings
+from cm.server.steps import Steps
 from cm.server.streams.registry import Streams
+from cm.server.uploads import Uploads
 from cm.wire.messages import requests as rq
 from cm.wire.messages.status import ChangeInfo, Reply, Status
 
 _T = TypeVar("_T")
 Began = Callable[[Change], Callable[[], None]]
+CHANGES_EACH = QUEUE_LENGTH - 1  # of one client, beside the one that runs: the last two are for others
 
 
 _LEASES = (rq.TakeLease, rq.RenewLease, rq.ReleaseLease, rq.BreakLease)
@@ -65,10 +64,11 @@ class Services:
     status: Callable[[], Status]
     complete: Callable[[Config], Config]  # adds what only the board knows
     sessions: Sessions
-    pieces: Pieces
+    steps: Steps
+    clients: Clients
     connections: Connections
+    uploads: Uploads
     jobs: ClientJobs  # for work that reads or writes files, so that the loop goes on
-    changes: Places  # in the queue of changes
 
 
 class Handlers:
@@ -92,7 +92,7 @@ class Handlers:
             rq.RenewLease: self._lease,
             rq.ReleaseLease: self._lease,
             rq.BreakLease: self._lease,
-            **RegisterHandlers(services.manager, services.pieces, services.board).table,
+            **RegisterHandlers(services.manager, services.steps, services.board).table,
             **DataHandlers(services.manager, services.streams, services.memories, services.board).table,
         }
 
@@ -102,9 +102,14 @@ class Handlers:
         return self._s.sessions.gate
 
     @property
-    def intake(self) -> Intake:
-        """Where requests wait for their turn."""
-        return self._s.connections.intake
+    def clients(self) -> Clients:
+        """Who has what under way."""
+        return self._s.clients
+
+    @property
+    def steps(self) -> Steps:
+        """What is done a step in each turn of the loop."""
+        return self._s.steps
 
     def handle(self, connection: str, request: rq.Request, respond: Respond, began: Began) -> None:
         """Carry out a request from a connection; whatever goes wrong becomes an error reply.
@@ -115,13 +120,13 @@ class Handlers:
         try:
             request = self._s.sessions.gate.admit(connection, request, self._s.sessions.scene)
             if kind in _UPLOADED:
-                request = self._s.connections.uploads.filled_in(self._s.connections.budgets.of(connection), request)
+                request = self._s.uploads.filled_in(self._s.clients.of(connection), request)
         except CmError as error:
             respond(refusal(error))
             return
         try:
             if kind in _OF_CLIENTS:
-                self.table[kind](request, respond, self._s.connections.budgets.of(connection))
+                self.table[kind](request, respond, self._s.clients.of(connection))
             elif kind is rq.ChangeMode:
                 self._change_mode(request, respond, began, connection)  # type: ignore[arg-type]
             elif kind in _STORES:
@@ -141,7 +146,7 @@ class Handlers:
         except Exception as error:  # noqa: BLE001 (every request gets an answer)
             self._failed(error, respond)
 
-    def _run_job(self, client: Budget, work: Callable[[], _T], then: Callable[[_T], None], respond: Respond) -> None:
+    def _run_job(self, client: Client, work: Callable[[], _T], then: Callable[[_T], None], respond: Respond) -> None:
         """Do `work` in another thread and continue with `then` in the loop's."""
 
         def finish(result: Result[_T]) -> None:
@@ -155,11 +160,11 @@ class Handlers:
         status = self._s.status()
         if request.clients:
             held = status.leases, status.streams, self._s.streams.allocated()
-            status = replace(status, clients=with_holdings(self._s.connections.budgets.snapshot(), *held))
+            status = replace(status, clients=with_holdings(self._s.clients.told(self._s.connections.counted()), *held))
         respond(Reply(status))
         self._s.manager.reporter.was_read()
 
-    def _read_config(self, request: rq.ReadConfig, respond: Respond, client: Budget) -> None:
+    def _read_config(self, request: rq.ReadConfig, respond: Respond, client: Client) -> None:
         counts = dict(self._s.interrupts.counts)
         description = Description(self._s.manager, self._s.memories, request.config_name, counts)
         if description.is_long:
@@ -170,25 +175,25 @@ class Handlers:
     def _list_configs(self, _: rq.ListConfigs, respond: Respond) -> None:
         respond(Reply(self._sent.listed()))
 
-    def _plan_change(self, request: rq.PlanChange, respond: Respond, client: Budget) -> None:
+    def _plan_change(self, request: rq.PlanChange, respond: Respond, client: Client) -> None:
         change = rq.ChangeMode(request.config_name, request.mode)
         self._run_job(client, lambda: self._s.manager.plan(change), lambda plan: respond(Reply(plan)), respond)
 
     def _change_mode(self, request: rq.ChangeMode, respond: Respond, began: Began, connection: str) -> None:
-        give_back = self._s.changes.take(self._s.connections.budgets.of(connection))
-        ends = [give_back]
+        client = self._s.clients.of(connection)
+        if client.changes >= CHANGES_EACH:
+            raise Busy(f"{client.changes} changes of {client.name} wait or run; try again when one has ended")
+        ends: list[Callable[[], None]] = []
 
         def ended(change: Change) -> None:
             if not request.no_wait:
                 respond(change.reply())
+            client.changes -= 1
             for end in ends:
                 end()
 
-        try:
-            change = self._s.manager.submit(request, lambda c: self._s.loop.call_threadsafe(partial(ended, c)))
-        except BaseException:
-            give_back()
-            raise
+        change = self._s.manager.submit(request, lambda c: self._s.loop.call_threadsafe(partial(ended, c)))
+        client.changes += 1
         ends.append(began(change))  # its end is reported in a later turn of the loop
         if request.no_wait:
             respond(Reply(ChangeInfo(change.number, done=False)))
@@ -201,7 +206,7 @@ class Handlers:
         self._s.manager.leases.check(("config",), request.lease)
         whose = self._sent.allowed(connection), self._sent.sender(connection)
         store = partial(self._s.provisioner.store, request.schema, request.files, *whose)
-        client = self._s.connections.budgets.of(connection)
+        client = self._s.clients.of(connection)
         then = partial(self._provisioned, request, respond, began, connection)
         self._run_job(client, store, then, respond)
 
@@ -210,7 +215,7 @@ class Handlers:
     ) -> None:
         self._s.manager.add_config(self._s.complete(config))
         if request.change is None:
-            self._read_config(rq.ReadConfig(config.name), respond, self._s.connections.budgets.of(connection))
+            self._read_config(rq.ReadConfig(config.name), respond, self._s.clients.of(connection))
         else:
             self._change_mode(replace(request.change, config_name=config.name), respond, began, connection)
 
@@ -218,15 +223,15 @@ class Handlers:
         self._s.manager.leases.check(("config",), request.lease)
         self._sent.check_removable(request.config_name)
         remove = partial(self._s.provisioner.remove, request.config_name, self._sent.sender(connection))
-        client = self._s.connections.budgets.of(connection)
+        client = self._s.clients.of(connection)
         self._run_job(client, remove, lambda _: self._removed(request.config_name, respond), respond)
 
     def _removed(self, name: str, respond: Respond) -> None:
         self._s.manager.forget_config(name)
         respond(Reply(self._sent.listed()))
 
-    def _upload(self, request: rq.Upload, respond: Respond, client: Budget) -> None:
-        respond(Reply(self._s.connections.uploads.take(client, request)))
+    def _upload(self, request: rq.Upload, respond: Respond, client: Client) -> None:
+        respond(Reply(self._s.uploads.take(client, request)))
 
     # ---- interrupts and leases ------------------------------------------------------------
 
@@ -238,7 +243,7 @@ class Handlers:
         respond(Reply(self._s.interrupts.latest(request.name)))
 
     def _lease(
-        self, request: rq.TakeLease | rq.RenewLease | rq.ReleaseLease | rq.BreakLease, respond: Respond, client: Budget
+        self, request: rq.TakeLease | rq.RenewLease | rq.ReleaseLease | rq.BreakLease, respond: Respond, client: Client
     ) -> None:
         if isinstance(request, rq.TakeLease):
             manager = self._s.manager

@@ -7,16 +7,16 @@ import time
 from dataclasses import replace
 
 from cm.manager.access.memory_service import MemoryService, Transfer
-from cm.server.pieces import Done, Pieces
-from cm.server.shares.budget import Budget
+from cm.server.shares.clients import Client
+from cm.server.steps import Done, Steps
 from cm.wire.messages.status import ConfigInfo, FrameInfo
 
 
 class MemoryTransfers:
     """Transfers of a client one after the other, clients by turns. Everything in the loop's thread."""
 
-    def __init__(self, pieces: Pieces, memories: MemoryService) -> None:
-        self._pieces = pieces
+    def __init__(self, steps: Steps, memories: MemoryService) -> None:
+        self._steps = steps
         self._memories = memories
 
     def described(self, info: ConfigInfo) -> ConfigInfo:
@@ -24,13 +24,13 @@ class MemoryTransfers:
         blocks = self._memories.defined() if info.mode else ()
         return replace(info, memories=(*info.memories, *blocks)) if blocks else info
 
-    def start(self, client: Budget, transfer: Transfer, done: Done) -> None:
+    def start(self, client: Client, transfer: Transfer, done: Done) -> None:
         """Begin a transfer, a read when its client has room for the answer.
 
         `done` is called once, now or later, with the error, if any. Raises Busy.
         """
         if transfer.write:
-            self._pieces.start(client, transfer, done)
+            self._steps.start(client, transfer, done)
             return
         reserved = 0
 
@@ -45,7 +45,7 @@ class MemoryTransfers:
             client.make(-reserved)
             done(problem)
 
-        self._pieces.start(client, transfer, ended, may_begin)
+        self._steps.start(client, transfer, ended, may_begin)
 
 
 def frame_info(transfer: Transfer, config: str, mode: str) -> FrameInfo:

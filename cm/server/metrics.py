@@ -26,7 +26,7 @@ from prometheus_client.core import (
 from cm.manager.state.totals import ChangeCounts, Distribution, Histogram, Times
 from cm.server.handlers import Services
 from cm.server.metrics_server import MetricsServer
-from cm.server.shares.registry import with_holdings
+from cm.server.shares.clients import with_holdings
 from cm.server.streams.figures import Moved
 from cm.wire.messages.status import SensorStatus, Status
 
@@ -147,7 +147,8 @@ class Metrics:
         yield single("cm_leases", "gauge", "Leases that are held.", held.total())
         yield many("cm_leases_by_scope", "gauge", "The same, by what they cover.", kinds)
         held_by = self._s.manager.leases.told(), self._s.streams.status(), self._s.streams.allocated()
-        clients = {client.name: client for client in with_holdings(self._s.connections.budgets.snapshot(), *held_by)}
+        told = self._s.clients.told(self._s.connections.counted())
+        clients = {client.name: client for client in with_holdings(told, *held_by)}
         taken: dict[str, tuple[str, Mapping[str, float]]] = {
             "connections": ("Connections over ZeroMQ.", {n: c.connections for n, c in clients.items()}),
             "waiting_bytes": (
@@ -156,11 +157,11 @@ class Metrics:
             ),
             "unread_bytes": ("Bytes of replies that were not read.", {n: c.unread_bytes for n, c in clients.items()}),
             "upload_bytes": ("Bytes sent in parts and not used yet.", {n: c.upload_bytes for n, c in clients.items()}),
-            "waiting": ("Requests that wait for their turn.", {n: c.waiting for n, c in clients.items()}),
+            "waiting": ("Requests under way that take long.", {n: c.waiting for n, c in clients.items()}),
             "memory_bytes": ("Bytes of memory for masters in the PL.", {n: c.memory_bytes for n, c in clients.items()}),
             "leases": ("Leases that it holds.", {n: c.leases for n, c in clients.items()}),
             "slots": ("Slots of streams that it may hold.", {n: c.slots for n, c in clients.items()}),
-            "loop_seconds": ("The loop's time for its requests.", {n: c.loop_seconds for n, c in clients.items()}),
+            "requests": ("Its requests.", {n: c.requests for n, c in clients.items()}),
         }
         for name, (text, values) in taken.items():
             yield by_label(f"cm_client_{name}", "gauge", text, "client", values)

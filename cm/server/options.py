@@ -12,8 +12,7 @@ from cm.manager.manager import Settings
 from cm.schema.model import Config
 from cm.server.endpoints import Security
 from cm.server.host.reload import Reloaded
-from cm.server.host.sent import Quota
-from cm.server.limits import Limits
+from cm.server.limits import USUAL, Limits
 from cm.server.queue_limit import BYTES
 from cm.server.rights.model import Access
 
@@ -37,10 +36,9 @@ class Options:
     name: str = ""  # of the board, for people and to tell several apart; empty: that of its host
     queue_bytes: int = BYTES  # of frames that may wait for one subscriber over ZeroMQ
     firmware_dir: Path | None = None  # for copies that the kernel reads; None: where it looks anyway
-    quota: Quota = Quota()  # noqa: RUF009 (frozen)
     example: bool = False  # `configs` are the shipped ones, which clients may replace
     unsigned: bool = True  # whether clients may provision configurations, which cannot be signed
     reload: Callable[[], Reloaded] | None = None  # reads schemas and settings again; None: there is nothing to read
     changed: Callable[[], object] | None = None  # a value that changes when settings or keys do; read every second
     settings: Settings = Settings()  # noqa: RUF009 (frozen)
-    limits: Limits = Limits()  # noqa: RUF009 (frozen)
+    limits: Limits = USUAL

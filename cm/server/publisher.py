@@ -9,15 +9,12 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from contextlib import suppress
-from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import zmq
 from zmq import zmq_poll
 
 from cm._version import __version__
-from cm.device.native import guard
 from cm.server.loop import Loop, XpubSender
 from cm.server.queue_limit import BYTES, Kept
 from cm.server.streams.compression import Compressor, compressions
@@ -29,62 +26,57 @@ from cm.wire.multipart import connection_of
 _LOG = logging.getLogger("cm")
 _AT_ONCE = 32  # subscriptions that are read before others get their turn
 TOPICS_EACH, TOPICS_ALL = 64 << 10, 1 << 20  # bytes of the topics of one connection, and of all
-_Owner = tuple[int, int, str]  # serial, descriptor and id of a connection
+AT_A_TIME = 1024  # subscriptions of a connection between two calls of `settle`
+_Owner = tuple[int, str]  # descriptor and id of a connection
+End = Callable[[int, str], None]  # ends the connection that they name
 _FRAME_TOPICS = (topics.READ_DATA, topics.DATA_READ)
-
-
-class Wires(Protocol):
-    """What is known about connections by their descriptors (`cm.device.native.guard`)."""
-
-    def serial(self, fd: int, /) -> int:
-        """The unique number of a connection; 0: the descriptor is not one."""
-
-    def cut(self, fd: int, /) -> None:
-        """End a connection; OSError if the descriptor is not one."""
 
 
 class Subscriptions:
     """Topics with a subscriber; each counts for the connection that named it first.
 
     A connection that names too many is ended, and if all together are too many, the one with most of them: libzmq keeps
-    a node for each byte as long as the connection lasts. Memory is freed as they go.
+    a node for each byte as long as the connection lasts. Memory is freed as they go. One that subscribes without end,
+    if only to the same topic, is ended too: libzmq takes in more of that than can be read here.
     """
 
-    def __init__(self, wires: Wires) -> None:
-        self._wires = wires
+    def __init__(self, end: End) -> None:
+        self._end = end
         self._owners: dict[bytes, _Owner] = {}
         self._bytes: Counter[_Owner] = Counter()
+        self._came: Counter[_Owner] = Counter()  # since the last `settle`
         self._peak = 0  # most topics since the table was last rebuilt
 
-    def add(self, topic: bytes, source: int, name: str = "") -> None:
-        """Add a subscription of a connection, which has this id."""
+    def add(self, topic: bytes, source: int, name: str) -> None:
+        """Add a subscription of a connection, which has this descriptor and id."""
+        owner = source, name
+        self._came[owner] += 1
+        if self._came[owner] == AT_A_TIME + 1:
+            self._end(*owner)
         if topic in self._owners:
             return
-        owner = self._owners[topic] = self._wires.serial(source), source, name
+        self._owners[topic] = owner
         self._bytes[owner] += len(topic) + 1
         self._peak = max(self._peak, len(self._owners))
         if self._bytes[owner] > TOPICS_EACH:
-            self._end(owner)
+            self._end(*owner)
         elif self._bytes.total() > TOPICS_ALL:
-            self._end(max(self._bytes, key=self._bytes.__getitem__))
+            self._end(*max(self._bytes, key=self._bytes.__getitem__))
 
-    def _end(self, owner: _Owner) -> None:
-        """End a connection; its topics go as libzmq reports their end."""
-        if self._wires.serial(owner[1]) == owner[0]:
-            with suppress(OSError):
-                self._wires.cut(owner[1])
-
-    def discard(self, topic: bytes) -> str:
-        """The last subscription to it is gone; the id of the connection that it counted for."""
+    def discard(self, topic: bytes) -> None:
+        """The last subscription to it is gone."""
         owner = self._owners.pop(topic, None)
         if owner is None:
-            return ""
+            return
         self._bytes[owner] -= len(topic) + 1
         if not self._bytes[owner]:
             del self._bytes[owner]
         if len(self._owners) < self._peak // 8:  # a dict does not shrink by itself
             self._owners, self._peak = dict(self._owners), len(self._owners)
-        return owner[2]
+
+    def settle(self) -> None:
+        """A second is over: as many may come again."""
+        self._came.clear()
 
     def covers(self, topic: bytes, least: int = 0) -> bool:
         """Whether one of `least` bytes or more is a prefix of a topic; its time depends on the topic's length only."""
@@ -98,44 +90,49 @@ class Publisher:
     """Keeps track of subscriptions; numbers statuses. The loop's thread."""
 
     def __init__(
-        self, loop: Loop, socket: zmq.Socket[bytes], board: str = "", wires: Wires = guard, limit: int = BYTES
+        self,
+        loop: Loop,
+        socket: zmq.Socket[bytes],
+        board: str = "",
+        end: End = lambda _, __: None,
+        end_stuck: Callable[[], None] = lambda: None,
+        limit: int = BYTES,
     ) -> None:
-        """`limit`: bytes of frames that may wait for one subscriber."""
+        """`limit`: bytes of frames that may wait for one subscriber; `end_stuck` ends the one that reads nothing."""
         self._socket = socket
         self._coming: list[tuple[Any, int]] = [(socket, int(zmq.POLLIN))]  # subscriptions that were not taken yet
         self._board = board or os.uname().nodename
         self._sender = XpubSender(loop, socket)
         self._compressor = Compressor(loop, self._compressed)
-        self._subscriptions = Subscriptions(wires)
+        self._subscriptions = Subscriptions(end)
         self._overruns: Counter[str] = Counter()
-        self._kept = Kept(limit, socket.sndhwm, partial(guard.cut_slowest, guard.TOPICS))
+        self._kept = Kept(limit, socket.sndhwm, end_stuck)
         self._started_ns = time.time_ns()
         self._counting = threading.Lock()
         self._last_logged = ""
         self._sensors: tuple[SensorStatus, ...] = ()
         self.sequence = 0
 
-    def take_subscriptions(self, came: Callable[[str], None] = lambda _: None) -> bool:
-        """Read some subscription messages; returns whether one wants the status, which it gets at once.
-
-        `came` is told the id of the connection of each, empty if that is not known.
-        """
+    def take_subscriptions(self) -> bool:
+        """Read some subscription messages; returns whether one wants the status, which it gets at once."""
         wanted = False
         for _ in range(_AT_ONCE):
             try:
                 frame = self._socket.recv(zmq.NOBLOCK, copy=False)
             except zmq.Again:
                 break
-            message, name = frame.bytes, connection_of(frame)
+            message = frame.bytes
             topic = message[1:]
             if message[:1] == b"\x01":
-                self._subscriptions.add(topic, frame.get(zmq.SRCFD), name)
+                self._subscriptions.add(topic, frame.get(zmq.SRCFD), connection_of(frame))
                 wanted = wanted or topics.STATUS.startswith(topic)
             else:
-                owner = self._subscriptions.discard(topic)
-                name = name or owner  # at the end of a connection, libzmq does not say whose it was
-            came(name)
+                self._subscriptions.discard(topic)
         return wanted
+
+    def settle(self) -> None:
+        """Once a second."""
+        self._subscriptions.settle()
 
     def has_subscriber(self, topic: bytes) -> bool:
         """Whether a topic has a subscriber."""

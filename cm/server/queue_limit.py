@@ -14,9 +14,10 @@ from collections import deque
 from collections.abc import Callable, Iterable
 
 from cm.schema.model import ITEM_BYTES, Config, Stream
-from cm.server.shares.names import Tracker
+from cm.server.settings.model import StreamSettings
+from cm.server.shares.clients import Tracker
 
-BYTES = 32 << 20  # of frames that wait for one subscriber, unless set otherwise
+BYTES = int(StreamSettings().queue_mib * (1 << 20))  # of frames that wait for one subscriber, unless set otherwise
 _FEWEST, _MOST = 2, 1000  # messages
 _ON_THEIR_WAY = 4  # messages that libzmq holds beside those that it counts
 _FLAT = 1 << 20  # bytes of a frame that no schema describes, or that may grow

@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping
 from cm.manager.access.register_service import AT_ONCE, ReadPieces, RegisterService, WritePieces
 from cm.manager.manager import Manager
 from cm.server.board_watch import BoardWatch
-from cm.server.pieces import Pieces
 from cm.server.replies import Respond, refusal
-from cm.server.shares.budget import Budget
+from cm.server.shares.clients import Client
+from cm.server.steps import Steps
 from cm.wire.bodies import encode_values, encoded_registers
 from cm.wire.messages import requests as rq
 from cm.wire.messages.status import RegValues, Reply
@@ -25,9 +25,9 @@ def takes_long(request: rq.ReadReg | rq.WriteReg, registers: RegisterService) ->
 class RegisterHandlers:
     """As `cm.server.handlers.Handlers`, which has them in its table."""
 
-    def __init__(self, manager: Manager, pieces: Pieces, board: BoardWatch) -> None:
+    def __init__(self, manager: Manager, steps: Steps, board: BoardWatch) -> None:
         self._manager = manager
-        self._pieces = pieces
+        self._steps = steps
         self._board = board
 
     @property
@@ -35,14 +35,14 @@ class RegisterHandlers:
         """The handler of each kind of request."""
         return {rq.ReadReg: self._read_reg, rq.WriteReg: self._write_reg}
 
-    def _read_reg(self, request: rq.ReadReg, respond: Respond, client: Budget) -> None:
+    def _read_reg(self, request: rq.ReadReg, respond: Respond, client: Client) -> None:
         registers = self._manager.registers
         if takes_long(request, self._manager.registers):
             self._by_pieces(client, ReadPieces(registers, request.names), respond)
         else:
             respond(Reply(registers.read(request.names)))
 
-    def _write_reg(self, request: rq.WriteReg, respond: Respond, client: Budget) -> None:
+    def _write_reg(self, request: rq.WriteReg, respond: Respond, client: Client) -> None:
         if takes_long(request, self._manager.registers):
             pieces = WritePieces(self._manager.registers, request.writes, request.lease)
             self._by_pieces(client, pieces, respond, self._manager.tell_registers)
@@ -51,7 +51,7 @@ class RegisterHandlers:
 
     def _by_pieces(
         self,
-        client: Budget,
+        client: Client,
         work: ReadPieces | WritePieces,
         respond: Respond,
         then: Callable[[RegValues], object] = lambda _: None,
@@ -68,7 +68,7 @@ class RegisterHandlers:
                 self._board.noticed(problem)
             respond(Reply(result) if problem is None else refusal(problem))
 
-        self._pieces.start(client, encoded, done)
+        self._steps.start(client, encoded, done)
 
 
 class _Encoded:

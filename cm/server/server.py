@@ -13,14 +13,13 @@ from typing import TYPE_CHECKING
 import zmq
 
 from cm.manager.access.leases import Leases
-from cm.manager.execution.worker import QUEUE_LENGTH
 from cm.manager.manager import Environment, Manager
 from cm.manager.reporting import Moment
 from cm.manager.state.record import Journal
 from cm.schema.model import Config
 from cm.server.board_watch import BoardWatch
 from cm.server.client_jobs import ClientJobs
-from cm.server.connections import Connections
+from cm.server.connections import Connections, raise_descriptors
 from cm.server.dispatcher import Dispatcher
 from cm.server.endpoints import Locks, Sockets
 from cm.server.folders import own_folder
@@ -35,7 +34,6 @@ from cm.server.lease_watch import LeaseWatch
 from cm.server.loop import Loop
 from cm.server.memory_transfers import MemoryTransfers
 from cm.server.options import NO_METRICS, Options
-from cm.server.pieces import Pieces
 from cm.server.publisher import Publisher
 from cm.server.queue_limit import mark
 from cm.server.read_cache import ReadCache
@@ -43,10 +41,12 @@ from cm.server.rights.gate import Gate
 from cm.server.rights.users import system_users
 from cm.server.sensor_watch import SensorWatch
 from cm.server.sessions import Sessions
-from cm.server.shares.places import Places
+from cm.server.shares.clients import Clients
+from cm.server.steps import Steps
 from cm.server.streams.acceptor import Acceptor
 from cm.server.streams.discovery import with_channels
 from cm.server.streams.registry import Streams
+from cm.server.uploads import Uploads
 from cm.server.zap import Authenticator
 from cm.wire.messages.requests import ChangeMode
 from cm.wire.messages.status import ErrorInfo, RegValues, Status
@@ -67,31 +67,36 @@ class Server:
         self._locks = Locks(options.runtime_dir, options.root, options.group)
         self._loop = Loop()
         gate = Gate(options.access, system_users())
-        self._connections = Connections(options.limits, gate.principal, options.state_dir, self._loop)
+        raise_descriptors()
+        limits = options.limits
+        self._clients = Clients(limits, gate.principal)
+        self._uploads = Uploads(options.state_dir, limits, self._clients.upload_bytes)
+        self._steps = Steps(self._loop)
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._devices = BoardDevices(options.root)
         own_folder(options.state_dir)
-        self._provisioner = Provisioner(options.state_dir / "configs", options.unsigned, options.quota)
+        self._provisioner = Provisioner(options.state_dir / "configs", options.unsigned, limits)
         self._journal = Journal(options.state_dir)
         self._jobs = ClientJobs(self._loop)
         waiting = mark((configs := self._configs()).values(), options.queue_bytes)
         self._sockets = Sockets(self._context, options.runtime_dir, waiting, options.limits, options.group)
         self._authenticator = Authenticator(self._context, gate.enter)
-        self._publisher = Publisher(self._loop, self._sockets.pub, options.name, limit=options.queue_bytes)
+        self._connections = Connections(options.runtime_dir, self._sockets.tcp)
+        ends = self._connections.end, self._connections.end_stuck
+        self._publisher = Publisher(self._loop, self._sockets.pub, options.name, *ends, limit=options.queue_bytes)
         leases = Leases(time, options.limits.leases, options.limits.leases_each)
-        told = self._publisher, leases, self._note_error, self._connections.budgets, options.limits
+        told = self._publisher, leases, self._note_error, self._steps, options.limits
         self._streams = Streams(self._loop, self._devices, *told)
         self._manager = Manager(configs, self._environment(), leases)
         self._sessions = Sessions(gate, options.runtime_dir, self._sockets.tcp, self._manager)
         local = self._streams.open_local, *self._streams.memories, self._sessions
-        taken = self._connections.intake, options.group
+        taken = self._steps, options.group
         self._acceptor = Acceptor(self._loop, options.runtime_dir, *local, *taken)
         self._interrupts = InterruptWatch(
             self._loop, options.root, self._manager, self._publisher.interrupt, self._note_error
         )
         self._leases = LeaseWatch(self._loop, leases)
-        self._pieces = Pieces(self._loop)
-        self._memories = MemoryTransfers(self._pieces, self._manager.memories)
+        self._memories = MemoryTransfers(self._steps, self._manager.memories)
         self._board = BoardWatch(self._devices.boot_id, self._manager, self._streams, self._interrupts, self._autoload)
         self._dispatcher = self._make_dispatcher()
         self._metrics: Metrics | None = None
@@ -114,14 +119,14 @@ class Server:
         loop, o = self._loop, self._options
         standing = partial(self._provisioner.standing, example=o.example)
         running = self._jobs.thread, loop.call_threadsafe, standing, self._with_channels
-        bounded = self._connections, self._streams
-        renew = renewal(self._sessions.renew, bounded, self._manager.leases, self._provisioner)
+        bounded = self._clients, self._uploads, self._streams, self._provisioner
+        renew = renewal(self._sessions.renew, bounded, self._manager.leases)
         return Reloader(ReloadContext(self._manager, renew, self._service, *running, o.reload, o.changed), o.configs)
 
     def _make_dispatcher(self) -> Dispatcher:
         handlers, cache = Handlers(self._services()), ReadCache(self._manager.registers.prepare)
         told = self._publisher, self._board, self._note_error
-        return Dispatcher(self._sockets, handlers, self._manager, cache, *told)
+        return Dispatcher(self._loop, self._sockets, handlers, self._manager, cache, *told)
 
     def _services(self) -> Services:
         return Services(
@@ -132,14 +137,15 @@ class Server:
             provisioner=self._provisioner,
             leases=self._leases,
             memories=self._memories,
-            pieces=self._pieces,
+            steps=self._steps,
+            clients=self._clients,
+            uploads=self._uploads,
             board=self._board,
             sessions=self._sessions,
             status=self._status,
             connections=self._connections,
             complete=self._with_channels,
             jobs=self._jobs,
-            changes=Places(1 + QUEUE_LENGTH, "changes"),
         )
 
     # ---- life ---------------------------------------------------------------------
@@ -206,7 +212,7 @@ class Server:
         self._service.stopping()
         if self._metrics is not None:
             self._metrics.close()
-        users = (self._connections.close, self._streams.end, self._pieces.close, self._interrupts.close)
+        users = (self._uploads.close, self._streams.end, self._steps.close, self._interrupts.close)
         watches = (self._sensors.close, self._leases.close, self._jobs.close)
         board = (self._publisher.close, self._devices.lost, self._journal.close, self._sockets.close)
         last = (self._authenticator.close, self._context.term, self._loop.close, self._locks.release)
@@ -214,10 +220,9 @@ class Server:
             end()
 
     def _on_subscription(self) -> None:
-        with self._connections.budgets.bill() as bill:
-            if self._publisher.take_subscriptions(bill.add):
-                self._publisher.status(self._status)
-            self._streams.refresh()
+        if self._publisher.take_subscriptions():
+            self._publisher.status(self._status)
+        self._streams.refresh()
 
     # ---- observer: any thread ---------------------------------------------------------
 
@@ -263,6 +268,9 @@ class Server:
         self._streams.refresh()
         for look in (self._reloader.continue_waiting, self._reloader.look, self._sessions.look, self._board.look):
             look()
-        self._connections.tell()
+        self._uploads.forget_old()
+        self._clients.settle()
+        self._connections.settle()
+        self._publisher.settle()
         if self._streams.any_open:
             self._publisher.status(self._status)

@@ -1,25 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Open connections, and their end when the policy changes: those whose rights differ are closed.
 
-libzmq has no call that closes one client's connection. But every connection is a descriptor of this process, and the
-kernel says where each leads, so those that have to end are shut down beneath libzmq. Honest clients connect again, and
-get their present rights.
+Honest clients connect again, and get their present rights.
 """
 
 from __future__ import annotations
 
 import logging
-import os
 import socket
-import stat
-import struct
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 
 from cm.errors import Forbidden
 from cm.manager.manager import Manager
 from cm.manager.planning.goals import target
+from cm.server.connections import credentials, sockets
 from cm.server.rights.gate import Gate
 from cm.server.rights.model import Access
 from cm.server.rights.needs import Scene, opening
@@ -28,7 +24,6 @@ from cm.wire.plane_packets import SOCKET, Open
 from cm.wire.topics import Endpoints
 
 _LOG = logging.getLogger("cm")
-_CREDENTIALS = struct.Struct("=iII")  # struct ucred
 _OURS = ("pub", "sub", "req", SOCKET)
 
 
@@ -49,7 +44,7 @@ class Sessions:
 
     def whose(self, connection: socket.socket) -> str:
         """The client at the other end of a connection to the data socket, as the gate knows it. Raises OSError."""
-        pid, uid, gid = _credentials(connection)
+        pid, uid, gid = credentials(connection)
         return of_process(DATA, uid, gid, pid).id
 
     def check_open(self, connection: socket.socket, wanted: Open) -> None:
@@ -74,7 +69,7 @@ class Sessions:
 
     def _end(self, meant: Callable[[Principal], bool]) -> None:
         ended = 0
-        for connection in _connections():
+        for connection in sockets():
             with connection, suppress(OSError):  # a listening one, or one that has just ended
                 if any(meant(who) for who in self._behind(connection)):
                     connection.shutdown(socket.SHUT_RDWR)
@@ -86,24 +81,7 @@ class Sessions:
         """The clients that may be at the other end: over TCP, all that connected from that address. Raises OSError."""
         peer, here = connection.getpeername(), connection.getsockname()
         if connection.family == socket.AF_UNIX:
-            pid, uid, gid = _credentials(connection) if here in self._paths else (0, -1, 0)
+            pid, uid, gid = credentials(connection) if here in self._paths else (0, -1, 0)
             return () if uid < 0 else (of_process(IPC, uid, gid, pid),)
         ports = {int(end.rpartition(":")[2]) for bound in self._tcp for end in (bound.pub, bound.sub, bound.req)}
         return self.gate.from_address(str(peer[0])) if here[1] in ports else ()
-
-
-def _connections() -> Iterator[socket.socket]:
-    """All sockets of this process, each as a copy that has to be closed."""
-    for number in (int(path.name) for path in Path("/proc/self/fd").iterdir()):
-        try:
-            if stat.S_ISSOCK(os.fstat(number).st_mode):
-                yield socket.socket(fileno=os.dup(number))
-        except OSError:  # gone meanwhile
-            continue
-
-
-def _credentials(connection: socket.socket) -> tuple[int, int, int]:
-    """pid, uid, gid of the process that connected."""
-    raw = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
-    pid, uid, gid = _CREDENTIALS.unpack(raw)
-    return pid, uid, gid

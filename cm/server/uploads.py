@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import ClassVar
 
 from cm.errors import Busy, CmError, InvalidRequest, NotFound
-from cm.server.shares.budget import Budget
+from cm.server.limits import Limits
+from cm.server.shares.clients import Client
 from cm.wire.messages import requests as rq
 from cm.wire.messages.status import UploadInfo
 
 IDLE = 60.0  # seconds after which one is forgotten whose next part, or use, does not come
-LEFT = 5.0  # the same, of a process that has no connection any more
+LEFT = 5.0  # the same, of a process that has ended
 EACH = 256  # of one client at once
 
 
@@ -54,17 +55,18 @@ class _Upload:
 class Uploads:
     """Uploads by client and name. The loop's thread."""
 
-    def __init__(self, folder: Path, most: int, all_most: int, total: Callable[[], int]) -> None:
-        """`most`, `all_most`: bytes of one client and of all; `total`: what all have now."""
+    def __init__(self, folder: Path, limits: Limits, total: Callable[[], int]) -> None:
+        """`total`: the bytes that all clients have stored now."""
         self._folder = folder
-        self._most, self._all_most, self._total = most, all_most, total
-        self._there: dict[tuple[str, str], tuple[_Upload, Budget]] = {}
+        self._total = total
+        self.renew(limits)
+        self._there: dict[tuple[str, str], tuple[_Upload, Client]] = {}
 
-    def renew(self, most: int, all_most: int) -> None:
+    def renew(self, limits: Limits) -> None:
         """Apply other bounds from now on; what is stored stays."""
-        self._most, self._all_most = most, all_most
+        self._most, self._all_most = limits.upload_bytes, limits.uploads_bytes
 
-    def take(self, client: Budget, part: rq.Upload) -> UploadInfo:
+    def take(self, client: Client, part: rq.Upload) -> UploadInfo:
         """Store a part. Raises InvalidRequest, TooMuchUploaded, UploadFailed."""
         self.forget_old()
         key = client.name, part.id
@@ -82,18 +84,13 @@ class Uploads:
         upload.until = time.monotonic() + IDLE
         return UploadInfo(part.id, upload.length, upload.got)
 
-    def _begin(self, key: tuple[str, str], client: Budget, part: rq.Upload) -> _Upload:
+    def _begin(self, key: tuple[str, str], client: Client, part: rq.Upload) -> _Upload:
         if part.offset:
             raise UnknownUpload(f"upload {part.id!r}: there are no bytes before {part.offset}; begin with offset 0")
-        account = sum([u.length for u, other in self._there.values() if other.account is client.account])
-        if (
-            client.upload_bytes + part.length > self._most
-            or account + part.length > max(self._most, self._all_most // 4 * 3)  # the rest is for other accounts
-            or self._total() + part.length > self._all_most
-        ):
+        if client.upload_bytes + part.length > self._most or self._total() + part.length > self._all_most:
             raise TooMuchUploaded(
-                f"{client.upload_bytes} bytes of {client.name} are stored here unused, {account} of "
-                f"{client.account.name}, {self._total()} of all; {part.length} more are too many "
+                f"{client.upload_bytes} bytes of {client.name} are stored here unused, "
+                f"{self._total()} of all; {part.length} more are too many "
                 "(limits.upload_mib, limits.uploads_mib)"
             )
         if sum(1 for name, _ in self._there if name == client.name) >= EACH:
@@ -123,7 +120,7 @@ class Uploads:
         if part.offset + len(part.data) > part.length:
             raise InvalidRequest(f"upload {part.id!r}: {len(part.data)} bytes at {part.offset} of {part.length}")
 
-    def filled_in(self, client: Budget, request: rq.Request) -> rq.Request:
+    def filled_in(self, client: Client, request: rq.Request) -> rq.Request:
         """A request with the bytes that were uploaded for it, which then belong to it. Raises UnknownUpload."""
         if isinstance(request, rq.WriteData) and request.upload:
             return replace(request, data=self._use(client, request.upload), upload="")
@@ -132,7 +129,7 @@ class Uploads:
             return replace(request, files=tuple(files))
         return request
 
-    def _use(self, client: Budget, name: str) -> memoryview:
+    def _use(self, client: Client, name: str) -> memoryview:
         found = self._there.get((client.name, name))
         if found is None or found[0].got != found[0].length:
             got = f"{found[0].got} of {found[0].length} bytes are there" if found else "there is no upload of that name"
@@ -147,9 +144,9 @@ class Uploads:
     def forget_old(self) -> None:
         """Forget uploads whose next part, or use, does not come."""
         now = time.monotonic()
-        left = now + IDLE - LEFT  # connections are counted every second
+        left = now + IDLE - LEFT
         for key, (upload, client) in list(self._there.items()):
-            has_left = not client.connections and client.place.startswith("pid ")
+            has_left = bool(client.pid) and not Path(f"/proc/{client.pid}").exists()
             if upload.until < (left if has_left else now):
                 self._drop(key)
 

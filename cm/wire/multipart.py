@@ -21,26 +21,16 @@ _pull = super(zmq.Socket, zmq.Socket).recv
 _USER: Any = b"User-Id"  # a string would be encoded each time
 _new = tuple.__new__  # how a named tuple is made, without the function in Python
 _SMALL = 4096  # bytes; larger frames stay where libzmq put them
-_TINY = 255  # bytes of a frame that does not count, such as a routing id (CM_GUARD_SMALL of csrc/guard.h)
-_MANY = 16  # parts of a message; with more, each part counts as that many bytes
-_SOURCE = int(zmq.SRCFD)
 _PARTS = 1024  # of a message; further ones are dropped
-_LOCAL = "ipc:"  # the beginning of the user ids of processes on this machine (`cm.server.rights.principal`)
 
 Frame = bytes | memoryview
 
 
 class Message(NamedTuple):
-    """A message, and the user id that authentication gave its connection; empty if it gave none.
-
-    For a message that is not short, or comes from another machine, also the connection's descriptor (-1: not known),
-    and its bytes, as `cm.device.native.guard` counts them.
-    """
+    """A message, and the user id that authentication gave its connection; empty if it gave none."""
 
     connection: str
     frames: list[Frame]
-    source: int
-    large: int
 
 
 def send(socket: zmq.Socket[bytes], frames: Sequence[bytes | memoryview], flags: int = 0) -> None:
@@ -64,32 +54,21 @@ def receive(socket: zmq.Socket[bytes], flags: int = 0) -> list[bytes | memoryvie
     return frames
 
 
-def receive_from(socket: zmq.Socket[bytes], routed: bool, known: bool = False) -> Message:
-    """As `receive`, with where it came from. `routed`: from a ROUTER, which puts a short frame before every message.
-
-    `known`: the descriptor is wanted, however short the message is.
-    """
+def receive_from(socket: zmq.Socket[bytes], routed: bool) -> Message:
+    """As `receive`, with where it came from. `routed`: from a ROUTER, which puts a short frame before every message."""
     frames: list[Frame] = [_pull(socket)] if routed else []
-    large = 0
     more = True
     while more:
         frame = _pull(socket, 0, False)
-        size, more = len(frame), frame.more
-        if size <= _TINY:
-            frames.append(frame.bytes)
-        else:
-            frames.append(frame.bytes if size <= _SMALL else frame.buffer)
-            large += size
+        more = frame.more
+        frames.append(frame.bytes if len(frame) <= _SMALL else frame.buffer)
         if more and len(frames) >= _PARTS:
             frames.pop()
-    if len(frames) > _MANY + routed:
-        large += _TINY * (len(frames) - routed)
     try:  # from the last frame: libzmq 4.3.4 has none for a routing id that it read ahead, as after a poll
         connection = frame.get(_USER)
     except zmq.ZMQError:
         connection = ""
-    source = _source(frame) if large or known or connection[:4] != _LOCAL else -1
-    return _new(Message, (connection, frames, source, large))
+    return _new(Message, (connection, frames))
 
 
 def connection_of(frame: zmq.Frame) -> str:
@@ -98,13 +77,6 @@ def connection_of(frame: zmq.Frame) -> str:
         return str(frame.get(_USER))
     except zmq.ZMQError:
         return ""
-
-
-def _source(frame: zmq.Frame) -> int:
-    try:
-        return int(frame.get(_SOURCE))
-    except zmq.ZMQError:  # from within this process
-        return -1
 
 
 def send_tracked(socket: zmq.Socket[bytes], frames: Sequence[Frame]) -> zmq.MessageTracker:

@@ -106,13 +106,15 @@ def test_short_unread_answers_have_the_same_limit(manager: Manager) -> None:
             until(lambda: unread() > 15 * MIB, 60)
             for _ in range(200):
                 assert works(board)
-            assert unread() <= 16 * MIB + 250 * (48 << 10)  # each has 32 KiB in any case, and the reply beyond
+            assert unread() <= 2 * (16 * MIB) + 250 * (48 << 10)  # refusals too, and each has 32 KiB in any case
             assert resident_mib(manager.pid) < before + 64
             assert hostile.stdin
             assert hostile.stdout
             hostile.stdin.write("read them\n")
             hostile.stdin.flush()
-            assert hostile.stdout.readline() == "25000\n"  # none was lost meanwhile
+            read, whole = map(int, hostile.stdout.readline().split())
+            assert read == 25_000  # none was lost meanwhile,
+            assert 1000 < whole < read  # and the others were refused
             until(lambda: unread() == 0, 60)
         assert resident_mib(manager.pid) < before + 64
         until(lambda: not [client for client in board.clients() if client.name.startswith(name)], 60)
@@ -182,7 +184,6 @@ def test_what_clients_take_is_reported_on_request(manager: Manager, context: zmq
         assert found.name.startswith("pid ")
         assert found.connections >= 1
         assert found.requests >= 2
-        assert found.loop_seconds > 0
         assert board.status.clients == ()
 
 

@@ -26,7 +26,6 @@ from cm.server.host.sent import (
     SCHEMAS_EACH,
     NotTheirs,
     Owned,
-    Quota,
     QuotaExceeded,
     Reserved,
     Sender,
@@ -34,6 +33,7 @@ from cm.server.host.sent import (
     check_paths,
     room_for,
 )
+from cm.server.limits import USUAL, Limits
 from cm.wire.messages.requests import File
 
 _LOG = logging.getLogger("cm")
@@ -49,17 +49,17 @@ class Provisioner:
     All but `stored_by` and `owned` is for one thread, which reads and writes files.
     """
 
-    def __init__(self, folder: Path, unsigned: bool = True, quota: Quota = Quota()) -> None:  # noqa: B008 (frozen)
+    def __init__(self, folder: Path, unsigned: bool = True, limits: Limits = USUAL) -> None:
         """`unsigned`: whether unsigned configurations may be used; those that come over the wire are never signed."""
         self._folder = folder
         self._unsigned = unsigned
-        self._quota = quota
+        self._limits = limits
         self.reserved: frozenset[str] = frozenset()  # names of the administrator's configurations
         self.owned: Mapping[str, Owned] = {}
 
-    def renew(self, quota: Quota) -> None:
-        """Apply another quota from now on; configurations that were sent stay."""
-        self._quota = quota
+    def renew(self, limits: Limits) -> None:
+        """Apply other limits from now on; configurations that were sent stay."""
+        self._limits = limits
 
     def stored(self) -> list[Path]:
         """The schema files of all configurations that were provisioned."""
@@ -150,8 +150,8 @@ class Provisioner:
         on_disk, in_memory = [o.bytes for o in own], [o.schema for o in own]
         all_on_disk, all_in_memory = [o.bytes for o in others], [o.schema for o in others]
         for whose, held, more, limit in (
-            ("yours", on_disk, wanted, self._quota.each),
-            ("all clients'", all_on_disk, wanted, self._quota.all),
+            ("yours", on_disk, wanted, self._limits.provisioned_each_bytes),
+            ("all clients'", all_on_disk, wanted, self._limits.provisioned_bytes),
             ("schemas of yours", in_memory, schema, SCHEMAS_EACH),
             ("schemas of all clients'", all_in_memory, schema, SCHEMAS_ALL),
         ):

@@ -13,10 +13,8 @@ from cm.errors import CmError
 from cm.manager.access.leases import Leases
 from cm.manager.manager import Manager
 from cm.schema.model import Config
-from cm.server.host.provision import Provisioner
-from cm.server.host.sent import Quota
 from cm.server.host.systemd import ServiceManager
-from cm.server.limits import Limits
+from cm.server.limits import USUAL, Limits
 from cm.server.rights.model import Access
 
 _LOG = logging.getLogger("cm")
@@ -28,8 +26,7 @@ class Reloaded:
 
     configs: Mapping[str, Config]
     access: Access
-    limits: Limits = Limits()  # noqa: RUF009 (frozen)
-    quota: Quota = Quota()  # noqa: RUF009 (frozen)
+    limits: Limits = USUAL
     notes: tuple[str, ...] = ()
     whole: bool = True  # whether every schema on the search path was valid
 
@@ -57,7 +54,7 @@ class Renewed(Protocol):
 
 
 def renewal(
-    access: Callable[[Access], None], bounded: tuple[Renewed, ...], leases: Leases, provisioner: Provisioner
+    access: Callable[[Access], None], bounded: tuple[Renewed, ...], leases: Leases
 ) -> Callable[[Reloaded], None]:
     """Passes the new bounds to all parts that have them, in the loop's thread."""
 
@@ -66,7 +63,6 @@ def renewal(
         for one in bounded:
             one.renew(found.limits)
         leases.renew(found.limits.leases, found.limits.leases_each)
-        provisioner.renew(found.quota)
 
     return renew
 

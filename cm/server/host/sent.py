@@ -44,14 +44,6 @@ class NoSpace(CmError):
 
 
 @dataclass(frozen=True, slots=True)
-class Quota:
-    """Bytes of the configurations of each client, and of all."""
-
-    each: int = 512 << 20
-    all: int = 1 << 30
-
-
-@dataclass(frozen=True, slots=True)
 class Sender:
     """Who sends or removes a configuration. `admin`: may do that to others' too."""
 

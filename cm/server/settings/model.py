@@ -69,6 +69,9 @@ class AccessSettings:
     keys: Path | None = None
 
 
+FORMER_LIMITS = ("connections", "connections_each", "shares")  # read, so that old files stay valid, and not used
+
+
 @dataclass(frozen=True, slots=True)
 class LimitSettings:
     """What one client (`…_each`), and all together, may take of the manager; see docs/limits.md."""

@@ -1,6 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much of the manager each client uses, and its limits.
-
-Only numbers: no sockets, no requests. `cm.server.rights` knows which client a connection belongs to, and
-`cm.device.native.guard` which connections there are. In the loop's thread.
-"""
+"""What each client has under way at the manager, and how much it may have. Numbers only: no sockets, no requests."""

@@ -6,16 +6,13 @@ from __future__ import annotations
 import socket
 from collections.abc import Callable, Generator, Iterator
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import Protocol
 
 from cm.errors import Busy, CmError
 from cm.server.folders import share
-from cm.server.intake import Intake, Rest
 from cm.server.loop import Loop
-from cm.server.shares.budget import Budget
-from cm.server.shares.places import Places
+from cm.server.steps import Steps
 from cm.server.streams.allocations import Allocations
 from cm.server.streams.echo import Echoes
 from cm.server.streams.newcomers import Newcomers
@@ -48,26 +45,23 @@ class Acceptor:
         echoes: Echoes,
         allocations: Allocations,
         sessions: ConnectionRights,
-        intake: Intake,
+        steps: Steps,
         group: int | None = None,
     ) -> None:
-        """`intake`: where requests wait for their turn; `group`: may connect, beside the daemon's own user."""
+        """`group`: may connect, beside the daemon's own user."""
         self._loop = loop
         self._path = folder.absolute() / packets.SOCKET
         self._enter = enter
         self._echoes = echoes
         self._allocations = allocations
         self._sessions = sessions
-        self._intake = intake
+        self._steps = steps
         self._group = group
-        self._places = Places(_QUEUED, "connections to this socket that wait for their turn")
-        self._queued: dict[
-            socket.socket, Callable[[], None]
-        ] = {}  # connections not yet served; the value gives their place back
+        self._queued: dict[socket.socket, str] = {}  # connections not yet served, and their processes
         self._under_way: dict[socket.socket, Generator[None, None, None]] = {}
         # SEQPACKET keeps packets apart, and file descriptors (SCM_RIGHTS) with the packet that carries them.
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
-        self._newcomers = Newcomers(loop, self._listener, self._whose, self._queue)
+        self._newcomers = Newcomers(loop, self._listener, sessions.whose, self._queue)
 
     def open(self) -> None:
         """Bind and listen, replacing the socket that a killed manager left (the folder is locked, so it is dead)."""
@@ -77,33 +71,30 @@ class Acceptor:
         self._listener.listen(_BACKLOG)
         self._newcomers.open()
 
-    def _whose(self, connection: socket.socket) -> tuple[str, Budget]:
-        who = self._sessions.whose(connection)
-        return who, self._intake.client(who)
-
     def _queue(self, connection: socket.socket, packet: bytes) -> None:
-        """Queue a connection for its turn, as requests are: opening streams and allocating slots hold up the loop."""
+        """Queue a connection for its turn: opening streams and allocating slots hold up the loop."""
         try:
-            who, client = self._whose(connection)
-            self._queued[connection] = self._places.take(client)
-            self._intake.put(who, connection, partial(self._serve, connection, packet))
+            who = self._sessions.whose(connection)
+            self._check_place(who)
         except (Busy, OSError) as error:
-            self._leave(connection)
             with connection, suppress(OSError):
                 if isinstance(error, Busy):
                     connection.send(encode_refused(error.code, str(error)))
+            return
+        self._queued[connection] = who
+        steps = self._under_way[connection] = self._serve(connection, packet)
+        self._steps.run(steps)
 
-    def _leave(self, connection: socket.socket) -> None:
-        give_back = self._queued.pop(connection, None)
-        if give_back is not None:
-            give_back()
+    def _check_place(self, who: str) -> None:
+        """Raise Busy if as many wait as may; a quarter is for processes that have few."""
+        own = sum(other == who for other in self._queued.values())
+        if len(self._queued) >= _QUEUED or own >= _QUEUED * 3 // 4:
+            raise Busy(
+                f"{own} connections of this process and {len(self._queued)} of all wait for their turn, of {_QUEUED}, "
+                "the last of which are for others; try again when one has ended"
+            )
 
-    def _serve(self, connection: socket.socket, packet: bytes) -> Rest:
-        """Take the first step; the rest follow in the client's later turns."""
-        steps = self._under_way[connection] = self._steps(connection, packet)
-        return steps if next(steps, steps) is None else None
-
-    def _steps(self, connection: socket.socket, packet: bytes) -> Generator[None, None, None]:
+    def _serve(self, connection: socket.socket, packet: bytes) -> Generator[None, None, None]:
         try:
             with connection, suppress(OSError):
                 try:
@@ -113,7 +104,7 @@ class Acceptor:
                 except OSError as error:
                     connection.send(encode_refused("device_error", str(error)))
         finally:
-            self._leave(connection)
+            self._queued.pop(connection, None)
             del self._under_way[connection]
 
     def _admit(self, connection: socket.socket, wanted: Open) -> Iterator[None]:

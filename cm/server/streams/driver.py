@@ -16,9 +16,9 @@ from cm.errors import CmError
 from cm.schema.model import Direction, Stream
 from cm.server.host.devices import BoardDevices
 from cm.server.loop import Loop
+from cm.server.steps import Steps
 from cm.server.streams.allocations import Allocations
 from cm.server.streams.audience import Audience
-from cm.server.streams.background import BackgroundSteps, Served
 from cm.server.streams.clients import LocalClients, ZmqClients
 from cm.server.streams.echo import Echoes
 from cm.server.streams.figures import Moved, StreamTotals
@@ -43,7 +43,7 @@ class StreamDriver:
         policy: StreamPolicy,
         on_error: Callable[[ErrorInfo], None],
         slots_each: int,
-        clients: Served,
+        steps: Steps,
     ) -> None:
         self._slots_each = slots_each
         self._loop = loop
@@ -60,7 +60,7 @@ class StreamDriver:
         self.failures: dict[str, ErrorInfo] = {}  # by stream of this mode: why it last failed
         self.locals = LocalClients(self.plane, on_error)
         self.zmq = ZmqClients(loop, self.plane, audience.frame, self._take)
-        self._background = BackgroundSteps(loop, clients)
+        self._steps = steps
         self._stalled = StalledChannels(devices.probe_dma)
         loop.add(self.plane.fileno(), self._plane_event)
 
@@ -131,8 +131,8 @@ class StreamDriver:
                 raise
 
     def _take(self, opened: OpenStream, steps: Iterator[None], failed: Callable[[CmError | OSError], object]) -> None:
-        """Take the steps as `_watched` does, in turns of the loop of their own; whoever is served now pays."""
-        self._background.run(self._watched(opened, steps, failed))
+        """Take the steps as `_watched` does, in turns of the loop of their own."""
+        self._steps.run(self._watched(opened, steps, failed))
 
     def _not_started(self, opened: OpenStream, error: CmError | OSError) -> None:
         """Close a stream that could not get its first slots; a running one goes on without its new client."""
@@ -183,7 +183,7 @@ class StreamDriver:
             first(opened)
             self.zmq.refresh(opened, self.has_subscriber(stream))
             for client, steps in waiting:
-                self._background.run(self._watched(opened, steps, partial(self.locals.refused, opened, client)), False)
+                self._steps.run(self._watched(opened, steps, partial(self.locals.refused, opened, client)))
             if not paid:
                 self._take(opened, opened.joiners.begin(), partial(self._unopened, stream.name))
         except BaseException:

@@ -6,16 +6,16 @@ from __future__ import annotations
 from collections import Counter
 
 from cm.errors import Busy
+from cm.server.limits import USUAL
 from cm.server.streams.peer import Peer
 
 MEMORIES = 64  # allocations of one process: each takes a file descriptor, however small it is
-ALL, EACH = 256 << 20, 192 << 20  # default limits in bytes: in total, and of one process
 
 
 class MemoryBudget:
     """Counts bytes by process. Used in the loop's thread only."""
 
-    def __init__(self, what: str, each: int = EACH, most: int = ALL) -> None:
+    def __init__(self, what: str, each: int = USUAL.memory_each_bytes, most: int = USUAL.memory_bytes) -> None:
         """`what`: how messages call the memory; `each`, `most`: limits in bytes, of one process and in total."""
         self._what = what
         self._each, self._most = each, most

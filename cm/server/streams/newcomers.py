@@ -7,7 +7,6 @@ import socket
 import time
 from collections import Counter
 from collections.abc import Callable
-from typing import Protocol
 
 from cm.server.loop import Loop, Timer
 from cm.wire.plane_packets import PACKET_MAX
@@ -16,13 +15,6 @@ WAITING = 64  # in total, three quarters from one process; beyond that, the proc
 _AT_ONCE = 16  # connections accepted in one turn of the loop
 _REST = 3.0  # pause before accepting more, as a multiple of the time that the last ones took
 _SHORTEST = 0.002  # the shortest such pause, in seconds
-
-
-class Spender(Protocol):
-    """The account that time is charged to (`cm.server.shares.budget.Budget`)."""
-
-    def charge(self, nanoseconds: int) -> None:
-        """Charge time that was spent in the loop."""
 
 
 class Newcomers:
@@ -35,10 +27,10 @@ class Newcomers:
         self,
         loop: Loop,
         listener: socket.socket,
-        whose: Callable[[socket.socket], tuple[str, Spender]],
+        whose: Callable[[socket.socket], str],
         heard: Callable[[socket.socket, bytes], None],
     ) -> None:
-        """`whose`: returns a connection's process and budget, or raises OSError. `heard`: takes over the connection."""
+        """`whose`: returns a connection's process, or raises OSError. `heard`: takes over the connection."""
         self._loop = loop
         self._listener = listener
         self._whose = whose
@@ -81,9 +73,8 @@ class Newcomers:
         self._loop.resume(self._listener.fileno())
 
     def _let_in(self, connection: socket.socket) -> None:
-        began = time.monotonic_ns()
         try:
-            name, spender = self._whose(connection)
+            name = self._whose(connection)
         except OSError:  # it has gone
             connection.close()
             return
@@ -92,8 +83,7 @@ class Newcomers:
             self._make_room(name if held[name] >= WAITING * 3 // 4 else held.most_common(1)[0][0])
         connection.setblocking(False)
         self._waiting[connection] = name
-        self._loop.add(connection.fileno(), lambda: self._first(connection, spender))
-        spender.charge(time.monotonic_ns() - began)
+        self._loop.add(connection.fileno(), lambda: self._first(connection))
 
     def _make_room(self, name: str) -> None:
         self._forget(next(one for one, whose in self._waiting.items() if whose == name)).close()
@@ -103,8 +93,7 @@ class Newcomers:
         del self._waiting[connection]
         return connection
 
-    def _first(self, connection: socket.socket, spender: Spender) -> None:
-        began = time.monotonic_ns()
+    def _first(self, connection: socket.socket) -> None:
         self._forget(connection)
         try:
             packet = connection.recv(PACKET_MAX)
@@ -114,4 +103,3 @@ class Newcomers:
             self._heard(connection, packet)
         else:
             connection.close()
-        spender.charge(time.monotonic_ns() - began)

@@ -15,10 +15,10 @@ from cm.manager.access.leases import Leases
 from cm.manager.reporting import stream_status
 from cm.schema.model import Config, Direction, Stream
 from cm.server.host.devices import BoardDevices
-from cm.server.limits import Limits
+from cm.server.limits import USUAL, Limits
 from cm.server.loop import Loop
+from cm.server.steps import Steps
 from cm.server.streams.audience import Audience
-from cm.server.streams.background import Served
 from cm.server.streams.compression import check_compression
 from cm.server.streams.driver import StreamDriver
 from cm.server.streams.peer import Peer
@@ -42,16 +42,15 @@ class Streams:
         audience: Audience,
         leases: Leases,
         on_error: Callable[[ErrorInfo], None],
-        clients: Served,
-        limits: Limits = Limits(),  # noqa: B008 (frozen)
+        steps: Steps,
+        limits: Limits = USUAL,
     ) -> None:
-        """`clients`: who pays for the slots of streams that are opened for a request or a subscription."""
         self._loop = loop
         self._devices = devices
         self._audience = audience
         self._leases = leases
         self._policy = StreamPolicy()
-        self._driver = StreamDriver(loop, devices, audience, self._policy, on_error, limits.slots_each, clients)
+        self._driver = StreamDriver(loop, devices, audience, self._policy, on_error, limits.slots_each, steps)
         self.memories = self._driver.echoes, self._driver.allocations  # for clients that want no stream
         self.moved = self._driver.moved
         self._idle: dict[str, tuple[Stream, StreamStatus]] = {}

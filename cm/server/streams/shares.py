@@ -11,7 +11,6 @@ from cm.server.streams.peer import Peer
 from cm.wire.plane_packets import SLOTS_MAX
 
 RESERVE = 2  # slots that clients can never hold: the hardware fills one while the next waits
-EACH = 64  # of one client, unless set otherwise
 _OURS = 4  # for what goes over ZeroMQ
 _NEWCOMERS = 16  # for processes that hold none yet
 

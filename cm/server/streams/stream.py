@@ -15,10 +15,10 @@ from cm.device.data_plane import Plane
 from cm.errors import CmError
 from cm.manager.reporting import stream_status
 from cm.schema.model import Direction, Stream
+from cm.server.limits import USUAL
 from cm.server.streams.figures import Moved, median, rate, transfer_error
 from cm.server.streams.joiners import Joiners
 from cm.server.streams.settings import frame_bytes, setup
-from cm.server.streams.shares import EACH
 from cm.server.streams.slots import Slots
 from cm.wire.messages.status import ErrorInfo, FrameInfo, StreamClient, StreamStatus
 from cm.wire.plane_packets import Descriptor, Geometry, encode_geometry, encode_label
@@ -38,7 +38,7 @@ Done = Callable[[Frame | CmError | OSError], None]
 class OpenStream:
     """An open stream."""
 
-    def __init__(self, plane: Plane, dma: AxiDma, stream: Stream, each: int = EACH) -> None:
+    def __init__(self, plane: Plane, dma: AxiDma, stream: Stream, each: int = USUAL.slots_each) -> None:
         """Take over an open channel, which is closed if this raises. `each`: slots that one process may hold."""
         self._plane = plane
         self._dma = dma

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import gc
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,8 @@ from cm.errors import Forbidden, InvalidRequest
 from cm.manager.errors import ChangeBusy, UnknownConfig
 from cm.schema import SchemaError, loads
 from cm.server.host.provision import Provisioner
-from cm.server.host.sent import SCHEMA_FILE, NoSpace, Quota, QuotaExceeded, Reserved, Sender
+from cm.server.host.sent import SCHEMA_FILE, NoSpace, QuotaExceeded, Reserved, Sender
+from cm.server.limits import USUAL
 from cm.wire.messages.requests import File
 
 SCHEMA = """
@@ -181,7 +183,9 @@ def test_removing_an_unknown_configuration_lists_those_that_were_sent(provisione
 
 def test_quotas_per_sender_and_in_total_are_kept(tmp_path: Path) -> None:
     file = File("one.bit", bytes(10_000))
-    provisioner = Provisioner(tmp_path / "configs", quota=Quota(each=25_000, all=40_000))
+    provisioner = Provisioner(
+        tmp_path / "configs", limits=replace(USUAL, provisioned_each_bytes=25_000, provisioned_bytes=40_000)
+    )
     for name in ("a", "b"):
         provisioner.store(named(name), (file,), sender=ANNA)
     with pytest.raises(QuotaExceeded, match="yours would have"):

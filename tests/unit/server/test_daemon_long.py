@@ -8,13 +8,14 @@ import hashlib
 import os
 import socket
 from collections.abc import Iterator
+from dataclasses import replace
 
 import pytest
 from daemon_thread import HUNG, Daemon, Subscriber, daemon
 from manager_process import until
 
 from cm.manager.manager import Settings
-from cm.server.limits import Limits
+from cm.server.limits import USUAL
 from cm.wire import plane_packets as packets
 from cm.wire.messages import requests as rq
 from cm.wire.messages.requests import ChangeMode, ConfigureStream, File, ReadReg, RegWrite, Upload, WriteReg
@@ -30,7 +31,9 @@ MANY = 40  # registers of a request that is done piece by piece
 
 @pytest.fixture(scope="module")
 def shared() -> Iterator[Daemon]:
-    limits = Limits(upload_bytes=MOST, uploads_bytes=2 * MOST, memory_bytes=16 * PAGE, memory_each_bytes=8 * PAGE)
+    limits = replace(
+        USUAL, upload_bytes=MOST, uploads_bytes=2 * MOST, memory_bytes=16 * PAGE, memory_each_bytes=8 * PAGE
+    )
     with daemon(limits=limits, settings=Settings(prefetch_bytes=0)) as made:
         yield made
 

@@ -22,7 +22,7 @@ from cm.errors import InvalidRequest
 from cm.schema import load_folder
 from cm.schema.model import Config
 from cm.server.host.reload import Reloaded
-from cm.server.limits import Limits
+from cm.server.limits import USUAL
 from cm.server.rights.model import Access
 from cm.wire.encode import decode_reply, encode_request
 from cm.wire.messages import requests as rq
@@ -145,7 +145,11 @@ def test_settings_that_have_changed_and_stay_are_read_by_itself(served: Daemon, 
 
 def test_bounds_are_those_that_were_read_last(served: Daemon, source: Source, reload: Any) -> None:
     def leases(most: int) -> None:
-        reload(Reloaded({"camera": source.camera, f"l{most}": source.named(f"l{most}")}, OPERATE, Limits(leases=most)))
+        reload(
+            Reloaded(
+                {"camera": source.camera, f"l{most}": source.named(f"l{most}")}, OPERATE, replace(USUAL, leases=most)
+            )
+        )
         until(lambda: f"l{most}" in names(served))
 
     leases(1)

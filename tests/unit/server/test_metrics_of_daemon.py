@@ -68,7 +68,7 @@ def totals() -> ChangeTotals:
 @pytest.fixture
 def page() -> Any:
     loop = Loop()
-    clients = [ClientStatus("pid 7 (view)", 2, upload_bytes=11, waiting_bytes=12, loop_seconds=0.5, waiting=3)]
+    clients = [ClientStatus("pid 7 (view)", 2, upload_bytes=11, waiting_bytes=12, requests=5, waiting=3)]
     services: Any = SimpleNamespace(
         loop=loop,
         status=lambda: STATUS,
@@ -80,7 +80,8 @@ def page() -> Any:
             status=lambda: STATUS.streams,
             allocated=Counter,
         ),
-        connections=SimpleNamespace(budgets=SimpleNamespace(snapshot=lambda: clients)),
+        connections=SimpleNamespace(counted=Counter),
+        clients=SimpleNamespace(told=lambda _: clients),
         interrupts=SimpleNamespace(counts={"done": 17}),
     )
     requests: Any = SimpleNamespace(taken=33, refused=Counter({"busy": 4}))

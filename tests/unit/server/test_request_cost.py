@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 from daemon_thread import Daemon, Subscriber, daemon
 
-from cm.server.intake import Intake
+from cm.server.dispatcher import Dispatcher
 from cm.wire.messages import requests as rq
 
-ARRIVED: CodeType = Intake._arrived.__code__
+ARRIVED: CodeType = Dispatcher.on_request.__code__
 
 
 class Calls:

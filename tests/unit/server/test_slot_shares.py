@@ -6,7 +6,9 @@ from __future__ import annotations
 import pytest
 
 from cm.server.streams.peer import Peer
-from cm.server.streams.shares import EACH, NoSlots, share
+from cm.server.streams.shares import NoSlots, share
+
+EACH = 64
 
 GREEDY, NEW = Peer(10, "greedy"), Peer(20, "new")
 

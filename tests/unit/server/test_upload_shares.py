@@ -3,22 +3,22 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from cm.server import uploads
-from cm.server.rights.principal import NOBODY
-from cm.server.shares.budget import Bounds, Budget
-from cm.server.shares.registry import Budgets
-from cm.server.shares.turns import Account, VirtualTime
+from cm.server.limits import USUAL
+from cm.server.rights.principal import Principal, from_id
+from cm.server.shares.clients import Client, Clients
 from cm.server.uploads import TooMuchUploaded, Uploads
 from cm.wire.messages.requests import Upload
 
-CLOCK = VirtualTime()
-ALL = Budgets(Bounds(0, 0), lambda _: NOBODY, lambda *_: None, lambda: ())
-ANNA, BEN = Account("uid:1", CLOCK), Account("uid:2", CLOCK)
+GONE = 1 << 22  # no process has this number
+LIMITS = replace(USUAL, upload_bytes=256, uploads_bytes=512)
 
 
 class Now:
@@ -39,47 +39,42 @@ def now(monkeypatch: pytest.MonkeyPatch) -> Now:
 
 
 @pytest.fixture
-def clients() -> list[Budget]:
-    return []
+def clients() -> Clients:
+    return Clients(LIMITS, lambda name: from_id(name) if ":" in name else Principal(name, "tcp", address=name))
 
 
 @pytest.fixture
-def kept(tmp_path: Path, clients: list[Budget]) -> Iterator[Uploads]:
-    made = Uploads(tmp_path, 256, 512, lambda: sum(client.upload_bytes for client in clients))
+def kept(tmp_path: Path, clients: Clients) -> Iterator[Uploads]:
+    made = Uploads(tmp_path, LIMITS, clients.upload_bytes)
     yield made
     made.close()
 
 
-def client(name: str, account: Account, clients: list[Budget]) -> Budget:
-    made = Budget(name, Bounds(0, 0), ALL, account)
-    made.place, made.connections = name, 1
-    clients.append(made)
-    return made
+def process(clients: Clients, pid: int) -> Client:
+    return clients.of(f"ipc:0:0:{pid}")
 
 
-def test_processes_of_one_account_leave_a_quarter_of_the_room_to_other_accounts(
-    kept: Uploads, clients: list[Budget]
-) -> None:
-    first, second, third = (client(f"pid {i}", ANNA, clients) for i in (1, 2, 3))
-    kept.take(first, Upload("a", 256))
-    kept.take(second, Upload("a", 128))
-    with pytest.raises(TooMuchUploaded, match="0 bytes of pid 3 are stored here unused, 384 of uid:1, 384 of all"):
-        kept.take(third, Upload("a", 1))
-    kept.take(client("key laptop", BEN, clients), Upload("a", 128))
+def test_no_client_gets_more_room_than_one_may_nor_all_more_than_there_is(kept: Uploads, clients: Clients) -> None:
+    one, two, three = (process(clients, GONE + i) for i in range(3))
+    kept.take(one, Upload("a", 256))
+    with pytest.raises(TooMuchUploaded, match=r"256 bytes of pid .* are stored here unused, 256 of all; 1 more"):
+        kept.take(one, Upload("b", 1))
+    kept.take(two, Upload("a", 200))
+    with pytest.raises(TooMuchUploaded, match=r"0 bytes of pid .* are stored here unused, 456 of all; 57 more"):
+        kept.take(three, Upload("a", 57))
+    kept.take(three, Upload("a", 56))
 
 
-def test_uploads_of_a_process_that_is_gone_soon_make_room(kept: Uploads, now: Now, clients: list[Budget]) -> None:
-    gone, stays, elsewhere = (client(name, ANNA, clients) for name in ("pid 1", "pid 2", "192.0.2.1"))
+def test_uploads_of_a_process_that_is_gone_soon_make_room(kept: Uploads, now: Now, clients: Clients) -> None:
+    gone, stays, elsewhere = process(clients, GONE), process(clients, os.getpid()), clients.of("192.0.2.1")
     for one in clients:
         kept.take(one, Upload("a", 100))
-    gone.connections = elsewhere.connections = 0
     now.seconds += uploads.LEFT - 1
     kept.forget_old()
-    assert [one.upload_bytes for one in clients] == [100, 100, 100]
+    assert [one.upload_bytes for one in (gone, stays, elsewhere)] == [100, 100, 100]
     now.seconds += 2
     kept.forget_old()
-    assert [one.upload_bytes for one in clients] == [0, 100, 100]  # one client elsewhere may reconnect
+    assert [one.upload_bytes for one in (gone, stays, elsewhere)] == [0, 100, 100]  # one elsewhere may reconnect
     now.seconds += uploads.IDLE
     kept.forget_old()
-    assert [one.upload_bytes for one in clients] == [0, 0, 0]
-    assert stays.connections == 1
+    assert [one.upload_bytes for one in (gone, stays, elsewhere)] == [0, 0, 0]

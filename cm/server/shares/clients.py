@@ -1,0 +1,332 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The clients of the manager: what each has under way, and the most that it may have.
+
+A client is a process of this machine, a key, or an address without one, whatever its connections.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from time import monotonic_ns
+from typing import ClassVar, Protocol
+
+from cm.errors import Busy
+from cm.wire.messages.status import ClientStatus, LeaseStatus, Reply, StreamStatus
+
+PENDING = 64  # long requests of one client at a time: reads of data, changes, configurations that are stored
+LITTLE = 32 << 10  # bytes of replies that a client may leave unread, whatever others do
+TRACKED = 16 << 10  # bytes of replies over a connection, after each of which we are told that they were read
+REPLY = 320  # bytes of overhead that ZeroMQ needs for a reply
+_LOOK = 1_000_000  # nanoseconds at least between two looks at what all clients have read,
+_REST = 10  # and that many times what the first took
+_SENDERS = 1024  # connections whose replies are counted one by one
+_REMEMBERED = 256  # clients that are remembered although they have nothing under way
+
+
+class TooMuchWaiting(Busy):
+    """A client has sent more than may wait; its earlier requests have to be served first."""
+
+    code: ClassVar[str] = "too_much_waiting"
+
+
+class RepliesUnread(Busy):
+    """A client requests more without reading the replies that it was sent."""
+
+    code: ClassVar[str] = "replies_unread"
+
+
+class Who(Protocol):
+    """The sender of a message (`cm.server.rights.principal.Principal`)."""
+
+    @property
+    def pid(self) -> int | None:
+        """The pid of a process of this machine."""
+
+    @property
+    def address(self) -> str:
+        """Of a client elsewhere."""
+
+    @property
+    def name(self) -> str:
+        """The name of a user or of a key."""
+
+    @property
+    def key(self) -> str:
+        """Public, Z85."""
+
+    @property
+    def account(self) -> str:
+        """All connections of a user, of a key, or of an address together."""
+
+
+class Tracker(Protocol):
+    """The tracker of a message that was passed to ZeroMQ (`zmq.MessageTracker`)."""
+
+    @property
+    def done(self) -> bool:
+        """Whether it has left."""
+
+
+class Bounds(Protocol):
+    """Bytes of one client's requests that wait, and of replies that it does not read; all have half as many more."""
+
+    @property
+    def waiting_bytes(self) -> int:
+        """Of requests."""
+
+    @property
+    def replies_bytes(self) -> int:
+        """Of replies."""
+
+
+class Client:
+    """One of them. The loop's thread."""
+
+    __slots__ = (
+        "_all", "_made", "_sent", "account", "changes", "name", "pending", "pid", "place", "refused", "requests",
+        "sender", "unread_bytes", "unread_of", "upload_bytes", "waiting_bytes",
+    )  # fmt: skip
+
+    def __init__(self, name: str, who: Who, of_all: Clients) -> None:
+        self._all = of_all
+        self.name = name
+        self.account = who.account
+        self.pid = who.pid
+        self.place = place_of(who.pid, who.address)
+        self.sender = b""  # over which connection it asked last
+        self.requests = self.refused = 0
+        self.pending = 0  # long requests under way
+        self.waiting_bytes = 0  # of them
+        self.changes = 0  # that wait or run
+        self.upload_bytes = 0
+        self.unread_bytes = 0  # of replies that are being made, or were unread when we last looked
+        self.unread_of: dict[bytes, int] = {}  # the latter, by connection
+        self._made = 0  # the former
+        self._sent: deque[tuple[Tracker, int, bytes]] = deque()
+
+    # ---- requests that take long ------------------------------------------------------------
+
+    def under_way(self, respond: Callable[[Reply], None], size: int) -> Callable[[Reply], None]:
+        """Begin a request of `size` bytes; returns the function that replies and ends it. Raises TooMuchWaiting."""
+        if self.pending >= PENDING:
+            raise TooMuchWaiting(f"{PENDING} requests of {self.name} are under way; ask again when one has ended")
+        self.queue(size)
+        self.pending += 1
+
+        def answered(made: Reply) -> None:
+            self.pending -= 1
+            self.waiting_bytes -= size
+            respond(made)
+
+        return answered
+
+    def queue(self, size: int) -> None:
+        """Count the bytes of a request that waits, until they are taken off `waiting_bytes`. Raises TooMuchWaiting."""
+        most, of_all = self._all.bounds.waiting_bytes, self._all.waiting_bytes()
+        if self.waiting_bytes and (self.waiting_bytes + size > most or of_all + size > most * 3 // 2):
+            raise TooMuchWaiting(
+                f"{self.waiting_bytes} bytes of {self.name} wait, {of_all} of all; "
+                f"{size} more are too many (limits.waiting_mib): wait for an answer"
+            )
+        self.waiting_bytes += size
+
+    # ---- replies ----------------------------------------------------------------------------
+
+    def has_room(self, reply: int = 0) -> bool:
+        """Whether a reply of that many bytes may be made for it now: whether it reads what it requests."""
+        if not self._is_full(reply):
+            return True
+        self._all.look_at_replies()
+        return not self._is_full(reply)
+
+    def _is_full(self, reply: int) -> bool:
+        """Whether there is no room, as far as is known; never for a client that has nothing unread."""
+        own, most = self.unread_bytes, self._all.bounds.replies_bytes
+        if own + reply <= LITTLE or not own:
+            return False
+        return own + reply > most or self._all.unread_bytes() + reply > most * 3 // 2
+
+    def reads(self, sender: bytes) -> bool:
+        """Whether one of its connections gets more replies: it has read nearly all of them, or there is room."""
+        return self.unread_of.get(sender, 0) <= LITTLE or self.has_room() or self.unread_of.get(sender, 0) <= LITTLE
+
+    @property
+    def reads_nothing(self) -> bool:
+        """Whether it goes on asking with twice as much unread as it may have: not even refusals are worth sending."""
+        return self.unread_bytes > 2 * self._all.bounds.replies_bytes
+
+    def check_room(self) -> None:
+        """Raise RepliesUnread if so much is unread that it gets no more."""
+        if not self.has_room(1):
+            raise self.unread()
+
+    def unread(self) -> RepliesUnread:
+        """What it is told then."""
+        return RepliesUnread(
+            f"{self.unread_bytes} bytes of answers to {self.name} are under way or unread, "
+            f"{self._all.unread_bytes()} to all (limits.replies_mib): read them first"
+        )
+
+    def make(self, size: int) -> None:
+        """A reply of that many bytes is being made (negative: is done)."""
+        self._made += size
+        self.unread_bytes += size
+
+    def sent(self, tracker: Tracker, size: int, sender: bytes) -> None:
+        """Replies of that many bytes were passed to ZeroMQ over a connection, the last of them with a tracker."""
+        self._sent.append((tracker, size, sender))
+        self.unread_of[sender] = self.unread_of.get(sender, 0) + size
+        self.unread_bytes += size
+        if self._sent[0][0].done:
+            self.look_at_replies()
+
+    def look_at_replies(self) -> None:
+        """Count those that were read."""
+        if self._sent:
+            self._sent = deque([sent for sent in self._sent if not sent[0].done])
+            self.unread_of = {}
+            for _, size, sender in self._sent:
+                self.unread_of[sender] = self.unread_of.get(sender, 0) + size
+            self.unread_bytes = self._made + sum(self.unread_of.values())
+
+    @property
+    def idle(self) -> bool:
+        """Whether it has nothing under way and nothing unread."""
+        return not (self.pending or self.changes or self.upload_bytes or self.unread_bytes)
+
+
+class Clients:
+    """All of them, by their names, and the client of each connection. The loop's thread."""
+
+    def __init__(self, bounds: Bounds, who: Callable[[str], Who]) -> None:
+        """`who` finds clients by the ids of their connections (ZMQ's User-Id)."""
+        self.bounds = bounds
+        self._who = who
+        self._named: dict[str, Client] = {}
+        self.known: dict[str, Client] = {}  # by connection
+        self._next_look = 0  # when, in nanoseconds
+        self._untold: dict[bytes, int] = {}  # bytes of replies over each connection since the last tracked one
+
+    def __iter__(self) -> Iterator[Client]:
+        return iter(self._named.values())
+
+    def renew(self, bounds: Bounds) -> None:
+        """Use other bounds from now on; what waits is kept."""
+        self.bounds = bounds
+
+    def of(self, connection: str) -> Client:
+        """The client that a connection belongs to."""
+        found = self.known.get(connection)
+        if found is None:
+            who = self._who(connection)
+            name = _name_of(who)
+            found = self._named.get(name) or Client(name, who, self)
+            self.known[connection] = self._named[name] = found
+        return found
+
+    def replied(self, sender: bytes, size: int) -> int:
+        """Count a reply over one connection.
+
+        Returns 0, or the bytes that will be known to have been read once this reply has been: then it is to be sent
+        with a tracker, which goes to `Client.sent`.
+        """
+        untold = self._untold.get(sender, 0) + size + REPLY
+        if untold < TRACKED:
+            self._untold[sender] = untold
+            return 0
+        self._untold[sender] = 0
+        return untold
+
+    def waiting_bytes(self) -> int:
+        """Of requests of all clients."""
+        return sum([client.waiting_bytes for client in self])
+
+    def unread_bytes(self) -> int:
+        """Of replies to all clients."""
+        return sum([client.unread_bytes for client in self])
+
+    def upload_bytes(self) -> int:
+        """Of all clients."""
+        return sum([client.upload_bytes for client in self])
+
+    def look_at_replies(self) -> None:
+        """Count the replies that were read, of all clients, unless that was done just now."""
+        began = monotonic_ns()
+        if began >= self._next_look:
+            for client in self:
+                client.look_at_replies()
+            self._next_look = monotonic_ns() + max(_LOOK, _REST * (monotonic_ns() - began))
+
+    def settle(self) -> None:
+        """Once in a while: keep what is remembered of clients that may have gone within bounds."""
+        self.look_at_replies()
+        if len(self._untold) > _SENDERS:
+            self._untold.clear()
+        if max(len(self._named), len(self.known)) > _REMEMBERED:
+            self._forget(frozenset())
+
+    def _forget(self, there: Iterable[str]) -> None:
+        """Forget clients that have nothing under way, but for those in these places."""
+        self._named = {n: client for n, client in self._named.items() if not client.idle or client.place in there}
+        self.known = {key: client for key, client in self.known.items() if client.name in self._named}
+
+    def told(self, connections: Mapping[str, int]) -> tuple[ClientStatus, ...]:
+        """What every client has now; `connections`: how many lead to each place. Leases and slots: `with_holdings`."""
+        self.look_at_replies()
+        self._forget(connections)
+        return tuple([_told(client, connections) for _, client in sorted(self._named.items())])
+
+
+def place_of(pid: int | None, address: str) -> str:
+    """Where a connection comes from: ``pid 123``, or an address."""
+    return f"pid {pid}" if pid is not None else address.removeprefix("::ffff:")
+
+
+def _name_of(who: Who) -> str:
+    """A client's name for people: ``pid 123 (python3)``, ``key laptop``, or an address."""
+    if who.pid is None:
+        return f"key {who.name or who.key}" if who.key else who.address or "somebody"
+    try:
+        return f"pid {who.pid} ({Path(f'/proc/{who.pid}/comm').read_text('utf-8', 'replace').strip()})"
+    except OSError:
+        return f"pid {who.pid}"
+
+
+def _told(client: Client, connections: Mapping[str, int]) -> ClientStatus:
+    return ClientStatus(
+        name=client.name,
+        connections=connections.get(client.place, 0),
+        upload_bytes=client.upload_bytes,
+        waiting_bytes=client.waiting_bytes + client.unread_bytes,
+        unread_bytes=client.unread_bytes,
+        requests=client.requests,
+        refused=client.refused,
+        account=client.account,
+        waiting=client.pending,
+    )
+
+
+def with_holdings(
+    clients: Iterable[ClientStatus],
+    leases: Iterable[LeaseStatus],
+    streams: Iterable[StreamStatus],
+    memory: Mapping[str, int],
+) -> tuple[ClientStatus, ...]:
+    """Clients with the leases, the slots of streams and the bytes of `memory` that they hold."""
+    held = Counter(lease.client for lease in leases)
+    slots = Counter[str]()
+    for stream in streams:
+        for reader in stream.clients:
+            slots[f"pid {reader.pid} ({reader.name})"] += reader.depth
+    known = {client.name: client for client in clients}
+    for name in ((held | slots).keys() | memory.keys()) - known.keys():
+        known[name] = ClientStatus(name)
+    return tuple(
+        [
+            replace(known[name], leases=held[name], slots=slots[name], memory_bytes=memory.get(name, 0))
+            for name in sorted(known)
+        ]
+    )

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Work that would hold up the loop, in steps: one in each turn of the loop, which serves others in between."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterator
+from typing import Protocol
+
+from cm.errors import Busy
+from cm.server.loop import Loop
+from cm.server.shares.clients import Client
+from cm.server.shares.ring import Ring
+
+Done = Callable[[Exception | None], None]
+WAITING_MAX = 16  # pieces of work of one client
+NOT_YET = object()  # what a step yields that cannot be done yet
+_AGAIN = 0.005  # seconds until work that could not be done is asked again
+
+
+class Work(Protocol):
+    """A job that is done in pieces."""
+
+    def step(self) -> bool:
+        """Do the next piece; returns whether that was the last. An exception ends the job."""
+
+
+class Steps:
+    """Whose turn it is takes one step: each client, and each of the manager's own. The loop's thread."""
+
+    def __init__(self, loop: Loop) -> None:
+        self._loop = loop
+        self._ring: Ring[Hashable, Iterator[object]] = Ring()
+        self._late = 0  # owners one after another that could do nothing
+        self._called = False
+
+    def __bool__(self) -> bool:
+        """Whether there is work."""
+        return bool(self._ring)
+
+    def count(self, owner: Hashable) -> int:
+        """How much of an owner's work waits."""
+        return self._ring.count(owner)
+
+    def run(self, steps: Iterator[object], owner: Hashable | None = None) -> None:
+        """Take the steps, the first no earlier than in the next turn; those of one owner one after the other."""
+        self._ring.add(id(steps) if owner is None else owner, steps)
+        self._late = 0
+        self._come_back()
+
+    def start(self, client: Client, work: Work, done: Done, may_begin: Callable[[], bool] = lambda: True) -> None:
+        """Do a client's job after those that it has begun before, as soon as `may_begin` allows it. Raises Busy.
+
+        If nothing else waits, the first piece is done at once. `done` is called once, now or later, with the error,
+        if any.
+        """
+        if self._ring.count(client) >= WAITING_MAX:
+            raise Busy(
+                f"{WAITING_MAX} transfers and long requests of {client.name} wait already; try again when one ended"
+            )
+        alone = not self._ring
+        self.run(_pieces(work, done, may_begin), client)
+        if alone:
+            self._step()
+
+    def _come_back(self) -> None:
+        if not self._called:
+            self._called = True
+            self._loop.call_soon(self._go_on)
+
+    def _go_on(self) -> None:
+        self._called = False
+        if self._ring:
+            self._step()
+
+    def _step(self) -> None:
+        owner, steps = self._ring.take()
+        try:
+            said = next(steps, steps)
+            if said is not steps:
+                self._ring.put_back(owner, steps)
+            self._late = self._late + 1 if said is NOT_YET else 0
+        finally:
+            if self._ring and self._late < len(self._ring):
+                self._come_back()
+            elif self._ring:
+                self._late = 0
+                self._loop.call_later(_AGAIN, self._come_back)
+
+    def close(self) -> None:
+        """Forget what waits."""
+        self._ring.clear()
+
+
+def _pieces(work: Work, done: Done, may_begin: Callable[[], bool]) -> Iterator[object]:
+    while not may_begin():
+        yield NOT_YET
+    problem: Exception | None = None
+    try:
+        while not work.step():
+            yield None
+    except Exception as error:  # noqa: BLE001 (handed to the asker)
+        problem = error
+    done(problem)
