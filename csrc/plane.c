@@ -3,6 +3,7 @@
 #include "plane.h"
 
 #include <errno.h>
+#include <limits.h>
 #include <sched.h>
 #include <signal.h>
 #include <stdlib.h>
@@ -189,6 +190,17 @@ int cm_plane_take(struct cm_plane *plane, struct cm_plane_event *event)
 	return first != NULL;
 }
 
+/* Numbers begin anew after 2^31, with those that are not in use. */
+static int new_id(struct cm_plane *plane)
+{
+	int id = plane->last_id;
+
+	do
+		id = id == INT_MAX ? 1 : id + 1;
+	while (client_find(plane, id) || stream_find(plane, id));
+	return id;
+}
+
 static struct stream *new_stream(struct cm_plane *plane, struct cm_dma *dma,
 				 const struct cm_plane_setup *setup)
 {
@@ -197,7 +209,7 @@ static struct stream *new_stream(struct cm_plane *plane, struct cm_dma *dma,
 	if (!stream)
 		return NULL;
 	stream->plane = plane;
-	stream->id = ++plane->last_id;
+	stream->id = plane->last_id = new_id(plane);
 	stream->epoch = ++plane->last_epoch;
 	stream->dma = dma;
 	stream->setup = *setup;
@@ -296,9 +308,9 @@ int cm_plane_adopt(struct cm_plane *plane, int fd)
 		return -1;
 	lock(plane);
 	client->fd = fd;
-	client->id = plane->last_id + 1;
+	client->id = new_id(plane);
 	if (!watch(plane, fd, client->id)) {
-		id = ++plane->last_id;
+		id = plane->last_id = client->id;
 		client->next = plane->clients;
 		plane->clients = client;
 	}

@@ -6,7 +6,7 @@
  * One thread does what each frame needs.  Who may connect, which streams there
  * are, and their memory, are the caller's affair.  Functions may be called from
  * any thread; they return -1 and set errno.  Streams and clients have numbers,
- * positive, never used twice; ENOENT for one that is gone.
+ * positive, not used again before 2^31 others; ENOENT for one that is gone.
  */
 #ifndef CM_SHIM_PLANE_H
 #define CM_SHIM_PLANE_H

@@ -220,6 +220,8 @@ static void take(struct cm_plane *plane, struct client *client, struct cm_plane_
 		submit(plane, client, packet);
 		break;
 	case CM_PLANE_LEAVE:
+		if (client->leaving)
+			break; /* once: each report is work for the caller */
 		client->leaving = true;
 		plane_report(plane, CM_PLANE_CLIENT_LEAVES, client->id, 0);
 		break;

@@ -5,6 +5,7 @@
  * the sanitizers too.
  */
 #include <fcntl.h>
+#include <limits.h>
 #include <poll.h>
 #include <pthread.h>
 #include <stdatomic.h>
@@ -16,6 +17,7 @@
 #include "client/cm_plane.h"
 #include "fake_node.h"
 #include "plane.h"
+#include "plane_private.h"
 #include "test.h"
 
 #define READERS 2
@@ -589,8 +591,79 @@ static void a_frame_that_is_long_in_being_replaced_holds_up_no_other_stream(void
 	fake_root_remove(root);
 }
 
+/* What a client says again and again is reported once, or not at all; others hear nothing of it. */
+static void a_packet_that_is_repeated_without_end_is_reported_once(void)
+{
+	static const struct {
+		uint8_t said, answered;
+	} kinds[] = { { CM_PLANE_LEAVE, 0 },
+		      { CM_PLANE_RELEASE, CM_PLANE_LATE },
+		      { CM_PLANE_SUBMIT, CM_PLANE_DONE },
+		      { CM_PLANE_PING, CM_PLANE_PONG } };
+	struct cm_plane *plane = cm_plane_new();
+	struct cm_plane_setup setup = { .write = true, .length = LENGTH };
+	int memory = memfd_create("slot", MFD_CLOEXEC);
+
+	CHECK(plane && !ftruncate(memory, LENGTH));
+	for (size_t k = 0; k < sizeof(kinds) / sizeof(kinds[0]); k++) {
+		int stream = cm_plane_start(plane, NULL, &setup), pair[2], client;
+		unsigned char geometry[CM_PLANE_PACKET_MAX];
+		struct cm_plane_descriptor packet = {
+			.kind = kinds[k].said,
+			.slot = 7,
+			.flags = (uint8_t)(k + 1), /* the epoch */
+		};
+		struct cm_plane_event event;
+		int reported = 0;
+
+		CHECK(cm_plane_add_slot(plane, stream, memory, 0) == 0);
+		CHECK(!socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, pair));
+		client = cm_plane_adopt(plane, pair[1]);
+		CHECK(!cm_plane_attach(plane, client, stream, 1, geometry,
+				       geometry_packet(geometry, true)));
+		for (int i = 0; i < 5000; i++) {
+			CHECK(send(pair[0], &packet, sizeof(packet), 0) == sizeof(packet));
+			if (kinds[k].answered)
+				await_kind(pair[0], kinds[k].answered);
+		}
+		close(pair[0]);
+		for (event.kind = 0; event.kind != CM_PLANE_CLIENT_GONE;) {
+			struct pollfd told = { .fd = cm_plane_event_fd(plane), .events = POLLIN };
+
+			CHECK(poll(&told, 1, HUNG_MS) == 1);
+			if (!cm_plane_take(plane, &event))
+				continue;
+			CHECK(event.id == client);
+			reported += event.kind == CM_PLANE_CLIENT_LEAVES;
+		}
+		CHECK(reported == (kinds[k].said == CM_PLANE_LEAVE));
+		CHECK(!cm_plane_stop(plane, stream, 0));
+	}
+	cm_plane_close(plane);
+	close(memory);
+}
+
+static void numbers_begin_anew_and_leave_out_those_in_use(void)
+{
+	struct cm_plane *plane = cm_plane_new();
+	struct cm_plane_setup setup = { .write = true, .length = LENGTH };
+	int pair[2];
+
+	CHECK(plane && cm_plane_start(plane, NULL, &setup) == 1);
+	plane->last_id = INT_MAX - 1;
+	CHECK(cm_plane_start(plane, NULL, &setup) == INT_MAX);
+	CHECK(cm_plane_start(plane, NULL, &setup) == 2);
+	CHECK(!socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, pair));
+	plane->last_id = INT_MAX;
+	CHECK(cm_plane_adopt(plane, pair[1]) == 3);
+	cm_plane_close(plane);
+	close(pair[0]);
+}
+
 int main(void)
 {
+	RUN(a_packet_that_is_repeated_without_end_is_reported_once);
+	RUN(numbers_begin_anew_and_leave_out_those_in_use);
 	RUN(a_frame_that_is_long_in_being_replaced_holds_up_no_other_stream);
 	RUN(readers_come_and_go);
 	RUN(streams_end_under_their_readers);

@@ -89,9 +89,10 @@ def change(number: int) -> rq.ChangeMode:
 def test_a_client_that_fills_the_queue_of_changes_leaves_places_to_others(
     served: Daemon, hostile: Client, other: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    goes_on, ended, turn = threading.Event(), [], Worker._turn
+    began, goes_on, ended, turn = threading.Event(), threading.Event(), [], Worker._turn
 
     def held(worker: Worker, change: Change) -> None:
+        began.set()
         assert goes_on.wait(60)
         turn(worker, change)
         ended.append(change.number)
@@ -100,6 +101,7 @@ def test_a_client_that_fills_the_queue_of_changes_leaves_places_to_others(
     hostile.ask(*[change(i) for i in range(40)])
     codes = hostile.codes(40)
     assert codes == ["ok"] * 7 + ["busy"] * 33
+    assert began.wait(60)  # one of them runs, and the others wait
     other.ask(change(1), change(2))
     assert other.codes(2) == ["ok", "ok"]
     goes_on.set()
@@ -110,7 +112,7 @@ def test_a_client_that_fills_the_queue_of_changes_leaves_places_to_others(
     until(lambda: len(ended) == 16)
 
 
-def test_a_plan_waits_for_one_task_of_another_client_and_not_for_all(
+def test_a_plan_waits_for_two_tasks_of_another_client_and_not_for_all(
     served: Daemon, hostile: Client, other: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     goes_on, began, done, run = threading.Event(), threading.Event(), [], ClientJobs._run
@@ -134,7 +136,7 @@ def test_a_plan_waits_for_one_task_of_another_client_and_not_for_all(
     goes_on.set()
     assert other.codes(1) == ["ok"]
     assert hostile.codes(60) == ["ok"] * 60
-    assert done.index("colorise") == 1
+    assert done.index("colorise") <= 2  # the one that ran, and the one whose turn it was
     assert len(done) == 61
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import errno
 import logging
 import os
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import partial
@@ -30,6 +31,7 @@ from cm.server.streams.stream import OpenStream
 from cm.wire.messages.status import ErrorInfo
 
 _LOG = logging.getLogger(__name__)
+_EVENTS = 32  # of the plane that are taken in one turn of the loop
 
 
 class StreamDriver:
@@ -93,7 +95,7 @@ class StreamDriver:
     def settle(self) -> None:
         """Process the disconnections that have already happened, so that those clients no longer count as users."""
         self.plane.settle()
-        self._plane_event()
+        self._plane_event(sys.maxsize)  # each client has two at most
 
     def running(self, stream: Stream, first: Callable[[OpenStream], object] = lambda _: None) -> OpenStream:
         """Return a stream, opened if need be; it starts in a later turn. Raises StreamStopped, Timeout, DeviceError."""
@@ -221,15 +223,21 @@ class StreamDriver:
         self._stalled.begin(name, opened.release(error))
         self.zmq.close(name)
 
-    def _plane_event(self) -> None:
-        while (event := self.plane.event()) is not None:
+    def _plane_event(self, most: int = _EVENTS) -> None:
+        """Take some of the plane's events; it stays readable while there are more."""
+        for taken in range(most):
+            event = self.plane.event()
+            if event is None:
+                if not taken:
+                    return
+                break
             if isinstance(event, ClientGone):
                 self._client_gone(event.client)
             elif isinstance(event, ClientLeaves):
                 self.locals.leaves(event.client)
-                self.refresh()
             else:
                 self._lost(event.stream, event.error)
+        self.refresh()
 
     def _client_gone(self, client: int) -> None:
         self.echoes.gone(client)
@@ -237,7 +245,6 @@ class StreamDriver:
         opened = self.open.get(self.locals.gone(client) or "")
         if opened is not None:
             opened.joiners.detached(client)
-        self.refresh()
 
     def _lost(self, number: int, error: int) -> None:
         for name in [name for name, opened in self.open.items() if opened.id == number]:

@@ -269,8 +269,8 @@ def test_the_page_says_what_the_board_holds_and_what_was_done(served: Daemon) ->
     }
     assert set(samples(told["cm_stream_open"])) == {(stream.name,) for stream in status.streams}
     assert samples(told["cm_stream_slots"]) == {(stream.name,): stream.slots for stream in status.streams}
-    (mine,) = [value for name, value in samples(told["cm_client_loop_seconds"]).items()]
-    assert 0 < mine < HUNG
+    (mine,) = samples(told["cm_client_requests"]).values()
+    assert mine > 0
     served.done(rq.ReleaseLease(lease.id))
     again = page(served)
     assert samples(again["cm_leases"]) == {(): 0}
