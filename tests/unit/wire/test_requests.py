@@ -63,7 +63,7 @@ def test_a_request_is_unchanged_after_the_wire(request_: Any) -> None:
 def test_every_intent_is_among_them_and_has_a_handler() -> None:
     manager = SimpleNamespace(memories=None)
     services: Any = SimpleNamespace(
-        manager=manager, streams=None, memories=None, board=None, pieces=None, provisioner=None, sessions=None
+        manager=manager, streams=None, memories=None, board=None, steps=None, provisioner=None, sessions=None
     )
     intents = set(get_args(rq.Request))
     assert {type(request) for request in ALL} == intents
