@@ -71,7 +71,7 @@ def run_check(args: argparse.Namespace) -> int:
 def _judge(finding: Finding) -> str:
     if not finding.error:
         return "note"
-    return "refused by the open tools" if finding.rule == RULE else "refused by Vivado"
+    return "refused by the open tools" if finding.rule == RULE else "would be refused"
 
 
 def run_generate(args: argparse.Namespace) -> int:

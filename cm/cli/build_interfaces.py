@@ -16,6 +16,7 @@ from cm.design.hdl import (
     Interface,
     ModuleInfo,
     Problem,
+    Reset,
     compare,
     load_component_xml,
     load_protocols,
@@ -118,8 +119,15 @@ def as_dict(module: ModuleInfo, differences: Sequence[Difference] | None = None)
             for clock in module.clocks
         ],
         "resets": [
-            {"name": r.name, "port": r.port, "polarity": r.polarity.value if r.polarity else None}
-            for r in module.resets
+            {
+                "name": reset.name,
+                "port": reset.port,
+                "polarity": reset.polarity.value if reset.polarity else None,
+                "clock": reset.clock,
+                "why": reset.why,
+                "may_be": list(reset.may_be),
+            }
+            for reset in module.resets
         ],
         "interrupts": [
             {"name": i.name, "port": i.port, "mode": i.mode.value, "width": i.width, "sensitivity": i.sensitivity}
@@ -166,13 +174,22 @@ def _print(module: ModuleInfo, differences: Sequence[Difference] | None) -> None
     print(f"{module.name} ({module.language.value}, {module.file})\n")
     _interfaces(module)
     _section("clocks", (f"{c.port} → {', '.join(c.interfaces) or 'no bus'}" for c in module.clocks))
-    _section("resets", (f"{r.port}, active {r.polarity.value if r.polarity else '?'}" for r in module.resets))
+    _section("resets", map(_reset, module.resets))
     _section("interrupts", (f"{i.port} ({'out' if i.mode.value == 'master' else 'in'})" for i in module.interrupts))
     _print_leftovers(module)
     _section("problems", map(str, module.problems))
     if differences is not None:
         _section("differences to IP-XACT", [str(d) for d in differences] or ["none"])
     print()
+
+
+def _reset(reset: Reset) -> str:
+    """Its level, and what was decided about its clock, and why."""
+    level = reset.polarity.value if reset.polarity else "?"
+    if reset.may_be:
+        return f"{reset.port}, active {level}, of any of {', '.join(reset.may_be)}: not decided"
+    of = f", of {reset.clock}: {reset.why}" if reset.clock else ""
+    return f"{reset.port}, active {level}{of}"
 
 
 def _interfaces(module: ModuleInfo) -> None:

@@ -39,7 +39,7 @@ def tree(tools: Tools) -> PackageTree:
 @pytest.fixture(scope="session")
 def full(open_project: Path) -> dict[int, int]:
     """The frames of the full bitstream."""
-    read = frames_read(open_project / f"build/bitstreams/{NAME}.bit", "xc7z010")
+    read = frames_read(open_project / f"build/bitstreams/{NAME}_full.bit", "xc7z010")
     return {far: from_bytes(data) for far, data in read.items()}
 
 
@@ -54,7 +54,7 @@ def image(project: Path, name: str) -> Path:
 def test_bitread_finds_exactly_the_bits_of_the_full_bitstream(
     open_project: Path, full: dict[int, int], tree: PackageTree, tmp_path: Path
 ) -> None:
-    found = read_bits(tree, "xc7z010", image(open_project, NAME).read_bytes(), tmp_path)
+    found = read_bits(tree, "xc7z010", image(open_project, f"{NAME}_full").read_bytes(), tmp_path)
     assert found == bits(full)
     assert len(found) > 40_000
 
@@ -103,7 +103,7 @@ def test_bitread_finds_in_a_partial_the_features_of_static_part_and_module_and_o
 def test_modules_differ_and_static_frames_do_not(open_project: Path, full: dict[int, int]) -> None:
     reports = {name: inspect(image(open_project, name)) for name in MODULES}
     assert len({report.sha256 for report in reports.values()}) == 3
-    assert {report.user_id for report in reports.values()} == {inspect(image(open_project, NAME)).user_id}
+    assert {report.user_id for report in reports.values()} == {inspect(image(open_project, f"{NAME}_full")).user_id}
     assert {footprint_of(report) for report in reports.values()} == {footprint_of(reports["edge"])}
     assert all(report.problems == () for report in reports.values())
 

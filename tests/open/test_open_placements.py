@@ -54,7 +54,7 @@ def check_bits(placement: Placement, project: Path, folder: Path) -> None:
     system = load_design(project / "build.yaml").system
     database = Database.open(system.project.part)
     places = layouts(system, database)
-    image = project / f"build/bitstreams/{system.project.name}.bit"
+    image = project / f"build/bitstreams/{system.full}.bit"
     whole = {far: from_bytes(data) for far, data in frames_read(image, placement.device).items()}
     full = {(far, *divmod(at, 32)) for far, frame in whole.items() for at in set_bits(frame & ~ECC_MASK)}
     assert read_bits(tree, placement.device, image.read_bytes(), folder) == full

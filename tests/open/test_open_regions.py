@@ -62,9 +62,9 @@ def test_bitread_finds_our_bits_in_the_full_bitstream_and_of_each_partial_only_i
 ) -> None:
     tree = fetched()
     assert tree is not None
-    read = frames_read(image(open_pair, "pair"), DEVICE)
+    read = frames_read(image(open_pair, "pair_full"), DEVICE)
     full = bits({far: from_bytes(data) for far, data in read.items()})
-    assert read_bits(tree, DEVICE, image(open_pair, "pair").read_bytes(), tmp_path) == full
+    assert read_bits(tree, DEVICE, image(open_pair, "pair_full").read_bytes(), tmp_path) == full
     assert len(full) > 40_000
     for module, kind in [(f"{kind}_{side}", kind) for side in places for kind in ("plain", "colour")]:
         columns = places[module.partition("_")[2]].columns

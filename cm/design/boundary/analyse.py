@@ -13,14 +13,16 @@ from cm.design.boundary import boundary
 from cm.design.boundary.model import Boundary
 from cm.design.errors import BuildError, MissingTool
 from cm.design.hdl import UserProtocol
+from cm.design.hdl.associate import restated
 from cm.design.hdl.flat import Flat, Wanted, needs_wrapper
 from cm.design.hdl.flatten import flatten
 from cm.design.hdl.hls_registers import HDL, differences
-from cm.design.hdl.model import Language, ModuleInfo, Problem
+from cm.design.hdl.model import Language, ModuleInfo, Polarity, Problem, Stated
 from cm.design.hdl.register_maps import read_register_map
 from cm.design.hdl.vhdl_units import missing_units
 from cm.design.project.model import ModuleSpec, Project, in_libraries
 from cm.design.project.source_position import fault
+from cm.schema.problems import did_you_mean
 
 _SUBJECT = re.compile(r"(?:port )?(\w+)(?:\.(\w+))?")
 _PRIMITIVE = re.compile(r"[A-Z][A-Z0-9_]*|xpm_\w+")  # in the vendor's library: BUFG, RAMB36E2, xpm_cdc_single
@@ -113,8 +115,29 @@ def analyse(project: Project) -> Analysis:
             wrapped, wrapper = flatten(found, _wanted(spec), protocols)
             flat |= {spec.name: wrapper} if wrapper else {}
             modules[spec.name] = wrapped if wrapper or needs_wrapper(found) else found
+        _check_stated(project, spec, modules[spec.name])
     boundaries = {name: _boundary(project, name, modules) for name in project.regions}
     return Analysis(modules, boundaries, differences, flat)
+
+
+def _check_stated(project: Project, spec: ModuleSpec, info: ModuleInfo) -> None:
+    """Raise a fault for a clock, reset or interface under ``clocks:`` or ``resets:`` that the module does not have."""
+    ports = [port.name for port in info.ports]
+    buses = [interface.name for interface in info.interfaces]
+    named = [(("clocks", port), port, "port", ports) for port in spec.clocks]
+    named += [(("clocks", port), bus, "interface", buses) for port, given in spec.clocks.items() for bus in given]
+    named += [(("resets", port), port, "port", ports) for port in spec.resets]
+    clocks = [clock.port for clock in info.clocks]
+    named += [(("resets", port), clock, "clock", clocks) for port, (clock, _) in spec.resets.items() if clock]
+    for key, name, kind, known in named:
+        if name not in known:
+            message = f"{info.name} has no {kind} {name}"
+            raise fault(project.source, ("modules", spec.name, *key), message, did_you_mean(name, known))
+
+
+def _stated(spec: ModuleSpec) -> Stated:
+    levels = {None: None, "low": Polarity.LOW, "high": Polarity.HIGH}
+    return Stated(spec.clocks, {port: (clock, levels[level]) for port, (clock, level) in spec.resets.items()})
 
 
 def _elsewhere(spec: ModuleSpec, info: ModuleInfo) -> bool:
@@ -128,7 +151,7 @@ def _wanted(spec: ModuleSpec) -> Wanted:
     }
     sources, libraries = (spec.readable, {}) if spec.ip and spec.sim_sources else (spec.sources, spec.libraries)
     parameters = {name: str(value) for name, value in spec.parameters.items()}
-    return Wanted(spec.top, sources, libraries, spec.include_dirs, spec.defines, parameters, inner)
+    return Wanted(spec.top, sources, libraries, spec.include_dirs, spec.defines, parameters, inner, _stated(spec))
 
 
 def _key(spec: ModuleSpec, error: hdl.HdlError) -> tuple[str, ...]:
@@ -149,10 +172,10 @@ def _boundary(project: Project, region: str, modules: Mapping[str, ModuleInfo]) 
 def _module(spec: ModuleSpec, protocols: tuple[UserProtocol, ...]) -> tuple[ModuleInfo, tuple[str, ...]]:
     if not spec.readable:
         if spec.component is None and spec.ip:
-            return hdl.load_xci(spec.ip[0], protocols), ()
+            return restated(hdl.load_xci(spec.ip[0], protocols), _stated(spec)), ()
         if spec.component is None:
             raise hdl.HdlError(f"{spec.name}: nothing describes its interfaces; give sources, sim_sources or component")
-        return hdl.load_component_xml(spec.component), ()
+        return restated(hdl.load_component_xml(spec.component), _stated(spec)), ()
     reading = hdl.read(
         spec.readable,
         top=spec.top,
@@ -160,6 +183,7 @@ def _module(spec: ModuleSpec, protocols: tuple[UserProtocol, ...]) -> tuple[Modu
         defines=spec.defines,
         parameters={name: str(value) for name, value in spec.parameters.items()},
         protocols=protocols,
+        stated=_stated(spec),
     )
     found = reading.modules[0]
     units = () if spec.ip or spec.sim_sources else tuple(missing_units(spec.libraries, spec.sources))

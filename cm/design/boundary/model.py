@@ -45,6 +45,7 @@ class BoundaryPort:
     interface: str = ""
     logical: str = ""
     idle: int = 0
+    left: str = ""  # of a signal: why it belongs to nothing
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from cm.design.boundary.buses import IN, OUT, Fitting
 from cm.design.boundary.model import BoundaryPort, Connection, Fit, Role
 from cm.design.boundary.slots import identifier, unique
+from cm.design.hdl.associate import undecided
 from cm.design.hdl.model import Interrupt, Mode, ModuleInfo, Polarity, Port, PortDirection, Reset
 
 
@@ -91,9 +92,10 @@ def _fit_reset(reset: Reset, clocks: Clocks, module: ModuleInfo, fitting: Fittin
     if not clocks.names:
         fitting.refused.append(f"the reset {reset.port} belongs to no clock: the region has none")
         return ""
-    mine = [c.port for c in module.clocks if c.direction is IN]
-    owner = next((c.port for c in module.clocks if c.reset == reset.port and c.port in mine), mine[0] if mine else "")
-    name = clocks.reset(clocks.of.get((module.name, owner), clocks.names[0]))
+    if reset.may_be:
+        fitting.refused.append(undecided(reset))
+        return ""
+    name = clocks.reset(clocks.of.get((module.name, reset.clock or ""), clocks.names[0]))
     fit = Fit.INVERT if reset.polarity is Polarity.HIGH else Fit.CONNECT
     fitting.connections.append(Connection(name, reset.port, IN, fit, 1, 1))
     return name
@@ -107,6 +109,7 @@ class Single:
     direction: PortDirection
     role: Role
     members: dict[str, Port] = field(default_factory=dict)
+    left: str = ""
 
     @property
     def width(self) -> int:
@@ -115,7 +118,7 @@ class Single:
 
     def port(self) -> BoundaryPort:
         """As a port of the boundary."""
-        return BoundaryPort(self.name, self.direction, self.width, self.role)
+        return BoundaryPort(self.name, self.direction, self.width, self.role, left=self.left)
 
 
 def make_interrupts(modules: Sequence[ModuleInfo]) -> list[Single]:
@@ -154,7 +157,7 @@ def make_signals(modules: Sequence[ModuleInfo], taken: Sequence[str]) -> tuple[l
             name = f"{name}_signal" if name in taken else name
             single = next((s for s in found if s.name == name), None)
             if single is None:
-                single = Single(name, port.direction, Role.SIGNAL)
+                single = Single(name, port.direction, Role.SIGNAL, left=left.reason)
                 found.append(single)
             single.members[module.name] = port
     return found, refused

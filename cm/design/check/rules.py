@@ -13,7 +13,10 @@ from collections.abc import Iterator
 from cm.design.check.block_design import check_block_design
 from cm.design.check.floorplan import check_floorplan
 from cm.design.errors import BuildError
+from cm.design.hdl.buses import aximm, axis
+from cm.design.hdl.detect import NOTHING_KNOWN
 from cm.design.plan import block_design
+from cm.design.plan.flow import clashes
 from cm.design.plan.pins import placements
 from cm.design.plan.system import RegionPlan, System
 from cm.design.project.source_position import Finding
@@ -53,14 +56,48 @@ def check_pins(system: System) -> Iterator[Finding]:
         yield Finding(rule, fault.key, fault.message, said)
 
 
+def check_products(system: System) -> Iterator[Finding]:
+    """A finding for each two products of the flow that would be one file."""
+    for name, made in clashes(system):
+        yield Finding("products", ("modules",), f"{' and '.join(made)} would both be {name}", "rename a module")
+
+
+_HANDSHAKES = frozenset(
+    spelling
+    for protocol in (aximm(), axis())
+    for spelling, name in protocol.spelled.items()
+    if name.endswith(("VALID", "READY"))
+)
+
+
+def check_handshakes(system: System) -> Iterator[Finding]:
+    """A finding for each signal of a handshake that belongs to no bus: without it no transfer ends."""
+    for region in system.regions:
+        for port in region.unused:
+            word = port.name.lower().removesuffix("_i").removesuffix("_o").rpartition("_")[2]
+            decided = port.name in region.spec.interfaces or port.left != NOTHING_KNOWN
+            if port.interface or decided or word not in _HANDSHAKES:
+                continue
+            message = f"{port.name} is of a handshake, and the rest of its bus was not found with it"
+            hint = f"give all ports of the bus one beginning, or write {port.name}: {{connect: none}} if it is none"
+            yield Finding("handshake", ("regions", region.name), message, hint)
+
+
 def check_system(system: System) -> list[Finding]:
     """Return what Vivado would refuse and what a designer should know, in the order of the flow."""
     design = check_block_design(system, block_design.context(system))
-    return [*check_clocks(system), *design, *check_floorplan(system), *check_pins(system)]
+    return [
+        *check_products(system),
+        *check_clocks(system),
+        *check_handshakes(system),
+        *design,
+        *check_floorplan(system),
+        *check_pins(system),
+    ]
 
 
 def refuse_errors(system: System) -> None:
-    """Raise BuildError with everything that Vivado would refuse."""
+    """Raise BuildError with everything that would be refused."""
     errors = [finding.text(system.project.source) for finding in check_system(system) if finding.error]
     if errors:
-        raise BuildError("Vivado would refuse this design:\n  " + "\n  ".join(errors))
+        raise BuildError("this design would be refused:\n  " + "\n  ".join(errors))

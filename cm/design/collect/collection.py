@@ -93,7 +93,7 @@ def _our_config(inputs: Inputs, system: System, answers: Answers, generated: Pat
         groups[one.region.name].append(image)
     notes = check_regions(groups)
     files = {f"{one.name}.bin": to_bin(images[one.name]) for one in system.implementations}
-    full = images.get(system.project.name)
+    full = images.get(system.full)
     mine = [images[one.name] for one in system.implementations] + ([full] if full else [])
     user_id, said = user_id_of(mine, generated)
     config = _with_images(runtime_config(system, answers), files, groups)

@@ -142,10 +142,10 @@ def _repositories(system: System) -> list[Path]:
 
 
 def _bitstreams(system: System, run: flow.Run) -> dict[str, Any]:
-    full = system.project.name if run.number == 1 else None
     return {
         "run": run.name,
-        "full": full,
+        "full": system.full if run.number == 1 else None,
+        "project": system.project.name,
         "partials": [(one.region.cell, one.name) for one in run.partials],
         "names": [one.name for one in run.partials],
         "properties": _properties(system),

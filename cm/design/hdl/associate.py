@@ -1,25 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Finds the clock and the reset of an interface: as declared, or by name, or the only one."""
+"""Finds the clock and the reset of an interface, and the clock of a reset: as declared, or by name, or the only one.
+
+Nothing is paired because it is left over: a reset on the wrong clock passes every simulation and fails on the board.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from cm.design.hdl.clock_reset_names import stem, words
-from cm.design.hdl.model import FoundBy, Interface, ModuleClock, Problem, Reset
+from cm.design.hdl.clock_reset_names import clock_domain, reset_domain, words
+from cm.design.hdl.model import FoundBy, Interface, ModuleClock, ModuleInfo, PortDirection, Problem, Reset, Stated
 
-_BARE = ("", "ap", "axi", "axis")  # the stems of aclk, ap_clk, axi_aclk
+_BARE = frozenset(["", "ap", "axi", "axis", "sys"])  # the domains of aclk, ap_clk, axi_aclk
 _SIDES = frozenset(["s", "m", "i", "o", "in", "out", "slave", "master"])
-_PROTOCOL_WORDS = frozenset(["axi", "axis", "axil", "lite", "full", "stream", "bus", "data"])
+_PROTOCOL_WORDS = frozenset(
+    ["axi", "axis", "axil", "lite", "full", "stream", "bus", "data", "apb", "ahb", "wb", "avalon", "avl"]
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Associated:
-    """Interfaces with their clocks and vice versa, and what could not be determined."""
+    """Interfaces with their clocks and vice versa, resets with their clocks, and what could not be determined."""
 
     interfaces: tuple[Interface, ...]
     clocks: tuple[ModuleClock, ...]
+    resets: tuple[Reset, ...]
     problems: tuple[Problem, ...]
 
 
@@ -31,31 +37,115 @@ def associate(
     *,
     sure: bool = True,
 ) -> Associated:
-    """Fill in `clock`, `reset` and `reset_polarity` of the interfaces, and `interfaces` of the clocks.
+    """Fill in clocks and resets of the interfaces, and vice versa, and the clocks of resets with the reasons.
 
     `sure` is False if the module drives clocks too: then being the only clock input proves nothing.
     """
+    found = [replace(interface, clock=_clock(interface, clocks, sure)) for interface in interfaces]
+    paired = tuple(pair(reset, resets, clocks, found) for reset in resets)
     done, problems = [], []
-    for interface in interfaces:
-        clock = _clock(interface, clocks, sure)
-        reset = _reset(interface, clock, clocks, resets)
-        polarity = next((item.polarity for item in resets if item.port == reset), None)
-        done.append(replace(interface, clock=clock, reset=reset, reset_polarity=polarity))
-        if clock is None and interface.protocol.startswith("axi"):
+    for interface in found:
+        reset = interface.reset or _reset(interface, paired)
+        polarity = next((item.polarity for item in paired if item.port == reset), None)
+        done.append(replace(interface, reset=reset, reset_polarity=polarity))
+        if interface.clock is None and interface.protocol.startswith("axi"):
             problems.append(Problem(_no_clock(interface, clocks), file))
-    return Associated(tuple(done), tuple(_with_interfaces(clock, done) for clock in clocks), tuple(problems))
+    problems += [Problem(undecided(reset), file) for reset in paired if reset.may_be]
+    return Associated(tuple(done), tuple(_completed(clock, done, paired) for clock in clocks), paired, tuple(problems))
+
+
+def pair(
+    reset: Reset, resets: Sequence[Reset], clocks: Sequence[ModuleClock], interfaces: Sequence[Interface]
+) -> Reset:
+    """Return a reset with its clock and the reason, or with the clocks that it may belong to.
+
+    A declared association decides; then equal names without what says clock or reset; then a bus of the reset's name;
+    then words in common; then being the only clock.
+    """
+    inputs = [clock.port for clock in clocks if clock.direction is PortDirection.IN]
+    inputs = [port for port in inputs if not port.endswith("_n") or f"{port[:-2]}_p" not in inputs]  # differential
+    if reset.clock is not None or not inputs or reset.direction is not PortDirection.IN:
+        return reset
+    stated = [clock.port for clock in clocks if reset.port.lower() in (name.lower() for name in clock.resets)]
+    stated += [interface.clock for interface in interfaces if interface.reset == reset.port and interface.clock]
+    if stated:
+        return replace(reset, clock=stated[0], why="stated")
+    domains = {port: clock_domain(port, inputs) for port in inputs}
+    own = reset_domain(reset.port, [item.port for item in resets], inputs)
+    name = " ".join(own)
+    rules: tuple[tuple[Callable[[str], bool], str], ...] = (
+        (lambda port: domains[port] == own, f"both are named {name}" if own else "neither has a name of its own"),
+        (lambda port: _bare(own) and _bare(domains[port]), "neither has a name of its own"),
+        (lambda port: port in {i.clock for i in interfaces if _same(i.name, own)}, f"the clock of the bus {name}"),
+        (
+            lambda port: bool(_own(own)) and _own(own) == _own(domains[port]),
+            f"both are {name}, but for the protocol",
+        ),
+        (lambda port: bool(_shared(own, domains[port])), "words of the names"),
+    )
+    for fits, why in rules:
+        fitting = [port for port in inputs if fits(port)]
+        if len(fitting) == 1:
+            return replace(reset, clock=fitting[0], why=why)
+        if fitting:
+            break
+    if len(inputs) == 1:
+        return replace(reset, clock=inputs[0], why="the only clock")
+    return replace(reset, may_be=tuple(inputs))
+
+
+def restated(info: ModuleInfo, stated: Stated) -> ModuleInfo:
+    """A module that no HDL describes, with what the build schema says of its clocks and resets."""
+    resets = []
+    for reset in info.resets:
+        clock, polarity = stated.resets.get(reset.port, (None, None))
+        changed = replace(reset, polarity=polarity or reset.polarity)
+        resets.append(replace(changed, clock=clock, why="stated", may_be=()) if clock else changed)
+    of = {bus: port for port, buses in stated.clocks.items() for bus in buses}
+    interfaces = tuple(replace(bus, clock=of.get(bus.name, bus.clock)) for bus in info.interfaces)
+    return replace(info, resets=tuple(resets), interfaces=interfaces)
+
+
+def undecided(reset: Reset) -> str:
+    """What a designer has to decide about a reset, with the line that decides it."""
+    line = f"resets: {{{reset.port}: {{clock: {reset.may_be[0]}}}}}"
+    text = f"{reset.port} is a reset that may belong to any of the clocks {', '.join(reset.may_be)}"
+    return f"{text}: write {line} under the module in build.yaml, with the right one, or ASSOCIATED_RESET in the HDL"
+
+
+def _bare(domain: tuple[str, ...]) -> bool:
+    return "_".join(domain) in _BARE
+
+
+def _same(interface: str, domain: tuple[str, ...]) -> bool:
+    """Whether a reset is named like a bus."""
+    return bool(domain) and not _bare(domain) and tuple(words(interface)) == domain
+
+
+def _own(domain: tuple[str, ...]) -> frozenset[str]:
+    """The words that are not those of a protocol."""
+    return frozenset(domain) - _PROTOCOL_WORDS
+
+
+def _shared(one: tuple[str, ...], other: tuple[str, ...]) -> frozenset[str]:
+    """The words of the shorter name, if the longer one has all of them; words of protocols do not count."""
+    left, right = (frozenset(name) - _PROTOCOL_WORDS - _SIDES for name in (one, other))
+    return min(left, right, key=len) if left <= right or right <= left else frozenset()
 
 
 def _no_clock(interface: Interface, clocks: Sequence[ModuleClock]) -> str:
     known = f"the clocks are {', '.join(clock.port for clock in clocks)}" if clocks else "no port is named as a clock"
     hint = f'state it with X_INTERFACE_PARAMETER = "ASSOCIATED_BUSIF {interface.name}" on the clock'
-    return f"the clock of {interface.name} could not be determined: {known}; {hint}"
+    port = clocks[0].port if clocks else "CLOCK"
+    line = f"clocks: {{{port}: {{interfaces: [{interface.name}]}}}}"
+    return f"the clock of {interface.name} could not be determined: {known}; {hint}, or {line} under the module"
 
 
-def _with_interfaces(clock: ModuleClock, interfaces: Sequence[Interface]) -> ModuleClock:
+def _completed(clock: ModuleClock, interfaces: Sequence[Interface], resets: Sequence[Reset]) -> ModuleClock:
     names = tuple(interface.name for interface in interfaces if interface.clock == clock.port)
-    reset = clock.reset or next((i.reset for i in interfaces if i.clock == clock.port and i.reset), None)
-    return replace(clock, interfaces=names, reset=reset)
+    mine = [reset.port for reset in resets if reset.clock == clock.port]
+    used = [interface.reset for interface in interfaces if interface.reset in mine and interface.clock == clock.port]
+    return replace(clock, interfaces=names, reset=clock.reset or next(iter((*used, *mine)), None))
 
 
 def _clock(interface: Interface, clocks: Sequence[ModuleClock], sure: bool) -> str | None:
@@ -66,21 +156,22 @@ def _clock(interface: Interface, clocks: Sequence[ModuleClock], sure: bool) -> s
             return clock.port
     if not _clocked(interface):
         return None
-    return _by_name(interface.name, [clock.port for clock in clocks], sure=sure)
+    ports = [clock.port for clock in clocks]
+    return _by_name(interface.name, {port: "_".join(clock_domain(port, ports)) for port in ports}, sure=sure)
 
 
-def _reset(
-    interface: Interface, clock: str | None, clocks: Sequence[ModuleClock], resets: Sequence[Reset]
-) -> str | None:
-    if interface.reset:
-        return interface.reset
-    stated = next((item.reset for item in clocks if item.port == clock and item.reset), None)
-    if stated:
-        return stated
-    if not _clocked(interface):
+def _reset(interface: Interface, resets: Sequence[Reset]) -> str | None:
+    """The reset of an interface's clock; of several, the one whose name fits the interface best."""
+    if not interface.clock:
         return None
-    ports = [reset.port for reset in resets]
-    return _by_name(interface.name, ports) or (_by_name(stem(clock), ports) if clock else None)
+    mine = [reset for reset in resets if reset.clock == interface.clock]
+    stated = [reset.port for reset in mine if reset.why == "stated"]
+    if len(stated) == 1 or not _clocked(interface):
+        return stated[0] if stated else None
+    ports = [reset.port for reset in mine]
+    inputs = [interface.clock]
+    found = _by_name(interface.name, {port: "_".join(reset_domain(port, ports, inputs)) for port in ports})
+    return found or next(iter(ports), None)
 
 
 def _clocked(interface: Interface) -> bool:
@@ -88,16 +179,16 @@ def _clocked(interface: Interface) -> bool:
     return interface.protocol.startswith("axi") or interface.found_by is FoundBy.PROTOCOL_FILE
 
 
-def _by_name(name: str, ports: Sequence[str], *, sure: bool = True) -> str | None:
-    """The port whose stem fits the name best; else the only port, or the only one with a bare name."""
-    scored = [(score, port) for port in ports if (score := _score(name, stem(port)))]
+def _by_name(name: str, domains: dict[str, str], *, sure: bool = True) -> str | None:
+    """The port whose domain fits the name best; else the only port, or the only one with a bare name."""
+    scored = [(score, port) for port, domain in domains.items() if (score := _score(name, domain))]
     best = max(scored, default=(0, ""), key=lambda item: item[0])
     if best[0] and [score for score, _ in scored].count(best[0]) == 1:
         return best[1]
-    bare = [port for port in ports if stem(port) in _BARE]
+    bare = [port for port, domain in domains.items() if domain in _BARE]
     if len(bare) == 1:
         return bare[0]
-    return ports[0] if len(ports) == 1 and sure else None
+    return next(iter(domains)) if len(domains) == 1 and sure else None
 
 
 def _score(name: str, other: str) -> int:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from cm.design.hdl.model import Mode, Polarity, Port, PortDirection
@@ -15,15 +16,19 @@ def _words(text: str) -> frozenset[str]:
 
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 _CLOCK = re.compile(r"(?!sclk)(?:[a-z]{0,5}clk|[a-z]?clock|ck)(?:in|i|x|p|n)?(?:\d+(?:m|mhz|k|khz)?)?[a-z]?")
+# what is left of a word that says clock or reset: pixclk → pix, clk100 → 100; a (of AMBA's aclk) says nothing
+_CLOCK_CORE = re.compile(r"(?P<before>[a-z]{0,5}?)(?:clk|clock|(?<![a-z])ck)(?:in|i|x|p|n)?(?P<after>\d\w*|[a-mo-z])?")
+_RESET_CORE = re.compile(r"n?(?P<before>[a-z]{0,5}?|peripheral|interconnect)(?:rst|reset)(?:n|b|ni)?(?P<after>\d\w*)?")
+_SHORT = {"w": "wr", "write": "wr", "r": "rd", "read": "rd", "pixel": "pix", "video": "vid", "source": "src"}
 _NOT_CLOCK = _words(
     "en ena enable ce cen sel select div divider valid cnt count locked lock req ack ok stop stopped gate "
     "gated good bad loss lost edge rise fall rate period freq frequency dis disable active status mux phase "
-    "src"
+    "src stall err error"
 )
 _ENABLES = frozenset(("en", "ena", "enable", "ce", "cen"))
 _RESET = re.compile(
-    r"(?!preset$)(?P<n1>n)?(?:a|s|p|h|g|sys|cpu|peripheral|interconnect)?"
-    r"(?:rst|reset|areset|sreset|arst|srst)(?P<n2>n|b|_n)?\d*"
+    r"(?!preset$)(?P<n1>n)?(?:a|s|p|h|g|sys|cpu|pix|vid|core|rx|tx|peripheral|interconnect)?"
+    r"(?:rst|reset|areset|sreset|arst|srst)(?P<n2>n|b|_n)?(?:\d+(?:m|mhz|k|khz)?)?"
 )
 _NOT_RESET = _words(
     "done cnt count busy req request ack ok en enable val value active status vector addr count time code data"
@@ -41,7 +46,9 @@ def words(name: str) -> list[str]:
 
 
 def is_clock(port: Port) -> bool:
-    """Whether a port is a one-bit input named like a clock; enables, selects and counters of clocks are not."""
+    """Whether a port is a one-bit input named like a clock; enables, selects, counters and resets of clocks are not."""
+    if any(_RESET.fullmatch(word) for word in words(port.name)[1:]):
+        return False
     return port.direction is PortDirection.IN and port.width == 1 and _says(port.name, _CLOCK, _NOT_CLOCK)
 
 
@@ -88,11 +95,64 @@ def _says_interrupt(found: list[str]) -> bool:
     return any(_INTERRUPT.fullmatch(word) for word in found) or bool(_INT.fullmatch(last))
 
 
-def stem(name: str) -> str:
-    """Remove the words that mean clock or reset from a name: "s_axi_aclk" → "s_axi", "clk" → ""."""
-    rest = []
+def clock_domain(name: str, clocks: Sequence[str]) -> tuple[str, ...]:
+    """The words of a clock's name without those that say clock: "s_axi_aclk" → s axi, "clk" → nothing, "clk2" → 2.
+
+    `clocks`: all clocks of the module; where two have the same words, those of direction (``clk_i``) count too.
+    """
+    return _without_io(_domain(name), [_domain(other) for other in clocks if other != name])
+
+
+def reset_domain(name: str, resets: Sequence[str], clocks: Sequence[str]) -> tuple[str, ...]:
+    """The words of a reset's name without those that say reset and active low: "core_rst_n" → core.
+
+    A last letter n, b or l belongs to the name (``rst_b``) if a clock, or another reset but for its a, has it too.
+    """
+    others = [_without_low(_domain(other), resets, clocks) for other in resets if other != name]
+    return _without_io(_without_low(_domain(name), resets, clocks), others)
+
+
+def named_low(name: str, resets: Sequence[str], clocks: Sequence[str]) -> bool:
+    """Whether a reset's name says that it is active low, beside the module's other resets and clocks."""
+    domain = _inner(_domain(name))
+    series = bool(domain) and domain[-1] in _LOW_WORDS and _is_name(domain, resets, clocks)
+    return not series and reset_polarity(name) is Polarity.LOW
+
+
+def _without_low(domain: tuple[str, ...], resets: Sequence[str], clocks: Sequence[str]) -> tuple[str, ...]:
+    end = len(domain)
+    while end and domain[end - 1] in _IO_WORDS:
+        end -= 1
+    core, tail = domain[:end], domain[end:]
+    if core and core[-1] in _LOW_WORDS and not _is_name(_inner(domain), resets, clocks):
+        core = core[:-1]
+    return (core[1:] if core[:1] == ("n",) else core) + tail
+
+
+def _is_name(domain: tuple[str, ...], resets: Sequence[str], clocks: Sequence[str]) -> bool:
+    """Whether the last word, which may say active low, is one of a series: a, b."""
+    if domain in [_inner(_domain(other)) for other in clocks]:
+        return True
+    return domain[-1:] == ("b",) and (*domain[:-1], "a") in [_inner(_domain(other)) for other in resets]
+
+
+def _domain(name: str) -> tuple[str, ...]:
+    """The words of a name, and what is left of those that say clock or reset."""
+    found: list[str] = []
     for word in words(name):
-        if _CLOCK.fullmatch(word) or _RESET.fullmatch(word) or word in _LOW_WORDS or word in _IO_WORDS:
-            continue
-        rest.append(word)
-    return "_".join(rest)
+        match = _CLOCK_CORE.fullmatch(word) or _RESET_CORE.fullmatch(word)
+        parts = (match["before"], match["after"]) if match else (word,)
+        found += [part for part in parts if part and part != "ap" and not (match and part in ("a", "s"))]
+    return tuple(_SHORT.get(word, word) for word in found)
+
+
+def _inner(domain: tuple[str, ...]) -> tuple[str, ...]:
+    """Drop the words of direction at either end."""
+    while domain and domain[-1] in _IO_WORDS:
+        domain = domain[:-1]
+    return domain[1:] if domain and domain[0] in _IO_WORDS else domain
+
+
+def _without_io(domain: tuple[str, ...], others: Iterable[tuple[str, ...]]) -> tuple[str, ...]:
+    """Drop the words of direction, unless they are what makes the difference to another port."""
+    return domain if _inner(domain) in map(_inner, others) else _inner(domain)

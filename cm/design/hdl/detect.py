@@ -9,7 +9,7 @@ from dataclasses import replace
 from cm.design.hdl import vivado_attributes
 from cm.design.hdl.associate import associate
 from cm.design.hdl.buses import Protocol, aximm, axis, axis_short
-from cm.design.hdl.clock_reset_names import drives_clock, interrupt_mode, is_clock, is_reset, reset_polarity
+from cm.design.hdl.clock_reset_names import drives_clock, interrupt_mode, is_clock, is_reset, named_low
 from cm.design.hdl.group_ports import Candidate, candidates
 from cm.design.hdl.model import (
     FoundBy,
@@ -22,24 +22,27 @@ from cm.design.hdl.model import (
     Port,
     Problem,
     Reset,
+    Stated,
 )
 from cm.design.hdl.protocols import UserProtocol
 from cm.design.hdl.validate_bus import judge, make_interface
 from cm.design.hdl.vivado_attributes import Tagged, read_tags
 
+NOTHING_STATED = Stated()
 NOTHING_KNOWN = "belongs to no bus, clock, reset or interrupt that could be recognised"
 
 
 class Detector:
     """Finds interfaces in any number of modules, with protocols that are prepared once."""
 
-    def __init__(self, user: Sequence[UserProtocol] = ()) -> None:
+    def __init__(self, user: Sequence[UserProtocol] = (), stated: Stated = NOTHING_STATED) -> None:
         self._builtin: tuple[Protocol, ...] = (aximm(), axis(), axis_short())
         self._user = tuple(user)
+        self._stated = stated
 
     def detect(self, module: ModuleInfo) -> ModuleInfo:
         """Return the module with everything that was found."""
-        return _Detection(module, self._builtin, self._user).result()
+        return _Detection(vivado_attributes.with_statements(module, self._stated), self._builtin, self._user).result()
 
 
 class _Detection:
@@ -74,7 +77,7 @@ class _Detection:
             module,
             interfaces=done.interfaces,
             clocks=done.clocks,
-            resets=resets,
+            resets=done.resets,
             interrupts=interrupts,
             leftovers=tuple(self._leftovers()),
             problems=(*module.problems, *self._problems, *self._rejections(), *done.problems),
@@ -184,16 +187,15 @@ class _Detection:
     def _resets(self) -> list[Reset]:
         found = [port for port in self._unrejected() if is_reset(port)]
         self._take(port.name for port in found)
-        return [Reset(port.name, port.name, self._polarity(port)) for port in found]
+        names = [port.name for port in found]
+        return [Reset(port.name, port.name, self._polarity(port, names)) for port in found]
 
-    def _polarity(self, port: Port) -> Polarity:
+    def _polarity(self, port: Port, resets: Sequence[str]) -> Polarity:
         stated = vivado_attributes.parameters(port).get("POLARITY", "").upper()
         if stated in ("ACTIVE_LOW", "ACTIVE_HIGH"):
             return Polarity.LOW if stated == "ACTIVE_LOW" else Polarity.HIGH
-        if port.name[-2:].lower() == "_b":  # the second of reset_a and reset_b, or "bar"
-            siblings = {other.name.lower() for other in self._module.ports}
-            return Polarity.HIGH if port.name[:-1].lower() + "a" in siblings else Polarity.LOW
-        return reset_polarity(port.name)
+        clocks = [other.name for other in self._module.ports if is_clock(other)]
+        return Polarity.LOW if named_low(port.name, resets, clocks) else Polarity.HIGH
 
     def _interrupts(self) -> list[Interrupt]:
         found = [(port, mode) for port in self._unrejected() if (mode := interrupt_mode(port))]
@@ -228,11 +230,12 @@ def _clock(port: Port) -> ModuleClock:
         port.direction,
         int(frequency) if frequency.isdigit() else None,
         vivado_attributes.names(stated, "ASSOCIATED_BUSIF"),
-        next(iter(vivado_attributes.names(stated, "ASSOCIATED_RESET")), None),
+        resets=vivado_attributes.names(stated, "ASSOCIATED_RESET"),
     )
 
 
 def _stated(clocks: Iterable[ModuleClock], ports: Sequence[Port]) -> list[ModuleClock]:
-    """Clocks with their associated reset checked: an attribute may name a port that does not exist."""
+    """Clocks with their associated resets checked: an attribute may name a port that does not exist."""
     names = {port.name.lower(): port.name for port in ports}
-    return [replace(clock, reset=names.get((clock.reset or "").lower())) for clock in clocks]
+    found = ((clock, tuple(names[name.lower()] for name in clock.resets if name.lower() in names)) for clock in clocks)
+    return [replace(clock, resets=resets, reset=next(iter(resets), None)) for clock, resets in found]

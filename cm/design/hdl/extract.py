@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
-from cm.design.hdl.detect import Detector
+from cm.design.hdl.detect import NOTHING_STATED, Detector
 from cm.design.hdl.errors import HdlError, ModuleNotFound, UnknownParameter
-from cm.design.hdl.model import Language, ModuleInfo, Problem
+from cm.design.hdl.model import Language, ModuleInfo, Problem, Stated
 from cm.design.hdl.protocols import UserProtocol
 from cm.design.hdl.verilog import VerilogReader
 from cm.design.hdl.vhdl import VHDL_SUFFIXES, VhdlReader
@@ -59,8 +59,12 @@ def read(
     parameters: Mapping[str, str] = _NONE,
     protocols: Sequence[UserProtocol] = (),
     generated: Mapping[Path, str] = _NO_FILES,
+    stated: Stated = NOTHING_STATED,
 ) -> Reading:
-    """Do as `extract`, and report problems of files without modules too; `generated`: text of files not yet written."""
+    """Do as `extract`, and report problems of files without modules too.
+
+    `generated`: text of files not yet written; `stated`: what the build schema says of the module's clocks and resets.
+    """
     paths = [Path(file) for file in files]
     # Headers are often listed among the sources: their folders are searched last.
     folders = dict.fromkeys([*(Path(path) for path in include_dirs), *(path.parent for path in paths)])
@@ -70,7 +74,7 @@ def read(
     for path, text in generated.items():
         sources.add(path, text)
     sources.check(top)
-    detector = Detector(protocols)
+    detector = Detector(protocols, stated)
     modules = [detector.detect(module) for module in sources.evaluate(top, parameters)]
     _check_parameters(modules, parameters)
     return Reading(tuple(modules), tuple(sources.problems), sources.outside(module.name for module in modules))

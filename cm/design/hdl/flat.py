@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from cm.design.hdl.errors import HdlError
-from cm.design.hdl.model import ModuleInfo, PortDirection
+from cm.design.hdl.model import ModuleInfo, PortDirection, Stated
 
 IN, OUT = PortDirection.IN, PortDirection.OUT
 
@@ -50,6 +50,7 @@ class Wanted:
     defines: Mapping[str, str]
     parameters: Mapping[str, str]
     interface_parameters: Mapping[str, Mapping[str, str]]
+    stated: Stated = field(default_factory=Stated)
 
 
 def needs_wrapper(info: ModuleInfo) -> bool:

@@ -3,17 +3,21 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
+from cm.design.hdl.clock_reset_names import is_clock, is_reset, reset_polarity
 from cm.design.hdl.errors import HdlError
 from cm.design.hdl.flat import IN, OUT, Flat, FlatPort, Wanted, unique_ports, wrapper_name
-from cm.design.hdl.model import PortDirection
+from cm.design.hdl.model import Port, PortDirection
 from cm.design.hdl.verilog import VerilogReader, expression
 
 _DIRECTIONS = {"In": IN, "Out": OUT, "InOut": PortDirection.INOUT}
 _PROBE = "cm_flat_probe"
+_WORD = re.compile(r"\w+")
 
 
 def flat_verilog(wanted: Wanted) -> Flat:
@@ -37,9 +41,12 @@ def flat_verilog(wanted: Wanted) -> Flat:
                 ports += _signals(wanted.top, port.name, probe[port.name].body, modport, index)
         else:
             ports.append(_plain(wanted.top, port))
-    unique_ports(wanted.top, ports)
-    instances = {name: _instance(name, kind, wanted, count) for name, (kind, _, count) in interfaces.items()}
-    return Flat(wrapper_name(wanted.top), ".sv", _text(wanted, ports, instances))
+    own = {name: _ties(wanted.top, name, probe[name].body, ports) for name in interfaces}
+    added = {tie: FlatPort(tie, IN, 1) for ties in own.values() for tie in ties.values() if _WORD.fullmatch(tie)}
+    added = {name: port for name, port in added.items() if name not in {port.name for port in ports}}
+    unique_ports(wanted.top, [*added.values(), *ports])
+    instances = {name: _instance(name, kind, wanted, count, own[name]) for name, (kind, _, count) in interfaces.items()}
+    return Flat(wrapper_name(wanted.top), ".sv", _text(wanted, ports, list(added.values()), instances))
 
 
 def _is_interface(port: Any) -> bool:
@@ -59,20 +66,41 @@ def _interface(top: str, port: Any) -> tuple[str, str, int | None]:
     return port.interfaceDef.name, port.modport, ranges[0].width if ranges else None
 
 
-def _instance(name: str, kind: str, wanted: Wanted, count: int | None = None) -> str:
+def _ties(top: str, name: str, body: Any, ports: list[FlatPort]) -> dict[str, str]:
+    """What the interface's own ports are tied to: the module's clock and reset, or ports of the wrapper for them."""
+    found = {}
+    plain = [Port(port.name, port.direction, port.width, "") for port in ports if not port.inner]
+    for own in body.portList:
+        port = Port(own.name, _DIRECTIONS.get(own.direction.name, PortDirection.UNKNOWN), own.type.bitWidth, "")
+        kind = next((kind for kind in (is_clock, is_reset) if kind(port)), None)
+        if kind is None:
+            message = f"the interface of {name} has a port {port.name} that is no clock or reset"
+            raise HdlError(f"{top}: {message}: wrap it by hand")
+        same = [one.name for one in plain if kind(one)]
+        known = [one for one in same if one.lower() == port.name.lower()] or same
+        if len(known) > 1:
+            message = f"the interface of {name} has a port {port.name}, which may be any of {', '.join(known)}"
+            raise HdlError(f"{top}: {message}: give them one name, or wrap it by hand")
+        inverted = bool(known) and kind is is_reset and reset_polarity(known[0]) is not reset_polarity(port.name)
+        found[port.name] = ("~" if inverted else "") + (known[0] if known else port.name)
+    return found
+
+
+def _instance(
+    name: str, kind: str, wanted: Wanted, count: int | None = None, ties: Mapping[str, str] = MappingProxyType({})
+) -> str:
     given = wanted.interface_parameters.get(name, {})
     values = ", ".join(f".{key}({expression(value)})" for key, value in given.items())
-    return f"    {kind} {f'#({values}) ' if values else ''}{name} {'' if count is None else f'[{count}] '}();"
+    pins = ", ".join(f".{own}({tie})" for own, tie in ties.items())
+    return f"    {kind} {f'#({values}) ' if values else ''}{name} {'' if count is None else f'[{count}] '}({pins});"
 
 
 def _signals(top: str, name: str, body: Any, modport: str, index: int | None) -> Iterator[FlatPort]:
     flat, inner = (name, name) if index is None else (f"{name}_{index}", f"{name}[{index}]")
-    if list(body.portList):
-        ports = ", ".join(port.name for port in body.portList)
-        raise HdlError(f"{top}: the interface of {name} has ports of its own ({ports}): wrap it by hand")
+    own = {port.name for port in body.portList}  # tied where the interface is instantiated
     found = next((member for member in body if member.kind.name == "Modport" and member.name == modport), None)
     for signal in found or ():
-        if signal.kind.name != "ModportPort":
+        if signal.kind.name != "ModportPort" or signal.name in own:
             continue  # a task or function
         direction = _DIRECTIONS.get(signal.direction.name)
         if direction not in (IN, OUT):
@@ -88,8 +116,8 @@ def _plain(top: str, port: Any) -> FlatPort:
     return FlatPort(port.name, _DIRECTIONS[port.direction.name], port.type.bitWidth)
 
 
-def _text(wanted: Wanted, ports: list[FlatPort], instances: Mapping[str, str]) -> str:
-    declared = [f"    {_KINDS[port.direction]} {_range(port.width)}{port.name}" for port in ports]
+def _text(wanted: Wanted, ports: list[FlatPort], added: list[FlatPort], instances: Mapping[str, str]) -> str:
+    declared = [f"    {_KINDS[port.direction]} {_range(port.width)}{port.name}" for port in (*added, *ports)]
     assigned = [
         f"    assign {port.inner} = {port.name};" if port.direction is IN else f"    assign {port.name} = {port.inner};"
         for port in ports

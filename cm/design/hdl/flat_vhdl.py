@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from cm.design.hdl.errors import HdlError
 from cm.design.hdl.flat import IN, OUT, Flat, FlatPort, Wanted, field_name, unique_ports, wrapper_name
 from cm.design.hdl.model import PortDirection
-from cm.design.hdl.vhdl import VHDL_SUFFIXES, VhdlReader
+from cm.design.hdl.vhdl import VHDL_SUFFIXES, Declaration, VhdlReader
 from cm.design.hdl.vhdl_expr import NotFlat, Unknown, Value, base_type, width_of
 from cm.design.hdl.vhdl_text import blank_comments, design_units
 
@@ -18,6 +18,7 @@ _RECORD = re.compile(r"\btype\s+(\w+)\s+is\s+record\b(.*?)\bend\s+record\b", re.
 _CONTEXT = re.compile(r"\b(?:library\s+[\w\s,]+|use\s+[\w.]+)\s*;", re.IGNORECASE)
 _RANGE = re.compile(r"\brange\s+(.+?)\s+(to|downto)\s+(.+)", re.IGNORECASE | re.DOTALL)
 _STREAM = frozenset(["valid", "ready", "data", "last", "keep", "strobe", "strb", "user", "id", "dest"])
+_SIDE = re.compile(r"(.+)_(?:i|o|in|out)|(?:i|o|in|out)_(.+)", re.IGNORECASE)
 _BITS = ("std_logic", "std_ulogic", "bit")
 _MAX_DEPTH = 8
 
@@ -47,15 +48,16 @@ def flat_vhdl(wanted: Wanted) -> Flat:
     scope = _Scope(dict(_records(map(blank_comments, texts.values()))), names, subtypes)
     ports: list[FlatPort] = []
     records: dict[str, str] = {}
+    buses = _buses(entity.ports, scope)
     for port in entity.ports:
         direction = {"in": IN, "out": OUT, "buffer": OUT}.get(port.mode, PortDirection.INOUT)
-        kind = port.type.partition("(")[0].strip().lower().rpartition(".")[2]
-        if kind in scope.records:
+        if _plain_type(port.type) in scope.records:
             if direction is PortDirection.INOUT:
                 message = f"port {port.name} is a bidirectional record: write a wrapper by hand"
                 raise HdlError(f"{home}:{port.line}: {message}")
             records[port.name] = port.type
-            ports += _fields(f"{home}:{port.line}: port {port.name}", port.name, port.type, direction, scope)
+            where = f"{home}:{port.line}: port {port.name}"
+            ports += _fields(where, port, direction, buses.get(port.name, port.name), scope)
         else:
             ports.append(_plain(f"{home}:{port.line}: port {port.name}", port.name, port.type, direction, scope))
     unique_ports(f"{home}: {wanted.top}", ports)
@@ -74,17 +76,40 @@ def _records(texts: Iterator[str] | map[str]) -> Iterator[tuple[str, list[tuple[
             yield name.lower(), fields
 
 
-def _fields(where: str, port: str, kind: str, direction: PortDirection, scope: _Scope) -> Iterator[FlatPort]:
-    leaves = list(_leaves(where, (), kind, scope, 0))
+def _buses(ports: Iterable[Declaration], scope: _Scope) -> dict[str, str]:
+    """Record port → its bus, for two records that differ in ``_i`` and ``_o`` only: together they have its signals.
+
+    Two records with a field in common are two buses, of which ``_i`` and ``_o`` are the names.
+    """
+    halves: dict[str, list[Declaration]] = {}
+    for port in ports:
+        match = _SIDE.fullmatch(port.name)
+        if match and _plain_type(port.type) in scope.records:
+            halves.setdefault((match[1] or match[2]).lower(), []).append(port)
+    found = {}
+    for pair in halves.values():
+        fields = [{path for path, _, _ in _leaves(port.name, (), port.type, scope, 0)} for port in pair]
+        if len(pair) == 2 and {port.mode for port in pair} == {"in", "out"} and not fields[0] & fields[1]:
+            match = _SIDE.fullmatch(pair[0].name)
+            found |= {port.name: match[1] or match[2] for port in pair if match}
+    return found
+
+
+def _plain_type(kind: str) -> str:
+    return kind.partition("(")[0].strip().lower().rpartition(".")[2]
+
+
+def _fields(where: str, port: Declaration, direction: PortDirection, bus: str, scope: _Scope) -> Iterator[FlatPort]:
+    leaves = list(_leaves(where, (), port.type, scope, 0))
     stream = all(path[-1].lower() in _STREAM and len(path) == 1 for path, _, _ in leaves)
     for path, width, base in leaves:
-        yield FlatPort(field_name(port, path, stream), direction, width, ".".join((port, *path)), base)
+        yield FlatPort(field_name(bus, path, stream), direction, width, ".".join((port.name, *path)), base)
 
 
 def _leaves(
     where: str, path: tuple[str, ...], kind: str, scope: _Scope, depth: int
 ) -> Iterator[tuple[tuple[str, ...], int, str]]:
-    name = kind.partition("(")[0].strip().lower().rpartition(".")[2]
+    name = _plain_type(kind)
     if name in scope.records and depth < _MAX_DEPTH:
         if "(" in kind:
             raise HdlError(f"{where}.{'.'.join(path)} is a record with ranges ({kind}): wrap it by hand")

@@ -31,4 +31,4 @@ def flatten(info: ModuleInfo, wanted: Wanted, protocols: Sequence[UserProtocol] 
 def _read(wanted: Wanted, flat: Flat, protocols: Sequence[UserProtocol]) -> Reading:
     files = [*(path for paths in wanted.libraries.values() for path in paths), *wanted.sources]
     generated = {Path(flat.file): flat.text}
-    return read(files, flat.name, wanted.include_dirs, wanted.defines, {}, protocols, generated)
+    return read(files, flat.name, wanted.include_dirs, wanted.defines, {}, protocols, generated, wanted.stated)

@@ -15,6 +15,7 @@ from cm.design.hdl.buses import Protocol
 from cm.design.hdl.model import Port, PortDirection
 
 _LEADING = re.compile(r"^(i|in|o|out)_", re.IGNORECASE)
+_INFIX = re.compile(r"(?<=.)_(i|in|o|out)_$", re.IGNORECASE)  # s_axis_i_tdata beside s_axis_o_tready
 _TRAILING = re.compile(r"_(i|in|o|out)$", re.IGNORECASE)
 
 
@@ -33,10 +34,10 @@ class _Named:
 
     def bare(self) -> tuple[tuple[str, str], bool]:
         """The key without direction affixes, and whether those agree with the port's direction."""
-        leading = _LEADING.match(self.prefix)
-        trailing = _TRAILING.search(self.tail)
-        agrees = all(match is None or self._agrees(match[1]) for match in (leading, trailing))
-        return (_LEADING.sub("", self.key[0], count=1), _TRAILING.sub("", self.key[1])), agrees
+        found = (_LEADING.match(self.prefix), _INFIX.search(self.prefix), _TRAILING.search(self.tail))
+        agrees = all(match is None or self._agrees(match[1]) for match in found)
+        prefix = _INFIX.sub("_", _LEADING.sub("", self.key[0], count=1))
+        return (prefix, _TRAILING.sub("", self.key[1])), agrees
 
     def _agrees(self, affix: str) -> bool:
         return (self.port.direction is PortDirection.IN) == affix.lower().startswith("i")
@@ -85,7 +86,8 @@ def _split_group(group: list[_Named], protocol: Protocol) -> Iterator[Candidate]
 
 def _candidate(group: list[_Named], bare: str, protocol: Protocol) -> Candidate:
     spelled = group[0].prefix + group[0].tail
-    name = spelled if spelled.lower() == bare.lower() else bare
+    one = len({(item.prefix, item.tail) for item in group}) == 1 and _INFIX.search(group[0].prefix)
+    name = spelled if one or spelled.lower() == bare.lower() else bare
     return Candidate(name.strip("_"), protocol, {item.signal: item.port for item in group})
 
 

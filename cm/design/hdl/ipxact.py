@@ -20,6 +20,7 @@ from types import MappingProxyType
 from typing import Any
 from xml.etree import ElementTree
 
+from cm.design.hdl.associate import pair, undecided
 from cm.design.hdl.buses import axi_flavour, aximm
 from cm.design.hdl.detect import Detector
 from cm.design.hdl.errors import HdlError
@@ -36,6 +37,7 @@ from cm.design.hdl.model import (
     Polarity,
     Port,
     PortDirection,
+    Problem,
     Reset,
 )
 from cm.design.hdl.protocols import UserProtocol
@@ -117,6 +119,7 @@ class _Component:
         resets = tuple(self._reset(bus) for bus in buses if self._signal(bus) == "reset" and _port_map(bus))
         irqs = tuple(self._interrupt(bus) for bus in buses if self._signal(bus) == "interrupt" and _port_map(bus))
         interfaces = tuple(self._interface(bus, clocks, resets) for bus in plain)
+        resets = tuple(pair(reset, resets, clocks, interfaces) for reset in resets)
         used = {port for interface in interfaces for port in interface.ports.values()}
         used |= {clock.port for clock in clocks} | {reset.port for reset in resets} | {irq.port for irq in irqs}
         return ModuleInfo(
@@ -130,6 +133,7 @@ class _Component:
             resets=resets,
             interrupts=irqs,
             leftovers=tuple(Leftover(name, _LEFT_OVER) for name in self._ports if name not in used),
+            problems=tuple(Problem(undecided(reset), self._file) for reset in resets if reset.may_be),
         )
 
     def _signal(self, bus: ElementTree.Element) -> str:
@@ -214,6 +218,7 @@ class _Component:
             tuple(name for name in parameters.get("ASSOCIATED_BUSIF", "").split(":") if name),
             parameters.get("ASSOCIATED_RESET", "").partition(":")[0] or None,
             FoundBy.IPXACT,
+            tuple(name for name in parameters.get("ASSOCIATED_RESET", "").split(":") if name),
         )
 
     def _reset(self, bus: ElementTree.Element) -> Reset:

@@ -149,17 +149,35 @@ class ModuleClock:
     interfaces: tuple[str, ...] = ()
     reset: str | None = None  # port of the associated reset
     found_by: FoundBy = FoundBy.NAME
+    resets: tuple[str, ...] = ()  # ports that an attribute associates
 
 
 @dataclass(frozen=True, slots=True)
 class Reset:
-    """A reset; its polarity is None if neither attribute nor name tells it."""
+    """A reset; its polarity is None if neither attribute nor name tells it.
+
+    `clock`: the port of the clock that it belongs to, and `why`; or `may_be`: those that it may belong to.
+    """
 
     name: str
     port: str
     polarity: Polarity | None = None
     direction: PortDirection = PortDirection.IN
     found_by: FoundBy = FoundBy.NAME
+    clock: str | None = None
+    why: str = ""
+    may_be: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Stated:
+    """What the build schema says of a module's clocks and resets; it goes before the HDL and before names.
+
+    `clocks`: port → the interfaces on it; `resets`: port → its clock and its polarity, each None if not said.
+    """
+
+    clocks: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: MappingProxyType({}))
+    resets: Mapping[str, tuple[str | None, Polarity | None]] = field(default_factory=lambda: MappingProxyType({}))
 
 
 @dataclass(frozen=True, slots=True)

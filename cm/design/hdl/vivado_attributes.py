@@ -8,11 +8,23 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from cm.design.hdl.buses import Protocol, make_protocol
 from cm.design.hdl.clock_reset_names import reset_polarity
-from cm.design.hdl.model import FoundBy, Interface, Interrupt, Mode, ModuleClock, Polarity, Port, PortDirection, Reset
+from cm.design.hdl.model import (
+    FoundBy,
+    Interface,
+    Interrupt,
+    Mode,
+    ModuleClock,
+    ModuleInfo,
+    Polarity,
+    Port,
+    PortDirection,
+    Reset,
+    Stated,
+)
 from cm.design.hdl.validate_bus import judge, make_interface
 
 _INFO = re.compile(
@@ -82,6 +94,33 @@ _SIGNAL_KINDS = ("clock", "reset", "interrupt")
 _SLAVE_WORDS = ("s", "slave", "sink", "target")
 
 
+def with_statements(module: ModuleInfo, stated: Stated) -> ModuleInfo:
+    """Return a module whose ports have what the build schema says as attributes, behind those of the HDL."""
+    said: dict[str, tuple[str, list[str]]] = {}
+    for port, buses in stated.clocks.items():
+        said.setdefault(port.lower(), ("clock", []))[1].append(f"ASSOCIATED_BUSIF {':'.join(buses)}")
+    for port, (clock, polarity) in stated.resets.items():
+        words = [f"POLARITY ACTIVE_{polarity.value.upper()}"] if polarity else []
+        said.setdefault(port.lower(), ("reset", []))[1].extend(words)
+        if clock is not None:
+            mine = [name for name, (other, _) in stated.resets.items() if other == clock]
+            text = f"ASSOCIATED_RESET {':'.join(mine)}"
+            known = said.setdefault(clock.lower(), ("clock", []))[1]
+            known += [text] if text not in known else []
+    ports = (_said(port, *said[port.name.lower()]) if port.name.lower() in said else port for port in module.ports)
+    return replace(module, ports=tuple(ports))
+
+
+def _said(port: Port, kind: str, texts: list[str]) -> Port:
+    signal = {"clock": "CLK", "reset": "RST"}[kind]
+    info = f"xilinx.com:signal:{kind}:1.0 {port.name} {signal}"
+    mine = {"x_interface_info": info, **port.attributes}
+    if not texts:
+        return replace(port, attributes=mine)
+    whole = ", ".join(filter(None, (port.attributes.get("x_interface_parameter", ""), *texts)))
+    return replace(port, attributes={**mine, "x_interface_parameter": whole})
+
+
 @dataclass(slots=True)
 class Tagged:
     """The gathered result; `rejected` has a reason by port."""
@@ -113,9 +152,11 @@ def _signal(tag: Tag, result: Tagged) -> None:
     if tag.kind == "clock":
         frequency = stated.get("FREQ_HZ", "")
         busses = names(stated, "ASSOCIATED_BUSIF")
-        reset = next(iter(names(stated, "ASSOCIATED_RESET")), None)
+        resets = names(stated, "ASSOCIATED_RESET")
         hertz = int(frequency) if frequency.isdigit() else None
-        result.clocks.append(ModuleClock(tag.bus, port.name, port.direction, hertz, busses, reset, FoundBy.ATTRIBUTE))
+        result.clocks.append(
+            ModuleClock(tag.bus, port.name, port.direction, hertz, busses, None, FoundBy.ATTRIBUTE, resets)
+        )
     elif tag.kind == "reset":
         result.resets.append(Reset(tag.bus, port.name, _polarity(port, stated), port.direction, FoundBy.ATTRIBUTE))
     else:

@@ -127,7 +127,7 @@ class OpenFlow:
         self.steps.step(f"synth_{name}", f"synthesis of {name} by yosys", key, [out], work)
 
     def _bitstreams(self, static: frozenset[Feature], modules: dict[str, frozenset[Feature]]) -> None:
-        system, name = self.system, self.system.project.name
+        system, name = self.system, self.system.full
         outputs = {one: self.out / f"bitstreams/{one}.bit" for one in (name, *modules)}
         found = {one: sorted(features) for one, features in modules.items()}
         key = key_of(sorted(static), found, Path(images.__file__))
@@ -138,7 +138,7 @@ class OpenFlow:
     def _write(
         self, static: frozenset[Feature], modules: dict[str, frozenset[Feature]], outputs: dict[str, Path]
     ) -> None:
-        device, part, name = self.system.device, self.system.project.part, self.system.project.name
+        device, part, name = self.system.device, self.system.project.part, self.system.full
         base = images.frames_of(self.database, static | self.database.required, "the static part")
         number = images.user_id(base)
         first = self.system.runs[0]

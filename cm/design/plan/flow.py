@@ -91,9 +91,9 @@ def steps(system: System) -> tuple[Step, ...]:
         found.append(Step(run.name, f"place and route: {run.doc}", (before, *needs), tuple(outputs)))
     found.append(Step("verify", "comparison of all runs", tuple(run.name for run in planned), ()))
     for run in planned:
-        names = [one.name for one in run.partials] + [system.project.name] * (run.number == 1)
+        names = [one.name for one in run.partials] + [system.full] * (run.number == 1)
         outputs = [f"bitstreams/{one.name}.{kind}" for one in run.partials for kind in ("bit", "bin")]
-        outputs += [f"bitstreams/{system.project.name}.bit"] * (run.number == 1)
+        outputs += [f"bitstreams/{system.full}.bit"] * (run.number == 1)
         title = f"bitstreams of {', '.join(names) or 'nothing new'}"
         found.append(Step(f"bitstreams_{run.name}", title, ("verify", run.name), tuple(outputs)))
     if system.project.static.abstract_shells:
@@ -110,3 +110,14 @@ def _shell_steps(system: System, first: str) -> Iterator[Step]:
         outputs = (f"checkpoints/module_{one.name}.dcp", *(f"bitstreams/{one.name}.{kind}" for kind in ("bit", "bin")))
         title = f"{one.module.name} in the abstract shell of {one.region.name}"
         yield Step(f"module_{one.name}", title, (f"shell_{one.region.name}", f"synth_{one.name}"), outputs)
+
+
+def clashes(system: System) -> Iterator[tuple[str, list[str]]]:
+    """Files that several products of the flow would be written to, each with what they are."""
+    products = [(f"{system.full}.bit", "the bitstream of the whole device")]
+    for one in system.implementations:
+        products.append((f"{one.name}.bit", f"the bitstream of {one.module.name} in {one.region.name}"))
+    for name in dict(products):
+        made = [what for other, what in products if other == name]
+        if len(made) > 1:
+            yield name, made

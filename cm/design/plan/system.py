@@ -177,6 +177,11 @@ class System:
     static_identity: int = 0  # what the control register STATIC_ID reads; 0: not computed
 
     @property
+    def full(self) -> str:
+        """The name of the bitstream of the whole device; a module may have the project's own name."""
+        return f"{self.project.name}_full"
+
+    @property
     def dmas(self) -> tuple[Dma, ...]:
         """All DMA channels, the ICAP's first."""
         return (*([self.icap] if self.icap else []), *(bus.dma for bus in self.streams if bus.dma))

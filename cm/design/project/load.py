@@ -322,6 +322,8 @@ class _Builder:
             registers=registers(spec),
             register_map=self._files.one(spec.get("register_map"), (*where, "register_map")),
             interface=spec.get("interface"),
+            clocks={key: tuple((one or {}).get("interfaces", ())) for key, one in (spec.get("clocks") or {}).items()},
+            resets={key: (one.get("clock"), one.get("polarity")) for key, one in (spec.get("resets") or {}).items()},
             resources=Resources(**spec.get("resources") or {}),
             doc=spec.get("doc", ""),
             **many,

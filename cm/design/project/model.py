@@ -149,6 +149,8 @@ class ModuleSpec:
     registers: Mapping[str, RegisterSpec] = field(default_factory=empty)
     register_map: Path | None = None
     interface: str | None = None
+    clocks: Mapping[str, tuple[str, ...]] = field(default_factory=empty)  # port → interfaces on it
+    resets: Mapping[str, tuple[str | None, str | None]] = field(default_factory=empty)  # port → clock, low or high
     resources: Resources = Resources()
     doc: str = ""
 

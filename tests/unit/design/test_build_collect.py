@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from bitstream_support import frames
-from build_support import copy_examples, generated
+from build_support import MINIMAL, copy_examples, generated, project
 from import_support import bitstream, described, hwh, memory, module, port, ports, register
 
 from cm import schema
@@ -19,7 +19,7 @@ from cm.cli.main import main
 from cm.design.collect.collected import Collected
 from cm.design.collect.collection import collect, collect_ours, write
 from cm.design.errors import BuildError
-from cm.design.generate.tree import Design
+from cm.design.generate.tree import Design, generate, load_design
 from cm.design.runtime.answers import Answers
 from cm.formats.bitstream import assemble_module, inspect
 from cm.formats.bitstream.assemble import FrameRun, assemble
@@ -218,6 +218,30 @@ def test_our_flow_gives_the_generated_schema_with_checksums_and_footprints(ours:
         assert one.identity == generated_config.modules[name].identity
     rows = {name: {area.row for area in region.footprint} for name, region in found.config.regions.items()}
     assert rows == {"filter": {0}, "correction": {1}}
+
+
+def test_a_project_named_like_a_module_keeps_its_bitstream_of_the_whole_device(tmp_path: Path) -> None:
+    path = project(tmp_path, MINIMAL.replace("small", "one"))
+    out = tmp_path / "build"
+    built = load_design(path)
+    generate(built, out)
+    listed = [name for step in json.loads((out / "steps.json").read_text())["steps"] for name in step["outputs"]]
+    assert len(listed) == len(set(listed))
+    assert {"bitstreams/one.bit", "bitstreams/one_full.bit"} <= set(listed)
+    (out / "bitstreams").mkdir()
+    (out / "bitstreams/one.bit").write_bytes(partial("one", 0, "xc7z020"))
+    full = assemble("xc7z020", [FrameRun(FrameAddress(0, 0, 0), bytes(404))], partial=False)
+    (out / "bitstreams/one_full.bit").write_bytes(full)
+    assert {"one.bin", "one_full.bin"} <= set(run(built, out).files)
+
+
+def test_two_products_of_one_name_are_refused_before_the_run(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    path = project(tmp_path, MINIMAL.replace("  one:", "  small_full:\n    top: one"))
+    for flow in ("vivado", "open"):
+        assert main(["build", "check", "--flow", flow, str(path)]) == 1
+        said = capsys.readouterr().out
+        assert "the bitstream of small_full in prr0 would both be small_full.bit" in said
+    assert main(["build", "generate", str(path)]) == 1
 
 
 def test_overlays_go_with_it(ours: tuple[Design, Path]) -> None:

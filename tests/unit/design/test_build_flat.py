@@ -126,6 +126,46 @@ def test_if_no_wrapper_is_possible_check_says_why(
     assert said in caught.out + caught.err
 
 
+CLOCKED_STREAM = STREAM.replace("()", "(input logic aclk, aresetn)", 1)
+
+
+def with_clocked_interface(folder: Path, clocks: str) -> Path:
+    path = of_interfaces(folder, TOP.replace("input wire clk, input wire rst, ", clocks).replace(" & ~rst & clk", ""))
+    (folder / "stream_if.sv").write_text(CLOCKED_STREAM)
+    return path
+
+
+@needs("verilator")
+@pytest.mark.parametrize(
+    ("clocks", "tied"),
+    [
+        ("input wire clk, input wire rst, ", "(.aclk(clk), .aresetn(~rst))"),
+        ("input wire aclk, input wire aresetn, input wire pix_clk, ", "(.aclk(aclk), .aresetn(aresetn))"),
+        ("", "(.aclk(aclk), .aresetn(aresetn))"),  # the wrapper gets them as ports
+    ],
+)
+def test_an_interface_with_a_clock_and_a_reset_of_its_own_gets_the_modules(
+    clocks: str, tied: str, tmp_path: Path
+) -> None:
+    path = with_clocked_interface(tmp_path, clocks)
+    if "pix" in clocks:
+        path.write_text(path.read_text().replace("{pblock: auto}", "{pblock: auto, clocks: {pix_clk: fclk0}}"))
+    out = written(path)
+    text = (out / "wrappers/one/cm_flat_one.sv").read_text()
+    assert f"stream_if #(.W(32)) s_axis {tied};" in text
+    files = [out / "wrappers/one/cm_flat_one.sv", tmp_path / "stream_if.sv", tmp_path / "one.sv"]
+    command = ["verilator", "--lint-only", "-Wall", "-Wno-UNUSED", "--top-module", "cm_flat_one", *map(str, files)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_clock_of_an_interface_that_may_be_any_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    path = with_clocked_interface(tmp_path, "input wire wr_clk, input wire rd_clk, input wire rst, ")
+    assert main(["build", "check", str(path)]) == 1
+    said = capsys.readouterr().out
+    assert "the interface of s_axis has a port aclk, which may be any of wr_clk, rd_clk: give them one name" in said
+
+
 def test_interface_parameters_for_an_unknown_port_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     path = of_interfaces(tmp_path)
     path.write_text(path.read_text().replace("{s_axis:", "{s_axix:"))
@@ -199,6 +239,64 @@ def test_records_get_a_wrapper_that_ghdl_elaborates(tmp_path: Path) -> None:
 def test_check_shows_the_bus_of_records(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     assert main(["build", "check", str(of_records(tmp_path))]) == 0
     assert "module one (cm_flat_one, vhdl)\n  s_axi: axi4lite slave, 32 bits\n" in capsys.readouterr().out
+
+
+STREAM_RECORDS = """\
+library ieee; use ieee.std_logic_1164.all;
+package stream_pkg is
+  type down_t is record
+    tdata : std_logic_vector(31 downto 0); tvalid : std_logic; tlast : std_logic;
+  end record;
+  type up_t is record
+    tready : std_logic;
+  end record;
+end package;
+library ieee; use ieee.std_logic_1164.all; use work.stream_pkg.all;
+entity one is
+  port (aclk : in std_logic; aresetn : in std_logic;
+        s_axis_i : in down_t; s_axis_o : out up_t; m_axis_o : out down_t; m_axis_i : in up_t);
+end entity;
+architecture rtl of one is begin
+  m_axis_o <= s_axis_i;
+  s_axis_o <= m_axis_i;
+end architecture;
+"""
+
+
+def of_stream_records(folder: Path, text: str = STREAM_RECORDS) -> Path:
+    pytest.importorskip("tree_sitter_vhdl", reason="needs tree-sitter-vhdl: the extra [build] is not installed")
+    (folder / "one.vhd").write_text(text)
+    return project(folder, MINIMAL.replace("one.v", "one.vhd"))
+
+
+def test_two_records_that_differ_in_i_and_o_are_one_bus(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    path = of_stream_records(tmp_path)
+    assert main(["build", "check", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert "  s_axis: axis slave, 32 bits\n  m_axis: axis master, 32 bits\n" in said
+    assert "left over" not in said
+    text = (written(path) / "wrappers/one/cm_flat_one.vhd").read_text()
+    assert "  record_s_axis_i.tdata <= s_axis_tdata;\n" in text
+    assert "  s_axis_tready <= record_s_axis_o.tready;\n" in text
+
+
+def test_i_and_o_stay_the_names_of_two_whole_buses(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    ports = "axis_i : in down_t; axis_i_s2m : out up_t; axis_o : out down_t; axis_o_s2m : in up_t"
+    text = STREAM_RECORDS.replace("s_axis_i : in down_t; s_axis_o : out up_t; ", f"{ports}; ")
+    text = text.replace("m_axis_o : out down_t; m_axis_i : in up_t", "level : out std_logic")
+    text = text.replace("m_axis_o <= s_axis_i", "axis_o <= axis_i").replace(
+        "s_axis_o <= m_axis_i", "axis_i_s2m <= axis_o_s2m"
+    )
+    assert main(["build", "check", str(of_stream_records(tmp_path, text))]) == 0
+    assert "  axis_i: axis slave, 32 bits\n  axis_o: axis master, 32 bits\n" in capsys.readouterr().out
+
+
+def test_a_left_over_handshake_stops_check(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    text = STREAM_RECORDS.replace("s_axis_o", "other_o").replace("m_axis_i : in", "m_axis_i : in")
+    assert main(["build", "check", str(of_stream_records(tmp_path, text))]) == 1
+    said = capsys.readouterr().out
+    assert "would be refused: " in said
+    assert "other_o_tready is of a handshake, and the rest of its bus was not found with it" in said
 
 
 @needs("ghdl")

@@ -397,3 +397,18 @@ def test_a_verilog_header_among_the_sources_leaves_systemverilog_its_keywords(tm
     (tmp_path / "a.sv").write_text("module a (input logic clk, output logic [sizes::HIGH:0] o);\nendmodule\n")
     (found,) = extract([tmp_path.resolve() / name for name in ("width.vh", "sizes.sv", "a.sv")])
     assert (found.problems, found.port("o").width) == ((), 16)
+
+
+def test_direction_in_the_middle_of_names_does_not_split_a_bus(tmp_path: Path) -> None:
+    names = "input [7:0] s_axis_i_tdata; input s_axis_i_tvalid; output s_axis_o_tready"
+    (bus,) = ports(tmp_path, f"input aclk; {names}").interfaces
+    assert (bus.name, bus.mode, sorted(bus.ports)) == ("s_axis", Mode.SLAVE, ["TDATA", "TREADY", "TVALID"])
+
+
+def test_buses_that_are_named_by_direction_stay_two(tmp_path: Path) -> None:
+    names = "input [7:0] axis_i_tdata; input axis_i_tvalid; output axis_i_tready; "
+    names += "output [7:0] axis_o_tdata; output axis_o_tvalid; input axis_o_tready"
+    found = ports(tmp_path, f"input aclk; {names}").interfaces
+    assert [(bus.name, bus.mode, len(bus.ports)) for bus in found] == [
+        ("axis_i", Mode.SLAVE, 3), ("axis_o", Mode.MASTER, 3),
+    ]  # fmt: skip

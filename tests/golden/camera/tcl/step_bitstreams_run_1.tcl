@@ -10,7 +10,7 @@ open_checkpoint checkpoints/run_1.dcp
 set_property BITSTREAM.GENERAL.COMPRESS TRUE [current_design]
 set_property BITSTREAM.GENERAL.CRC ENABLE [current_design]
 set_property BITSTREAM.CONFIG.USERID [cm_user_id] [current_design]
-write_bitstream -force -no_partial_bitfile bitstreams/camera.bit
+write_bitstream -force -no_partial_bitfile bitstreams/camera_full.bit
 write_bitstream -force -cell static_part/prr0 bitstreams/default.bit
 # bits stay as they are: cm_icap.v swaps them on their way to the port
 write_cfgmem -force -format BIN -interface SMAPx32 -disablebitswap -loadbit "up 0x0 bitstreams/default.bit" bitstreams/default.bin

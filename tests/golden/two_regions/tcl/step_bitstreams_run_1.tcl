@@ -10,7 +10,7 @@ open_checkpoint checkpoints/run_1.dcp
 set_property BITSTREAM.GENERAL.COMPRESS TRUE [current_design]
 set_property BITSTREAM.GENERAL.CRC ENABLE [current_design]
 set_property BITSTREAM.CONFIG.USERID [cm_user_id] [current_design]
-write_bitstream -force -no_partial_bitfile bitstreams/two_regions.bit
+write_bitstream -force -no_partial_bitfile bitstreams/two_regions_full.bit
 write_bitstream -force -cell static_part/filter bitstreams/default.bit
 write_bitstream -force -cell static_part/correction bitstreams/gain.bit
 # bits stay as they are: cm_icap.v swaps them on their way to the port
