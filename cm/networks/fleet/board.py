@@ -249,7 +249,7 @@ class Board:
             self._write(place=seen.place, manager=seen.manager, part=None, reached=part.generation)
             self.place = seen.place
             return
-        reached = self._notes.reached
+        changes: dict[str, object] = {}  # where it is now is found out by `_notice`, which knows where it was
         if not kept and part.phase != "prepared" and self._still_ours(part, seen):
             try:
                 await self._back(part, seen)
@@ -257,11 +257,11 @@ class Board:
                 raise
             except CmError as error:  # told, and from then on a board that is not where it is wanted
                 self._error = ErrorInfo(error.code, f"change {part.change} could not be undone: {error}")
-                reached = min(reached, self._view.generation - 1)
-            seen = await self._manager.where()
+                seen = await self._manager.where()
+                reached = min(self._notes.reached, self._view.generation - 1)
+                changes = {"place": seen.place, "manager": seen.manager, "reached": reached}
         await self._manager.release(part)
-        self._write(place=seen.place, manager=seen.manager, part=None, reached=reached)
-        self.place = seen.place
+        self._write(part=None, **changes)
 
     async def _back(self, part: Part, seen: Seen) -> None:
         try:

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Changes of many boards under schedules of deaths, losses, repeats, a store that goes away, and local changes.
+
+Each schedule comes from its number. ``CM_SCHEDULES=20000`` runs as many (`make soak`).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import random
+from typing import Any
+
+import pytest
+from fleet_world import HOME, World, killed
+
+from cm.networks.fleet.board import Place
+from cm.wire.messages.fleet import Decision, Policy
+
+PARTS = 10
+SCHEDULES = int(os.environ.get("CM_SCHEDULES", "400")) // PARTS
+MODES = ("edge", "colorise", "default", "loop")
+
+
+def meanwhile(world: World, trouble: float) -> None:
+    """What happens between two turns."""
+    chance = world.chance
+    if chance.random() < 0.15:
+        world.beat(chance.choice(sorted(world.boards)))
+    if chance.random() < 0.02:
+        world.now += chance.choice((0.1, 1.0, 3.0, 7.0))
+    if chance.random() >= trouble:
+        return
+    board = world.boards[chance.choice(sorted(world.boards))]
+    what = chance.random()
+    if what < 0.4:
+        board.kill()
+    elif what < 0.5:
+        board.lose_power()
+    elif what < 0.65:
+        board.gone = not board.gone
+    elif what < 0.8:
+        world.store_down = not world.store_down
+    else:
+        board.operate(("camera", chance.choice(MODES)))
+
+
+async def course(number: int) -> None:
+    """One to three coordinators, of which some die; then everything is there again for the lease and 5 s."""
+    chance = random.Random(f"course {number}")
+    world = World(f"world {number}", chance.randint(1, 5))
+    trouble = chance.choice((0.0, 0.02, 0.08))
+    for board in world.boards.values():
+        board.failing, board.away = chance.random() < 0.1, chance.choice((0.0, 0.0, 0.2))
+    clients: list[asyncio.Task[Any]] = []
+    for caller in ("anna", "bob", "carl")[: chance.randint(1, 3)]:
+        members = chance.sample(sorted(world.boards), chance.randint(1, len(world.boards)))
+        away = chance.sample(members, chance.choice((0, 0, 1))) if len(members) > 1 else []
+        goal: Place = ("camera", chance.choice(MODES))
+        changing = world.change(caller, goal, members, chance.choice(list(Policy)), away)
+        clients.append(asyncio.create_task(changing))
+        for _ in range(chance.choice((0, 20, 60, 200))):
+            meanwhile(world, trouble)
+            await world.go_on()
+    for client in clients:
+        if chance.random() < 0.5:
+            await killed(client, world)
+    await world.run(*clients, meanwhile=lambda: meanwhile(world, trouble))
+    await world.heal()
+    world.now += 300.0  # after which at last what has failed is tried again
+    await world.heal(3.0)
+    world.judge()
+
+
+@pytest.mark.parametrize("part", range(PARTS))
+def test_whatever_dies_or_is_lost_every_board_ends_where_it_is_wanted(part: int) -> None:
+    for number in range(part * SCHEDULES, (part + 1) * SCHEDULES):
+        try:
+            asyncio.run(course(number))
+        except AssertionError as error:
+            raise AssertionError(f"schedule {number}: {error}") from error
+
+
+async def cut(step: int, policy: Policy = Policy.ALL) -> tuple[World, bool]:
+    """A change of three boards whose coordinator dies at a step; also whether it was still at work."""
+    world = World(step, 3)
+    world.lossy = False
+    client = asyncio.create_task(world.change("anna", ("camera", "edge"), sorted(world.boards), policy))
+    await asyncio.sleep(0)
+    for _ in range(step):
+        await world.go_on()
+    amid = not client.done()
+    await killed(client, world)
+    return world, amid
+
+
+def test_a_coordinator_that_dies_at_any_step_leaves_all_boards_in_one_mode_with_their_registers() -> None:
+    async def one(step: int) -> tuple[Place, bool]:
+        world, amid = await cut(step)
+        await world.heal()
+        world.judge()
+        (place,) = {board.place for board in world.boards.values()}
+        (register,) = {board.register for board in world.boards.values()}
+        assert register == (7 if place == HOME else 1)
+        return place, amid
+
+    ends, step = [], 0
+    while True:
+        place, amid = asyncio.run(one(step))
+        ends.append(place)
+        if not amid:
+            break
+        step += 1
+    assert set(ends) == {HOME, ("camera", "edge")}
+    assert ends == sorted(ends)  # once it is wanted, it stays so
+    assert len(ends) > 40
+
+
+def test_two_changes_of_the_same_boards_come_one_after_the_other() -> None:
+    async def one(seed: int) -> None:
+        world = World(seed, 4)
+        world.lossy = False
+        names = sorted(world.boards)
+        both = [
+            asyncio.create_task(world.change("anna", ("camera", "edge"), names[:3], Policy.ALL)),
+            asyncio.create_task(world.change("bob", ("camera", "loop"), names[1:], Policy.ALL)),
+        ]
+        await world.run(*both)
+        assert [task.result().decision for task in both] == [Decision.KEEP, Decision.KEEP]
+        await world.heal()
+        world.judge()
+        modes = [world.boards[name].place[1] for name in names]
+        assert modes in (["edge", "loop", "loop", "loop"], ["edge", "edge", "edge", "loop"])
+
+    for seed in range(30):
+        asyncio.run(one(seed))
