@@ -10,9 +10,11 @@ SOURCES := pyproject.toml setup.py release/backend.py cm/wire/cm.proto $(wildcar
 C_FILES := $(wildcard csrc/*.[ch] csrc/client/*.[ch] csrc/tests/*.[ch] kmod/uapi/*.h cm/simulation/rtl/harness/*.cpp cm/simulation/rtl/harness/*.h)
 PYTEST ?= $(BIN)/python -m pytest
 PYTEST_ARGS ?=
-JOBS ?= 2
-EXTRAS := demo,test,build
 COMMA := ,
+CORES := $(shell nproc)
+JOBS ?= $(shell echo $$((2 * $(CORES))))
+# The suites for which README's packages do not suffice: their tests have a marker, which `make test` leaves out.
+FURTHER := design networks web programs release
 SUITES ?= tests/unit tests/fuzz tests/release tests/integration tests/device tests/soak tests/vm
 OUT ?= demo
 IMAGES ?=
@@ -22,48 +24,49 @@ MINUTES ?= 10
 PLACEMENTS ?= 0
 
 .DEFAULT_GOAL := help
-.PHONY: help setup docs web-picture demo demo-open demo-ros demo-fleet device-suite test test-c test-node test-rtl test-open test-bench test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
+.PHONY: help help-all setup docs web-picture demo demo-open demo-ros demo-fleet device-suite test test-bare $(FURTHER:%=test-%) test-c test-node test-rtl test-open test-bench test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
 
-help: ## list the targets
-	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+help: ## the targets that most people need
+	@awk -F':[^#]*## ' '/^[a-z-]+:[^#]*## /{printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+help-all: ## all targets
+	@awk -F':[^#]*###? ' '/^[a-z%-]+:[^#]*###? /{printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 check-system:
 	@./.ci/check-system $(PYTHON)
 
-# pip's own chatter goes to a file, which is shown if it fails
 define install
-	@echo "setting up $(VENV) with $(EXTRAS)$(if $(1),$(COMMA)$(1)) (once; a minute or two)"
-	@$(BIN)/python -m pip install --disable-pip-version-check --editable '.[$(EXTRAS)$(if $(1),$(COMMA)$(1))]' >$(VENV)/install.log 2>&1 || \
-		{ cat $(VENV)/install.log; exit 1; }
+	@echo "setting up $(VENV) with $(1)"
+	@.ci/pip-install $(VENV) $(2)
 endef
 
 $(BIN)/python: | check-system
 	@$(PYTHON) -m venv $(VENV)
 
 $(STAMP): $(SOURCES) | $(BIN)/python
-	$(call install)
+	$(call install,the package and what the demonstration needs (once; half a minute),--editable '.[demo]')
 	@touch $@
 
-# What a suite needs beyond that: once, and without a network from then on.
+# What a suite needs beyond that: once, and without a network from then on. The package itself is not built again.
 $(VENV)/.installed-%: $(STAMP)
-	$(call install,$*)
+	$(call install,what $* needs (once),'fpga-cm[$*]')
 	@touch $@
 
 $(LINT_STAMP): $(STAMP)
-	$(call install,lint)
+	$(call install,what lint needs (once),'fpga-cm[lint$(COMMA)test$(COMMA)build$(COMMA)web$(COMMA)zenoh$(COMMA)metrics]')
 	@$(BIN)/python -m grpc_tools.protoc -I. --pyi_out=. cm/wire/cm.proto
 	@touch $@
 
-setup: $(STAMP) ## a virtual environment with the package, its C shims built
+setup: $(STAMP) ## a virtual environment with the package and what its demonstration needs (EXTRAS=web,build …: see docs/install.md)
+	$(if $(EXTRAS),$(call install,$(EXTRAS),'fpga-cm[$(EXTRAS)]'))
 
 demo: $(STAMP) ## the camera demonstration on a simulated board; writes demo/contact-sheet.png (IMAGES=DIR, OUT=DIR)
 	@$(BIN)/cm demo --out $(OUT) $(if $(IMAGES),--images $(IMAGES))
 
-demo-ros: $(STAMP) ## a simulated board as a ROS 2 node, seen by rclpy where ROS 2 is sourced, elsewhere by zenoh_ros2_sdk (OUT=DIR)
-	@$(BIN)/python -c 'import zenoh_ros2_sdk, xxhash, PIL' 2>/dev/null || $(BIN)/python -m pip install --quiet '.[zenoh,demo]' zenoh-ros2-sdk
+demo-ros: $(VENV)/.installed-demo-ros ## a simulated board as a ROS 2 node, seen by rclpy where ROS 2 is sourced, elsewhere by zenoh_ros2_sdk (OUT=DIR)
 	@$(BIN)/python ros2/demo.py --out $(if $(filter demo,$(OUT)),demo-ros,$(OUT))
 
-demo-open: $(STAMP) ## Verilog to partial bitstreams without a vendor's tool, and the modules run from their bits (OUT=DIR; fetches some 50 MB; needs verilator)
+demo-open: $(VENV)/.installed-build ## Verilog to partial bitstreams without a vendor's tool, and the modules run from their bits (OUT=DIR; fetches some 50 MB; needs verilator)
 	@$(BIN)/cm build tools --fetch
 	@mkdir -p $(OUT) && cp -r cm/data/examples/camera cm/data/examples/open_camera $(OUT)/
 	@$(BIN)/cm build generate $(OUT)/open_camera/build.yaml
@@ -71,34 +74,50 @@ demo-open: $(STAMP) ## Verilog to partial bitstreams without a vendor's tool, an
 	@$(BIN)/cm build collect --schema $(OUT)/open_camera/build.yaml --target $(OUT)/open_camera/target
 	@$(BIN)/python examples/open_camera.py $(OUT)/open_camera/build.yaml
 
-test: $(STAMP) test-c ## all tests that need no board and no further tools (SANITIZE=1: the C tests with sanitizers)
-	$(PYTEST) $(SUITES) --board=sim -n $(JOBS) --dist loadfile $(PYTEST_ARGS)
+# The slow files first, so that no worker is left with one at the end.
+RUN_TESTS = $(PYTEST) $(if $(STRICT),--no-skips) -n $(JOBS) --dist loadfile --no-loadscope-reorder
+test: $(VENV)/.installed-test test-c ## all tests that need no board and no further tools (SANITIZE=1: the C tests with sanitizers)
+	$(RUN_TESTS) $(SUITES) --board=sim --suite=plain $(PYTEST_ARGS)
+	@echo "What needs further tools: $(FURTHER:%=make test-%), make test-rtl test-open test-node test-bench test-vm"
+
+test-design: ### the tests that read HDL, generate projects and run Tcl (apt: tcl device-tree-compiler)
+test-networks: ### those of zenoh and ROS 2 (apt: python3-rosidl)
+test-web: ### those of the page (apt: chromium)
+test-programs: ### those of C clients, shells, terminals, notebooks and type checkers (apt: the lines of .ci/run; some as root)
+test-release: ### those of packages, wheels and the layer
+test-programs: $(LINT_STAMP)
+$(FURTHER:%=test-%): test-%: $(VENV)/.installed-test-%
+	$(RUN_TESTS) $(SUITES) --board=sim --suite=$* $(PYTEST_ARGS)
 
 test-c: | check-system
-	$(MAKE) -C csrc check $(if $(SANITIZE),SANITIZE=$(SANITIZE))
+	@$(MAKE) --no-print-directory -s -j$(CORES) --output-sync -C csrc check $(if $(SANITIZE),SANITIZE=$(SANITIZE))
+
+test-bare: ### README's commands on an empty root of Debian 12 and 13, as a plain user (root; mmdebstrap; BARE=trixie)
+	tests/bare/run.sh $(BARE)
 
 # NODE=18: with that version, which npm fetches, in place of the system's
 OTHER_NODE := $(if $(NODE),PATH="$(abspath build/node$(NODE)/node_modules/node/bin):$$PATH";)
-test-node: $(STAMP) ## the client for Node.js: built, and its tour over ipc and CURVE (npm fetches its packages)
+test-node: $(STAMP) ### the client for Node.js: built, and its tour over ipc and CURVE (npm fetches its packages)
 	$(if $(NODE),npm install --prefix build/node$(NODE) --no-save --silent node@$(NODE))
 	$(OTHER_NODE) node --version && cd clients/node && npm ci --ignore-scripts --silent && npm run --silent build && CM=cm PATH="$(abspath $(BIN)):$$PATH" npm test --silent
 	$(OTHER_NODE) $(BIN)/cm conformance -- node clients/node/dist/test/driver.js
 
-test-open: $(VENV)/.installed-rtl ## modules by their bits, and the flow of open tools (nextpnr and Project X-Ray are fetched from Debian)
-	$(PYTEST) tests/open -n $(JOBS) --dist loadfile $(PYTEST_ARGS)
+test-open: $(VENV)/.installed-test-rtl ### modules by their bits, and the flow of open tools (nextpnr and Project X-Ray are fetched from Debian)
+	$(RUN_TESTS) tests/open $(PYTEST_ARGS)
+	$(RUN_TESTS) tests/unit --suite=open $(PYTEST_ARGS)
 
-test-rtl: $(VENV)/.installed-rtl ## the HDL and what is generated from it, on Verilator or Icarus with cocotb
+test-rtl: $(VENV)/.installed-test-rtl ### the HDL and what is generated from it, on Verilator or Icarus with cocotb
 	$(PYTEST) tests/rtl $(PYTEST_ARGS)
 	$(PYTEST) tests/device --board=rtl $(PYTEST_ARGS)
 	$(BIN)/cm demo --rtl --out build/demo-rtl
 
-test-vm: $(STAMP) ## kernel modules and the whole manager on a board in QEMU
+test-vm: $(VENV)/.installed-test-design ### kernel modules and the whole manager on a board in QEMU
 	@$(MAKE) --no-print-directory -C tests/vm test PYTHON="$(abspath $(BIN)/python)" TIERS="$(TIERS)" REQUIRED=$(REQUIRED)
 
 demo-fleet: $(VENV)/.installed-zenoh ## three simulated boards over zenoh: one observes, another decides, the third acts; one is killed and comes back (OUT=DIR)
 	@$(BIN)/cm demo --fleet --out $(if $(filter demo,$(OUT)),demo-fleet,$(OUT))
 
-device-suite: $(STAMP) ## tests of the device layer: BOARD=sim, or BOARD=hw TARGET=user@host (or LAB=labgrid.yaml; BOARD_FILE, BOARD_PYTHON)
+device-suite: $(VENV)/.installed-test ## tests of the device layer: BOARD=sim, or BOARD=hw TARGET=user@host (or LAB=labgrid.yaml; BOARD_FILE, BOARD_PYTHON)
 ifeq ($(BOARD),hw)
 	$(BIN)/python tests/device/over_ssh.py $(if $(LAB),--lab $(LAB),--target $(or $(TARGET),$(error device-suite: say TARGET=user@host or LAB=file))) \
 		$(if $(BOARD_FILE),--board-file $(BOARD_FILE)) $(if $(BOARD_PYTHON),--python $(BOARD_PYTHON)) --sudo $(PYTEST_ARGS)
@@ -106,29 +125,29 @@ else
 	$(PYTEST) tests/device --board=sim $(PYTEST_ARGS)
 endif
 
-vm: $(STAMP) ## a shell on that board, with a manager running and its ports forwarded
+vm: $(VENV)/.installed-build ## a shell on that board, with a manager running and its ports forwarded
 	@$(MAKE) --no-print-directory -C tests/vm vm PYTHON="$(abspath $(BIN)/python)" TIERS="$(TIERS)"
 
-web-picture: $(STAMP) ## the picture of the page in docs/images, taken by chromium
+web-picture: $(VENV)/.installed-test-web ### the picture of the page in docs/images, taken by chromium
 	$(BIN)/python docs/web_picture.py
 
-soak: $(STAMP) ## ten thousand changes of mode, scraped ones too, a thousand in a page, a minute of killed readers, every attack on limits, two regions and random designs by their bits (PLACEMENTS=N, default none), five thousand flipped bits; new examples for the tests that draw some
+soak: $(FURTHER:%=$(VENV)/.installed-test-%) ### ten thousand changes of mode, scraped ones too, a thousand in a page, a minute of killed readers, every attack on limits, two regions and random designs by their bits (PLACEMENTS=N, default none), five thousand flipped bits; new examples for the tests that draw some
 	$(PYTEST) tests/unit tests/fuzz -m hypothesis --hypothesis-profile=search $(PYTEST_ARGS)
 	$(PYTEST) tests/soak --changes=10000 --stress=60 --rounds=300 $(PYTEST_ARGS)
 	CM_OPEN_7020=1 $(PYTEST) tests/open/test_open_regions.py tests/open/test_bits_modules.py $(PYTEST_ARGS)
 	for device in xc7z010 xc7z020; do CM_PLACEMENTS=$(PLACEMENTS) CM_DEVICE=$$device CM_SEED=$(SEED) $(PYTEST) tests/open/test_open_placements.py $(PYTEST_ARGS) || exit 1; done
 	for seed in 1 2 3 4 5; do CM_FLIPS=1000 CM_SEED=$$seed $(PYTEST) tests/open/test_bits_flips.py $(PYTEST_ARGS) || exit 1; done
 
-fuzz: $(VENV)/.installed-fuzz ## ten minutes of search for bad input to every reader of bytes from outside (MINUTES=…, TARGETS=…, SEED=…)
+fuzz: $(VENV)/.installed-fuzz $(VENV)/.installed-test-networks ### ten minutes of search for bad input to every reader of bytes from outside (MINUTES=…, TARGETS=…, SEED=…)
 	nice $(BIN)/python tests/fuzz/fuzz.py $(TARGETS) --minutes $(MINUTES) --jobs $(JOBS) $(if $(filter command,$(origin SEED)),--seed $(SEED))
 
-mutation: $(VENV)/.installed-mutation ## whether the unit tests notice defects: 100 mutants of each package, with a fixed seed (COUNT=…, SEED=…, PACKAGES=…)
+mutation: $(VENV)/.installed-mutation $(VENV)/.installed-test ### whether the unit tests notice defects: 100 mutants of each package, with a fixed seed (COUNT=…, SEED=…, PACKAGES=…)
 	nice $(BIN)/python tests/mutation/sample.py $(PACKAGES) --count $(COUNT) --seed $(SEED)
 
 bench: $(VENV)/.installed-bench ## measure latency and throughput beside the alternatives
 	$(BIN)/cm bench --json bench.json --plots bench-plots
 
-test-bench: $(VENV)/.installed-bench ## every measurement in its quick form: that it runs, not how fast
+test-bench: $(VENV)/.installed-test-bench ### every measurement in its quick form: that it runs, not how fast
 	$(PYTEST) tests/bench $(PYTEST_ARGS)
 
 lint: $(LINT_STAMP) ## ruff, ruff format, mypy (strict; the client for macOS and Windows too), clang-format, licences (reuse)
@@ -142,21 +161,21 @@ lint: $(LINT_STAMP) ## ruff, ruff format, mypy (strict; the client for macOS and
 	$(BIN)/clang-format --style=file:csrc/.clang-format --dry-run -Werror $(C_FILES)
 	$(BIN)/reuse lint --quiet || { $(BIN)/reuse lint; exit 1; }
 
-docs: $(LINT_STAMP) ## the pages that are made: the picture of the rooms, the Python reference, the tables of keys and errors
+docs: $(LINT_STAMP) ### the pages that are made: the picture of the rooms, the Python reference, the tables of keys and errors
 	@for script in rooms reference schema_tables reconfiguration_tables; do $(BIN)/python docs/$$script.py || exit 1; done
 
-format: $(LINT_STAMP) ## format Python and C
+format: $(LINT_STAMP) ### format Python and C
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 	$(BIN)/clang-format --style=file:csrc/.clang-format -i $(C_FILES)
 
-kmod: ## the kernel modules for one kernel: make kmod KDIR=… ARCH=… CROSS_COMPILE=…
+kmod: ### the kernel modules for one kernel: make kmod KDIR=… ARCH=… CROSS_COMPILE=…
 	$(MAKE) -C kmod $(if $(KDIR),KDIR="$(abspath $(KDIR))")
 
-kmod-lint: ## checkpatch --strict, sparse and W=1 over the kernel modules
+kmod-lint: ### checkpatch --strict, sparse and W=1 over the kernel modules
 	@kmod/lint.sh || { status=$$?; [ $$status = 3 ] && echo "SKIPPED: see above" || exit $$status; }
 
-kmod-matrix: ## the kernel modules against all supported kernels
+kmod-matrix: ### the kernel modules against all supported kernels
 	$(MAKE) -C kmod matrix
 
 ARCHES ?= amd64 arm64 armhf
@@ -164,7 +183,7 @@ RELEASE := build/release
 SDIST = $(RELEASE)/fpga_cm-$(shell sed -n 's/^__version__ = "\(.*\)"/\1/p' cm/_version.py).tar.gz
 export SOURCE_DATE_EPOCH ?= $(shell git log -1 --format=%ct 2>/dev/null || echo 1577836800)
 
-sdist: $(STAMP) ## the archive of the sources, into build/release
+sdist: $(VENV)/.installed-release ### the archive of the sources, into build/release
 	@mkdir -p $(RELEASE)
 	@PYTHONPATH=release $(BIN)/python -c "import backend; backend.build_sdist('$(RELEASE)')" >$(RELEASE)/sdist.log 2>&1 || \
 		{ cat $(RELEASE)/sdist.log; exit 1; }
@@ -179,20 +198,20 @@ deb: wheel ## Debian packages for ARCHES, checked by lintian, into build/release
 	@status=0; release/deb.sh $(SDIST) $(RELEASE) $(ARCHES) || status=$$?; \
 		if [ $$status = 77 ]; then echo "SKIPPED: Debian packages (see above)"; exit 0; fi; exit $$status
 
-release-check: $(LINT_STAMP) ## changelog, versions, licences, links, the same bytes from two folders; writes the SBOM (TAG=v1.2.3)
+release-check: $(LINT_STAMP) $(VENV)/.installed-test-release ### changelog, versions, licences, links, the same bytes from two folders; writes the SBOM (TAG=v1.2.3)
 	@$(BIN)/python release/check.py $(if $(TAG),--tag $(TAG))
 	@$(PYTEST) -q tests/release/test_backend.py
 	@mkdir -p $(RELEASE)
 	@$(BIN)/python release/sbom.py $(RELEASE)/fpga-cm.cdx.json
 
-layer-bitbake: $(STAMP) ## the layer under BitBake, offline, to finished packages: OECORE=DIR with clones of openembedded-core, bitbake, meta-openembedded (CHECK_LAYER=1)
+layer-bitbake: $(STAMP) ### the layer under BitBake, offline, to finished packages: OECORE=DIR with clones of openembedded-core, bitbake, meta-openembedded (CHECK_LAYER=1)
 	@release/layer.sh $(BIN)/python >/dev/null
 	@status=0; PYTHON=$(BIN)/python CHECK_LAYER=$(CHECK_LAYER) OECORE="$(OECORE)" tests/bitbake/run.sh $(SERIES) || status=$$?; [ $$status != 77 ] || exit 0; exit $$status
 
-layer: $(STAMP) ## the sources into the Yocto layer, and the layer as an archive into build/release
+layer: $(VENV)/.installed-release ### the sources into the Yocto layer, and the layer as an archive into build/release
 	@release/layer.sh $(BIN)/python
 
-dtbo: ## device-tree overlays, with and without symbols
+dtbo: ### device-tree overlays, with and without symbols
 	$(MAKE) -C dts dtbo
 
 clean: ## what was built, but not the environment
@@ -200,5 +219,5 @@ clean: ## what was built, but not the environment
 	$(MAKE) -C csrc clean
 	$(MAKE) -C dts clean
 
-distclean: clean ## the environment too
+distclean: clean ### the environment too
 	rm -rf $(VENV) *.egg-info cm/device/native/_cm.abi3.so cm/wire/cm_pb2.py cm/wire/cm_pb2.pyi

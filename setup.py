@@ -10,8 +10,10 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from setuptools import __version__ as setuptools_version
 from setuptools import setup
@@ -107,7 +109,17 @@ class BuildPy(build_py):
 
 
 class BuildExt(build_ext):
-    """Generates the protobuf module beside its source with ``build_ext --inplace``."""
+    """Compiles side by side; generates the protobuf module beside its source with ``build_ext --inplace``."""
+
+    def build_extensions(self) -> None:
+        compile_one = self.compiler.compile
+
+        def compile_all(sources: list[str], **settings: Any) -> list[str]:
+            with ThreadPoolExecutor(os.cpu_count()) as pool:
+                return [file for made in pool.map(lambda one: compile_one([one], **settings), sources) for file in made]
+
+        self.compiler.compile = compile_all
+        super().build_extensions()
 
     def run(self) -> None:
         super().run()

@@ -7,6 +7,9 @@ import functools
 import gc
 import os
 import re
+from collections.abc import Generator
+from pathlib import Path
+from typing import TypeVar
 
 import pytest
 from hypothesis import HealthCheck, Phase, settings
@@ -30,6 +33,16 @@ for _name in ("MAKEFLAGS", "MAKELEVEL", "MFLAGS"):
     os.environ.pop(_name, None)
 
 
+# What `make test` leaves to further targets, as README's packages do not suffice: the tests in folders of these names,
+# and those with a marker (pyproject.toml says what each needs).
+SUITES = ("design", "networks", "web", "programs", "release", "open", "elsewhere")
+OF_ALL = re.compile(rf"^pytestmark = \[?\s*pytest\.mark\.({'|'.join(SUITES)})\b", re.MULTILINE)
+HERE = Path(__file__).parent
+
+
+Report = TypeVar("Report", pytest.TestReport, pytest.CollectReport)
+
+
 def pytest_make_parametrize_id(config: pytest.Config, val: object) -> str | None:
     """Names that can be read and given back: pytest loses some with escaped characters among hundreds of others."""
     if isinstance(val, bytes):
@@ -44,8 +57,57 @@ def _forget() -> None:
             thing.cache_clear()
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """mutmut names tests one by one, in the order of their times: a module's fixtures are made once all the same."""
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--suite", help="only the tests with this marker of pyproject.toml; 'plain': those with none")
+    parser.addoption(
+        "--no-skips", action="store_true", help="a test that is skipped has failed: all it needs should be here"
+    )
+
+
+def _folder(path: Path) -> str:
+    return next((part for part in path.relative_to(HERE).parts if part in SUITES), "plain")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """A file all of whose tests belong to another suite is not even imported: what it imports may be absent."""
+    suite = config.getoption("suite")
+    if suite is None or collection_path.suffix != ".py" or not collection_path.is_relative_to(HERE):
+        return None
+    text = collection_path.read_text(encoding="utf-8")
+    of_all = OF_ALL.search(text)
+    of_file = of_all[1] if of_all else _folder(collection_path)
+    return None if suite == of_file or f"pytest.mark.{suite}" in text else True
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    return _no_skip(item.config, (yield))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(
+    collector: pytest.Collector,
+) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    return _no_skip(collector.config, (yield))
+
+
+def _no_skip(config: pytest.Config, report: Report) -> Report:
+    if report.skipped and config.getoption("no_skips") and not hasattr(report, "wasxfail"):
+        report.outcome = "failed"
+        report.longrepr = f"skipped, with --no-skips: {report.longrepr}"
+    return report
+
+
+def _suite(item: pytest.Item) -> str:
+    return next((mark.name for mark in item.iter_markers() if mark.name in SUITES), _folder(item.path))
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave those of other suites.
+
+    mutmut names tests one by one, in the order of their times: a module's fixtures are made once all the same."""
+    if suite := config.getoption("suite"):
+        items[:] = [item for item in items if _suite(item) == suite]
     if "MUTANT_UNDER_TEST" in os.environ:
         _forget()
         modules = {path: number for number, path in enumerate(dict.fromkeys(item.path for item in items))}

@@ -12,6 +12,7 @@ import io
 import os
 import sys
 from collections.abc import Sequence
+from typing import TextIO
 
 from cm.cli.parser import build_parser, chosen_command, refuse_unknown
 from cm.errors import CmError
@@ -37,8 +38,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     status = _ended(words)
     if arguments is None and "zenoh" in sys.modules and chosen_command(words) in _AT_ONCE:
-        if sys.stderr is not None:
-            sys.stderr.flush()
         os._exit(status)
     return status
 
@@ -50,13 +49,14 @@ def _ended(words: list[str]) -> int:
         try:
             return _outcome(words, "--json" in words)
         finally:
+            _finish_errors()
             if sys.stdout is not None:  # as it is if the shell has closed it
                 sys.stdout.flush()  # a reader that is gone, or a full disk, shows here, not at the interpreter's end
     except BrokenPipeError:
-        _drop_output()
+        _drop(sys.stdout)
         return EXIT_PIPE
     except OSError as error:
-        _drop_output()
+        _drop(sys.stdout)
         return _fail(f"standard output: {_sentence(error)}", "io", as_json=False)
 
 
@@ -124,10 +124,19 @@ def _sentence(error: OSError) -> str:
     return f"{error.filename}: {reason}" if error.filename else reason
 
 
-def _drop_output() -> None:
+def _finish_errors() -> None:
+    """A log on a full disk is lost, and is no failure of the command (Python 3.13 would end with status 120)."""
+    if sys.stderr is not None:
+        try:
+            sys.stderr.flush()
+        except OSError:
+            _drop(sys.stderr)
+
+
+def _drop(output: TextIO) -> None:
     """Discard what is still buffered, so that the interpreter does not complain about it at its end."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, sys.stdout.fileno())
+    os.dup2(nowhere, output.fileno())
     os.close(nowhere)
 
 

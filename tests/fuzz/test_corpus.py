@@ -24,7 +24,9 @@ def _scratch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     tempfile.tempdir = before
 
 
-@pytest.mark.parametrize("name", TARGETS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.networks if name == "fleet" else ()) for name in TARGETS]
+)
 def test_what_is_known_is_read_or_refused(name: str) -> None:
     target = importlib.import_module(f"targets.{name}")
     inputs = [*target.seeds(), *(path.read_bytes() for path in sorted((HERE / "corpus" / name).glob("*")))]

@@ -26,6 +26,7 @@ import zenoh_support
 from fleet_support import FleetBoard, fleet_board
 from ros_peer import PATIENCE, BridgeProcess
 
+pytestmark = pytest.mark.networks
 MANY = 40  # more than are worked on at a time
 PARAMETERS = "/cm/list_parameters", "rcl_interfaces/srv/ListParameters"
 ACTION, KIND = "/cm/change_mode/_action", "cm_interfaces/action/ChangeMode"

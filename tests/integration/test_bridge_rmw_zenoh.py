@@ -30,6 +30,7 @@ from cm.networks.ros.standard import STANDARD
 from cm.networks.ros.transport import EVENTS, LATCHED, Qos
 from cm.networks.ros.typehash import type_hash
 
+pytestmark = pytest.mark.networks
 IMAGE = "sensor_msgs/msg/Image"
 
 

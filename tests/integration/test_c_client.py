@@ -12,6 +12,7 @@ from manager_process import REPOSITORY, Manager
 
 import cm
 
+pytestmark = pytest.mark.programs
 NEEDED = ("libzmq", "libprotobuf-c")
 
 

@@ -59,7 +59,7 @@ BEGIN = {
 }
 
 
-@pytest.mark.parametrize("shell", BEGIN)
+@pytest.mark.parametrize("shell", ["bash", pytest.param("zsh", marks=pytest.mark.programs)])
 def test_tab_on_a_terminal_completes_names_of_what_runs(shell: str, folder: Path, manager: Manager) -> None:
     if shutil.which(shell) is None:
         pytest.skip(f"needs_{shell}")
@@ -82,6 +82,7 @@ def at_tab(line: str, env: dict[str, str]) -> list[str]:
     return ran.stdout.split("\n") if ran.stdout else []
 
 
+@pytest.mark.programs
 def test_fish_completes_names_of_what_runs(folder: Path, manager: Manager) -> None:
     if shutil.which("fish") is None:
         pytest.skip("needs_fish")

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from manager_process import REPOSITORY
 
+pytestmark = pytest.mark.programs
 PROGRAM = """\
 import asyncio
 

@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from manager_process import Manager, environment, short_folder, until
 
+pytestmark = pytest.mark.design
+
 pytest.importorskip("jinja2", reason="needs the extra build")
 pytest.importorskip("pyslang", reason="needs the extra build")
 

@@ -35,6 +35,8 @@ from cm.wire import cm_pb2 as pb
 from cm.wire.messages.fleet import BoardStatus, BundleState, Decision
 from cm.wire.messages.status import ErrorInfo, RegValues
 
+pytestmark = pytest.mark.networks
+
 Boards = dict[str, FleetBoard]
 
 

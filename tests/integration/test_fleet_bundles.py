@@ -14,6 +14,8 @@ from manager_process import until
 from cm.networks.fleet.bundles import Cache, PartMissing, Parts, described, fetched, offered, part_key
 from cm.networks.fleet.network import Network, session
 
+pytestmark = pytest.mark.networks
+
 
 @pytest.fixture(scope="module")
 def router() -> Iterator[Router]:

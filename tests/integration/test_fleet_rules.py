@@ -20,6 +20,8 @@ from cm.tools.demo.boards import free_ports
 from cm.wire.messages.fleet import BoardStatus
 from cm.wire.messages.status import ErrorInfo, RegValues
 
+pytestmark = pytest.mark.networks
+
 
 class Closed:
     """A fleet with keys: one board, and clients' files by their names."""

@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from manager_process import REPOSITORY, served
 
+pytestmark = pytest.mark.programs
+
 
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("system", ["win32", "darwin"])

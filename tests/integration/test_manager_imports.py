@@ -11,7 +11,8 @@ from manager_process import environment, served
 HEAVY = {"asyncio", "bz2", "ctypes", "email", "http", "importlib.resources", "lzma", "multiprocessing", "shutil"}
 HEAVY |= {"sqlite3", "ssl", "statistics", "tempfile", "unittest", "xml", "zipfile"}
 LIBRARIES = {"_cffi_backend", "_yaml", "cm", "google", "yaml", "zmq"}
-STARTED_WITH = {"_distutils_hack", "sitecustomize", "usercustomize"}  # by Python itself, where there are any
+# By Python itself, where there are any; Debian 13's sitecustomize looks for the last.
+STARTED_WITH = {"_distutils_hack", "sitecustomize", "usercustomize", "apport_python_hook"}
 _ELSEWHERE = {"org", "win32api"}  # of other systems: the standard library tries to import them
 
 

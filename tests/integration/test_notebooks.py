@@ -21,6 +21,7 @@ from PIL import Image
 import cm
 from cm.cli.main import main
 
+pytestmark = pytest.mark.programs
 NOTEBOOKS = sorted((REPOSITORY / "docs/notebooks").glob("*.ipynb"))
 
 

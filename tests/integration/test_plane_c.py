@@ -20,7 +20,10 @@ from cm.simulation.software.hardware import camera
 
 TOOLS = ("make", "cc", "pkg-config")
 MISSING = [tool for tool in TOOLS if shutil.which(tool) is None]
-pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"needs_c_tools: {', '.join(MISSING)} not installed")
+pytestmark = [
+    pytest.mark.programs,
+    pytest.mark.skipif(bool(MISSING), reason=f"needs_c_tools: {', '.join(MISSING)} not installed"),
+]
 
 
 @pytest.fixture(scope="module")

@@ -81,6 +81,7 @@ def manager() -> Iterator[Manager]:
             manager.stop()
 
 
+@pytest.mark.programs
 @needs_root
 def test_only_the_group_can_open_the_sockets(manager: Manager) -> None:
     for name in ("pub", "sub", "req", "data"):
@@ -89,6 +90,7 @@ def test_only_the_group_can_open_the_sockets(manager: Manager) -> None:
     assert stat.S_IMODE(manager.runtime.stat().st_mode) == 0o750
 
 
+@pytest.mark.programs
 @needs_root
 def test_two_users_of_different_roles_and_one_without(manager: Manager) -> None:
     acts = ("board.status.mode", "board.registers['focus']", "write('focus', 2)")
@@ -102,6 +104,7 @@ def test_two_users_of_different_roles_and_one_without(manager: Manager) -> None:
     assert "gives this user no role" in told
 
 
+@pytest.mark.programs
 @needs_root
 def test_a_user_outside_the_group_learns_the_reason_at_once(manager: Manager) -> None:
     told = outcome(manager, ALICE, "board.status", groups=())["connect"]
@@ -152,6 +155,7 @@ os._exit(0)
 """
 
 
+@pytest.mark.programs
 @needs_root
 def test_a_user_whose_role_is_taken_away_loses_streams_subscriptions_and_requests(manager: Manager) -> None:
     """Others notice nothing."""
@@ -168,6 +172,7 @@ def test_a_user_whose_role_is_taken_away_loses_streams_subscriptions_and_request
         assert board.status.mode == "default"
 
 
+@pytest.mark.programs
 @needs_root
 def test_what_one_user_sent_another_does_not_replace_nor_remove(manager: Manager) -> None:
     path = manager.runtime.parent / "mine.yaml"

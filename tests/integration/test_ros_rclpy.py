@@ -27,7 +27,7 @@ if find_spec("rclpy") is None or find_spec("cm_interfaces") is None:
 ZENOH = os.environ.get("RMW_IMPLEMENTATION") == "rmw_zenoh_cpp"
 PATIENCE = 60.0
 
-pytestmark = pytest.mark.filterwarnings("default")  # rclpy's warnings are not ours
+pytestmark = [pytest.mark.elsewhere, pytest.mark.filterwarnings("default")]  # rclpy's warnings are not ours
 
 
 class Node:

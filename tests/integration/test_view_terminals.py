@@ -21,6 +21,7 @@ from PIL import Image
 
 from cm.cli.main import main
 
+pytestmark = pytest.mark.programs
 WAIT = 60.0
 HERE = shlex.join(["cd", str(REPOSITORY)])
 SGR = re.compile(r"\x1b\[([\d;]*)m|(.)", re.DOTALL)

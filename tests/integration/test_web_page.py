@@ -23,6 +23,7 @@ from web_support import WebServer, change, chromium, page_of, watch, web_server
 
 from cm.simulation.software import Board as SimBoard
 
+pytestmark = pytest.mark.web
 SHOTS = Path(os.environ.get("CM_WEB_SHOTS") or REPOSITORY / "build" / "web")
 
 

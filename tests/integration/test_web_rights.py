@@ -15,6 +15,8 @@ from web_support import WebServer, web_server
 
 from cm.simulation.software import Board as SimBoard
 
+pytestmark = pytest.mark.web
+
 
 @pytest.fixture(scope="module")
 def guarded() -> Iterator[Guarded]:

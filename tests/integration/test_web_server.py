@@ -18,6 +18,7 @@ from web_support import WebServer, web_server
 import cm
 from cm.simulation.software import Board as SimBoard
 
+pytestmark = pytest.mark.web
 HUNG = 60.0
 Session = Callable[[], Awaitable[None]]
 

@@ -14,6 +14,7 @@ import pytest
 
 griffe = pytest.importorskip("griffe", reason="needs griffe: make lint installs it")
 
+pytestmark = pytest.mark.programs
 ROOT = Path(__file__).resolve().parents[2]
 
 # Type aliases: named in signatures, but never created by or given to users.

@@ -326,7 +326,9 @@ def test_a_bar_fits_its_line(columns: int, fraction: float) -> None:
     assert len(bar("loading", fraction, "prr0", columns)) <= columns
 
 
-@pytest.mark.parametrize("name", SHELLS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.programs if name != "bash" else ()) for name in SHELLS]
+)
 def test_a_completion_script_is_valid_in_its_shell(name: str, tmp_path: Path) -> None:
     if shutil.which(name) is None:
         pytest.skip(f"needs_{name}")

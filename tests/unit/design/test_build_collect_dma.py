@@ -286,8 +286,8 @@ def test_a_directory_that_lies_about_a_length_is_refused(tmp_path: Path) -> None
 
 def test_a_member_without_a_name_is_refused(tmp_path: Path) -> None:
     path = packed(tmp_path / "nameless.xsa", ("x", b"data"))
-    path.write_bytes(path.read_bytes().replace(b"x", b"\0"))  # zipfile ends a name at a NUL
-    with pytest.raises(BuildError, match=r"nameless\.xsa: not an XSA or HDF"):
+    path.write_bytes(path.read_bytes().replace(b"x", b"\0"))  # zipfile ends a name at a NUL, and refuses it till 3.12
+    with pytest.raises(BuildError, match=r"nameless\.xsa: not an XSA or HDF|neither a \.hwh"):
         collect([path])
 
 

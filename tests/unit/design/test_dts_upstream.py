@@ -31,6 +31,7 @@ EXPECTED = "vendor-prefixes.yaml"  # fpga-cm is not one of the kernel's
 LINUX = Path(os.environ.get("LINUX_SOURCE", ""))
 
 pytestmark = [
+    pytest.mark.elsewhere,
     pytest.mark.skipif(not os.environ.get("LINUX_SOURCE"), reason="needs a kernel source, named by LINUX_SOURCE"),
     *(needs(tool) for tool in ("dtc", "fdtoverlay", "cpp", "make")),
 ]

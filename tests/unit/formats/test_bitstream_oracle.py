@@ -22,6 +22,8 @@ from cm.formats.bitstream.devices import Family, device_by_idcode, device_by_nam
 from cm.formats.bitstream.far import decode_far, encode_far
 from cm.formats.bitstream.geometry import geometry_of
 
+pytestmark = pytest.mark.open
+
 WORDS = 101
 
 

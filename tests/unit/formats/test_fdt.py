@@ -93,6 +93,7 @@ def test_the_first_string_of_a_list_is_its_text() -> None:
     assert (node.text("compatible"), node.text("empty"), node.text("none")) == ("a,b", "", None)
 
 
+@pytest.mark.design
 @needs("dtc")
 def test_what_dtc_compiled_is_read(compiled: bytes) -> None:
     found = dict(fdt.unpack(compiled).walk())
@@ -102,6 +103,7 @@ def test_what_dtc_compiled_is_read(compiled: bytes) -> None:
     assert fdt.read(compiled).reserved == ((0x1000, 0x20),)
 
 
+@pytest.mark.design
 @needs("dtc")
 @needs("fdtget")
 def test_a_longer_firmware_name_is_all_that_differs_to_libfdt(compiled: bytes, tmp_path: Path) -> None:
@@ -118,6 +120,7 @@ def test_a_longer_firmware_name_is_all_that_differs_to_libfdt(compiled: bytes, t
     assert texts[1].replace(wanted[:-1].decode(), "design.bit.bin") == texts[0]
 
 
+@pytest.mark.design
 @needs("dtc")
 def test_an_older_blob_of_version_16_is_read(compiled: bytes, tmp_path: Path) -> None:
     (tmp_path / "new.dtb").write_bytes(compiled)

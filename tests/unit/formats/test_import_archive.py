@@ -134,6 +134,7 @@ def test_the_last_versions_are_kept(tmp_path: Path) -> None:
     assert note(out) == b"5"
 
 
+@pytest.mark.programs
 def test_a_full_disk_leaves_the_version_that_is_in_force(
     small_disk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -35,6 +35,8 @@ from cm.formats.xray import (
     with_ecc,
 )
 
+pytestmark = pytest.mark.open
+
 
 @pytest.fixture(scope="module")
 def tree() -> PackageTree:

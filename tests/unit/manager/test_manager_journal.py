@@ -236,6 +236,7 @@ def fill(disk: Path) -> None:
             file.write(bytes(4096))
 
 
+@pytest.mark.programs
 def test_a_disk_that_others_fill_does_not_stop_the_record(small_disk: Path) -> None:
     journal = Journal(small_disk / "state")
     for number in range(2000):  # more than three new journals
@@ -252,6 +253,7 @@ def test_a_disk_that_others_fill_does_not_stop_the_record(small_disk: Path) -> N
     again.close()
 
 
+@pytest.mark.programs
 def test_a_disk_that_was_full_before_is_an_error_until_there_is_room(small_disk: Path) -> None:
     fill(small_disk)
     journal = Journal(small_disk / "state")

@@ -241,6 +241,7 @@ def test_a_long_schema_is_read_without_a_search_for_garbage_in_all_that_there_is
     assert found[-1] <= before + 100  # and the second does not look through the first's
 
 
+@pytest.mark.programs
 def test_a_full_disk_changes_nothing(small_disk: Path) -> None:
     provisioner = Provisioner(small_disk / "configs")
     provisioner.store(SCHEMA, FILES, sender=ANNA)

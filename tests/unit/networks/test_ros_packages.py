@@ -95,6 +95,7 @@ def test_the_package_of_the_node_installs_what_ros_looks_for(tmp_path: Path) -> 
     } <= installed
 
 
+@pytest.mark.elsewhere
 def test_colcon_builds_the_package_of_the_node(tmp_path: Path) -> None:
     colcon = shutil.which("colcon") or shutil.which("colcon", path=str(Path(sys.executable).parent))
     if colcon is None:

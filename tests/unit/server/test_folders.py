@@ -27,6 +27,7 @@ def test_a_folder_is_made_for_this_user_and_its_group(tmp_path: Path) -> None:
     own_folder(tmp_path / "run")  # again is fine
 
 
+@pytest.mark.programs
 @needs_root
 def test_a_folder_is_given_to_the_group_that_may_connect(tmp_path: Path) -> None:
     own_folder(tmp_path / "run", group=STRANGER)
@@ -34,6 +35,7 @@ def test_a_folder_is_given_to_the_group_that_may_connect(tmp_path: Path) -> None
     assert (status.st_gid, stat.S_IMODE(status.st_mode) & 0o077) == (STRANGER, 0o050)
 
 
+@pytest.mark.programs
 @needs_root
 def test_another_users_folder_is_refused(tmp_path: Path) -> None:
     folder = tmp_path / "run"
@@ -81,6 +83,7 @@ def test_what_is_not_a_regular_file_is_not_opened_as_one(tmp_path: Path) -> None
         open_inside(tmp_path, "lock", os.O_RDWR | os.O_NONBLOCK)
 
 
+@pytest.mark.programs
 @needs_root
 def test_a_socket_is_for_its_owner_and_the_group(tmp_path: Path) -> None:
     path = tmp_path / "socket"

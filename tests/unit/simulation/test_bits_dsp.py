@@ -23,6 +23,7 @@ RESETS = ["RSTA", "RSTB", "RSTC", "RSTD", "RSTM", "RSTP", "RSTINMODE", "RSTCTRL"
 SINGLE = ["CREG", "DREG", "ADREG", "MREG", "INMODEREG", "OPMODEREG", "ALUMODEREG", "CARRYINREG"]
 MODES = [0b0000000, 0b0000101, 0b0110101, 0b0100101, 0b0001100, 0b0000011, 0b0110011, 0b0101100, 0b1100101, 0b0100011]
 pytestmark = [
+    pytest.mark.open,
     pytest.mark.skipif(shutil.which("iverilog") is None, reason="needs iverilog, which is not installed"),
     pytest.mark.skipif(not CELLS.is_file(), reason="needs yosys' models of cells, which are not installed"),
 ]

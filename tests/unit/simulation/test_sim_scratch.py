@@ -86,6 +86,7 @@ def test_links_and_what_is_locked_or_served_or_has_another_name_stay(tmp_path: P
     assert (target / "precious").exists()
 
 
+@pytest.mark.programs
 @pytest.mark.skipif(os.getuid() != 0, reason="needs_root: to give a folder to another user")
 def test_another_users_folder_stays(tmp_path: Path, dead: int) -> None:
     theirs = tmp_path / f"cm-x-{dead}-theirs"
