@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from cm.device.errors import DeviceInvalid as DeviceInvalid
     from cm.device.errors import DeviceNotFound as DeviceNotFound
     from cm.device.errors import DevicePermission as DevicePermission
+    from cm.device.errors import DeviceRevoked as DeviceRevoked
     from cm.device.errors import DeviceTimeout as DeviceTimeout
     from cm.device.errors import DeviceUnsupported as DeviceUnsupported
     from cm.device.fpga_manager import FpgaManager as FpgaManager
@@ -53,6 +54,11 @@ if TYPE_CHECKING:
     from cm.device.uio import UioMap as UioMap
     from cm.device.uio import find_uio as find_uio
     from cm.device.uio import list_uio as list_uio
+    from cm.device.window import Grant as Grant
+    from cm.device.window import MappedWindow as MappedWindow
+    from cm.device.window import WindowEnd as WindowEnd
+    from cm.device.window import WindowEvent as WindowEvent
+    from cm.device.window import Windows as Windows
 
 __all__ = [
     "AxiDma",
@@ -65,6 +71,7 @@ __all__ = [
     "DeviceInvalid",
     "DeviceNotFound",
     "DevicePermission",
+    "DeviceRevoked",
     "DeviceTimeout",
     "DeviceUnsupported",
     "Direction",
@@ -75,12 +82,14 @@ __all__ = [
     "FpgaManager",
     "GpioChip",
     "GpioLine",
+    "Grant",
     "Icap",
     "IcapCompletion",
     "IcapErrors",
     "IcapInfo",
     "IcapState",
     "IcapStatus",
+    "MappedWindow",
     "Overlays",
     "PlClock",
     "PlClocks",
@@ -89,6 +98,9 @@ __all__ = [
     "Uio",
     "UioInfo",
     "UioMap",
+    "WindowEnd",
+    "WindowEvent",
+    "Windows",
     "find_uio",
     "list_dma",
     "list_fpga_managers",
@@ -111,6 +123,7 @@ _HOMES = {
         "DeviceInvalid",
         "DeviceNotFound",
         "DevicePermission",
+        "DeviceRevoked",
         "DeviceTimeout",
         "DeviceUnsupported",
     ),
@@ -121,6 +134,7 @@ _HOMES = {
     "paths": ("Root",),
     "sensors": ("Reading", "read_sensors"),
     "uio": ("Uio", "UioInfo", "UioMap", "find_uio", "list_uio"),
+    "window": ("Grant", "MappedWindow", "WindowEnd", "WindowEvent", "Windows"),
 }
 _MODULES = {name: module for module, names in _HOMES.items() for name in names}
 

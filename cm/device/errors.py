@@ -55,6 +55,13 @@ class DeviceClosed(DeviceError):
     code = "device_closed"
 
 
+class DeviceRevoked(DeviceError):
+    """A window's pages were taken back: what was read is not the register's value (ESTALE)."""
+
+    code = "window_revoked"
+    reason: int = 0  # a `cm.device.WindowEnd`
+
+
 class DeviceExists(DeviceError, FileExistsError):
     """It is there already (EEXIST)."""
 
@@ -85,6 +92,7 @@ _KINDS: dict[int, type[DeviceError]] = {
     errno.ECONNRESET: DeviceGone,
     errno.EBADF: DeviceClosed,
     errno.ECANCELED: DeviceClosed,
+    errno.ESTALE: DeviceRevoked,
     errno.EEXIST: DeviceExists,
     errno.EINVAL: DeviceInvalid,
     errno.ERANGE: DeviceInvalid,
@@ -102,6 +110,7 @@ _REASONS: dict[type[DeviceError], str] = {
     DeviceTimeout: "it did not happen in time",
     DeviceGone: "the device has gone, or nothing serves it",
     DeviceClosed: "it is closed",
+    DeviceRevoked: "its pages were taken back",
     DeviceExists: "it exists already",
 }
 

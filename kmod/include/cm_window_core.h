@@ -31,6 +31,5 @@ struct cm_window *cm_window_register(const struct cm_window_config *config);
 void cm_window_unregister(struct cm_window *window);
 void cm_window_shut(struct cm_window *window, u32 reason);
 void cm_window_admit(struct cm_window *window);
-void cm_window_revoke_all(struct cm_window *window, u32 reason);
 
 #endif /* _CM_WINDOW_CORE_H */

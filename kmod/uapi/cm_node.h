@@ -15,8 +15,10 @@
  * request is a struct cm_node_request and the ioctl's structure; where an
  * ioctl takes a file descriptor it travels as SCM_RIGHTS, and so does one
  * that it returns.  The reply's structure is that of the ioctl, as filled in.
- * A descriptor that stands for an open file of its own (a line of a GPIO chip)
- * is a connection of this kind too, with its greeting under way.
+ * A descriptor that stands for an open file of its own (a line of a GPIO chip,
+ * a grant of a window) is a connection of this kind too, with its greeting under
+ * way.  A grant's takes register accesses, counted from its first byte, and ends
+ * them with ESTALE once it was taken back.
  * The connection's end is close().  The client shuts down its writing side and
  * waits until the server has closed its own, so a server first releases what
  * the file held and then closes: as with a driver's release(), the node can be
@@ -31,7 +33,7 @@
 #define CM_NODE_PAYLOAD_MAX 65536
 
 #define CM_NODE_OP_OPEN 0u /* first reply only */
-/* any ioctl number of cm_dma.h, cm_icap.h and linux/gpio.h is an op, and these: */
+/* any ioctl number of cm_dma.h, cm_icap.h, cm_window.h and linux/gpio.h is an op, and these: */
 #define CM_NODE_OP_REG_READ 1u	 /* struct cm_node_reg */
 #define CM_NODE_OP_REG_WRITE 2u	 /* struct cm_node_reg */
 #define CM_NODE_OP_ATTR_READ 3u	 /* reply payload: the attribute's bytes */
@@ -42,6 +44,8 @@
 #define CM_NODE_OP_BLOCK_READ \
 	8u /* struct cm_node_block; its reply: the bytes. Only where offered */
 #define CM_NODE_OP_BLOCK_WRITE 9u /* struct cm_node_block and the bytes behind it; empty reply */
+
+#define CM_NODE_OP_GRANT 10u /* struct cm_node_grant; of a grant's connection */
 
 /* Bits of a greeting's flags. */
 #define CM_NODE_OFFERS_MIRROR 1u
@@ -121,6 +125,18 @@ struct cm_node_mirror {
 	__u32 map;
 	__s32 fd;
 	__u64 size;
+};
+
+/**
+ * struct cm_node_grant - what a grant's connection is
+ * @fd: a memfd of one page: struct cm_window_state, as page 0 of a real grant
+ * @reserved: 0
+ * @offset: of the grant's first byte in the window's mirror
+ */
+struct cm_node_grant {
+	__s32 fd;
+	__u32 reserved;
+	__u64 offset;
 };
 
 #endif /* _UAPI_CM_NODE_H */

@@ -59,7 +59,8 @@
  *
  * -ENXIO where no window has the whole range, -EINVAL where the range or the
  * window is not made of whole pages, -EPERM where the window's pages hold
- * registers of others too, -EAGAIN while its bridge is disabled, -ENOSPC for
+ * registers of others too, -EAGAIN while its bridge is disabled or the system
+ * goes to sleep, -ENOSPC for
  * more than 4096 grants of one file that were not released, or whose events
  * were not read.
  */

@@ -10,7 +10,6 @@
 #include <linux/mod_devicetable.h>
 #include <linux/of.h>
 #include <linux/platform_device.h>
-#include <linux/pm.h>
 #include <linux/property.h>
 #include <linux/spinlock.h>
 #include <linux/uio_driver.h>
@@ -111,7 +110,8 @@ static int add_window(struct cm_window_device *self, struct resource *range)
 	};
 	struct cm_window *window;
 
-	if (!devm_request_mem_region(self->dev, range->start, resource_size(range),
+	if (device_property_read_bool(self->dev, "fpga-cm,shared") ||
+	    !devm_request_mem_region(self->dev, range->start, resource_size(range),
 				     dev_name(self->dev)))
 		config.refusal = -EPERM;
 	window = cm_window_register(&config);
@@ -258,7 +258,6 @@ static int cm_window_probe(struct platform_device *pdev)
 	spin_lock_init(&self->lock);
 	self->info.version = CM_VERSION;
 	self->info.priv = self;
-	platform_set_drvdata(pdev, self);
 	ret = name_it(self);
 	if (!ret)
 		ret = find_interrupt(self, pdev);
@@ -274,19 +273,6 @@ static int cm_window_probe(struct platform_device *pdev)
 	return ret ? dev_err_probe(dev, ret, "no UIO device\n") : 0;
 }
 
-/* what is behind the pages may lose its power and its circuit; who had them asks again */
-static int __maybe_unused cm_window_suspend(struct device *dev)
-{
-	struct cm_window_device *self = dev_get_drvdata(dev);
-	int i;
-
-	for (i = 0; i < self->count; i++)
-		cm_window_revoke_all(self->windows[i], CM_WINDOW_REVOKED_SLEEP);
-	return 0;
-}
-
-static SIMPLE_DEV_PM_OPS(cm_window_pm, cm_window_suspend, NULL);
-
 static const struct of_device_id cm_window_of_match[] = {
 	{ .compatible = "fpga-cm,window" },
 	{}
@@ -298,6 +284,5 @@ struct platform_driver cm_window_driver = {
 	.driver = {
 		.name = "cm_window",
 		.of_match_table = cm_window_of_match,
-		.pm = &cm_window_pm,
 	},
 };

@@ -27,6 +27,7 @@
 #include <linux/pseudo_fs.h>
 #include <linux/rwsem.h>
 #include <linux/slab.h>
+#include <linux/suspend.h>
 #include <linux/uaccess.h>
 
 #include "cm_compat.h"
@@ -107,6 +108,7 @@ struct cm_grant {
 /* read: a fault; write: everything else that looks at windows and grants */
 static DECLARE_RWSEM(windows_lock);
 static LIST_HEAD(windows);
+static bool asleep; /* nothing is lent */
 static atomic_t lent;
 
 static struct vfsmount *window_mount;
@@ -328,7 +330,7 @@ static int lend_locked(struct cm_window_file *self, struct cm_grant *grant, u64 
 		return -ENXIO;
 	if (window->config.refusal)
 		return window->config.refusal;
-	if (window->shut)
+	if (window->shut || asleep)
 		return -EAGAIN;
 	if (self->count >= CM_GRANTS_MAX || self->last == U32_MAX)
 		return -ENOSPC;
@@ -669,19 +671,6 @@ void cm_window_unregister(struct cm_window *window)
 EXPORT_SYMBOL_CM(cm_window_unregister);
 
 /**
- * cm_window_revoke_all() - take all pages back
- * @window: window
- * @reason: CM_WINDOW_REVOKED_*
- */
-void cm_window_revoke_all(struct cm_window *window, u32 reason)
-{
-	down_write(&windows_lock);
-	revoke_window_locked(window, 0, ULONG_MAX, reason);
-	up_write(&windows_lock);
-}
-EXPORT_SYMBOL_CM(cm_window_revoke_all);
-
-/**
  * cm_window_shut() - take all pages back, and lend none until cm_window_admit()
  * @window: window
  * @reason: CM_WINDOW_REVOKED_*
@@ -705,6 +694,25 @@ void cm_window_admit(struct cm_window *window)
 	up_write(&windows_lock);
 }
 
+/* what is behind the pages may lose its power and its circuit; who had them asks again */
+static int sleep_or_wake(struct notifier_block *block, unsigned long action, void *data)
+{
+	struct cm_window *window;
+
+	down_write(&windows_lock);
+	asleep = action == PM_SUSPEND_PREPARE || action == PM_HIBERNATION_PREPARE;
+	list_for_each_entry(window, &windows, siblings) {
+		if (asleep)
+			revoke_window_locked(window, 0, ULONG_MAX, CM_WINDOW_REVOKED_SLEEP);
+	}
+	up_write(&windows_lock);
+	return NOTIFY_DONE;
+}
+
+static struct notifier_block window_sleep = {
+	.notifier_call = sleep_or_wake,
+};
+
 /**
  * cm_windows_init() - at the module's start
  *
@@ -712,10 +720,15 @@ void cm_window_admit(struct cm_window *window)
  */
 int cm_windows_init(void)
 {
-	int ret = misc_register(&window_node);
+	int ret = register_pm_notifier(&window_sleep);
 
 	if (ret)
 		return ret;
+	ret = misc_register(&window_node);
+	if (ret) {
+		unregister_pm_notifier(&window_sleep);
+		return ret;
+	}
 	window_debugfs = debugfs_create_dir("cm_window", NULL);
 	debugfs_create_atomic_t("lent", 0444, window_debugfs, &lent);
 	return 0;
@@ -728,4 +741,5 @@ void cm_windows_exit(void)
 {
 	debugfs_remove_recursive(window_debugfs);
 	misc_deregister(&window_node);
+	unregister_pm_notifier(&window_sleep);
 }

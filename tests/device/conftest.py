@@ -44,6 +44,7 @@ def _simulated() -> Iterator[Board]:
             uio=device.find_uio(0x1000, 4, simulator.root)[0].node,
             scratch=0x14,
             memory=(0x800, 0x800),
+            lend=(0x2000, 0x14),
             irq=device.find_uio(0x6000, 4, simulator.root)[0].node,
             acknowledge=(0x1024, 1),
             icap="cm_icap0",

@@ -23,6 +23,7 @@ class Board:
     irq: str | None = None  # UIO device with an interrupt
     trigger: tuple[int, int] | None = None  # (offset, value): the write that raises it ...
     acknowledge: tuple[int, int] | None = None  # ... and the one that clears it, where it is a level
+    lend: tuple[int, int] | None = None  # (address, offset): a page that can be lent, with such a register in it
     icap: str | None = None
     bitstream: str | None = None  # a good partial one for this device, any container
     overlay: str | None = None  # a .dtbo that this board takes

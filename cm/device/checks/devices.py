@@ -11,6 +11,7 @@ from cm.device.finding import Finding, State
 
 # compatible string → module that binds it
 DRIVERS = {
+    "fpga-cm,window": "cm_window",
     "fpga-cm,uio": "uio_pdrv_genirq",
     "fpga-cm,dma-client": "cm_dma",
     "fpga-cm,icap-loader": "cm_icap",
@@ -21,6 +22,13 @@ DRIVERS = {
     "xlnx,axi-mcdma-1.00.a": "xilinx_dma",
     "xlnx,pr-decoupler": "xilinx_pr_decoupler",
     "fpga-region": "of_fpga_region",
+}
+# module of the kernel → what its configuration has to say
+OPTIONS = {
+    "uio_pdrv_genirq": "CONFIG_UIO_PDRV_GENIRQ",
+    "xilinx_dma": "CONFIG_XILINX_DMA",
+    "xilinx_pr_decoupler": "CONFIG_XILINX_PR_DECOUPLER",
+    "of_fpga_region": "CONFIG_OF_FPGA_REGION",
 }
 _ENGINES = ("xlnx,axi-dma-1.00.a", "xlnx,axi-vdma-1.00.a", "xlnx,axi-mcdma-1.00.a")
 _DEFAULT_BITS = 23  # of the length register, as the kernel's driver assumes if the tree does not say
@@ -44,10 +52,19 @@ def _unbound(machine: Machine, device: PlatformDevice, module: str) -> Finding:
         advice = f"{module} exists but did not bind: dmesg | grep {device.name}"
         if module == "uio_pdrv_genirq":
             advice += "; its of_id has to be one of the node's compatible strings"
+    elif machine.has_module(module) is False:
+        advice = absent(module)
     else:
         advice = f"modprobe {module}"
     detail = f"no driver for {device.compatible[0]}"
     return Finding("unbound", device.name, str(device.path), State.WRONG, detail, advice)
+
+
+def absent(module: str) -> str:
+    """What to do about a module that the running kernel does not have at all."""
+    if module in OPTIONS:
+        return f"{module} is not in this kernel: one with {OPTIONS[module]} is needed (docs/install.md lists some)"
+    return f"{module} is not built for this kernel: apt install fpga-cm-dkms, or make kmod"
 
 
 def _twice(machine: Machine) -> Iterator[Finding]:

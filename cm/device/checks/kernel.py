@@ -49,7 +49,12 @@ def _labels(machine: Machine) -> tuple[str, ...]:
 def _uio(machine: Machine) -> Finding:
     """The parameter itself cannot be read back, so we look for where it was set."""
     where = machine.root.join("sys/module", _UIO)
+    if "cm_window" in machine.loaded:
+        return Finding("of_id", "cm_window", str(where), State.OK, "cm_window serves the register windows")
     if _UIO not in machine.loaded and not where.exists():
+        if machine.has_module(_UIO) is False:
+            advice = "modprobe cm_window, which does without it; or a kernel with CONFIG_UIO_PDRV_GENIRQ"
+            return Finding("of_id", _UIO, str(where), State.MISSING, "not in this kernel", advice)
         advice = "modprobe uio_pdrv_genirq of_id=fpga-cm,uio (for good: system/modprobe.d; the service loads it)"
         return Finding("of_id", _UIO, str(where), State.MISSING, "not loaded", advice)
     built_in = _UIO not in machine.loaded

@@ -97,6 +97,18 @@ class Machine:
         paths = self.text("lib/modules", self.release, "modules.builtin").splitlines()
         return frozenset(Path(path).name.partition(".")[0].replace("-", "_") for path in paths)
 
+    def has_module(self, name: str) -> bool | None:
+        """Whether the running kernel has a module, loaded or not; None where that cannot be known."""
+        if name in self.loaded or name in self.built_in:
+            return True
+        return name in self._modules if self._modules else None
+
+    @cached_property
+    def _modules(self) -> frozenset[str]:
+        """Modules that lie below /lib/modules."""
+        paths = [line.partition(":")[0] for line in self.text("lib/modules", self.release, "modules.dep").splitlines()]
+        return frozenset(path.rpartition("/")[2].partition(".ko")[0].replace("-", "_") for path in paths)
+
     @cached_property
     def devices(self) -> tuple[PlatformDevice, ...]:
         """Devices of the platform bus that have a node in the device tree."""

@@ -205,6 +205,35 @@ def test_a_node_that_no_driver_took_names_the_module(pynq: Tree, compatible: str
     assert (found.state, found.advice) == (State.WRONG, f"modprobe {module}")
 
 
+@pytest.mark.parametrize(
+    ("compatible", "words"),
+    [
+        ("xlnx,pr-decoupler", ("xilinx_pr_decoupler is not in this kernel", "CONFIG_XILINX_PR_DECOUPLER")),
+        ("fpga-cm,window", ("cm_window is not built for this kernel", "fpga-cm-dkms")),
+    ],
+)
+def test_a_module_that_the_kernel_lacks_is_told_from_one_that_is_not_loaded(
+    pynq: Tree, compatible: str, words: tuple[str, ...]
+) -> None:
+    modules = "lib/modules/5.15.19-xilinx-v2022.1"
+    (pynq.root / modules / "modules.builtin").unlink()
+    pynq.put(f"{modules}/modules.dep", "updates/dkms/cm_dma.ko:\nkernel/drivers/uio/uio.ko.xz:\n")
+    found = pynq.device("node", compatible).one("unbound")
+    assert all(word in found.advice for word in words)
+    pynq.put(f"{modules}/modules.dep", f"kernel/{words[0].split(' ')[0].replace('_', '-')}.ko:\n")
+    assert pynq.one("unbound").advice.startswith("modprobe ")
+
+
+def test_a_kernel_without_the_uio_driver_is_pointed_to_ours(petalinux: Tree) -> None:
+    release = (petalinux.root / "proc/sys/kernel/osrelease").read_text().strip()
+    petalinux.put(f"lib/modules/{release}/modules.dep", "updates/dkms/cm_window.ko:\n")
+    found = petalinux.one("of_id")
+    assert (found.state, found.detail) == (State.MISSING, "not in this kernel")
+    assert found.advice.startswith("modprobe cm_window")
+    petalinux.put("proc/modules", "cm_window 28672 0 - Live 0x0\n")
+    assert petalinux.one("of_id").state is State.OK
+
+
 def test_a_node_that_its_driver_refused_points_to_the_log(pynq: Tree) -> None:
     found = pynq.device("40000000.control", "fpga-cm,uio", "generic-uio").one("unbound")
     assert "dmesg | grep 40000000.control" in found.advice

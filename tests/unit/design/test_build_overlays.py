@@ -120,7 +120,7 @@ def test_a_modes_overlay_has_the_windows_of_its_modules(built: tuple[System, Pat
             nodes = fdtget(tree, "-l", place)
             assert [node.partition("@")[2] for node in nodes] == windows
             for node in nodes:
-                assert fdtget(tree, f"{place}/{node}", "compatible") == ["fpga-cm,uio", "generic-uio"]
+                assert fdtget(tree, f"{place}/{node}", "compatible") == ["fpga-cm,window", "fpga-cm,uio", "generic-uio"]
 
 
 def test_the_static_overlay_has_a_channel_for_every_stream_of_the_schema(

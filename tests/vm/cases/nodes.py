@@ -12,6 +12,7 @@ PLATFORM = Path("/sys/bus/platform/devices")
 # compatible string → the kernel's driver; the first two are linux-xlnx's alone
 MAINLINE_HAS_NONE = ("xlnx,zynq-afi-fpga", "xlnx,afi-fpga")
 DRIVERS = {
+    "fpga-cm,window": "cm_window",
     "fpga-cm,uio": "uio_pdrv_genirq",
     "fpga-cm,clocks": "cm_clock",
     "fpga-cm,dma-client": "cm_dma",

@@ -79,9 +79,13 @@ def test_every_node_of_the_static_part_is_bound_but_those_that_mainline_has_no_d
 ) -> None:
     blob = made.overlay(made.static)
     assert drivers(blob) == expected(blob)
-    assert {"fpga-cm,uio", "fpga-cm,clocks", "fpga-cm,dma-client", "fpga-cm,decoupler", "fpga-cm,icap-loader"} <= set(
-        compatibles(blob).values()
-    )
+    assert {
+        "fpga-cm,window",
+        "fpga-cm,clocks",
+        "fpga-cm,dma-client",
+        "fpga-cm,decoupler",
+        "fpga-cm,icap-loader",
+    } <= set(compatibles(blob).values())
     unbound = [compatible for name, compatible in compatibles(blob).items() if not driver_of(name)]
     assert all(compatible in MAINLINE_HAS_NONE for compatible in unbound)
 
@@ -144,7 +148,7 @@ def test_the_manager_loads_the_camera_and_frames_come(made: Design, manager: Man
 def test_modes_change_with_their_overlays_and_registers(made: Design, manager: Manager) -> None:
     with manager.connected() as board:
         enter(board, made, "default")
-        assert driver_of(next(iter(compatibles(made.overlay("module_default"))))) == "uio_pdrv_genirq"
+        assert driver_of(next(iter(compatibles(made.overlay("module_default"))))) == "cm_window"
         board.registers["focus"] = 3
         enter(board, made, "edge_detection")
         assert driver_of(next(iter(compatibles(made.overlay("module_default"))))) == "no device"

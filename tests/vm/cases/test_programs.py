@@ -81,6 +81,10 @@ def test_the_c_program_of_the_register_windows_passes(engine: Path) -> None:
     run("smoke_uio", engine)
 
 
+def test_the_c_program_of_pages_on_loan_passes(engine: Path) -> None:
+    run("smoke_window", engine)
+
+
 @pytest.mark.needs("overlay")
 def test_a_program_written_for_libaxidma_passes_on_channels_of_a_device_tree(described_engine: Path) -> None:
     assert driver("axidma-chrdev") == "cm_axidma_compat"

@@ -63,7 +63,7 @@ def test_an_overlay_loads_its_bitstream_and_its_devices_are_probed(overlays: dev
     overlays.apply(NAME, dtbo("edge"))
     assert loads() == before + 1
     assert bridge(REGION) == "enabled"
-    assert driver("58002000.camera") == "uio_pdrv_genirq"
+    assert driver("58002000.camera") == "cm_window"
     assert device.FpgaManager(0, "/").state == "operating"
     overlays.remove(NAME)
     assert driver("58002000.camera") is None
@@ -128,7 +128,7 @@ def test_a_region_whose_port_is_gone_loads_nothing(overlays: device.Overlays) ->
         with nothing():  # another manager for the regions
             pass
     overlays.apply(NAME, dtbo("edge"))
-    assert driver("58002000.camera") == "uio_pdrv_genirq"
+    assert driver("58002000.camera") == "cm_window"
 
 
 def test_the_bridge_of_the_port_is_closed_during_a_load_and_after_a_failed_one(slow_load: None) -> None:

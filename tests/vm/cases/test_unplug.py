@@ -18,7 +18,7 @@ from served import PATIENCE, until
 from cm import device
 
 pytestmark = pytest.mark.needs("cm", "dma", "plsim")
-MODULES = ("cm_axidma_compat", "cm_plsim", "cm_icap", "cm_dma")  # in the order in which they can go
+MODULES = ("cm_axidma_compat", "cm_plsim", "cm_icap", "cm_window", "cm_dma")  # in the order in which they can go
 
 
 def modules(*command: str) -> None:

@@ -13,6 +13,7 @@ MODULES = {"default": 0, "edge": 0, "colorise": 0, "loopback": 1}  # and the ind
 SIZE = 16 * 1024  # bytes of a bitstream: an emulated processor looks at each word
 OVERLAY = FIRMWARE / "leds.dtbo"  # only where the kernel takes overlays
 STATIC, EVENTS = 0x58001000, 0x59001000
+LENT = (0x58006000, 0x58002000)  # of a device tree; of cm_plsim
 
 
 def write_bitstreams(folder: Path = FIRMWARE) -> None:
@@ -24,6 +25,13 @@ def write_bitstreams(folder: Path = FIRMWARE) -> None:
         target = folder / f"{name}.bit"
         if not target.exists():
             target.write_bytes(assemble_module(name, region_index=index, size=SIZE))
+
+
+def _lent() -> int:
+    from cm import device
+
+    there = {place.address for info in device.list_uio("/") for place in info.maps}
+    return next(address for address in LENT if address in there)
 
 
 def describe() -> dict[str, object]:
@@ -38,6 +46,7 @@ def describe() -> dict[str, object]:
         "memory": [0x800, 0x800],
         "irq": device.find_uio(EVENTS, 4, "/")[0].node,
         "trigger": [0x30, 1],
+        "lend": [_lent(), 0x14],
         "icap": next(iter(device.list_icap("/")), None),
         "overlay": str(OVERLAY) if OVERLAY.exists() else None,
         "bitstream": str(FIRMWARE / "loopback.bit"),

@@ -31,6 +31,7 @@ from cm.simulation.software.nodes.gpio import GpioChipNode
 from cm.simulation.software.nodes.icap import IcapNode
 from cm.simulation.software.nodes.overlays import Overlays
 from cm.simulation.software.nodes.sensors import serve_sensors
+from cm.simulation.software.nodes.window import WindowNode
 from cm.simulation.software.process.arguments import PCAP_RATE
 from cm.simulation.software.process.firmware import Firmware
 from cm.simulation.software.transport.buffers import DmaMemory
@@ -93,6 +94,8 @@ class Machine:
             uio.write_sysfs(self.root, index, window)
             node = uio.UioNode(window, self.interrupts.lines[index], self.logic.bus)
             self.server.listen(self.root.bind(f"dev/uio{index}"), node)
+        if isinstance(self.logic, SoftwareLogic):  # other logic has to see each access
+            self.server.listen(self.root.bind("dev/cm_window"), WindowNode(self.fabric, self.logic.bus, self.server))
         for name, dma_node in self.dma_nodes.items():
             self.server.listen(self.root.bind(f"dev/cm_dma/{name}"), dma_node)
         for name in _icap_names(self.spec):

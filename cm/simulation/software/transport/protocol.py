@@ -31,6 +31,7 @@ OP_RMDIR = 6
 OP_MIRROR = 7
 OP_BLOCK_READ = 8
 OP_BLOCK_WRITE = 9
+OP_GRANT = 10
 OFFERS_MIRROR = 1
 OFFERS_BLOCKS = 2
 
@@ -82,6 +83,16 @@ ICAP_IOC_IMPORT = ioc(_RW, MAGIC, 0x22, BUFFER_IMPORT.size)
 ICAP_IOC_FREE = ioc(_WRITE, MAGIC, 0x23, BUFFER_FREE.size)
 ICAP_IOC_LOAD = ioc(_WRITE, MAGIC, 0x24, ICAP_LOAD.size)
 ICAP_IOC_STATUS = ioc(_RW, MAGIC, 0x25, ICAP_STATUS.size)
+
+WINDOW_GRANT = struct.Struct("<IIQQIi")  # size, flags, address, length, id, fd
+WINDOW_REVOKE = struct.Struct("<IIQQII")  # size, flags, address, length, id, count
+WINDOW_STATE = struct.Struct("<IIQ")  # revoked, flags, length
+WINDOW_EVENT = struct.Struct("<II")  # id, reason
+NODE_GRANT = struct.Struct("<iIQ")  # fd, reserved, offset
+WINDOW_WRITE = 1
+WINDOW_RELEASED, WINDOW_REVOKED_CALL, WINDOW_REVOKED_OWNER = 0, 1, 3
+WINDOW_IOC_GRANT = ioc(_RW, MAGIC, 0x40, WINDOW_GRANT.size)
+WINDOW_IOC_REVOKE = ioc(_RW, MAGIC, 0x41, WINDOW_REVOKE.size)
 
 _GPIO_MAGIC = 0xB4
 GPIO_CHIP_INFO_IOCTL = ioc(_READ, _GPIO_MAGIC, 0x01, GPIO_CHIP_INFO.size)
