@@ -8,8 +8,8 @@
 #include <sys/mman.h>
 #include <unistd.h>
 
+#include "bus.h"
 #include "cm_node.h"
-#include "mmio.h"
 #include "uio_private.h"
 
 /* Interrupts that are taken at once; a real device merges them into one. */
@@ -21,6 +21,8 @@ static int map_windows(struct cm_uio *uio)
 	size_t page = (size_t)sysconf(_SC_PAGESIZE);
 	unsigned int i;
 
+	if (cm_bus_watch())
+		return -1;
 	for (i = 0; i < uio->info.map_count; i++) {
 		const struct cm_uio_map *map = &uio->info.maps[i];
 		size_t length = (size_t)(map->offset + map->size + page - 1) & ~(page - 1);
@@ -142,30 +144,29 @@ invalid:
 	return -1;
 }
 
-/* Read by a load instruction; false if the node has to be asked. */
-static bool load(const struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned int width,
-		 uint64_t *value)
+/* Read by a load instruction; 0 if the node has to be asked, -1 if nobody answered. */
+static int load(const struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned int width,
+		uint64_t *value)
 {
 	if (cm_node_simulated(uio->node))
 		return map == 0 && uio->mirror.values &&
 		       cm_mirror_read(&uio->mirror, offset, width, value) &&
 		       cm_node_connected(uio->node);
-	*value = cm_mmio_read(cm_uio_at(uio, map, offset), width);
-	return true;
+	return cm_bus_read(cm_uio_at(uio, map, offset), width, value) ? -1 : 1;
 }
 
 int cm_uio_read(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned int width,
 		uint64_t *value)
 {
 	struct cm_node_reg reg = { .map = map, .width = width, .offset = offset };
-	bool loaded;
+	int loaded;
 
 	if (check_access(uio, map, offset, width) || cm_node_enter(uio->node))
 		return -1;
 	loaded = load(uio, map, offset, width, value);
 	cm_node_leave(uio->node);
 	if (loaded)
-		return 0;
+		return loaded < 0 ? -1 : 0;
 	if (cm_node_request(uio->node, CM_NODE_OP_REG_READ, &reg, sizeof(reg), NULL,
 			    CM_NODE_FD_NONE))
 		return -1;
@@ -188,6 +189,7 @@ int cm_uio_write(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned
 		 uint64_t value)
 {
 	struct cm_node_reg reg = { .map = map, .width = width, .offset = offset, .value = value };
+	int result;
 
 	if (check_access(uio, map, offset, width))
 		return -1;
@@ -198,9 +200,9 @@ int cm_uio_write(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned
 	if (!cm_node_simulated(uio->node)) {
 		if (cm_node_enter(uio->node))
 			return -1;
-		cm_mmio_write(cm_uio_at(uio, map, offset), width, value);
+		result = cm_bus_write(cm_uio_at(uio, map, offset), width, value);
 		cm_node_leave(uio->node);
-		return 0;
+		return result;
 	}
 	return cm_node_request(uio->node, CM_NODE_OP_REG_WRITE, &reg, sizeof(reg), NULL,
 			       CM_NODE_FD_NONE);

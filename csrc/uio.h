@@ -48,8 +48,8 @@ void cm_uio_release(struct cm_uio *uio);
  * @width: 8, 16, 32 or 64 bits
  *
  * EINVAL for a range or width that is not there, ERANGE for a value wider than
- * @width; the bus is not touched then.  A bus error of the real device ends the
- * process with SIGBUS, as the kernel has it.
+ * @width; the bus is not touched then.  EIO where nobody answered on the bus, as
+ * far as the processor learns of it at once; see bus.h.
  */
 int cm_uio_read(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned int width,
 		uint64_t *value);

@@ -2,8 +2,8 @@
 #include <errno.h>
 #include <string.h>
 
+#include "bus.h"
 #include "cm_node.h"
-#include "mmio.h"
 #include "uio_private.h"
 
 /* Bytes after which a real device may be closed, and for which a simulated one gets one message. */
@@ -84,29 +84,32 @@ static int read_piece(struct cm_uio *uio, unsigned int map, uint64_t offset, voi
 		      size_t length)
 {
 	bool loaded = true;
+	int result = 0;
 
 	if (cm_node_enter(uio->node))
 		return -1;
 	if (!cm_node_simulated(uio->node))
-		cm_mmio_read_block(cm_uio_at(uio, map, offset), data, length);
+		result = cm_bus_read_block(cm_uio_at(uio, map, offset), data, length);
 	else
 		loaded = map == 0 && uio->mirror.values &&
 			 cm_mirror_read_block(&uio->mirror, offset, data, length) &&
 			 cm_node_connected(uio->node);
 	cm_node_leave(uio->node);
-	return loaded ? 0 : ask_to_read(uio, map, offset, data, length);
+	return loaded ? result : ask_to_read(uio, map, offset, data, length);
 }
 
 static int write_piece(struct cm_uio *uio, unsigned int map, uint64_t offset, const void *data,
 		       size_t length)
 {
+	int result;
+
 	if (cm_node_simulated(uio->node))
 		return ask_to_write(uio, map, offset, data, length);
 	if (cm_node_enter(uio->node))
 		return -1;
-	cm_mmio_write_block(cm_uio_at(uio, map, offset), data, length);
+	result = cm_bus_write_block(cm_uio_at(uio, map, offset), data, length);
 	cm_node_leave(uio->node);
-	return 0;
+	return result;
 }
 
 int cm_uio_read_block(struct cm_uio *uio, unsigned int map, uint64_t offset, void *data,

@@ -35,7 +35,7 @@ from cm.device.errors import device_error
 from cm.device.survey import State, survey
 from cm.errors import Busy, CmError, InvalidRequest, Timeout
 
-DMA_INFO, DMA_ALLOC, DMA_IMPORT, DMA_FREE, DMA_SUBMIT = 0xC048CD00, 0xC028CD01, 0xC018CD02, 0x4010CD03, 0x4030CD04
+DMA_INFO, DMA_ALLOC, DMA_IMPORT, DMA_FREE, DMA_SUBMIT = 0xC048C500, 0xC028C501, 0xC018C502, 0x4010C503, 0x4030C504
 DTBO = b"\xd0\x0d\xfe\xed and the rest"
 OVERLAYS = "sys/kernel/config/device-tree/overlays"
 FPGA = "sys/class/fpga_manager/fpga0"

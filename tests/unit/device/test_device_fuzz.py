@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 import cm.device as device
 
-DMA_INFO, DMA_ALLOC = 0xC048CD00, 0xC028CD01
+DMA_INFO, DMA_ALLOC = 0xC048C500, 0xC028C501
 # Often nearly right, so that more than the first check is reached.
 OPS = st.sampled_from([OPEN, DMA_INFO, DMA_ALLOC]) | st.integers(0, 2**32 - 1)
 LENGTHS = st.sampled_from([0, 32, 72]) | st.integers(0, 2**32 - 1)
