@@ -131,12 +131,13 @@ vm: $(VENV)/.installed-build ## a shell on that board, with a manager running an
 web-picture: $(VENV)/.installed-test-web ### the picture of the page in docs/images, taken by chromium
 	$(BIN)/python docs/web_picture.py
 
-soak: $(FURTHER:%=$(VENV)/.installed-test-%) ### ten thousand changes of mode, scraped ones too, a thousand in a page, a minute of killed readers, every attack on limits, two regions and random designs by their bits (PLACEMENTS=N, default none), five thousand flipped bits; new examples for the tests that draw some
+soak: $(FURTHER:%=$(VENV)/.installed-test-%) ### ten thousand changes of mode, scraped ones too, a thousand in a page, a minute of killed readers, every attack on limits, two regions and random designs by their bits (PLACEMENTS=N, default none), five thousand flipped bits, every virtual board; new examples for the tests that draw some
 	$(PYTEST) tests/unit tests/fuzz -m hypothesis --hypothesis-profile=search $(PYTEST_ARGS)
 	$(PYTEST) tests/soak --changes=10000 --stress=60 --rounds=300 $(PYTEST_ARGS)
 	CM_OPEN_7020=1 $(PYTEST) tests/open/test_open_regions.py tests/open/test_bits_modules.py $(PYTEST_ARGS)
 	for device in xc7z010 xc7z020; do CM_PLACEMENTS=$(PLACEMENTS) CM_DEVICE=$$device CM_SEED=$(SEED) $(PYTEST) tests/open/test_open_placements.py $(PYTEST_ARGS) || exit 1; done
 	for seed in 1 2 3 4 5; do CM_FLIPS=1000 CM_SEED=$$seed $(PYTEST) tests/open/test_bits_flips.py $(PYTEST_ARGS) || exit 1; done
+	@$(MAKE) --no-print-directory test-vm TIERS=all
 
 fuzz: $(VENV)/.installed-fuzz $(VENV)/.installed-test-networks ### ten minutes of search for bad input to every reader of bytes from outside (MINUTES=…, TARGETS=…, SEED=…)
 	nice $(BIN)/python tests/fuzz/fuzz.py $(TARGETS) --minutes $(MINUTES) --jobs $(JOBS) $(if $(filter command,$(origin SEED)),--seed $(SEED))

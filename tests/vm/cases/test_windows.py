@@ -18,7 +18,7 @@ from cm.device import WindowEnd
 
 pytestmark = pytest.mark.needs("cm", "dma", "plsim")
 PAGE = os.sysconf("SC_PAGE_SIZE")
-LENT = 0x58006000  # of the tree, whose bridge is in front of prr1's decoupler
+LENT = 0x58008000  # of the tree, whose bridge is in front of prr1's decoupler
 DECOUPLER = 0x58011000
 SIMULATED = 0x43C00000
 DRIVER = Path("/sys/bus/platform/drivers/cm_window")

@@ -13,7 +13,7 @@ MODULES = {"default": 0, "edge": 0, "colorise": 0, "loopback": 1}  # and the ind
 SIZE = 16 * 1024  # bytes of a bitstream: an emulated processor looks at each word
 OVERLAY = FIRMWARE / "leds.dtbo"  # only where the kernel takes overlays
 STATIC, EVENTS = 0x58001000, 0x59001000
-LENT = (0x58006000, 0x58002000)  # of a device tree; of cm_plsim
+LENT = (0x58008000, 0x58002000)  # of a device tree; of cm_plsim
 
 
 def write_bitstreams(folder: Path = FIRMWARE) -> None:

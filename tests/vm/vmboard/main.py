@@ -36,8 +36,8 @@ def _parser() -> argparse.ArgumentParser:
         ("test", _test, "run the tests"),
     ):
         command = commands.add_parser(name, help=text)
-        tiers = "default: all but those for KVM where it does not work"
-        command.add_argument("--tier", action="append", choices=list(TIERS), help=tiers)
+        tiers = "default: those that run each time, and those of which something has changed since they were good"
+        command.add_argument("--tier", action="append", choices=["all", *TIERS], help=tiers)
         command.add_argument("--jobs", type=int, default=2, help="boards at a time (2)")
         command.add_argument("--output", type=Path, default=None, help="folder for logs and JUnit files")
         command.add_argument("-k", dest="keyword", default="", help="only tests that match, as pytest's -k")
@@ -55,16 +55,21 @@ def _cache(chosen: argparse.Namespace) -> Cache:
     return Cache((chosen.cache or default_root()).resolve())
 
 
+def _tiers(cache: Cache, chosen: argparse.Namespace) -> list[str]:
+    named = chosen.tier or []
+    return session.worth_while(cache, everything=True) if "all" in named else named or session.worth_while(cache)
+
+
 def _build(chosen: argparse.Namespace) -> int:
     cache = _cache(chosen)
-    session.build(cache, chosen.tier or session.worth_while(cache))
+    session.build(cache, _tiers(cache, chosen))
     return 0
 
 
 def _test(chosen: argparse.Namespace) -> int:
     cache = _cache(chosen)
     output = (chosen.output or cache.root / "last-run").resolve()
-    return session.test(cache, chosen.tier or session.worth_while(cache), output, chosen.jobs, chosen.keyword)
+    return session.test(cache, _tiers(cache, chosen), output, chosen.jobs, chosen.keyword)
 
 
 def _selfcheck(chosen: argparse.Namespace) -> int:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 
-from vmboard import initrd, installed, kvm, payload, qemu, remote, report, rootfs, service, software, zynq
+from vmboard import initrd, installed, kvm, payload, qemu, record, remote, report, rootfs, service, software, zynq
 from vmboard.arch import ARMHF
 from vmboard.cache import Cache
 from vmboard.errors import EXIT_MISSING, MissingError, VmError
@@ -21,12 +21,17 @@ from vmboard.tiers import TIERS, Tier
 PORTS = (5560, 5561, 5562)
 
 
-def worth_while(cache: Cache) -> list[str]:
-    """All boards but those that this machine cannot have, such as with KVM where it does not work; says which."""
+def worth_while(cache: Cache, everything: bool = False) -> list[str]:
+    """All boards but those that this machine cannot have, such as with KVM where it does not work; says which.
+
+    Unless `everything` is wanted, those that were good wait until what they test has changed.
+    """
     chosen = []
     for name, tier in TIERS.items():
         if tier.optional:
             say(f"LEFT OUT {name}: it runs where it is asked for, --tier {name}")
+        elif not everything and (day := record.waits(tier) and record.unchanged_since(tier)):
+            say(f"LEFT OUT {name}: good on {day}, and nothing that it tests has changed since; --tier all runs it")
         elif reason := _out_of_reach(cache, tier):
             say(f"LEFT OUT {name}: {reason}")
         elif tier.kvm and not (kvm.there(tier.arch) and kvm.works(cache, tier.kernel(cache))):
@@ -116,6 +121,8 @@ def test(cache: Cache, names: list[str], output: Path, jobs: int, keyword: str) 
         results = {name: run.result() for name, run in runs.items()}
     for name, result in results.items():
         _print(name, result, output / name)
+        if result.good and not keyword:
+            record.good(TIERS[name])
     if not all(result.good for result in results.values()):
         return 1
     return EXIT_MISSING if len(results) < len(names) else 0
