@@ -220,6 +220,8 @@ class World:
                 plain = json.loads(put.value)
                 where = (plain["generation"], name.split("/")[1])
                 place = (plain["config"], plain["mode"])
+                if where[0] <= max((g for g, board in self.history if board == where[1]), default=0):
+                    raise Violation(f"generation {where[0]} is wanted of {where[1]} after a newer one")
                 if self.history.setdefault(where, place) != place:
                     raise Violation(f"two views of generation {where[0]} for {where[1]}")
 

@@ -166,7 +166,7 @@ class Coordinator:
         claim = Put(packed(Claim(generation, self.change, self.caller)), lease)
         puts: dict[str, Put | None] = {key(name, "claim"): claim for name in self.members}
         puts[GENERATION] = Put(str(generation))
-        self._opened = await self.store.txn({GENERATION: revision, **self._expected(0)}, puts)
+        self._opened = await self.store.txn({GENERATION: revision}, puts)  # every opening changes it
         if not self._opened:
             await self.store.revoke(lease)
             return ""
@@ -176,13 +176,10 @@ class Coordinator:
     def _view(self, name: str) -> View:
         return self._views.get(name, View())
 
-    def _expected(self, opened: int) -> dict[str, int]:
-        """What has to stand in the store: what was read, or after the opening, our own claims."""
-        found = {}
-        for name in self.members:
-            for part, revision in self._view(name).expected().items():
-                found[key(name, part)] = opened if opened and part == "claim" else revision
-        return found
+    def _expected(self) -> dict[str, int]:
+        """What has to stand in the store for the decision: the generations that were read, and our own claims."""
+        wanted = {key(name, "wanted"): self._view(name).expected()["wanted"] for name in self.members}
+        return wanted | {key(name, "claim"): self._opened for name in self.members}
 
     async def _keep(self, lease: str) -> None:
         while not self._lost:
@@ -271,7 +268,7 @@ class Coordinator:
         end = self.clock() + _DECIDING
         while True:
             try:
-                if await self.store.txn(self._expected(self._opened), puts):
+                if await self.store.txn(self._expected(), puts):
                     return Decision.KEEP
                 return await self._told()
             except StoreAway as error:
