@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import tarfile
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,8 +19,9 @@ from typing import Any
 from cm.design.errors import BuildError
 from cm.design.run.pack import BACK, PACK, VERSION, digest
 from cm.design.run.steps import Flow
+from cm.formats.tar import BadTar, Limits, Member, TarStream
 
-MOST = 16 << 30  # bytes of all returned files
+LIMITS = Limits(total=16 << 30, members=1 << 17, name=4096, seconds=7200.0)  # of what a host sends back
 STAMPS = "stamps"
 
 
@@ -48,29 +48,24 @@ def unpack(source: Path, out: Path) -> Unpacked:
 
 def _extract(archive: Path, folder: Path) -> None:
     """Extract the regular files of an archive into `folder`."""
-    total = 0
     try:
-        with tarfile.open(archive) as tar:
+        with archive.open("rb") as file:
+            tar = TarStream(file, LIMITS)
             for member in tar:
                 path = PurePosixPath(member.name)
                 if path.is_absolute() or ".." in path.parts:
                     raise BuildError(f"{archive}: {member.name} leads out of the archive")
-                if not member.isreg():
-                    continue
-                total += member.size
-                if total > MOST:
-                    raise BuildError(f"{archive}: more than {MOST >> 30} GiB")
-                _extract_file(tar, member, folder / path)
-    except (OSError, EOFError, tarfile.TarError) as error:
+                if member.is_file:
+                    _extract_file(tar, member, folder / path)
+    except (OSError, BadTar) as error:
         raise BuildError(f"{archive} cannot be read: {error}") from None
 
 
-def _extract_file(tar: tarfile.TarFile, member: tarfile.TarInfo, target: Path) -> None:
+def _extract_file(tar: TarStream, member: Member, target: Path) -> None:
     target.parent.mkdir(parents=True, exist_ok=True)
-    source = tar.extractfile(member)
-    assert source is not None
-    with source, target.open("wb") as file:
-        shutil.copyfileobj(source, file)
+    with target.open("wb") as file:
+        for piece in tar.blocks():
+            file.write(piece)
     os.utime(target, (member.mtime, member.mtime))
 
 

@@ -3,33 +3,24 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import os
 import shutil
-import tarfile
 import tempfile
-import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import TypeAlias
 
 from cm.formats.importers.result import ImportRefused
 from cm.formats.importers.versions import KEEP, locked, put_in_force, roll_back, versions
+from cm.formats.tar import BadTar, Limits, Member, TarStream
 from cm.schema import load_folder
 from cm.schema.files import bitstream_path, overlay_path
 from cm.schema.model import Config
 
-try:
-    from lzma import LZMAError
-except ImportError:  # a Python without it cannot open such archives
-    LZMAError = zlib.error  # type: ignore[misc,assignment]
-
 Judge: TypeAlias = "Callable[[Path, str, Path], object]"
-MAX_BYTES = 1 << 30  # most bytes of all files together, unpacked
-MAX_FILES = 4096
-_PADDING = 16  # MiB of zeros that may follow the last file
+LIMITS = Limits(total=1 << 30, members=4096)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,18 +37,18 @@ def unpack(archive: Path, out: Path, keep: int = KEEP, judge: Judge | None = Non
 
     The archive holds ``<config>/<file>…`` and nothing else. Schema, files and hashes are checked in another folder,
     which then takes its place in one step: a killed import leaves the old one or the new one. The last `keep` versions
-    before it are kept for a rollback. `judge` is asked last, with the new folder, the configuration's name and the
-    folder in force; what it raises is a refusal. Raises ImportRefused, SchemaError, FileMissing, OSError; `out` is then
-    as before.
+    before it are kept for a rollback. `judge` is asked before a file is looked at, with the new folder, the
+    configuration's name and the folder in force; what it raises is a refusal. Raises ImportRefused, SchemaError,
+    FileMissing, OSError; `out` is then as before.
     """
     out = out.resolve()  # the files that a schema names are compared by their full paths
     with locked(out):
         aside = Path(tempfile.mkdtemp(prefix=".import-", dir=out))
         try:
             name, files = _extract(archive, aside)
-            _checked(archive, aside / name)
-            if judge is not None:
+            if judge is not None:  # before anything in it is read
                 judge(aside / name, name, out / name)
+            _checked(archive, aside / name)
             put_in_force(aside / name, out / name, keep)
         finally:
             shutil.rmtree(aside, ignore_errors=True)
@@ -83,52 +74,29 @@ def back(place: Path, number: int | None = None) -> Unpacked:
 def _extract(archive: Path, folder: Path) -> tuple[str, tuple[str, ...]]:
     """Names and sizes are checked before a file's first byte is written; none of them is trusted."""
     names: list[str] = []
-    top, total = "", 0
-    with _opened(archive) as tar:
-        for member in tar:
-            parts = PurePosixPath(member.name).parts
-            top = top or (parts[0] if parts else "")
-            if member.isdir() and parts == (top,) and top not in ("/", ".", ".."):
-                continue
-            _check_name(archive, member, parts, top)
-            total += member.size
-            if total > MAX_BYTES or len(names) >= MAX_FILES:
-                raise ImportRefused(f"{archive}: more than {MAX_FILES} files or {MAX_BYTES >> 20} MiB unpacked")
-            if parts[1] in names:
-                raise ImportRefused(f"{archive}: {member.name} is in it twice")
-            names.append(parts[1])
-            _write(tar, member, folder / top / parts[1])
-        _read_to_the_end(archive, tar)
+    top = ""
+    try:
+        with archive.open("rb") as file:
+            tar = TarStream(file, LIMITS)
+            for member in tar:
+                parts = PurePosixPath(member.name).parts
+                top = top or (parts[0] if parts else "")
+                if member.is_folder and parts == (top,) and top not in ("/", ".", ".."):
+                    continue
+                _check_name(archive, member, parts, top)
+                if parts[1] in names:
+                    raise ImportRefused(f"{archive}: {member.name} is in it twice")
+                names.append(parts[1])
+                _write(tar, folder / top / parts[1])
+    except BadTar as problem:
+        raise ImportRefused(f"{archive}: no whole tar archive ({problem})") from problem
     if not names:
         raise ImportRefused(f"{archive}: no files; an archive of `cm build collect` holds <configuration>/<file>…")
     return top, tuple(sorted(names))
 
 
-def _read_to_the_end(archive: Path, tar: tarfile.TarFile) -> None:
-    """The compression's checksum follows the last file, and has not been checked yet."""
-    assert tar.fileobj is not None
-    for _ in range(_PADDING):
-        if not tar.fileobj.read(1 << 20):
-            return
-    raise ImportRefused(f"{archive}: more than {_PADDING} MiB behind the last file")
-
-
-@contextlib.contextmanager
-def _opened(archive: Path) -> Iterator[tarfile.TarFile]:
-    try:
-        with tarfile.open(archive, "r:*") as tar:
-            yield tar
-    except (tarfile.TarError, zlib.error, LZMAError, EOFError, ValueError) as problem:  # also in the middle of a file
-        why = str(problem).split("\n", 1)[0].strip("(: ")  # tarfile lists every compression that it is not
-        raise ImportRefused(f"{archive}: no whole tar archive ({why})") from problem
-    except OSError as problem:
-        if problem.errno is not None:
-            raise
-        raise ImportRefused(f"{archive}: no whole tar archive ({problem})") from problem  # of gzip: a wrong CRC
-
-
-def _check_name(archive: Path, member: tarfile.TarInfo, parts: tuple[str, ...], top: str) -> None:
-    if not member.isreg():
+def _check_name(archive: Path, member: Member, parts: tuple[str, ...], top: str) -> None:
+    if not member.is_file:
         raise ImportRefused(f"{archive}: {member.name} is not a plain file; links and devices are not unpacked")
     if len(parts) != 2 or ".." in parts or parts[0] in ("/", ".") or "\0" in member.name:
         raise ImportRefused(f"{archive}: {member.name!r} where <configuration>/<file> is expected")
@@ -136,12 +104,11 @@ def _check_name(archive: Path, member: tarfile.TarInfo, parts: tuple[str, ...], 
         raise ImportRefused(f"{archive}: files of {top!r} and {parts[0]!r}; one configuration is expected")
 
 
-def _write(tar: tarfile.TarFile, member: tarfile.TarInfo, place: Path) -> None:
-    source = tar.extractfile(member)
-    assert source is not None  # it is a plain file
+def _write(tar: TarStream, place: Path) -> None:
     place.parent.mkdir(exist_ok=True)
-    with source, place.open("xb") as file:
-        shutil.copyfileobj(source, file, 1 << 20)
+    with place.open("xb") as file:
+        for piece in tar.blocks():
+            file.write(piece)
         file.flush()
         os.fsync(file.fileno())
 

@@ -3,14 +3,19 @@
 
 from __future__ import annotations
 
+import bz2
+import gzip
 import hashlib
 import io
 import json
+import lzma
 import os
+import resource
 import shutil
 import subprocess
 import sys
 import tarfile
+import zlib
 from collections.abc import Callable, Mapping
 from functools import partial
 from importlib import import_module
@@ -292,6 +297,111 @@ def test_a_bad_archive_is_refused_and_the_folder_is_unchanged(
     assert words in capsys.readouterr().err
     assert held(out) == before
     assert {path.name for path in tmp_path.iterdir()} == {"firmware", "vision.tar.gz"}
+
+
+def header(name: str, size: int, kind: bytes) -> bytes:
+    info = tarfile.TarInfo(name)
+    info.size, info.type = size, kind
+    return info.tobuf(tarfile.GNU_FORMAT)
+
+
+def long_names() -> bytes:
+    """Headers of long names of 1 MiB each, one inside the other: tarfile keeps them all."""
+    name = (b"vision/" + b"x" * (1 << 20))[: 1 << 20]
+    return gzip.compress((header("././@LongLink", 1 << 20, b"L") + name) * 300, 1)
+
+
+def pax_records() -> bytes:
+    """A header of pax records whose lengths do not fit: tarfile searches it again for each."""
+    body = b"1" * 500
+    return header("vision/x", len(body), b"x") + body.ljust(512, b"\0")
+
+
+def zeros(member: str, count: int = 3 << 30) -> bytes:
+    """A file of zeros that has a thousandth of its size in the archive."""
+    packer, block = zlib.compressobj(9, zlib.DEFLATED, 31), bytes(1 << 20)
+    parts = [packer.compress(header(member, count, b"0"))]
+    parts += [packer.compress(block) for _ in range(count >> 20 if count < 1 << 28 else 64)]
+    return b"".join([*parts, packer.flush()])
+
+
+def pax(key: bytes, value: bytes) -> bytes:
+    length = len(key) + len(value) + 3
+    while len(str(length)) + len(key) + len(value) + 3 != length:
+        length += 1
+    record = b"%d %s=%s\n" % (length, key, value)
+    body = record.ljust(-(-len(record) // 512) * 512, b"\0")
+    return header("x", len(record), b"x") + body + header("vision/x", 0, b"0") + bytes(1024)
+
+
+def wrong_number() -> bytes:
+    data = bytearray(header("vision/x", 0, b"0"))
+    data[124:136] = b"-0000000001\0"
+    data[148:156] = b"%06o\0 " % (sum(data[:148]) + 256 + sum(data[156:]))
+    return bytes(data)
+
+
+BOMBS: dict[str, tuple[Callable[[], bytes], str]] = {
+    "long names": (long_names, "a long name or extended header of 1048576 bytes"),
+    "long link": (lambda: header("x", 1 << 33, b"K"), "a long name or extended header of 8589934592 bytes"),
+    "pax records": (pax_records, "a pax record of another length than it says"),
+    "many pax headers": (lambda: gzip.compress(header("vision/x", 0, b"x") * 20000), "more than 4096 members"),
+    "many members": (lambda: gzip.compress(b"".join(header(f"vision/{n}", 0, b"0") for n in range(5000))), "members"),
+    "a size beyond": (lambda: zeros("vision/x"), "more than 1024 MiB unpacked"),
+    "zeros behind": (lambda: gzip.compress(header("vision/x", 0, b"0") + bytes(40 << 20)), "behind the last file"),
+    "bzip2": (lambda: bz2.compress(header("vision/x", 0, b"0") + bytes(40 << 20)), "behind the last file"),
+    "xz": (lambda: lzma.compress(header("vision/x", 0, b"0") + bytes(40 << 20)), "behind the last file"),
+    "zstd": (lambda: bytes.fromhex("28b52ffd") + bytes(1024), "a header's checksum is wrong"),
+    "sparse": (lambda: header("vision/x", 0, b"S"), "not a plain file"),
+    "sparse by pax": (lambda: pax(b"GNU.sparse.realsize", b"99999999999"), "a sparse file"),
+    "hard link": (lambda: header("vision/x", 0, b"1"), "not a plain file"),
+    "device": (lambda: header("vision/x", 0, b"4"), "not a plain file"),
+    "a long name that leads out": (lambda: pax(b"path", b"../" * 100 + b"x"), "<configuration>/<file>"),
+    "a name of 2 KiB": (lambda: pax(b"path", b"vision/" + b"x" * 2048), "a name of more than 512 bytes"),
+    "no number": (wrong_number, "no octal number"),
+}
+
+
+def bounded() -> None:
+    """512 MiB of memory and 20 s of processor time."""
+    resource.setrlimit(resource.RLIMIT_AS, (512 << 20, 512 << 20))
+    resource.setrlimit(resource.RLIMIT_CPU, (20, 20))
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_a_bomb_is_refused_within_bounds_of_memory_and_time(name: str, tmp_path: Path) -> None:
+    make, words = BOMBS[name]
+    source, out = written(tmp_path, make()), tmp_path / "firmware"
+    command = [sys.executable, "-m", "cm", "import", "archive", str(source), "--out", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, preexec_fn=bounded)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
+    assert held(out) == {}
+
+
+def test_where_a_signature_is_required_nothing_in_an_unsigned_archive_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "cm.yaml").write_text(f"policy: {{signatures: require, signers: {tmp_path}}}\n")
+    source = packed(tmp_path, {**GOOD, "vision.yaml": b"config: [" * 1000})
+    arguments = ["--out", str(tmp_path / "firmware"), "--settings", str(tmp_path / "cm.yaml")]
+    assert main(["import", "archive", str(source), *arguments]) == 1
+    assert "not signed" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("form", [tarfile.USTAR_FORMAT, tarfile.GNU_FORMAT, tarfile.PAX_FORMAT])
+@pytest.mark.parametrize("kind", ["", "gz", "bz2", "xz"])
+def test_archives_of_other_tools_are_read_too(form: int, kind: str, tmp_path: Path) -> None:
+    long = "a-name-as-long-as-file-systems-allow-" + "x" * 200 if form != tarfile.USTAR_FORMAT else "x" * 90
+    path = tmp_path / "vision.tar"
+    with tarfile.open(path, f"w:{kind}", format=form) as tar:
+        for name, data in {**GOOD, long: b"1" * 70000}.items():
+            info = tarfile.TarInfo(f"vision/{name}")
+            info.size, info.mtime = len(data), 1.5 if form == tarfile.PAX_FORMAT else 1
+            tar.addfile(info, io.BytesIO(data))
+    unpack(path, tmp_path / "firmware")
+    assert held(tmp_path / "firmware") == laid_out({**GOOD, long: b"1" * 70000})
 
 
 @settings(max_examples=150, deadline=None)
