@@ -24,7 +24,7 @@ MINUTES ?= 10
 PLACEMENTS ?= 0
 
 .DEFAULT_GOAL := help
-.PHONY: help help-all setup docs web-picture demo demo-open demo-ros demo-fleet device-suite test test-bare $(FURTHER:%=test-%) test-c test-node test-rtl test-open test-bench test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
+.PHONY: help help-all setup docs web-picture demo demo-open demo-ros demo-fleet device-suite test test-bare $(FURTHER:%=test-%) test-c test-node test-rtl test-open test-bench test-ros test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
 
 help: ## the targets that most people need
 	@awk -F':[^#]*## ' '/^[a-z-]+:[^#]*## /{printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -65,6 +65,9 @@ demo: $(STAMP) ## the camera demonstration on a simulated board; writes demo/con
 
 demo-ros: $(VENV)/.installed-demo-ros ## a simulated board as a ROS 2 node, seen by rclpy where ROS 2 is sourced, elsewhere by zenoh_ros2_sdk (OUT=DIR)
 	@$(BIN)/python ros2/demo.py --out $(if $(filter demo,$(OUT)),demo-ros,$(OUT))
+
+test-ros: $(STAMP) ## cm_ros2 against a real ROS 2: ROS=FOLDER with its setup.bash, or Jazzy's wheels from PyPI (x86-64; needs cmake, g++)
+	@ros2/test.sh $(abspath $(BIN))/python $(ROS)
 
 demo-open: $(VENV)/.installed-build ## Verilog to partial bitstreams without a vendor's tool, and the modules run from their bits (OUT=DIR; fetches some 50 MB; needs verilator)
 	@$(BIN)/cm build tools --fetch

@@ -98,6 +98,9 @@ def asking(words: list[str]) -> Iterator[Ask]:
             return line.decode().strip()
 
         yield ask
+        given.close()  # by which it ends
+        peer.wait(PATIENCE)
+        peer.stdin = None
 
 
 def play(board: cm.Board, ask: Ask, relaying: Ask, folder: Path, timeline: Timeline) -> list[tuple[str, Path]]:

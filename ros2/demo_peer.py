@@ -10,6 +10,7 @@ It does what lines on its standard input say, and answers each with a line:
 
 from __future__ import annotations
 
+import os
 import queue
 import sys
 import threading
@@ -146,6 +147,7 @@ def main(router: str = "") -> None:
     for line in sys.stdin:
         command, *words = line.split()
         print({"status": status, "picture": picture, "relay": relay}[command](node, *words), flush=True)
+    os._exit(0)  # whatever the threads of the node's library are doing
 
 
 if __name__ == "__main__":

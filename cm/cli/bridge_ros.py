@@ -53,9 +53,10 @@ def add_ros_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser])
     )
     parser.add_argument("--guest", default="", metavar="NAME", help="guest in whose name requests reach the manager")
     parser.add_argument(
-        "--best-effort",
+        "--reliable",
         action="store_true",
-        help="receive from best-effort publishers too, whose lost frames are not repeated",
+        help="repeat frames that are lost, both ways; subscribers and publishers have to be reliable too (default: "
+        "best effort, which is ROS's sensor data)",
     )
     parser.add_argument(
         "--patience",
@@ -107,13 +108,13 @@ def serve(args: argparse.Namespace, transport: Transport, name: NodeName, writes
     from cm.networks.bridge.commands import Commands
     from cm.networks.bridge.follower import Follower
     from cm.networks.ros.node import BoardNode
-    from cm.networks.ros.transport import EVENTS, SENSOR_DATA
+    from cm.networks.ros.transport import FRAMES, RELIABLE_FRAMES
 
     def connected(guest: str = "") -> Board:
         return connect(args.connect, runtime_dir=args.runtime_dir, keys=args.keys, guest=guest)
 
     commands = Commands(connected, writes)
-    node = BoardNode(transport, name, commands, args.guest, SENSOR_DATA if args.best_effort else EVENTS)
+    node = BoardNode(transport, name, commands, args.guest, RELIABLE_FRAMES if args.reliable else FRAMES)
     follower = Follower(connected, node, args.patience)
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -338,7 +338,7 @@ def test_an_invalid_request_is_refused_and_the_service_goes_on(bridge: Bridge, p
 
 
 def test_a_node_that_is_gone_is_gone_from_the_graph(own: tuple[Manager, SimBoard], peer: Peer, router: Router) -> None:
-    bridge = Bridge(own[0].runtime, router.where, "--name", "third", "--best-effort")
+    bridge = Bridge(own[0].runtime, router.where, "--name", "third", "--reliable")
 
     def tokens() -> list[str]:
         found = (str(reply.ok.key_expr) for reply in peer.session.liveliness().get(f"@ros2_lv/{DOMAIN}/**"))

@@ -18,6 +18,7 @@ from typing import Any
 
 import pytest
 from manager_process import REPOSITORY, Manager, until
+from manager_process import served as served_by
 
 import cm
 from cm.simulation.software import Board as SimBoard
@@ -79,12 +80,14 @@ class Node:
 
 
 @contextmanager
-def lifecycle_node(manager: Manager) -> Iterator[None]:
+def lifecycle_node(manager: Manager, *parameters: str, namespace: str = "/lab") -> Iterator[None]:
     """`ros2 run cm_ros2 board`, from the sources here."""
     path = os.pathsep.join([str(REPOSITORY / "ros2" / "cm_ros2"), str(REPOSITORY), os.environ.get("PYTHONPATH", "")])
     environment = {**os.environ, "PYTHONPATH": path}
-    words = [sys.executable, "-m", "cm_ros2.node", "--ros-args", "-r", "__node:=cm", "-r", "__ns:=/lab"]
-    process = subprocess.Popen([*words, "-p", f"connect:={manager.runtime}", "-p", "write:=all"], env=environment)
+    words = [sys.executable, "-m", "cm_ros2.node", "--ros-args", "-r", "__node:=cm", "-r", f"__ns:={namespace}"]
+    for parameter in parameters or (f"connect:={manager.runtime}", "write:=all"):
+        words += ["-p", parameter]
+    process = subprocess.Popen(words, env=environment)
     try:
         yield
     finally:
@@ -243,6 +246,22 @@ def test_the_action_has_a_result(served: None, ros: Node, board: cm.Board) -> No
     result = _done(goal.get_result_async())
     assert (result.status, result.result.success) == (4, True)
     assert board.mode == "colorise"
+
+
+def test_a_board_without_ros_is_served_over_tcp_and_observed_unless_told_otherwise(ros: Node) -> None:
+    """`connect:=tcp://board`, in another namespace, without `write`."""
+    from cm_interfaces.msg import Status
+    from cm_interfaces.srv import SetMode
+    from sensor_msgs.msg import Image
+
+    latched, sensor = qualities()
+    with served_by(arguments=("--listen", "tcp://127.0.0.1:0", "--insecure")) as (manager, _), manager.connected() as b:
+        b.load("camera")
+        with lifecycle_node(manager, f"connect:={manager.tcp()}", namespace="/far"):
+            assert ros.next(Status, "/far/cm/status", latched, lambda s: s.mode == "default").config_name == "camera"
+            assert ros.next(Image, "/far/cm/camera/image_raw", sensor).width == 640
+            answer = ros.call(SetMode, "/far/cm/set_mode", SetMode.Request(mode="colorise"))
+        assert (answer.code, b.mode) == ("forbidden", "default")
 
 
 def _done(future: Any) -> Any:

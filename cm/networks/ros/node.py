@@ -19,7 +19,7 @@ from cm.networks.ros.action import ChangeModeServer
 from cm.networks.ros.parameters import Parameters
 from cm.networks.ros.services import Services
 from cm.networks.ros.streams import Streams
-from cm.networks.ros.transport import EVENTS, LATCHED, Qos, Transport
+from cm.networks.ros.transport import EVENTS, FRAMES, LATCHED, Qos, Transport
 from cm.networks.ros.waiting import Waiting
 from cm.wire.messages.status import Status
 
@@ -59,10 +59,10 @@ class BoardNode:
         name: NodeName,
         commands: Commands,
         guest: str = "",
-        inputs: Qos = EVENTS,
+        frames: Qos = FRAMES,
         waiting: int = 24,
     ) -> None:
-        """`inputs`: for topics that are written to the hardware; publishers that offer less are not heard.
+        """`frames`: the quality of pictures and other frames, both ways; publishers that offer less are not heard.
 
         `waiting`: how many requests may wait for changes of mode at a time; the transport works on more than that.
         """
@@ -75,7 +75,7 @@ class BoardNode:
         self._problem = ""
         self._next = 0.0
         self._parameters = Parameters(commands, self._own, guest)
-        self._streams = Streams(transport, self._own, commands, Caller(guest), inputs)
+        self._streams = Streams(transport, self._own, commands, Caller(guest), frames)
         self._open_topics()
         waits = Waiting(waiting)
         for base, (kind, answer) in {**Services(commands, waits, guest).all(), **self._parameters.all()}.items():

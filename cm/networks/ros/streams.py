@@ -16,7 +16,7 @@ from cm.networks.bridge.commands import Commands
 from cm.networks.bridge.frames import FrameReader, FrameWriter
 from cm.networks.bridge.records import Caller, ConfigRecord, FrameRecord, StreamFormat
 from cm.networks.ros import messages
-from cm.networks.ros.transport import IMAGES, Body, Closing, Publisher, Qos, Transport
+from cm.networks.ros.transport import Body, Closing, Publisher, Qos, Transport
 from cm.schema.pictures import misfit
 
 _LOG = logging.getLogger("cm.ros")
@@ -25,15 +25,15 @@ _LOG = logging.getLogger("cm.ros")
 class ReadableStream:
     """``NAME/image_raw`` and ``NAME/camera_info`` of pictures, ``NAME/data`` of others."""
 
-    def __init__(self, transport: Transport, base: str, stream: StreamFormat, board: Board) -> None:
+    def __init__(self, transport: Transport, base: str, stream: StreamFormat, board: Board, frames: Qos) -> None:
         self._stream = stream
         self._publisher: Publisher
         self._info: Publisher | None = None
         if stream.encoding:
-            self._publisher = transport.publisher(f"{base}/image_raw", "sensor_msgs/msg/Image", IMAGES)
-            self._info = transport.publisher(f"{base}/camera_info", "sensor_msgs/msg/CameraInfo", IMAGES)
+            self._publisher = transport.publisher(f"{base}/image_raw", "sensor_msgs/msg/Image", frames)
+            self._info = transport.publisher(f"{base}/camera_info", "sensor_msgs/msg/CameraInfo", frames)
         else:
-            self._publisher = transport.publisher(f"{base}/data", "cm_interfaces/msg/Data", IMAGES)
+            self._publisher = transport.publisher(f"{base}/data", "cm_interfaces/msg/Data", frames)
         self._reader = FrameReader(board, stream, self._take, depth=3)
 
     def look(self) -> None:
@@ -63,7 +63,7 @@ class WritableStream:
     """``NAME/write``, images for a stream of pictures; ``NAME/write_data`` for others."""
 
     def __init__(
-        self, transport: Transport, base: str, stream: StreamFormat, commands: Commands, caller: Caller, inputs: Qos
+        self, transport: Transport, base: str, stream: StreamFormat, commands: Commands, caller: Caller, frames: Qos
     ) -> None:
         self._stream = stream
         self._commands = commands
@@ -73,7 +73,7 @@ class WritableStream:
         kind, topic = (
             ("sensor_msgs/msg/Image", "write") if stream.encoding else ("cm_interfaces/msg/Data", "write_data")
         )
-        self._subscription: Closing = transport.frames(f"{base}/{topic}", kind, inputs, self._take)
+        self._subscription: Closing = transport.frames(f"{base}/{topic}", kind, frames, self._take)
 
     def look(self) -> None:
         """Does nothing: work is done only when a frame comes."""
@@ -136,12 +136,12 @@ class WritableStream:
 class Streams:
     """Those of the mode that runs."""
 
-    def __init__(self, transport: Transport, base: str, commands: Commands, caller: Caller, inputs: Qos) -> None:
+    def __init__(self, transport: Transport, base: str, commands: Commands, caller: Caller, frames: Qos) -> None:
         self._transport = transport
         self._base = base
         self._commands = commands
         self._caller = caller
-        self._inputs = inputs
+        self._frames = frames
         self._open: dict[str, tuple[Any, ReadableStream | WritableStream]] = {}
 
     def take(self, record: ConfigRecord, board: Board) -> None:
@@ -157,8 +157,8 @@ class Streams:
     def _made(self, stream: StreamFormat, board: Board) -> ReadableStream | WritableStream:
         base = f"{self._base}/{stream.name.replace('-', '_')}"
         if stream.writes:
-            return WritableStream(self._transport, base, stream, self._commands, self._caller, self._inputs)
-        return ReadableStream(self._transport, base, stream, board)
+            return WritableStream(self._transport, base, stream, self._commands, self._caller, self._frames)
+        return ReadableStream(self._transport, base, stream, board, self._frames)
 
     def look(self) -> None:
         """Start and stop streams as subscribers come and go; to be called a few times a second."""

@@ -27,8 +27,8 @@ class Qos:
 LATCHED = Qos(1, latched=True)
 EVENTS = Qos(10)
 SERVICES = Qos(10)
-IMAGES = Qos(2)  # reliable: best-effort subscribers (sensor data) match it, too
-SENSOR_DATA = Qos(5, reliable=False)
+FRAMES = Qos(5, reliable=False)  # ROS's "sensor data"
+RELIABLE_FRAMES = Qos(5)
 
 
 class Publisher(Protocol):

@@ -14,7 +14,7 @@ from cm.client.board import Board, connect
 from cm.networks.bridge.commands import Commands, writes_named
 from cm.networks.bridge.follower import Follower
 from cm.networks.ros.node import BoardNode, NodeName
-from cm.networks.ros.transport import EVENTS, SENSOR_DATA, Qos
+from cm.networks.ros.transport import FRAMES, RELIABLE_FRAMES
 from cm_ros2.transport import RclpyTransport
 
 _THREADS = 12
@@ -33,7 +33,7 @@ class BoardLifecycle(LifecycleNode):
         self.declare_parameter("keys", "")
         self.declare_parameter("guest", "")
         self.declare_parameter("write", "")
-        self.declare_parameter("best_effort", False)
+        self.declare_parameter("reliable", False)
         self.declare_parameter("autostart", True)
         self._transport: RclpyTransport | None = None
         self._board: BoardNode | None = None
@@ -51,7 +51,8 @@ class BoardLifecycle(LifecycleNode):
         self._commands = Commands(self._connected, writes_named(self.text("write")))
         name = NodeName(self.get_name(), self.get_namespace())
         guest = self.text("guest")
-        self._board = BoardNode(self._transport, name, self._commands, guest, self._inputs(), _WAITING)
+        frames = RELIABLE_FRAMES if self.get_parameter("reliable").value else FRAMES
+        self._board = BoardNode(self._transport, name, self._commands, guest, frames, _WAITING)
         return super().on_configure(state)
 
     def on_activate(self, state: State) -> TransitionCallbackReturn:
@@ -84,9 +85,6 @@ class BoardLifecycle(LifecycleNode):
         """As at shutdown, when the process ends."""
         self._stop()
         self._close()
-
-    def _inputs(self) -> Qos:
-        return SENSOR_DATA if self.get_parameter("best_effort").value else EVENTS
 
     def _connected(self, guest: str = "") -> Board:
         return connect(self.text("connect") or None, keys=self.text("keys") or None, guest=guest)

@@ -19,7 +19,7 @@ from cm.networks.rmw_zenoh.attachment import Attachment
 from cm.networks.rmw_zenoh.keys import End, EndKey, NodeKey
 from cm.networks.rmw_zenoh.session import endpoint
 from cm.networks.ros import cdr
-from cm.networks.ros.transport import EVENTS, LATCHED, SENSOR_DATA, SERVICES, Qos
+from cm.networks.ros.transport import EVENTS, FRAMES, LATCHED, SERVICES, Qos
 from cm.networks.ros.typehash import type_hash
 
 STRING, IMAGE = "std_msgs/msg/String", "sensor_msgs/msg/Image"
@@ -74,7 +74,7 @@ RECORDED = [
      "83b3ab7cd47690970c1ed997a9e2137e"),
     (4, End.PUBLISHER, "/late", STRING, LATCHED, f"{_START}/4/MP/{_NODE}/%late/{_STRING}/:1:,1:,:,:,,",
      "35057660010d0667f4ff83a11b9a6cbb"),
-    (5, End.PUBLISHER, "/eye/image_raw", IMAGE, SENSOR_DATA,
+    (5, End.PUBLISHER, "/eye/image_raw", IMAGE, FRAMES,
      f"{_START}/5/MP/{_NODE}/%eye%image_raw/{_IMAGE}/2::,5:,:,:,,", "98f7d1d0ff17b14ca625d02757c973e4"),
     (6, End.PUBLISHER, "/lab/usual", STRING, Qos(42), f"{_START}/6/MP/{_NODE}/%lab%usual/{_STRING}/::,:,:,:,,",
      "3e5e917a992a4a6f8e6e4a00f3db7cc8"),

@@ -31,7 +31,7 @@ from cm.networks.rmw_zenoh.publisher import ZenohPublisher, quality
 from cm.networks.rmw_zenoh.session import USUAL, opened
 from cm.networks.ros import cdr
 from cm.networks.ros.messages import image_head
-from cm.networks.ros.transport import IMAGES
+from cm.networks.ros.transport import FRAMES
 from cm.networks.ros.typehash import type_hash
 
 KIND = "sensor_msgs/msg/Image"
@@ -54,7 +54,7 @@ def routing() -> tuple[Any, str]:
 def end(session: Any, topic: str) -> EndKey:
     """A topic of pictures."""
     node = NodeKey(0, str(session.info.zid()), "bench")
-    return EndKey(node, 1, End.PUBLISHER, topic, KIND, type_hash(KIND), IMAGES)
+    return EndKey(node, 1, End.PUBLISHER, topic, KIND, type_hash(KIND), FRAMES)
 
 
 class Incoming:
