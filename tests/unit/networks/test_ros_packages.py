@@ -67,6 +67,18 @@ def test_a_package_says_what_it_is_by_format_3(package: str) -> None:
     assert tree.findtext("export/build_type") == kind
 
 
+def test_the_package_of_the_node_names_the_client_and_rosdep_finds_it() -> None:
+    """Everything that the node imports beyond ROS's own packages."""
+    depends = [found.text for found in ET.parse(ROS2 / "cm_ros2" / "package.xml").getroot().findall("exec_depend")]
+    keys = yaml.safe_load((ROS2 / "rosdep.yaml").read_text())
+    debian = re.findall(r"^Package: (\S+)", (ROOT / "debian" / "control").read_text(), re.MULTILINE)
+    assert set(keys) <= set(depends)
+    assert {package for systems in keys.values() for named in systems.values() for package in named} <= set(debian)
+    sources = "".join(path.read_text() for path in (ROS2 / "cm_ros2" / "cm_ros2").iterdir() if path.suffix == ".py")
+    imported = set(re.findall(r"^(?:from|import) (\w+)", sources, re.MULTILINE)) - sys.stdlib_module_names
+    assert imported == {"cm", "cm_ros2", "numpy", "rclpy"}
+
+
 def test_parameters_of_the_example_are_those_that_the_node_declares() -> None:
     given = yaml.safe_load((ROS2 / "cm_ros2" / "config" / "board.yaml").read_text())["/**"]["ros__parameters"]
     declared = re.findall(r'declare_parameter\("(\w+)"', (ROS2 / "cm_ros2" / "cm_ros2" / "node.py").read_text())
