@@ -16,8 +16,10 @@ import sys
 from pathlib import Path
 
 # `-c` puts "" first (PYTHONSAFEPATH, or -P, does not); `sys` is built in, so no folder is searched before this runs.
+# Ctrl-C, which a terminal sends to children too, ends them without a word, until they have a handler of their own.
 _START = """\
-import sys
+import _signal, sys
+_signal.signal(_signal.SIGINT, _signal.SIG_DFL)
 if sys.path[:1] == [""]: del sys.path[0]
 from runpy import run_module
 del sys.argv[0]

@@ -52,6 +52,7 @@ def _add_convert(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument(
         "--drop-header", action="store_true", help="drop what the output cannot hold, such as the header"
     )
+    add_json_option(parser)
     parser.set_defaults(run=run_convert)
 
 
@@ -102,7 +103,10 @@ def run_convert(args: argparse.Namespace) -> int:
     if not args.drop_header:
         _refuse_loss(args.file, args.output, form)
     _write(args.output, data)
-    print(f"{args.output}: {form.value}, {len(data)} bytes")
+    if args.json:
+        print_json({"file": str(args.output), "container": form.value, "bytes": len(data)})
+    else:
+        print(f"{args.output}: {form.value}, {len(data)} bytes")
     return 0
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from cm.cli.common import add_json_option, print_json
 from cm.design.errors import BuildError
 from cm.design.init import DEFAULT_PART, init_text
 from cm.design.project.load import SCHEMA_FILE
@@ -33,6 +34,7 @@ def add_init_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]
         metavar="DIR",
         help="folder to search for the cores that a .core depends on",
     )
+    add_json_option(parser)
     parser.set_defaults(run=run_init)
 
 
@@ -48,5 +50,8 @@ def run_init(args: argparse.Namespace) -> int:
     editor = folder / SCHEMA_FILE.name
     if not editor.exists():
         editor.write_bytes(SCHEMA_FILE.read_bytes())
-    print(f"{output}: written; look it through, then: cm build check {output}")
+    if args.json:
+        print_json({"schema": str(output), "editor": str(editor)})
+    else:
+        print(f"{output}: written; look it through, then: cm build check {output}")
     return 0

@@ -11,7 +11,8 @@ from contextlib import redirect_stdout, suppress
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from cm.cli.client import connected
-from cm.cli.common import add_lease_option, natural, print_json
+from cm.cli.commands import EXIT_INTERRUPTED
+from cm.cli.common import add_lease_option, binary_output, natural, print_json
 from cm.cli.frame_files import FORMATS, Incomplete, Sink, sink
 from cm.errors import Timeout
 from cm.wire.lazy_numpy import np
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from cm.client.stream import Stream
 
 _T = TypeVar("_T")
-EXIT_INTERRUPTED = 130
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_capture(args: argparse.Namespace) -> int:
     """Write frames; the exit status. Frames that came before a failure or Ctrl-C are in the files."""
-    to = sink(args.file, args.format, args.count == 1, sys.stdout.buffer)
+    to = sink(args.file, args.format, args.count == 1, binary_output() if args.file == "-" else sys.stdout.buffer)
     capture = _Capture(to)
     try:
         with connected(args) as board, board.stream(args.stream, lease=args.lease) as stream, _Interrupt() as interrupt:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm check FILE…``: reports what is wrong with runtime schemas, in the manner of compilers."""
+"""``cm config check FILE…``: reports what is wrong with runtime schemas, in the manner of compilers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cm.cli.common import add_json_option, print_json
+from cm.cli.common import print_json
 from cm.errors import NotFound
 from cm.schema import Problem, SchemaError, json_schema, load, loads, schema_files
 from cm.schema.model import Config
@@ -18,23 +18,6 @@ from cm.server.settings import Settings, SettingsError, SettingsMissing, load_se
 from cm.server.settings.model import FILE as SETTINGS_FILE
 
 _STDIN = Path("-")
-
-
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command."""
-    parser = subparsers.add_parser(
-        "check",
-        help="check runtime schemas",
-        description="Check runtime schemas. Exit status 0 if all are good. A folder stands for its *.yaml and *.yml"
-        " files that have a config:, and - for what is on stdin.",
-    )
-    parser.add_argument("paths", nargs="*", type=Path, metavar="FILE", help="a runtime schema, a folder of them, or -")
-    parser.add_argument(
-        "--settings", action="store_true", help="the files are settings of the service, such as cm.yaml"
-    )
-    parser.add_argument("--print-schema", action="store_true", help="print the JSON Schema for editors, and exit")
-    add_json_option(parser)
-    parser.set_defaults(run=run, usage_error=parser.error)
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import sys
 from importlib import import_module
 from typing import ClassVar, NamedTuple, Protocol, cast
@@ -17,11 +18,15 @@ class Command(NamedTuple):
     name: str
     module: str
     help: str
+    group: str = ""  # what it is for
     linux: bool = False  # it needs a board, or what Linux has
 
 
 class CommandModule(Protocol):
-    """The interface of a command's module. `add_parser` adds a parser with ``set_defaults(run=run)``."""
+    """The interface of a command's module. It adds a parser with ``set_defaults(run=run)``.
+
+    A module of several commands has an ``add_NAME`` for each.
+    """
 
     def add_parser(self, subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None: ...
 
@@ -32,51 +37,90 @@ class CommandMissing(CmError):
     code: ClassVar[str] = "command_missing"
 
 
+EXIT_INTERRUPTED = 130  # of a command that Ctrl-C ended, as shells report it
+
+# The ten of a person's day; `cm --help` begins with them, and has the others below, by what they are for.
+DAY = ("serve", "status", "watch", "load", "mode", "plan", "reg", "stream", "bitstream", "build")
+
 COMMANDS = (
-    Command("serve", "cm.cli.serve", "run the configuration manager", linux=True),
-    Command("sim", "cm.cli.sim", "serve a simulated board", linux=True),
-    Command("status", "cm.cli.status", "show what is loaded and what is going on"),
-    Command("watch", "cm.cli.watch", "follow the status as it changes"),
-    Command("configs", "cm.cli.configs", "list the configurations and their modes"),
-    Command("load", "cm.cli.load", "load a configuration"),
-    Command("mode", "cm.cli.mode", "change the mode"),
-    Command("cancel", "cm.cli.cancel", "cancel the running change"),
-    Command("plan", "cm.cli.plan", "show what a change of mode would do"),
-    Command("reg", "cm.cli.reg", "list, read, write and watch registers"),
-    Command("mem", "cm.cli.mem", "list, read and write memories"),
-    Command("irq", "cm.cli.irq", "list interrupts and wait for them"),
-    Command("lease", "cm.cli.lease", "take, list and break leases"),
-    Command("stream", "cm.cli.stream", "list, set, capture and play data streams"),
-    Command("data", "cm.cli.data", "configure the data channels"),
-    Command("view", "cm.cli.view", "show a stream in the terminal or a window"),
-    Command("web", "cm.cli.web", "serve a page that shows a board in a browser"),
-    Command("fleet", "cm.cli.fleet", "watch many boards, and change them together"),
-    Command("bridge", "cm.cli.bridge", "connect a board to another network: ROS 2, fleets", linux=True),
-    Command("bitstream", "cm.cli.bitstream", "inspect, verify and convert bitstreams", linux=True),
+    Command("status", "cm.cli.status", "show what is loaded and what is going on", "board"),
+    Command("watch", "cm.cli.watch", "follow the status as it changes", "board"),
+    Command("load", "cm.cli.change", "load a configuration, or go to one of its modes", "board"),
+    Command("mode", "cm.cli.change", "change the mode", "board"),
+    Command("plan", "cm.cli.change", "show what a change of mode would do", "board"),
+    Command("cancel", "cm.cli.change", "cancel the running change", "board"),
+    Command(
+        "doctor",
+        "cm.cli.doctor",
+        "report what this machine has, what it lacks, and what to do about it",
+        "board",
+        linux=True,
+    ),
+    Command("reg", "cm.cli.reg", "list, read, write and watch registers", "data"),
+    Command("mem", "cm.cli.mem", "list, read and write memories", "data"),
+    Command("irq", "cm.cli.irq", "list interrupts and wait for them", "data"),
+    Command("stream", "cm.cli.stream", "list, set, capture and play data streams", "data"),
+    Command("view", "cm.cli.view", "show a stream in the terminal or a window", "data"),
+    Command("lease", "cm.cli.lease", "take, list and break leases", "sharing"),
+    Command("keygen", "cm.cli.keygen", "make keys for connections over TCP", "sharing"),
+    Command("config", "cm.cli.config", "list, send, check and roll back configurations", "designs"),
     Command(
         "import",
         "cm.cli.import_",
         "make a runtime schema from a dfx-mgr or PYNQ package, or unpack an archive",
+        "designs",
         linux=True,
     ),
-    Command("config", "cm.cli.config", "list and roll back versions of imported configurations"),
-    Command("build", "cm.cli.build", "make bitstreams, overlays and runtime schemas from HDL", linux=True),
-    Command("keygen", "cm.cli.keygen", "make keys for connections over TCP"),
+    Command("bitstream", "cm.cli.bitstream", "inspect, verify and convert bitstreams", "designs", linux=True),
+    Command("build", "cm.cli.build", "make bitstreams, overlays and runtime schemas from HDL", "designs", linux=True),
+    Command("web", "cm.cli.web", "serve a page that shows a board in a browser", "networks"),
+    Command("fleet", "cm.cli.fleet", "watch many boards, and change them together", "networks"),
+    Command("bridge", "cm.cli.bridge", "connect a board to another network: ROS 2, fleets", "networks", linux=True),
+    Command("serve", "cm.cli.serve", "run the configuration manager", "run", linux=True),
+    Command("sim", "cm.cli.sim", "serve a simulated board", "run", linux=True),
+    Command("demo", "cm.cli.demo", "run the camera demonstration on a simulated board", "try", linux=True),
+    Command("bench", "cm.cli.bench", "measure latency and throughput", "try", linux=True),
     Command(
-        "doctor", "cm.cli.doctor", "report what this machine has, what it lacks, and what to do about it", linux=True
+        "conformance",
+        "cm.cli.conformance",
+        "test a client, or a manager, against the wire protocol",
+        "try",
+        linux=True,
     ),
-    Command("demo", "cm.cli.demo", "run the camera demonstration on a simulated board", linux=True),
-    Command("bench", "cm.cli.bench", "measure latency and throughput", linux=True),
-    Command("conformance", "cm.cli.conformance", "test a client, or a manager, against the wire protocol", linux=True),
-    Command("check", "cm.cli.check", "check runtime schemas"),
-    Command("completion", "cm.cli.completion", "print a completion script for a shell"),
-    Command("help", "cm.cli.help", "describe a command"),
+    Command("completion", "cm.cli.completion", "print a completion script for a shell", "shell"),
+    Command("help", "cm.cli.help", "describe a command", "shell"),
 )
+
+_EARLIER = {"check": ["config", "check"], "configs": ["config", "list"], "data": ["stream", "set"]}
+_LISTS = ("config", "fleet", "irq", "lease", "mem", "reg", "stream")  # have a `list`, which may be written ls
+
+
+def understood(words: list[str]) -> list[str]:
+    """A command line with earlier spellings of commands as they are now; what follows a ``--`` is not ours."""
+    at = next((at for at, word in enumerate(words) if not word.startswith("-")), len(words))
+    before, name, rest = words[:at], words[at : at + 1], words[at + 1 :]
+    if name == ["help"]:
+        return [*before, *name, *understood(rest)]
+    if name == ["configs"] and "--send" in rest:
+        return [*before, "config", "send", *(word for word in rest if word != "--send")]
+    if name == ["data"]:
+        rest = [{"--start": "--enable", "--stop": "--no-enable"}.get(word, word) for word in rest]
+    if name and name[0] in _LISTS and rest[:1] == ["ls"]:
+        rest = ["list", *rest[1:]]
+    return [*before, *_EARLIER.get(name[0], name), *rest] if name else words
 
 
 def find_command(name: str) -> Command | None:
     """The command called `name`."""
     return next((command for command in COMMANDS if command.name == name), None)
+
+
+def nearest(name: str) -> str | None:
+    """A command with a similar name, also by one that it had earlier."""
+    known = {command.name: command.name for command in COMMANDS}
+    known |= {earlier: " ".join(now) for earlier, now in _EARLIER.items() if now[0] in known}
+    found = difflib.get_close_matches(name, known, n=1)
+    return known[found[0]] if found else None
 
 
 def add_command(command: Command, subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -87,7 +131,9 @@ def add_command(command: Command, subparsers: argparse._SubParsersAction[argpars
             "cm status --connect tcp://kria.local"
         )
     try:
-        cast(CommandModule, import_module(command.module)).add_parser(subparsers)
+        module = import_module(command.module)
+        add = getattr(module, f"add_{command.name}", None) or cast(CommandModule, module).add_parser
+        add(subparsers)
     except ModuleNotFoundError as error:
         if error.name == command.module:
             raise CommandMissing(f"the command {command.name} is not part of this installation") from error

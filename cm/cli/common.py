@@ -6,10 +6,15 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from collections.abc import Iterable, Sequence
+import sys
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import IO, Any
+
+from cm.cli.colours import painted
+from cm.errors import InvalidRequest
 
 
 def completes(argument: argparse.Action, *words: str) -> None:
@@ -104,14 +109,29 @@ def _plain(value: object) -> Any:
     return str(value)
 
 
-def print_table(rows: Iterable[Sequence[object]], headers: Sequence[str]) -> None:
-    """Print `rows` in columns under `headers`; numbers stand right, the last column is not padded."""
+def binary_output() -> IO[bytes]:
+    """Standard output for bytes. Raises InvalidRequest if it is a terminal."""
+    if sys.stdout.isatty():
+        raise InvalidRequest("bytes are not written to a terminal: name a file, or send them on with > or |")
+    return sys.stdout.buffer
+
+
+def print_table(
+    rows: Iterable[Sequence[object]], headers: Sequence[str], colours: Mapping[str, str] = MappingProxyType({})
+) -> None:
+    """Print `rows` in columns under `headers`; numbers stand right, the last column is not padded.
+
+    `colours`: of words in the last column, on a terminal that has colours.
+    """
     cells = [["" if cell is None else _harmless(str(cell)) for cell in row] for row in rows]
     numeric = [bool(cells) and all(_is_number(row[index]) for row in cells) for index in range(len(headers))]
     widths = [max(len(row[index]) for row in [list(headers), *cells]) for index in range(len(headers))]
     for row in [list(headers), *cells]:
         columns = zip(row, widths, numeric, strict=True)
-        print("  ".join(cell.rjust(width) if right else cell.ljust(width) for cell, width, right in columns).rstrip())
+        line = [cell.rjust(width) if right else cell.ljust(width) for cell, width, right in columns]
+        if row and row[-1] in colours:
+            line[-1] = painted(row[-1], colours[row[-1]], sys.stdout)
+        print("  ".join(line).rstrip())
 
 
 def _harmless(text: str) -> str:

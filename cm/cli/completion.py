@@ -97,9 +97,18 @@ def _offered(word: str, begun: str, args: argparse.Namespace) -> Iterable[str]:
     if word == "<config>":
         return _told(args, ListConfigs()).names
     name = getattr(args, "config", None) or ""
-    if word == "<mode of config>":
-        return (mode.name for mode in _told(args, ReadConfig(config_name=name)).modes)
+    if word in ("<config/mode>", "<mode of target>"):
+        return _modes(word, begun, args)
     return _KINDS[word](_told(args, ReadConfig(config_name=name if isinstance(name, str) else "")), begun)
+
+
+def _modes(word: str, begun: str, args: argparse.Namespace) -> Iterator[str]:
+    """Modes of the configuration in front of a ``/``, or of the word before."""
+    config, slash, _ = begun.partition("/")
+    if word == "<mode of target>":
+        yield from (mode.name for mode in _told(args, ReadConfig(config_name=args.target)).modes)
+    elif slash:
+        yield from (f"{config}/{mode.name}" for mode in _told(args, ReadConfig(config_name=config)).modes)
 
 
 def _told(args: argparse.Namespace, request: Request) -> ConfigInfo:

@@ -1,47 +1,141 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm config versions|rollback|remove``: earlier versions of configurations, and the end of those that were sent."""
+"""``cm config list|send|remove|check|versions|rollback``: configurations of a manager, in files, and earlier ones."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from cm.cli.client import connected
-from cm.cli.common import add_connection_options, add_json_option, completes, print_json
-from cm.cli.import_ import FIRMWARE
-from cm.formats.importers import back, versions
+from cm.cli.client import connected, plain
+from cm.cli.common import add_connection_options, add_json_option, completes, print_json, print_table
+
+if TYPE_CHECKING:
+    from cm.wire.messages.status import ConfigEntry
+
+_FIRMWARE = Path("/lib/firmware/cm")  # as `cm import archive` has it
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command."""
     parser = subparsers.add_parser(
         "config",
-        help="list and roll back versions of imported configurations, remove sent ones",
-        description="List and switch between versions of configurations that `cm import archive` "
-        "installed. A running manager takes over the chosen version when it is restarted "
-        "or gets SIGHUP (systemctl reload cm). `remove` is for configurations that were "
-        "sent with `cm configs --send`.",
+        help="list, send, check and roll back configurations",
+        description="Configurations that the manager has (list, send, remove), runtime schemas in files (check), and "
+        "earlier versions of what `cm import archive` installed (versions, rollback).",
     )
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    _add_to_manager(actions)
+    _add_check(actions)
+    _add_versions(actions)
+
+
+def _add_to_manager(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    listing = actions.add_parser("list", help="list the configurations and their modes")
+    listing.set_defaults(run=run_list)
+    send = actions.add_parser(
+        "send", help="send a schema file, and the bitstreams and overlays that belong to it, to the manager"
+    )
+    send.add_argument("schema", type=Path, metavar="SCHEMA")
+    send.add_argument("files", nargs="*", type=Path, metavar="FILE", help="bitstreams and overlays")
+    send.set_defaults(run=run_send)
+    remove = actions.add_parser("remove", help="remove a configuration that a client sent")
+    completes(remove.add_argument("config", metavar="CONFIG"), "<config>")
+    remove.set_defaults(run=run_remove)
+    for action in (listing, send, remove):
+        add_connection_options(action)
+        add_json_option(action)
+
+
+def _add_check(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    check = actions.add_parser(
+        "check",
+        help="check runtime schemas",
+        description="Check runtime schemas. Exit status 0 if all are good. A folder stands for its *.yaml and *.yml"
+        " files that have a config:, and - for what is on stdin.",
+    )
+    check.add_argument("paths", nargs="*", type=Path, metavar="FILE", help="a runtime schema, a folder of them, or -")
+    check.add_argument("--settings", action="store_true", help="the files are settings of the service, such as cm.yaml")
+    check.add_argument("--print-schema", action="store_true", help="print the JSON Schema for editors, and exit")
+    add_json_option(check)
+    check.set_defaults(run=run_check, usage_error=check.error)
+
+
+def _add_versions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     listing = actions.add_parser("versions", help="list the earlier versions, newest first")
-    rollback = actions.add_parser("rollback", help="switch to an earlier version, in one step")
+    rollback = actions.add_parser(
+        "rollback",
+        help="switch to an earlier version, in one step",
+        description="Switch to an earlier version. A running manager takes it over when it is restarted or gets "
+        "SIGHUP (systemctl reload cm).",
+    )
     rollback.add_argument("--to", type=int, metavar="N", help="number of the version (default: the newest)")
     for action, run in ((listing, run_versions), (rollback, run_rollback)):
         completes(action.add_argument("config", metavar="CONFIG"), "<config>")
         action.add_argument(
-            "--out", type=Path, metavar="DIR", default=FIRMWARE, help=f"folder of the configurations ({FIRMWARE})"
+            "--out", type=Path, metavar="DIR", default=_FIRMWARE, help=f"folder of the configurations ({_FIRMWARE})"
         )
         add_json_option(action)
         action.set_defaults(run=run)
-    remove = actions.add_parser("remove", help="remove a configuration that a client sent")
-    completes(remove.add_argument("config", metavar="CONFIG"), "<config>")
-    add_connection_options(remove)
-    remove.set_defaults(run=run_remove)
+
+
+def run_list(args: argparse.Namespace) -> int:
+    """Print all configurations; the exit status."""
+    with connected(args) as board:
+        configs = [board.config(name) for name in board.configs]
+        entries = {entry.name: entry for entry in board.config_entries()}
+    if args.json:
+        print_json([{**plain(c), "schema": None, **_origin(entries.get(c.name))} for c in configs])
+        return 0
+    sent = any(entry.owner for entry in entries.values())
+    rows = [
+        (
+            c.name,
+            c.type,
+            m.name,
+            ", ".join(m.modules),
+            *([entries[c.name].owner] if sent else []),
+            "loaded" if c.mode == m.name else "",
+        )
+        for c in configs
+        for m in c.modes
+    ]
+    print_table(rows, ("CONFIG", "TYPE", "MODE", "MODULES", *(["SENT BY"] if sent else []), ""))
+    return 0
+
+
+def _origin(entry: ConfigEntry | None) -> dict[str, object]:
+    return {"origin": entry.origin, "owner": entry.owner, "bytes": entry.bytes} if entry else {}
+
+
+def run_send(args: argparse.Namespace) -> int:
+    """Send it, and list what the manager has then; the exit status."""
+    with connected(args) as board:
+        board.provision(args.schema, *args.files)
+    return run_list(args)
+
+
+def run_remove(args: argparse.Namespace) -> int:
+    """Remove; the exit status."""
+    with connected(args) as board:
+        board.remove_config(args.config)
+    if args.json:
+        print_json({"removed": args.config})
+    return 0
+
+
+def run_check(args: argparse.Namespace) -> int:
+    """Check; the exit status."""
+    from cm.cli.check import run  # here: it reads schemas
+
+    return run(args)
 
 
 def run_versions(args: argparse.Namespace) -> int:
     """List; the exit status."""
+    from cm.formats.importers import versions
+
     found = versions(args.out, args.config)
     if args.json:
         print_json({"versions": [{"number": v.number, "folder": str(v.folder)} for v in found]})
@@ -53,15 +147,10 @@ def run_versions(args: argparse.Namespace) -> int:
     return 0
 
 
-def run_remove(args: argparse.Namespace) -> int:
-    """Remove; the exit status."""
-    with connected(args) as board:
-        board.remove_config(args.config)
-    return 0
-
-
 def run_rollback(args: argparse.Namespace) -> int:
     """Roll back; the exit status."""
+    from cm.formats.importers import back
+
     done = back(args.out / args.config, args.to)
     if args.json:
         print_json({"config": done.config.name, "folder": str(done.folder), "files": list(done.files)})

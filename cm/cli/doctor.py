@@ -5,10 +5,12 @@ from __future__ import annotations
 
 import argparse
 import platform
+import sys
 from collections.abc import Iterator
 from importlib import metadata
 from typing import TYPE_CHECKING
 
+from cm.cli.colours import painted
 from cm.cli.common import add_connection_options, add_json_option, print_json
 
 if TYPE_CHECKING:
@@ -25,6 +27,7 @@ OPTIONAL = {
     "iceoryx2": "fpga-cm[bench]: a baseline",
     "eclipse-zenoh": "fpga-cm[zenoh]: fleets, cm bridge ros",
 }
+_COLOURS = {"ok": "green", "-": "dim", "missing": "yellow", "denied": "red", "wrong": "red"}
 _TIMEOUT = 2.0  # seconds for a manager's answer
 
 
@@ -41,6 +44,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--root", metavar="DIR", help="folder that holds the board's /dev and /sys (default: $CM_ROOT, /)"
     )
+    parser.add_argument("--all", action="store_true", help="list everything on a machine that is no board, too")
     parser.add_argument("--report", action="store_true", help="print a form to report a run on a board with, filled in")
     add_connection_options(parser)
     add_json_option(parser)
@@ -60,8 +64,10 @@ def run(args: argparse.Namespace) -> int:
         print(report(args.root, findings, verdict))
     elif args.json:
         print_json({"usable": not verdict, "problems": verdict, "simulated": found.simulated, "findings": findings})
-    else:
+    elif args.all or found.usable or _expected(found):
         _print(findings, verdict, found)
+    else:
+        _print_briefly(findings, verdict)
     return 1 if verdict else 0
 
 
@@ -148,9 +154,30 @@ def _expected(found: Survey) -> bool:
     )
 
 
+def _print_briefly(findings: list[dict[str, str]], verdict: list[str]) -> None:
+    """Four lines for a PC, where whatever a board would have is missing, and nothing is wrong."""
+    by_kind: dict[str, list[dict[str, str]]] = {}
+    for finding in findings:
+        by_kind.setdefault(finding["kind"], []).append(finding)
+    (manager,), (python,), (curve,) = (by_kind[kind] for kind in ("manager", "python", "curve"))
+    lacking = [f["name"] for f in by_kind["package"] if f["state"] == "missing" and f["name"] not in REQUIRED]
+    left = f"; not installed, all optional: {', '.join(lacking)}" if lacking else ""
+    serves = manager["detail"] if manager["state"] == "ok" else "none answers here"
+    state = "missing" if verdict else "ok"
+    rows = (
+        ("-", "board", f"{by_kind['board'][0]['detail']}: --connect reaches one elsewhere"),
+        (manager["state"] if manager["state"] == "ok" else "-", "manager", serves),
+        (state, "software", "; ".join(verdict) or f"Python {python['detail']}, {curve['detail']}{left}"),
+    )
+    for mark, kind, text in rows:
+        print(f"{painted(f'{mark:8}', _COLOURS[mark], sys.stdout)} {kind:9} {text}")
+    print("no FPGA here: 'cm serve --sim' brings a simulated board ('cm doctor --all' lists what a board would have)")
+
+
 def _print(findings: list[dict[str, str]], verdict: list[str], found: Survey) -> None:
     for finding in findings:
-        print(f"{finding['state']:8} {finding['kind']:13} {finding['name']:18} {finding['detail']}".rstrip())
+        state = painted(f"{finding['state']:8}", _COLOURS.get(finding["state"], "dim"), sys.stdout)
+        print(f"{state} {finding['kind']:13} {finding['name']:18} {finding['detail']}".rstrip())
         if finding["advice"] and finding["state"] != "ok":
             print(f"{'':9}→ {finding['advice']}")
     print()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm fleet ls|add|remove|store``: the inventory of a fleet, and where its wanted state lies."""
+"""``cm fleet list|add|remove|store``: the inventory of a fleet, and where its wanted state lies."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the actions."""
-    ls = actions.add_parser("ls", help="list the boards of the fleet: there, away, and not in its inventory")
+    ls = actions.add_parser("list", help="list the boards of the fleet: there, away, and not in its inventory")
     add_fleet_options(ls)
     add_json_option(ls)
     ls.set_defaults(run=run_ls)
@@ -26,6 +26,7 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     ):
         parser = actions.add_parser(name, help=text)
         add_fleet_options(parser)
+        add_json_option(parser)
         parser.set_defaults(run=run)
     store = actions.add_parser("store", help="show or move what the fleet wants of its boards")
     verbs = store.add_subparsers(dest="verb", metavar="ACTION", required=True)
@@ -39,6 +40,7 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     move.add_argument("to", metavar="TO", help="keeper, etcd's https://HOST:2379,…, or a file about etcd")
     for each in (show, move):
         add_fleet_options(each, boards=False)
+        add_json_option(each)
         each.set_defaults(run=run_store)
 
 
@@ -83,7 +85,10 @@ def run_add(args: argparse.Namespace) -> int:
     """Add; 0 where all are in the inventory."""
     with connected_fleet(args) as fleet:
         found = fleet.add(args.boards)
-    print(f"added: {', '.join(found)}" if found else "all of these are in the inventory already")
+    if args.json:
+        print_json({"added": found})
+    else:
+        print(f"added: {', '.join(found)}" if found else "all of these are in the inventory already")
     return 0
 
 
@@ -92,7 +97,11 @@ def run_remove(args: argparse.Namespace) -> int:
     if not args.boards:
         raise InvalidRequest("say which boards to remove; '*' for all")
     with connected_fleet(args) as fleet:
-        print(f"removed: {', '.join(fleet.remove(args.boards))}")
+        gone = fleet.remove(args.boards)
+    if args.json:
+        print_json({"removed": gone})
+    else:
+        print(f"removed: {', '.join(gone)}")
     return 0
 
 
@@ -100,7 +109,8 @@ def run_store(args: argparse.Namespace) -> int:
     """Show, or copy; the exit status."""
     with connected_fleet(args) as fleet:
         if args.verb == "move":
-            print(f"{fleet.move_store(args.to)} values are in {args.to} now")
+            count = fleet.move_store(args.to)
+            print_json({"to": args.to, "values": count}) if args.json else print(f"{count} values are in {args.to} now")
         else:
             print_json({name: entry.value for name, entry in fleet.stored().items()})
     return 0

@@ -8,22 +8,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cm.cli.common import seconds
+from cm.cli.parser import Parser
 
 if TYPE_CHECKING:
     from cm.networks.fleet.blocking import Fleet
     from cm.networks.fleet.network import Network
 
 
-class Intermixed(argparse.ArgumentParser):
+class Intermixed(Parser):
     """Options may stand between arguments: ``mode edge --policy quorum b1 b2``, where boards would be unknown else."""
 
     _inside = False
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """As the parser of the commands above calls it."""
-        nested = any(action.nargs == argparse.PARSER for action in self._actions)
-        if self._inside or nested:
-            return super().parse_known_args(args, namespace)
+        """As the parser of the commands above calls it, and argparse within that for options and arguments apart."""
+        if self._inside:
+            return argparse.ArgumentParser.parse_known_args(self, args, namespace)
+        return super().parse_known_args(args, namespace)
+
+    def _known(self, args: list[str], namespace: Any) -> tuple[Any, list[str]]:
+        if any(action.nargs == argparse.PARSER for action in self._actions):
+            return super()._known(args, namespace)
         self._inside = True
         try:
             return self.parse_known_intermixed_args(args, namespace)

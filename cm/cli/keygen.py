@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from cm.cli.common import add_json_option, print_json
 from cm.cli.keys import read_key_file, write_key_file
 from cm.errors import InvalidRequest
 from cm.server.rights.keys import FOLDER, authorized
@@ -31,6 +32,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("folder", metavar="DIR", type=Path)
     parser.add_argument("client", metavar="CLIENT", nargs="*", default=[], help="names of clients to make keys for")
+    add_json_option(parser)
     parser.set_defaults(run=run)
 
 
@@ -47,7 +49,8 @@ def run(args: argparse.Namespace) -> int:
     if not server.exists():
         public, secret = zmq.curve_keypair()
         write_key_file(server, {"public": public, "secret": secret}, "server: keep it on the board")
-        print(f"{server}: for cm serve --keys")
+        if not args.json:
+            print(f"{server}: for cm serve --keys")
     server_public = read_key_file(server)["public"]
     for name in args.client:
         public, secret = zmq.curve_keypair()
@@ -58,5 +61,8 @@ def run(args: argparse.Namespace) -> int:
         if args.expires:
             said["expires"] = args.expires.encode()
         write_key_file(args.folder / FOLDER / f"{name}.pub", said, f"client {name}")
-        print(f"{path}: for the client; cm.connect('tcp://...', keys='{path.name}')")
+        if not args.json:
+            print(f"{path}: for the client; cm.connect('tcp://...', keys='{path.name}')")
+    if args.json:
+        print_json({"server": str(server), "clients": [str(args.folder / f"{name}.key") for name in args.client]})
     return 0

@@ -12,7 +12,15 @@ from typing import Any
 import numpy as np
 
 from cm.cli.client import connected, number, plain
-from cm.cli.common import add_connection_options, add_json_option, add_lease_option, completes, print_json, print_table
+from cm.cli.common import (
+    add_connection_options,
+    add_json_option,
+    add_lease_option,
+    binary_output,
+    completes,
+    print_json,
+    print_table,
+)
 from cm.errors import InvalidRequest
 from cm.wire.messages.status import MemoryInfo
 
@@ -107,7 +115,7 @@ def run_read(args: argparse.Namespace) -> int:
     with connected(args) as board:
         array = board.memories[args.name].read(args.offset, args.length)
     if args.output == _STDOUT and not args.json:
-        sys.stdout.buffer.write(array.tobytes())
+        binary_output().write(array.tobytes())
         return 0
     told = {"name": args.name, "offset": args.offset, "length": array.nbytes, "dtype": array.dtype.name}
     if args.output is not None and args.output != _STDOUT:

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import sys
 from typing import Any, NoReturn
 
 from cm._version import __version__
-from cm.cli.commands import COMMANDS, CommandMissing, add_command, find_command
+from cm.cli.commands import COMMANDS, DAY, CommandMissing, add_command, find_command, nearest
 from cm.cli.help_format import Help, RawHelp
 
 DESCRIPTION = "Configuration manager for FPGA systems that reconfigure themselves while they run."
@@ -18,6 +19,8 @@ EPILOG = "`cm COMMAND --help` says more. Exit status: 0 done, 1 refused or faile
 class Parser(argparse.ArgumentParser):
     """A parser that takes no abbreviated options: a script must not break when an option is added."""
 
+    _words: list[str]
+
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         kwargs.setdefault("allow_abbrev", False)
         kwargs.setdefault("formatter_class", Help)
@@ -25,10 +28,33 @@ class Parser(argparse.ArgumentParser):
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
         """Refuse leftover arguments here, in the parser of their command: `cm` itself would show its own usage."""
-        known, left = super().parse_known_args(args, namespace)
+        self._words = list(sys.argv[1:] if args is None else args)
+        known, left = self._known(self._words, namespace)
         if left:
-            self.error(f"unrecognized arguments: {' '.join(left)}")
+            self.error(f"unrecognized arguments: {' '.join(left)}{self._near(left)}")
         return known, left
+
+    def _known(self, args: list[str], namespace: Any) -> tuple[Any, list[str]]:
+        return super().parse_known_args(args, namespace)
+
+    def error(self, message: str) -> NoReturn:
+        """Where an argument is missing, an option that there is none of is what went wrong."""
+        if message.startswith("the following arguments are required"):
+            words = self._words[: self._words.index("--")] if "--" in self._words else self._words
+            wrong = [word for word in words if word[:1] == "-" and len(word) > 1 and not self._has(word)]
+            if wrong:
+                message = f"unrecognized arguments: {' '.join(wrong)}{self._near(wrong)}"
+        super().error(message)
+
+    def _has(self, word: str) -> bool:
+        """Whether this is an option with or without its value, or a number."""
+        known, number = self._option_string_actions, self._negative_number_matcher
+        return word.partition("=")[0] in known or word[:2] in known or number.match(word) is not None
+
+    def _near(self, words: list[str]) -> str:
+        options = [word.partition("=")[0] for word in words if word.startswith("-")]
+        near = difflib.get_close_matches(options[0], self._option_string_actions, n=1) if options else []
+        return f"; did you mean {near[0]}?" if near else ""
 
 
 def build_parser(chosen: str | None, helps: bool = False) -> argparse.ArgumentParser:
@@ -71,24 +97,34 @@ def refuse_unknown(parser: argparse.ArgumentParser, name: str) -> None:
 
 
 def _refuse(parser: argparse.ArgumentParser, name: str) -> NoReturn:
-    near = difflib.get_close_matches(name, [command.name for command in COMMANDS], n=1)
-    parser.error(f"there is no command {name}" + (f"; did you mean {near[0]}?" if near else ""))
+    near = nearest(name)
+    parser.error(f"there is no command {name}" + (f"; did you mean {near}?" if near else ""))
 
 
 def _top() -> tuple[argparse.ArgumentParser, argparse._SubParsersAction[argparse.ArgumentParser]]:
     parser: argparse.ArgumentParser = Parser(
         prog="cm",
-        usage="cm [-h] [--version] COMMAND ...",
+        usage="cm [-h] [--version] [--color WHEN] COMMAND ...",
         description=DESCRIPTION,
         epilog=_epilog(),
         formatter_class=RawHelp,
     )
     parser.add_argument("--version", action="version", version=f"cm {__version__}")
+    when = ("auto", "always", "never")
+    parser.add_argument("--color", choices=when, metavar="WHEN", help="colours: auto (on terminals), always or never")
     return parser, parser.add_subparsers(prog="cm", dest="command", metavar="COMMAND", help=argparse.SUPPRESS)
 
 
 def _epilog() -> str:
     """The commands in columns; argparse breaks the line after a name that is longer than "COMMAND"."""
     width = max(len(command.name) for command in COMMANDS)
-    lines = [f"  {command.name.ljust(width)}  {command.help}" for command in COMMANDS]
-    return "\n".join(["commands:", *lines, "", EPILOG])
+    lines = ["commands of every day:"]
+    lines += [f"  {c.name.ljust(width)}  {c.help}" for name in DAY for c in COMMANDS if c.name == name]
+    lines += ["", "others, by what they are for:"]
+    before = ""
+    for command in COMMANDS:
+        if command.name not in DAY:
+            heading = command.group if command.group != before else ""
+            lines.append(f"  {heading.ljust(8)}  {command.name.ljust(width)}  {command.help}")
+            before = command.group
+    return "\n".join([*lines, "", EPILOG])

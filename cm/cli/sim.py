@@ -9,12 +9,13 @@ import logging
 import os
 import sys
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cm.cli.common import completes, natural, positive
+from cm.cli.common import add_json_option, completes, natural, positive, print_json
 from cm.cli.help_format import RawHelp
-from cm.errors import NotFound
+from cm.errors import CmError, NotFound
 
 if TYPE_CHECKING:
     from cm.simulation.software import Control
@@ -94,11 +95,11 @@ def _add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -
             metavar="DIR",
             help="folder that the simulator serves (default: $CM_ROOT, or that of this machine's `cm serve --sim`)",
         )
+        add_json_option(parser)
         parser.set_defaults(refuse=parser.error)
 
 
 def _act(args: argparse.Namespace) -> int:
-    from cm.errors import CmError
     from cm.simulation.software import Control
 
     if args.action == "coverage":
@@ -106,9 +107,15 @@ def _act(args: argparse.Namespace) -> int:
     try:
         _carry_out(Control(args.root or _served()), args)
     except CmError as error:
-        print(f"cm sim: {error}", file=sys.stderr)
-        return 1
+        return _failed(args, error)
     return 0
+
+
+def _failed(args: argparse.Namespace, error: CmError) -> int:
+    if args.json:
+        raise error
+    print(f"cm sim: {error} [{error.code}]", file=sys.stderr)
+    return 1
 
 
 def _served() -> Path:
@@ -127,7 +134,6 @@ def _served() -> Path:
 
 def _coverage(args: argparse.Namespace) -> int:
     """The coverage of a running board (``--root``) so far, and of boards that have ended."""
-    from cm.errors import CmError
     from cm.simulation.rtl.coverage import report, table
     from cm.simulation.software import Control
 
@@ -137,10 +143,13 @@ def _coverage(args: argparse.Namespace) -> int:
         else:
             with suppress(CmError):  # none runs, or it counts nothing: what others have counted is there
                 Control(_served()).cover()
-        print(table(report(args.folder)))
+        counted = report(args.folder)
     except CmError as error:
-        print(f"cm sim: {error}", file=sys.stderr)
-        return 1
+        return _failed(args, error)
+    if args.json:
+        print_json([asdict(file) for file in counted])
+    else:
+        print(table(counted))
     return 0
 
 

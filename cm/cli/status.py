@@ -4,12 +4,18 @@
 from __future__ import annotations
 
 import argparse
+import sys
 
 from cm.cli.client import awaited, connected, plain, settled
+from cm.cli.colours import painted
 from cm.cli.common import add_connection_options, add_json_option, print_json, print_table, seconds
 from cm.wire.messages.status import Status
 
 _NOTICES = ("reconciled", "slept")  # what the manager found out, where nothing failed
+_COLOURS = {"idle": "green", "partial": "yellow", "full": "yellow", "error": "red"}
+_REGION_COLOURS = {
+    "ready": "green", "failed": "red", **dict.fromkeys(("unknown", "decoupled", "loading", "loaded"), "yellow")
+}  # fmt: skip
 _UNITS = {"temperature": "°C", "voltage": "V", "current": "A", "power": "W"}
 
 
@@ -81,13 +87,16 @@ def _mebibytes(count: int) -> str:
 def show(status: Status) -> None:
     """Print a status for people."""
     loaded = f"{status.config_name}/{status.mode}" if status.config_name else "nothing loaded"
-    print(f"{f'{status.board}: ' if status.board else ''}{loaded}   {headline(status)}")
+    going_on = painted(headline(status), _COLOURS[status.pr_mode.value], sys.stdout)
+    print(f"{f'{status.board}: ' if status.board else ''}{loaded}   {going_on}")
     if status.last_error:
         what = "note" if status.last_error.code in _NOTICES else "last error"
-        print(f"{what}: {status.last_error.code}: {status.last_error.message}")
+        mark = painted(f"{what}:", "yellow" if what == "note" else "red", sys.stdout)
+        print(f"{mark} {status.last_error.code}: {status.last_error.message}")
     if status.regions:
         print()
-        print_table([(r.name, r.module or "-", r.state) for r in status.regions], ("REGION", "MODULE", "STATE"))
+        regions = [(r.name, r.module or "-", r.state) for r in status.regions]
+        print_table(regions, ("REGION", "MODULE", "STATE"), _REGION_COLOURS)
     if status.clocks:
         print()
         rates = [(c.name, _megahertz(c.wanted), _megahertz(c.rate) if c.rate else "not known") for c in status.clocks]

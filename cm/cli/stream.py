@@ -106,7 +106,7 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
         help="let the hardware wait for readers, or let readers lose frames",
     )
     add("--enable", action=switch, default=None, help="run it, or stop it, whether or not it has readers")
-    add("--automatic", action="store_true", help="run it while it is used, as before any --enable or --disable")
+    add("--automatic", action="store_true", help="run it while it is used, as before any --enable or --no-enable")
     add_lease_option(parser)
     add("--force", action="store_true", help="even if it is in use")
 

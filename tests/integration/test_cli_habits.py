@@ -4,11 +4,14 @@
 from __future__ import annotations
 
 import json
+import os
+import pty
 import select
+import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
@@ -54,6 +57,111 @@ def test_a_change_that_runs_is_cancelled_and_the_board_is_back(
         assert json.loads(capsys.readouterr().out) == said
         assert main(["cancel", *place]) == 0
         assert capsys.readouterr().out == "no change is running; the board is in duo/default\n"
+
+
+@pytest.fixture
+def interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., tuple[int, Manager]]]:
+    """Run `cm`, with Ctrl-C while the port holds up its change; a cancel lets it go on. The exit status."""
+    written(tmp_path, ("duo",))
+    with served(schemas=tmp_path) as (manager, sim), manager.connected() as board:
+        board.load("duo", "default")
+        cancel = cm.Board.cancel
+        monkeypatch.setattr(cm.Board, "cancel", lambda asking: (cancel(asking), sim.control.clear("icap_stall")))
+
+        def ctrl_c() -> None:
+            until(lambda: (p := board.status.progress) is not None and p.step == "load")
+            os.kill(os.getpid(), signal.SIGINT)
+
+        def run(*words: str) -> tuple[int, Manager]:
+            presser = threading.Thread(target=ctrl_c)
+            with stalled(sim):
+                presser.start()
+                status = main([*words, "--runtime-dir", str(manager.runtime)])
+                presser.join()
+            return status, manager
+
+        yield run
+
+
+@pytest.mark.parametrize("words", [("mode", "both"), ("load", "duo/both")], ids=" ".join)
+def test_ctrl_c_leaves_a_change_running_and_says_how_to_take_it_back(
+    words: tuple[str, ...],
+    interrupted: Callable[..., tuple[int, Manager]],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    status, manager = interrupted(*words)
+    assert status == 130
+    said = "cm: the change to duo/both goes on; `cm cancel` takes it back, `cm watch` shows it\n"
+    assert capsys.readouterr() == ("", said)
+    with manager.connected() as board:
+        until(lambda: board.status.mode == "both")
+
+
+def test_ctrl_c_cancels_a_change_where_that_was_asked_for(
+    interrupted: Callable[..., tuple[int, Manager]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, manager = interrupted("mode", "duo/both", "--cancel-on-interrupt")
+    assert status == 130
+    assert capsys.readouterr().err.endswith("was cancelled; the board is at duo/default\n")
+    with manager.connected() as board:
+        assert board.status.mode == "default"
+
+
+@pytest.mark.parametrize(
+    ("line", "reached"),
+    [
+        ("load camera/edge_detection", "edge_detection"),
+        ("load camera colorise", "colorise"),
+        ("load loopback", "loopback"),
+        ("load camera", "default"),
+        ("mode camera/colorise", "colorise"),
+        ("mode loopback", "loopback"),
+        ("mode edge", "edge_detection"),
+    ],
+)
+def test_a_mode_is_named_as_status_prints_it(
+    line: str, reached: str, board: cm.Board, manager: Manager, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*line.split(), "--runtime-dir", str(manager.runtime)]) == 0
+    assert capsys.readouterr().out.startswith(f"camera/{reached} after")
+    assert board.mode == reached
+
+
+@pytest.mark.parametrize("line", ["camera/colorise", "camera colorise", "--config camera colorise", "colorise"])
+def test_a_plan_takes_a_mode_in_the_same_spelling(
+    line: str, board: cm.Board, manager: Manager, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["plan", *line.split(), "--json", "--runtime-dir", str(manager.runtime)]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["config_name"], told["mode"]) == ("camera", "colorise")
+
+
+@pytest.mark.parametrize(
+    ("line", "error"),
+    [
+        ("mode nothing", "configuration 'camera' has no mode 'nothing'; there are colorise"),
+        ("mode camera", "camera is a configuration: cm load camera [unknown_mode]"),
+        ("load nothing", "no configuration 'nothing'; there are camera [unknown_config]"),
+        ("load camera/nothing", "[unknown_mode]"),
+        ("plan nothing", "[unknown_mode]"),
+    ],
+)
+def test_a_mode_that_there_is_none_of_is_refused_with_what_there_is(
+    line: str, error: str, board: cm.Board, manager: Manager, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*line.split(), "--runtime-dir", str(manager.runtime)]) == 1
+    assert error in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("line", ["stream capture camera -", "mem read scratchpad -o -"])
+def test_bytes_are_not_written_to_a_terminal(line: str, board: cm.Board, manager: Manager) -> None:
+    outer, inner = pty.openpty()
+    command = [sys.executable, "-m", "cm", *line.split(), "--runtime-dir", str(manager.runtime)]
+    ran = subprocess.run(command, stdout=inner, stderr=subprocess.PIPE, text=True, env=environment(), check=False)
+    os.close(inner)
+    os.close(outer)
+    assert ran.returncode == 1
+    assert "bytes are not written to a terminal: name a file, or send them on with > or |" in ran.stderr
 
 
 @pytest.mark.parametrize("words", [("watch",), ("reg", "watch", "focus")], ids=lambda words: words[0])

@@ -20,6 +20,7 @@ from cm.cli.completion import script
 LINES = {
     "cm mode edg": "cm mode edge_detection ",
     "cm load camera loopback_": "cm load camera loopback_edge ",
+    "cm mode camera/colo": "cm mode camera/colorise ",
     "cm reg read led.bl": "cm reg read led.blink ",
     "cm reg write foc": "cm reg write focus=",
     "cm reg write led.blink=fa": "cm reg write led.blink=fast ",
@@ -103,11 +104,11 @@ def test_fish_completes_names_of_what_runs(folder: Path, manager: Manager) -> No
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
-        ("cm che", ["check "]),
+        ("cm comp", ["completion "]),
         ("cm completion ", ["bash", "zsh", "fish"]),
         ("cm sim inj", ["inject "]),
         ("cm view --as ", ["auto", "kitty", "sixel", "blocks", "window"]),
-        ("cm check --js", ["--json "]),
+        ("cm config check --js", ["--json "]),
         ("cm nothing x", []),
     ],
 )

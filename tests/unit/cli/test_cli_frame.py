@@ -45,7 +45,7 @@ def command(monkeypatch: pytest.MonkeyPatch) -> Any:
 
         module.add_parser = add_parser  # type: ignore[attr-defined]
         monkeypatch.setitem(sys.modules, "a_command", module)
-        own = [command for command in COMMANDS if command.name in ("check", "completion")]
+        own = [command for command in COMMANDS if command.name in ("config", "completion")]
         table = (*own, Command("try", "a_command", "try something"))
         monkeypatch.setattr("cm.cli.commands.COMMANDS", table)
         monkeypatch.setattr("cm.cli.parser.COMMANDS", table)
@@ -75,7 +75,7 @@ def test_a_command_gives_the_exit_status(command: Any) -> None:
 def test_an_error_of_the_field_is_one_line_on_stderr(command: Any, capsys: pytest.CaptureFixture[str]) -> None:
     command(fails_with(Busy("region prr0 is loading")))
     assert main(["try"]) == 1
-    assert capsys.readouterr() == ("", "cm: region prr0 is loading\n")
+    assert capsys.readouterr() == ("", "cm: region prr0 is loading [busy]\n")
 
 
 def test_an_error_is_json_where_json_was_asked_for(command: Any, capsys: pytest.CaptureFixture[str]) -> None:
@@ -103,7 +103,7 @@ def test_a_defect_of_the_program_is_not_hidden(command: Any) -> None:
 
 
 def test_an_unknown_command_is_a_usage_error_with_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
-    assert "there is no command chekc; did you mean check?" in usage_error(["chekc"], capsys)
+    assert "there is no command statsu; did you mean status?" in usage_error(["statsu"], capsys)
 
 
 def test_options_are_not_abbreviated(command: Any, capsys: pytest.CaptureFixture[str]) -> None:
@@ -114,7 +114,7 @@ def test_options_are_not_abbreviated(command: Any, capsys: pytest.CaptureFixture
 
 def test_no_command_is_a_usage_error_that_shows_the_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 2
-    assert "commands:" in capsys.readouterr().err
+    assert "commands of every day:" in capsys.readouterr().err
 
 
 def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
@@ -122,7 +122,7 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
         main(["--help"])
     assert caught.value.code == 0
     out = capsys.readouterr().out
-    assert all(f"  {command.name} " in out and command.help in out for command in COMMANDS)
+    assert all(f" {command.name} " in out and command.help in out for command in COMMANDS)
 
 
 def test_the_page_of_the_docs_has_every_command() -> None:
@@ -158,7 +158,7 @@ def test_help_for_an_unknown_command_names_the_nearest(capsys: pytest.CaptureFix
 @pytest.mark.parametrize(
     ("line", "usage"),
     [
-        ("plan a b", "usage: cm plan [-h]"),
+        ("plan a b c", "usage: cm plan [-h]"),
         ("reg read --nmae", "usage: cm reg read [-h]"),
         ("reg write --mask 3 a=1 b=2", "usage: cm reg write [-h]"),
         ("reg write --mask 3 led.blink=fast", "usage: cm reg write [-h]"),

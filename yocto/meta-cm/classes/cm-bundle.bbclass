@@ -5,7 +5,7 @@
 #   CM_CONFIG = "camera"
 #   inherit cm-bundle
 #
-# The runtime schema is checked with `cm check`, and every file that it names must be in the archive.
+# The runtime schema is checked with `cm config check`, and every file that it names must be in the archive.
 
 CM_CONFIG ??= "${@d.getVar('BPN').replace('cm-config-', '', 1)}"
 S = "${UNPACKDIR}/${BP}"
@@ -21,7 +21,7 @@ do_compile() {
     if [ ! -d "${S}/${CM_CONFIG}" ]; then
         bbfatal "the archive has no folder ${CM_CONFIG}: CM_CONFIG names the configuration that cm build collect packed"
     fi
-    nativepython3 -m cm check "${S}/${CM_CONFIG}"
+    nativepython3 -m cm config check "${S}/${CM_CONFIG}"
 }
 
 do_install() {

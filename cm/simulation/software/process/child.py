@@ -204,6 +204,7 @@ class Board:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             env=child.environment(),
+            start_new_session=True,  # Ctrl-C is for whoever uses the board, who ends it afterwards
         )
         try:
             self._await_ready(process)

@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every command: its help, wrong words and options, output for scripts; and spellings that were other ones before."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cm.cli.colours import as_told, colours_of, painted
+from cm.cli.commands import COMMANDS, DAY, understood
+from cm.cli.main import main
+from cm.cli.parser import build_full_parser
+
+CODE = re.compile(r" \[[a-z_]+\]$")
+# What runs until it is ended, asks a person, or prints text that is its only purpose.
+WITHOUT_JSON = {
+    "serve", "sim", "view", "web", "demo", "completion", "help", "build configure", "fleet cache", "fleet router",
+    "fleet settle", "fleet keys", "bridge",
+}  # fmt: skip
+
+
+Found = Iterator[tuple[str, argparse.ArgumentParser]]
+
+
+def commands(parser: argparse.ArgumentParser, words: tuple[str, ...] = ()) -> Found:
+    """Every command and subcommand that can be run, with the words in front of it, and its parser."""
+    inner = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    if not inner or (words and inner[0].required is False):
+        yield " ".join(words), parser
+    before = [str(a.metavar or a.dest) for a in parser._actions if not a.option_strings and a.nargs is None]
+    for action in inner:
+        first_names = {id(below): name for name, below in reversed(action.choices.items())}
+        for name in reversed(first_names.values()):
+            yield from commands(action.choices[name], (*words, *before, name))
+
+
+ALL = dict(commands(build_full_parser()))
+
+
+def refused(line: str, capsys: pytest.CaptureFixture[str]) -> str:
+    """The last line that a wrong usage prints."""
+    with pytest.raises(SystemExit) as end:
+        main(line.split())
+    assert end.value.code == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    return told.err.splitlines()[-1]
+
+
+def test_the_ten_of_every_day_come_first_and_the_others_by_what_they_are_for(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    first, others = capsys.readouterr().out.split("others, by what they are for:")
+    assert [line.split()[0] for line in first.partition("every day:")[2].splitlines() if line] == list(DAY)
+    headings = ("board", "data", "sharing", "designs", "networks", "run", "try", "shell")
+    assert tuple(re.findall(r"^  (\w+)", others, re.MULTILINE)) == headings
+    assert {command.group for command in COMMANDS} == set(headings)
+    assert max(map(len, others.splitlines())) < 120
+
+
+@pytest.mark.parametrize("command", ALL)
+def test_every_command_has_a_help_that_says_how_to_use_it(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main([*command.split(), "--help"])
+    assert end.value.code == 0
+    told = capsys.readouterr()
+    assert told.out.startswith(f"usage: cm {command}")
+    assert "==SUPPRESS==" not in told.out
+    assert told.err == ""
+
+
+@pytest.mark.parametrize("command", ALL)
+def test_a_wrong_option_is_what_the_error_is_about(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Also where an argument is missing, and with the option that was meant."""
+    said = refused(f"{command} --hepl", capsys)
+    assert said.endswith("unrecognized arguments: --hepl; did you mean --help?"), said
+
+
+@pytest.mark.parametrize("command", ALL)
+def test_options_that_a_help_names_exist(command: str) -> None:
+    parser = ALL[command]
+    named = set(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]*[a-z0-9]", parser.format_help()))
+    known = {spelling for other in ALL.values() for spelling in other._option_string_actions} | {"--version"}
+    assert named <= known
+
+
+@pytest.mark.parametrize("command", ALL)
+def test_a_script_gets_json_of_every_command_that_it_may_read(command: str) -> None:
+    known = "--json" in ALL[command]._option_string_actions
+    exempt = any(command == name or command.startswith(f"{name} ") for name in WITHOUT_JSON)
+    assert known or exempt, command
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "status", "watch", "load a", "mode a", "mode a/b", "plan a", "cancel", "reg list", "reg read", "reg write a=1",
+        "reg watch", "mem list", "mem read a", "irq list", "irq wait a", "stream list", "stream set a",
+        "stream capture a b.npy", "stream ping a", "view a --as blocks", "lease list", "lease give 1", "lease break 1",
+        "config list", "config remove a",
+    ],
+)  # fmt: skip
+def test_without_a_manager_every_command_says_so_in_one_line(
+    line: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place = ["--runtime-dir", str(tmp_path)]
+    assert main([*line.split(), *place]) == 1
+    told = capsys.readouterr()
+    assert (told.out, told.err.count("\n")) == ("", 1)
+    assert told.err.startswith("cm: no configuration manager serves")
+    assert CODE.search(told.err.rstrip())
+    if "--json" in next(parser for name, parser in ALL.items() if line.startswith(name))._option_string_actions:
+        assert main([*line.split(), "--json", *place]) == 1
+        assert set(json.loads(capsys.readouterr().out)["error"]) == {"code", "message"}
+
+
+# ---- spellings ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("earlier", "now"),
+    [
+        ("check a.yaml --json", "config check a.yaml --json"),
+        ("configs --json", "config list --json"),
+        ("configs --json --send a.yaml b.bit", "config send --json a.yaml b.bit"),
+        ("data camera --rate 3 --start", "stream set camera --rate 3 --enable"),
+        ("data camera --stop", "stream set camera --no-enable"),
+        ("fleet ls", "fleet list"),
+        ("reg ls --json", "reg list --json"),
+        ("help configs", "help config list"),
+        ("--version configs", "--version config list"),
+        ("load ls", "load ls"),
+        ("lease take board -- cm configs", "lease take board -- cm configs"),
+        ("", ""),
+        ("--help", "--help"),
+    ],
+)
+def test_earlier_spellings_are_understood(earlier: str, now: str) -> None:
+    assert understood(earlier.split()) == now.split()
+
+
+@given(st.lists(st.sampled_from(["ls", "list", "--json", "check", "help", "reg", "data", "--", "x"])))
+@settings(max_examples=200)
+def test_spellings_are_made_new_once(words: list[str]) -> None:
+    assert understood(understood(words)) == understood(words)
+
+
+def test_a_command_that_has_gone_is_near_to_what_it_became(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "there is no command cofnigs; did you mean config" in refused("cofnigs", capsys)
+    assert "did you mean config check?" in refused("chekc", capsys)
+
+
+# ---- colours -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("line", "left", "when"),
+    [
+        ("--color always status", "status", "always"),
+        ("status --color=never --json", "status --json", "never"),
+        ("status --color", "status --color", ""),
+        ("status --color sometimes", "status --color sometimes", ""),
+        ("lease take board -- ls --color=always", "lease take board -- ls --color=always", ""),
+    ],
+)
+def test_when_to_colour_may_be_said_anywhere_in_front_of_another_command(line: str, left: str, when: str) -> None:
+    assert colours_of(line.split()) == (left.split(), when)
+
+
+def test_colours_are_for_terminals_unless_something_else_was_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Terminal:
+        def isatty(self) -> bool:
+            return True
+
+    for name in ("NO_COLOR", "FORCE_COLOR"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("TERM", "xterm")
+    terminal: object = Terminal()
+    assert painted("idle", "green", terminal) == "\x1b[32midle\x1b[0m"  # type: ignore[arg-type]
+    assert painted("idle", "green", None) == "idle"
+    with as_told("always"):
+        assert painted("idle", "green", None) != "idle"
+    with as_told("never"):
+        assert painted("idle", "green", terminal) == "idle"  # type: ignore[arg-type]
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert painted("idle", "green", terminal) == "idle"  # type: ignore[arg-type]
+    with as_told("always"):
+        assert painted("idle", "green", None) != "idle"
+    monkeypatch.delenv("NO_COLOR")
+    monkeypatch.setenv("TERM", "dumb")
+    assert painted("idle", "green", terminal) == "idle"  # type: ignore[arg-type]
+
+
+def test_an_error_is_red_where_colours_are_wanted_and_plain_in_a_pipe(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = ["status", "--runtime-dir", str(tmp_path)]
+    assert main(["--color", "always", *line]) == 1
+    assert capsys.readouterr().err.startswith("\x1b[31mcm:\x1b[0m no configuration manager")
+    assert main(line) == 1
+    assert "\x1b" not in capsys.readouterr().err
+
+
+# ---- starting ------------------------------------------------------------------------------
+
+
+def modules(code: str) -> int:
+    """How many modules Python has imported after some code."""
+    command = [sys.executable, "-c", f"import sys\n{code}\nprint(len(sys.modules), file=sys.stderr)"]
+    ran = subprocess.run(command, capture_output=True, text=True, check=True)
+    return int(ran.stderr.splitlines()[-1])
+
+
+def test_the_help_costs_few_modules_beyond_argparse() -> None:
+    code = "from cm.cli.main import main\ntry: main(['--help'])\nexcept SystemExit: pass"
+    assert modules(code) - modules("import argparse, difflib, signal") <= 26
