@@ -10,7 +10,7 @@ import random
 import select
 import signal
 import subprocess
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -38,9 +38,9 @@ VISION = archive("vision", {"vision.yaml": _SCHEMA.encode(), "edge.bin": EDGE}) 
 class Router:
     """zenoh's router in a process, which can be killed."""
 
-    def __init__(self, config: Path | None = None, listen: bool = True) -> None:
+    def __init__(self, config: Path | None = None, listen: bool = True, host: str = "127.0.0.1") -> None:
         """`listen`: at `endpoint`; else where the file says."""
-        self.endpoint = f"tcp/127.0.0.1:{free_ports()}"
+        self.endpoint = f"tcp/{host}:{free_ports()}"
         self._options = [
             *(("--listen", self.endpoint) if listen else ()),
             *(("--zenoh-config", config) if config else ()),
@@ -70,6 +70,7 @@ class Bridge:
         self.name = name
         self.log = b""
         self.inside: tuple[str, ...] = ()  # what its command begins with
+        self.variables: dict[str, str] = {}
         self._command = child.command(
             "cm.cli.main", "bridge", "fleet", "--runtime-dir", str(manager.runtime), "--name", name,
             "--state-dir", str(folder), *arguments,
@@ -77,7 +78,7 @@ class Bridge:
         self.process: subprocess.Popen[bytes] | None = None
 
     def start(self, **variables: str) -> Bridge:
-        command, env = [*self.inside, *self._command], environment(**variables)
+        command, env = [*self.inside, *self._command], environment(**{**self.variables, **variables})
         self.process = subprocess.Popen(command, stderr=subprocess.PIPE, env=env, cwd="/")
         assert self.process.stderr is not None
         self.log = b""
@@ -126,13 +127,20 @@ def fleet_board(
     arguments: Sequence[str] = (),
     schemas: Path = CAMERA,
     guests: str = '{"*": operate}',
+    inside: Sequence[str] = (),
+    variables: Mapping[str, str] | None = None,
 ) -> Iterator[FleetBoard]:
-    """One board in its default mode; `router` are the bridge's options that lead to the fleet."""
+    """One board in its default mode; `router` are the bridge's options that lead to the fleet.
+
+    `inside`: what the bridge's command begins with; `variables` of its environment.
+    """
     with short_folder() as folder, SimBoard([schemas], root=folder / "board") as sim:
         (folder / "cm.yaml").write_text(f"access:\n  guests: {guests}\n")
         places = ("--config", str(schemas), "--root", str(sim.root), "--state-dir", str(folder / "state"))
         manager = Manager(folder / "run", *places, "--settings", str(folder / "cm.yaml"), "--name", name).start()
-        bridge = Bridge(folder / "bridge", name, manager, (*router, *arguments)).start()
+        bridge = Bridge(folder / "bridge", name, manager, (*router, *arguments))
+        bridge.inside, bridge.variables = tuple(inside), dict(variables or {})
+        bridge.start()
         try:
             with manager.connected() as board:
                 board.load("camera", "default")

@@ -1,0 +1,13 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Options of the fleet's rounds."""
+
+from __future__ import annotations
+
+import pytest
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    group = parser.getgroup("fleet")
+    group.addoption("--fleet-rounds", type=int, default=8, help="rounds, in each of which something dies")
+    group.addoption("--stopped", type=float, default=4.0, help="seconds for which something stopped or cut off is so")
+    group.addoption("--seed", type=int, default=1, help="of what is drawn")
