@@ -22,9 +22,11 @@ COUNT ?= 100
 SEED ?= 1
 MINUTES ?= 10
 PLACEMENTS ?= 0
+ROUNDS ?= 8
+STOPPED ?= 4
 
 .DEFAULT_GOAL := help
-.PHONY: help help-all setup docs web-picture demo demo-open demo-ros demo-fleet device-suite test test-bare $(FURTHER:%=test-%) test-c test-node test-rtl test-open test-bench test-ros test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
+.PHONY: help help-all setup docs web-picture demo demo-open demo-ros demo-fleet device-suite test test-bare $(FURTHER:%=test-%) test-c test-node test-rtl test-open test-bench test-ros test-fleet etcd test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
 
 help: ## the targets that most people need
 	@awk -F':[^#]*## ' '/^[a-z-]+:[^#]*## /{printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -117,8 +119,14 @@ test-rtl: $(VENV)/.installed-test-rtl ### the HDL and what is generated from it,
 test-vm: $(VENV)/.installed-test-design ### kernel modules and the whole manager on a board in QEMU
 	@$(MAKE) --no-print-directory -C tests/vm test PYTHON="$(abspath $(BIN)/python)" TIERS="$(TIERS)" REQUIRED=$(REQUIRED)
 
-demo-fleet: $(VENV)/.installed-zenoh ## three simulated boards over zenoh: one observes, another decides, the third acts; one is killed and comes back (OUT=DIR)
-	@$(BIN)/cm demo --fleet --out $(if $(filter demo,$(OUT)),demo-fleet,$(OUT))
+demo-fleet: $(VENV)/.installed-zenoh $(if $(filter etcd,$(STORE)),etcd) ## three simulated boards over zenoh: one observes, another decides, the third acts; one is killed and comes back (OUT=DIR, STORE=etcd)
+	@$(BIN)/cm demo --fleet $(if $(STORE),--store $(STORE)) --out $(if $(filter demo,$(OUT)),demo-fleet,$(OUT))
+
+etcd: # whose package starts a member of its own, which nobody needs
+	@command -v etcd >/dev/null || apt-get install -qq -y --no-install-recommends etcd-server etcd-client >/dev/null
+
+test-fleet: $(VENV)/.installed-test-networks etcd ### a fleet over three members of etcd, of which something is killed, stopped or cut off in each of ROUNDS=8 (apt: etcd-server, as root; STOPPED=4 seconds, SEED=1)
+	CM_ETCD=1 $(PYTEST) tests/fleet tests/integration/test_fleet_findings.py -s --fleet-rounds=$(ROUNDS) --stopped=$(STOPPED) --seed=$(SEED) $(PYTEST_ARGS)
 
 device-suite: $(VENV)/.installed-test ## tests of the device layer: BOARD=sim, or BOARD=hw TARGET=user@host (or LAB=labgrid.yaml; BOARD_FILE, BOARD_PYTHON)
 ifeq ($(BOARD),hw)
@@ -137,6 +145,8 @@ web-picture: $(VENV)/.installed-test-web ### the picture of the page in docs/ima
 soak: $(FURTHER:%=$(VENV)/.installed-test-%) ### ten thousand changes of mode, scraped ones too, a thousand in a page, a minute of killed readers, every attack on limits, two regions and random designs by their bits (PLACEMENTS=N, default none), five thousand flipped bits, every virtual board; new examples for the tests that draw some
 	$(PYTEST) tests/unit tests/fuzz -m hypothesis --hypothesis-profile=search $(PYTEST_ARGS)
 	$(PYTEST) tests/soak --changes=10000 --stress=60 --rounds=300 $(PYTEST_ARGS)
+	CM_SCHEDULES=20000 $(PYTEST) tests/unit/test_fleet_schedules.py -n $(CORES) $(PYTEST_ARGS)
+	$(MAKE) --no-print-directory test-fleet ROUNDS=300 STOPPED=30
 	CM_OPEN_7020=1 $(PYTEST) tests/open/test_open_regions.py tests/open/test_bits_modules.py $(PYTEST_ARGS)
 	for device in xc7z010 xc7z020; do CM_PLACEMENTS=$(PLACEMENTS) CM_DEVICE=$$device CM_SEED=$(SEED) $(PYTEST) tests/open/test_open_placements.py $(PYTEST_ARGS) || exit 1; done
 	for seed in 1 2 3 4 5; do CM_FLIPS=1000 CM_SEED=$$seed $(PYTEST) tests/open/test_bits_flips.py $(PYTEST_ARGS) || exit 1; done

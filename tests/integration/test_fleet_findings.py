@@ -25,6 +25,7 @@ from cm.networks.fleet.errors import ChangeFailed, FleetRefused
 from cm.networks.fleet.store import LEASE
 from cm.wire.messages.fleet import BoardStatus, FleetState
 
+pytestmark = pytest.mark.networks
 Boards = dict[str, FleetBoard]
 STORES = ["keeper", *(["etcd"] if os.environ.get("CM_ETCD") else [])]
 ENDS = LEASE + 5.0  # seconds after which no board may be undecided
