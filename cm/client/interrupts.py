@@ -20,10 +20,11 @@ class Interrupts:
 
     def __init__(self, board: Caller) -> None:
         self._board = board
+        self._seen: dict[str, int] = {}  # by name: the time of the one that ended the last wait, ns
 
     def __getitem__(self, name: str) -> Interrupt:
         """The interrupt of that name; whether it exists is checked when it is used."""
-        return Interrupt(self._board, name)
+        return Interrupt(self._board, name, self._seen)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.names)
@@ -49,9 +50,10 @@ class Interrupts:
 class Interrupt:
     """One interrupt."""
 
-    def __init__(self, board: Caller, name: str) -> None:
+    def __init__(self, board: Caller, name: str, seen: dict[str, int]) -> None:
         self._board = board
         self.name = name
+        self._seen = seen
 
     @property
     def count(self) -> int:
@@ -59,9 +61,16 @@ class Interrupt:
         return self._board.ask(calls.interrupt(self.name)).count
 
     def wait(self, timeout: float | None = None) -> Irq:
-        """Wait for the next one; `timeout` in seconds, None waits for ever. Raises Timeout."""
-        with self.events(timeout) as events:
-            return events.next()
+        """Wait for one since this client's last wait, or since the configuration was loaded; it may have come already.
+
+        `events()` counts from its opening instead. `timeout` in seconds, None waits for ever. Raises Timeout.
+        """
+        subscription = self._board.subscribe(*InterruptEvents.topics)
+        since = self._seen.get(self.name, 0)
+        with EventStream(self._board, subscription, InterruptEvents(subscription, timeout, self.name, since)) as events:
+            came = events.next()
+        self._seen[self.name] = came.timestamp_ns
+        return came
 
     def events(self, timeout: float | None = None) -> EventStream[Irq]:
         """All interrupts of this name from now on. Raises Timeout if none comes for `timeout` seconds."""

@@ -48,6 +48,7 @@ export class Board {
   readonly registers: Registers;
   readonly #link: Link;
   readonly #leases = new Set<string>();
+  readonly #waited = new Map<string, number>(); // by interrupt: the time of the one that ended the last wait
   readonly #open = new Set<{ close(): void }>();
 
   constructor(endpoints: Endpoints, keys: Keys | undefined, readonly timeout: number, guest = "") {
@@ -155,6 +156,32 @@ export class Board {
   async interrupt(name: string): Promise<Interrupt> {
     const { reply } = await this.ask("cm_irq", cm.ReadIrq.encode({ name }).finish());
     return interruptOf(reply.irq ?? {});
+  }
+
+  /**
+   * Wait for one since our last wait, or since the configuration was loaded; it may have come already. `timeout` in
+   * seconds, null waits for ever. Rejects with Timeout.
+   */
+  async waitInterrupt(name: string, timeout: number | null = null): Promise<Interrupt> {
+    const until = timeout === null ? null : performance.now() + timeout * 1000;
+    const told = this.events(["cm_irq", "cm_status"], ([topic, message]): Interrupt | "settled" | undefined => {
+      if (String(topic) === "cm_status") return "settled"; // the manager has our subscriptions
+      const irq = message && interruptOf(cm.Irq.decode(message));
+      return irq && irq.name === name ? irq : undefined;
+    });
+    try {
+      while (await told.next(Math.max(this.timeout, timeout ?? 0)) !== "settled");
+      let came = await this.interrupt(name);
+      const latest = came.timestampNs;
+      while (came.count === 0 || came.timestampNs === (this.#waited.get(name) ?? 0)) {
+        const event = await told.next(until === null ? null : Math.max(0, until - performance.now()) / 1000);
+        if (event !== "settled" && event.timestampNs > latest) came = event;
+      }
+      this.#waited.set(name, came.timestampNs);
+      return came;
+    } finally {
+      told.close();
+    }
   }
 
   /** Each interrupt of one name. */

@@ -125,6 +125,9 @@ for (const [way, reach] of Object.entries(WAYS)) {
       const values = await heard(writes, () => other.registers.write({ zoom: 2 }));
       assert.deepEqual(values, { zoom: 2 });
       await other.registers.write({ zoom: 1 });
+      const came = await board.waitInterrupt("frame_done", PATIENCE); // it came before we waited
+      const next = await board.waitInterrupt("frame_done", PATIENCE);
+      assert.ok(next.timestampNs > came.timestampNs);
       other.close();
     });
 

@@ -19,10 +19,11 @@ class Interrupts:
 
     def __init__(self, board: Caller) -> None:
         self._board = board
+        self._seen: dict[str, int] = {}  # by name: the time of the one that ended the last wait, ns
 
     def __getitem__(self, name: str) -> Interrupt:
         """The interrupt of that name; whether it exists is checked when it is used."""
-        return Interrupt(self._board, name)
+        return Interrupt(self._board, name, self._seen)
 
     async def names(self) -> tuple[str, ...]:
         """The interrupts of the loaded configuration."""
@@ -35,18 +36,27 @@ class Interrupts:
 class Interrupt:
     """One interrupt."""
 
-    def __init__(self, board: Caller, name: str) -> None:
+    def __init__(self, board: Caller, name: str, seen: dict[str, int]) -> None:
         self._board = board
         self.name = name
+        self._seen = seen
 
     async def count(self) -> int:
         """How many times it has occurred since the configuration was loaded."""
         return (await self._board.ask(calls.interrupt(self.name))).count
 
     async def wait(self, timeout: float | None = None) -> Irq:
-        """Wait for the next one; `timeout` in seconds, None waits for ever. Raises Timeout."""
-        async with self.events(timeout) as events:
-            return await events.next()
+        """Wait for one since this client's last wait, or since the configuration was loaded; it may have come already.
+
+        `events()` counts from its opening instead. `timeout` in seconds, None waits for ever. Raises Timeout.
+        """
+        subscription = self._board.subscribe(*InterruptEvents.topics)
+        since = self._seen.get(self.name, 0)
+        events = EventStream(self._board, subscription, InterruptEvents(subscription, timeout, self.name, since))
+        async with events:
+            came = await events.next()
+        self._seen[self.name] = came.timestamp_ns
+        return came
 
     def events(self, timeout: float | None = None) -> EventStream[Irq]:
         """Each one from its opening on. Raises Timeout if none comes for `timeout` seconds."""

@@ -100,19 +100,33 @@ class RegisterEvents(Events[RegValues]):
 
 
 class InterruptEvents(Events[Irq]):
-    """Each interrupt of one name from now on."""
+    """Each interrupt of one name from now on; with `since`, the latest one first if it is not that of then.
+
+    `since` is a time of an interrupt in ns (0: none), as counts start again with each configuration.
+    """
 
     topics = (topics.IRQ, topics.STATUS)
 
-    def __init__(self, subscription: Subscription, timeout: float | None, name: str) -> None:
+    def __init__(self, subscription: Subscription, timeout: float | None, name: str, since: int | None = None) -> None:
         super().__init__(subscription, timeout)
         self._name = name
+        self._since = since
         self._after = 0
+        self._came: Irq | None = None
 
     def opening(self) -> Flow[None]:
         yield from self._settled()
         latest: Irq = yield Ask(calls.interrupt(self._name))
-        self._after = latest.timestamp_ns  # counts start again with each configuration, time does not
+        self._after = latest.timestamp_ns
+        if self._since is not None and latest.count and latest.timestamp_ns != self._since:
+            self._came = latest
+
+    def next(self, timeout: Limit = DEFAULT) -> Flow[Irq]:
+        """The one that came before, or the next one. Raises Timeout."""
+        if self._came is None:
+            return (yield from super().next(timeout))
+        came, self._came = self._came, None
+        return came
 
     def accept(self, event: Any) -> Irq | None:
         new = isinstance(event, Irq) and event.name == self._name and event.timestamp_ns > self._after
