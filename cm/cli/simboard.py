@@ -99,10 +99,6 @@ def schema_of_build(build: Path, runtime: Path, kind: str) -> Path:
 
         folder = collected(build)
         return folder / f"{folder.name}.yaml"
-    from cm.simulation.rtl.design import runtime_schema
+    from cm.simulation.rtl.schema import written
 
-    name, text = runtime_schema(build)
-    path = runtime / "schemas" / f"{name}.yaml"
-    path.parent.mkdir(mode=0o750, parents=True, exist_ok=True)
-    path.write_text(text, encoding="utf-8")
-    return path
+    return written(build, runtime / "schemas")

@@ -26,7 +26,7 @@ from cm.formats.bitstream.far import FrameAddress
 from cm.simulation.rtl import design as rtl_design
 
 HERE = Path(__file__).parent
-RTL = Path(cm.__file__).parent / "build/rtl"
+RTL = Path(cm.__file__).parent / "design/rtl"
 HDL = Path(rtl_design.__file__).parent / "hdl"
 SYNC = 0xAA995566
 

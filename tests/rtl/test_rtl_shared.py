@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ import cm
 sys.path.append(str(HERE.parent))
 from manager_process import Manager
 
-from cm.simulation.rtl.errors import RtlError
 from cm.simulation.rtl.main import prepare
 
 pytestmark = [needs("verilator"), needs("g++"), pytest.mark.timeout(300)]
@@ -70,11 +68,3 @@ def test_frames_of_two_regions_go_through_one_engine_and_come_back_on_their_stre
     for number, (one, other) in enumerate(got):
         assert np.array_equal(one, frame(number))
         assert np.array_equal(other, ~frame(100 + number))
-
-
-def test_a_video_engine_is_refused_by_name(tmp_path: Path) -> None:
-    schema = tmp_path / "build.yaml"
-    text = SCHEMA.format(loop=HERE / "loop/hdl/loop.v").replace("stream: to_left, shape: [64], engine: all", "VIDEO")
-    schema.write_text(text.replace("VIDEO", "connect: vdma, stream: to_left, shape: [8, 8]"))
-    with pytest.raises(RtlError, match="to_left is a VDMA, which is not simulated"):
-        prepare(schema)

@@ -17,9 +17,8 @@ from cm.simulation.bits.errors import BitsError
 from cm.simulation.bits.regions import LoadedBits
 from cm.simulation.rtl.compile import Watched
 from cm.simulation.rtl.design import RtlDesign
-from cm.simulation.rtl.main import add_rtl_arguments
+from cm.simulation.rtl.main import Made, add_rtl_arguments
 from cm.simulation.rtl.main import run as run_rtl
-from cm.simulation.rtl.running_design import Libraries
 from cm.simulation.rtl.tools import Tools
 from cm.simulation.software.hardware.logic import LogicParts
 from cm.simulation.software.transport.scratch import Scratch, temporary
@@ -58,14 +57,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _libraries(
     args: argparse.Namespace, folder: Path, tools: Tools, design: RtlDesign, watched: Watched, parts: LogicParts
-) -> Libraries:
+) -> Made:
     files = collected(args.build)
     loaded = LoadedBits.of(design.system, tools, watched, folder)
     whole, modules = streams_of(files, design.system)
     loaded.prepare(whole, modules.values())
     _install(files, Path(args.root) / "lib/firmware/cm" / design.system.project.name)
     parts.fabric.configured = loaded.take
-    return loaded
+    return Made(loaded, {})
 
 
 def _install(files: Path, firmware: Path) -> None:

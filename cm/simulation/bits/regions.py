@@ -22,6 +22,7 @@ from cm.simulation.bits.extract import Boundary, extract
 from cm.simulation.bits.memory import FrameMemory
 from cm.simulation.bits.verilog import Port, verilog
 from cm.simulation.rtl.compile import Unit, Watched, compile_units
+from cm.simulation.rtl.running_design import Library
 from cm.simulation.rtl.tools import Tools
 from cm.simulation.software.hardware.cells import Region
 
@@ -82,14 +83,14 @@ class LoadedBits:
         written = {address >> _COLUMN for address in self._memory.load(bytes(stream))}
         self._filled |= {name for name, place in self._places.items() if not written.isdisjoint(place.columns)}
 
-    def __call__(self, region: Region) -> Path | None:
+    def __call__(self, region: Region) -> Library | None:
         """The library of what is in a region; None while it is written, and before the first load."""
         if region.loading:
             self._filled.discard(region.name)
         if region.name not in self._filled:
             return None
         try:
-            return self.compiled(region.name)
+            return Library(self.compiled(region.name))
         except CmError as error:
             _log.error("region %s: %s", region.name, error)
             return None

@@ -16,12 +16,18 @@ from cm.simulation.rtl.tools import Tools
 
 HARNESS = Path(__file__).parent / "harness"
 _FLAGS = ("-std=c++17", "-fPIC", "-fvisibility=hidden", "-pthread", "-DVL_USER_FINISH", "-DVL_USER_STOP",
-          "-DVL_USER_FATAL", "-DVL_TIME_CONTEXT")  # fmt: skip
+          "-DVL_USER_FATAL", "-DVL_USER_WARN", "-DVL_TIME_CONTEXT")  # fmt: skip
 _VERILATOR = ("--cc", "-O3", "--x-assign", "unique", "--x-initial", "unique", "--timescale", "1ns/1ps",
               "--prefix", "Vmodel", "-Wno-fatal", "-Wno-lint", "-Wno-style")  # fmt: skip
+_VERILOG = "+1364-2005ext+v"  # a .v is Verilog: `bit`, `do` and `int` are names there
+_SEVERITY = re.compile(rb"\$(?:fatal|error|warning|info)\b")  # SystemVerilog's, which Vivado takes in a .v too
 _PIN = re.compile(r"VL_(INOUT|IN|OUT)(8|16|64|W)?\(&(\w+),(\d+),(\d+)(?:,\d+)?\);")
 _LOCAL = re.compile(r"^    [CS]Data(/\*[0-9:]+\*/ )(\w+);", re.MULTILINE)
 _ADDRESS = re.compile(r"&\(?(\w+)")
+_MISSING = re.compile(r"Cannot find file containing module: '(\w+)'")
+_NOISE = re.compile(r"/\*.*?\*/|//[^\n]*|\(\*(?!\s*\)).*?\*\)|`(?:timescale|default_nettype)[^\n]*", re.DOTALL)
+_MODULE = re.compile(r"\bmodule\s+(\w+)\b([^;]*);(.*?)\bendmodule\b", re.DOTALL)
+_DECLARES = re.compile(r"(?:input|output|inout|wire|reg|logic|parameter|localparam)\b")
 _DIRECTION = {"IN": "CM_IN", "OUT": "CM_OUT", "INOUT": "CM_INOUT"}
 
 
@@ -35,6 +41,30 @@ class Unit:
     includes: tuple[Path, ...] = ()
     defines: tuple[str, ...] = ()
     made: Path | None = None  # folder of files that are written for the simulation, anew each time
+
+    @property
+    def folders(self) -> tuple[Path, ...]:
+        """Where files are that the HDL reads (`$readmemh`): beside it, or in its folders of includes."""
+        beside = (path.parent for path in self.sources if self.made is None or self.made not in path.parents)
+        return tuple(dict.fromkeys([*beside, *self.includes]))
+
+    @property
+    def empty(self) -> list[str]:
+        """Modules that it uses and whose text only declares outputs: black boxes, which would give 0 for ever."""
+        text = _NOISE.sub(" ", "\n".join(source.decode(errors="replace") for source in _texts(self.sources)))
+        found = {
+            name
+            for name, ports, body in _MODULE.findall(text)
+            if re.search(r"\boutput\b", ports + body)
+            and not re.search(r"\boutput\b[^,;)]*=", ports + body)
+            and all(not part.strip() or _DECLARES.match(part.strip()) for part in body.split(";"))
+        }
+        return [name for name in sorted(found) if len(re.findall(rf"\b{name}\b", text)) > 1]
+
+    @property
+    def reads_files(self) -> bool:
+        """Whether the HDL names any."""
+        return any(b"$readmem" in text or b"$fopen" in text for text in _texts(self.sources))
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,10 +135,15 @@ def _runtime(tools: Tools, watched: Watched) -> Path:
 
 
 def _library(tools: Tools, unit: Unit, runtime: Path, watched: Watched) -> Path:
+    if unit.empty:
+        raise RtlError(
+            f"{unit.name}: nothing is in {', '.join(unit.empty)}, so that their outputs would be 0: "
+            "give sim_sources: with HDL that does what these black boxes do"
+        )
     inputs = [*unit.sources, *(file for folder in unit.includes for file in sorted(folder.glob("*.*h")))]
     shim = (HARNESS / "shim.cpp.in").read_text(encoding="utf-8")
     header = (HARNESS / "model.h").read_text(encoding="utf-8")
-    described = [tools.identity, unit.top, watched.key, *unit.defines, *_VERILATOR, *_FLAGS, _LOCAL.pattern]
+    described = [tools.identity, unit.top, watched.key, *unit.defines, *_VERILATOR, _VERILOG, *_FLAGS, _LOCAL.pattern]
     if watched.coverage:  # counts are reported by the files' paths, which are in the library
         described += [str(path) for path in unit.sources if unit.made is None or unit.made not in path.parents]
     key = digest([*described, shim, header, *_texts(inputs)])
@@ -122,10 +157,28 @@ def _library(tools: Tools, unit: Unit, runtime: Path, watched: Watched) -> Path:
 
 def _verilate(tools: Tools, unit: Unit, folder: Path, watched: Watched) -> None:
     command = [tools.verilator, *_VERILATOR, "--top-module", unit.top, "--Mdir", str(folder)]
+    command += ["--no-timing"] if tools.timing else []  # HLS writes `#0` in what it makes; a delay is none here
     command += ["--trace-fst"] if watched.traces else []
     command += ["--coverage-line", "--coverage-user"] if watched.coverage else []
     command += [f"-I{path}" for path in unit.includes] + [f"-D{define}" for define in unit.defines]
-    _run([*command, *map(str, unit.sources)], unit.name)
+    try:
+        _run([*command, *map(str, unit.sources)], unit.name)
+    except RtlError as as_system_verilog:
+        try:
+            _run([*command, _VERILOG, *_as_verilog(unit, folder.parent)], unit.name)
+        except RtlError:
+            raise as_system_verilog from None
+
+
+def _as_verilog(unit: Unit, folder: Path) -> Iterator[str]:
+    """The sources for a run in which a .v is Verilog; those that need more than that, under another name."""
+    for number, source in enumerate(unit.sources):
+        if source.suffix == ".v" and _SEVERITY.search(source.read_bytes()):
+            link = folder / f"{source.stem}.{number}.sv"
+            link.symlink_to(source.absolute())
+            yield str(link)
+        else:
+            yield str(source)
 
 
 def _link(tools: Tools, unit: Unit, scratch: Path, runtime: Path, target: Path, watched: Watched) -> None:
@@ -145,7 +198,16 @@ def _link(tools: Tools, unit: Unit, scratch: Path, runtime: Path, target: Path, 
     whole.write_text("".join(f'#include "{path}"\n' for path in parts) + shim, encoding="utf-8")
     speed = "-O1" if watched.traces else "-O3"  # a traced library is slow anyway, and is recompiled often
     command = [tools.compiler, speed, *_FLAGS, *watched.macros, *_include(tools), f"-I{folder}", f"-I{HARNESS}"]
-    command += ["-shared", "-fno-gnu-unique", "-Wl,-Bsymbolic", "-o", str(target), str(whole), str(runtime)]
+    command += [
+        "-shared",
+        "-fno-gnu-unique",
+        "-Wl,-Bsymbolic",
+        "-Wl,--wrap=fopen",
+        "-o",
+        str(target),
+        str(whole),
+        str(runtime),
+    ]
     _run([*command, *(["-lz"] if watched.traces else [])], unit.name)
 
 
@@ -182,5 +244,11 @@ def _run(command: list[str], what: str) -> None:
         command, capture_output=True, text=True, errors="replace", check=False, stdin=subprocess.DEVNULL
     )
     if done.returncode:
+        missing = dict.fromkeys(_MISSING.findall(done.stderr))
+        if missing:
+            raise RtlError(
+                f"{what}: no HDL is there for {', '.join(missing)}: add its sources, or, for a vendor's core, "
+                "sim_sources: with HDL that does the same"
+            )
         said = [line for line in (done.stderr + done.stdout).splitlines() if "rror" in line] or [done.stderr[-2000:]]
         raise RtlError(f"{what} does not compile:\n  " + "\n  ".join(said[:20]))

@@ -13,11 +13,12 @@ from pathlib import Path
 
 from cm.design.generate.inputs import RTL, module_files
 from cm.design.generate.netlist import Netlist, Signal
-from cm.design.generate.outputs import identified, render_identified, render_schema
+from cm.design.generate.outputs import identified, render_identified
 from cm.design.generate.static_part.module import static_part
 from cm.design.generate.tree import load_design
 from cm.design.generate.wrapper import wrapper
 from cm.design.hdl.model import PortDirection
+from cm.design.plan.engines import EngineKind
 from cm.design.plan.system import Implementation, RegionPlan, StreamBus, System, used_clocks
 from cm.design.render import Renderer
 from cm.design.runtime.answers import Answers
@@ -70,6 +71,13 @@ class RtlDesign:
         return tuple(region.name for region in self.system.regions)
 
     @property
+    def video(self) -> tuple[str, ...]:
+        """Channels of VDMAs, which move frames of lines."""
+        engines = (engine for engine in self.system.engines if engine.kind is EngineKind.VDMA)
+        names = {dma.name for engine in engines for dma in engine.channels}
+        return tuple(end.channel for end in self.streams if end.channel and end.name in names)
+
+    @property
     def clocks(self) -> tuple[str, ...]:
         """Clocks of the static part, in the order of their numbers."""
         return tuple(used_clocks(self.system))
@@ -96,12 +104,6 @@ def load_rtl_design(schema: Path, folder: Path) -> RtlDesign:
         tuple(_outputs(static, system)),
         files[f"config/{system.project.name}.yaml"],
     )
-
-
-def runtime_schema(schema: Path) -> tuple[str, str]:
-    """Name and text of the runtime schema that `cm build` makes of a build schema."""
-    system = load_design(schema).system
-    return system.project.name, render_schema(system, Answers())
 
 
 def simulated_static(system: System) -> Netlist:
@@ -195,7 +197,7 @@ def _outputs(static: Netlist, system: System) -> Iterator[Output]:
 
 
 def _static_sources(folder: Path) -> tuple[Path, ...]:
-    return (folder / "hdl/cm_static_sim.v", *sorted(RTL.glob("*.v")), *sorted(_HDL.glob("*.v")))
+    return (folder / "hdl/cm_static_sim.v", *sorted(RTL.glob("*.v")), *sorted(_HDL.glob("*.*v")))
 
 
 def _unit(one: Implementation, folder: Path, renderer: Renderer) -> Unit:

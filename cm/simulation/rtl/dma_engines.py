@@ -10,10 +10,9 @@ from __future__ import annotations
 
 from cm.design.generate.netlist import Netlist, Signal, concat
 from cm.design.hdl.model import PortDirection
-from cm.design.plan.engines import Dma, Engine, EngineKind
+from cm.design.plan.engines import Dma, Engine
 from cm.design.plan.system import System
 from cm.schema.model import Direction
-from cm.simulation.rtl.errors import RtlError
 
 IN, OUT = PortDirection.IN, PortDirection.OUT
 
@@ -24,13 +23,8 @@ def prefix_of(dma: Dma) -> str:
 
 
 def add_engines(net: Netlist, system: System) -> None:
-    """Put the channels of each shared engine in front of its ports.
-
-    Raises `RtlError` for an engine without a stand-in.
-    """
+    """Put the channels of each shared engine in front of its ports."""
     for engine in system.engines:
-        if engine.kind is EngineKind.VDMA:
-            raise RtlError(f"engine {engine.name} is a VDMA, which is not simulated: use connect: dma to simulate")
         for way in engine.directions if engine.channels[0].shared else ():
             _channels(net, engine, way)
 

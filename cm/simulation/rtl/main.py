@@ -6,25 +6,33 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from cm.errors import CmError
 from cm.simulation.rtl.compile import NOTHING, Watched, compile_harness, compile_units
 from cm.simulation.rtl.design import RtlDesign, load_rtl_design, wiring
-from cm.simulation.rtl.errors import ToolMissing
+from cm.simulation.rtl.errors import RtlError, ToolMissing
 from cm.simulation.rtl.logic import RtlLogic
-from cm.simulation.rtl.process import HarnessProcess
-from cm.simulation.rtl.running_design import Libraries, of_modules
+from cm.simulation.rtl.process import HarnessProcess, Op
+from cm.simulation.rtl.running_design import Libraries, Library, of_modules
 from cm.simulation.rtl.tools import Tools, find_tools
 from cm.simulation.software.hardware.logic import LogicParts, MakeLogic, SoftwareLogic
 from cm.simulation.software.process.arguments import add_arguments
 from cm.simulation.software.process.main import run as run_board
 from cm.simulation.software.transport.scratch import Scratch, temporary
 
-MakeLibraries: TypeAlias = Callable[[Tools, RtlDesign, Watched, LogicParts], Libraries]
+
+class Made(NamedTuple):
+    """What runs in regions, and by its name for messages each library whose HDL reads files."""
+
+    libraries: Libraries
+    reading: Mapping[str, Library]
+
+
+MakeLibraries: TypeAlias = Callable[[Tools, RtlDesign, Watched, LogicParts], Made]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -59,6 +67,7 @@ def run(args: argparse.Namespace, make: MakeLibraries | None = None) -> int:
                 args.coverage.mkdir(parents=True, exist_ok=True)
             if args.time_scale and args.icap_rate is None:
                 args.icap_rate = _port_rate(design) / args.time_scale
+            args.vdma = [*args.vdma, *design.video]
             start = _maker(design, folder, args, make or _modules)
             if not args.config:
                 args.config = [_schema(design, folder)]
@@ -115,9 +124,11 @@ def _maker(design: RtlDesign, folder: Path, args: argparse.Namespace, make: Make
     return partial(_start, tools, design, folder, args, make)
 
 
-def _modules(tools: Tools, design: RtlDesign, watched: Watched, parts: LogicParts) -> Libraries:  # noqa: ARG001
+def _modules(tools: Tools, design: RtlDesign, watched: Watched, parts: LogicParts) -> Made:  # noqa: ARG001
     libraries = compile_units(tools, design.modules.values(), watched)
-    return of_modules(dict(zip(design.modules, libraries, strict=True)))
+    found = [Library(path, unit.folders) for unit, path in zip(design.modules.values(), libraries, strict=True)]
+    reading = {unit.name: one for unit, one in zip(design.modules.values(), found, strict=True) if unit.reads_files}
+    return Made(of_modules(dict(zip(design.modules, found, strict=True))), reading)
 
 
 def _start(
@@ -125,11 +136,19 @@ def _start(
 ) -> RtlLogic:
     watched = Watched(args.traces, args.coverage is not None)
     (static,) = compile_units(tools, [design.static], watched)
-    libraries = make(tools, design, watched, parts)
+    made = make(tools, design, watched, parts)
     lines = folder / "wiring"
     text = wiring(design, static, parts.seed)
     text += f"coverage {args.coverage.absolute()}\n" if args.coverage else ""
     text += f"pace {args.time_scale}\n" if args.time_scale else ""
     lines.write_text(text, encoding="utf-8")
     process = HarnessProcess(compile_harness(tools), lines)
-    return RtlLogic(parts, design, process, libraries)
+    try:
+        for name, library in made.reading.items():  # zeros in place of a file would make another module of it
+            answer = process.ask(Op.TRY, text=library.text)
+            if answer.a:
+                raise RtlError(f"{name}: {answer.text}")
+    except BaseException:
+        process.close()
+        raise
+    return RtlLogic(parts, design, process, made.libraries)

@@ -22,14 +22,14 @@ from typing import NoReturn
 from cm.simulation.rtl.errors import RtlError
 
 _HEAD = struct.Struct("=IIQQQQ")
-TEXT = 4096
+TEXT = 32768
 ANSWER = 128
 ARENA_BYTES = 1 << 32
 EXCHANGE = 32 << 20  # the place in the arena where bytes of memory are exchanged
 
 
 class Op(IntEnum):
-    """What a message is about; requests up to `COVER`, then events."""
+    """What a message is about; requests up to `TRY`, then events."""
 
     READ = 1
     WRITE = 2
@@ -45,6 +45,7 @@ class Op(IntEnum):
     MARK = 12
     STATE = 13
     COVER = 14
+    TRY = 15
     SENT = 64
     RECEIVED = 65
     INTERRUPT = 66

@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import logging
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
@@ -19,13 +20,26 @@ SLOT = 64 << 20  # bytes of the arena for each stream, and before them for every
 _log = logging.getLogger(__name__)
 
 
-Libraries: TypeAlias = Callable[[Region], Path | None]  # what runs in a region now; None: nothing that is known
+@dataclass(frozen=True, slots=True)
+class Library:
+    """A compiled module. `folders`: where files are that its HDL reads."""
+
+    path: Path
+    folders: tuple[Path, ...] = ()
+
+    @property
+    def text(self) -> str:
+        """As the harness takes it."""
+        return "\n".join(map(str, (self.path, *self.folders)))
 
 
-def of_modules(modules: Mapping[tuple[str, str], Path]) -> Libraries:
+Libraries: TypeAlias = Callable[[Region], Library | None]  # what runs in a region now; None: nothing that is known
+
+
+def of_modules(modules: Mapping[tuple[str, str], Library]) -> Libraries:
     """Libraries of modules, by region and name."""
 
-    def found(region: Region) -> Path | None:
+    def found(region: Region) -> Library | None:
         if region.module is None or region.loading:
             return None
         library = modules.get((region.name, region.module.name))
@@ -103,7 +117,7 @@ class RunningDesign:
         if wanted == "loading":
             self._do(Op.UNDEFINE, number)
         elif library is not None:
-            self._do(Op.LOAD, number, str(library))
+            self._do(Op.LOAD, number, library.text)
         elif before != "loading":
             self._do(Op.EMPTY, number)
         # else: a load that failed leaves the region as it was left: undefined

@@ -48,16 +48,16 @@ class End:
         self._running, self._stream = running, stream
         self._offset = (1 + stream) * SLOT
 
-    def send(self, data: Bytes) -> bool:
-        """Begin to send a packet; False where the logic is gone."""
+    def send(self, data: Bytes, line: int = 0) -> bool:
+        """Begin to send a packet, or a frame of lines of so many bytes; False where the logic is gone."""
         length = len(data)
         target = np.frombuffer(self._running.process.arena, np.uint8, length, self._offset)
         np.copyto(target, data)
-        return self._ask(Op.SEND, length)
+        return self._ask(Op.SEND, length, line)
 
-    def receive(self, room: int) -> bool:
-        """Have room for a packet; False where the logic is gone."""
-        return self._ask(Op.RECEIVE, room)
+    def receive(self, room: int, line: int = 0) -> bool:
+        """Have room for a packet, or for a frame of lines; False where the logic is gone."""
+        return self._ask(Op.RECEIVE, room, line)
 
     def cancel(self) -> None:
         """End the transfer that is under way."""
@@ -67,9 +67,9 @@ class End:
         """What was received, until the next packet."""
         return np.frombuffer(self._running.process.arena, np.uint8, length, self._offset)
 
-    def _ask(self, op: Op, length: int) -> bool:
+    def _ask(self, op: Op, length: int, line: int = 0) -> bool:
         try:
-            return self._running.ask(op, self._stream, self._offset, length).a == 0
+            return self._running.ask(op, self._stream, self._offset, length, line).a == 0
         except RtlError:
             return False
 
@@ -88,8 +88,10 @@ class Intake:
         if self._into is not None and (not queue or queue[0] is not self._into):
             self._end.cancel()
             self._into = None
-        if queue and self._into is None and self._end.receive(min(queue[0].period, MAX_PACKET)):
-            self._into = queue[0]
+        if queue and self._into is None:
+            room = min(queue[0].period, MAX_PACKET)
+            if self._end.receive(room, _line(self._channel, queue[0])):
+                self._into = queue[0]
 
     def _received(self, length: int, overflow: bool) -> None:
         channel, into = self._channel, self._into
@@ -103,6 +105,11 @@ class Intake:
             data = self._end.data(length if short is None else min(length, short.value))
             channel.complete(into.store(data), -errno.EIO if overflow else 0)
         channel.kick()
+
+
+def _line(channel: Channel, transfer: Transfer) -> int:
+    """Bytes of a line, for a VDMA: its frames are lines on the stream too. 0: one packet."""
+    return int(transfer.view.shape[1]) if channel.spec.vdma else 0
 
 
 class NoLink(Link):
@@ -150,7 +157,7 @@ class OutletLink(Link):
         if self._faults.take("dma_error", channel.spec.name):
             channel.complete(0, -errno.EIO)
             self.kick()
-        elif self._end.send(queue[0].data()):
+        elif self._end.send(queue[0].data(), _line(channel, queue[0])):
             self._sending = queue[0]
 
     def _left(self) -> None:

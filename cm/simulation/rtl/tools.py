@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -24,6 +25,12 @@ class Tools:
     version: str
     include: Path
     traces: bool
+
+    @property
+    def timing(self) -> bool:
+        """Whether Verilator has to be told what to do with delays: from version 5 on."""
+        number = re.search(r"\d+", self.version)
+        return number is not None and int(number[0]) >= 5
 
     @property
     def identity(self) -> str:

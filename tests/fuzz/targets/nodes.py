@@ -52,8 +52,8 @@ class _Board:
         self._folder = tempfile.TemporaryDirectory(prefix="cm-fuzz-")
         self.root = Path(self._folder.name)
         self.complaints = _Complaints()
-        logging.getLogger("cm.sim").addHandler(self.complaints)
-        logging.getLogger("cm.sim").propagate = False
+        logging.getLogger("cm.simulation.software").addHandler(self.complaints)
+        logging.getLogger("cm.simulation.software").propagate = False
         loop = Loop()
         options = Options(photos=None, icap_rate=0, pcap_rate=0, memory=1 << 22)
         machine = Machine(loop, Root(self.root), BoardSpec.from_configs([load(_CAMERA)]), Models.standard(), options)

@@ -1,1 +1,1 @@
-../../../cm/rtl/hdl/cm_config_port.v
+../../../cm/simulation/rtl/hdl/cm_config_port.v

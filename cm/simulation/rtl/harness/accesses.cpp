@@ -23,7 +23,7 @@ bool Harness::ends(const Bus &bus, bool write)
 
 // One access of the processor. An access that nothing answers stays on the bus, as it does in hardware.
 int Harness::word(Bus &bus, bool write, uint32_t address, uint32_t value, uint32_t strobes,
-		 uint32_t &result)
+		  uint32_t &result)
 {
 	if (!ends(bus, write))
 		return ETIMEDOUT; // one that was given up, and is not answered yet

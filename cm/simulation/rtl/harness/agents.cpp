@@ -85,16 +85,19 @@ void LiteMaster::edge()
 
 Source::Source(const Instance &part, const std::string &prefix)
     : tdata(part.need(prefix + "_tdata")), tkeep(part.find(prefix + "_tkeep")),
-      tlast(part.find(prefix + "_tlast")), tvalid(part.need(prefix + "_tvalid")),
-      tready(part.find(prefix + "_tready")), width((tdata.bits + 7) / 8)
+      tlast(part.find(prefix + "_tlast")), tuser(part.find(prefix + "_tuser")),
+      tvalid(part.need(prefix + "_tvalid")), tready(part.find(prefix + "_tready")),
+      width((tdata.bits + 7) / 8)
 {
 	tvalid.set(0);
 }
 
-void Source::send(const uint8_t *bytes, uint64_t length)
+void Source::send(const uint8_t *bytes, uint64_t length, uint64_t line_bytes)
 {
 	next = bytes;
 	left = length;
+	line = of_line = line_bytes;
+	tuser.set(1);
 	offer();
 }
 
@@ -122,7 +125,8 @@ static uint64_t little_endian(const uint8_t *bytes, uint32_t length)
 
 void Source::offer()
 {
-	uint32_t length = left < width ? uint32_t(left) : width;
+	uint64_t here = line && of_line < left ? of_line : left;
+	uint32_t length = here < width ? uint32_t(here) : width;
 	if (width <= 8) {
 		tdata.set(little_endian(next, length));
 	} else {
@@ -135,8 +139,10 @@ void Source::offer()
 	}
 	next += length;
 	left -= length;
+	of_line -= line ? length : 0;
 	tkeep.set(length >= 64 ? ~0ull : (1ull << length) - 1);
-	tlast.set(left == 0);
+	tlast.set(left == 0 || (line && of_line == 0));
+	of_line = line && of_line == 0 ? line : of_line;
 	tvalid.set(1);
 	offered = true;
 }
@@ -146,6 +152,7 @@ void Source::edge()
 	if (!offered || !taken)
 		return;
 	beats++;
+	tuser.set(0);
 	if (left) {
 		offer();
 		return;
@@ -157,8 +164,9 @@ void Source::edge()
 
 Sink::Sink(const Instance &part, const std::string &prefix)
     : tdata(part.need(prefix + "_tdata")), tkeep(part.find(prefix + "_tkeep")),
-      tlast(part.find(prefix + "_tlast")), tvalid(part.need(prefix + "_tvalid")),
-      tready(part.find(prefix + "_tready")), width((tdata.bits + 7) / 8)
+      tlast(part.find(prefix + "_tlast")), tuser(part.find(prefix + "_tuser")),
+      tvalid(part.need(prefix + "_tvalid")), tready(part.find(prefix + "_tready")),
+      width((tdata.bits + 7) / 8)
 {
 	tready.set(0);
 }
@@ -169,8 +177,11 @@ void Sink::always_ready()
 	tready.set(1);
 }
 
-void Sink::receive(uint8_t *into, uint64_t bytes)
+void Sink::receive(uint8_t *into, uint64_t bytes, uint64_t line_bytes)
 {
+	line = line_bytes;
+	row = column = 0;
+	framed = false;
 	to = into;
 	capacity = bytes;
 	stored = 0;
@@ -200,7 +211,7 @@ void Sink::sample()
 	taken = tvalid.high() && (room || drops);
 	beats += taken;
 	if (taken && room)
-		store();
+		line ? store_video() : store();
 }
 
 // Bytes that TKEEP marks; where a packet is longer than its room, the rest of it is lost (PG021: DMAIntErr).
@@ -224,6 +235,34 @@ void Sink::store()
 	// a stream without TLAST is cut where the room is full, as the harness's length register does
 	bool last = tlast ? tlast.high() : stored == capacity;
 	if (last) {
+		room = false;
+		finished = true;
+	}
+}
+
+void Sink::store_video()
+{
+	if (tuser.get() & 1) {
+		over |= framed; // the frame before it was cut short
+		framed = true;
+		row = column = 0;
+	}
+	if (!framed)
+		return;
+	uint64_t fits = column < line ? line - column : 0;
+	memcpy(to + row * line + column, tdata.at, fits < width ? fits : width);
+	column += width;
+	over |= column > line;
+	if (!tlast.high())
+		return;
+	if (column < line) {
+		over = true;
+		memset(to + row * line + column, 0, line - column);
+	}
+	row++;
+	column = 0;
+	if ((row + 1) * line > capacity) {
+		stored = row * line;
 		room = false;
 		finished = true;
 	}

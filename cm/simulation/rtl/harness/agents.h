@@ -50,13 +50,14 @@ class LiteMaster
 	uint32_t data = 0, resp = 0;
 };
 
-// Memory to stream: sends one packet at a time, TLAST with its last beat, TKEEP where the stream has it.
+// Memory to stream: sends one packet at a time, TLAST with its last beat, TKEEP where the stream has it. A frame of a
+// VDMA (PG020) has TLAST with the last beat of each line, and TUSER[0] with its first beat.
 class Source
 {
       public:
 	Source(const Instance &part, const std::string &prefix);
 
-	void send(const uint8_t *bytes, uint64_t length);
+	void send(const uint8_t *bytes, uint64_t length, uint64_t line = 0);
 	void cancel();
 	bool busy() const
 	{
@@ -73,20 +74,23 @@ class Source
 
       private:
 	void offer();
-	Pin tdata, tkeep, tlast, tvalid, tready;
+	Pin tdata, tkeep, tlast, tuser, tvalid, tready;
 	const uint8_t *next = nullptr;
 	uint64_t left = 0;
+	uint64_t line = 0, of_line = 0; // bytes of each; left of this one
 	uint32_t width;
 	bool offered = false, taken = false, finished = false;
 };
 
-// Stream to memory: fills the room that it was given until TLAST; without room it is not ready.
+// Stream to memory: fills the room that it was given until TLAST; without room it is not ready. For a VDMA (PG020) a
+// frame begins with TUSER[0] and has as many lines as fit the room: what comes before it is dropped, and so is the rest
+// of a line that is too long; a line that is too short ends in zeros, and a frame that is cut short begins anew.
 class Sink
 {
       public:
 	Sink(const Instance &part, const std::string &prefix);
 
-	void receive(uint8_t *to, uint64_t capacity);
+	void receive(uint8_t *to, uint64_t capacity, uint64_t line = 0);
 	void cancel();
 	bool armed() const
 	{
@@ -101,9 +105,13 @@ class Sink
 
       private:
 	void store();
-	Pin tdata, tkeep, tlast, tvalid, tready;
+	void store_video();
+	Pin tdata, tkeep, tlast, tuser, tvalid, tready;
 	uint8_t *to = nullptr;
 	uint64_t capacity = 0, stored = 0;
+	uint64_t line = 0, row = 0,
+		 column = 0; // of a frame: bytes of a line; where the next beat goes
+	bool framed = false;
 	uint32_t width;
 	bool room = false, taken = false, finished = false, over = false, drops = false;
 };

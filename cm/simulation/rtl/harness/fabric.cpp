@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "fabric.h"
 
+#include <unistd.h>
+
 namespace
 {
 Fabric *evaluated; // the one fabric of the process: the HDL's $finish has no argument that would tell
@@ -20,9 +22,19 @@ int port_clocked(uint32_t word, int taken)
 	return evaluated->configured(word, taken);
 }
 
+const char *file_found(const char *name)
+{
+	return evaluated->found(name);
+}
+
+void file_missing(const char *name)
+{
+	evaluated->miss(name);
+}
+
 } // namespace
 
-const cm_host Fabric::host = { model_stopped, port_clocked };
+const cm_host Fabric::host = { model_stopped, port_clocked, file_found, file_missing };
 
 Fabric::Fabric(const std::string &library, uint64_t seed, Told told, Port taken)
     : stopped(std::move(told)), port(std::move(taken))
@@ -179,6 +191,35 @@ void Fabric::leave(const std::string &text)
 {
 	why = text;
 	siglongjmp(out, 1);
+}
+
+const std::vector<std::string> &Fabric::folders() const
+{
+	static const std::vector<std::string> none;
+	return current == TRIAL ? tried : current >= 0 ? regions[uint32_t(current)].folders : none;
+}
+
+const char *Fabric::found(const char *name)
+{
+	for (const std::string &folder : folders()) {
+		path = folder + "/" + name;
+		if (access(path.c_str(), R_OK) == 0)
+			return path.c_str();
+	}
+	return nullptr;
+}
+
+void Fabric::miss(const char *name)
+{
+	std::string text =
+		std::string("there is no file ") + name + ", which it reads into a memory";
+	const char *between = ": not in ";
+	for (const std::string &folder : *name == '/' ? std::vector<std::string>() : folders()) {
+		text += between + folder;
+		between = ", ";
+	}
+	missed = true;
+	leave(text);
 }
 
 bool Fabric::hangs()

@@ -27,6 +27,7 @@ struct Clock {
 // A region's pins at the static part are called `prefix` and the pin's name.
 struct Region {
 	std::string name, prefix;
+	std::vector<std::string> folders;		      // of its module's sources
 	std::vector<std::pair<std::string, uint32_t>> clocks; // pin, index of the clock
 	std::unique_ptr<Instance> module;
 	Wires in, out; // to the module, and back
@@ -67,7 +68,10 @@ class Fabric
 		return clocks.size();
 	}
 
-	void load(uint32_t region, const std::string &library, uint64_t seed);
+	// `what`: a library, and on lines of their own the folders in which its HDL finds files
+	void load(uint32_t region, const std::string &what, uint64_t seed);
+	std::string
+	lacks(const std::string &what); // what it would miss of these files; empty if nothing
 	void undefine(uint32_t region, uint64_t seed);
 	void empty(uint32_t region);
 	void reset();
@@ -102,6 +106,8 @@ class Fabric
 	bool
 	hangs(); // called by a timer: whether the same evaluation runs as when it was called before
 	[[noreturn]] void leave(const std::string &why); // the evaluation that runs now
+	const char *found(const char *name);		 // a file that it reads
+	[[noreturn]] void miss(const char *name);
 
       private:
 	void step();
@@ -121,9 +127,12 @@ class Fabric
 	Port port;
 	uint64_t now = 0, evaluations = 0, seen = 0;
 	int current = NOTHING; // what is evaluated
-	static constexpr int NOTHING = -2, STATIC = -1;
+	static constexpr int NOTHING = -2, STATIC = -1, TRIAL = -3;
 	static constexpr int ROUNDS = 100; // until values between two modules must have settled
-	std::string why;
+	std::string why, path;
+	std::vector<std::string> tried; // folders of what is on trial
+	bool missed = false;
+	const std::vector<std::string> &folders() const;
 	sigjmp_buf out;
 	std::string traces; // folder; empty: none are written
 	uint32_t loads = 0; // since tracing began

@@ -129,7 +129,7 @@ void Harness::handle(const cm_message &message, const std::string &text)
 		else if (sources[stream]->busy())
 			status = EBUSY;
 		else
-			sources[stream]->send(arena(message.b, message.c), message.c);
+			sources[stream]->send(arena(message.b, message.c), message.c, message.d);
 		break;
 	case CM_RECEIVE:
 		if (!known || !sinks[stream])
@@ -137,7 +137,7 @@ void Harness::handle(const cm_message &message, const std::string &text)
 		else if (sinks[stream]->armed())
 			status = EBUSY;
 		else
-			sinks[stream]->receive(arena(message.b, message.c), message.c);
+			sinks[stream]->receive(arena(message.b, message.c), message.c, message.d);
 		break;
 	case CM_CANCEL:
 		if (known && sources[stream])
@@ -171,6 +171,10 @@ void Harness::handle(const cm_message &message, const std::string &text)
 		break;
 	case CM_COVER:
 		fabric->cover();
+		break;
+	case CM_TRY:
+		reply = fabric->lacks(text);
+		status = reply.empty() ? 0 : ENOENT;
 		break;
 	case CM_STATE:
 		reply = state();

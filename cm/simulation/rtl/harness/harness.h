@@ -9,7 +9,7 @@
 #include <deque>
 #include <istream>
 
-constexpr size_t TEXT = 4096; // bytes of a message's text
+constexpr size_t TEXT = 32768; // bytes of a message's text
 
 struct Bus {
 	LiteMaster master;

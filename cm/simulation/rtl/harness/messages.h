@@ -15,10 +15,11 @@ enum cm_op : uint32_t {
 	// requests of the board; each is answered with op | CM_ANSWER, a: errno or 0
 	CM_READ = 1, // a: address, b: words, c: where in the arena they go
 	CM_WRITE, // a: address, b: words, c: where in the arena they are, d: byte strobes of each
-	CM_SEND,  // a: stream, b: where in the arena the packet is, c: bytes; CM_SENT follows
-	CM_RECEIVE, // a: stream, b: where in the arena the packet goes, c: room in bytes; CM_RECEIVED follows
-	CM_CANCEL,    // a: stream; nothing follows any more
-	CM_LOAD,      // a: region, b: seed, text: the library
+	// d of both: 0 for a packet, else a frame of lines of so many bytes, as a VDMA moves them
+	CM_SEND,    // a: stream, b: where in the arena it is, c: bytes; CM_SENT follows
+	CM_RECEIVE, // a: stream, b: where in the arena it goes, c: room in bytes; CM_RECEIVED follows
+	CM_CANCEL, // a: stream; nothing follows any more
+	CM_LOAD,   // a: region, b: seed, text: the library, and the folders of its HDL, a line each
 	CM_UNDEFINE,  // a: region, b: seed: its outputs are noise
 	CM_EMPTY,     // a: region: its outputs are 0
 	CM_CONFIGURE, // b: where in the arena words for the configuration port are, c: words; answer b: words that came out
@@ -27,9 +28,10 @@ enum cm_op : uint32_t {
 	CM_MARK,      // text: what to show in the trace
 	CM_STATE,     // answer's text: JSON
 	CM_COVER,     // write what was counted
+	CM_TRY,	      // text: as CM_LOAD's; ENOENT, and its text says which file the HDL would miss
 	// what the harness tells; the board answers the last two
 	CM_SENT = 64, // a: stream
-	CM_RECEIVED,  // a: stream, b: bytes, c: 1 if the packet was longer than the room
+	CM_RECEIVED,  // a: stream, b: bytes, c: 1 if it had another length
 	CM_INTERRUPT, // a: level
 	CM_OUTPUT,    // a: external output, b: value
 	CM_STOPPED,   // a: region, text: why

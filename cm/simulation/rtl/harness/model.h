@@ -12,12 +12,15 @@ struct cm_pin {
 	uint32_t direction; // enum cm_direction
 };
 
-// What a module may do to the harness. `stopped` does not return: the module is not called again.
+// What a module may do to the harness. `stopped` and `missing` do not return: the module is not called again.
 struct cm_host {
 	void (*stopped)(const char *how, const char *file, int line, const char *text);
 	// A clock of ICAPE2 or ICAPE3, and the word that it took, if it did, as it stood on its pins; whether the port
 	// shows an error.
 	int (*configured)(uint32_t word, int taken);
+	// Where a file is that the HDL names without a folder of the root, or nullptr; and that there is none.
+	const char *(*found)(const char *name);
+	void (*missing)(const char *name);
 };
 
 struct cm_model {
@@ -37,5 +40,5 @@ struct cm_model {
 	void (*cover)(void *model, const char *path);
 };
 
-constexpr uint32_t CM_MODEL_VERSION = 2;
+constexpr uint32_t CM_MODEL_VERSION = 3;
 constexpr const char *CM_MODEL_SYMBOL = "cm_model_table"; // extern "C" const cm_model *

@@ -3,6 +3,7 @@
 // What is in the regions: modules that come and go, noise, nothing; and what is written of all that to files.
 #include "fabric.h"
 
+#include <sstream>
 #include <unistd.h>
 
 void Fabric::add_region(Region region)
@@ -24,11 +25,42 @@ void Fabric::unload(Region &region)
 	region.noise = 0;
 }
 
-void Fabric::load(uint32_t index, const std::string &library, uint64_t seed)
+namespace
+{
+std::vector<std::string> lines_of(const std::string &text)
+{
+	std::vector<std::string> found;
+	std::istringstream lines(text);
+	for (std::string line; std::getline(lines, line);)
+		found.push_back(line);
+	return found;
+}
+} // namespace
+
+std::string Fabric::lacks(const std::string &what)
+{
+	tried = lines_of(what);
+	Instance module(tried.at(0), 1, &host);
+	tried.erase(tried.begin());
+	missed = false;
+	if (sigsetjmp(out, 0)) {
+		module.abandon();
+	} else {
+		current = TRIAL;
+		evaluations++;
+		module.eval(); // its initial blocks
+	}
+	current = NOTHING;
+	return missed ? why : "";
+}
+
+void Fabric::load(uint32_t index, const std::string &what, uint64_t seed)
 {
 	Region &region = regions.at(index);
-	auto module = std::make_unique<Instance>(library, seed, &host);
+	auto lines = lines_of(what);
+	auto module = std::make_unique<Instance>(lines.at(0), seed, &host);
 	unload(region);
+	region.folders.assign(lines.begin() + 1, lines.end());
 	for (uint32_t pin = 0; pin < module->count(); pin++) {
 		const cm_pin &described = module->description(pin);
 		bool clock = false;

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``python -m cm.simulation.rtl.schema BUILD FOLDER``: the runtime schema that `cm build` makes of a build schema.
+
+A manager has it written by a process of its own: what reads the HDL is 40 MiB that it would keep.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+from cm import child
+from cm.errors import CmError
+from cm.simulation.rtl.errors import RtlError
+
+
+def written(build: Path, folder: Path) -> Path:
+    """The file ``<project>.yaml`` in a folder. Raises RtlError with what is wrong with the build schema or its HDL."""
+    command = child.command("cm.simulation.rtl.schema", str(build), str(folder))
+    done = subprocess.run(
+        command, env=child.environment(), stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        raise RtlError(done.stderr.strip())
+    return Path(done.stdout.strip())
+
+
+def _write(build: Path, folder: Path) -> Path:
+    from cm.design.generate.outputs import render_schema
+    from cm.design.generate.tree import load_design
+    from cm.design.runtime.answers import Answers
+
+    system = load_design(build).system
+    folder.mkdir(mode=0o750, parents=True, exist_ok=True)
+    path = folder / f"{system.project.name}.yaml"
+    path.write_text(render_schema(system, Answers()), encoding="utf-8")
+    return path
+
+
+if __name__ == "__main__":
+    try:
+        print(_write(Path(sys.argv[1]), Path(sys.argv[2])))
+    except (CmError, OSError) as error:
+        sys.exit(str(error))

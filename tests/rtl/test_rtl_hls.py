@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Modules with the traits of what HLS makes, between the channels of a VDMA: `cm serve --sim=rtl` runs them."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import HERE, needs
+
+import cm
+from cm import device
+
+sys.path.append(str(HERE.parent))
+from manager_process import Manager
+
+from cm.simulation.rtl.main import prepare
+from cm.simulation.software import Board, SimError
+
+pytestmark = [needs("verilator"), needs("g++"), pytest.mark.timeout(300)]
+HLS = HERE / "hls/build.yaml"
+SHAPE = (24, 32, 3)
+START, AUTO_RESTART = 1, 0x80
+
+
+def curve(picture: np.ndarray) -> np.ndarray:
+    """What the module's table holds."""
+    return np.round(255 * np.sqrt(picture / 255)).astype(np.uint8)
+
+
+def pictures(count: int) -> list[np.ndarray]:
+    return [np.random.default_rng(seed).integers(0, 256, SHAPE, np.uint8) for seed in range(count)]
+
+
+@pytest.fixture(scope="module")
+def board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[cm.Board]:
+    prepare(HLS)
+    options = ("--sim=rtl", "--build", str(HLS), "--sim-icap-rate", "0")
+    manager = Manager(tmp_path_factory.mktemp("run"), *options).start()
+    try:
+        with manager.connected() as connected:
+            connected.load("hls", mode="tone")
+            yield connected
+    finally:
+        manager.stop()
+
+
+def test_frames_pass_a_vdma_and_a_module_with_a_table_in_a_file(board: cm.Board) -> None:
+    """The module takes pixels from TUSER on, and its table is `./tone_curve_rom.dat`, which is beside its source."""
+    board.registers["control"] = START | AUTO_RESTART
+    with board.stream("from_tone", timeout=60) as back, board.writer("to_tone") as out:
+        for picture in pictures(3):
+            out.write(picture)
+            assert np.array_equal(back.read(), curve(picture))
+
+
+def test_the_modules_interrupt_comes_by_name_with_the_end_of_a_frame(board: cm.Board) -> None:
+    (name,) = board.interrupts.names
+    with board.stream("from_tone", timeout=60) as back, board.writer("to_tone") as out:
+        out.write(pictures(1)[0])
+        back.read()
+        board.interrupts[name].wait(timeout=60)  # though it came before
+    assert board.registers["interrupt_status"] & 1
+
+
+@pytest.fixture(scope="module")
+def below() -> Iterator[Board]:
+    """The board without a manager."""
+    prepare(HLS)
+    with Board(program="cm.simulation.rtl", arguments=["--build", str(HLS), "--icap-rate", "0"]) as running:
+        yield running
+
+
+def load(board: Board, module: str) -> None:
+    from cm.formats.bitstream import to_dma_words
+
+    words = to_dma_words((board.root / f"lib/firmware/cm/hls/{module}.bin").read_bytes())
+    control = device.Uio.open(0x4000_0000, board.root)
+    control.write(0x100, 1)
+    with device.Icap.open("cm_icap0", board.root) as icap, icap.allocate(len(words)) as buffer:
+        buffer.array(0, len(words))[:] = bytearray(words)
+        icap.load(buffer, len(words))
+        assert icap.wait(60.0).ok
+    control.write(0x100, 0)
+    control.close()
+
+
+def test_a_frame_begins_with_tuser_and_has_its_lines_at_their_strides(below: Board) -> None:
+    """What is no frame is dropped, one that is cut short begins anew, lines that are too short or long are errors."""
+    lines, line, stride = SHAPE[0], SHAPE[1] * SHAPE[2], 128
+    load(below, "unruly")
+    with device.AxiDma.open("from_tone", below.root) as back, back.allocate(3 * lines * stride) as target:
+        whole = target.array(0, 3 * lines * stride)
+        whole[:] = 0xEE
+        for frame in range(3):
+            back.submit_video(target, lines, line, stride, offset=frame * lines * stride)
+        done = [back.wait(60.0) for _ in range(3)]
+        seen = whole.reshape(3, lines, stride).copy()
+    assert (seen[:, :, line:] == 0xEE).all(), "between lines nothing is written"
+    pixels = seen[:, :, :line].reshape(3, *SHAPE)
+    rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    assert [one.status == 0 for one in done] == [False, True, True]
+    good = np.stack([rows, columns], axis=-1)
+    assert np.array_equal(pixels[1, ..., :2], good)
+    assert np.array_equal(pixels[2, ..., :2], good)
+    assert np.array_equal(pixels[0, 3, :30, :2], good[3, :30])
+    assert np.array_equal(np.delete(pixels[0, ..., :2], 3, axis=0), np.delete(good, 3, axis=0))
+    assert [int(pixels[frame, -1, -1, 2]) for frame in range(3)] == [1, 2, 3]
+
+
+@pytest.mark.parametrize("change", ["a table", "a module"])
+def test_what_the_hdl_lacks_is_said_before_anything_runs(
+    change: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(HLS.parent, tmp_path / "hls")
+    table, curve_ = tmp_path / "hls/hdl/tone_curve_rom.dat", tmp_path / "hls/hdl/tone_curve.v"
+    if change == "a table":
+        table.unlink()
+        wanted = f"there is no file ./{table.name}, which it reads into a memory: not in {table.parent}"
+    else:
+        text = curve_.read_text()
+        curve_.write_text(text[: text.index("(* ram_style")] + "endmodule\n")
+        wanted = "module tone: nothing is in tone_curve_rom, so that their outputs would be 0"
+    with (
+        pytest.raises(SimError),
+        Board(program="cm.simulation.rtl", arguments=["--build", str(tmp_path / "hls/build.yaml")]),
+    ):
+        pass
+    assert wanted in capfd.readouterr().err
