@@ -237,7 +237,9 @@ class Manager:
         return self.tell_registers(self.registers.write(writes, lease))
 
     def tell_registers(self, result: RegValues) -> RegValues:
-        """Publish what was written."""
+        """Publish what was written; what cannot be read back is recorded first."""
+        if self._state.urgent:
+            self.flush()
         self._env.data_plane.wrote(result.generation)  # before any client knows its number
         self._env.observer.registers_changed(result)
         return result

@@ -17,9 +17,10 @@ from cm.manager.errors import NothingToUndo
 from cm.manager.execution.worker import Change
 from cm.manager.interfaces import Devices
 from cm.manager.loaders import resolved
+from cm.manager.planning.planner import place_of
 from cm.manager.state.board_state import ManagerState
 from cm.manager.state.record import Pending, Record
-from cm.manager.state.steps import hertz
+from cm.manager.state.steps import Place, hertz
 from cm.manager.state.table import (
     BoardState,
     OverlayState,
@@ -29,7 +30,7 @@ from cm.manager.state.table import (
     all_lost,
     loading_overlay,
 )
-from cm.schema.model import Config, ConfigType, LoaderKind, Module, Region
+from cm.schema.model import Access, Config, ConfigType, LoaderKind, Module, Region, Register
 
 _EMPTY = ("power off", "reset")  # states of an fpga_manager whose device holds nothing
 
@@ -47,7 +48,7 @@ def reconcile(
     record: Record | None, configs: Mapping[str, Config], devices: Devices, registers: RegisterBus
 ) -> Finding:
     """What the board holds, as far as record and board agree. Raises DeviceError where the board cannot be asked."""
-    finding = _compare(record, configs, devices, registers)
+    finding = _as_it_reads(_compare(record, configs, devices, registers), configs, registers)
     notes = list(finding.notes)
     return replace(finding, state=_adopted(finding.state, configs, devices, notes), notes=tuple(notes))
 
@@ -76,6 +77,53 @@ def _compare(record: Record | None, configs: Mapping[str, Config], devices: Devi
             f"the change to {record.pending.config}/{record.pending.mode} was cut short at {record.pending.step}"
         )
     return Finding(state, record.pending, tuple(notes))
+
+
+def _as_it_reads(finding: Finding, configs: Mapping[str, Config], registers: RegisterBus) -> Finding:
+    """Registers that nothing has reset since, as they read now: a write that was confirmed is in the hardware at once,
+    and in the record within a second.
+
+    Left out are those that the change that was cut short writes itself: they go back to what they were before it.
+    """
+    state, cut = finding.state, finding.interrupted
+    config = configs.get(state.config or "")
+    if config is None or state.mode not in config.modes or state.static_lost:
+        return finding
+    if cut is not None and state.static_config != cut.from_static:
+        return finding
+    known = state.values if cut is None else cut.values
+    spared = frozenset() if cut is None else _written_by(cut, configs)
+    live: dict[str, int] = {}
+    for register in config.visible_registers(state.mode).values():
+        changes = register.access is not Access.RW or register.volatile
+        if changes or place_of(register) in spared or not _answers(register, state):
+            continue
+        try:
+            value = registers.read(register)
+        except (CmError, OSError):
+            continue  # what is recorded of it stays
+        if value != known.get(register.name, register.reset):
+            live[register.name] = value
+    if not live:
+        return finding
+    state = replace(state, values=MappingProxyType({**state.values, **live}))
+    return replace(finding, state=state, interrupted=cut and replace(cut, values={**cut.values, **live}))
+
+
+def _answers(register: Register, state: BoardState) -> bool:
+    return register.region is None or state.region(register.region).phase is RegionPhase.READY
+
+
+def _written_by(cut: Pending, configs: Mapping[str, Config]) -> frozenset[Place]:
+    """Where the change that was cut short has written, or would have."""
+    config = configs.get(cut.config)
+    if config is None or cut.mode not in config.modes:
+        return frozenset()
+    same = cut.from_config == cut.config
+    visible = config.visible_registers(cut.mode).values()
+    set_by_it = (r for r in visible if r.default is not None and not (same and cut.values.get(r.name) == r.default))
+    found = ((address, width) for address, width, _ in cut.found)
+    return frozenset({*map(place_of, set_by_it), *found})
 
 
 def _distrust_pending(state: BoardState, pending: Pending | None) -> BoardState:

@@ -286,7 +286,7 @@ class RegisterService:
             bus.write_address(place.address, place.width, value)
         else:
             value = bus.write(register, value, mask, self._state.written_value(register.name))
-        self._state.note_written(register.name, value)
+        self._state.note_written(register.name, value, register.access is _WO)
         shown = value if register.access is not _RW else bus.read_address(place.address, place.width)
         return value_of(register, shown)
 

@@ -54,6 +54,7 @@ class ManagerState:
         self.generation = 0  # of the registers
         self._recorded: Pending | None = None  # as it stands in the record
         self._dirty = False
+        self.urgent = False  # something was noted that is nowhere but here
         self._written: dict[str, int] = {}  # registers that were written since `latest` was made
 
     @property
@@ -65,11 +66,16 @@ class ManagerState:
                 self.latest, self._written = replace(self.latest, values=values), {}
         return self.latest
 
-    def note_written(self, register: str, value: int) -> None:
-        """Remember a register's written value; its cost does not grow with what is remembered."""
+    def note_written(self, register: str, value: int, only_here: bool = False) -> None:
+        """Remember a register's written value; its cost does not grow with what is remembered.
+
+        `only_here`: nobody can read it back from the hardware, so it has to be on disk before its write is confirmed.
+        """
         with self.lock:
             self._written[register] = value
             self._dirty = True
+            if only_here:
+                self.urgent = True
 
     def written(self) -> int:
         """All noted values are in the registers; returns the number of this generation of them."""
@@ -176,7 +182,7 @@ class ManagerState:
             self._journal.write(known)
         except OSError as error:
             raise RecordFailed(f"the state record could not be written: {error}") from error
-        self._recorded, self._dirty = pending, False
+        self._recorded, self._dirty, self.urgent = pending, False, False
 
     def try_record(self) -> ErrorInfo | None:
         """Write that no change is under way; what went wrong, if it could not be written."""
