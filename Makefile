@@ -144,7 +144,7 @@ web-picture: $(VENV)/.installed-test-web ### the picture of the page in docs/ima
 
 soak: $(FURTHER:%=$(VENV)/.installed-test-%) ### ten thousand changes of mode, scraped ones too, a thousand in a page, a minute of killed readers, every attack on limits, two regions and random designs by their bits (PLACEMENTS=N, default none), five thousand flipped bits, every virtual board; new examples for the tests that draw some
 	$(PYTEST) tests/unit tests/fuzz -m hypothesis --hypothesis-profile=search $(PYTEST_ARGS)
-	$(PYTEST) tests/soak --changes=10000 --stress=60 --rounds=300 $(PYTEST_ARGS)
+	$(PYTEST) tests/soak --changes=10000 --stress=60 --rounds=300 --kills=1000 $(PYTEST_ARGS)
 	CM_SCHEDULES=20000 $(PYTEST) tests/unit/test_fleet_schedules.py -n $(CORES) $(PYTEST_ARGS)
 	$(MAKE) --no-print-directory test-fleet ROUNDS=300 STOPPED=30
 	CM_OPEN_7020=1 $(PYTEST) tests/open/test_open_regions.py tests/open/test_bits_modules.py $(PYTEST_ARGS)

@@ -8,6 +8,8 @@ import random
 import signal
 import subprocess
 import sys
+import time
+from typing import Any
 
 import pytest
 from flood import descriptors
@@ -43,6 +45,54 @@ def client_of(manager: Manager) -> subprocess.Popen[bytes]:
     assert made.stdout is not None
     made.stdout.readline()
     return made
+
+
+WRITER = """
+import sys, cm
+from pathlib import Path
+with cm.connect(runtime_dir=Path(sys.argv[1]), timeout=60) as board:
+    value = int(sys.argv[2])
+    while True:
+        board.registers["led"] = value % 256
+        print(value % 256, flush=True)
+        value += 1
+"""
+CHANGER = """
+import sys, cm
+from pathlib import Path
+with cm.connect(runtime_dir=Path(sys.argv[1]), timeout=60) as board:
+    while True:
+        for mode in ("edge_detection", "default"):
+            board.mode = mode
+"""
+
+
+@pytest.mark.timeout(3600)
+def test_no_confirmed_value_is_lost_to_a_manager_that_is_killed(request: pytest.FixtureRequest) -> None:
+    """What the writer was told last is there, or the one that it had asked for and was not told."""
+    draw = random.Random(8)
+    value = 1
+    with served() as (manager, _):
+        assert works(manager, "default")
+        for number in range(request.config.getoption("--kills")):
+            pipes: dict[str, Any] = {"env": environment(), "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+            runtime = str(manager.runtime)
+            writer = subprocess.Popen([sys.executable, "-c", WRITER, runtime, str(value)], **pipes)
+            changer = subprocess.Popen([sys.executable, "-c", CHANGER, runtime], **pipes)
+            assert writer.stdout is not None
+            first = writer.stdout.readline()
+            time.sleep(draw.uniform(0.05, 0.6))  # anywhere in changes, which take some 30 ms each
+            assert manager.process is not None
+            manager.process.kill()
+            told = int((first + writer.communicate(timeout=60)[0]).split()[-1])
+            changer.kill()
+            changer.communicate()
+            manager._reap()
+            manager.start()
+            with manager.connected() as board:
+                until(lambda: not board.status.fpga_busy and board.status.mode != "")
+                assert board.registers["led"] in (told, (told + 1) % 256), f"round {number}"
+            value = told + 2
 
 
 @pytest.mark.timeout(3600)
