@@ -47,6 +47,7 @@ class Manager:
         self.registers = RegisterService(state, self._bus, self.leases)
         self.memories = MemoryService(state, self.registers, self._bus, self.leases)
         self.reporter = StatusReporter(state, env.observer)
+        self.leases.on_change = self.reporter.changed
         self._tools = Tools(
             state, self.reporter, env.devices, self._bus, self._loaders, env.files, env.data_plane, env.time
         )

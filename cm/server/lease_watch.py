@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Watches the processes that hold leases: a lease ends with its holder."""
+"""Ends leases: with the process that holds them, and when their time is over, whether somebody asks or not."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import os
 from typing import NoReturn
 
 from cm.errors import Busy, InvalidRequest
+from cm.loop import Timer
 from cm.manager.access.leases import Leases
 from cm.server.loop import Loop
 from cm.wire.messages.requests import BreakLease, ReleaseLease, RenewLease, TakeLease
@@ -32,6 +33,7 @@ class LeaseWatch:
         self._loop = loop
         self._leases = leases
         self._fds: dict[str, int] = {}
+        self._timer: Timer | None = None
 
     @staticmethod
     def check_process(request: TakeLease | RenewLease | ReleaseLease | BreakLease) -> None:
@@ -43,7 +45,7 @@ class LeaseWatch:
         self, lease: LeaseInfo, request: TakeLease | RenewLease | ReleaseLease | BreakLease, client: str = ""
     ) -> None:
         """Follow a granted, renewed or returned lease. Raises Unwatched, and the lease has ended then."""
-        self._forget_ended()
+        self._await_next_end()
         if isinstance(request, BreakLease):
             _LOG.warning("lease %d on %s, of %s, was broken by %s", request.number, lease.scope, lease.holder, client)
         elif not isinstance(request, RenewLease):
@@ -51,6 +53,14 @@ class LeaseWatch:
             _LOG.info("lease on %s %s by %s for %s", lease.scope, done, client, lease.holder)
         if isinstance(request, (TakeLease, RenewLease)) and request.pid and lease.id not in self._fds:
             self._open(lease.id, request.pid)
+
+    def _await_next_end(self) -> None:
+        """Be there when the next lease's time is over: nobody may ask, and subscribers are told all the same."""
+        if self._timer is not None:
+            self._timer.cancel()
+        left = self._leases.expire()
+        self._timer = None if left is None else self._loop.call_later(left, self._await_next_end)
+        self._forget_ended()
 
     def _forget_ended(self) -> None:
         """Close the descriptors of leases that were given back, or whose time is over."""
@@ -91,5 +101,7 @@ class LeaseWatch:
 
     def close(self) -> None:
         """Stop watching."""
+        if self._timer is not None:
+            self._timer.cancel()
         for lease in list(self._fds):
             self._forget(lease)

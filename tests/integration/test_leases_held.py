@@ -111,3 +111,27 @@ def test_leases_are_listed_without_their_ids_and_broken_by_number(
             other.load("camera", "edge_detection")
             assert main(["lease", "break", str(told.number), *where]) != 0
         # giving it back fails: it was broken
+
+
+def test_a_lease_that_is_taken_given_back_broken_or_over_is_told_to_whoever_listens(manager: Manager) -> None:
+    def next_with(held: int) -> None:
+        for status in statuses:
+            if len(status.leases) == held:
+                assert status.sequence > seen[-1]
+                seen.append(status.sequence)
+                return
+
+    with manager.connected() as holder, manager.connected() as listener, listener.watch(timeout=60) as statuses:
+        seen = [next(iter(statuses)).sequence]
+        lease = holder.lease("registers:led", seconds=60)
+        with lease:
+            next_with(1)
+        next_with(0)
+        lease = holder.lease("registers:led", seconds=60)
+        lease.__enter__()
+        next_with(1)
+        holder.break_lease(holder.status.leases[0].number)
+        next_with(0)
+        holder.lease("registers:led", seconds=0.2).__enter__()
+        next_with(1)
+        next_with(0)  # its time is over, and nobody has asked for anything since

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import secrets
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from itertools import count
@@ -105,6 +105,8 @@ class Leases:
         self._numbers = count(1)
         self._lock = threading.Lock()  # requests and the worker of changes both ask
         self._held: dict[str, _Lease] = {}
+        self._untold = False
+        self.on_change: Callable[[], None] = lambda: None  # one was taken or has ended; called without the lock
 
     def renew(self, most: int, each: int) -> None:
         """Apply other bounds from now on; leases that are held stay."""
@@ -113,16 +115,35 @@ class Leases:
 
     def request(self, request: TakeLease | RenewLease | ReleaseLease | BreakLease, client: str = "") -> LeaseInfo:
         """Take, renew, give back or break. Raises HeldBy, UnknownLease, TooManyLeases, InvalidRequest."""
+        try:
+            with self._lock:
+                self._expire()
+                return self._done(request, client)
+        finally:
+            self._tell()
+
+    def _done(self, request: TakeLease | RenewLease | ReleaseLease | BreakLease, client: str) -> LeaseInfo:
+        if isinstance(request, ReleaseLease):
+            return self._take(request.id, remove=True).info
+        if isinstance(request, BreakLease):
+            return self._broken(request.number)
+        seconds = _checked_seconds(request.seconds)
+        if isinstance(request, RenewLease):
+            return self._renew(request.id, seconds)
+        return self._new(request, seconds, client)
+
+    def expire(self) -> float | None:
+        """End those whose time is over; seconds until that of the next one, None where none is held."""
         with self._lock:
             self._expire()
-            if isinstance(request, ReleaseLease):
-                return self._take(request.id, remove=True).info
-            if isinstance(request, BreakLease):
-                return self._broken(request.number)
-            seconds = _checked_seconds(request.seconds)
-            if isinstance(request, RenewLease):
-                return self._renew(request.id, seconds)
-            return self._new(request, seconds, client)
+            left = min((self._left(held) for held in self._held.values()), default=None)
+        self._tell()
+        return left
+
+    def _tell(self) -> None:
+        if self._untold:
+            self._untold = False
+            self.on_change()
 
     def check(self, scopes: tuple[str, ...], lease: str = "") -> None:
         """Raise HeldBy where another's lease forbids any of these scopes; `lease`: ids of one's own, between commas."""
@@ -170,7 +191,10 @@ class Leases:
     def drop(self, lease: str) -> bool:
         """End a lease whose holder has died."""
         with self._lock:
-            return self._held.pop(lease, None) is not None
+            there = self._held.pop(lease, None) is not None
+            self._untold |= there
+        self._tell()
+        return there
 
     def _broken(self, number: int) -> LeaseInfo:
         for key, held in self._held.items():
@@ -193,6 +217,7 @@ class Leases:
         info = LeaseInfo(secrets.token_hex(8), request.scope, request.exclusive, seconds, _named(request.holder))
         until = self._time.monotonic() + seconds
         self._held[info.id] = _Lease(info, until, next(self._numbers), client, request.pid)
+        self._untold = True
         return info
 
     def _renew(self, lease: str, seconds: float) -> LeaseInfo:
@@ -207,11 +232,14 @@ class Leases:
             raise UnknownLease(f"no lease {lease!r} is held; it may have ended after its time")
         if remove:
             del self._held[lease]
+            self._untold = True
         return held
 
     def _expire(self) -> None:
         now = self._time.monotonic()
-        self._held = {k: x for k, x in self._held.items() if x.until > now}
+        held = {k: x for k, x in self._held.items() if x.until > now}
+        self._untold |= len(held) < len(self._held)
+        self._held = held
 
     def _left(self, held: _Lease) -> float:
         return max(0.0, held.until - self._time.monotonic())
