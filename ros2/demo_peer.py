@@ -71,7 +71,7 @@ class Sdk:
     def __init__(self, router: str) -> None:
         import zenoh_ros2_sdk
 
-        from cm.networks.ros.standard import STANDARD
+        from cm.networks.rmw_zenoh.interfaces import STANDARD
 
         host, _, port = router.rpartition(":")
         self._sdk = zenoh_ros2_sdk
@@ -107,7 +107,7 @@ class Sdk:
         return lambda image: publisher.publish(**{name: getattr(image, name) for name in names})
 
     def _kind(self, kind: str) -> dict[str, str]:
-        from cm.networks.ros.typehash import type_hash
+        from cm.networks.rmw_zenoh.interfaces import type_hash
 
         return {"msg_definition": self._texts[kind], "type_hash": type_hash(kind)}
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write ``cm/networks/ros/own.py`` from the files of cm_interfaces, the one source: ``python ros2/write_own.py``."""
+"""Write ``cm/networks/rmw_zenoh/own.py`` from cm_interfaces: ``python ros2/write_own.py``."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-TARGET = HERE.parent / "cm" / "networks" / "ros" / "own.py"
+TARGET = HERE.parent / "cm" / "networks" / "rmw_zenoh" / "own.py"
 HEAD = '''\
 # SPDX-License-Identifier: Apache-2.0
 """The interfaces of ros2/cm_interfaces without comments and constants; ``python ros2/write_own.py`` writes it."""

@@ -26,9 +26,8 @@ pytest.importorskip("xxhash")
 
 from zenoh_support import DOMAIN, PATIENCE, Bridge, Peer, Router
 
-from cm.networks.ros.standard import STANDARD
+from cm.networks.rmw_zenoh.interfaces import STANDARD, type_hash
 from cm.networks.ros.transport import EVENTS, LATCHED, Qos
-from cm.networks.ros.typehash import type_hash
 
 pytestmark = pytest.mark.networks
 IMAGE = "sensor_msgs/msg/Image"

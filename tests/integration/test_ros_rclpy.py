@@ -157,7 +157,7 @@ def test_the_graph_has_the_node_with_its_topics_services_and_hashes(served: None
     assert services["/lab/cm/get_parameters"] == ["rcl_interfaces/srv/GetParameters"]
     (info,) = ros.node.get_publishers_info_by_topic("/lab/cm/status")
     assert (info.node_name, info.node_namespace) == ("cm", "/lab")
-    from cm.networks.ros.typehash import type_hash
+    from cm.networks.rmw_zenoh.interfaces import type_hash
 
     assert str(info.topic_type_hash) == type_hash("cm_interfaces/msg/Status")
 
@@ -166,7 +166,7 @@ def test_our_hashes_are_those_of_rosidl(ros: Node) -> None:
     from cm_interfaces.msg import Configuration, Data, RegisterBank, Status
     from sensor_msgs.msg import CameraInfo
 
-    from cm.networks.ros.typehash import type_hash
+    from cm.networks.rmw_zenoh.interfaces import type_hash
 
     for kind in (Status, Configuration, RegisterBank, Data, CameraInfo):
         name = f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"

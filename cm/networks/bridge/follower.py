@@ -14,8 +14,15 @@ from typing import Any, Protocol
 from cm.client.board import Board
 from cm.client.core import calls
 from cm.errors import CmError
-from cm.networks.bridge.formats import config_record, identity
-from cm.networks.bridge.records import ConfigRecord, Identity, InterruptRecord, RegistersRecord, StatusRecord
+from cm.networks.bridge.records import (
+    ConfigRecord,
+    Identity,
+    InterruptRecord,
+    RegistersRecord,
+    StatusRecord,
+    config_record,
+    identity,
+)
 from cm.wire import topics
 from cm.wire.encode import decode_event
 from cm.wire.messages.status import ConfigInfo, Irq, RegValues, Status

@@ -12,8 +12,7 @@ import numpy.typing as npt
 
 from cm.client.board import Board
 from cm.errors import CmError, InvalidRequest, NotFound, Timeout
-from cm.networks.bridge.formats import frame_record
-from cm.networks.bridge.records import FrameRecord, StreamFormat
+from cm.networks.bridge.records import FrameRecord, StreamFormat, frame_record
 
 if TYPE_CHECKING:
     from cm.client.writer import Writer

@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""rmw_zenoh's names: keys of topics and services, and the tokens by which its graph knows nodes and their endpoints.
+"""rmw_zenoh's names: keys of topics and services, tokens by which its graph knows nodes and their ends, attachments.
 
 As its docs/design.md has them since Jazzy (0.2). Humble's keys have no hashes of types, and are others.
 """
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
 from enum import Enum
 
 import xxhash
 
-from cm.networks.ros.definitions import dds_name
+from cm.errors import InvalidRequest
+from cm.networks.rmw_zenoh.interfaces import dds_name
 from cm.networks.ros.transport import Qos
 
 GRAPH = "@ros2_lv"
@@ -90,3 +92,30 @@ def quality_text(quality: Qos) -> str:
 
 def _mangled(name: str) -> str:
     return name.replace("/", _SLASH)
+
+
+_LAYOUT = struct.Struct("<qqB16s")  # as zenoh's serializer writes two integers and an array with its length before it
+_GID = 16
+
+
+@dataclass(frozen=True, slots=True)
+class Attachment:
+    """`number` counts from 1 for each sender; `stamp_ns` is wall time; `gid` are its sender's 16 bytes."""
+
+    number: int
+    stamp_ns: int
+    gid: bytes
+
+    def to_bytes(self) -> bytes:
+        """As it lies on the wire."""
+        return _LAYOUT.pack(self.number, self.stamp_ns, _GID, self.gid)
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Attachment:
+        """Raises InvalidRequest for what is no attachment."""
+        if len(data) != _LAYOUT.size or data[16] != _GID:
+            raise InvalidRequest(
+                f"this is not an attachment of rmw_zenoh since Jazzy: {data[:40].hex(' ') or 'nothing'}"
+            )
+        number, stamp_ns, _, gid = _LAYOUT.unpack(data)
+        return cls(number, stamp_ns, gid)

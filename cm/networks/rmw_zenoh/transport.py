@@ -9,18 +9,14 @@ from typing import Any
 
 import zenoh
 
-from cm.networks.rmw_zenoh.inbox import Inbox
+from cm.networks.rmw_zenoh import cdr
+from cm.networks.rmw_zenoh.ends import Service, ZenohPublisher, ZenohSubscription, hand_on
+from cm.networks.rmw_zenoh.interfaces import type_hash
 from cm.networks.rmw_zenoh.keys import End, EndKey, NodeKey
-from cm.networks.rmw_zenoh.publisher import ZenohPublisher
-from cm.networks.rmw_zenoh.service import Service
 from cm.networks.rmw_zenoh.session import opened
-from cm.networks.rmw_zenoh.subscription import ZenohSubscription
-from cm.networks.ros import cdr
+from cm.networks.rmw_zenoh.threads import Inbox, Workers
 from cm.networks.ros.node import NodeName
-from cm.networks.ros.samples import hand_on
 from cm.networks.ros.transport import SERVICES, Body, Qos, Values
-from cm.networks.ros.typehash import type_hash
-from cm.networks.ros.workers import Workers
 
 _REQUESTS = 32  # that are worked on at a time
 _WAITING = 1000  # requests that wait; if there are more, the oldest get no answer

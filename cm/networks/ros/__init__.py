@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A board as a ROS 2 node, without ROS: its interfaces, how they lie on the wire, and what the node does.
+"""A board as a ROS 2 node: what the node does, whatever middleware it is given.
 
-Nothing here knows a middleware: `cm.networks.ros.node` is given one (`cm.networks.rmw_zenoh` is one; `cm_ros2` has
-another, over rclpy).
+`cm.networks.rmw_zenoh` is one, without ROS; `cm_ros2` has another, over rclpy.
 """

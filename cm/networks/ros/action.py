@@ -13,9 +13,8 @@ from cm.errors import Busy, CmError
 from cm.networks.bridge.commands import Commands
 from cm.networks.bridge.records import Caller
 from cm.networks.ros import messages
-from cm.networks.ros.services import refusal
+from cm.networks.ros.services import Waiting, refusal
 from cm.networks.ros.transport import EVENTS, LATCHED, Publisher, Transport, Values
-from cm.networks.ros.waiting import Waiting
 from cm.wire.messages.status import Progress
 
 ACCEPTED, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED = 1, 2, 3, 4, 5, 6  # action_msgs/msg/GoalStatus

@@ -17,10 +17,9 @@ from cm.networks.bridge.records import Caller, ConfigRecord, Identity, Interrupt
 from cm.networks.ros import messages
 from cm.networks.ros.action import ChangeModeServer
 from cm.networks.ros.parameters import Parameters
-from cm.networks.ros.services import Services
+from cm.networks.ros.services import Services, Waiting
 from cm.networks.ros.streams import Streams
 from cm.networks.ros.transport import EVENTS, FRAMES, LATCHED, Qos, Transport
-from cm.networks.ros.waiting import Waiting
 from cm.wire.messages.status import Status
 
 _LOG = logging.getLogger("cm.ros")

@@ -1,20 +1,42 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node's services: requests to the manager; refusals are answers too."""
+"""The node's services: requests to the manager; refusals are answers too, and some may wait for changes of mode."""
 
 from __future__ import annotations
 
+import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
-from cm.errors import CmError
+from cm.errors import Busy, CmError
 from cm.networks.bridge.commands import Commands
 from cm.networks.bridge.records import Caller
 from cm.networks.ros import messages
 from cm.networks.ros.transport import Values
-from cm.networks.ros.waiting import Waiting
 
 Answer = Callable[[dict[str, Any]], Values]
+
+
+class Waiting:
+    """How many requests may wait for changes of mode: `most`, fewer than the middleware has threads.
+
+    A node whose threads all wait could not even be told to cancel.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._free = threading.BoundedSemaphore(most)
+
+    @contextmanager
+    def one(self) -> Iterator[None]:
+        """Within it a request may take as long as a change does. Raises Busy where as many wait as may."""
+        if not self._free.acquire(blocking=False):
+            raise Busy(f"{self._most} requests wait for changes of mode at this node already: ask again later")
+        try:
+            yield
+        finally:
+            self._free.release()
 
 
 class Services:

@@ -66,7 +66,7 @@ class Body(Protocol):
 class Transport(Protocol):
     """Topics and services of one node.
 
-    Names are whole (``/cm/status``), types as `cm.networks.ros.definitions` has them.
+    Names are whole (``/cm/status``), types as `cm.networks.rmw_zenoh.interfaces` has them.
     """
 
     def publisher(self, topic: str, kind: str, qos: Qos) -> Publisher:

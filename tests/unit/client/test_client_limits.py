@@ -19,7 +19,7 @@ from cm.client.core.remote_stream import reading_next
 from cm.client.errors import ConnectionLost, FrameReleased, NoAnswer, request_error
 from cm.device.errors import device_error
 from cm.errors import CmError, InvalidRequest, NotFound
-from cm.networks.bridge.connections import BridgeEnds
+from cm.networks.bridge.commands import BridgeEnds
 from cm.networks.fleet.errors import FleetRefused
 from cm.schema.problems import Problem, SchemaError
 from cm.wire.encode import encode_request

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import cm.schema
-from cm.networks.bridge.formats import config_record, encoding_of, frame_record, stream_format
+from cm.networks.bridge.records import config_record, encoding_of, frame_record, stream_format
 from cm.schema.model import Direction, Stream
 from cm.schema.pictures import CameraInfo, camera_file, camera_info, pixel_bytes
 from cm.wire.messages.status import ConfigInfo, FrameInfo, RegionStatus, RegisterInfo, Status, StreamStatus
@@ -156,6 +156,6 @@ def test_a_frame_that_is_not_a_picture_has_no_rows() -> None:
 def test_the_core_knows_no_network_but_the_managers() -> None:
     code = (
         "import sys\nfor name in ('rclpy', 'zenoh'): sys.modules[name] = None\n"
-        "from cm.networks.bridge import commands, follower, formats, frames"
+        "from cm.networks.bridge import commands, follower, frames, records"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

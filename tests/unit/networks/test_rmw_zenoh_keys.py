@@ -15,12 +15,11 @@ pytest.importorskip("xxhash")
 import zenoh
 
 from cm.errors import InvalidRequest
-from cm.networks.rmw_zenoh.attachment import Attachment
-from cm.networks.rmw_zenoh.keys import End, EndKey, NodeKey
+from cm.networks.rmw_zenoh import cdr
+from cm.networks.rmw_zenoh.interfaces import type_hash
+from cm.networks.rmw_zenoh.keys import Attachment, End, EndKey, NodeKey
 from cm.networks.rmw_zenoh.session import endpoint
-from cm.networks.ros import cdr
 from cm.networks.ros.transport import EVENTS, FRAMES, LATCHED, SERVICES, Qos
-from cm.networks.ros.typehash import type_hash
 
 STRING, IMAGE = "std_msgs/msg/String", "sensor_msgs/msg/Image"
 OF_STRING = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"

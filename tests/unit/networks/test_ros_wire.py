@@ -17,9 +17,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cm.errors import InvalidRequest, NotFound
-from cm.networks.ros import cdr
-from cm.networks.ros.definitions import Field, message, names
-from cm.networks.ros.typehash import type_hash
+from cm.networks.rmw_zenoh import cdr
+from cm.networks.rmw_zenoh.interfaces import Field, message, names, type_hash
 
 ROOT = Path(__file__).resolve().parents[3]
 ALL = sorted(name for name in names())
@@ -69,7 +68,7 @@ def test_our_interfaces_are_those_of_the_files() -> None:
         text = import_module("write_own").module()
     finally:
         sys.path.remove(str(ROOT / "ros2"))
-    written = (ROOT / "cm" / "networks" / "ros" / "own.py").read_text()
+    written = (ROOT / "cm" / "networks" / "rmw_zenoh" / "own.py").read_text()
     same = ast.dump(ast.parse(written)) == ast.dump(ast.parse(text))  # however it is formatted: ruff need not be here
     assert same, "run: python ros2/write_own.py"
 

@@ -24,15 +24,14 @@ import zenoh
 
 from cm.client.frame import Frame
 from cm.errors import CmError
-from cm.networks.bridge.formats import frame_record
-from cm.networks.bridge.records import StreamFormat
+from cm.networks.bridge.records import StreamFormat, frame_record
+from cm.networks.rmw_zenoh import cdr
+from cm.networks.rmw_zenoh.ends import ZenohPublisher, quality
+from cm.networks.rmw_zenoh.interfaces import type_hash
 from cm.networks.rmw_zenoh.keys import End, EndKey, NodeKey
-from cm.networks.rmw_zenoh.publisher import ZenohPublisher, quality
 from cm.networks.rmw_zenoh.session import USUAL, opened
-from cm.networks.ros import cdr
 from cm.networks.ros.messages import image_head
 from cm.networks.ros.transport import FRAMES
-from cm.networks.ros.typehash import type_hash
 
 KIND = "sensor_msgs/msg/Image"
 ONE_WAY, THERE, BACK = "/bench/one_way", "/bench/there", "/bench/back"

@@ -9,7 +9,7 @@ from functools import cache
 from typing import Any
 
 from cm.errors import InvalidRequest
-from cm.networks.ros.definitions import Field, message
+from cm.networks.rmw_zenoh.interfaces import Field, message
 
 HEADER = b"\0\1\0\0"
 _CODES = {
