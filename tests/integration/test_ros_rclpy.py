@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from typing import Any
 
@@ -43,8 +43,16 @@ class Node:
         self.node = rclpy.create_node("tester")
         self._executor = MultiThreadedExecutor(4)
         self._executor.add_node(self.node)
-        self._thread = threading.Thread(target=self._executor.spin, daemon=True)
+        self._thread = threading.Thread(target=self._spin, daemon=True)
         self._thread.start()
+
+    def _spin(self) -> None:
+        """Tests end their subscriptions while it waits for them, as `cm_ros2.node.spin` knows of its own."""
+        from rclpy.executors import InvalidHandle
+
+        while True:
+            with suppress(InvalidHandle):
+                return self._executor.spin()
 
     def close(self) -> None:
         self._executor.shutdown()

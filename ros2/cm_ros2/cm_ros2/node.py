@@ -7,7 +7,7 @@ import threading
 from typing import Any
 
 import rclpy
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.executors import Executor, ExternalShutdownException, InvalidHandle, MultiThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, State, TransitionCallbackReturn
 
 from cm.client.board import Board, connect
@@ -106,6 +106,16 @@ class BoardLifecycle(LifecycleNode):
         self._board = self._transport = self._commands = None
 
 
+def spin(executor: Executor) -> None:
+    """Until shutdown. Streams come and go in another thread; what rclpy was about to wait for may be gone by then."""
+    while True:
+        try:
+            executor.spin()
+        except InvalidHandle:
+            continue
+        return
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Run the node until it is interrupted."""
     rclpy.init(args=arguments)
@@ -116,7 +126,7 @@ def main(arguments: list[str] | None = None) -> None:
         if node.get_parameter("autostart").value:
             node.trigger_configure()
             node.trigger_activate()
-        executor.spin()
+        spin(executor)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
