@@ -123,7 +123,7 @@ class Shown:
         if callable(progress):
             self.tell = progress
         elif progress is not False:
-            self._bar = _bar("/".join(filter(None, (config, mode))) or "load", progress)
+            self._bar = _bar("/".join(str(part) for part in (config, mode) if part) or "load", progress)
             self.tell = self._draw if self._bar is not None else None
 
     def _draw(self, progress: Progress) -> None:

@@ -22,8 +22,8 @@ def own_folder(folder: Path, group: int | None = None, mode: int = FOLDER_MODE) 
     """Make a folder if there is none; with a group, give it to that.
 
     Raises UnsafeFolder if it is not ours. Ours is one that belongs to this user (or to root, who can do anything
-    anyway), is not a link, and cannot be written by others. A link further up is followed only if everything above it
-    is safe too: /var/run is one on most systems.
+    anyway), is not a link, and cannot be written by others; by its group only if it is sticky. A link further up is
+    followed only if everything above it is safe too: /var/run is one on most systems.
     """
     folder.mkdir(mode=mode, parents=True, exist_ok=True)
     fd = _opened(folder)
@@ -33,6 +33,11 @@ def own_folder(folder: Path, group: int | None = None, mode: int = FOLDER_MODE) 
             raise UnsafeFolder(f"{folder} belongs to user {status.st_uid}, not to this one ({os.geteuid()})")
         if status.st_mode & stat.S_IWOTH:
             raise UnsafeFolder(f"{folder} can be written by everybody: chmod o-w {folder}, or choose another")
+        if status.st_mode & stat.S_IWGRP and not status.st_mode & stat.S_ISVTX:
+            raise UnsafeFolder(
+                f"{folder} can be written by its group ({status.st_gid}), whose members could put a socket there "
+                f"and be the manager: chmod g-w {folder}, or chmod +t {folder} if they have to write there"
+            )
         if group is not None and (status.st_gid != group or not status.st_mode & stat.S_IXGRP):
             _give(fd, folder, group, stat.S_IMODE(status.st_mode) | 0o050)
     finally:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -24,7 +25,24 @@ def encode_request(request: rq.Request) -> list[Frame]:
     except InvalidRequest:
         raise
     except (TypeError, ValueError, OverflowError) as error:  # protobuf's: wrong types, numbers out of range, half pairs
-        raise InvalidRequest(f"{type(request).__name__}: {error}") from None
+        raise InvalidRequest(f"{type(request).__name__}: {_no_text(request) or error}") from None
+
+
+def _no_text(request: Any) -> str:
+    """What is no text where a text is wanted, in words; empty if that is not the mistake."""
+    for field in dataclasses.fields(request):
+        value = getattr(request, field.name)
+        if field.type == "str" and not isinstance(value, str):
+            return f"{field.name} is text, not {value!r} ({type(value).__name__})"
+        if field.type == "tuple[str, ...]":
+            for one in value:
+                if not isinstance(one, str):
+                    return f"each of its {field.name} is text, not {one!r} ({type(one).__name__}); give them one by one"
+        if isinstance(value, tuple):
+            found = next(filter(None, (_no_text(one) for one in value if dataclasses.is_dataclass(one))), "")
+            if found:
+                return found
+    return ""
 
 
 def _change_mode(r: rq.ChangeMode) -> list[Frame]:

@@ -54,6 +54,16 @@ def test_a_world_writable_folder_is_refused(tmp_path: Path) -> None:
         FolderLock(folder)
 
 
+def test_a_folder_that_its_group_may_write_is_refused_unless_it_is_sticky(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    folder.chmod(0o770)
+    with pytest.raises(UnsafeFolder, match=f"by its group .* chmod g-w {folder}"):
+        FolderLock(folder)
+    folder.chmod(0o1770)
+    FolderLock(folder).release()
+
+
 def test_a_link_in_the_place_of_a_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "run").symlink_to(tmp_path / "elsewhere")

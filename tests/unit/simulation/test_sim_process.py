@@ -11,6 +11,7 @@ import resource
 import select
 import signal
 import socket
+import stat
 import struct
 import subprocess
 import sys
@@ -411,3 +412,17 @@ def test_an_orphaned_board_with_other_arguments_is_replaced(orphaned):
     with Board(root=orphaned, arguments=["--hold", "7"]) as board:
         assert board.pid != pid
         assert board.control.state()["regions"]["prr0"]["module"] is None
+
+
+def test_the_nodes_of_a_board_are_its_users_alone_under_a_umask_that_leaves_the_group_in(tmp_path):
+    before = os.umask(0o007)  # as cm.service has
+    try:
+        with Board(root=tmp_path / "board", arguments=FAST) as board:
+            made = [path for path in Path(board.root).rglob("*") if not path.is_symlink()]
+            modes = {path: stat.S_IMODE(path.stat().st_mode) for path in made}
+            sockets = [path for path in made if path.is_socket()]
+            assert len(sockets) > 3
+            assert [path for path in sockets if modes[path] & 0o077] == []
+            assert [path for path in made if modes[path] & 0o022] == []
+    finally:
+        os.umask(before)

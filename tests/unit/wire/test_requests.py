@@ -9,6 +9,7 @@ from typing import Any, get_args
 
 import pytest
 
+from cm.errors import InvalidRequest
 from cm.server.handlers import Handlers
 from cm.wire.cm_pb2 import DataConfig, Lease, ReadConfig, WriteConfig
 from cm.wire.decode import decode_request
@@ -87,3 +88,21 @@ def test_every_intent_is_among_them_and_has_a_handler() -> None:
 )
 def test_messages_with_several_intents_keep_their_meaning(topic: bytes, message: Any, intent: rq.Request) -> None:
     assert decode_request([topic, message.SerializeToString()]) == intent
+
+
+@pytest.mark.parametrize(
+    ("request_", "said"),
+    [
+        (
+            rq.ReadReg((["version"],)),
+            r"ReadReg: each of its names is text, not \['version'\] \(list\); give them",
+        ),  # type: ignore[arg-type]
+        (rq.ReadReg((1,)), r"ReadReg: each of its names is text, not 1 \(int\)"),  # type: ignore[arg-type]
+        (rq.WriteReg((rq.RegWrite(1, 2),)), r"WriteReg: name is text, not 1 \(int\)"),  # type: ignore[arg-type]
+        (rq.ReadIrq(3), r"ReadIrq: name is text, not 3 \(int\)"),  # type: ignore[arg-type]
+        (rq.ChangeMode("camera", 3), r"ChangeMode: mode is text, not 3 \(int\)"),  # type: ignore[arg-type]
+    ],
+)
+def test_what_is_no_name_is_refused_in_words(request_: Any, said: str) -> None:
+    with pytest.raises(InvalidRequest, match=said):
+        encode_request(request_)

@@ -39,7 +39,7 @@ class Root:
             self._lock = self._acquire()
             self._dir = os.open(self.path, os.O_PATH | os.O_DIRECTORY)
             self._remove_leftovers()
-            self._manifest = (self.path / MANIFEST).open("w", encoding="utf-8")
+            self._manifest = open(self.path / MANIFEST, "w", encoding="utf-8", opener=_for_us)  # noqa: SIM115
             self._manifest.write(".\n" if self._own else "")
         except OSError as error:
             raise SimError(f"the root {path} cannot be used: {error}; give a folder you may write") from error
@@ -52,7 +52,7 @@ class Root:
             target = self.path / done
             if not target.is_dir():
                 self._record(done)
-                target.mkdir()
+                target.mkdir(0o755)
 
     def write(self, relative: str, data: str | bytes) -> None:
         """Write a plain file, replacing it as a whole."""
@@ -61,7 +61,8 @@ class Root:
             self._record(relative)
         target = self.path / relative
         new = target.with_name(target.name + "~")
-        new.write_bytes(data.encode() if isinstance(data, str) else data)
+        with open(new, "wb", opener=_for_us) as file:
+            file.write(data.encode() if isinstance(data, str) else data)
         new.replace(target)
 
     def bind(self, relative: str) -> socket.socket:
@@ -72,6 +73,7 @@ class Root:
             target.unlink()
         self._record(relative)
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        os.fchmod(listener.fileno(), 0o600)  # before it is bound: whatever the umask, nobody else is the board's user
         folder = os.open(target.parent, os.O_PATH | os.O_DIRECTORY)
         try:
             listener.bind(f"/proc/self/fd/{folder}/{target.name}")
@@ -116,7 +118,7 @@ class Root:
             self._own, self._fresh = True, Scratch(_FRESH)
             return self._fresh.path
         if not path.is_dir():
-            path.mkdir(parents=True)
+            path.mkdir(0o755, parents=True)
             self._own = True
         return path.absolute()
 
@@ -157,6 +159,10 @@ class Root:
         self._made.append(relative)
         self._manifest.write(relative + "\n")
         self._manifest.flush()
+
+
+def _for_us(path: str, flags: int) -> int:
+    return os.open(path, flags, 0o644)  # that others write to no file, under a umask of 0007 too
 
 
 def _same_file(fd: int, path: Path) -> bool:
