@@ -39,9 +39,15 @@ def run(arguments: Sequence[str] | None = None) -> int:
     words, colours = colours_of(list(sys.argv[1:] if arguments is None else arguments))
     with as_told(colours):
         status = _ended(words)
-    if arguments is None and "zenoh" in sys.modules and chosen_command(words) in _AT_ONCE:
+    if arguments is None and _ends_at_once(words):
         os._exit(status)
     return status
+
+
+def _ends_at_once(words: list[str]) -> bool:
+    """Whether the process ends without taking Python apart: for `serve`, that takes longer than the rest of its end."""
+    command = chosen_command(words)
+    return command == "serve" or ("zenoh" in sys.modules and command in _AT_ONCE)
 
 
 def _ended(words: list[str]) -> int:

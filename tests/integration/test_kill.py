@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import random
+import resource
 import signal
 import subprocess
 import sys
@@ -185,6 +186,31 @@ def test_a_stopped_manager_leaves_nothing_but_its_state(runtime) -> None:  # typ
     served = Manager(runtime / "run", "--sim").start()
     assert served.stop() == 0
     assert sorted(p.name for p in (runtime / "run").iterdir()) == ["lock", "state"]
+
+
+def _used(pid: int) -> float:
+    """Seconds of processor time of a process, without its children."""
+    after_name = Path(f"/proc/{pid}/stat").read_text("ascii").rpartition(")")[2].split()
+    return (int(after_name[11]) + int(after_name[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _reaped() -> float:
+    """The same of all processes that this one has waited for, and theirs."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
+
+
+def test_told_to_end_manager_and_board_have_little_left_to_do(runtime) -> None:  # type: ignore[no-untyped-def]
+    """To take both interpreters apart took longer than all the rest; on a busy machine 1.7 s."""
+    manager = Manager(runtime / "run", "--sim").start()
+    with manager.connected() as board:
+        until(lambda: board.mode == "default" and not board.status.fpga_busy)
+    tasks = Path(f"/proc/{manager.pid}/task").iterdir()
+    boards = [int(pid) for task in tasks for pid in (task / "children").read_text("ascii").split()]
+    assert boards
+    before, used = _reaped(), sum(map(_used, (manager.pid, *boards)))
+    assert manager.stop() == 0
+    assert (_reaped() - before - used) * 25 < used  # which is what it took to start
 
 
 def test_a_manager_that_is_stopped_while_its_board_starts_stops_the_board_too(runtime) -> None:  # type: ignore[no-untyped-def]
