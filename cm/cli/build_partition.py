@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from cm.cli.build_common import add_schema_argument
+from cm.cli.build_schema import add_schema_argument
 from cm.cli.common import add_json_option, print_json, print_table
 from cm.design.boundary.analyse import analyse
 from cm.design.errors import BuildError

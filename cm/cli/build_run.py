@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm build run``: run the vendor's flow."""
+"""``cm build run|tools|pack|unpack``: the flow, here in Vivado or with open tools, or on another host."""
 
 from __future__ import annotations
 
@@ -8,16 +8,83 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from cm.cli.build_common import add_out_option, add_schema_argument
-from cm.cli.build_open import run_open
+from cm.cli.build_schema import add_out_option, add_schema_argument
 from cm.cli.common import add_json_option, print_json, print_table
 from cm.design.errors import BuildError, MissingTool
 from cm.design.generate.tree import behind, load_design, output_folder
 from cm.design.hdl.errors import ParserMissing
+from cm.design.openflow.attempt import Settings
+from cm.design.openflow.flow import OpenFlow
+from cm.design.openflow.rules import refuse_open
+from cm.design.openflow.tools import Tools, fetch_tools, find_tools
 from cm.design.project.load import load_project
+from cm.design.project.model import Project
 from cm.design.run.make import run_flow
+from cm.design.run.pack import pack
 from cm.design.run.steps import Flow, Planned, State
+from cm.design.run.unpack import unpack
 from cm.design.run.vivado import find_vivado
+
+
+def add_tools_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the action."""
+    parser = actions.add_parser(
+        "tools",
+        help="show which open tools are found, or fetch them",
+        description="Show which yosys, nextpnr and Project X-Ray database cm build run --flow open "
+        "would use: those on PATH, otherwise those that --fetch downloaded from Debian's "
+        "packages (some 50 MB, verified with apt's signed lists; without root, nothing is"
+        " compiled or installed).",
+    )
+    parser.add_argument("--fetch", action="store_true", help="fetch what is missing")
+    parser.add_argument("--tools", type=Path, metavar="DIR", help="folder for them (default: in your cache folder)")
+    parser.add_argument("--mirror", metavar="URL", help="Debian mirror (default: the one that this machine uses)")
+    add_json_option(parser)
+    parser.set_defaults(run=run_tools)
+
+
+def run_tools(args: argparse.Namespace) -> int:
+    """Fetch if asked to, and say what is installed."""
+    found = fetch_tools(args.tools, args.mirror) if args.fetch else find_tools(args.tools)
+    if args.json:
+        print_json(_dict(found))
+        return 0
+    for tool in (found.yosys, found.nextpnr):
+        print(f"{tool.name}: {tool.command[-1]}")
+    print(f"database of Project X-Ray: {found.database}")
+    return 0
+
+
+def run_open(args: argparse.Namespace, out: Path) -> int:
+    """Run the flow over what was generated in `out`."""
+    design = load_design(args.schema)
+    refuse_open(design.system)
+    names = behind(design, out)
+    if names:
+        raise BuildError(f"{names[0]} in {out} would be generated otherwise now: run cm build generate first")
+    if args.dry_run:
+        raise BuildError("--dry-run is of the flow in Vivado; the open flow says what it does while it runs")
+    tell = (lambda _: None) if args.json else _tell
+    flow = OpenFlow(design.system, out, find_tools(args.tools), tell, Settings(seed=args.seed, jobs=max(1, args.jobs)))
+    ran = flow.run()
+    if args.json:
+        print_json({"ran": ran, "bitstreams": out / "bitstreams"})
+    elif not ran:
+        print("nothing to do: all steps are done and their inputs unchanged")
+    return 0
+
+
+def _tell(sentence: str) -> None:
+    print(sentence, flush=True)
+
+
+def _dict(tools: Tools) -> dict[str, object]:
+    return {
+        "yosys": tools.yosys.command[-1],
+        "nextpnr": tools.nextpnr.command[-1],
+        "database": tools.database,
+        "packages": dict(tools.versions),
+    }
 
 
 def add_run_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -81,10 +148,6 @@ def _stale(schema: Path, out: Path) -> str:
     return f"{few} in {out} would be generated otherwise now: run cm build generate first" if names else ""
 
 
-def _tell(sentence: str) -> None:
-    print(sentence, flush=True)
-
-
 def _print_plan(planned: Sequence[Planned], stale: str, as_json: bool) -> None:
     if as_json:
         rows = [{"step": p.step.name, "title": p.step.title, "state": p.state.value} for p in planned]
@@ -100,3 +163,76 @@ def _print_plan(planned: Sequence[Planned], stale: str, as_json: bool) -> None:
         State.LOST: "to run: an output is gone",
     }
     print_table([(p.step.name, words[p.state], p.step.title) for p in planned], ("step", "state", "what"))
+
+
+def add_pack_parsers(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add both actions."""
+    parser = actions.add_parser(
+        "pack",
+        help="pack the generated flow with everything it reads for a host with Vivado",
+        description="The other host needs neither this package nor Python: extract the archive, run "
+        "make in its build folder, then make back, and pass back.tar.gz to cm build "
+        "unpack.",
+    )
+    add_schema_argument(parser)
+    add_out_option(parser)
+    parser.add_argument("-f", "--file", type=Path, metavar="FILE", help="the archive (default: NAME-flow.tar.gz)")
+    more = "only this module in its region's abstract shell, nothing of the static design (may be repeated)"
+    parser.add_argument("--module", action="append", default=[], metavar="NAME", help=more)
+    add_json_option(parser)
+    parser.set_defaults(run=run_pack)
+    parser = actions.add_parser(
+        "unpack",
+        help="unpack the results of a packed flow",
+        description="Take stamps, logs, reports, checkpoints and bitstreams of an archive (make back) or of a folder"
+        " that was copied back. Nothing is taken if a file that the steps read has changed since it was packed.",
+    )
+    parser.add_argument("source", type=Path, metavar="BACK", help="back.tar.gz, or the folder")
+    add_schema_argument(parser)
+    add_out_option(parser)
+    add_json_option(parser)
+    parser.set_defaults(run=run_unpack)
+
+
+def run_pack(args: argparse.Namespace) -> int:
+    """Write the archive."""
+    design = load_design(args.schema)
+    project, out = design.project, output_folder(design.project, args.out)
+    stale = behind(design, out)
+    if stale:
+        raise BuildError(
+            f"{', '.join(stale[:3])} in {out} would be generated otherwise now: run cm build generate first"
+        )
+    archive = args.file or Path(f"{'-'.join([project.name, *args.module])}-flow.tar.gz")
+    done = pack(out, project.name, _folders(project, args.module), archive.absolute(), args.module)
+    if args.json:
+        print_json({"archive": str(archive), "steps": list(done.steps), "files": done.files})
+        return 0
+    print(f"{archive}: {done.files} files, steps {', '.join(done.steps)}")
+    print("there: tar -xf it, make -j4 VIVADO=/path/to/vivado in the folder with pack.json, make back")
+    print("here: cm build unpack back.tar.gz")
+    return 0
+
+
+def _folders(project: Project, modules: list[str]) -> list[Path]:
+    """Folders that steps read as a whole: include folders, and those of IP."""
+    found = [] if modules else list(project.static.include_dirs)
+    for module in project.modules.values():
+        names = {module.name, *(f"{module.name}_{region}" for region in module.regions)}
+        if modules and not names & set(modules):
+            continue
+        found += [*module.include_dirs, *module.ip_repositories, *(path.parent for path in module.ip)]
+    return list(dict.fromkeys(found))
+
+
+def run_unpack(args: argparse.Namespace) -> int:
+    """Take back what came."""
+    out = output_folder(load_project(args.schema), args.out)
+    found = unpack(args.source, out)
+    if args.json:
+        print_json({"done": list(found.done), "left": list(found.left), "files": found.files})
+    else:
+        print(f"{out}: {found.files} files of {len(found.done)} steps")
+        for name in found.left:
+            print(f"note: step {name} was not run to its end there")
+    return 1 if found.left else 0

@@ -8,7 +8,6 @@ import sys
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from cm.cli.client import connected, plain
 from cm.cli.commands import EXIT_INTERRUPTED
 from cm.cli.common import (
     add_connection_options,
@@ -18,6 +17,7 @@ from cm.cli.common import (
     print_json,
     print_table,
 )
+from cm.cli.connection import connected, plain
 from cm.errors import CmError, Timeout
 
 if TYPE_CHECKING:

@@ -44,7 +44,7 @@ DAY = ("serve", "status", "watch", "load", "mode", "plan", "reg", "stream", "bit
 
 COMMANDS = (
     Command("status", "cm.cli.status", "show what is loaded and what is going on", "board"),
-    Command("watch", "cm.cli.watch", "follow the status as it changes", "board"),
+    Command("watch", "cm.cli.status", "follow the status as it changes", "board"),
     Command("load", "cm.cli.change", "load a configuration, or go to one of its modes", "board"),
     Command("mode", "cm.cli.change", "change the mode", "board"),
     Command("plan", "cm.cli.change", "show what a change of mode would do", "board"),
@@ -62,7 +62,7 @@ COMMANDS = (
     Command("stream", "cm.cli.stream", "list, set, capture and play data streams", "data"),
     Command("view", "cm.cli.view", "show a stream in the terminal or a window", "data"),
     Command("lease", "cm.cli.lease", "take, list and break leases", "sharing"),
-    Command("keygen", "cm.cli.keygen", "make keys for connections over TCP", "sharing"),
+    Command("keygen", "cm.cli.keys", "make keys for connections over TCP", "sharing"),
     Command("config", "cm.cli.config", "list, send, check and roll back configurations", "designs"),
     Command(
         "import",
@@ -88,7 +88,7 @@ COMMANDS = (
         linux=True,
     ),
     Command("completion", "cm.cli.completion", "print a completion script for a shell", "shell"),
-    Command("help", "cm.cli.help", "describe a command", "shell"),
+    Command("help", "cm.cli.parser", "describe a command", "shell"),
 )
 
 _EARLIER = {"check": ["config", "check"], "configs": ["config", "list"], "data": ["stream", "set"]}

@@ -12,8 +12,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 from cm.cli.commands import CommandMissing, find_command
-from cm.cli.help_format import RawHelp
-from cm.cli.parser import build_parser, chosen_command
+from cm.cli.parser import RawHelp, build_parser, chosen_command
 from cm.errors import CmError, Timeout
 from cm.wire.messages.requests import ListConfigs, ReadConfig, Request
 from cm.wire.messages.status import ConfigInfo, RegisterInfo

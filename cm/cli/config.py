@@ -8,8 +8,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cm.cli.client import connected, plain
 from cm.cli.common import add_connection_options, add_json_option, completes, print_json, print_table
+from cm.cli.connection import connected, plain
 
 if TYPE_CHECKING:
     from cm.wire.messages.status import ConfigEntry
@@ -127,7 +127,7 @@ def run_remove(args: argparse.Namespace) -> int:
 
 def run_check(args: argparse.Namespace) -> int:
     """Check; the exit status."""
-    from cm.cli.check import run  # here: it reads schemas
+    from cm.cli.config_check import run  # here: it reads schemas
 
     return run(args)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 
-from cm.cli import fleet_boards, fleet_change, fleet_keys, fleet_look, fleet_send
+from cm.cli import fleet_archives, fleet_boards, fleet_change, fleet_keys, fleet_status
 from cm.cli.fleet_options import Intermixed
 
 
@@ -19,8 +19,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     kind: type[argparse.ArgumentParser] = Intermixed
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True, parser_class=kind)
-    fleet_look.add(actions)
+    fleet_status.add(actions)
     fleet_boards.add(actions)
     fleet_change.add(actions)
-    fleet_send.add(actions)
+    fleet_archives.add(actions)
     fleet_keys.add(actions)

@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
 
 def run_reconcile(args: argparse.Namespace) -> int:
     """Go where it is wanted; 0 where every board is there."""
-    from cm.cli.client import plain
+    from cm.cli.connection import plain
     from cm.networks.fleet.telling import FINE, wanted
     from cm.wire.messages.status import ErrorInfo
 
@@ -146,7 +146,7 @@ def _leg(leg: Leg) -> str:
 
 def as_json(course: Course) -> dict[str, Any]:
     """For scripts."""
-    from cm.cli.client import plain
+    from cm.cli.connection import plain
 
     return {
         "change": course.id,

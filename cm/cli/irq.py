@@ -6,9 +6,8 @@ from __future__ import annotations
 import argparse
 from itertools import islice
 
-from cm.cli.client import connected, plain
 from cm.cli.common import add_connection_options, add_json_option, completes, natural, print_json, print_table, seconds
-from cm.cli.following import followed
+from cm.cli.connection import connected, followed, plain
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

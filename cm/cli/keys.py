@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Key files of ``cm keygen``: CURVE keys (Z85) as ``name: value`` lines."""
+"""Key files, and ``cm keygen``, which makes them."""
 
 from __future__ import annotations
 
+import argparse
 import os
 import stat
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cm.cli.common import add_json_option, print_json
 from cm.errors import CmError, InvalidRequest
 from cm.server.rights.keys import FOLDER, OLD_FOLDER, authorized, pairs_of
 
@@ -84,3 +86,59 @@ def authorized_keys(server: Path, folder: Path | None) -> tuple[Keys, tuple[str,
 def _files(*folders: Path) -> Iterator[Path]:
     for folder in folders:
         yield from sorted(path for path in folder.glob("*.pub") if not path.name.startswith("."))
+
+
+def add_keygen(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    parser = subparsers.add_parser(
+        "keygen",
+        help="make keys for connections over TCP",
+        description="Make CURVE keys. The folder holds server.key for 'cm serve --keys' and, for each"
+        " client, NAME.key, which you give to the client, and authorized_keys.d/NAME.pub,"
+        " by which the server recognises the client and its role. A running manager "
+        "notices added and removed keys by itself.",
+    )
+    parser.add_argument(
+        "--role",
+        default="provision",
+        help="role of the clients: observe, operate, provision (default), admin, or one of your own",
+    )
+    parser.add_argument(
+        "--expires", metavar="DAY", default="", help="last day on which the clients' keys are valid, such as 2030-12-31"
+    )
+    parser.add_argument("folder", metavar="DIR", type=Path)
+    parser.add_argument("client", metavar="CLIENT", nargs="*", default=[], help="names of clients to make keys for")
+    add_json_option(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write key files; the exit status."""
+    import zmq
+
+    authorized("", {"public": "0" * 40, "role": args.role, "expires": args.expires})  # refuses what is not a day
+
+    if not zmq.has("curve"):
+        raise InvalidRequest("this ZeroMQ library was built without CURVE; keys cannot be made")
+    (args.folder / FOLDER).mkdir(mode=0o700, parents=True, exist_ok=True)
+    server = args.folder / "server.key"
+    if not server.exists():
+        public, secret = zmq.curve_keypair()
+        write_key_file(server, {"public": public, "secret": secret}, "server: keep it on the board")
+        if not args.json:
+            print(f"{server}: for cm serve --keys")
+    server_public = read_key_file(server)["public"]
+    for name in args.client:
+        public, secret = zmq.curve_keypair()
+        path = args.folder / f"{name}.key"
+        keys = {"server-public": server_public, "public": public, "secret": secret}
+        write_key_file(path, keys, f"client {name}: for cm.connect(keys=...)")
+        said = {"public": public, "role": args.role.encode()}
+        if args.expires:
+            said["expires"] = args.expires.encode()
+        write_key_file(args.folder / FOLDER / f"{name}.pub", said, f"client {name}")
+        if not args.json:
+            print(f"{path}: for the client; cm.connect('tcp://...', keys='{path.name}')")
+    if args.json:
+        print_json({"server": str(server), "clients": [str(args.folder / f"{name}.key") for name in args.client]})
+    return 0

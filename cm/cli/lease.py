@@ -12,8 +12,8 @@ import time
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from cm.cli.client import connected, plain
 from cm.cli.common import add_connection_options, add_json_option, completes, print_json, print_table, seconds
+from cm.cli.connection import connected, plain
 from cm.cli.parser import Parser
 from cm.client.core import calls, leases
 from cm.errors import CmError, NotFound

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from cm.cli.client import connected, number, plain
 from cm.cli.common import (
     add_connection_options,
     add_json_option,
@@ -21,6 +20,7 @@ from cm.cli.common import (
     print_json,
     print_table,
 )
+from cm.cli.connection import connected, number, plain
 from cm.errors import InvalidRequest
 from cm.wire.messages.status import MemoryInfo
 

@@ -1,16 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The parser of `cm`: all arguments of one command, and only name and help of the others."""
+"""The parser of `cm`: all arguments of one command, and only name and help of the others; ``cm help``."""
 
 from __future__ import annotations
 
 import argparse
 import difflib
+import os
 import sys
 from typing import Any, NoReturn
 
 from cm._version import __version__
 from cm.cli.commands import COMMANDS, DAY, CommandMissing, add_command, find_command, nearest
-from cm.cli.help_format import Help, RawHelp
+
+
+class Help(argparse.HelpFormatter):
+    """argparse's own asks shutil for the terminal's width, and does so for each argument that is added.
+
+    shutil imports bz2 and lzma: 0.6 MiB of every manager, and 1 ms of every command.
+    """
+
+    def __init__(self, prog: str, **options: Any) -> None:
+        super().__init__(prog, **{"width": _columns() - 2, **options})
+
+
+class RawHelp(Help, argparse.RawDescriptionHelpFormatter):
+    """`Help` that leaves the lines of a description as they are."""
+
+
+def _columns() -> int:
+    """Of the terminal, or $COLUMNS if that is set; 80 if there is neither."""
+    given = os.environ.get("COLUMNS", "")
+    try:
+        return int(given) if given.isdecimal() and int(given) else os.get_terminal_size().columns
+    except OSError:
+        return 80
+
 
 DESCRIPTION = "Configuration manager for FPGA systems that reconfigure themselves while they run."
 EPILOG = "`cm COMMAND --help` says more. Exit status: 0 done, 1 refused or failed, 2 wrong usage."
@@ -128,3 +152,28 @@ def _epilog() -> str:
             lines.append(f"  {heading.ljust(8)}  {command.name.ljust(width)}  {command.help}")
             before = command.group
     return "\n".join([*lines, "", EPILOG])
+
+
+def add_help(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    from cm.cli.common import completes  # here: `cm --help` needs no JSON
+
+    parser = subparsers.add_parser("help", help="describe a command")
+    words = parser.add_argument(
+        "words", metavar="COMMAND", nargs="*", help="a command, such as `reg write` (default: list all)"
+    )
+    completes(words, *(command.name for command in COMMANDS))
+    parser.set_defaults(run=run_help)
+
+
+def run_help(args: argparse.Namespace) -> int:
+    """Print it; the exit status."""
+    words: list[str] = args.words
+    if words:
+        refuse_unknown(build_parser(None), words[0])
+    parser = build_parser(words[0] if words else None)
+    try:
+        parser.parse_args([*words, "--help"])
+    except SystemExit as end:  # argparse has printed the help, or why there is none
+        return end.code if isinstance(end.code, int) else 1
+    return 0

@@ -10,7 +10,6 @@ from difflib import get_close_matches
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from cm.cli.client import connected, number, plain
 from cm.cli.common import (
     add_connection_options,
     add_json_option,
@@ -21,7 +20,7 @@ from cm.cli.common import (
     print_json,
     print_table,
 )
-from cm.cli.following import followed
+from cm.cli.connection import connected, followed, number, plain
 from cm.client.core import registers
 from cm.errors import NotFound
 from cm.wire.messages.status import RegisterInfo

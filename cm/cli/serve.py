@@ -263,7 +263,7 @@ def _metrics(args: argparse.Namespace) -> str:
 def _simulated_schemas(args: argparse.Namespace, runtime: Path) -> list[Path]:
     data = Path(__file__).parents[1] / "data"  # importlib.resources is 1.3 MiB
     if args.build:
-        from cm.cli.simboard import schema_of_build
+        from cm.cli.simulated_board import schema_of_build
 
         return [schema_of_build(args.build, runtime, args.sim)]
     return [data / ("examples/camera/config" if args.sim == "rtl" else "camera")]
@@ -286,7 +286,7 @@ def _absolute(source: str) -> str:
 def _simulated_root(args: argparse.Namespace, runtime: Path, paths: list[Path], stack: ExitStack) -> Future[Root]:
     from concurrent.futures import ThreadPoolExecutor
 
-    from cm.cli.simboard import simulated_board
+    from cm.cli.simulated_board import simulated_board
 
     arguments = ["--images", str(args.images)] if args.images else []
     arguments += [part for source in args.models for part in ("--models", _absolute(source))]

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cm.cli.common import add_json_option, completes, natural, positive, print_json
-from cm.cli.help_format import RawHelp
+from cm.cli.parser import RawHelp
 from cm.errors import CmError, NotFound
 
 if TYPE_CHECKING:

@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm status``: what is loaded and what is going on."""
+"""``cm status`` and ``cm watch``: what is loaded and what is going on."""
 
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 
-from cm.cli.client import awaited, connected, plain, settled
 from cm.cli.colours import painted
-from cm.cli.common import add_connection_options, add_json_option, print_json, print_table, seconds
+from cm.cli.common import add_connection_options, add_json_option, natural, print_json, print_table, seconds
+from cm.cli.connection import awaited, connected, followed, plain, settled
 from cm.wire.messages.status import Status
 
 _NOTICES = ("reconciled", "slept")  # what the manager found out, where nothing failed
@@ -19,7 +20,7 @@ _REGION_COLOURS = {
 _UNITS = {"temperature": "°C", "voltage": "V", "current": "A", "power": "W"}
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_status(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command."""
     parser = subparsers.add_parser("status", help="show what is loaded and what is going on")
     add_connection_options(parser)
@@ -140,3 +141,44 @@ def headline(status: Status) -> str:
 
 def _flow(is_open: bool, rate: float) -> str:
     return f"{rate:.1f}/s" if is_open else "closed"
+
+
+_CLEAR = "\x1b[H\x1b[J"  # home, erase below: ECMA-48 CUP and ED
+
+
+def add_watch(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    parser = subparsers.add_parser(
+        "watch",
+        help="follow the status as it changes",
+        description="A live view on a terminal, otherwise one line for each status.",
+    )
+    add_connection_options(parser)
+    add_json_option(parser)
+    parser.add_argument("--count", type=natural, default=0, metavar="N", help="stop after N statuses (0: never)")
+    parser.set_defaults(run=run_watch)
+
+
+def run_watch(args: argparse.Namespace) -> int:
+    """Print each status until interrupted; the exit status."""
+    once = args.count == 1  # then what was on the screen stays there
+    live = sys.stdout.isatty() and (once or os.environ.get("TERM", "dumb") != "dumb")
+    with connected(args) as board:
+        for number, status in enumerate(followed(board, board.watch()), 1):
+            if args.json:
+                print_json(plain(status), lines=True)
+            elif live:
+                print("" if once else _CLEAR, end="")
+                show(status)
+                sys.stdout.flush()
+            else:
+                print(_line(status), flush=True)
+            if number == args.count:
+                break
+    return 0
+
+
+def _line(status: Status) -> str:
+    loaded = f"{status.config_name}/{status.mode}" if status.config_name else "-"
+    error = f"  {status.last_error.code}: {status.last_error.message}" if status.last_error else ""
+    return f"{status.sequence}  {loaded}  {headline(status)}{error}"

@@ -9,8 +9,6 @@ import time
 from itertools import islice
 from pathlib import Path
 
-from cm.cli.capture import add_arguments, run_capture
-from cm.cli.client import connected, plain
 from cm.cli.common import (
     add_connection_options,
     add_json_option,
@@ -21,6 +19,8 @@ from cm.cli.common import (
     print_json,
     print_table,
 )
+from cm.cli.connection import connected, plain
+from cm.cli.stream_capture import add_arguments, run_capture
 from cm.errors import InvalidRequest
 from cm.wire.lazy_numpy import np
 from cm.wire.messages.status import StreamStatus

@@ -10,10 +10,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Protocol
 
-from cm.cli.client import connected
 from cm.cli.common import add_connection_options, completes, natural
-from cm.cli.drawing.drawing import WAYS
-from cm.cli.drawing.screen import Screen, Size, into_file, on_terminal
+from cm.cli.connection import connected
+from cm.cli.view_terminal import WAYS, Screen, Size, into_file, on_terminal
 from cm.client.board import Board
 from cm.client.frame import Frame
 from cm.errors import InvalidRequest, Timeout
@@ -109,7 +108,7 @@ def _show_window(args: argparse.Namespace, board: Board) -> None:
     try:
         import tkinter
 
-        from cm.cli.drawing.window import Window
+        from cm.cli.view_window import Window
     except ModuleNotFoundError:
         raise InvalidRequest("a window needs Tk: apt install python3-tk, or look in the terminal") from None
     try:

@@ -18,8 +18,8 @@ from manager_process import REPOSITORY, Manager, environment, until
 
 import cm
 from cm import child
-from cm.cli.frame_files import NpyFiles
 from cm.cli.main import main
+from cm.cli.stream_capture import NpyFiles
 from cm.simulation.software import Board as SimBoard
 from cm.simulation.software.process.control import Control
 

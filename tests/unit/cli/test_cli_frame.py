@@ -211,7 +211,7 @@ def run_python(code: str, **kwargs: Any) -> subprocess.CompletedProcess[str]:
 def test_help_imports_no_command_and_no_library() -> None:
     code = (
         "import sys\nfrom cm.cli.main import main\ntry: main(['--help'])\nexcept SystemExit: pass\n"
-        "print([n for n in sys.modules if n in ('yaml', 'zmq', 'numpy', 'google', 'fastjsonschema', 'cm.cli.check')])"
+        "print([n for n in sys.modules if n in ('yaml', 'zmq', 'numpy', 'google', 'fastjsonschema', 'cm.cli.config')])"
     )
     assert run_python(code).stdout.endswith("[]\n")
 
@@ -220,7 +220,7 @@ def test_the_manager_starts_without_numpy() -> None:
     """Importing it takes a quarter of the time to the first reply, which does not need it."""
     code = (
         "import sys, cm.cli.serve, cm.client.address, cm.server.server, cm.schema.loader\n"
-        "unwanted = ('numpy', 'jsonschema', 'cm.simulation.software.process.main', 'cm.cli.check')\n"
+        "unwanted = ('numpy', 'jsonschema', 'cm.simulation.software.process.main', 'cm.cli.config_check')\n"
         "print([n for n in sys.modules if n in unwanted])"
     )
     assert run_python(code).stdout.endswith("[]\n")

@@ -35,7 +35,8 @@ def test_a_leading_zero_is_not_taken_for_the_name_of_a_value(capsys: pytest.Capt
 def test_a_file_that_is_no_archive_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "x.tar.gz").write_text("no archive\n" * 200)
     told = said(capsys, "import", "archive", str(tmp_path / "x.tar.gz"), "--out", str(tmp_path / "out"))
-    assert told.endswith("x.tar.gz: no whole tar archive (file could not be opened successfully) [import_refused]\n")
+    assert "x.tar.gz: no whole tar archive (" in told
+    assert told.endswith(" [import_refused]\n")
     assert told.count("\n") == 1
 
 

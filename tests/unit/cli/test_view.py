@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from PIL import Image
 
-from cm.cli.drawing.drawing import WAYS, Drawer, half_blocks
+from cm.cli.view_terminal import WAYS, Drawer, half_blocks
 from cm.client.pixels import fitted, outline, plotted, resized, visible
 from cm.errors import InvalidRequest
 

@@ -29,7 +29,7 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 
 def run_push(args: argparse.Namespace) -> int:
     """Send; 0 where every board has put it in force."""
-    from cm.cli.client import plain
+    from cm.cli.connection import plain
     from cm.wire.messages.status import ErrorInfo
 
     with connected_fleet(args) as fleet:

@@ -7,8 +7,8 @@ import argparse
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from cm.cli.client import number, plain
 from cm.cli.common import add_json_option, print_json, print_table
+from cm.cli.connection import number, plain
 from cm.cli.fleet_options import add_fleet_options, connected_fleet
 
 if TYPE_CHECKING:
