@@ -22,9 +22,10 @@ from typing import Any
 import zmq
 
 from cm.cli.keys import read_key_file
+from cm.wire import plane_packets as packets
 from cm.wire.encode import decode_reply, encode_request
 from cm.wire.messages import requests as rq
-from cm.wire.plane_packets import Open, encode_open
+from cm.wire.plane_packets import Descriptor, Open, encode_open
 
 PATIENCE = 60_000  # milliseconds until a reply is missed
 MODES = ("default", "edge_detection", "colorise")
@@ -217,6 +218,19 @@ class Attacker:
                 peer.recv(4096)
                 self.did["allocated"] += 1
 
+    def repeat_packets(self) -> None:
+        """Each kind of packet of the data socket, as fast as they are taken, from readers of a stream."""
+        for kind in (packets.RELEASE, packets.SUBMIT, packets.PING, packets.LEAVE):
+            with self.data(Open("camera", depth=1)) as peer, suppress(OSError):
+                epoch = Descriptor(*packets.DESCRIPTOR.unpack_from(peer.recv(4096))).flags
+                packet = Descriptor(kind=kind, slot=7, flags=epoch).pack()
+                for _ in range(self.rounds * 100):
+                    peer.send(packet)
+                    self.did[f"packet {kind}"] += 1
+                    with suppress(BlockingIOError):
+                        while peer.recv(4096, socket.MSG_DONTWAIT):
+                            pass
+
     def connect_and_say_nothing(self) -> None:
         held = [self.data(None) for _ in range(self.rounds * 2)]
         self.did["connected"] += len(held)
@@ -293,8 +307,8 @@ class Attacker:
 ATTACKS = (
     "change_modes", "change_and_cancel", "plan", "configure_a_stream", "define_memories", "begin_uploads",
     "take_leases", "send_configurations", "leave_amid_messages", "shake_hands", "connect_without_end",
-    "subscribe_again", "open_streams", "allocate", "connect_and_say_nothing", "read_nothing_through_tiny_buffers",
-    "try_wrong_keys", "begin_with_keys", "stop",
+    "subscribe_again", "open_streams", "allocate", "repeat_packets", "connect_and_say_nothing",
+    "read_nothing_through_tiny_buffers", "try_wrong_keys", "begin_with_keys", "stop",
 )  # fmt: skip
 
 

@@ -23,6 +23,18 @@ from cm.client.board import Board
 from cm.errors import CmError
 from cm.wire.encode import decode_reply, encode_request
 from cm.wire.messages import requests as rq
+from cm.wire.plane_packets import (
+    DESCRIPTOR,
+    LEAVE,
+    PACKET_MAX,
+    PING,
+    RELEASE,
+    SOCKET,
+    SUBMIT,
+    Descriptor,
+    Open,
+    encode_open,
+)  # fmt: skip
 
 ROUNDS = 400  # at most
 MIB = 1 << 20
@@ -30,6 +42,8 @@ _CONNECTIONS = 100  # that request the status again and again
 _IDLE = 100
 _TOPICS = 900
 _UNREAD = 4
+_KINDS = (RELEASE, SUBMIT, PING, LEAVE)  # packets of the data socket; OPEN is said once on a connection
+_PACKETS = 500
 _TEXTS = (b"{" * 60_000, b"{'a':" + b"9" * 60_000 + b"}", b"\xff" * 100_000, b"{" + b"'a':1," * 10_000 + b"}")
 _PATIENCE = 60_000  # milliseconds until an answer counts as missing
 
@@ -54,6 +68,8 @@ class Flood:
             self._subscriber.setsockopt(zmq.SUBSCRIBE, b"cm_nothing/%d" % number)
         self._board = stack.enter_context(Board(runtime_dir=runtime, timeout=_PATIENCE / 1000))
         self._greedy = stack.enter_context(self._board.stream("camera", depth=255))
+        self.packets = 0
+        self._planes = {kind: self._echo() for kind in _KINDS}
 
     def _socket(self, kind: int, name: str) -> Any:
         made = self._stack.enter_context(self._context.socket(kind))
@@ -78,6 +94,20 @@ class Flood:
         made.connect(str(self._runtime / "req"))
         return made
 
+    def _plane(self, wanted: Open) -> socket.socket:
+        """A connection to the data socket that says what it wants."""
+        made = self._stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET))
+        made.connect(str(self._runtime / SOCKET))
+        made.send(encode_open(wanted))
+        return made
+
+    def _echo(self) -> tuple[socket.socket, int]:
+        """One that has memory, with its epoch."""
+        made = self._plane(Open("", echo=True, length=4096, depth=1))
+        epoch = Descriptor(*DESCRIPTOR.unpack_from(made.recv(PACKET_MAX))).flags
+        made.setblocking(False)
+        return made, epoch
+
     def begin(self) -> None:
         """Begin with the requests that are made once, whose answers are not read."""
         for dealer in self._unread:
@@ -94,11 +124,32 @@ class Flood:
         for dealer in self._many:
             for _ in range(4):
                 dealer.send_multipart(status)
+        for kind in _KINDS:
+            self._packets(kind)
+        for _ in range(4):  # who opens what there is not, and hangs up
+            self._plane(Open("none")).close()
         with suppress(CmError):
             self._greedy.read(timeout=0.0)
         self._read(self._one, len(asking))
         for dealer in self._many:
             self._read(dealer, 4)
+
+    def _packets(self, kind: int) -> None:
+        """One kind of packet again and again, as many as the manager takes; what it says to that is not looked at."""
+        plane, epoch = self._planes[kind]
+        packet = Descriptor(kind=kind, slot=7, flags=epoch).pack()
+        try:
+            for _ in range(_PACKETS):
+                plane.send(packet)
+                self.packets += 1
+                with suppress(BlockingIOError):
+                    while plane.recv(PACKET_MAX):
+                        pass
+        except BlockingIOError:
+            pass
+        except OSError:  # hung up on, because it did not read as fast as it sent
+            plane.close()
+            self._planes[kind] = self._echo()
 
     def _leases(self) -> list[Any]:
         return [encode_request(rq.TakeLease("registers:zoom", exclusive=False, seconds=1.0)) for _ in range(40)]
@@ -139,7 +190,17 @@ def main(runtime: str) -> None:
         else:
             sys.stdin.read()
         answered = sum(flood.codes.values())
-        print(json.dumps({"rounds": rounds, "asked": flood.asked, "answered": answered, "codes": flood.codes}))
+        print(
+            json.dumps(
+                {
+                    "rounds": rounds,
+                    "asked": flood.asked,
+                    "answered": answered,
+                    "codes": flood.codes,
+                    "packets": flood.packets,
+                }
+            )
+        )
 
 
 if __name__ == "__main__":

@@ -20,7 +20,8 @@ REGISTER = "focus"
 RAN = (
     "cm_read_reg of one register through the Python client, while another process has answers that it does not read, "
     "uploads, 64 slots, 900 subscriptions, 32 leases and 207 connections, over 100 of which it asks for the status, "
-    "1024 writes, all registers and text of 64 KiB (cm/tools/bench/flooding.py); baseline: the same, alone"
+    "1024 writes, all registers and text of 64 KiB, "
+    "and repeats each kind of packet on the data socket (cm/tools/bench/flooding.py); baseline: the same, alone"
 )
 
 
