@@ -84,7 +84,7 @@ class Planned:
 
 
 class Disk(Protocol):
-    """`write` returns when a loss of power would not undo it. Raises OSError."""
+    """`write` returns when a kill would not undo it. Raises OSError."""
 
     def read(self) -> Notes: ...
     def write(self, notes: Notes) -> None: ...
@@ -173,13 +173,12 @@ class Board:
         claim = self._view.open
         if claim is None or (claim.change, claim.generation) != (step.id, step.generation):
             raise NotNow(f"the store has no change {step.id} open on {self._name}: it came too late")
-        seen = await self._manager.where()
-        if seen.place == NOTHING:
+        if self.place == NOTHING:
             raise NotNow("nothing is loaded on this board, so there would be no way back: load something first")
         plan = await self._manager.plan(step, caller)
-        part = Part(step.id, step.generation, caller, seen.place, plan.place, "prepared", plan.seconds, plan.bytes)
+        part = Part(step.id, step.generation, caller, self.place, plan.place, "prepared", plan.seconds, plan.bytes)
         await self._manager.hold(part)
-        self._write(place=seen.place, manager=seen.manager, part=part)
+        self._write(part=part)
 
     async def apply(self, step: FleetStep) -> FleetState:
         """Go to the new mode; the answer says whether the board is there. Raises NotNow, Unsettled."""
@@ -219,6 +218,15 @@ class Board:
         return self.state
 
     @property
+    def listed(self) -> bool:
+        """Whether it is in the inventory, as far as is known."""
+        return self._view.settings is not None
+
+    def elsewhere(self, place: Place) -> bool:
+        """Whether that is news: its manager says so, and nothing that is done here explains it."""
+        return self._notes.part is None and not self._going and place != self.place
+
+    @property
     def unsettled(self) -> bool:
         """Whether it has to be looked at again without being told to."""
         wanted = self._view.generation > self._notes.reached and self._follow == "fleet"
@@ -231,8 +239,10 @@ class Board:
             if claim is not None and claim.change == part.change:
                 await self._manager.hold(part)
                 return
-            await self._end(part, kept=self._view.generation == part.generation)
-        await self._notice(again)
+            seen = await self._end(part, kept=self._view.generation == part.generation)
+        else:
+            seen = await self._manager.where()
+        self._notice(seen, again)
         wanted = self._view.wanted
         if wanted is None:
             return
@@ -241,14 +251,13 @@ class Board:
         elif self._now() >= self._again:
             await self._go((wanted.config, wanted.mode), wanted.by, wanted.generation)
 
-    async def _end(self, part: Part, kept: bool) -> None:
-        """The change is decided, or its coordinator gone: stay, or let the manager undo what it did."""
+    async def _end(self, part: Part, kept: bool) -> Seen:
+        """The change is decided, or its coordinator gone: stay, or have it undone. Returns where the board is then."""
         seen = await self._manager.where()
         if kept and seen.place == part.goal and part.phase == "changed":
             await self._manager.release(part)
             self._write(place=seen.place, manager=seen.manager, part=None, reached=part.generation)
-            self.place = seen.place
-            return
+            return seen
         changes: dict[str, object] = {}  # where it is now is found out by `_notice`, which knows where it was
         if not kept and part.phase != "prepared" and self._still_ours(part, seen):
             try:
@@ -257,11 +266,12 @@ class Board:
                 raise
             except CmError as error:  # told, and from then on a board that is not where it is wanted
                 self._error = ErrorInfo(error.code, f"change {part.change} could not be undone: {error}")
-                seen = await self._manager.where()
-                reached = min(self._notes.reached, self._view.generation - 1)
-                changes = {"place": seen.place, "manager": seen.manager, "reached": reached}
+                changes = {"reached": min(self._notes.reached, self._view.generation - 1)}
+            seen = await self._manager.where()
+            changes |= {"place": seen.place, "manager": seen.manager} if changes else {}
         await self._manager.release(part)
         self._write(part=None, **changes)
+        return seen
 
     async def _back(self, part: Part, seen: Seen) -> None:
         try:
@@ -274,12 +284,12 @@ class Board:
         """Whether nobody took the board elsewhere meanwhile: its lock may have run out while the store was away."""
         return seen.place in (part.old, part.goal, NOTHING) or seen.manager != self._notes.manager
 
-    async def _notice(self, again: bool) -> None:
+    def _notice(self, seen: Seen, again: bool) -> None:
         """Find out whether somebody took the board elsewhere: that stays, until something new is wanted.
 
         After a restart of the manager nobody can tell an operator from a loss of power: what is wanted counts then.
         """
-        seen, notes, wanted = await self._manager.where(), self._notes, self._view.wanted
+        notes, wanted = self._notes, self._view.wanted
         self.place = seen.place
         reached = notes.reached
         if seen.place != notes.place and wanted is not None:

@@ -27,6 +27,7 @@ from cm.networks.fleet.store import Entry, Put, StoreAway, StoreRefused, key
 PREFIX = "cm/"  # of all our keys: others may use the same cluster
 _ONE = 2.0  # seconds for one member's answer
 _ALL = 8.0  # and for that of any
+_PACE = 200e3  # bytes a second of a large request, beyond that
 _QUIET = 15.0  # seconds without a word after which a watch asks another member
 _AGAIN = (4, 14)  # gRPC's DEADLINE_EXCEEDED, UNAVAILABLE: another member may do it
 _UNAUTHENTICATED = 16
@@ -152,12 +153,13 @@ class Etcd:
         return await asyncio.to_thread(self._asked, path, json.dumps(body).encode())
 
     def _asked(self, path: str, body: bytes) -> dict[str, Any]:
-        end, said = time.monotonic() + _ALL, ""
+        slow = len(body) / _PACE
+        end, said = time.monotonic() + _ALL + 2 * slow, ""
         while True:
             for number in range(len(self._cluster.members)):
                 place = (self._first + number) % len(self._cluster.members)
                 try:
-                    found = self._of_member(self._cluster.members[place], path, body)
+                    found = self._of_member(self._cluster.members[place], path, body, slow)
                 except (OSError, http.client.HTTPException) as error:
                     said = str(error) or type(error).__name__
                 except _Failed as error:
@@ -175,10 +177,13 @@ class Etcd:
                 raise StoreAway(f"etcd does not answer at {', '.join(self._cluster.members)}: {said}")
             time.sleep(0.1)
 
-    def _of_member(self, member: str, path: str, body: bytes) -> dict[str, Any]:
+    def _of_member(self, member: str, path: str, body: bytes, slow: float = 0.0) -> dict[str, Any]:
         headers = self._headers(member, path)
         connection = self._connection(member)
         try:
+            connection.timeout = _ONE + slow
+            if connection.sock is not None:
+                connection.sock.settimeout(_ONE + slow)
             connection.request("POST", f"/v3/{path}", body, headers)
             answer = connection.getresponse()
             data = answer.read()

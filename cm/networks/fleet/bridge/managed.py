@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
-import tempfile
 import time
 from dataclasses import asdict
 from pathlib import Path
@@ -103,11 +101,14 @@ class ManagedBoard:
 
 
 class NotesFile:
-    """A board's notes, replaced in one step and synced before anything relies on them."""
+    """A board's notes, replaced in one step; whole after a kill.
+
+    Nothing is synced: a loss of power takes what the hardware held, and what was noted of it means nothing any more.
+    """
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        self._path = folder / "notes.json"
+        self._path, self._new = folder / "notes.json", folder / ".notes.new"
 
     def read(self) -> Notes:
         """What was written last; nothing, if that is damaged or of another version."""
@@ -118,21 +119,8 @@ class NotesFile:
 
     def write(self, notes: Notes) -> None:
         """As Disk has it."""
-        handle, path = tempfile.mkstemp(prefix=".new-", dir=self._path.parent)  # mode 0600
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(packed(notes))
-                file.flush()
-                os.fsync(file.fileno())
-            Path(path).rename(self._path)
-        except BaseException:
-            Path(path).unlink(missing_ok=True)
-            raise
-        folder = os.open(self._path.parent, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        self._new.write_bytes(packed(notes))
+        self._new.replace(self._path)
 
 
 def packed(notes: Notes) -> bytes:

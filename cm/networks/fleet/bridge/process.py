@@ -37,6 +37,7 @@ from cm.wire.messages.status import ErrorInfo
 
 _LOG = logging.getLogger("cm.fleet")
 _AGAIN = 1.0  # seconds between two tries to reach a manager
+_TOGETHER = 0.05  # seconds in which what comes is looked at together: whoever changes the fleet asks anyway
 _CLOCK = 10.0  # seconds between two checks of how well the clock is set
 
 
@@ -175,7 +176,7 @@ class Bridge:
         if topic == topics.STATUS:
             self._status = message
             streams, place = wire.glance(message)
-            if place not in (None, self._board.place):
+            if place is not None and self._board.elsewhere(place):
                 self._wake.set()  # somebody has taken the board elsewhere
             publications.offer_streams(streams)
             publications.tell_status()
@@ -194,19 +195,23 @@ class Bridge:
 
     async def _follow_store(self, board: str, store: Store) -> None:
         """Look whenever something of this board changes in the store; be in its inventory first."""
-        own = Settings(self.options.labels, self.options.follow)
+        own, said = Settings(self.options.labels, self.options.follow), False
         async for _ in store.watch(f"{BOARDS}{board}/"):
             self._wake.set()
+            if said and self._board.listed:
+                continue
             with suppress(StoreAway, StoreRefused):
                 known = views(await store.get(f"{BOARDS}{board}/")).get(board)
                 listed = known is not None and known.settings is not None
                 if (self.options.joins or listed) and not (known and known.settings == own):
                     await store.join(board, packed(own))
+                said = True
 
     async def _reconcile(self, publications: Publications, commands: Commands) -> None:
         said = ""
         while True:
             await self._wake.wait()
+            await asyncio.sleep(_TOGETHER)
             self._wake.clear()
             before = self._board.state
             problem = await commands.look()

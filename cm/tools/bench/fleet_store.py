@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a store of a fleet ends: what a change of many boards asks of it, and boards that watch it.
+
+Measured: everything read, and the two transactions of a change, by number of boards; watches by their number. The rest
+is reckoned: what lies in it, and what boards read when a change is decided.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import statistics
+import time
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from cm.networks.fleet.store import (
+    BOARDS,
+    GENERATION,
+    Claim,
+    Put,
+    Settings,
+    Store,
+    Wanted,
+    key,
+    packed,
+)  # fmt: skip
+
+_PIECE = 100  # boards that are put at a time while the store is filled
+
+
+async def filled(store: Store, boards: int) -> None:
+    """The inventory of so many boards, each wanted somewhere."""
+    where = packed(Wanted(1, "camera", "edge_detection", "anna", "anna-12345678"))
+    for first in range(0, boards, _PIECE):
+        names = [f"b{number:05}" for number in range(first, min(boards, first + _PIECE))]
+        puts: dict[str, Put | None] = {key(name, "settings"): Put(packed(Settings(("line1",)))) for name in names}
+        await store.txn({}, puts)
+        await store.txn({}, {key(name, "wanted"): Put(where) for name in names})
+
+
+async def measured(store: Store, boards: int, rounds: int = 5) -> dict[str, Any]:
+    """Seconds (medians) of reading all, of opening a change of all, and of deciding it; bytes of values and keys."""
+    await filled(store, boards)
+    names = [f"b{number:05}" for number in range(boards)]
+    took: dict[str, list[float]] = {"read": [], "open": [], "decide": []}
+    found = await store.get("")
+    for number in range(rounds):
+        lease = await store.grant(600)
+        claim = Put(packed(Claim(number + 2, "anna-12345678", "anna")), lease)
+        where = packed(Wanted(number + 2, "camera", "edge_detection", "anna", "anna-12345678"))
+        puts: dict[str, Put | None] = {key(name, "claim"): claim for name in names}
+        found = await _timed(took["read"], lambda: store.get(""))
+        opened = await _timed(took["open"], lambda p=puts: store.txn({}, {GENERATION: Put("1"), **p}))  # type: ignore[misc]
+        expect = {key(name, "wanted"): found[key(name, "wanted")].revision for name in names}
+        expect |= {key(name, "claim"): opened for name in names}
+        decided = {key(name, "wanted"): Put(where) for name in names}
+        done = await _timed(took["decide"], lambda e=expect, d=decided: store.txn(e, d))  # type: ignore[misc]
+        assert done, "the transaction of a change that nobody disturbed was refused"
+        await store.revoke(lease)
+    size = sum(len(name) + len(entry.value) for name, entry in found.items())
+    return {"boards": boards, **{what: statistics.median(each) for what, each in took.items()}, "bytes": size}
+
+
+async def _timed(into: list[float], work: Callable[[], Awaitable[Any]]) -> Any:
+    begun = time.perf_counter()
+    found = await work()
+    into.append(time.perf_counter() - begun)
+    return found
+
+
+async def woken(store: Store, watches: int) -> float:
+    """Seconds from one transaction until so many watches of as many boards have told of it."""
+    seen = asyncio.Queue[None]()
+
+    async def watch(number: int) -> None:
+        async for _ in store.watch(f"{BOARDS}b{number:05}/"):
+            seen.put_nowait(None)
+
+    tasks = [asyncio.create_task(watch(number)) for number in range(watches)]
+    try:
+        for _ in tasks:  # each says something at its beginning
+            await asyncio.wait_for(seen.get(), 120.0)
+        begun = time.perf_counter()
+        for first in range(0, watches, _PIECE):
+            names = [f"b{number:05}" for number in range(first, min(watches, first + _PIECE))]
+            await store.txn({}, {key(name, "settings"): Put(packed(Settings())) for name in names})
+        for _ in tasks:
+            await asyncio.wait_for(seen.get(), 120.0)
+        return time.perf_counter() - begun
+    finally:
+        for task in tasks:
+            task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await asyncio.gather(*tasks, return_exceptions=True)
