@@ -20,14 +20,23 @@ struct cm_gpio_line;
 int cm_gpio_chip_info(const char *root, const char *name, struct gpiochip_info *info);
 
 /**
+ * cm_gpio_line_find() - the line of a chip by its name (gpio-line-names of the device tree)
+ * @offset: set to its place in the chip
+ *
+ * Errors: ENOENT where the chip has none of that name, ENOTUNIQ where it has several.
+ */
+int cm_gpio_line_find(const char *root, const char *name, const char *line, uint32_t *offset);
+
+/**
  * cm_gpio_line_open() - take line @offset of the chip dev/@name
  * @consumer: the name of its holder, as others see it
+ * @active_low: 1 is a low level, for reading and for driving
  *
  * Errors: EINVAL for an @offset that the chip does not have or a @name with a slash,
  * EBUSY where it is taken; those of cm_node_open().
  */
 struct cm_gpio_line *cm_gpio_line_open(const char *root, const char *name, uint32_t offset,
-				       const char *consumer);
+				       const char *consumer, int active_low);
 
 /* Give the line back and free; @line may be NULL.  What it drives from then on is up to its chip. */
 void cm_gpio_line_close(struct cm_gpio_line *line);

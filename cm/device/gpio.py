@@ -53,8 +53,10 @@ class GpioLine(Device):
     _shim: ClassVar[Shim] = native
 
     @classmethod
-    def open(cls, chip: str, line: int, root: AnyRoot = None) -> GpioLine:
-        """Take line `line` of a chip, by the chip's label or its name.
+    def open(cls, chip: str, line: int | str, root: AnyRoot = None, active_low: bool = False) -> GpioLine:
+        """Take line `line` of a chip, by the chip's label or its name; a line by its place or its own name.
+
+        Names of lines are those of `gpio-line-names` in the device tree. With `active_low`, 1 is a low level.
 
         Raises DeviceNotFound, DeviceBusy where another holds the line, DeviceInvalid where the chip has none of that
         number or several chips have that label, DevicePermission.
@@ -62,7 +64,9 @@ class GpioLine(Device):
         base = Root.of(root)
         name = _find(base, chip)
         path = base.join("dev", name)
-        return cls(_opened(base, name, line, f"{path} line {line}"), path)
+        what = f"{path} line {line}"
+        place = _place(base, name, line, what) if isinstance(line, str) else line
+        return cls(_opened(base, name, place, what, active_low), path)
 
     @property
     def value(self) -> int:
@@ -81,9 +85,22 @@ class GpioLine(Device):
             raise self._error(error, "drive a line of") from error
 
 
-def _opened(root: Root, name: str, line: int, what: str) -> Handle:
+def _place(root: Root, name: str, line: str, what: str) -> int:
+    """The place of a line in its chip."""
     try:
-        return native.open_line(root.prefix, name, line, CONSUMER)
+        return native.find_line(root.prefix, name, line)
+    except (OSError, ValueError) as error:
+        number = error.errno if isinstance(error, OSError) and error.errno else errno.EINVAL
+        hints = {
+            errno.ENOENT: "the chip has no line of that name; gpioinfo lists them",
+            errno.ENOTUNIQ: "the chip has several lines of that name: say the number",
+        }
+        raise device_error(number, "open", what, hints.get(number, "")) from error
+
+
+def _opened(root: Root, name: str, line: int, what: str, active_low: bool) -> Handle:
+    try:
+        return native.open_line(root.prefix, name, line, CONSUMER, active_low)
     except OverflowError as error:
         raise device_error(errno.EINVAL, "open", what, "a line's number is 0 or more") from error
     except OSError as error:

@@ -1,12 +1,25 @@
 // SPDX-License-Identifier: GPL-2.0-only
-/* Memory that a DMA device can reach: allocated here, or imported. */
+/*
+ * Memory that a DMA device can reach: allocated here, or imported.
+ *
+ * It outlives the binding of the engine's driver, and a mapping for a device
+ * without a driver is nobody's: behind an IOMMU its addresses are gone then.  So
+ * pages are allocated for a device of this module's own, which always stands,
+ * and mapped for the engine's; that mapping ends with the engine's last channel,
+ * and the pages stay for those who have them.  Memory that a device tree sets
+ * aside for a client is that client's, and is kept as pool.c says.
+ */
 #include <linux/dma-buf.h>
+#include <linux/platform_device.h>
 #include <linux/slab.h>
 
 #include "cm_compat.h"
 #include "cm_core.h"
 
 static struct workqueue_struct *releases;
+static struct platform_device *owner; /* of the pages */
+static LIST_HEAD(mapped);
+static DEFINE_MUTEX(mapped_lock); /* protects mapped, and mapped of imported buffers */
 static atomic64_t synced;
 
 static void buffer_release_work(struct work_struct *work);
@@ -21,6 +34,7 @@ static struct cm_buffer *buffer_new(struct device *dev, enum cm_buffer_kind kind
 	mutex_init(&buffer->lock);
 	spin_lock_init(&buffer->stale_lock);
 	INIT_LIST_HEAD(&buffer->attachments);
+	INIT_LIST_HEAD(&buffer->node);
 	INIT_WORK(&buffer->release, buffer_release_work);
 	buffer->dev = get_device(dev);
 	buffer->pool = cm_pool_get(dev);
@@ -47,20 +61,60 @@ static bool has_coherent_pool(struct device *dev)
 #endif
 }
 
-static int buffer_fill(struct cm_buffer *buffer)
+static void set_mapped(struct cm_buffer *buffer)
 {
-	if (buffer->kind == CM_BUFFER_COHERENT) {
-		buffer->cpu = dma_alloc_coherent(buffer->dev, buffer->length, &buffer->dma,
-						 GFP_KERNEL | __GFP_NOWARN);
-		return buffer->cpu ? 0 : -ENOMEM;
+	mutex_lock(&mapped_lock);
+	buffer->mapped = true;
+	list_add(&buffer->node, &mapped);
+	mutex_unlock(&mapped_lock);
+}
+
+/* the caches are cared for apart from the mapping, as for other devices (dmabuf.c) */
+static int fill_with_pages(struct cm_buffer *buffer)
+{
+	buffer->pages = dma_alloc_pages(&owner->dev, buffer->length, &buffer->pages_dma,
+					DMA_BIDIRECTIONAL, GFP_KERNEL | __GFP_NOWARN);
+	if (!buffer->pages)
+		return -ENOMEM;
+	/* never one, but DMA_API_DEBUG counts this as a mapping that was not checked */
+	if (dma_mapping_error(&owner->dev, buffer->pages_dma))
+		return -ENOMEM;
+	buffer->cpu = page_address(buffer->pages);
+	buffer->dma = dma_map_page_attrs(buffer->dev, buffer->pages, 0, buffer->length,
+					 DMA_BIDIRECTIONAL, DMA_ATTR_SKIP_CPU_SYNC);
+	if (dma_mapping_error(buffer->dev, buffer->dma)) {
+		dma_free_pages(&owner->dev, buffer->length, buffer->pages, buffer->pages_dma,
+			       DMA_BIDIRECTIONAL);
+		return -ENOMEM;
 	}
+	set_mapped(buffer);
+	return 0;
+}
+
+static int fill_from_pool(struct cm_buffer *buffer)
+{
 	buffer->cpu = dma_alloc_noncoherent(buffer->dev, buffer->length, &buffer->dma,
 					    DMA_BIDIRECTIONAL, GFP_KERNEL | __GFP_NOWARN);
 	if (!buffer->cpu)
 		return -ENOMEM;
-	/* never one, but DMA_API_DEBUG counts this as a mapping that was not checked */
-	if (dma_mapping_error(buffer->dev, buffer->dma))
-		return -ENOMEM;
+	buffer->mapped = true;
+	return dma_mapping_error(buffer->dev, buffer->dma) ? -ENOMEM : 0;
+}
+
+static int buffer_fill(struct cm_buffer *buffer)
+{
+	int ret;
+
+	if (buffer->kind == CM_BUFFER_COHERENT) {
+		buffer->cpu = dma_alloc_coherent(buffer->dev, buffer->length, &buffer->dma,
+						 GFP_KERNEL | __GFP_NOWARN);
+		buffer->coherent = true;
+		return buffer->cpu ? 0 : -ENOMEM;
+	}
+	ret = buffer->pool ? fill_from_pool(buffer) : fill_with_pages(buffer);
+	if (ret)
+		return ret;
+	buffer->coherent = !dma_need_sync(buffer->dev, buffer->dma);
 	/* the zeroes must not come out of the cache on top of received data */
 	dma_sync_single_for_device(buffer->dev, buffer->dma, buffer->length, DMA_BIDIRECTIONAL);
 	return 0;
@@ -124,6 +178,7 @@ static int buffer_attach(struct cm_buffer *buffer)
 		dma_buf_detach(buffer->dmabuf, buffer->attachment);
 		return PTR_ERR(buffer->table);
 	}
+	set_mapped(buffer);
 	return 0;
 }
 
@@ -161,25 +216,91 @@ struct cm_buffer *cm_buffer_import(struct device *dev, int fd, enum dma_data_dir
 }
 EXPORT_SYMBOL_CM(cm_buffer_import);
 
-static void buffer_detach(struct cm_buffer *buffer)
+static void unmap_pages(struct cm_buffer *buffer)
 {
+	mutex_lock(&buffer->lock);
+	buffer->mapped = false;
+	dma_sync_single_for_cpu(buffer->dev, buffer->dma, buffer->length, DMA_BIDIRECTIONAL);
+	dma_unmap_page_attrs(buffer->dev, buffer->dma, buffer->length, DMA_BIDIRECTIONAL,
+			     DMA_ATTR_SKIP_CPU_SYNC);
+	mutex_unlock(&buffer->lock);
+}
+
+/* nobody reads an imported buffer through us, and no request has it any more */
+static void detach(struct cm_buffer *buffer)
+{
+	buffer->mapped = false;
 	cm_unmap_attachment(buffer->attachment, buffer->table, buffer->direction);
 	dma_buf_detach(buffer->dmabuf, buffer->attachment);
-	dma_buf_put(buffer->dmabuf);
 }
+
+static void unmap_locked(struct cm_buffer *buffer)
+{
+	if (list_empty(&buffer->node))
+		return;
+	list_del_init(&buffer->node);
+	if (buffer->kind == CM_BUFFER_IMPORTED)
+		detach(buffer);
+	else
+		unmap_pages(buffer);
+}
+
+static void buffer_unmap(struct cm_buffer *buffer)
+{
+	mutex_lock(&mapped_lock);
+	unmap_locked(buffer);
+	mutex_unlock(&mapped_lock);
+}
+
+/**
+ * cm_buffers_unmap() - a device loses its driver: what is mapped for it is not any more
+ * @dev: device; no request of any channel of it is under way
+ */
+void cm_buffers_unmap(const struct device *dev)
+{
+	struct cm_buffer *buffer, *next;
+
+	mutex_lock(&mapped_lock);
+	list_for_each_entry_safe(buffer, next, &mapped, node) {
+		if (buffer->dev == dev)
+			unmap_locked(buffer);
+	}
+	mutex_unlock(&mapped_lock);
+}
+
+/**
+ * cm_buffer_table_unmap() - the same for the buffers of one file
+ * @table: of a file whose channel is gone
+ */
+void cm_buffer_table_unmap(struct cm_buffer_table *table)
+{
+	struct cm_buffer *buffer;
+	unsigned long handle;
+
+	mutex_lock(&table->lock);
+	xa_for_each(&table->buffers, handle, buffer)
+		buffer_unmap(buffer);
+	mutex_unlock(&table->lock);
+}
+EXPORT_SYMBOL_CM(cm_buffer_table_unmap);
 
 static void buffer_destroy(struct cm_buffer *buffer)
 {
+	buffer_unmap(buffer);
 	switch (buffer->kind) {
 	case CM_BUFFER_PAGES:
-		dma_free_noncoherent(buffer->dev, buffer->length, buffer->cpu, buffer->dma,
-				     DMA_BIDIRECTIONAL);
+		if (buffer->pages)
+			dma_free_pages(&owner->dev, buffer->length, buffer->pages,
+				       buffer->pages_dma, DMA_BIDIRECTIONAL);
+		else
+			dma_free_noncoherent(buffer->dev, buffer->length, buffer->cpu, buffer->dma,
+					     DMA_BIDIRECTIONAL);
 		break;
 	case CM_BUFFER_COHERENT:
 		dma_free_coherent(buffer->dev, buffer->length, buffer->cpu, buffer->dma);
 		break;
 	case CM_BUFFER_IMPORTED:
-		buffer_detach(buffer);
+		dma_buf_put(buffer->dmabuf);
 		break;
 	}
 	buffer_delete(buffer);
@@ -207,8 +328,20 @@ static void buffer_release_later(struct kref *ref)
  */
 int cm_buffers_init(void)
 {
-	releases = alloc_workqueue("cm_dma", WQ_UNBOUND, 0);
-	return releases ? 0 : -ENOMEM;
+	int ret;
+
+	owner = platform_device_register_simple("cm_dma_memory", PLATFORM_DEVID_NONE, NULL, 0);
+	if (IS_ERR(owner))
+		return PTR_ERR(owner);
+	/* what every engine reaches */
+	ret = dma_coerce_mask_and_coherent(&owner->dev, DMA_BIT_MASK(32));
+	if (!ret) {
+		releases = alloc_workqueue("cm_dma", WQ_UNBOUND, 0);
+		ret = releases ? 0 : -ENOMEM;
+	}
+	if (ret)
+		platform_device_unregister(owner);
+	return ret;
 }
 
 /**
@@ -217,6 +350,7 @@ int cm_buffers_init(void)
 void cm_buffers_exit(void)
 {
 	destroy_workqueue(releases);
+	platform_device_unregister(owner);
 }
 
 /**
@@ -259,8 +393,7 @@ void cm_buffer_put_atomic(struct cm_buffer *buffer)
  */
 bool cm_buffer_coherent(struct cm_buffer *buffer)
 {
-	return buffer->kind == CM_BUFFER_COHERENT ||
-	       (buffer->kind == CM_BUFFER_PAGES && !dma_need_sync(buffer->dev, buffer->dma));
+	return buffer->coherent;
 }
 EXPORT_SYMBOL_CM(cm_buffer_coherent);
 
@@ -306,7 +439,7 @@ void cm_buffer_begin_read(struct cm_buffer *buffer, enum dma_data_direction dire
 {
 	u64 begin, end;
 
-	if (buffer->kind != CM_BUFFER_PAGES || direction == DMA_TO_DEVICE)
+	if (buffer->kind != CM_BUFFER_PAGES || !buffer->mapped || direction == DMA_TO_DEVICE)
 		return;
 	/* a device that writes now may have written anything */
 	if (atomic_read(&buffer->in_flight)) {
@@ -333,13 +466,30 @@ u64 cm_buffers_synced(void)
 }
 
 /**
+ * cm_buffers_mapped() - how many buffers are mapped for a device now
+ *
+ * Return: their number, without those in memory of a client's own.
+ */
+u64 cm_buffers_mapped(void)
+{
+	struct cm_buffer *buffer;
+	u64 count = 0;
+
+	mutex_lock(&mapped_lock);
+	list_for_each_entry(buffer, &mapped, node)
+		count++;
+	mutex_unlock(&mapped_lock);
+	return count;
+}
+
+/**
  * cm_buffer_sync_for_cpu() - before the CPU touches an allocated buffer
  * @buffer: buffer
  * @direction: what the device did
  */
 void cm_buffer_sync_for_cpu(struct cm_buffer *buffer, enum dma_data_direction direction)
 {
-	if (buffer->kind == CM_BUFFER_PAGES)
+	if (buffer->kind == CM_BUFFER_PAGES && buffer->mapped)
 		dma_sync_single_for_cpu(buffer->dev, buffer->dma, buffer->length, direction);
 }
 EXPORT_SYMBOL_CM(cm_buffer_sync_for_cpu);
@@ -351,7 +501,7 @@ EXPORT_SYMBOL_CM(cm_buffer_sync_for_cpu);
  */
 void cm_buffer_sync_for_device(struct cm_buffer *buffer, enum dma_data_direction direction)
 {
-	if (buffer->kind == CM_BUFFER_PAGES)
+	if (buffer->kind == CM_BUFFER_PAGES && buffer->mapped)
 		dma_sync_single_for_device(buffer->dev, buffer->dma, buffer->length, direction);
 }
 EXPORT_SYMBOL_CM(cm_buffer_sync_for_device);

@@ -281,6 +281,9 @@ void cm_channel_remove(struct cm_channel *channel)
 	cm_traits_release(channel->traits);
 	dma_release_channel(channel->chan);
 	WRITE_ONCE(channel->chan, NULL);
+	/* who unbinds the engine has unbound all its clients first */
+	if (list_empty(&channel->engine->channels))
+		cm_buffers_unmap(channel->dma_dev);
 	mutex_unlock(&channel->engine->lock);
 	cancel_work_sync(&channel->settle);
 	cancel_delayed_work_sync(&channel->watch);

@@ -273,6 +273,14 @@ static long ioctl_cancel(struct cm_file *self, void __user *arg)
 	return args.flags ? -EINVAL : cm_channel_cancel(self->channel);
 }
 
+/* the channel may have gone since we looked, and what was mapped for others is unmapped */
+static long mapped_for(struct cm_file *self, long ret)
+{
+	if (!READ_ONCE(self->channel->chan))
+		cm_buffer_table_unmap(&self->table);
+	return ret;
+}
+
 static long cm_dma_ioctl(struct file *file, unsigned int command, unsigned long value)
 {
 	struct cm_file *self = file->private_data;
@@ -287,10 +295,13 @@ static long cm_dma_ioctl(struct file *file, unsigned int command, unsigned long 
 	case _IOC_NR(CM_DMA_IOC_INFO):
 		return ioctl_info(self, arg);
 	case _IOC_NR(CM_DMA_IOC_ALLOC):
-		return cm_buffer_ioctl_alloc(&self->table, self->channel->alloc_dev, arg);
+		return mapped_for(self, cm_buffer_ioctl_alloc(&self->table,
+							      self->channel->alloc_dev, arg));
 	case _IOC_NR(CM_DMA_IOC_IMPORT):
-		return cm_buffer_ioctl_import(&self->table, self->channel->dma_dev,
-					      cm_channel_direction(self->channel), arg);
+		return mapped_for(self, cm_buffer_ioctl_import(&self->table,
+							       self->channel->dma_dev,
+							       cm_channel_direction(self->channel),
+							       arg));
 	case _IOC_NR(CM_DMA_IOC_FREE):
 		return cm_buffer_ioctl_free(&self->table, arg);
 	case _IOC_NR(CM_DMA_IOC_SUBMIT):

@@ -222,6 +222,13 @@ static int synced_get(void *data, u64 *value)
 }
 DEFINE_DEBUGFS_ATTRIBUTE(synced_fops, synced_get, NULL, "%llu\n");
 
+static int mapped_get(void *data, u64 *value)
+{
+	*value = cm_buffers_mapped();
+	return 0;
+}
+DEFINE_DEBUGFS_ATTRIBUTE(mapped_fops, mapped_get, NULL, "%llu\n");
+
 /**
  * cm_nodes_init() - at the module's start
  *
@@ -240,6 +247,7 @@ int cm_nodes_init(void)
 	}
 	cm_debugfs = debugfs_create_dir("cm_dma", NULL);
 	debugfs_create_file_unsafe("synced", 0444, cm_debugfs, NULL, &synced_fops);
+	debugfs_create_file_unsafe("mapped", 0444, cm_debugfs, NULL, &mapped_fops);
 	return 0;
 }
 

@@ -271,6 +271,14 @@ static long ioctl_load(struct cm_icap_file *self, void __user *arg)
 	return ret;
 }
 
+/* the port may have gone since we looked, and what was mapped for it is unmapped */
+static long mapped_for(struct cm_icap_file *self, long ret)
+{
+	if (!READ_ONCE(self->icap->channel->chan))
+		cm_buffer_table_unmap(&self->table);
+	return ret;
+}
+
 static long cm_icap_ioctl(struct file *file, unsigned int command, unsigned long value)
 {
 	struct cm_icap_file *self = file->private_data;
@@ -285,10 +293,11 @@ static long cm_icap_ioctl(struct file *file, unsigned int command, unsigned long
 	case _IOC_NR(CM_ICAP_IOC_INFO):
 		return ioctl_info(self->icap, arg);
 	case _IOC_NR(CM_ICAP_IOC_ALLOC):
-		return cm_buffer_ioctl_alloc(&self->table, dev, arg);
+		return mapped_for(self, cm_buffer_ioctl_alloc(&self->table, dev, arg));
 	case _IOC_NR(CM_ICAP_IOC_IMPORT):
-		return cm_buffer_ioctl_import(&self->table, self->icap->channel->dma_dev,
-					      DMA_TO_DEVICE, arg);
+		return mapped_for(self, cm_buffer_ioctl_import(&self->table,
+							       self->icap->channel->dma_dev,
+							       DMA_TO_DEVICE, arg));
 	case _IOC_NR(CM_ICAP_IOC_FREE):
 		return cm_buffer_ioctl_free(&self->table, arg);
 	case _IOC_NR(CM_ICAP_IOC_LOAD):

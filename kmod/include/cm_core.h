@@ -44,16 +44,21 @@ enum cm_buffer_kind {
  * struct cm_buffer - memory that a device can reach
  * @ref: one for the handle, one for each exported dma-buf, one for each request
  * @dev: device the memory is mapped for; a reference is held
+ * @node: in the list of those that are mapped
+ * @mapped: for @dev; not any more where @dev has lost its driver
  * @pool: what keeps memory of @dev's own assigned to it, or NULL
  * @kind: where the memory comes from
  * @length: bytes
  * @cpu: kernel address; NULL for imported buffers
  * @dma: address for the device; imported buffers have a list in @table instead
+ * @coherent: the CPU sees what the device did without synchronising
+ * @pages: cached pages that are this module's and not @dev's, or NULL
+ * @pages_dma: what they are freed by
  * @in_flight: requests that use it now
  * @stale_lock: protects @stale_begin and @stale_end
  * @stale_begin: first byte that a device has written since the CPU last looked
  * @stale_end: behind the last one; equal to @stale_begin where there are none
- * @lock: protects @attachments
+ * @lock: protects @attachments, and @mapped of cached pages
  * @attachments: other devices that attached to the exported dma-buf
  * @dmabuf: imported: the buffer
  * @attachment: imported: of @dmabuf to @dev
@@ -64,16 +69,21 @@ enum cm_buffer_kind {
 struct cm_buffer {
 	struct kref ref;
 	struct device *dev;
+	struct list_head node;
+	bool mapped;
 	struct cm_pool *pool;
 	enum cm_buffer_kind kind;
 	size_t length;
 	void *cpu;
 	dma_addr_t dma;
+	bool coherent;
+	struct page *pages;
+	dma_addr_t pages_dma;
 	atomic_t in_flight;
 	spinlock_t stale_lock; /* protects stale_begin and stale_end */
 	u64 stale_begin;
 	u64 stale_end;
-	struct mutex lock; /* protects attachments */
+	struct mutex lock; /* protects attachments, and mapped */
 	struct list_head attachments;
 	struct dma_buf *dmabuf;
 	struct dma_buf_attachment *attachment;
@@ -88,6 +98,7 @@ void cm_pool_put(struct cm_pool *pool);
 
 int cm_buffers_init(void);
 void cm_buffers_exit(void);
+void cm_buffers_unmap(const struct device *dev);
 struct cm_buffer *cm_buffer_alloc(struct device *dev, u64 length);
 struct cm_buffer *cm_buffer_alloc_coherent(struct device *dev, u64 length);
 struct cm_buffer *cm_buffer_import(struct device *dev, int fd, enum dma_data_direction direction);
@@ -100,6 +111,7 @@ bool cm_buffer_coherent(struct cm_buffer *buffer);
 void cm_buffer_written(struct cm_buffer *buffer, u64 offset, u64 length);
 void cm_buffer_begin_read(struct cm_buffer *buffer, enum dma_data_direction direction);
 u64 cm_buffers_synced(void);
+u64 cm_buffers_mapped(void);
 void cm_buffer_sync_for_cpu(struct cm_buffer *buffer, enum dma_data_direction direction);
 void cm_buffer_sync_for_device(struct cm_buffer *buffer, enum dma_data_direction direction);
 struct dma_buf *cm_buffer_export(struct cm_buffer *buffer);
@@ -116,6 +128,7 @@ struct cm_buffer_table {
 
 void cm_buffer_table_init(struct cm_buffer_table *table);
 void cm_buffer_table_destroy(struct cm_buffer_table *table);
+void cm_buffer_table_unmap(struct cm_buffer_table *table);
 struct cm_buffer *cm_buffer_table_get(struct cm_buffer_table *table, u32 handle);
 long cm_buffer_ioctl_alloc(struct cm_buffer_table *table, struct device *dev, void __user *arg);
 long cm_buffer_ioctl_import(struct cm_buffer_table *table, struct device *dev,

@@ -28,9 +28,16 @@ def _text(field: Handle) -> str:
     return bytes(ffi.string(field)).decode("utf-8", "replace")
 
 
-def open_line(root: str, name: str, offset: int, consumer: str) -> Handle:
+def find_line(root: str, name: str, line: str) -> int:
+    """The place in chip /dev/``name`` of the line with a name; ENOENT for none, ENOTUNIQ for several."""
+    offset = ffi.new("uint32_t *")
+    check(lib.cm_gpio_line_find(encode(root), encode(name), encode(line), offset))
+    return int(offset[0])
+
+
+def open_line(root: str, name: str, offset: int, consumer: str, active_low: bool = False) -> Handle:
     """Take line ``offset`` of the chip /dev/``name``, as it is."""
-    pointer = lib.cm_gpio_line_open(encode(root), encode(name), offset, encode(consumer))
+    pointer = lib.cm_gpio_line_open(encode(root), encode(name), offset, encode(consumer), active_low)
     return owned(pointer, lib.cm_gpio_line_close, f"{root}/dev/{name}")
 
 

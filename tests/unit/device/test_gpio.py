@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from fake_node import FakeNode, Reply
+from fake_node import FakeNode, Handler, Reply
 
 from cm.device import (
     DeviceBusy,
@@ -143,6 +143,49 @@ def test_an_answer_without_a_line_is_refused(tmp_path: Path) -> None:
     with FakeNode(tmp_path, "dev/gpiochip0", forget), pytest.raises(DeviceError) as caught:
         GpioLine.open("gpiochip0", 3, tmp_path)
     assert caught.value.errno == errno.EPROTO
+
+
+def chip_with_names(names: list[str], taken: list[tuple[int, int]]) -> Handler:
+    """A chip whose lines have names, as the device tree gives them; notes place and flags of what is asked for."""
+
+    def answer(op: int, payload: bytes, fds: list[int], events: object) -> Reply:
+        if op & 0xFF == 0x01:
+            return 0, struct.pack("<32s32sI", b"gpiochip0", b"chip", len(names)), []
+        if op & 0xFF == 0x05:
+            (place,) = struct.unpack_from("<I", payload, 64)
+            return 0, names[place].encode().ljust(32, b"\0") + payload[32:], []
+        (place,), (flags,) = struct.unpack_from("<I", payload), struct.unpack_from("<Q", payload, 288)
+        taken.append((place, flags))
+        return errno.EBUSY, b"", []
+
+    return answer
+
+
+def test_a_line_is_found_by_its_name_and_may_be_active_low(tmp_path: Path) -> None:
+    taken: list[tuple[int, int]] = []
+    with FakeNode(tmp_path, "dev/gpiochip0", chip_with_names(["", "prr0-cut", "prr1-cut"], taken)):
+        for name, low in (("prr1-cut", False), ("prr0-cut", True)):
+            with pytest.raises(DeviceBusy, match=f"line {name}"):
+                GpioLine.open("gpiochip0", name, tmp_path, active_low=low)
+    assert taken == [(2, 0), (1, 2)]
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "words"),
+    [
+        ("prr7-cut", DeviceNotFound, "no line of that name"),
+        ("twice", DeviceError, "several lines"),
+        ("", DeviceNotFound, "no line"),
+    ],
+)
+def test_a_name_that_no_line_or_several_have_is_refused(
+    tmp_path: Path, name: str, kind: type[DeviceError], words: str
+) -> None:
+    with (
+        FakeNode(tmp_path, "dev/gpiochip0", chip_with_names(["", "twice", "twice"], [])),
+        pytest.raises(kind, match=words),
+    ):
+        GpioLine.open("gpiochip0", name, tmp_path)
 
 
 def test_two_chips_of_one_label_have_to_be_distinguished_by_name(tmp_path: Path) -> None:

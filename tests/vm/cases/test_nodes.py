@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import struct
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,6 +21,19 @@ from cm.formats import fdt
 pytestmark = pytest.mark.needs("overlay", "uio_genirq", "plsim")
 NAME = "nodes-test"
 PLATFORM = Path("/sys/bus/platform/devices")
+NOBODY = 0x0B000000  # between two devices of QEMU's virt machine: an external abort
+READ_NOBODY = f"""
+import errno
+from cm import device
+with device.Uio.open({NOBODY}) as nobody, device.Uio.open(0x58005000) as flat:
+    for access in (lambda: nobody.read(0), lambda: nobody.read_block(16, 8)):
+        try:
+            access()
+        except device.DeviceError as error:
+            print(errno.errorcode[error.errno])
+    flat.write(0, 5)
+    print(flat.read(0))
+"""
 FLAT, BELOW = 0x58005000, 0x58006000  # in the memory that the tree sets aside for windows
 
 
@@ -67,6 +82,14 @@ def test_a_node_below_a_bus_that_the_overlay_brings_gets_no_device(overlays: dev
     overlays.apply(NAME, fdt.pack(fdt.overlay("/", content)))
     assert (PLATFORM / "a-bus-of-its-own").exists()
     assert not (PLATFORM / f"{BELOW:x}.below").exists()
+
+
+def test_a_register_that_nobody_answers_for_is_an_error_and_not_the_end(overlays: device.Overlays) -> None:
+    """In a process of its own: before, SIGBUS ended it."""
+    content = fdt.FdtNode("", {}, [window("nobody", NOBODY), window("flat", FLAT)])
+    overlays.apply(NAME, fdt.pack(fdt.overlay("/", content)))
+    done = subprocess.run([sys.executable, "-c", READ_NOBODY], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout.split()) == (0, ["EIO", "EIO", "5"]), done.stderr
 
 
 def test_a_region_has_the_name_that_the_binding_allows() -> None:

@@ -135,6 +135,23 @@ def test_a_port_asks_the_engine_that_is_there_now(tmp_path: Path) -> None:
             assert load_ends(tmp_path) == -errno.EILSEQ
 
 
+def test_what_was_mapped_for_an_engine_is_not_when_it_has_no_driver_and_the_pages_stay() -> None:
+    mapped = Path("/sys/kernel/debug/cm_dma/mapped")
+    with plsim.nothing(), plsim.board({"camera": {}}, {}) as engine, device.AxiDma.open("camera") as channel:
+        before = int(mapped.read_text())
+        with channel.allocate(8192) as buffer, channel.allocate(4096) as other:
+            assert int(mapped.read_text()) == before + 2
+            words = buffer.array().view(np.uint32)
+            words[:] = 7
+            with unbound("cm_plsim_dma", engine.name):
+                assert int(mapped.read_text()) == 0
+                assert (words == 7).all()
+                assert other.length == 4096
+                words[:] = 8
+            assert (words == 8).all()
+        until(lambda: "camera" in device.list_dma())
+
+
 @pytest.fixture
 def pool() -> Iterator[str]:
     """A channel with 16 MB of its own for buffers; gives the name of its device."""
