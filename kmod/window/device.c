@@ -116,7 +116,8 @@ static int add_window(struct cm_window_device *self, struct resource *range)
 		config.refusal = -EPERM;
 	window = cm_window_register(&config);
 	if (IS_ERR(window))
-		return dev_err_probe(self->dev, PTR_ERR(window), "%pR is another window's\n", range);
+		return dev_err_probe(self->dev, PTR_ERR(window), "%pR is another window's\n",
+				     range);
 	map->memtype = UIO_MEM_PHYS;
 	map->addr = range->start & PAGE_MASK;
 	map->offs = range->start & ~PAGE_MASK;
