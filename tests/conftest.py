@@ -28,6 +28,10 @@ settings.load_profile("cm")
 # Nor must simulators that get no processor time; tests of silent ones set their own limit (seconds).
 os.environ.setdefault("CM_SIM_TIMEOUT", "60")
 
+# Tests start many processes: byte code is kept for them, elsewhere where none is wanted beside the sources.
+if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):
+    os.environ.setdefault("PYTHONPYCACHEPREFIX", str(Path(__file__).parents[1] / "build/pycache"))
+
 # `make -j4 test` and `make -C folder test` set variables for sub-makes; those that tests run are not sub-makes.
 for _name in ("MAKEFLAGS", "MAKELEVEL", "MFLAGS"):
     os.environ.pop(_name, None)
@@ -35,7 +39,7 @@ for _name in ("MAKEFLAGS", "MAKELEVEL", "MFLAGS"):
 
 # What `make test` leaves to further targets, as README's packages do not suffice: the tests in folders of these names,
 # and those with a marker (pyproject.toml says what each needs).
-SUITES = ("design", "networks", "web", "programs", "release", "open", "elsewhere")
+SUITES = ("design", "networks", "web", "programs", "release", "open", "soak", "elsewhere")
 OF_ALL = re.compile(rf"^pytestmark = \[?\s*pytest\.mark\.({'|'.join(SUITES)})\b", re.MULTILINE)
 HERE = Path(__file__).parent
 
