@@ -14,7 +14,7 @@ COMMA := ,
 CORES := $(shell nproc)
 JOBS ?= $(shell echo $$((2 * $(CORES))))
 # The suites for which README's packages do not suffice: their tests have a marker, which `make test` leaves out.
-FURTHER := design networks web programs release
+FURTHER := design networks web programs release soak
 SUITES ?= tests/unit tests/fuzz tests/release tests/integration tests/device tests/soak tests/vm
 OUT ?= demo
 IMAGES ?=
@@ -68,7 +68,7 @@ demo: $(STAMP) ## the camera demonstration on a simulated board; writes demo/con
 demo-ros: $(VENV)/.installed-demo-ros ## a simulated board as a ROS 2 node, seen by rclpy where ROS 2 is sourced, elsewhere by zenoh_ros2_sdk (OUT=DIR)
 	@$(BIN)/python ros2/demo.py --out $(if $(filter demo,$(OUT)),demo-ros,$(OUT))
 
-test-ros: $(STAMP) ## cm_ros2 against a real ROS 2: ROS=FOLDER with its setup.bash, or Jazzy's wheels from PyPI (x86-64; needs cmake, g++)
+test-ros: $(VENV)/.installed-test ## cm_ros2 against a real ROS 2: ROS=FOLDER with its setup.bash, or Jazzy's wheels from PyPI (x86-64; needs cmake, g++)
 	@ros2/test.sh $(abspath $(BIN))/python $(ROS)
 
 demo-open: $(VENV)/.installed-build ## Verilog to partial bitstreams without a vendor's tool, and the modules run from their bits (OUT=DIR; fetches some 50 MB; needs verilator)
@@ -90,6 +90,7 @@ test-networks: ### those of zenoh and ROS 2 (apt: python3-rosidl)
 test-web: ### those of the page (apt: chromium)
 test-programs: ### those of C clients, shells, terminals, notebooks and type checkers (apt: the lines of .ci/run; some as root)
 test-release: ### those of packages, wheels and the layer
+test-soak: ### loads and attacks, in short (make soak: in long)
 test-programs: $(LINT_STAMP)
 $(FURTHER:%=test-%): test-%: $(VENV)/.installed-test-%
 	$(RUN_TESTS) $(SUITES) --board=sim --suite=$* $(PYTEST_ARGS)

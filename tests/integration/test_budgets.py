@@ -20,6 +20,8 @@ from cm.wire.encode import decode_reply, encode_request
 from cm.wire.messages import requests as rq
 from cm.wire.messages.status import Reply
 
+pytestmark = pytest.mark.soak
+
 MIB = 1 << 20
 DESCRIBED = ", ".join(f"r{i}: {{offset: {0x100 + 4 * i:#x}, doc: {'register ' * 100}}}" for i in range(7))
 SCHEMA = f"""

@@ -31,6 +31,8 @@ from cm.wire.plane_packets import Open, encode_open
 # Opens many connections to the data socket, says nothing, and reports when all but a few have been closed.
 CONNECTS = """
 import socket, sys
+
+pytestmark = pytest.mark.soak
 made = []
 for _ in range(int(sys.argv[2])):
     made.append(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET))

@@ -126,6 +126,8 @@ def test_no_turn_of_the_loop_does_more_than_a_slice_of_one_request(
 # Sends requests over each of its connections when told to, and reads all answers.
 HOSTILE = """
 import sys, zmq
+
+pytestmark = pytest.mark.soak
 folder, connections, each = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
 context = zmq.Context()
 context.set(zmq.MAX_SOCKETS, 4096)

@@ -30,6 +30,8 @@ BESIDE = 64  # MiB
 BEHAVES_WELL = """
 import json, select, sys, time
 import cm
+
+pytestmark = pytest.mark.soak
 slowest, asked = 0.0, 0
 with cm.connect(runtime_dir=sys.argv[1], timeout=60) as board:
     print("begun", flush=True)

@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+import pytest
 from manager_process import Manager
 from plane_readers import FRAMES, KILLS
 from plane_stress import HUNG, stress
 
 from cm.simulation.software import Board as SimBoard
+
+pytestmark = pytest.mark.soak
 
 
 def test_killed_readers_stall_nobody_leave_nothing_and_see_no_torn_frame(shared: tuple[Manager, SimBoard]) -> None:

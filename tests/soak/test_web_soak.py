@@ -9,6 +9,7 @@ from web_leaks import changed, held
 from web_support import chromium, page_of, watch, web_server
 
 
+@pytest.mark.elsewhere  # in short it is part of test_web_page.py
 @pytest.mark.timeout(3600)
 def test_a_page_grows_by_nothing_while_the_mode_changes(changes: int) -> None:
     count = min(changes // 10, 1000)
