@@ -68,7 +68,7 @@ demo: $(STAMP) ## the camera demonstration on a simulated board; writes demo/con
 demo-ros: $(VENV)/.installed-demo-ros ## a simulated board as a ROS 2 node, seen by rclpy where ROS 2 is sourced, elsewhere by zenoh_ros2_sdk (OUT=DIR)
 	@$(BIN)/python ros2/demo.py --out $(if $(filter demo,$(OUT)),demo-ros,$(OUT))
 
-test-ros: $(VENV)/.installed-test ## cm_ros2 against a real ROS 2: ROS=FOLDER with its setup.bash, or Jazzy's wheels from PyPI (x86-64; needs cmake, g++)
+test-ros: $(STAMP) ## cm_ros2 against a real ROS 2: ROS=FOLDER with its setup.bash, or Jazzy's wheels from PyPI (x86-64; needs cmake, g++)
 	@ros2/test.sh $(abspath $(BIN))/python $(ROS)
 
 demo-open: $(VENV)/.installed-build ## Verilog to partial bitstreams without a vendor's tool, and the modules run from their bits (OUT=DIR; fetches some 50 MB; needs verilator)
