@@ -21,6 +21,7 @@ from cm.client.core.effects import DEFAULT, Flow, Limit, at_least, later, second
 from cm.client.core.events import StatusEvents
 from cm.client.core.leases import HeldLeases
 from cm.client.core.values import mode_name
+from cm.client.errors import RequestFailed
 from cm.client.events import EventStream
 from cm.client.guard import Guarded
 from cm.client.interrupts import Interrupts
@@ -251,7 +252,7 @@ class Board(Guarded):
     def provision(self, schema: str | os.PathLike[str], *files: str | os.PathLike[str], lease: str = "") -> ConfigInfo:
         """Send a schema file with the bitstreams and overlays that belong to it; it can then be loaded."""
         call = self.run(uploads.provision(Path(schema), tuple(map(Path, files)), lease))
-        return self.ask(call, timeout=at_least(self.timeout, 60.0))
+        return self._ask_with_uploads(call, at_least(self.timeout, 60.0))
 
     def lease(
         self, scope: str = "board", *, exclusive: bool = True, seconds: float = 30.0, holder: str = ""
@@ -332,10 +333,17 @@ class Board(Guarded):
 
         return self.run(reading_next(stream, timeout, self.timeout))
 
+    def _ask_with_uploads(self, call: Call[_T], timeout: Limit) -> _T:
+        try:
+            return self.ask(call, timeout)
+        except RequestFailed:
+            self.run(uploads.discarding(call))
+            raise
+
     def write(self, stream: str, data: Any, lease: str = "") -> FrameInfo:
         """Send an array or bytes to the hardware; returns when the hardware has taken them."""
         call = self.run(uploads.write_data(stream, data, lease))
-        return self.ask(call, timeout=later(self.timeout, 5.0))
+        return self._ask_with_uploads(call, later(self.timeout, 5.0))
 
     def allocate(
         self, shape: int | Sequence[int], dtype: npt.DTypeLike = "uint8", timeout: Limit = DEFAULT

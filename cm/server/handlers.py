@@ -120,7 +120,7 @@ class Handlers:
         try:
             request = self._s.sessions.gate.admit(connection, request, self._s.sessions.scene)
             if kind in _UPLOADED:
-                request = self._s.uploads.filled_in(self._s.clients.of(connection), request)
+                request, respond = self._s.uploads.filled_in(self._s.clients.of(connection), request, respond)
         except CmError as error:
             respond(refusal(error))
             return

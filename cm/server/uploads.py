@@ -13,9 +13,10 @@ from typing import ClassVar
 
 from cm.errors import Busy, CmError, InvalidRequest, NotFound
 from cm.server.limits import Limits
+from cm.server.replies import Respond
 from cm.server.shares.clients import Client
 from cm.wire.messages import requests as rq
-from cm.wire.messages.status import UploadInfo
+from cm.wire.messages.status import Reply, UploadInfo
 
 IDLE = 60.0  # seconds after which one is forgotten whose next part, or use, does not come
 LEFT = 5.0  # the same, of a process that has ended
@@ -120,16 +121,30 @@ class Uploads:
         if part.offset + len(part.data) > part.length:
             raise InvalidRequest(f"upload {part.id!r}: {len(part.data)} bytes at {part.offset} of {part.length}")
 
-    def filled_in(self, client: Client, request: rq.Request) -> rq.Request:
-        """A request with the bytes that were uploaded for it, which then belong to it. Raises UnknownUpload."""
-        if isinstance(request, rq.WriteData) and request.upload:
-            return replace(request, data=self._use(client, request.upload), upload="")
-        if isinstance(request, rq.Provision) and any(file.upload for file in request.files):
-            files = [replace(f, data=self._use(client, f.upload), upload="") if f.upload else f for f in request.files]
-            return replace(request, files=tuple(files))
-        return request
+    def filled_in(self, client: Client, request: rq.Request, respond: Respond) -> tuple[rq.Request, Respond]:
+        """A request with the bytes that were uploaded for it, and a respond that uses them up once it is accepted.
 
-    def _use(self, client: Client, name: str) -> memoryview:
+        A request that is refused can be made again with them. Raises UnknownUpload.
+        """
+        if isinstance(request, rq.WriteData) and request.upload:
+            names = [request.upload]
+            filled: rq.Request = replace(request, data=self._view(client, request.upload), upload="")
+        elif isinstance(request, rq.Provision) and any(file.upload for file in request.files):
+            names = [f.upload for f in request.files if f.upload]
+            files = [replace(f, data=self._view(client, f.upload), upload="") if f.upload else f for f in request.files]
+            filled = replace(request, files=tuple(files))
+        else:
+            return request, respond
+
+        def answered(reply: Reply) -> None:
+            if reply.error is None:
+                for name in names:
+                    self._drop((client.name, name))
+            respond(reply)
+
+        return filled, answered
+
+    def _view(self, client: Client, name: str) -> memoryview:
         found = self._there.get((client.name, name))
         if found is None or found[0].got != found[0].length:
             got = f"{found[0].got} of {found[0].length} bytes are there" if found else "there is no upload of that name"
@@ -138,8 +153,6 @@ class Uploads:
             return found[0].view()
         except OSError as error:
             raise UploadFailed(f"upload {name!r}: {error.strerror}") from error
-        finally:
-            self._drop((client.name, name))
 
     def forget_old(self) -> None:
         """Forget uploads whose next part, or use, does not come."""

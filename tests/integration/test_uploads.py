@@ -73,14 +73,23 @@ def test_a_frame_longer_than_a_message_is_written(manager: Manager) -> None:
         assert all(client.upload_bytes == 0 for client in board.clients())
 
 
-def test_parts_come_in_their_order_and_are_used_once(manager: Manager, context: zmq.Context[Any]) -> None:
+def test_parts_come_in_their_order(manager: Manager, context: zmq.Context[Any]) -> None:
     data = bytes(range(256)) * 16
     first, second = rq.Upload("a", 4096, 0, data[:1000]), rq.Upload("a", 4096, 1000, data[1000:])
-    replies = ask(context, manager, first, rq.Upload("a", 4096, 500, b"x"), second, rq.WriteData("to_pl", upload="a"))
+    replies = ask(context, manager, first, rq.Upload("a", 4096, 500, b"x"), second, rq.Upload("a", 0, discard=True))
     assert [reply.body for reply in replies[:3]] == [UploadInfo("a", 4096, 1000), None, UploadInfo("a", 4096, 4096)]
     assert code(replies[1]) == "invalid_request"
-    (again,) = ask(context, manager, rq.WriteData("to_pl", upload="a"))
-    assert code(again) == "unknown_upload"
+
+
+def test_an_upload_is_used_up_by_the_request_that_is_accepted(manager: Manager, context: zmq.Context[Any]) -> None:
+    def sent(schema: str) -> rq.Provision:
+        return rq.Provision(schema, (rq.File("fir.bin", b"", hashlib.sha256(data).hexdigest(), "p"),))
+
+    data = bytes(range(256)) * 16
+    upload = rq.Upload("p", 4096, 0, data)
+    good, wrong = sent(SCHEMA.replace("sent", "parts")), sent("config: [")
+    replies = ask(context, manager, upload, wrong, good, good)
+    assert [code(reply) for reply in replies] == ["", "schema_invalid", "", "unknown_upload"]
 
 
 def test_incomplete_uploads_are_not_used(manager: Manager, context: zmq.Context[Any]) -> None:

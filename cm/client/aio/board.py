@@ -32,6 +32,7 @@ from cm.client.core.events import StatusEvents
 from cm.client.core.leases import HeldLeases
 from cm.client.core.remote_stream import Wanted, check_compression
 from cm.client.core.values import mode_name
+from cm.client.errors import RequestFailed
 from cm.client.frame import Frame
 from cm.client.guard import Guarded
 from cm.client.progress import OnProgress, Shown
@@ -230,7 +231,7 @@ class Board(Guarded):
     ) -> ConfigInfo:
         """Send a schema file with the bitstreams and overlays that belong to it; it can then be loaded."""
         call = await self.run(uploads.provision(Path(schema), tuple(map(Path, files)), lease))
-        return await self.ask(call, timeout=at_least(self.timeout, 60.0))
+        return await self._ask_with_uploads(call, at_least(self.timeout, 60.0))
 
     def lease(
         self, scope: str = "board", *, exclusive: bool = True, seconds: float = 30.0, holder: str = ""
@@ -296,10 +297,17 @@ class Board(Guarded):
 
         return await self.run(reading_next(stream, timeout, self.timeout))
 
+    async def _ask_with_uploads(self, call: Call[_T], timeout: Limit) -> _T:
+        try:
+            return await self.ask(call, timeout)
+        except RequestFailed:
+            await self.run(uploads.discarding(call))
+            raise
+
     async def write(self, stream: str, data: Any, lease: str = "") -> FrameInfo:
         """Send an array or bytes to the hardware; returns when the hardware has taken them."""
         call = await self.run(uploads.write_data(stream, data, lease))
-        return await self.ask(call, timeout=later(self.timeout, 5.0))
+        return await self._ask_with_uploads(call, later(self.timeout, 5.0))
 
     async def allocate(
         self, shape: int | Sequence[int], dtype: npt.DTypeLike = "uint8", timeout: Limit = DEFAULT

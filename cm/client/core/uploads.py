@@ -43,6 +43,17 @@ def write_data(stream: str, data: Any, lease: str) -> Flow[Call[FrameInfo]]:
     return replace(call, request=replace(request, data=b"", upload=name)) if name else call
 
 
+def discarding(call: Call[Any]) -> Flow[None]:
+    """Have the manager forget what was sent for a call that it has refused: it would keep it for another try."""
+    request = call.request
+    if isinstance(request, rq.Provision):
+        names = [file.upload for file in request.files]
+    else:
+        names = [request.upload] if isinstance(request, rq.WriteData) else []
+    for name in filter(None, names):
+        yield calls.upload(rq.Upload(name, discard=True))
+
+
 def upload(data: bytes | memoryview) -> Flow[str]:
     """Send bytes in parts; returns the upload's name, or "" if the manager is too old to support parts."""
     name, view = os.urandom(8).hex(), memoryview(data)

@@ -7,6 +7,7 @@ import difflib
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
+from cm.errors import InvalidRequest
 from cm.manager.errors import AccessDenied, OutOfRange, UnknownRegister
 from cm.manager.state.board_state import LockedRegions, ManagerState
 from cm.manager.state.table import BoardState, RegionPhase
@@ -72,7 +73,7 @@ def checked_write(
     if field is not None:
         limit = (1 << field.width) - 1
         if write.mask is not None:
-            raise OutOfRange(f"{write.name!r} is a field: give a value or a mask, not both")
+            raise InvalidRequest(f"{write.name!r} is a field: give a value or a mask, not both")
         in_range(write.name, write.value, 0, limit)
         return register, write.value << field.lsb, field.mask
     in_range(write.name, write.value, 0, full)

@@ -21,7 +21,10 @@ from cm.wire.messages.status import ClockStatus, PlanInfo, PlanStep
 
 
 def target(request: ChangeMode, configs: Mapping[str, Config], loaded: str | None) -> tuple[Config, str]:
-    """Where a request goes. Raises UnknownConfig, UnknownMode, NothingLoaded with what there is."""
+    """Where a request goes. Raises UnknownConfig, UnknownMode, NothingLoaded with what there is.
+
+    That a word may also name a module is the convenience of the paper's plain text, and of nothing else.
+    """
     if request.name_or_mode:
         return _word(request.name_or_mode, configs, loaded)
     if request.config_name:
@@ -30,7 +33,15 @@ def target(request: ChangeMode, configs: Mapping[str, Config], loaded: str | Non
         config = configs[loaded]
     else:
         raise NothingLoaded(f"nothing is loaded: name a configuration ({listed(configs)})")
-    return config, mode_named(config, request.mode) if request.mode else config.first_mode()
+    if not request.mode:
+        return config, config.first_mode()
+    if request.mode not in config.modes:
+        alone = [
+            f"; mode {m.name!r} has that module alone" for m in config.modes.values() if m.modules == (request.mode,)
+        ]
+        known = "".join(alone) or hint(request.mode, config.modes)
+        raise UnknownMode(f"configuration {config.name!r} has no mode {request.mode!r}{known}")
+    return config, request.mode
 
 
 def config_named(name: str, configs: Mapping[str, Config]) -> Config:
