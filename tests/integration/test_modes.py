@@ -142,8 +142,11 @@ def test_interrupts_arrive_while_another_client_holds_the_board(board: cm.Board,
 
 
 def test_an_interrupt_that_does_not_come_times_out(board: cm.Board) -> None:
+    done = board.interrupts["loop_done"]
+    if done.count:
+        done.wait(timeout=60)  # of another test's frame: what came before this wait is over
     with pytest.raises(Timeout):
-        board.interrupts["loop_done"].wait(timeout=0.2)
+        done.wait(timeout=0.2)
 
 
 def test_a_plan_says_what_would_be_loaded_and_touches_nothing(board: cm.Board) -> None:
