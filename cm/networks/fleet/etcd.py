@@ -87,6 +87,7 @@ class Etcd:
         self._cluster = cluster
         self._tls = _tls(cluster)
         self._idle: list[tuple[str, http.client.HTTPConnection]] = []
+        self._lock = threading.Lock()  # of what is idle: requests run in several threads
         self._first = 0  # the member that answered last
         self._token = ""
         self._over = threading.Event()
@@ -203,9 +204,9 @@ class Etcd:
 
     def _connection(self, member: str) -> http.client.HTTPConnection:
         """One that is idle, or a new one: a request on one that has been closed meanwhile is repeated on another."""
-        for number, (whose, connection) in enumerate(self._idle):
-            if whose == member:
-                with contextlib.suppress(IndexError):
+        with self._lock:
+            for number, (whose, connection) in enumerate(self._idle):
+                if whose == member:
                     del self._idle[number]
                     return connection
         return self.connected(member, _ONE)

@@ -9,11 +9,15 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import shutil
 import statistics
 import time
 from collections.abc import Awaitable, Callable
+from pathlib import Path
 from typing import Any
 
+from cm.networks.fleet.etcd import Cluster, Etcd
+from cm.networks.fleet.keeper import Ledger
 from cm.networks.fleet.store import (
     BOARDS,
     GENERATION,
@@ -26,6 +30,8 @@ from cm.networks.fleet.store import (
     packed,
 )  # fmt: skip
 
+SIZES = (10, 50, 1_000, 10_000)
+_LARGE = ("--max-txn-ops=50000", "--max-request-bytes=33554432")  # what etcd needs for a change of so many
 _PIECE = 100  # boards that are put at a time while the store is filled
 
 
@@ -93,3 +99,35 @@ async def woken(store: Store, watches: int) -> float:
             task.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await asyncio.gather(*tasks, return_exceptions=True)
+
+
+def rows(folder: Path, sizes: tuple[int, ...] = SIZES) -> list[dict[str, Any]]:
+    """Both stores for each number of boards, on this disk and without a network; etcd if it is installed."""
+    from cm.tools.demo.boards import local_etcd
+
+    found = [{"store": "keeper", **asyncio.run(measured(_Ledger(folder / f"{n}.sqlite"), n))} for n in sizes]
+    for n in sizes if shutil.which("etcd") else ():
+        with local_etcd(folder / f"etcd{n}", _LARGE) as url:
+            found.append({"store": "etcd", **asyncio.run(_of_etcd(url, n))})
+    return found
+
+
+async def _of_etcd(url: str, boards: int) -> dict[str, Any]:
+    store = Etcd(Cluster((url,)))
+    try:
+        return await measured(store, boards)
+    finally:
+        await store.close()
+
+
+class _Ledger:
+    """The keeper's file, without the network before it."""
+
+    def __init__(self, path: Path) -> None:
+        self._ledger = Ledger(path, lambda _: None)
+
+    def __getattr__(self, name: str) -> Any:
+        async def call(*arguments: Any) -> Any:
+            return getattr(self._ledger, name)(*arguments)
+
+        return call

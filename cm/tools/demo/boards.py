@@ -80,13 +80,14 @@ def ended(process: subprocess.Popen[bytes] | None, number: int = signal.SIGTERM)
 
 
 @contextlib.contextmanager
-def local_etcd(folder: Path) -> Iterator[str]:
+def local_etcd(folder: Path, options: Iterable[str] = ()) -> Iterator[str]:
     """One member of etcd on this machine; its URL. Raises FleetFailed."""
     port = free_ports(2)
     client, peer = f"http://127.0.0.1:{port}", f"http://127.0.0.1:{port + 1}"
     command = (
         "etcd", "--data-dir", str(folder), "--listen-client-urls", client, "--advertise-client-urls", client,
         "--listen-peer-urls", peer, "--initial-advertise-peer-urls", peer, "--initial-cluster", f"default={peer}",
+        *options,
     )  # fmt: skip
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, start_new_session=True)
     try:

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from cm.tools.bench import fleet_model
+from cm.tools.bench import fleet_model, fleet_store
 from cm.tools.bench.machine import unpinned
 from cm.tools.bench.result import Goal, Result, unavailable
 from cm.tools.bench.run import Run
@@ -40,7 +40,7 @@ def run(bench: Run) -> list[Result]:
     count = 3 if bench.quick else BOARDS
     with unpinned(set(bench.cpus) or {0}), _fleet(bench, count) as (local, fleet):
         found = [_discovery(local, bench, count), _status(local, fleet, bench, count), _change(fleet, bench, count)]
-    return [*found, _model(found, count)]
+    return [*found, _model(found, count, bench)]
 
 
 def _result(name: str, value: float, unit: str, count: int, goal: Goal | None, details: dict[str, Any]) -> Result:
@@ -148,9 +148,12 @@ def _change(fleet: Any, bench: Run, count: int) -> Result:
     return _result("fleet_change", seconds * 1000, "ms", count, None, details)
 
 
-def _model(found: list[Result], count: int) -> Result:
+def _model(found: list[Result], count: int, bench: Run) -> Result:
     discovery, status, change = (result.details for result in found)
     measured = fleet_model.Measured.of(count, found[0].value or 0.0, found[1].value or 0.0, status, change)
     rows = [fleet_model.reckoned(measured, boards) for boards in fleet_model.SIZES]
     alone = measured.statuses_of_a_cpu
-    return _result("fleet_model", alone, "boards", count, None, {"rows": rows, "discovery": dict(discovery)})
+    stores = fleet_store.rows(bench.place("stores"), fleet_store.SIZES[: 2 if bench.quick else None])
+    return _result(
+        "fleet_model", alone, "boards", count, None, {"rows": rows, "discovery": dict(discovery), "stores": stores}
+    )

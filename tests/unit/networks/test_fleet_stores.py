@@ -1,0 +1,233 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The keeper's ledger, and what is asked of etcd: against a stand-in of its gateway (the real one: make test-fleet)."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import json
+import sqlite3
+import threading
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cm.errors import InvalidRequest
+from cm.networks.fleet.etcd import Cluster, Etcd
+from cm.networks.fleet.keeper import Ledger, _check_names
+from cm.networks.fleet.store import Entry, Put, Settings, StoreAway, StoreRefused, Wanted, key, packed, views
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def ledger(path: Path | str = ":memory:", clock: Callable[[], float] | None = None) -> Ledger:
+    return Ledger(path, lambda _: None, clock or Clock())
+
+
+# ---- the keeper -----------------------------------------------------------------------------
+
+
+def test_a_transaction_is_done_whole_or_not_at_all() -> None:
+    store = ledger()
+    first = store.txn({"a": 0}, {"a": Put("1"), "b": Put("2")})
+    assert first
+    assert store.txn({"a": 0}, {"b": Put("3")}) == 0
+    assert store.txn({"a": first, "b": first}, {"a": None, "b": Put("4")}) == first + 1
+    assert store.get("") == {"b": Entry("4", first + 1)}
+
+
+def test_what_lies_under_a_lease_goes_with_it_by_the_keepers_own_clock() -> None:
+    clock = Clock()
+    store = ledger(clock=clock)
+    lease = store.grant(5)
+    store.txn({}, {"claim": Put("x", lease), "other": Put("y")})
+    clock.now = 4.0
+    assert store.keep(lease)
+    clock.now = 8.9
+    store.expire()
+    assert set(store.get("")) == {"claim", "other"}
+    clock.now = 9.0
+    assert not store.keep(lease)
+    assert set(store.get("")) == {"other"}
+    with pytest.raises(StoreRefused, match="has ended"):
+        store.txn({}, {"claim": Put("x", lease)})
+    assert "claim" not in store.get("")
+
+
+def test_a_lease_begins_anew_with_its_keeper_whatever_the_clock_says(tmp_path: Path) -> None:
+    before = ledger(tmp_path / "s.sqlite")
+    lease = before.grant(5)
+    before.txn({}, {"claim": Put("x", lease)})
+    before.close()
+    clock = Clock()
+    clock.now = -86400.0  # a day back
+    after = ledger(tmp_path / "s.sqlite", clock)
+    assert after.keep(lease)
+    clock.now += 5.0
+    after.expire()
+    assert after.get("") == {}
+
+
+def test_a_file_that_is_no_store_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "s.sqlite").write_bytes(b"no database" * 100)
+    with pytest.raises(StoreRefused, match=r"s\.sqlite"):
+        ledger(tmp_path / "s.sqlite")
+
+
+def test_nobody_wants_anything_in_the_name_of_another() -> None:
+    wanted = packed(Wanted(1, "camera", "edge", "anna", "c1"))
+    _check_names({key("b1", "wanted"): Put(wanted)}, "anna")
+    with pytest.raises(StoreRefused, match="bob cannot want something in the name of anna"):
+        _check_names({key("b1", "wanted"): Put(wanted)}, "bob")
+
+
+def test_what_no_version_wrote_is_named(tmp_path: Path) -> None:
+    found = views({"boards/b1/settings": Entry(packed(Settings(("a",))), 3), "generation": Entry("4", 3)})
+    assert found["b1"].settings == Settings(("a",))
+    with pytest.raises(InvalidRequest, match="boards/b1/wanted"):
+        views({"boards/b1/wanted": Entry("{}", 1)})
+    assert sqlite3.sqlite_version_info > (3, 7)
+
+
+# ---- etcd -----------------------------------------------------------------------------------
+
+
+class Gateway:
+    """What a member of etcd says: each answer is made by a function of path, body and headers."""
+
+    def __init__(self, answer: Callable[[str, dict[str, Any], Any], tuple[int, dict[str, Any]]]) -> None:
+        gateway = self
+        self.asked: list[tuple[str, dict[str, Any]]] = []
+
+        class Handler(BaseHTTPRequestHandler):
+            protocol_version = "HTTP/1.1"
+
+            def do_POST(self) -> None:
+                body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
+                gateway.asked.append((self.path, body))
+                status, found = answer(self.path, body, self.headers)
+                data = json.dumps(found).encode()
+                self.send_response(status)
+                self.send_header("Content-Length", str(len(data)))
+                self.end_headers()
+                self.wfile.write(data)
+
+            def log_message(self, *_: Any) -> None: ...
+
+        self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self.server.daemon_threads = True
+        self.url = f"http://127.0.0.1:{self.server.server_address[1]}"
+
+
+@contextmanager
+def gateway(answer: Callable[[str, dict[str, Any], Any], tuple[int, dict[str, Any]]]) -> Iterator[Gateway]:
+    made = Gateway(answer)
+    thread = threading.Thread(target=made.server.serve_forever, args=(0.01,))
+    thread.start()
+    try:
+        yield made
+    finally:
+        made.server.shutdown()
+        thread.join()
+        made.server.server_close()
+
+
+def done(cluster: Cluster, *work: Callable[[Etcd], Awaitable[Any]]) -> list[Any]:
+    """What a client is told, one request after the other."""
+
+    async def all_of_it() -> list[Any]:
+        store = Etcd(cluster)
+        try:
+            return [await each(store) for each in work]
+        finally:
+            await store.close()
+
+    return asyncio.run(all_of_it())
+
+
+def b64(text: str) -> str:
+    return base64.b64encode(text.encode()).decode()
+
+
+def test_a_transaction_compares_revisions_and_begins_its_keys_with_our_prefix() -> None:
+    with gateway(lambda *_: (200, {"header": {"revision": "7"}, "succeeded": True})) as member:
+        found = done(Cluster((member.url,)), lambda store: store.txn({"a": 0, "b": 5}, {"a": Put("x", "9"), "b": None}))
+        assert found == [7]
+        ((path, body),) = member.asked
+    assert path == "/v3/kv/txn"
+    assert [(c["key"], c["mod_revision"]) for c in body["compare"]] == [(b64("cm/a"), "0"), (b64("cm/b"), "5")]
+    assert body["success"][0]["request_put"] == {"key": b64("cm/a"), "value": b64("x"), "lease": "9"}
+    assert body["success"][1] == {"request_delete_range": {"key": b64("cm/b")}}
+
+
+def test_a_member_without_a_leader_is_passed_over_and_a_refusal_is_not() -> None:
+    with (
+        gateway(lambda *_: (503, {"error": "etcdserver: no leader", "code": 14})) as first,
+        gateway(lambda *_: (200, {"header": {}, "kvs": [{"key": b64("cm/a"), "mod_revision": "3"}]})) as second,
+    ):
+        found = done(Cluster((first.url, second.url)), *[lambda store: store.get("")] * 2)
+        assert found == [{"a": Entry("", 3)}] * 2
+        assert len(first.asked) == 1  # from then on the one that answered is asked first
+    with gateway(lambda *_: (400, {"error": "etcdserver: too many operations in txn request", "code": 3})) as member:
+        with pytest.raises(StoreRefused, match="--max-txn-ops"):
+            done(Cluster((member.url,)), lambda store: store.txn({}, {"a": Put("x")}))
+        assert len(member.asked) == 1
+
+
+def test_a_users_token_is_fetched_and_fetched_again_when_it_has_ended(tmp_path: Path) -> None:
+    tokens = iter(("old", "new"))
+
+    def answer(path: str, body: dict[str, Any], headers: Any) -> tuple[int, dict[str, Any]]:
+        if path == "/v3/auth/authenticate":
+            assert body == {"name": "anna", "password": "secret"}
+            return 200, {"token": next(tokens)}
+        if headers["Authorization"] != "new":
+            return 401, {"error": "etcdserver: invalid auth token", "code": 16}
+        return 200, {"header": {}}
+
+    (tmp_path / "password").write_text("secret\n")
+    with gateway(answer) as member:
+        cluster = {"members": [member.url], "user": "anna", "password_file": str(tmp_path / "password")}
+        (tmp_path / "store.json").write_text(json.dumps(cluster))
+        assert done(Cluster.read(str(tmp_path / "store.json")), lambda store: store.get("")) == [{}]
+
+
+def test_a_lease_that_has_ended_is_no_error() -> None:
+    with gateway(lambda *_: (404, {"error": "etcdserver: requested lease not found", "code": 5})) as member:
+        done(Cluster((member.url,)), lambda store: store.revoke("5"))
+    with gateway(lambda *_: (200, {"result": {"ID": "5"}})) as member:
+        assert done(Cluster((member.url,)), lambda store: store.keep("5")) == [False]
+
+
+def test_when_no_member_answers_it_is_said_which_were_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cm.networks.fleet.etcd._ALL", 0.0)
+    with pytest.raises(StoreAway, match=r"etcd does not answer at http://127\.0\.0\.1:9"):
+        done(Cluster(("http://127.0.0.1:9",)), lambda store: store.get(""))
+
+
+@pytest.mark.parametrize(
+    ("said", "why"),
+    [
+        ("ftp://host", "https://HOST:2379 is wanted"),
+        ("http://user:word@host:2379", "stand in a file"),
+        ("/nowhere/store.json", "'keeper', etcd's URLs"),
+    ],
+)
+def test_a_store_that_cannot_be_meant_is_refused_with_what_is_wanted(said: str, why: str) -> None:
+    with pytest.raises(InvalidRequest, match=why):
+        Cluster.read(said)
+
+
+def test_a_file_about_a_store_without_members_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "s.json").write_text('{"user": "anna"}')
+    with pytest.raises(InvalidRequest, match="members at least"):
+        Cluster.read(str(tmp_path / "s.json"))
