@@ -26,7 +26,7 @@ ROUNDS ?= 8
 STOPPED ?= 4
 
 .DEFAULT_GOAL := help
-.PHONY: help help-all setup docs web-picture demo demo-open demo-ros demo-fleet device-suite test test-bare $(FURTHER:%=test-%) test-c test-node test-rtl test-open test-bench test-ros test-fleet etcd test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
+.PHONY: help help-all setup docs web-picture demo demo-authors demo-open demo-ros demo-fleet device-suite test test-bare $(FURTHER:%=test-%) test-c test-node test-rtl test-open test-bench test-ros test-fleet etcd test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
 
 help: ## the targets that most people need
 	@awk -F':[^#]*## ' '/^[a-z-]+:[^#]*## /{printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -64,6 +64,10 @@ setup: $(STAMP) ## a virtual environment with the package and what its demonstra
 
 demo: $(STAMP) ## the camera demonstration on a simulated board; writes demo/contact-sheet.png (IMAGES=DIR, OUT=DIR)
 	@$(BIN)/cm demo --out $(OUT) $(if $(IMAGES),--images $(IMAGES))
+
+demo-authors: $(VENV)/.installed-rtl ## the accelerators that the paper's authors published, behind the simulated board (ZYPR=DIR, a checkout of accl-kaust/zypr; OUT=DIR)
+	@test -d "$(ZYPR)" || { echo "demo-authors is skipped: git clone https://github.com/accl-kaust/zypr, then make demo-authors ZYPR=zypr"; exit 2; }
+	@$(BIN)/python examples/zypr/authors.py "$(ZYPR)" "$(OUT)"
 
 demo-ros: $(VENV)/.installed-demo-ros ## a simulated board as a ROS 2 node, seen by rclpy where ROS 2 is sourced, elsewhere by zenoh_ros2_sdk (OUT=DIR)
 	@$(BIN)/python ros2/demo.py --out $(if $(filter demo,$(OUT)),demo-ros,$(OUT))

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The accelerators that the paper's authors published (accl-kaust/zypr), untouched, in `cm serve --sim=rtl`.
+
+ZYPR names a checkout; nothing of it is in this repository. What they should give is worked out in
+`examples/zypr/references.py`, from the operations' definitions.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import HERE, needs
+
+import cm
+
+sys.path += [str(HERE.parent), str(HERE.parents[1] / "examples/zypr")]
+import authors
+import references
+from manager_process import Manager
+
+from cm.simulation.rtl.errors import RtlError
+from cm.simulation.rtl.main import prepare
+from cm.simulation.software.hardware.camera import shipped_photos
+
+ZYPR = os.environ.get("ZYPR")
+pytestmark = [
+    needs("verilator"), needs("g++"), pytest.mark.timeout(900),
+    pytest.mark.skipif(not ZYPR, reason="ZYPR does not name a checkout of github.com/accl-kaust/zypr"),
+]  # fmt: skip
+PHOTO = next(iter(shipped_photos().values()))
+
+
+@pytest.fixture(scope="module")
+def schemas(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Path]:
+    return authors.prepare(Path(str(ZYPR)).absolute(), tmp_path_factory.mktemp("authors"))
+
+
+def served(schema: Path, runtime: Path) -> Iterator[cm.Board]:
+    prepare(schema)
+    manager = Manager(runtime, "--sim=rtl", "--build", str(schema), "--sim-icap-rate", "0").start()
+    try:
+        with manager.connected() as connected:
+            connected.load(schema.stem)
+            yield connected
+    finally:
+        manager.stop()
+
+
+@pytest.fixture(scope="module")
+def vision(schemas: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Iterator[cm.Board]:
+    yield from served(schemas["vision"], tmp_path_factory.mktemp("run"))
+
+
+@pytest.fixture(scope="module")
+def words(schemas: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Iterator[cm.Board]:
+    yield from served(schemas["words"], tmp_path_factory.mktemp("run"))
+
+
+@pytest.mark.parametrize("few", [False, True], ids=["many edges", "few edges"])
+@pytest.mark.parametrize("one", authors.FILTERS, ids=lambda one: one.module)
+def test_a_filter_gives_the_picture_of_its_definition(vision: cm.Board, one: authors.Filter, few: bool) -> None:
+    picture = authors.picture_for(one, PHOTO, one.shapes[few][0])
+    assert np.array_equal(authors.act(vision, one, few, picture), authors.expected(one, few, picture))
+
+
+def test_chroma_as_it_was_published_is_black(vision: cm.Board) -> None:
+    """Its second stage is given zeros (chroma.v, lines 330 and 359)."""
+    one = next(one for one in authors.FILTERS if one.module == "chroma_mended")
+    picture = authors.picture_for(one, PHOTO, one.shapes[0][0])
+    assert references.chroma(picture).any()
+    published = authors.Filter("chroma", one.into, one.out, one.settings, one.shapes)
+    assert not authors.act(vision, published, False, picture).any()
+
+
+def test_one_region_streams_on_while_the_other_changes_its_filter(vision: cm.Board) -> None:
+    resize = next(one for one in authors.FILTERS if one.module == "resize")
+    authors.act(vision, resize, False, PHOTO)
+    ended, pictures = threading.Event(), []
+    vision.registers["ap_ctrl"] = authors.START | authors.AUTO_RESTART
+    with vision.stream(resize.out, timeout=120, depth=4) as back, vision.writer(resize.into, timeout=120) as out:
+
+        def stream() -> None:
+            while not ended.is_set():
+                out.write(PHOTO)
+                pictures.append(np.array(back.read()))
+
+        streaming = threading.Thread(target=stream)
+        streaming.start()
+        try:
+            for module in ("sobel_b", "sobel_a", "sobel_b"):
+                before = len(pictures)
+                vision.set_mode(module)
+                while len(pictures) < before + 2:
+                    assert streaming.is_alive()
+        finally:
+            ended.set()
+            streaming.join(120)
+    assert len(pictures) >= 6
+    assert all(np.array_equal(one, references.resize(PHOTO, authors.HALF)) for one in pictures)
+
+
+@pytest.mark.parametrize("module", ["passthrough_a", "passthrough_b"])
+def test_the_fifo_gives_back_what_went_in(words: cm.Board, module: str) -> None:
+    words.set_mode(module)
+    data = np.random.default_rng(1).integers(0, 1 << 32, 256, np.uint32)
+    with words.stream("from_left", timeout=60) as back, words.writer("to_left") as out:
+        out.write(data)
+        assert np.array_equal(back.read(), data)
+
+
+@pytest.mark.parametrize("module", ["vadd_a", "vadd_b"])
+def test_ten_is_added_to_each_of_ten_words(words: cm.Board, module: str) -> None:
+    words.set_mode(module)
+    data = np.random.default_rng(2).integers(0, 1 << 32, 10, np.uint32)
+    with words.stream("from_right", timeout=60) as back, words.writer("to_right") as out:
+        words.registers["ap_ctrl"] = authors.START
+        out.write(data)
+        assert np.array_equal(back.read(), data + np.uint32(10))
+
+
+@pytest.mark.parametrize(("module", "reset", "added"), [("mem_a", (1, 2, 3, 4), -4), ("mem_b", (8, 7, 6, 5), 4)])
+def test_the_memories_add_to_each_byte_that_is_written(
+    words: cm.Board, module: str, reset: tuple[int, ...], added: int
+) -> None:
+    words.set_mode(module)
+    names = ("first", "second", "third", "fourth")
+    assert tuple(words.registers.read(*names).values()) == reset
+    words.registers["first"] = 0x10203040
+    assert words.registers["first"] == sum(((0x10203040 >> 8 * byte) + added & 0xFF) << 8 * byte for byte in range(4))
+
+
+def test_gaussian_is_refused_with_the_cores_that_it_lacks(schemas: Mapping[str, Path]) -> None:
+    schema = schemas["vision"].with_name("gaussian.yaml")
+    folder = (schema.parent / "zypr/gaussian").resolve()
+    sources = [
+        path for path in sorted(folder.glob("*.v")) if "sim_netlist" not in path.name and "stub" not in path.name
+    ]
+    schema.write_text(
+        "project: {name: gaussian, part: xczu3eg-sbva484-1-i}\nclocks: {pl0: {rate: 100_000_000}}\n"
+        "regions: {prr0: {pblock: auto, resources: {lut: 9000, dsp: 60}, clock: pl0}}\n"
+        f"modules: {{top: {{sources: [{', '.join(map(str, sources))}], resources: {{lut: 8000}}}}}}\n"
+    )
+    with pytest.raises(RtlError, match=r"module top: nothing is in .*gaussian_ap_fexp_6_full_dsp_32.*sim_sources"):
+        prepare(schema)
