@@ -18,7 +18,10 @@ from cm import device
 sys.path.append(str(HERE.parent))
 from manager_process import Manager
 
+from cm.simulation.rtl.compile import Unit, compile_units
+from cm.simulation.rtl.errors import RtlError
 from cm.simulation.rtl.main import prepare
+from cm.simulation.rtl.tools import find_tools
 from cm.simulation.software import Board, SimError
 
 pytestmark = [needs("verilator"), needs("g++"), pytest.mark.timeout(300)]
@@ -131,3 +134,29 @@ def test_what_the_hdl_lacks_is_said_before_anything_runs(
     ):
         pass
     assert wanted in capfd.readouterr().err
+
+
+PRIMITIVES = """
+module used(input clk, input reset, input [3:0] at, input data, output first, output second, output both);
+    wire quick;
+    BUFG buffer (.I(clk), .O(quick));
+    FDRE #(.INIT(1'b1)) store (.C(quick), .CE(1'b1), .R(reset), .D(data), .Q(first));
+    SRL16E #(.INIT(16'h00ff)) shift (
+        .CLK(quick), .CE(1'b1), .D(data), .A0(at[0]), .A1(at[1]), .A2(at[2]), .A3(at[3]), .Q(second)
+    );
+    LUT2 #(.INIT(4'h8)) table (.I0(first), .I1(second), .O(both));
+endmodule
+"""
+
+
+@needs("yosys")
+def test_the_vendors_primitives_have_models_where_yosys_is_and_others_are_named(tmp_path: Path) -> None:
+    source = tmp_path / "used.v"
+    source.write_text(PRIMITIVES.replace(" table ", " product "))
+    unit = Unit("module used", "used", (source,))
+    assert compile_units(find_tools(), [unit])[0].exists()
+    source.write_text(
+        PRIMITIVES.replace(" table ", " product ").replace("BUFG buffer", "RAMB36E1 memory (); BUFG buffer")
+    )
+    with pytest.raises(RtlError, match=r"no HDL is there for BUFG, FDRE, LUT2, RAMB36E1, SRL16E: .*sim_sources"):
+        compile_units(find_tools(), [unit])

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 import subprocess
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Set
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,10 +25,21 @@ _PIN = re.compile(r"VL_(INOUT|IN|OUT)(8|16|64|W)?\(&(\w+),(\d+),(\d+)(?:,\d+)?\)
 _LOCAL = re.compile(r"^    [CS]Data(/\*[0-9:]+\*/ )(\w+);", re.MULTILINE)
 _ADDRESS = re.compile(r"&\(?(\w+)")
 _MISSING = re.compile(r"Cannot find file containing module: '(\w+)'")
-_NOISE = re.compile(r"/\*.*?\*/|//[^\n]*|\(\*(?!\s*\)).*?\*\)|`(?:timescale|default_nettype)[^\n]*", re.DOTALL)
+_NOISE = re.compile(r"/\*.*?\*/|//[^\n]*|\(\*(?!\s*\)).*?\*\)|`[^\n]*|\bspecify\b.*?\bendspecify\b", re.DOTALL)
 _MODULE = re.compile(r"\bmodule\s+(\w+)\b([^;]*);(.*?)\bendmodule\b", re.DOTALL)
 _DECLARES = re.compile(r"(?:input|output|inout|wire|reg|logic|parameter|localparam)\b")
 _DIRECTION = {"IN": "CM_IN", "OUT": "CM_OUT", "INOUT": "CM_INOUT"}
+
+
+class _NotThere(RtlError):
+    """Modules without HDL."""
+
+    def __init__(self, what: str, names: Set[str]) -> None:
+        super().__init__(
+            f"{what}: no HDL is there for {', '.join(sorted(names))}: add its sources, or, for a vendor's core, "
+            "sim_sources: with HDL that does the same (yosys, where it is installed, has the vendor's primitives)"
+        )
+        self.names = names
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,15 +62,9 @@ class Unit:
     @property
     def empty(self) -> list[str]:
         """Modules that it uses and whose text only declares outputs: black boxes, which would give 0 for ever."""
-        text = _NOISE.sub(" ", "\n".join(source.decode(errors="replace") for source in _texts(self.sources)))
-        found = {
-            name
-            for name, ports, body in _MODULE.findall(text)
-            if re.search(r"\boutput\b", ports + body)
-            and not re.search(r"\boutput\b[^,;)]*=", ports + body)
-            and all(not part.strip() or _DECLARES.match(part.strip()) for part in body.split(";"))
-        }
-        return [name for name in sorted(found) if len(re.findall(rf"\b{name}\b", text)) > 1]
+        text = b"\n".join(_texts(self.sources)).decode(errors="replace")
+        found = [name for name, filled in _modules(text) if not filled]
+        return [name for name in sorted(set(found)) if len(re.findall(rf"\b{name}\b", _NOISE.sub(" ", text))) > 1]
 
     @property
     def reads_files(self) -> bool:
@@ -162,10 +167,26 @@ def _verilate(tools: Tools, unit: Unit, folder: Path, watched: Watched) -> None:
     command += ["--coverage-line", "--coverage-user"] if watched.coverage else []
     command += [f"-I{path}" for path in unit.includes] + [f"-D{define}" for define in unit.defines]
     try:
+        _read(command, unit, folder.parent)
+    except _NotThere as missing:
+        cells = tools.primitives
+        there = {name for name, filled in _modules(cells.read_text(encoding="utf-8")) if filled} if cells else set()
+        if not missing.names <= there:
+            raise
+        _read([*command, "-v", str(cells)], unit, folder.parent)
+
+
+def _read(command: list[str], unit: Unit, scratch: Path) -> None:
+    """Have the sources read as SystemVerilog, else a .v as Verilog. Raises what is wrong with the first."""
+    try:
         _run([*command, *map(str, unit.sources)], unit.name)
+    except _NotThere:
+        raise
     except RtlError as as_system_verilog:
         try:
-            _run([*command, _VERILOG, *_as_verilog(unit, folder.parent)], unit.name)
+            _run([*command, _VERILOG, *_as_verilog(unit, scratch)], unit.name)
+        except _NotThere:
+            raise
         except RtlError:
             raise as_system_verilog from None
 
@@ -175,6 +196,7 @@ def _as_verilog(unit: Unit, folder: Path) -> Iterator[str]:
     for number, source in enumerate(unit.sources):
         if source.suffix == ".v" and _SEVERITY.search(source.read_bytes()):
             link = folder / f"{source.stem}.{number}.sv"
+            link.unlink(missing_ok=True)
             link.symlink_to(source.absolute())
             yield str(link)
         else:
@@ -232,6 +254,14 @@ def _include(tools: Tools) -> list[str]:
     return [f"-I{tools.include}", f"-I{tools.include / 'vltstd'}"]
 
 
+def _modules(text: str) -> Iterator[tuple[str, bool]]:
+    """The modules of some Verilog, and whether anything is in them; ports without outputs need nothing."""
+    for name, ports, body in _MODULE.findall(_NOISE.sub(" ", text)):
+        outputs = re.findall(r"\boutput\b[^,;)]*", ports + body)
+        declares = all(not part.strip() or _DECLARES.match(part.strip()) for part in body.split(";"))
+        yield name, not outputs or not declares or any("=" in one for one in outputs)
+
+
 def _texts(files: Iterable[Path]) -> list[bytes]:
     try:
         return [file.read_bytes() for file in files]
@@ -244,11 +274,8 @@ def _run(command: list[str], what: str) -> None:
         command, capture_output=True, text=True, errors="replace", check=False, stdin=subprocess.DEVNULL
     )
     if done.returncode:
-        missing = dict.fromkeys(_MISSING.findall(done.stderr))
+        missing = set(_MISSING.findall(done.stderr))
         if missing:
-            raise RtlError(
-                f"{what}: no HDL is there for {', '.join(missing)}: add its sources, or, for a vendor's core, "
-                "sim_sources: with HDL that does the same"
-            )
+            raise _NotThere(what, missing)
         said = [line for line in (done.stderr + done.stdout).splitlines() if "rror" in line] or [done.stderr[-2000:]]
         raise RtlError(f"{what} does not compile:\n  " + "\n  ".join(said[:20]))

@@ -27,6 +27,13 @@ class Tools:
     traces: bool
 
     @property
+    def primitives(self) -> Path | None:
+        """Models of the vendor's primitives (BUFG, FDRE, SRL16E, …): those of yosys, if it is installed."""
+        yosys = shutil.which("yosys")
+        found = Path(yosys).resolve().parents[1] / "share/yosys/xilinx/cells_sim.v" if yosys else None
+        return found if found is not None and found.is_file() else None
+
+    @property
     def timing(self) -> bool:
         """Whether Verilator has to be told what to do with delays: from version 5 on."""
         number = re.search(r"\d+", self.version)
