@@ -6,10 +6,12 @@ from __future__ import annotations
 import asyncio
 import os
 import ssl
-from collections.abc import AsyncIterator, Awaitable, Callable
+import time
+from collections import defaultdict
+from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from aiohttp import web
 
@@ -24,7 +26,11 @@ if TYPE_CHECKING:
     from cm.networks.fleet.aio import Fleet
 
 STATIC = Path(__file__).with_name("static")
-_PAGES = 32  # at once
+_PAGES = 32  # whose users have said who they are, at once
+_OF_ADDRESS, _ALTOGETHER = 16, 64  # connections of whoever has not said that yet
+_FIRST = 5.0  # seconds in which a connection has to ask for something
+_IDLE = 15.0  # seconds that one is kept between two requests
+_LOOK = 0.5  # seconds between two looks at them
 _MESSAGE = 1 << 16  # bytes of what a page sends
 _HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; "
@@ -37,6 +43,36 @@ _HEADERS = {
 }
 _TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+
+
+class Strangers:
+    """Connections of whoever has not said who they are: few of an address, and none that says nothing.
+
+    Beyond the bounds the oldest go, so that there is always room for one more who may have the token.
+    """
+
+    def __init__(self) -> None:
+        self._since: dict[Any, float] = {}  # when each was seen first
+        self._heard: set[Any] = set()
+
+    def heard(self, connection: Any) -> None:
+        """It has sent a request."""
+        self._heard.add(connection)
+
+    def send_off(self, connections: Iterable[Any], pages: Collection[object]) -> None:
+        """Close those that are too many or too late; `pages` stay."""
+        now = time.monotonic()
+        of: dict[str, int] = defaultdict(int)
+        strangers = [one for one in connections if one not in pages and one.transport is not None]
+        self._since = {one: self._since.get(one, now) for one in strangers}
+        self._heard &= self._since.keys()
+        strangers.sort(key=lambda one: self._since[one], reverse=True)
+        for number, one in enumerate(strangers):
+            address = str((one.transport.get_extra_info("peername") or ("",))[0])
+            of[address] += 1
+            late = one not in self._heard and now - self._since[one] > _FIRST
+            if late or of[address] > _OF_ADDRESS or number >= _ALTOGETHER:
+                one.force_close()
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,11 +96,12 @@ class PageServer:
         self._hub = Hub(options.connect, options.control)
         self._watching = Watching(self._hub)
         self._commands = Commands(self._hub, options.control)
-        self._open: set[web.WebSocketResponse] = set()
+        self._open: dict[web.WebSocketResponse, object] = {}  # pages, with their connections
+        self._strangers = Strangers()
 
     async def serve(self, on_ready: Callable[[str], None]) -> None:
         """`on_ready` is given the page's address, with the token. Raises InvalidRequest."""
-        runner = web.AppRunner(self._application(), access_log=None)
+        runner = web.AppRunner(self._application(), access_log=None, keepalive_timeout=_IDLE)
         await runner.setup()
         try:
             await self._listen(runner)
@@ -74,7 +111,10 @@ class PageServer:
                 host = os.uname().nodename
             where = f"[{host}]" if ":" in host else host
             on_ready(f"{scheme}://{where}:{port}/#token={self._options.gate.token}")
-            await asyncio.Event().wait()
+            while True:
+                await asyncio.sleep(_LOOK)
+                assert runner.server is not None
+                self._strangers.send_off(runner.server.connections, self._open.values())
         finally:
             await runner.cleanup()
 
@@ -112,6 +152,7 @@ class PageServer:
 
     @web.middleware
     async def _guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        self._strangers.heard(request.protocol)
         refused = self._options.gate.refuses_host(request.headers.get("Host", ""))
         if refused:
             return web.Response(status=421, text=f"{refused}\n", headers=_HEADERS)
@@ -133,14 +174,18 @@ class PageServer:
         refused = self._options.gate.refuses_origin(request.headers.get("Origin"), request.headers.get("Host", ""))
         if refused:
             return web.Response(status=403, text=f"{refused}\n")
-        if len(self._open) >= _PAGES:
-            return web.Response(status=503, text=f"{_PAGES} pages are open already\n")
         socket = web.WebSocketResponse(heartbeat=20.0, max_msg_size=_MESSAGE, compress=False)
         await socket.prepare(request)
-        self._open.add(socket)
+        near = request.remote is not None and is_loopback(request.remote)
+        session = Session(socket, self._hub, self._watching, self._commands, near)
+        if not await session.is_known(self._options.gate):
+            return socket
+        if len(self._open) >= _PAGES:
+            await socket.close(code=1013, message=f"{_PAGES} pages are open already".encode())
+            return socket
+        self._open[socket] = request.protocol
         try:
-            near = request.remote is not None and is_loopback(request.remote)
-            await Session(socket, self._hub, self._watching, self._commands).serve(self._options.gate, near)
+            await session.serve()
         finally:
-            self._open.discard(socket)
+            del self._open[socket]
         return socket

@@ -27,10 +27,13 @@ DENIED = 4401  # close code: the token is wrong
 class Session:
     """A page's WebSocket."""
 
-    def __init__(self, socket: web.WebSocketResponse, hub: Hub, watching: Watching, commands: Commands) -> None:
+    def __init__(
+        self, socket: web.WebSocketResponse, hub: Hub, watching: Watching, commands: Commands, near: bool
+    ) -> None:
+        """`near`: the page is on this machine."""
         self._socket = socket
         self._hub, self._watching, self._commands = hub, watching, commands
-        self._kind = "small"
+        self._kind = "raw" if near else "small"
         self._changed: dict[str, None] = {}  # topics, in order
         self._wake = asyncio.Event()
         self._replies: deque[str] = deque()
@@ -38,12 +41,15 @@ class Session:
         self._waiting: dict[str, int] = {}  # by stream: pictures that were sent and not drawn yet
         self._tasks: set[asyncio.Task[None]] = set()
 
-    async def serve(self, gate: Gate, near: bool) -> None:
-        """Until the page goes. `near`: it is on this machine."""
-        self._kind = "raw" if near else "small"
-        if not await self._known(gate):
+    async def is_known(self, gate: Gate) -> bool:
+        """Whether the page says the token, first and soon; it is turned away if not."""
+        known = await self._knows(gate)
+        if not known:
             await self._socket.close(code=DENIED, message=b"the token is wrong")
-            return
+        return known
+
+    async def serve(self) -> None:
+        """Until the page goes."""
         self._hub.topics.listen(self._tell)
         for topic in self._hub.topics.names():
             self._tell(topic)
@@ -63,7 +69,7 @@ class Session:
                 task.cancel()
             await asyncio.gather(teller, *self._tasks, return_exceptions=True)
 
-    async def _known(self, gate: Gate) -> bool:
+    async def _knows(self, gate: Gate) -> bool:
         try:
             message = await self._socket.receive(timeout=_HELLO)
             return message.type is WSMsgType.TEXT and gate.knows(json.loads(message.data).get("token"))

@@ -7,7 +7,7 @@ import asyncio
 import json
 import struct
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from typing import Any
 
 import aiohttp
@@ -148,6 +148,31 @@ def test_messages_that_no_page_would_send_end_only_their_own_connection(looking:
             assert "error" not in await good.ask(1, "read", names=["led"])
 
     asyncio.run(attempt())
+
+
+def test_whoever_never_says_who_they_are_keeps_nobody_out(looking: WebServer) -> None:
+    """Sockets that are opened and left idle: nothing but bytes, half a request, or a page without a token."""
+
+    async def scenario() -> None:
+        host, port = looking.host.rsplit(":", 1)
+        async with AsyncExitStack() as stack:
+            before = await stack.enter_async_context(page(looking))
+            idle = [await asyncio.open_connection(host, int(port)) for _ in range(120)]
+            for _, writer in idle[::2]:
+                writer.write(b"GET / HTT")
+            client = await stack.enter_async_context(aiohttp.ClientSession())
+            for _ in range(40):
+                with suppress(aiohttp.ClientError):
+                    await client.ws_connect(f"{looking.origin}/ws")
+            async with page(looking) as newcomer:
+                assert newcomer.topics["link"]["up"]
+            await asyncio.wait_for(asyncio.gather(*(reader.read() for reader, _ in idle)), HUNG)  # all are closed
+            before.topics.clear()
+            assert "error" in await before.ask(1, "mode", mode="default")  # it looks only, but is answered
+            for _, writer in idle:
+                writer.close()
+
+    asyncio.run(scenario())
 
 
 def test_serving_beyond_this_machine_needs_tls_or_an_explicit_option(camera: tuple[Manager, SimBoard]) -> None:
