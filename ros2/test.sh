@@ -39,7 +39,7 @@ else
 	{ grep -rlE '/opt/python/[^/]*/(include|lib)' "$out/env/share" || true; } |
 		xargs -r sed -i -E "s,/opt/python/[^/]*/include/python3[.0-9]*,$include,; s,/opt/python/[^/]*/lib/python3[.0-9]*/site-packages,$packages,"
 fi
-"$out/env/bin/python" -m pip install --quiet colcon-common-extensions pytest pytest-timeout hypothesis '.[zenoh]'
+"$out/env/bin/python" -m pip install --quiet colcon-common-extensions pytest pytest-timeout hypothesis --editable '.[zenoh]'
 
 export PATH=$out/env/bin:$PATH
 colcon --log-base "$out/log" build --base-paths ros2 --build-base "$out/build" --install-base "$out/install" \
