@@ -24,7 +24,7 @@ from cm.server.read_cache import ReadCache
 from cm.server.register_handlers import takes_long
 from cm.server.replies import Respond, refusal
 from cm.server.rights.model import Role
-from cm.server.shares.clients import LITTLE, PENDING, Client, TooMuchWaiting
+from cm.server.shares.clients import LITTLE, PENDING, REPLY, TRACKED, Client, TooMuchWaiting
 from cm.server.shares.ring import Ring
 from cm.server.touched import Touched
 from cm.wire import multipart
@@ -196,9 +196,10 @@ class Dispatcher:
         self._note_error = note_error
         self.taken = 0
         self.refused = Counter[str]()  # by the error's code
-        self._known = self._clients.known
+        self._known, self._untold = self._clients.known, self._clients.untold
         self._coming: list[tuple[Any, int]] = [(sockets.req, int(zmq.POLLIN))]
         self._kept: Ring[Client, Message] = Ring()  # of clients that ask over several connections
+        self._waits = False  # whether something is kept
 
     # ---- what comes ---------------------------------------------------------------------------
 
@@ -217,14 +218,17 @@ class Dispatcher:
         by that alone. Of a client that asks over several, messages are read ahead and wait here for the client's turn:
         otherwise 200 connections would be 200 turns.
         """
-        if self._kept:  # it goes on by itself
+        if self._waits:  # it goes on by itself
             return
         came = receive_from(self._sockets.req, routed=True)
         client = self._known.get(came.connection) or self._clients.of(came.connection)
         client.requests += 1
         sender: bytes = came.frames[0]  # type: ignore[assignment]
         if client.sender == sender:
-            self._serve(came, client)
+            if client.unread_bytes <= LITTLE:
+                self._answer(came, client)
+            else:
+                self._serve(came, client)
             return
         several, client.sender = client.sender != b"", sender
         if several:
@@ -249,7 +253,8 @@ class Dispatcher:
             client, came = self._kept.take()
             client.waiting_bytes -= _size(came)
         finally:
-            if self._kept:
+            self._waits = bool(self._kept)
+            if self._waits:
                 self._loop.call_soon(self._go_on)
         self._serve(came, client)
 
@@ -315,11 +320,14 @@ class Dispatcher:
 
     def _send(self, frames: list[Frame], client: Client) -> None:
         """Send a reply. It may stay in ZeroMQ unread; the client's record knows how much does."""
-        told = self._clients.replied(frames[0], sum(map(len, frames)))  # type: ignore[arg-type]
-        if told:
-            client.sent(multipart.send_tracked(self._sockets.req, frames), told, bytes(frames[0]))
-        else:
+        sender: bytes = frames[0]  # type: ignore[assignment]
+        untold = self._untold.get(sender, 0) + sum(map(len, frames)) + REPLY
+        if untold < TRACKED:
+            self._untold[sender] = untold
             multipart.send(self._sockets.req, frames)
+        else:
+            self._untold[sender] = 0
+            client.sent(multipart.send_tracked(self._sockets.req, frames), untold, sender)
 
     def _fire_and_forget(self, reply: Reply) -> None:
         if reply.error is not None:

@@ -156,17 +156,17 @@ def test_200_connections_of_one_process_are_not_200_turns(
     monkeypatch: pytest.MonkeyPatch, context: zmq.Context[Any]
 ) -> None:
     served: list[str] = []
-    serve, holds, goes_on = Dispatcher._serve, threading.Event(), threading.Event()
+    answer, holds, goes_on = Dispatcher._answer, threading.Event(), threading.Event()
 
     def noted(dispatcher: Dispatcher, came: Message, client: Client) -> None:
         served.append(client.name)
         if not holds.is_set():
             holds.set()
             assert goes_on.wait(60)
-        serve(dispatcher, came, client)
+        answer(dispatcher, came, client)
 
     holds.set()
-    monkeypatch.setattr(Dispatcher, "_serve", noted)
+    monkeypatch.setattr(Dispatcher, "_answer", noted)
     with daemon_thread(load="camera/default") as made, context.socket(zmq.DEALER) as other:
         runtime = made.folder / "run"
         other.linger = 0

@@ -208,7 +208,7 @@ class Clients:
         self._named: dict[str, Client] = {}
         self.known: dict[str, Client] = {}  # by connection
         self._next_look = 0  # when, in nanoseconds
-        self._untold: dict[bytes, int] = {}  # bytes of replies over each connection since the last tracked one
+        self.untold: dict[bytes, int] = {}  # of who replies: bytes over each connection since the last tracked one
 
     def __iter__(self) -> Iterator[Client]:
         return iter(self._named.values())
@@ -226,19 +226,6 @@ class Clients:
             found = self._named.get(name) or Client(name, who, self)
             self.known[connection] = self._named[name] = found
         return found
-
-    def replied(self, sender: bytes, size: int) -> int:
-        """Count a reply over one connection.
-
-        Returns 0, or the bytes that will be known to have been read once this reply has been: then it is to be sent
-        with a tracker, which goes to `Client.sent`.
-        """
-        untold = self._untold.get(sender, 0) + size + REPLY
-        if untold < TRACKED:
-            self._untold[sender] = untold
-            return 0
-        self._untold[sender] = 0
-        return untold
 
     def waiting_bytes(self) -> int:
         """Of requests of all clients."""
@@ -263,15 +250,16 @@ class Clients:
     def settle(self) -> None:
         """Once in a while: keep what is remembered of clients that may have gone within bounds."""
         self.look_at_replies()
-        if len(self._untold) > _SENDERS:
-            self._untold.clear()
+        if len(self.untold) > _SENDERS:
+            self.untold.clear()
         if max(len(self._named), len(self.known)) > _REMEMBERED:
             self._forget(frozenset())
 
     def _forget(self, there: Iterable[str]) -> None:
         """Forget clients that have nothing under way, but for those in these places."""
         self._named = {n: client for n, client in self._named.items() if not client.idle or client.place in there}
-        self.known = {key: client for key, client in self.known.items() if client.name in self._named}
+        for gone in [key for key, client in self.known.items() if client.name not in self._named]:
+            del self.known[gone]
 
     def told(self, connections: Mapping[str, int]) -> tuple[ClientStatus, ...]:
         """What every client has now; `connections`: how many lead to each place. Leases and slots: `with_holdings`."""

@@ -88,11 +88,6 @@ def test_a_client_with_little_unread_is_served_whatever_others_leave(clients: Cl
     assert not client.has_room(10_000)  # though no long reply as long as others leave so much
 
 
-def test_short_replies_are_tracked_now_and_then(clients: Clients) -> None:
-    told = [clients.replied(b"a", 100) for _ in range(100)]
-    assert [bytes_ for bytes_ in told if bytes_] == [40 * 420, 40 * 420]
-
-
 def test_clients_that_are_gone_and_have_nothing_are_forgotten(clients: Clients) -> None:
     clients.of("ipc:0:0:9000001").upload_bytes = 1
     for pid in (9000002, 9000003):

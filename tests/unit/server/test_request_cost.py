@@ -66,12 +66,12 @@ def usual(camera: Daemon, calls: Calls, request: Any) -> list[str]:
 
 @pytest.mark.parametrize(
     ("request_", "most"),
-    [(rq.ReadReg(("focus",)), 20), (rq.WriteReg((rq.RegWrite("focus", 2),)), 58)],
+    [(rq.ReadReg(("focus",)), 12), (rq.WriteReg((rq.RegWrite("focus", 2),)), 52)],
     ids=["read of a register", "write of a register"],
 )
 def test_a_request_for_a_register_calls_few_functions(camera: Daemon, calls: Calls, request_: Any, most: int) -> None:
     called = usual(camera, calls, request_)
-    assert 10 < len(called) <= most, called
+    assert 9 < len(called) <= most, called
 
 
 def test_registers_are_encoded_again_only_when_there_is_a_listener(camera: Daemon, calls: Calls) -> None:
