@@ -28,11 +28,10 @@ from cm.wire.messages import requests as rq
 from cm.wire.messages.status import ConfigInfo, Reply
 from cm.wire.plane_packets import Open, encode_open
 
+pytestmark = pytest.mark.soak
 # Opens many connections to the data socket, says nothing, and reports when all but a few have been closed.
 CONNECTS = """
 import socket, sys
-
-pytestmark = pytest.mark.soak
 made = []
 for _ in range(int(sys.argv[2])):
     made.append(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET))

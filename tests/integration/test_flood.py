@@ -36,6 +36,7 @@ from cm.wire.encode import encode_request
 from cm.wire.messages import requests as rq
 from cm.wire.multipart import Message
 
+pytestmark = pytest.mark.soak
 AT_ONCE, PIECE = 32, 16  # registers of a request in one go, and in a piece of a longer one
 REGISTERS = "\n".join(f"          r{i}: {{offset: {4 * i:#x}}}" for i in range(200))
 SCHEMA = f"""
@@ -126,8 +127,6 @@ def test_no_turn_of_the_loop_does_more_than_a_slice_of_one_request(
 # Sends requests over each of its connections when told to, and reads all answers.
 HOSTILE = """
 import sys, zmq
-
-pytestmark = pytest.mark.soak
 folder, connections, each = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
 context = zmq.Context()
 context.set(zmq.MAX_SOCKETS, 4096)

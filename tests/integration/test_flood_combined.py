@@ -23,6 +23,7 @@ import cm
 from cm.server import loop as loops
 from cm.simulation.software import Board as SimBoard
 
+pytestmark = pytest.mark.soak
 SLICES = 64  # of the loop, in the slowest answer
 BESIDE = 64  # MiB
 
@@ -30,8 +31,6 @@ BESIDE = 64  # MiB
 BEHAVES_WELL = """
 import json, select, sys, time
 import cm
-
-pytestmark = pytest.mark.soak
 slowest, asked = 0.0, 0
 with cm.connect(runtime_dir=sys.argv[1], timeout=60) as board:
     print("begun", flush=True)
