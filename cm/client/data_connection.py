@@ -9,6 +9,8 @@ import math
 import os
 import select
 import socket
+import struct
+import sys
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
@@ -28,6 +30,8 @@ _SEQUENCES = 1 << 64
 _CLOEXEC = int(socket.MSG_CMSG_CLOEXEC)
 _NOSIGNAL = int(socket.MSG_NOSIGNAL)
 _DONTWAIT = int(socket.MSG_DONTWAIT)
+_TIMEVAL = struct.Struct("@ll")
+_TIMEVAL_IS_KNOWN = sys.maxsize > 1 << 32
 
 
 class DataConnection:
@@ -53,6 +57,7 @@ class DataConnection:
         self.stopped = 0  # times that the stream was stopped, so far
         self._expected: int | None = None
         self._timeout: float | None = None
+        self._polls = False
         self._buffer = bytearray(PACKET_MAX)
         self._handlers: dict[int, Callable[[Descriptor, int, list[int]], None]] = {
             packets.GEOMETRY: self._geometry,
@@ -93,13 +98,23 @@ class DataConnection:
         return self.memory.geometry if self.memory else None
 
     def set_timeout(self, seconds: float | None) -> None:
-        """How long `receive` waits: None for ever."""
+        """How long `receive` waits: None for ever.
+
+        By SO_RCVTIMEO, which costs nothing where it stays the same. Its argument differs between 32-bit systems with
+        old and new time, and 0 would mean for ever: these poll.
+        """
+        if seconds == self._timeout:
+            return
         self._timeout = seconds
+        self._polls = seconds is not None and (seconds <= 0 or not _TIMEVAL_IS_KNOWN)
+        if _TIMEVAL_IS_KNOWN:
+            micro = 0 if seconds is None or self._polls else max(1, math.ceil(seconds * 1e6))
+            self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIMEVAL.pack(*divmod(micro, 1_000_000)))
 
     def receive(self, flags: int = 0) -> LocalFrame | None:
         """Handle one packet; the frame if it was one. Raises BlockingIOError at the time-out, ConnectionLost, …"""
-        if self._timeout is not None and not flags:
-            self._await_packet(self._timeout)
+        if self._polls and not flags:
+            self._await_packet(self._timeout or 0.0)
         try:
             size, ancillary, _, _ = self.socket.recvmsg_into([self._buffer], _ANCILLARY, flags | _CLOEXEC)
         except (ConnectionError, TimeoutError) as error:
@@ -124,7 +139,6 @@ class DataConnection:
         return self.receive(_DONTWAIT)
 
     def _await_packet(self, seconds: float) -> None:
-        """SO_RCVTIMEO would save this call, but its argument differs between 32-bit systems with old and new time."""
         if not self._readable.poll(math.ceil(seconds * 1000)):
             raise BlockingIOError(errno.EAGAIN, f"no packet within {seconds:g} s")
 

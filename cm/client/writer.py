@@ -165,10 +165,12 @@ class Writer:
         self._check()
         self._collect()
         try:
+            self._connection.set_timeout(timeout)
             while not ready():
-                self._connection.set_timeout(deadline.left)
                 self._connection.receive()
                 self._collect()
+                if not ready():
+                    self._connection.set_timeout(deadline.left)
         except BlockingIOError:
             raise Timeout(
                 f"stream {self.name!r}: the hardware took nothing within {timeout or 0:g} s; "

@@ -115,7 +115,16 @@ def _module(source: Path, target: tuple[str, ModuleSpec, RegionPlan, int], answe
         }
     file = Path(f"{name}.bin")
     model = module.model or (module.name if module.name != name else None)
-    return name, Module(name, region.name, file, None, identity, model, registers, module.doc)
+    made = Module(
+        name=name,
+        region=region.name,
+        bitstream=file,
+        identity=identity,
+        model=model,
+        registers=registers,
+        doc=module.doc,
+    )
+    return name, made
 
 
 def _register(spec: RegisterSpec, base: int, region: str | None, default: int | None = None) -> Register:
