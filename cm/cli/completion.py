@@ -96,6 +96,8 @@ def _offered(word: str, begun: str, args: argparse.Namespace) -> Iterable[str]:
     if word == "<config>":
         return _told(args, ListConfigs()).names
     name = getattr(args, "config", None) or ""
+    if word == "<mode>" and "/" in begun:
+        return ()
     if word in ("<config/mode>", "<mode of target>"):
         return _modes(word, begun, args)
     return _KINDS[word](_told(args, ReadConfig(config_name=name if isinstance(name, str) else "")), begun)

@@ -68,6 +68,9 @@ def interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cal
         cancel = cm.Board.cancel
         monkeypatch.setattr(cm.Board, "cancel", lambda asking: (cancel(asking), sim.control.clear("icap_stall")))
 
+        # Under nohup(1), or in a shell's background, Ctrl-C is ignored from the start.
+        before = signal.signal(signal.SIGINT, signal.default_int_handler)
+
         def ctrl_c() -> None:
             until(lambda: (p := board.status.progress) is not None and p.step == "load")
             os.kill(os.getpid(), signal.SIGINT)
@@ -81,6 +84,7 @@ def interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cal
             return status, manager
 
         yield run
+        signal.signal(signal.SIGINT, before)
 
 
 @pytest.mark.parametrize("words", [("mode", "both"), ("load", "duo/both")], ids=" ".join)
@@ -105,6 +109,38 @@ def test_ctrl_c_cancels_a_change_where_that_was_asked_for(
     assert capsys.readouterr().err.endswith("was cancelled; the board is at duo/default\n")
     with manager.connected() as board:
         assert board.status.mode == "default"
+
+
+def group_interrupted(arguments: list[str], words: str, folder: Path) -> tuple[int, str]:
+    """Ctrl-C on a terminal, once a command has said `words`: to it, and to all that it has started. What it said."""
+    command = [sys.executable, "-c", _FROM_A_TERMINAL, *arguments]
+    env = {**environment(), "CM_RUNTIME_DIR": str(folder)}
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=env, start_new_session=True) as process:
+        assert process.stderr is not None
+        said = ""
+        while words not in said:
+            said += (line := process.stderr.readline())
+            assert line, said
+        os.killpg(process.pid, signal.SIGINT)
+        said += process.stderr.read()
+    return process.returncode, said
+
+
+_FROM_A_TERMINAL = (
+    "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); from cm.cli.main import main;"
+    "sys.exit(main(sys.argv[1:]))"
+)
+
+
+def test_ctrl_c_ends_a_manager_and_its_simulated_board_without_a_further_line(tmp_path: Path) -> None:
+    arguments = ["serve", "--sim", "--state-dir", str(tmp_path / "state")]
+    status, said = group_interrupted(arguments, "ready at", tmp_path)
+    assert (status, said.count("\n")) == (0, 1), said
+
+
+def test_ctrl_c_ends_a_bench_and_what_it_measures_without_a_further_line(tmp_path: Path) -> None:
+    status, said = group_interrupted(["bench", "--quick", "control_vs_zmq"], "control …", tmp_path)
+    assert (status, said) == (130, "cm bench: control …\n")
 
 
 @pytest.mark.parametrize(
