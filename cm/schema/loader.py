@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from cm.errors import NotFound
-from cm.schema.build import build_config
-from cm.schema.context import Context
+from cm.schema.construct import Context, build_config
 from cm.schema.model import Config
 from cm.schema.problems import KeyPath, Problem, SchemaError, key_path
 from cm.schema.reader import Refused, read

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import fields
 
-from cm.schema.context import IMAGE_KEYS, STATIC, Context
+from cm.schema.construct import IMAGE_KEYS, STATIC, Context
 from cm.schema.model import (
     ITEM_BYTES,
     Config,

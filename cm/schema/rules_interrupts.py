@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from cm.schema.context import Context
+from cm.schema.construct import Context
 from cm.schema.model import Config, Interrupt, Register
 from cm.schema.problems import KeyPath, did_you_mean
 

@@ -8,7 +8,7 @@ from bisect import bisect_left
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-from cm.schema.context import Context, memory_key
+from cm.schema.construct import Context, memory_key
 from cm.schema.model import Config, Memory, Mode, Register
 from cm.schema.problems import KeyPath, did_you_mean, key_path
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping
 
-from cm.schema.context import Context
+from cm.schema.construct import Context
 from cm.schema.model import Access, BitField, Config, Mode, Register
 from cm.schema.problems import KeyPath, did_you_mean, key_path
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from cm.schema.problems import KeyPath, did_you_mean
-from cm.schema.scalars import resolve
+from cm.schema.reader import resolve
 
 MAX_FINDINGS = 100
 _KINDS = {

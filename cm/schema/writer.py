@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Configuration → normal form: plain values (`to_plain`) and YAML text (`dump`)."""
+"""Configuration → normal form: plain values (`to_plain`), and YAML that all readers take alike (`dump`)."""
 
 from __future__ import annotations
 
@@ -9,11 +9,50 @@ from enum import Enum
 from pathlib import PurePath
 from typing import Any
 
-from cm.schema.build import default_region, only_region
-from cm.schema.context import IMAGE_KEYS, STATIC
+import yaml
+
+from cm.schema.construct import IMAGE_KEYS, STATIC, default_region, only_region
 from cm.schema.model import BitField, Config, Decoupler, Memory, Mode, Module, Overlay, Region, Register, Stream
 from cm.schema.pictures import CameraInfo, camera_file
-from cm.schema.text import Hex, to_yaml
+from cm.schema.reader import is_octal_trap, resolve
+
+
+class Hex(int):
+    """An integer that is written in hexadecimal."""
+
+
+class _Dumper(yaml.SafeDumper):
+    def ignore_aliases(self, data: Any) -> bool:  # noqa: ARG002 - PyYAML's signature
+        return True
+
+
+def _hex(dumper: _Dumper, value: Hex) -> yaml.ScalarNode:
+    return dumper.represent_scalar("tag:yaml.org,2002:int", hex(value))
+
+
+def _text(dumper: _Dumper, value: str) -> yaml.ScalarNode:
+    """Quote what a reader might take for something else: a YAML 1.2 number, or a line break that folds."""
+    printable = value.replace("\n", "").isprintable()
+    plain = printable and isinstance(resolve(value), str) and not is_octal_trap(value)
+    return dumper.represent_scalar("tag:yaml.org,2002:str", value, style=None if plain else '"')
+
+
+def _list(dumper: _Dumper, value: list[Any]) -> yaml.SequenceNode:
+    """Lists of names and numbers on one line."""
+    flat = not any(isinstance(item, (list, dict)) for item in value)
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", value, flow_style=flat)
+
+
+_Dumper.add_representer(Hex, _hex)
+_Dumper.add_representer(str, _text)
+_Dumper.add_representer(list, _list)
+
+
+def to_yaml(data: dict[str, Any]) -> str:
+    """`data` as YAML; the order of keys is kept."""
+    text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=110)
+    return text
+
 
 _NAMES = {"minimum": "min", "maximum": "max"}
 _ADDRESSES = ("base_address", "offset", "identity", "idcode", "user_id")
