@@ -22,6 +22,7 @@ from cm.design.report import as_dict, lines
 from cm.design.runtime.answers import Answers, read_answers
 from cm.design.runtime.configure import answer_all, as_text, questions, to_answers
 from cm.design.runtime.schema import runtime_config
+from cm.design.zypr import zypr_text
 
 
 def add_schema_argument(parser: argparse.ArgumentParser) -> None:
@@ -46,6 +47,7 @@ def add_init_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]
         metavar="FILE",
         help="Verilog, SystemVerilog, VHDL, FuseSoC .core, IP-XACT component.xml, .xci",
     )
+    parser.add_argument("--from", dest="kind", choices=("zypr",), help="FILE is a project file of zypr (JSON)")
     parser.add_argument("--output", "-o", type=Path, default=Path("build.yaml"), metavar="FILE")
     parser.add_argument("--name", help="name of the configuration (default: that of the folder)")
     parser.add_argument("--part", default=DEFAULT_PART, help=f"full part (default: {DEFAULT_PART})")
@@ -68,7 +70,12 @@ def run_init(args: argparse.Namespace) -> int:
     if output.exists():
         raise BuildError(f"{output} exists already; give another name with --output")
     folder = output.absolute().parent
-    text = init_text(args.files, folder, args.name or folder.name, args.part, args.top, args.cores)
+    if args.kind == "zypr":
+        if len(args.files) != 1:
+            raise BuildError("--from zypr takes one project file")
+        text = zypr_text(args.files[0], folder)
+    else:
+        text = init_text(args.files, folder, args.name or folder.name, args.part, args.top, args.cores)
     folder.mkdir(parents=True, exist_ok=True)
     output.write_text(text, encoding="utf-8")
     editor = folder / SCHEMA_FILE.name

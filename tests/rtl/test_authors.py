@@ -24,6 +24,8 @@ import authors
 import references
 from manager_process import Manager
 
+from cm.cli.main import main
+from cm.design.zypr import zypr_text
 from cm.simulation.rtl.errors import RtlError
 from cm.simulation.rtl.main import prepare
 from cm.simulation.software.hardware.camera import shipped_photos
@@ -148,3 +150,26 @@ def test_gaussian_is_refused_with_the_cores_that_it_lacks(schemas: Mapping[str, 
     )
     with pytest.raises(RtlError, match=r"module top: nothing is in .*gaussian_ap_fexp_6_full_dsp_32.*sim_sources"):
         prepare(schema)
+
+
+@pytest.mark.parametrize("name", ["sobel", "vadd", "vision", "vision2", "test"])
+def test_a_project_file_goes_from_init_to_generate_without_a_line_by_hand(name: str, tmp_path: Path) -> None:
+    found = next(Path(str(ZYPR)).rglob(f"tests/demo/{name}.json"))
+    schema = tmp_path / f"{name}.yaml"
+    assert main(["build", "init", "--from", "zypr", str(found), "--output", str(schema)]) == 0
+    assert main(["build", "check", str(schema)]) == 0
+    assert main(["build", "generate", str(schema), "--out", str(tmp_path / "build")]) == 0
+
+
+def test_their_sobel_project_runs_as_init_writes_it(tmp_path: Path) -> None:
+    """Two regions, each with either filter, and a VDMA each."""
+    schema = tmp_path / "example.yaml"
+    schema.write_text(zypr_text(next(Path(str(ZYPR)).rglob("tests/demo/sobel.json")), tmp_path))
+    for board in served(schema, tmp_path / "run"):
+        for mode, region in (("sobel_a_region_a", "region_a"), ("sobel_b_region_b", "region_b")):
+            board.set_mode(mode)
+            board.registers.write({"rows": 480, "cols": 640})
+            with board.stream(f"from_{region}", timeout=120) as back, board.writer(f"to_{region}", timeout=120) as out:
+                board.registers["ap_ctrl"] = authors.START
+                out.write(PHOTO.astype(np.uint64))
+                assert np.array_equal(back.read(), references.sobel(PHOTO))
