@@ -29,7 +29,7 @@ _LEAVES = 5.0  # seconds at most until a thread that was sent out of its socket 
 def prepare(socket: _Socket, keys: Keys | None, depth: int = 0) -> _Socket:
     """Options that every client socket has, before it connects; `depth` messages wait (0: ZeroMQ's own number)."""
     if depth:
-        socket.setsockopt(zmq.RCVHWM, depth)  # not to be set later: see cm/server/queue_limit.py
+        socket.setsockopt(zmq.RCVHWM, depth)  # not to be set later: see cm/server/publisher.py
     socket.setsockopt(zmq.LINGER, 0)  # close() must not wait for a manager that has gone
     socket.setsockopt(zmq.IPV6, 1)
     if keys is not None:

@@ -9,8 +9,7 @@ from typing import Any, TypeVar
 
 from cm.errors import Busy
 from cm.server.loop import Loop
-from cm.server.shares.clients import PENDING, Client
-from cm.server.shares.ring import Ring
+from cm.server.shares import PENDING, Client, Ring
 
 _T = TypeVar("_T")
 Result = Callable[[], _T]  # returns the job's result, or raises what it raised

@@ -9,13 +9,13 @@ from dataclasses import replace
 from cm.manager.errors import ChangeBusy
 from cm.manager.manager import Manager
 from cm.manager.reporting import config_list, is_long
+from cm.server.connections import Sessions
+from cm.server.data_handlers import MemoryTransfers
 from cm.server.host.provision import Provisioner
 from cm.server.host.sent import Sender
-from cm.server.memory_transfers import MemoryTransfers
 from cm.server.rights.gate import check
 from cm.server.rights.model import Role
 from cm.server.rights.needs import provisioning
-from cm.server.sessions import Sessions
 from cm.wire.encode import encode_config
 from cm.wire.messages.status import ConfigInfo
 

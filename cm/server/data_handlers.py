@@ -1,24 +1,69 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Handlers of requests for streams and memories, which share one name space."""
+"""Handlers of requests for streams and memories, which share one name space; long transfers go piece by piece."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 
 from cm.errors import CmError
-from cm.manager.access.memory_service import Transfer
+from cm.manager.access.memory_service import MemoryService, Transfer
 from cm.manager.errors import UnknownStream
 from cm.manager.manager import Manager
 from cm.schema.model import Stream
 from cm.server.board_watch import BoardWatch
-from cm.server.memory_transfers import MemoryTransfers, frame_info
 from cm.server.replies import Respond, error_info, refusal
-from cm.server.shares.clients import Client
-from cm.server.streams.registry import Streams
+from cm.server.shares import Client
+from cm.server.steps import Done, Steps
 from cm.server.streams.stream import Frame
+from cm.server.streams.stream_service import Streams
 from cm.wire.messages import requests as rq
-from cm.wire.messages.status import FrameInfo, Reply, StreamStatus
+from cm.wire.messages.status import ConfigInfo, FrameInfo, Reply, StreamStatus
+
+
+class MemoryTransfers:
+    """Transfers of a client one after the other, clients by turns. Everything in the loop's thread."""
+
+    def __init__(self, steps: Steps, memories: MemoryService) -> None:
+        self._steps = steps
+        self._memories = memories
+
+    def described(self, info: ConfigInfo) -> ConfigInfo:
+        """A configuration with the memories that were defined for it, if it is the loaded one."""
+        blocks = self._memories.defined() if info.mode else ()
+        return replace(info, memories=(*info.memories, *blocks)) if blocks else info
+
+    def start(self, client: Client, transfer: Transfer, done: Done) -> None:
+        """Begin a transfer, a read when its client has room for the answer.
+
+        `done` is called once, now or later, with the error, if any. Raises Busy.
+        """
+        if transfer.write:
+            self._steps.start(client, transfer, done)
+            return
+        reserved = 0
+
+        def may_begin() -> bool:
+            nonlocal reserved
+            if client.has_room(transfer.length):
+                reserved = transfer.length
+                client.make(reserved)
+            return reserved > 0
+
+        def ended(problem: Exception | None) -> None:
+            client.make(-reserved)
+            done(problem)
+
+        self._steps.start(client, transfer, ended, may_begin)
+
+
+def frame_info(transfer: Transfer, config: str, mode: str) -> FrameInfo:
+    """What accompanies the payload of a memory."""
+    shape, dtype = transfer.form
+    memory, length = transfer.memory, transfer.length
+    return FrameInfo(memory.name, 0, time.monotonic_ns(), length, shape, dtype, config, mode, offset=transfer.offset)
 
 
 class DataHandlers:

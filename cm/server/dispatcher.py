@@ -13,8 +13,10 @@ import zmq
 from zmq import zmq_poll
 
 from cm.errors import Busy, CmError, InvalidRequest
+from cm.manager.access.leases import scopes_written
 from cm.manager.execution.worker import Change
 from cm.manager.manager import Manager
+from cm.schema.model import Memory
 from cm.server.board_watch import BoardWatch
 from cm.server.endpoints import Sockets
 from cm.server.handlers import Handlers
@@ -24,9 +26,7 @@ from cm.server.read_cache import ReadCache
 from cm.server.register_handlers import takes_long
 from cm.server.replies import Respond, refusal
 from cm.server.rights.model import Role
-from cm.server.shares.clients import LITTLE, PENDING, REPLY, TRACKED, Client, TooMuchWaiting
-from cm.server.shares.ring import Ring
-from cm.server.touched import Touched
+from cm.server.shares import LITTLE, PENDING, REPLY, TRACKED, Client, Ring, TooMuchWaiting
 from cm.wire import multipart
 from cm.wire.decode import Frame, decode_request, split_text
 from cm.wire.encode import encode_reply
@@ -36,6 +36,30 @@ from cm.wire.messages.status import ErrorInfo, Reply
 from cm.wire.multipart import Message, receive_from
 from cm.wire.parse import LONG, in_slices
 from cm.wire.topics import READ_REG, WRITE_REG
+
+
+class Conflicts:
+    """What requests touch in the mode that is loaded now."""
+
+    def __init__(self, manager: Manager) -> None:
+        self._manager = manager
+
+    def touches(self, change: Change, request: rq.Request) -> bool:
+        """Whether a change writes what this request writes, or loads its region."""
+        config, mode = self._manager.loaded_config(), self._manager.state.mode
+        memory = self._memory(request.stream) if isinstance(request, (rq.WriteData, rq.ConfigureStream)) else None
+        return bool({"config", *scopes_written(request, config, mode, memory)} & set(change.scopes))
+
+    def writes_memory(self, request: rq.Request) -> bool:
+        """Whether it writes to a memory, and not to a stream."""
+        return isinstance(request, rq.WriteData) and self._memory(request.stream) is not None
+
+    def _memory(self, name: str) -> Memory | None:
+        try:
+            return self._manager.memories.find(name)
+        except CmError:  # a name of another mode, or nothing is loaded: its handler says so
+            return None
+
 
 _PUBLISHED = b""  # the sender of all messages on the SUB socket; a connection's name is never empty
 _MOST = 256  # requests of one sender that wait
@@ -83,7 +107,7 @@ class Order:
     def __init__(self, handlers: Handlers, manager: Manager) -> None:
         self._handlers = handlers
         self._manager = manager
-        self._touched = Touched(manager)
+        self._conflicts = Conflicts(manager)
         self.senders: dict[bytes, _Sender] = {}  # those with something under way
 
     def waits(self, sender: bytes) -> bool:
@@ -121,9 +145,11 @@ class Order:
     def _is_blocked(self, state: _Sender, request: rq.Request) -> bool:
         if state.long or isinstance(request, (rq.ChangeMode, *_STORES)):
             return bool(state.long or state.stores or state.writes)
-        if state.writes and (isinstance(request, rq.WriteReg) or self._touched.writes_memory(request)):
+        if state.writes and (isinstance(request, rq.WriteReg) or self._conflicts.writes_memory(request)):
             return True
-        return isinstance(request, _WRITES) and any(self._touched.touches(change, request) for change in state.changes)
+        return isinstance(request, _WRITES) and any(
+            self._conflicts.touches(change, request) for change in state.changes
+        )
 
     def _do(self, sender: bytes, request: rq.Request, respond: Respond, connection: str) -> None:
         if isinstance(request, (rq.ReadReg, rq.WriteReg)):
@@ -131,7 +157,7 @@ class Order:
                 respond = self._counted(sender, "long", respond)
         elif isinstance(request, _STORES):
             respond = self._counted(sender, "stores", respond)
-        elif isinstance(request, rq.WriteData) and self._touched.writes_memory(request):
+        elif isinstance(request, rq.WriteData) and self._conflicts.writes_memory(request):
             respond = self._counted(sender, "writes", respond)
         self._handlers.handle(connection, request, respond, partial(self._began, sender))
 

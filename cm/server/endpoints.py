@@ -1,16 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The manager's ZeroMQ sockets: bound in the runtime folder, and over TCP when asked for."""
+"""The manager's ZeroMQ sockets: bound in the runtime folder, and over TCP when asked for; ZAP asks who may enter.
+
+ZAP is ZeroMQ's authentication protocol (ZMTP RFC 27, ZAP 1.0). pyzmq's own authenticators need a thread or an asyncio
+loop of their own, and know no peers over ipc.
+"""
 
 from __future__ import annotations
 
 import fcntl
 import json
 import os
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import zmq
+from zmq.utils import z85
 
 from cm.device.base import AnyRoot
 from cm.device.paths import Root
@@ -20,6 +26,47 @@ from cm.server.limits import USUAL, Limits
 from cm.server.rights.principal import CURVE, IPC, TCP
 from cm.wire.plane_packets import SOCKET
 from cm.wire.topics import Endpoints, ipc_endpoints, split_tcp, tcp_endpoints
+
+_ADDRESS = "inproc://zeromq.zap.01"
+
+
+class Authenticator:
+    """Asks `admit` about each connection: the user id of its messages, or None to refuse it. One thread.
+
+    `admit` is given what libzmq knows: the socket's domain; the peer's address, over TCP its IP, over ipc
+    ``…:UID:GID:PID`` as the kernel has it; the mechanism; and with CURVE the public key (Z85).
+    """
+
+    def __init__(
+        self, context: zmq.Context[zmq.Socket[bytes]], admit: Callable[[str, str, str, str], str | None]
+    ) -> None:
+        """To be made before the first bind: libzmq admits every peer as long as nothing answers."""
+        self.socket = context.socket(zmq.REP)
+        self.socket.linger = 0
+        self.socket.bind(_ADDRESS)
+        self._admit = admit
+
+    def answer(self) -> None:
+        """Answer one request, if there is one."""
+        try:
+            frames = self.socket.recv_multipart(zmq.NOBLOCK)
+        except zmq.Again:
+            return
+        user = self._admit(*_introduction(frames)) if len(frames) > 5 else None
+        code, text = (b"200", b"OK") if user else (b"400", b"not known here")
+        self.socket.send_multipart([*frames[:2], code, text, (user or "").encode(), b""])
+
+    def close(self) -> None:
+        """Close the socket."""
+        self.socket.close()
+
+
+def _introduction(frames: list[bytes]) -> tuple[str, str, str, str]:
+    """The parts of a request: version, request, domain, address, routing id, mechanism, credentials."""
+    key = z85.encode(frames[6]).decode() if frames[5] == b"CURVE" and len(frames) > 6 and len(frames[6]) == 32 else ""
+    domain, address, mechanism = (frames[at].decode("utf-8", "replace") for at in (2, 3, 5))
+    return domain, address, mechanism, key
+
 
 ENDPOINTS_FILE = "endpoints.json"
 _TRIES = 64  # tries of ports, until three in a row are free
@@ -144,13 +191,13 @@ class Sockets:
         self.sub = context.socket(zmq.SUB)
         self.req = context.socket(zmq.ROUTER)
         self.pub.setsockopt(zmq.XPUB_VERBOSE, 1)  # every new subscriber gets the status at once
-        self.pub.setsockopt(zmq.SNDHWM, waiting)  # before it is bound, and never after: see queue_limit.py
+        self.pub.setsockopt(zmq.SNDHWM, waiting)  # before it is bound, and never after: see publisher.py
         self.pub.setsockopt(zmq.XPUB_NODROP, 1)  # tells of a full queue; see publisher.py
         self.sub.setsockopt(zmq.SUBSCRIBE, b"cm_")
         # No client can take another's replies by its routing id: while the first connection with that id lasts, a
         # second one gets none. Clients that set no id, as ours, get one from ROUTER.
         self.req.setsockopt(zmq.ROUTER_HANDOVER, 0)
-        self.req.setsockopt(zmq.SNDHWM, 0)  # replies are bounded by bytes: see cm/server/shares/clients.py
+        self.req.setsockopt(zmq.SNDHWM, 0)  # replies are bounded by bytes: see cm/server/shares.py
         for socket in self.all:
             socket.setsockopt(zmq.LINGER, 0)  # a client that does not read must not keep the manager from ending
             socket.setsockopt(zmq.IPV6, 1)

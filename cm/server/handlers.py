@@ -18,20 +18,18 @@ from cm.schema.model import Config
 from cm.server.board_watch import BoardWatch
 from cm.server.client_jobs import ClientJobs, Result
 from cm.server.config_handlers import Description, SentConfigs
-from cm.server.connections import Connections
-from cm.server.data_handlers import DataHandlers
+from cm.server.connections import Connections, Sessions
+from cm.server.data_handlers import DataHandlers, MemoryTransfers
 from cm.server.host.provision import Provisioner
 from cm.server.interrupts import InterruptWatch
 from cm.server.lease_watch import LeaseWatch
 from cm.server.loop import Loop
-from cm.server.memory_transfers import MemoryTransfers
 from cm.server.register_handlers import RegisterHandlers
 from cm.server.replies import Respond, refusal
 from cm.server.rights.gate import Gate
-from cm.server.sessions import Sessions
-from cm.server.shares.clients import Client, Clients, with_holdings
+from cm.server.shares import Client, Clients, with_holdings
 from cm.server.steps import Steps
-from cm.server.streams.registry import Streams
+from cm.server.streams.stream_service import Streams
 from cm.server.uploads import Uploads
 from cm.wire.messages import requests as rq
 from cm.wire.messages.status import ChangeInfo, Reply, Status

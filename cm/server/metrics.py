@@ -26,8 +26,8 @@ from prometheus_client.core import (
 from cm.manager.state.totals import ChangeCounts, Distribution, Histogram, Times
 from cm.server.handlers import Services
 from cm.server.metrics_server import MetricsServer
-from cm.server.shares.clients import with_holdings
-from cm.server.streams.figures import Moved
+from cm.server.shares import with_holdings
+from cm.server.streams.stream import Moved
 from cm.wire.messages.status import SensorStatus, Status
 
 _LOG = logging.getLogger("cm")

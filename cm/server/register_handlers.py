@@ -9,7 +9,7 @@ from cm.manager.access.register_service import AT_ONCE, ReadPieces, RegisterServ
 from cm.manager.manager import Manager
 from cm.server.board_watch import BoardWatch
 from cm.server.replies import Respond, refusal
-from cm.server.shares.clients import Client
+from cm.server.shares import Client
 from cm.server.steps import Steps
 from cm.wire.bodies import encode_values, encoded_registers
 from cm.wire.messages import requests as rq

@@ -19,9 +19,10 @@ from cm.manager.state.record import Journal
 from cm.schema.model import Config
 from cm.server.board_watch import BoardWatch
 from cm.server.client_jobs import ClientJobs
-from cm.server.connections import Connections, raise_descriptors
+from cm.server.connections import Connections, Sessions, raise_descriptors
+from cm.server.data_handlers import MemoryTransfers
 from cm.server.dispatcher import Dispatcher
-from cm.server.endpoints import Locks, Sockets
+from cm.server.endpoints import Authenticator, Locks, Sockets
 from cm.server.folders import own_folder
 from cm.server.handlers import Handlers, Services
 from cm.server.host.devices import BoardDevices
@@ -32,22 +33,18 @@ from cm.server.host.systemd import ServiceManager
 from cm.server.interrupts import InterruptWatch
 from cm.server.lease_watch import LeaseWatch
 from cm.server.loop import Loop
-from cm.server.memory_transfers import MemoryTransfers
 from cm.server.options import NO_METRICS, Options
-from cm.server.publisher import Publisher
-from cm.server.queue_limit import mark
+from cm.server.publisher import Publisher, mark
 from cm.server.read_cache import ReadCache
 from cm.server.rights.gate import Gate
 from cm.server.rights.users import system_users
 from cm.server.sensor_watch import SensorWatch
-from cm.server.sessions import Sessions
-from cm.server.shares.clients import Clients
+from cm.server.shares import Clients
 from cm.server.steps import Steps
-from cm.server.streams.acceptor import Acceptor
+from cm.server.streams.data_socket import DataSocket
 from cm.server.streams.discovery import with_channels
-from cm.server.streams.registry import Streams
+from cm.server.streams.stream_service import Streams
 from cm.server.uploads import Uploads
-from cm.server.zap import Authenticator
 from cm.wire.messages.requests import ChangeMode
 from cm.wire.messages.status import ErrorInfo, RegValues, Status
 
@@ -91,7 +88,7 @@ class Server:
         self._sessions = Sessions(gate, options.runtime_dir, self._sockets.tcp, self._manager)
         local = self._streams.open_local, *self._streams.memories, self._sessions
         taken = self._steps, options.group
-        self._acceptor = Acceptor(self._loop, options.runtime_dir, *local, *taken)
+        self._data_socket = DataSocket(self._loop, options.runtime_dir, *local, *taken)
         self._interrupts = InterruptWatch(
             self._loop, options.root, self._manager, self._publisher.interrupt, self._note_error
         )
@@ -177,7 +174,7 @@ class Server:
         """Listen everywhere; returns where metrics are served."""
         self._loop.add_socket(self._authenticator.socket, self._authenticator.answer)
         self._sockets.bind_ipc()
-        self._acceptor.open()
+        self._data_socket.open()
         for address in self._options.listen:
             bound = self._sockets.bind_tcp(address, self._options.security)
             _LOG.info("listening on %s, %s, %s", bound.pub, bound.sub, bound.req)
@@ -216,7 +213,7 @@ class Server:
         watches = (self._sensors.close, self._leases.close, self._jobs.close)
         board = (self._publisher.close, self._devices.lost, self._journal.close, self._sockets.close)
         last = (self._authenticator.close, self._context.term, self._loop.close, self._locks.release)
-        for end in (self._manager.stop, self._acceptor.close, *users, *watches, *board, *last):
+        for end in (self._manager.stop, self._data_socket.close, *users, *watches, *board, *last):
             end()
 
     def _on_subscription(self) -> None:

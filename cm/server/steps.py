@@ -8,8 +8,7 @@ from typing import Protocol
 
 from cm.errors import Busy
 from cm.server.loop import Loop
-from cm.server.shares.clients import Client
-from cm.server.shares.ring import Ring
+from cm.server.shares import Client, Ring
 
 Done = Callable[[Exception | None], None]
 WAITING_MAX = 16  # pieces of work of one client

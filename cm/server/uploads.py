@@ -14,7 +14,7 @@ from typing import ClassVar
 from cm.errors import Busy, CmError, InvalidRequest, NotFound
 from cm.server.limits import Limits
 from cm.server.replies import Respond
-from cm.server.shares.clients import Client
+from cm.server.shares import Client
 from cm.wire.messages import requests as rq
 from cm.wire.messages.status import Reply, UploadInfo
 

@@ -202,7 +202,7 @@ def test_a_client_that_keeps_connecting_to_the_data_socket_displaces_nobody(serv
         ours.settimeout(60)
         ours.connect(str(path))
         with running("-c", CONNECTS, path, 400, 48, first="hung up"):
-            until(lambda: len(served.server._acceptor._newcomers) == 49)
+            until(lambda: len(served.server._data_socket._awaiting) == 49)
             ours.send(encode_open(Open("", echo=True, length=4096, depth=1)))
             assert ours.recv(4096)
 

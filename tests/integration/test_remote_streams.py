@@ -21,7 +21,7 @@ from cm.client.frame import Frame
 from cm.client.stream import NewestStream, RemoteStream, Stream
 from cm.errors import InvalidRequest, NotFound, Timeout
 from cm.schema import load
-from cm.server.queue_limit import mark
+from cm.server.publisher import mark
 from cm.wire import cm_pb2 as pb
 from cm.wire.encode import decode_event
 from cm.wire.messages.status import FrameInfo

@@ -11,10 +11,9 @@ from dataclasses import dataclass, replace
 from cm.device.data_plane import Plane
 from cm.errors import CmError
 from cm.server.loop import Loop
+from cm.server.streams.over_zmq import ZmqReader, ZmqWriter
 from cm.server.streams.peer import Peer
 from cm.server.streams.stream import Frame, OpenStream
-from cm.server.streams.zmq_reader import ZmqReader
-from cm.server.streams.zmq_writer import ZmqWriter
 from cm.wire.messages.status import ErrorInfo
 from cm.wire.plane_packets import Open
 
@@ -65,7 +64,7 @@ class LocalClients:
         for client, local in list(self._clients.items()):
             if local.stream == opened.stream.name and not local.leaving:
                 try:
-                    waiting.append((client, opened.joiners.join(client, local.depth, local.peer)))
+                    waiting.append((client, opened.holders.join(client, local.depth, local.peer)))
                 except CmError as error:
                     self.refused(opened, client, error)
         return waiting

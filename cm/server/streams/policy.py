@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """When streams run: a table of phases and transitions, and what decides between them. No socket, no device.
 
-`cm.server.streams.driver` carries out what is decided here, and reports the outcome.
+`cm.server.streams.running` carries out what is decided here, and reports the outcome.
 """
 
 from __future__ import annotations

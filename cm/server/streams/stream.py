@@ -1,27 +1,83 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An open stream: its DMA channel and slots, handed to the data plane, which moves the frames.
+"""An open stream: its DMA channel and slots, handed to the data plane, which moves the frames; and its figures.
 
 The plane's C thread (`cm.device.data_plane`) does all work per frame; streams are opened, measured and closed here,
-in the loop's thread. `joiners` gives them memory and clients.
+in the loop's thread. `slots` gives them memory and clients.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import errno
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from cm.device import AxiDma, DmaBuffer, DmaInfo, DmaType
-from cm.device.data_plane import Plane
+from cm.device.data_plane import Plane, StreamCounts, StreamSetup
 from cm.errors import CmError
 from cm.manager.reporting import stream_status
 from cm.schema.model import Direction, Stream
 from cm.server.limits import USUAL
-from cm.server.streams.figures import Moved, median, rate, transfer_error
-from cm.server.streams.joiners import Joiners
 from cm.server.streams.settings import frame_bytes, setup
-from cm.server.streams.slots import Slots
+from cm.server.streams.slots import SlotHolders, Slots
 from cm.wire.messages.status import ErrorInfo, FrameInfo, StreamClient, StreamStatus
 from cm.wire.plane_packets import Descriptor, Geometry, encode_geometry, encode_label
+
+
+def median(values: Sequence[int]) -> int:
+    """Return the median; 0 for no values. (Importing `statistics` would cost half a MiB.)"""
+    return sorted(values)[len(values) // 2] if values else 0
+
+
+def rate(counts: StreamCounts) -> float:
+    """Return the frames per second over the last second."""
+    now = time.monotonic_ns()
+    recent = [t for t in counts.at_ns if t > now - 1_000_000_000]
+    return (
+        (len(recent) - 1) * 1e9 / (recent[-1] - recent[0])
+        if len(recent) > 1 and recent[-1] > recent[0]
+        else float(len(recent))
+    )
+
+
+def transfer_error(counts: StreamCounts, setup: StreamSetup) -> ErrorInfo | None:
+    """Say why a transfer last failed; None if none has."""
+    if not counts.error:
+        return None
+    text = f"a transfer of {setup.length} bytes failed: {os.strerror(counts.error)}"
+    if counts.error == errno.EIO and not setup.write:
+        text += "; so ends a packet that is longer than the frame, and an error of the bus"
+    return ErrorInfo("transfer_failed", text)
+
+
+class Moved(NamedTuple):
+    """What a stream has moved."""
+
+    frames: int = 0
+    dropped: int = 0
+    errors: int = 0
+    bytes: int = 0
+
+    def plus(self, other: Moved) -> Moved:
+        """Both together."""
+        return Moved(*map(sum, zip(self, other, strict=True)))
+
+
+class StreamTotals:
+    """What streams moved before they were last opened: at that moment their own counters start at 0 again."""
+
+    def __init__(self) -> None:
+        self._ended: dict[str, Moved] = {}
+
+    def add(self, stream: str, moved: Moved) -> None:
+        """A stream was closed."""
+        self._ended[stream] = self._ended.get(stream, Moved()).plus(moved)
+
+    def with_ended(self, now: Mapping[str, Moved]) -> dict[str, Moved]:
+        """Totals of every stream that ever ran: what it has moved since it was opened, and before."""
+        return {name: self._ended.get(name, Moved()).plus(now.get(name, Moved())) for name in {**self._ended, **now}}
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +108,7 @@ class OpenStream:
             dma.close()
             raise
         self._slots = Slots(plane, self.id, dma, self.setup.length, self.writes)
-        self.joiners = Joiners(stream, self._slots, self._attach, each)
+        self.holders = SlotHolders(stream, self._slots, self._attach, each)
 
     @property
     def slots(self) -> list[DmaBuffer]:
@@ -71,7 +127,7 @@ class OpenStream:
     @property
     def clients(self) -> int:
         """How many clients are attached."""
-        return len(self.joiners.peers)
+        return len(self.holders.peers)
 
     def _geometry(self, depth: int) -> Geometry:
         s = self.stream
@@ -142,7 +198,7 @@ class OpenStream:
         return transfer_error(self._plane.counts(self.id), self.setup)
 
     def _clients(self) -> Iterator[StreamClient]:
-        for client, peer in self.joiners.peers.items():
+        for client, peer in self.holders.peers.items():
             counts = self._plane.client_counts(client)
             if counts is not None:
                 yield StreamClient(
@@ -167,4 +223,4 @@ class OpenStream:
         try:
             self._plane.stop(self.id, error)
         finally:
-            self.joiners.stop(error)
+            self.holders.stop(error)

@@ -14,8 +14,7 @@ import pytest
 import zmq
 
 from cm.errors import InvalidRequest
-from cm.server.endpoints import ENDPOINTS_FILE, AlreadyServed, BoardLock, FolderLock, Security, Sockets
-from cm.server.zap import Authenticator
+from cm.server.endpoints import ENDPOINTS_FILE, AlreadyServed, Authenticator, BoardLock, FolderLock, Security, Sockets
 from cm.wire import multipart
 
 WAIT = 20_000  # ms

@@ -9,8 +9,7 @@ import pytest
 
 from cm.server.limits import USUAL
 from cm.server.rights.principal import from_id
-from cm.server.shares.clients import LITTLE, PENDING, Clients, RepliesUnread, TooMuchWaiting
-from cm.server.shares.ring import Ring
+from cm.server.shares import LITTLE, PENDING, Clients, RepliesUnread, Ring, TooMuchWaiting
 from cm.wire.messages.status import Reply
 
 LIMITS = replace(USUAL, waiting_bytes=1000, replies_bytes=100_000)

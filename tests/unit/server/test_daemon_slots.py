@@ -275,7 +275,7 @@ def test_another_reader_that_asks_meanwhile_misses_no_frame_either(
     first = client(camera, Open("camera", depth=40))
     slots.held()
     second = client(camera, Open("camera", depth=20))
-    until(lambda: len(camera.server._acceptor._under_way) == 2)
+    until(lambda: len(camera.server._data_socket._under_way) == 2)
     slots.opened.set()
     assert [reader.geometry().depth for reader in (first, second)] == [40, 20]
     assert reads(first) == reads(second) == [0, 1, 2, 3, 4]

@@ -16,7 +16,7 @@ from manager_process import until
 from cm.errors import InvalidRequest
 from cm.manager.state.totals import ChangeTotals, Histogram
 from cm.server.metrics_server import CONNECTIONS, MetricsServer, split_address
-from cm.server.streams.figures import Moved, StreamTotals
+from cm.server.streams.stream import Moved, StreamTotals
 
 WAIT = 30.0
 

@@ -19,7 +19,7 @@ from cm.cli.main import main
 from cm.manager.state.totals import ChangeTotals
 from cm.server.loop import Loop
 from cm.server.metrics import Metrics
-from cm.server.streams.figures import Moved
+from cm.server.streams.stream import Moved
 from cm.wire.messages.status import (
     ClientStatus,
     ClockStatus,

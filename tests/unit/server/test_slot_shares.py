@@ -6,7 +6,7 @@ from __future__ import annotations
 import pytest
 
 from cm.server.streams.peer import Peer
-from cm.server.streams.shares import NoSlots, share
+from cm.server.streams.slots import NoSlots, share
 
 EACH = 64
 

@@ -13,7 +13,7 @@ import pytest
 from cm.server import uploads
 from cm.server.limits import USUAL
 from cm.server.rights.principal import Principal, from_id
-from cm.server.shares.clients import Client, Clients
+from cm.server.shares import Client, Clients
 from cm.server.uploads import TooMuchUploaded, Uploads
 from cm.wire.messages.requests import Upload
 

@@ -12,7 +12,7 @@ import zmq
 
 from cm.schema.model import Config, Direction, Mode, Stream
 from cm.server.loop import Loop, XpubSender
-from cm.server.queue_limit import mark
+from cm.server.publisher import mark
 
 MIB = 1 << 20
 

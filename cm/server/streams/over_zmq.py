@@ -1,22 +1,154 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Passes frames that clients write over ZeroMQ to the hardware."""
+"""Streams over ZeroMQ: the manager as a client of its own data plane, on behalf of ZeroMQ clients.
+
+It is a client like any other, connected by a socket pair: one that reads for subscribers and single reads, and one that
+writes.
+"""
 
 from __future__ import annotations
 
 import itertools
 import os
+import socket
 import time
 from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 
-from cm.device.data_plane import Plane
+from cm.device.data_plane import Plane, StreamSetup
 from cm.errors import Busy, CmError, InvalidRequest, Timeout
 from cm.server.loop import Loop, Timer
 from cm.server.streams.policy import StreamStopped
 from cm.server.streams.settings import frame_bytes
 from cm.server.streams.stream import Done, Frame, OpenStream
-from cm.server.streams.zmq_client import ZmqClient, line_slices
 from cm.wire import plane_packets as packets
-from cm.wire.plane_packets import Descriptor
+from cm.wire.plane_packets import DESCRIPTOR, Descriptor
+
+_LINGER = 2.0  # seconds that a stream stays open after a single read or write
+
+
+class ZmqClient:
+    """A client of the plane in this process."""
+
+    def __init__(self, loop: Loop, plane: Plane, opened: OpenStream, depth: int) -> None:
+        self._loop, self._plane, self._stream = loop, plane, opened
+        self._used_at = 0.0
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        ours.setblocking(False)
+        self._socket = ours
+        self.client = plane.adopt(theirs.detach())
+        try:
+            self.steps = opened.holders.join(self.client, depth)  # by which it joins the stream
+        except BaseException:
+            plane.drop(self.client)
+            ours.close()
+            raise
+        loop.add(ours.fileno(), self._readable)
+
+    @property
+    def working(self) -> bool:
+        """Whether a request is waiting now."""
+        raise NotImplementedError
+
+    @property
+    def busy(self) -> bool:
+        """Whether a request is waiting, or was a moment ago."""
+        return self.working or time.monotonic() < self._used_at + _LINGER
+
+    def close(self, error: CmError | OSError | None = None) -> None:  # noqa: ARG002 (for subclasses)
+        """Disconnect; waiting requests get the error, or are told that the stream was stopped."""
+        self._loop.remove(self._socket.fileno())
+        self._plane.drop(self.client)
+        self._stream.holders.detached(self.client)
+        self._socket.close()
+
+    def _readable(self) -> None:
+        try:
+            packet = self._socket.recv(packets.PACKET_MAX)  # descriptors of memory that come with it are closed
+        except BlockingIOError:
+            return
+        if len(packet) >= DESCRIPTOR.size:
+            self._take(Descriptor(*DESCRIPTOR.unpack_from(packet)))
+
+    def _take(self, packet: Descriptor) -> None:
+        raise NotImplementedError
+
+
+def line_slices(setup: StreamSetup) -> Iterator[slice]:
+    """The bytes of each line of a video frame in its slot."""
+    for begin in range(0, setup.lines * setup.stride, setup.stride):
+        yield slice(begin, begin + setup.line_bytes)
+
+
+_READ_DEPTH = 2
+
+
+class ZmqReader(ZmqClient):
+    """Passes frames to subscribers and to single reads."""
+
+    def __init__(self, loop: Loop, plane: Plane, opened: OpenStream, deliver: Callable[[Frame], None]) -> None:
+        self._deliver = deliver
+        self._readers: deque[tuple[Done, Timer]] = deque()
+        self._generation = 0
+        super().__init__(loop, plane, opened, _READ_DEPTH)
+
+    @property
+    def working(self) -> bool:
+        """Whether a request is waiting for a frame."""
+        return bool(self._readers)
+
+    def read_once(self, timeout: float, done: Done) -> None:
+        """Pass a copy of the next frame to `done`, or a Timeout after `timeout` seconds."""
+        entry: list[tuple[Done, Timer]] = []
+
+        def expired() -> None:
+            if entry[0] in self._readers:
+                self._readers.remove(entry[0])
+                done(Timeout(f"stream {self._stream.stream.name!r} gave no frame within {timeout:g} s"))
+
+        entry.append((done, self._loop.call_later(timeout, expired)))
+        self._readers.append(entry[0])
+        self._used_at = time.monotonic()
+
+    def _take(self, packet: Descriptor) -> None:
+        if packet.kind == packets.GENERATION:
+            self._generation = packet.sequence
+        if packet.kind != packets.FRAME:
+            return
+        try:
+            self._hand_on(packet)
+        finally:
+            self._socket.send(packet._replace(kind=packets.RELEASE).pack())
+
+    def _hand_on(self, packet: Descriptor) -> None:
+        slot = self._stream.slots[packet.slot]
+        slot.sync_begin(write=False)
+        try:
+            frame = Frame(self._stream.info(packet, self._generation), self._bytes(packet))
+            readers, self._readers = self._readers, deque()
+            kept = replace(frame, data=memoryview(bytes(frame.data))) if readers else frame  # one copy for all reads
+            for done, timer in readers:
+                timer.cancel()
+                done(kept)
+            self._deliver(frame)
+        finally:
+            slot.sync_end(write=False)
+
+    def _bytes(self, packet: Descriptor) -> memoryview:
+        """The frame's bytes without gaps; copied only if its lines are apart."""
+        setup, slot = self._stream.setup, self._stream.slots[packet.slot]
+        view = slot.memoryview(writable=False)
+        if setup.lines and setup.stride != setup.line_bytes:
+            return memoryview(b"".join(view[line] for line in line_slices(setup)))[: packet.length]
+        return view[packet.offset : packet.offset + packet.length]
+
+    def close(self, error: CmError | OSError | None = None) -> None:
+        super().close()
+        readers, self._readers = self._readers, deque()
+        for done, timer in readers:
+            timer.cancel()
+            done(error or StreamStopped(f"stream {self._stream.stream.name!r} was stopped before a frame came"))
+
 
 _WRITE_DEPTH = 4
 _WAITING = 32  # writes that may wait for a slot

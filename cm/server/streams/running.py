@@ -1,47 +1,103 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Opens and closes streams as `policy` decides, and reports the results to it. Runs in the loop's thread."""
+"""The streams that run: opened and closed as `policy` decides, with their clients. Runs in the loop's thread."""
 
 from __future__ import annotations
 
 import errno
 import logging
 import os
+import select
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import partial
+from typing import Protocol
 
-from cm.device import DeviceTimeout
+from cm.device import AxiDma, DeviceTimeout
 from cm.device.data_plane import ClientGone, ClientLeaves, Plane
 from cm.errors import CmError
 from cm.schema.model import Direction, Stream
 from cm.server.host.devices import BoardDevices
 from cm.server.loop import Loop
 from cm.server.steps import Steps
-from cm.server.streams.allocations import Allocations
-from cm.server.streams.audience import Audience
 from cm.server.streams.clients import LocalClients, ZmqClients
-from cm.server.streams.echo import Echoes
-from cm.server.streams.figures import Moved, StreamTotals
-from cm.server.streams.memory_thread import MemoryThread
+from cm.server.streams.memory import Allocations, Echoes, MemoryThread
 from cm.server.streams.peer import Peer
 from cm.server.streams.policy import StreamEvent, StreamPolicy, Users
-from cm.server.streams.stalled import StalledChannels
-from cm.server.streams.stream import OpenStream
+from cm.server.streams.stream import Frame, Moved, OpenStream, StreamTotals
 from cm.wire.messages.status import ErrorInfo
+
+
+class StalledChannels:
+    """Remembers channels by their stream's name until they answer. Used in the loop's thread."""
+
+    def __init__(self, probe: Callable[[str], int]) -> None:
+        """`probe` makes a descriptor that polls readable when a channel answers."""
+        self._probe = probe
+        self._channels: dict[str, AxiDma] = {}  # open; an answer is overdue
+        self._probes: dict[str, int] = {}  # could not be opened
+
+    def begin(self, name: str, channel: AxiDma) -> None:
+        """Take over an open channel that did not answer."""
+        self._channels[name] = channel
+
+    def probe(self, stream: Stream) -> None:
+        """Watch a channel that could not be opened because nothing answered. Raises OSError if it cannot be watched."""
+        self._probes[stream.name] = self._probe(stream.channel)
+
+    def answered(self) -> list[str]:
+        """Release the channels that answer again and can be reopened, and return their names. Does not block."""
+        back = [name for name, channel in self._channels.items() if channel.answers]
+        for name in back:
+            self._channels.pop(name).close()
+        ready = _readable(self._probes.values())
+        probed = [name for name, descriptor in self._probes.items() if descriptor in ready]
+        for name in probed:
+            os.close(self._probes.pop(name))
+        return [*back, *probed]
+
+    def close(self) -> None:
+        """Close all channels and probes."""
+        for channel in self._channels.values():
+            channel.close()
+        for descriptor in self._probes.values():
+            os.close(descriptor)
+        self._channels.clear()
+        self._probes.clear()
+
+
+def _readable(descriptors: Iterable[int]) -> set[int]:
+    poll = select.poll()
+    for descriptor in descriptors:
+        poll.register(descriptor, select.POLLIN)
+    return {descriptor for descriptor, _ in poll.poll(0)}
+
+
+class Subscribers(Protocol):
+    """Those who subscribe to frames over ZeroMQ."""
+
+    def wants_stream(self, name: str) -> bool:
+        """Whether a stream has subscribers."""
+
+    def overruns(self, stream: str) -> int:
+        """How often a subscriber began to lose a stream's frames."""
+
+    def frame(self, frame: Frame) -> None:
+        """Send a frame to its subscribers; its memory is valid only during the call."""
+
 
 _LOG = logging.getLogger(__name__)
 _EVENTS = 32  # of the plane that are taken in one turn of the loop
 
 
-class StreamDriver:
+class RunningStreams:
     """The open streams, their clients, and the plane that moves the frames."""
 
     def __init__(
         self,
         loop: Loop,
         devices: BoardDevices,
-        audience: Audience,
+        subscribers: Subscribers,
         policy: StreamPolicy,
         on_error: Callable[[ErrorInfo], None],
         slots_each: int,
@@ -50,7 +106,7 @@ class StreamDriver:
         self._slots_each = slots_each
         self._loop = loop
         self._devices = devices
-        self._audience = audience
+        self._subscribers = subscribers
         self._policy = policy
         self._on_error = on_error
         self.plane = Plane()
@@ -61,7 +117,7 @@ class StreamDriver:
         self._totals = StreamTotals()
         self.failures: dict[str, ErrorInfo] = {}  # by stream of this mode: why it last failed
         self.locals = LocalClients(self.plane, on_error)
-        self.zmq = ZmqClients(loop, self.plane, audience.frame, self._take)
+        self.zmq = ZmqClients(loop, self.plane, subscribers.frame, self._take)
         self._steps = steps
         self._stalled = StalledChannels(devices.probe_dma)
         loop.add(self.plane.fileno(), self._plane_event)
@@ -70,7 +126,7 @@ class StreamDriver:
         """Set how many slots of a stream one process may hold."""
         self._slots_each = slots_each
         for opened in self.open.values():
-            opened.joiners.each = slots_each
+            opened.holders.each = slots_each
 
     def refresh(self) -> None:
         """Open streams that are wanted, and close those that are no longer wanted."""
@@ -90,7 +146,7 @@ class StreamDriver:
 
     def has_subscriber(self, stream: Stream) -> bool:
         """Whether the stream is an input with at least one subscriber."""
-        return stream.direction is Direction.S2MM and self._audience.wants_stream(stream.name)
+        return stream.direction is Direction.S2MM and self._subscribers.wants_stream(stream.name)
 
     def settle(self) -> None:
         """Process the disconnections that have already happened, so that those clients no longer count as users."""
@@ -111,12 +167,12 @@ class StreamDriver:
         """
         opened = self.open.get(stream.name)
         if opened is not None:
-            return self._watched(opened, opened.joiners.join(client, depth, peer, stopped))
+            return self._watched(opened, opened.holders.join(client, depth, peer, stopped))
         if not self._policy.may_run(stream.name):
             stopped(0)
             return iter(())
         steps: list[Iterator[None]] = []
-        opened = self._start(stream, lambda o: steps.append(o.joiners.join(client, depth, peer, stopped)), paid=True)
+        opened = self._start(stream, lambda o: steps.append(o.holders.join(client, depth, peer, stopped)), paid=True)
         return self._watched(opened, steps[0])
 
     def _watched(
@@ -139,8 +195,8 @@ class StreamDriver:
     def _not_started(self, opened: OpenStream, error: CmError | OSError) -> None:
         """Close a stream that could not get its first slots; a running one goes on without its new client."""
         name, late = opened.stream.name, isinstance(error, DeviceTimeout)
-        if not opened.joiners.started and self.open.get(name) is opened:
-            opened.joiners.fail(error)
+        if not opened.holders.started and self.open.get(name) is opened:
+            opened.holders.fail(error)
             self.zmq.close(name, error)
             (self._stall if late else self.stop)(name, errno.ETIMEDOUT if late else 0)
 
@@ -187,7 +243,7 @@ class StreamDriver:
             for client, steps in waiting:
                 self._steps.run(self._watched(opened, steps, partial(self.locals.refused, opened, client)))
             if not paid:
-                self._take(opened, opened.joiners.begin(), partial(self._unopened, stream.name))
+                self._take(opened, opened.holders.begin(), partial(self._unopened, stream.name))
         except BaseException:
             self.stop(stream.name)
             raise
@@ -244,7 +300,7 @@ class StreamDriver:
         self.allocations.gone(client)
         opened = self.open.get(self.locals.gone(client) or "")
         if opened is not None:
-            opened.joiners.detached(client)
+            opened.holders.detached(client)
 
     def _lost(self, number: int, error: int) -> None:
         for name in [name for name, opened in self.open.items() if opened.id == number]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The streams of the loaded mode: what `policy` decides, carried out with channels and their clients."""
+"""The streams of the loaded mode, for requests and for the manager: what `policy` decides, carried out by `running`."""
 
 from __future__ import annotations
 
@@ -18,11 +18,10 @@ from cm.server.host.devices import BoardDevices
 from cm.server.limits import USUAL, Limits
 from cm.server.loop import Loop
 from cm.server.steps import Steps
-from cm.server.streams.audience import Audience
 from cm.server.streams.compression import check_compression
-from cm.server.streams.driver import StreamDriver
 from cm.server.streams.peer import Peer
 from cm.server.streams.policy import StreamEvent, StreamPhase, StreamPolicy
+from cm.server.streams.running import RunningStreams, Subscribers
 from cm.server.streams.settings import changed, setup
 from cm.server.streams.stream import Done
 from cm.wire.messages.requests import ConfigureStream
@@ -39,7 +38,7 @@ class Streams:
         self,
         loop: Loop,
         devices: BoardDevices,
-        audience: Audience,
+        subscribers: Subscribers,
         leases: Leases,
         on_error: Callable[[ErrorInfo], None],
         steps: Steps,
@@ -47,10 +46,10 @@ class Streams:
     ) -> None:
         self._loop = loop
         self._devices = devices
-        self._audience = audience
+        self._subscribers = subscribers
         self._leases = leases
         self._policy = StreamPolicy()
-        self._driver = StreamDriver(loop, devices, audience, self._policy, on_error, limits.slots_each, steps)
+        self._driver = RunningStreams(loop, devices, subscribers, self._policy, on_error, limits.slots_each, steps)
         self.memories = self._driver.echoes, self._driver.allocations  # for clients that want no stream
         self.moved = self._driver.moved
         self._idle: dict[str, tuple[Stream, StreamStatus]] = {}
@@ -136,7 +135,7 @@ class Streams:
         if opened is None:
             ended(None)
         else:
-            opened.joiners.when_started(ended)
+            opened.holders.when_started(ended)
 
     def _in_use(self, stream: Stream) -> bool:
         """Whether a client would notice a change; a stream that only lingers after its last client is not in use."""
@@ -201,7 +200,7 @@ class Streams:
         failure = status.last_error or self._driver.failures.get(name)
         if failure is not None:
             status = replace(status, last_error=failure)
-        overruns = self._audience.overruns(name)
+        overruns = self._subscribers.overruns(name)
         return replace(status, overruns=overruns) if overruns else status  # only if needed: half the work
 
     def _closed(self, stream: Stream) -> StreamStatus:
