@@ -30,7 +30,7 @@ def test_the_manager_imports_where_no_shim_was_compiled() -> None:
         [sys.executable, "-c", _WITHOUT_SHIMS], capture_output=True, text=True, check=False, cwd=PACKAGE.parent
     )
     assert done.returncode == 0, done.stderr
-    assert int(done.stdout) > 30
+    assert int(done.stdout) > 20
 
 
 _ON_A_LAPTOP = (
