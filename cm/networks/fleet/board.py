@@ -266,7 +266,7 @@ class Board:
                 raise
             except CmError as error:  # told, and from then on a board that is not where it is wanted
                 self._error = ErrorInfo(error.code, f"change {part.change} could not be undone: {error}")
-                changes = {"reached": min(self._notes.reached, self._view.generation - 1)}
+                changes = {"reached": max(0, min(self._notes.reached, self._view.generation - 1))}
             seen = await self._manager.where()
             changes |= {"place": seen.place, "manager": seen.manager} if changes else {}
         await self._manager.release(part)
@@ -292,7 +292,7 @@ class Board:
         notes, wanted = self._notes, self._view.wanted
         self.place = seen.place
         reached = notes.reached
-        if seen.place != notes.place and wanted is not None:
+        if (seen.place, seen.manager) != (notes.place, notes.manager) and wanted is not None:
             by_hand = seen.manager == notes.manager and seen.place != (wanted.config, wanted.mode)
             reached = max(reached, wanted.generation) if by_hand else min(reached, wanted.generation - 1)
         if again and wanted is not None and seen.place != (wanted.config, wanted.mode):

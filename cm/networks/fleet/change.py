@@ -253,7 +253,7 @@ class Coordinator:
         else:
             self.course.decision = Decision.REVERT  # nobody else could decide, and we never will
             if self._lost:
-                self.course.causes.setdefault("the store", ErrorInfo("lease", "ended the coordinator's lease"))
+                self.course.causes.setdefault("the store", ErrorInfo("lease", "the coordinator's lease has ended"))
         if self.course.decision is not None:
             with contextlib.suppress(StoreAway):  # it runs out by itself
                 await self.store.revoke(lease)
@@ -285,7 +285,7 @@ class Coordinator:
             return Decision.KEEP
         if found.generation > self._generation:  # by a later change, before which ours may have been kept
             return None
-        self.course.causes.setdefault("the store", ErrorInfo("lease", "ended the coordinator's lease"))
+        self.course.causes.setdefault("the store", ErrorInfo("lease", "the coordinator's lease has ended"))
         return Decision.REVERT
 
     async def _reconcile(self) -> None:

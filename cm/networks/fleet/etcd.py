@@ -22,11 +22,12 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from cm.errors import InvalidRequest
-from cm.networks.fleet.store import Entry, Put, StoreAway, StoreRefused, key
+from cm.networks.fleet.store import BOARDS, Entry, Put, StoreAway, StoreRefused, key
 
 PREFIX = "cm/"  # of all our keys: others may use the same cluster
 _ONE = 2.0  # seconds for one member's answer
 _ALL = 8.0  # and for that of any
+_MANY = 3.0  # more for an answer with all boards
 _PACE = 200e3  # bytes a second of a large request, beyond that
 _QUIET = 15.0  # seconds without a word after which a watch asks another member
 _AGAIN = (4, 14)  # gRPC's DEADLINE_EXCEEDED, UNAVAILABLE: another member may do it
@@ -95,7 +96,7 @@ class Etcd:
 
     async def get(self, prefix: str) -> dict[str, Entry]:
         """As Store has it."""
-        found = await self._ask("kv/range", _range(prefix))
+        found = await self._ask("kv/range", _range(prefix), 0.0 if prefix.endswith("/") and prefix != BOARDS else _MANY)
         return {
             _text(kv["key"])[len(PREFIX) :]: Entry(_text(kv.get("value", "")), int(kv["mod_revision"]))
             for kv in found.get("kvs", ())
@@ -150,11 +151,11 @@ class Etcd:
 
     # ---- requests -------------------------------------------------------------------------
 
-    async def _ask(self, path: str, body: Mapping[str, Any]) -> dict[str, Any]:
-        return await asyncio.to_thread(self._asked, path, json.dumps(body).encode())
+    async def _ask(self, path: str, body: Mapping[str, Any], slow: float = 0.0) -> dict[str, Any]:
+        return await asyncio.to_thread(self._asked, path, json.dumps(body).encode(), slow)
 
-    def _asked(self, path: str, body: bytes) -> dict[str, Any]:
-        slow = len(body) / _PACE
+    def _asked(self, path: str, body: bytes, slow: float) -> dict[str, Any]:
+        slow += len(body) / _PACE
         end, said = time.monotonic() + _ALL + 2 * slow, ""
         while True:
             for number in range(len(self._cluster.members)):
