@@ -22,8 +22,9 @@ from manager_process import REPOSITORY, environment, until
 from cm.cli.main import main
 from cm.networks.fleet.blocking import Fleet
 from cm.networks.fleet.errors import ChangeFailed, FleetRefused
-from cm.networks.fleet.store import LEASE
+from cm.networks.fleet.store import LEASE, StoreAway
 from cm.wire.messages.fleet import BoardStatus, FleetState
+from cm.wire.messages.status import RegValues
 
 pytestmark = pytest.mark.networks
 Boards = dict[str, FleetBoard]
@@ -205,6 +206,41 @@ def test_a_board_that_follows_nobody_is_told_and_stays(boards: Boards, fleet: Fl
     assert b03.place[1] == "default"
     b03.bridge._command = command
     b03.bridge.end()
+
+
+def test_while_the_store_is_away_no_change_begins_and_everything_local_goes_on(
+    boards: Boards, three: tuple[Router, Boards, Fleet], fleet: Fleet, store: str
+) -> None:
+    if store != "keeper":
+        pytest.skip("a cluster has no single place")
+    until(lambda: all(state(fleet, name).state == "there" for name in boards))
+    boards["b01"].bridge.end()  # the keeper
+    with pytest.raises(StoreAway, match="the fleet's keeper does not answer"):
+        fleet.mode("colorise", ["b02"])
+    with boards["b02"].manager.connected() as client:
+        client.mode = "edge_detection"
+    assert isinstance(fleet.write({"led": 5}, ["b03"])["b03"], RegValues)
+    until(lambda: "does not answer" in state(fleet, "b02").store_error)
+    boards["b01"].bridge.start()
+    until(lambda: state(fleet, "b02").state == "drift")  # nothing is lost
+    assert set(fleet.inventory()) == set(boards)
+
+
+def test_the_wanted_state_moves_to_another_store_and_back(
+    boards: Boards, fleet: Fleet, store: str, where: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    if store == "keeper":
+        assert main(["fleet", "store", "move", "keeper", *where]) == 1
+        assert "has wanted state already" in capsys.readouterr().err
+        return
+    with EtcdCluster() as other:
+        assert main(["fleet", "store", "move", other.urls, *where]) == 0
+        assert main(["fleet", "ls", *where[:2], "--store", other.urls]) == 0
+        moved = capsys.readouterr().out
+        assert main(["fleet", "ls", *where]) == 0
+        assert [line.split() for line in capsys.readouterr().out.splitlines()] == [
+            line.split() for line in moved.splitlines()[1:]
+        ]
 
 
 # ---- 4: a dead coordinator --------------------------------------------------------------------
