@@ -18,11 +18,11 @@ _ASSIGNMENT = re.compile(r'^([A-Z_]+(?::[\w${}\-:]+)?) *(\+|\?|\?\?|:)?= *"((?:[
 # Python's standard library is split: module → package. From python3-manifest.json of openembedded-core,
 # scarthgap 5435505 and wrynose ef022bf; what is not named here is in python3-core.
 SPLIT = {
-    "asyncio": "asyncio", "concurrent": "asyncio", "ctypes": "ctypes", "curses": "curses", "datetime": "datetime",
+    "asyncio": "asyncio", "bz2": "compression", "concurrent": "asyncio", "ctypes": "ctypes", "curses": "curses", "datetime": "datetime",
     "decimal": "numbers", "difflib": "difflib", "fcntl": "fcntl", "gzip": "compression", "hashlib": "crypt",
     "html": "html", "http": "netclient", "json": "json", "logging": "logging", "mmap": "mmap",
-    "multiprocessing": "multiprocessing", "pickle": "pickle", "queue": "threading", "secrets": "netclient",
-    "shlex": "shell", "socket": "io", "ssl": "io", "statistics": "statistics", "tarfile": "compression",
+    "lzma": "compression", "multiprocessing": "multiprocessing", "pickle": "pickle", "queue": "threading", "secrets": "netclient",
+    "shlex": "shell", "socket": "io", "socketserver": "netserver", "ssl": "io", "statistics": "statistics", "tarfile": "compression",
     "tempfile": "io", "termios": "io", "base64": "netclient", "hmac": "netclient", "resource": "resource",
     "tty": "terminal", "pty": "terminal", "urllib": "netclient", "uuid": "netclient", "xml": "xml",
     "zipfile": "compression",
