@@ -18,14 +18,14 @@ _ASSIGNMENT = re.compile(r'^([A-Z_]+(?::[\w${}\-:]+)?) *(\+|\?|\?\?|:)?= *"((?:[
 # Python's standard library is split: module → package. From python3-manifest.json of openembedded-core,
 # scarthgap 5435505 and wrynose ef022bf; what is not named here is in python3-core.
 SPLIT = {
-    "asyncio": "asyncio", "bz2": "compression", "concurrent": "asyncio", "ctypes": "ctypes", "curses": "curses", "datetime": "datetime",
-    "decimal": "numbers", "difflib": "difflib", "fcntl": "fcntl", "gzip": "compression", "hashlib": "crypt",
-    "html": "html", "http": "netclient", "json": "json", "logging": "logging", "mmap": "mmap",
-    "lzma": "compression", "multiprocessing": "multiprocessing", "pickle": "pickle", "queue": "threading", "secrets": "netclient",
-    "shlex": "shell", "socket": "io", "socketserver": "netserver", "ssl": "io", "statistics": "statistics", "tarfile": "compression",
-    "tempfile": "io", "termios": "io", "base64": "netclient", "hmac": "netclient", "resource": "resource",
-    "tty": "terminal", "pty": "terminal", "urllib": "netclient", "uuid": "netclient", "xml": "xml",
-    "zipfile": "compression",
+    "asyncio": "asyncio", "bz2": "compression", "concurrent": "asyncio", "ctypes": "ctypes", "curses": "curses",
+    "datetime": "datetime", "decimal": "numbers", "difflib": "difflib", "fcntl": "fcntl", "gzip": "compression",
+    "hashlib": "crypt", "html": "html", "http": "netclient", "json": "json", "logging": "logging", "mmap": "mmap",
+    "lzma": "compression", "multiprocessing": "multiprocessing", "pickle": "pickle", "queue": "threading",
+    "secrets": "netclient", "shlex": "shell", "socket": "io", "socketserver": "netserver", "ssl": "io",
+    "statistics": "statistics", "tarfile": "compression", "tempfile": "io", "termios": "io", "base64": "netclient",
+    "hmac": "netclient", "resource": "resource", "tty": "terminal", "pty": "terminal", "urllib": "netclient",
+    "uuid": "netclient", "xml": "xml", "zipfile": "compression",
 }  # fmt: skip
 OTHERS = {
     "_cffi_backend": "python3-cffi", "aiohttp": "python3-aiohttp", "cffi": "python3-cffi",
