@@ -12,6 +12,7 @@
 #include <linux/platform_device.h>
 #include <linux/property.h>
 #include <linux/spinlock.h>
+#include <linux/srcu.h>
 #include <linux/uio_driver.h>
 
 #include "cm_compat.h"
@@ -158,7 +159,11 @@ static int find_read_back(struct cm_window_device *self, struct platform_device 
 }
 
 #if IS_REACHABLE(CONFIG_FPGA_BRIDGE)
-/* its decoupler, where it has one; the holder of a bridge holds a mutex, so for one call */
+/*
+ * Its decoupler, where it has one; the holder of a bridge holds a mutex, so for one call.
+ * Looked for when it is needed: a probe that is deferred leaves the node to
+ * uio_pdrv_genirq.  Where it is not there, what asked for the bridge fails.
+ */
 static int with_decoupler(struct cm_window_device *self, int (*call)(struct fpga_bridge *bridge))
 {
 	struct device_node *node = of_parse_phandle(self->dev->of_node, "fpga-bridges", 0);
@@ -169,16 +174,13 @@ static int with_decoupler(struct cm_window_device *self, int (*call)(struct fpga
 		return 0;
 	bridge = of_fpga_bridge_get(node, NULL);
 	of_node_put(node);
-	if (IS_ERR(bridge))
+	if (IS_ERR(bridge)) {
+		dev_err(self->dev, "its decoupler cannot be had (%ld)\n", PTR_ERR(bridge));
 		return PTR_ERR(bridge);
+	}
 	ret = call(bridge);
 	fpga_bridge_put(bridge);
 	return ret;
-}
-
-static int look_only(struct fpga_bridge *bridge)
-{
-	return 0;
 }
 
 static int shut(struct cm_window_device *self)
@@ -202,30 +204,39 @@ static int admit(struct cm_window_device *self)
 	return ret;
 }
 
+/* a region calls the bridge that it found, however long ago its device was unbound */
+DEFINE_STATIC_SRCU(bridge_calls);
+
 static int window_bridge_set(struct fpga_bridge *bridge, bool enable)
 {
-	return enable ? admit(bridge->priv) : shut(bridge->priv);
+	int calls = srcu_read_lock(&bridge_calls);
+	struct cm_window_device *self = READ_ONCE(bridge->priv);
+	int ret = -ENODEV;
+
+	if (self)
+		ret = enable ? admit(self) : shut(self);
+	srcu_read_unlock(&bridge_calls, calls);
+	return ret;
 }
 
 static const struct fpga_bridge_ops window_bridge_ops = {
 	.enable_set = window_bridge_set,
 };
 
-static void unregister_bridge(void *bridge)
+static void unregister_bridge(void *data)
 {
+	struct fpga_bridge *bridge = data;
+
+	WRITE_ONCE(bridge->priv, NULL);
+	synchronize_srcu(&bridge_calls);
 	fpga_bridge_unregister(bridge);
 }
 
 static int add_bridge(struct cm_window_device *self)
 {
-	struct fpga_bridge *bridge;
-	int ret = with_decoupler(self, look_only);
+	struct fpga_bridge *bridge = cm_fpga_bridge_register(self->dev, dev_name(self->dev),
+							     &window_bridge_ops, self);
 
-	/* one that a region has just now is there all the same */
-	if (ret && ret != -EBUSY)
-		return dev_err_probe(self->dev, ret == -ENODEV ? -EPROBE_DEFER : ret,
-				     "no decoupler\n");
-	bridge = cm_fpga_bridge_register(self->dev, dev_name(self->dev), &window_bridge_ops, self);
 	if (IS_ERR(bridge))
 		return dev_err_probe(self->dev, PTR_ERR(bridge), "no bridge\n");
 	return devm_add_action_or_reset(self->dev, unregister_bridge, bridge);

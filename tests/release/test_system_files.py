@@ -106,9 +106,16 @@ def test_udev_rules_name_the_group_of_the_unit_and_nodes_of_our_drivers() -> Non
     text = (SYSTEM / "udev/60-cm.rules").read_text()
     assert set(re.findall(r'GROUP="(\w+)"', text)) == {unit("Service", "Group")[0]}
     sources = "".join(path.read_text() for path in (ROOT / "kmod").rglob("*.c"))
-    for name in ("cm_dma", "axidma"):
+    for name in ("cm_dma", "axidma", "cm_window"):
         assert f'"{name}"' in sources
         assert f'"{name}"' in text
+
+
+def test_only_the_manager_lends_pages() -> None:
+    (rule,) = [line for line in lines(SYSTEM / "udev/60-cm.rules") if '"cm_window"' in line]
+    assert f'OWNER="{unit("Service", "User")[0]}"' in rule
+    assert 'MODE="0600"' in rule
+    assert "GROUP" not in rule
 
 
 def test_modules_that_the_service_asks_for_are_ours_or_the_kernels() -> None:
@@ -123,7 +130,9 @@ def test_modules_that_the_service_asks_for_are_ours_or_the_kernels() -> None:
 
 
 def test_the_uio_driver_takes_the_nodes_that_cm_build_writes() -> None:
-    options = dict(line.split()[1:] for line in lines(SYSTEM / "modprobe.d/cm.conf"))
+    said = [line.split() for line in lines(SYSTEM / "modprobe.d/cm.conf")]
+    options = dict(words[1:] for words in said if words[0] == "options")
+    assert ["softdep", "uio_pdrv_genirq", "pre:", "cm_window"] in said
     compatible = options["uio_pdrv_genirq"].removeprefix("of_id=")
     assert (ROOT / f"dts/bindings/{compatible}.yaml").exists()
     assert any(compatible in path.read_text() for path in (ROOT / "tests/golden").rglob("*.dtso"))

@@ -95,7 +95,7 @@ def test_a_damaged_bitstream_leaves_the_region_closed_and_a_good_one_opens_it(ov
     assert (bridge(REGION), driver("58002000.camera")) == ("disabled", None)
     firmware("edge").write_bytes(good)
     overlays.apply(NAME, dtbo("edge"))
-    assert (bridge(REGION), driver("58002000.camera")) == ("enabled", "uio_pdrv_genirq")
+    assert (bridge(REGION), driver("58002000.camera")) == ("enabled", "cm_window")
 
 
 def test_a_bitstream_that_is_not_there_is_an_error(overlays: device.Overlays) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import select
 from collections.abc import Iterator
@@ -10,16 +11,20 @@ from pathlib import Path
 
 import plsim
 import pytest
+from boardfile import FIRMWARE, write_bitstreams
 from served import PATIENCE
 from test_suspend import suspend
 
 from cm import device
 from cm.device import WindowEnd
+from cm.formats import fdt
+from cm.formats.bitstream import to_dma_words
 
 pytestmark = pytest.mark.needs("cm", "dma", "plsim")
 PAGE = os.sysconf("SC_PAGE_SIZE")
 LENT = 0x58008000  # of the tree, whose bridge is in front of prr1's decoupler
 DECOUPLER = 0x58011000
+REGION = "/pl-bus/fpga-region-1"
 SIMULATED = 0x43C00000
 DRIVER = Path("/sys/bus/platform/drivers/cm_window")
 
@@ -38,6 +43,21 @@ def lend(windows: device.Windows, address: int) -> device.MappedWindow:
 def told(windows: device.Windows) -> list[WindowEnd]:
     assert select.select([windows], [], [], PATIENCE)[0]
     return [event.reason for event in windows.take()]
+
+
+def loading() -> bytes:
+    """An overlay that has the kernel load the region behind the window."""
+    write_bitstreams()
+    words = to_dma_words((FIRMWARE / "loopback.bit").read_bytes())
+    Path("/lib/firmware/window-test.bin").write_bytes(words)
+    content = {"firmware-name": b"window-test.bin\0", "partial-fpga-config": b""}
+    return fdt.pack(fdt.overlay(REGION, fdt.FdtNode("", content, [])))
+
+
+def anew() -> None:
+    """The window as after boot: its bridge is open."""
+    for step in ("unbind", "bind"):
+        (DRIVER / step).write_text(f"{LENT:x}.lent")
 
 
 def lent() -> int:
@@ -80,26 +100,26 @@ def test_a_window_whose_driver_is_unbound_is_taken_back_and_lent_again_when_it_i
 
 @pytest.mark.needs("overlay", "fpga")
 def test_a_load_by_the_kernel_takes_the_pages_back_before_it_decouples(windows: device.Windows) -> None:
-    from test_region import dtbo, firmware, write_bitstreams
-
-    from cm.formats.bitstream import to_dma_words
-
-    write_bitstreams()
-    source = firmware("loopback").with_name("loopback.bit")
-    firmware("loopback").write_bytes(to_dma_words(source.read_bytes()))
     overlays = device.Overlays("/")
-    with lend(windows, LENT) as window:
-        window.write(8, 4)
-        overlays.apply("window-test", dtbo("loopback"))
+    with lend(windows, LENT) as before:
+        before.write(8, 4)
+        overlays.apply("window-test", loading())
         try:
             with pytest.raises(device.DeviceRevoked) as error:
-                window.read(8)
+                before.read(8)
             assert error.value.reason is WindowEnd.BRIDGE
             assert told(windows) == [WindowEnd.BRIDGE]
+            with lend(windows, LENT) as after:  # the load has ended, and the bridge is open
+                assert after.read(8) == 4
+                overlays.remove("window-test")
+                assert after.revoked is WindowEnd.BRIDGE
+            with pytest.raises(device.DeviceError) as refused:  # the kernel leaves a region without overlay cut off
+                windows.grant(LENT, PAGE)
+            assert refused.value.errno == errno.EAGAIN
         finally:
-            overlays.remove("window-test")
-    with lend(windows, LENT) as window:  # the bridge is open again
-        assert window.read(8) == 4
+            if "window-test" in overlays.list():
+                overlays.remove("window-test")
+            anew()
 
 
 @pytest.mark.needs("suspend")
@@ -113,6 +133,18 @@ def test_a_window_is_taken_back_when_the_system_goes_to_sleep_and_lent_when_it_i
             assert window.revoked is WindowEnd.SLEEP
         assert told(windows)[0] is WindowEnd.SLEEP
         lend(windows, SIMULATED).close()
+
+
+@pytest.mark.needs("overlay", "fpga")
+def test_a_region_outlives_the_window_that_is_its_bridge() -> None:
+    overlays, name = device.Overlays("/"), f"{LENT:x}.lent"
+    overlays.apply("window-test", loading())
+    (DRIVER / "unbind").write_text(name)
+    overlays.remove("window-test")  # the region calls a bridge whose device is gone
+    (DRIVER / "bind").write_text(name)
+    overlays.apply("window-test", loading())
+    overlays.remove("window-test")
+    anew()
 
 
 @pytest.mark.needs("overlay")
