@@ -25,7 +25,7 @@ SPLIT = {
     "secrets": "netclient", "shlex": "shell", "socket": "io", "socketserver": "netserver", "ssl": "io",
     "statistics": "statistics", "tarfile": "compression", "tempfile": "io", "termios": "io", "base64": "netclient",
     "hmac": "netclient", "resource": "resource", "tty": "terminal", "pty": "terminal", "urllib": "netclient",
-    "uuid": "netclient", "xml": "xml", "zipfile": "compression",
+    "sqlite3": "sqlite3", "uuid": "netclient", "xml": "xml", "zipfile": "compression",
 }  # fmt: skip
 OTHERS = {
     "_cffi_backend": "python3-cffi", "aiohttp": "python3-aiohttp", "cffi": "python3-cffi",
