@@ -56,7 +56,7 @@ class Output:
 
 @dataclass(frozen=True, slots=True)
 class RtlDesign:
-    """What runs: `modules` by region and name; `schema` is the generated runtime schema's text."""
+    """What runs: `modules` by region and by their name in the runtime schema; `schema` is that schema's text."""
 
     system: System
     static: Unit
@@ -99,7 +99,7 @@ def load_rtl_design(schema: Path, folder: Path) -> RtlDesign:
     return RtlDesign(
         system,
         Unit("the static part", static.name, _static_sources(folder), made=folder),
-        {(one.region.name, one.module.name): _unit(one, folder, renderer) for one in system.implementations},
+        {(one.region.name, one.name): _unit(one, folder, renderer) for one in system.implementations},
         tuple(_streams(system)),
         tuple(_outputs(static, system)),
         files[f"config/{system.project.name}.yaml"],

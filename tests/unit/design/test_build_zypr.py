@@ -9,10 +9,12 @@ from typing import Any
 
 import pytest
 
+import cm.schema
 from cm.cli.main import main
 from cm.design.errors import BuildError
 from cm.design.generate.tree import load_design
 from cm.design.zypr import zypr_text
+from cm.simulation.rtl.design import load_rtl_design
 
 HDL = Path(__file__).parents[2] / "rtl/hls/hdl"
 SITES = ["SLICE_X29Y120:SLICE_X48Y167 CFGIO_SITE_X0Y0:CFGIO_SITE_X0Y0", "RAMB36_X3Y24:RAMB36_X5Y32"]
@@ -97,3 +99,11 @@ def test_sources_that_are_not_there_are_named(folder: Path) -> None:
     (folder / "rtl/tone/tone.v").unlink()
     with pytest.raises(BuildError, match=r"rtl holds no tone\.v"):
         written(folder, project())
+
+
+def test_the_simulation_finds_a_module_of_two_regions_by_the_names_of_the_runtime_schema(folder: Path) -> None:
+    design = load_rtl_design(written(folder, project()), folder / "tree")
+    schema = folder / "demo.yaml"
+    schema.write_text(design.schema)
+    modules = cm.schema.load(schema).modules.values()
+    assert {(module.region, module.name) for module in modules} == set(design.modules)

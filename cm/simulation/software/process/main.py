@@ -93,7 +93,8 @@ def run(args: argparse.Namespace, make: MakeLogic = SoftwareLogic) -> int:
     parent = Parent() if args.linger is not None else None
     try:
         configs, models = _configs(args.config), _models(args.models)
-        models.check(configs)
+        if make is SoftwareLogic:  # other logic has no use for models, whatever the schemas call theirs
+            models.check(configs)
         spec, options = BoardSpec.from_configs(configs), _options(args)
         if args.static_identity is not None:
             spec = spec.with_static(args.static_identity)
