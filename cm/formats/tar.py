@@ -187,9 +187,14 @@ def _records(data: bytes, name: str, size: int | None) -> tuple[str, int | None]
 class _Decompressor(Protocol):
     """What bz2 and lzma have."""
 
-    eof: bool
-    needs_input: bool
-    unused_data: bytes
+    @property
+    def eof(self) -> bool: ...
+
+    @property
+    def needs_input(self) -> bool: ...
+
+    @property
+    def unused_data(self) -> bytes: ...
 
     def decompress(self, data: bytes, max_length: int = -1) -> bytes:
         """At most `max_length` bytes more."""

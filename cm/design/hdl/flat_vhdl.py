@@ -86,7 +86,7 @@ def _buses(ports: Iterable[Declaration], scope: _Scope) -> dict[str, str]:
         match = _SIDE.fullmatch(port.name)
         if match and _plain_type(port.type) in scope.records:
             halves.setdefault((match[1] or match[2]).lower(), []).append(port)
-    found = {}
+    found: dict[str, str] = {}
     for pair in halves.values():
         fields = [{path for path, _, _ in _leaves(port.name, (), port.type, scope, 0)} for port in pair]
         if len(pair) == 2 and {port.mode for port in pair} == {"in", "out"} and not fields[0] & fields[1]:
