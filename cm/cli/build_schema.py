@@ -13,7 +13,7 @@ from cm.design.check.rules import check_system
 from cm.design.errors import BuildError
 from cm.design.generate.manifest import Written
 from cm.design.generate.tree import ANSWERS, generate, load_design, output_folder
-from cm.design.init import DEFAULT_PART, init_text
+from cm.design.init import DEFAULT_PART, init_text, what_is_missing
 from cm.design.openflow.rules import RULE, check_open
 from cm.design.plan.planner import plan_system
 from cm.design.project.load import SCHEMA_FILE, load_project
@@ -81,10 +81,13 @@ def run_init(args: argparse.Namespace) -> int:
     editor = folder / SCHEMA_FILE.name
     if not editor.exists():
         editor.write_bytes(SCHEMA_FILE.read_bytes())
+    missing = what_is_missing(output.absolute())
     if args.json:
-        print_json({"schema": str(output), "editor": str(editor)})
-    else:
-        print(f"{output}: written; look it through, then: cm build check {output}")
+        print_json({"schema": str(output), "editor": str(editor), "unknown": missing})
+        return 0
+    print(f"{output}: written; look it through, then: cm build check {output}")
+    for sentence in missing:
+        print(f"not known: {sentence}")
     return 0
 
 

@@ -9,14 +9,19 @@ from pathlib import Path
 from typing import Any
 
 from cm.design.boundary import boundary
-from cm.design.boundary.model import Boundary
+from cm.design.boundary.model import Boundary, Role
+from cm.design.check.rules import check_system
 from cm.design.errors import BuildError
+from cm.design.generate.tree import load_design
 from cm.design.hdl.model import Mode, ModuleInfo
 from cm.design.hdl.register_maps import identifier
 from cm.design.input_kinds import Options, read_inputs
 from cm.design.platforms import platform_of
 from cm.design.project.load import DEFAULT_CLOCK, DEFAULT_RATE
 from cm.design.render import Renderer
+from cm.design.runtime.answers import Answers
+from cm.design.runtime.schema import runtime_config
+from cm.errors import CmError
 
 DEFAULT_PART = "xc7z020clg400-1"
 # part → a board that has it, as named in its board file in Xilinx/XilinxBoardStore 20bbb12
@@ -80,6 +85,7 @@ def init_text(
         "modules": modules,
         "left_out": [one[0] for one in read if one not in usable],
         "streams": list(_streams(found)),
+        "clocks": _further_clocks(found),
         "refused": [f"{a.module}: {sentence}" for a in found.adaptations for sentence in a.refused],
         "registers": {module.name: _register_bus(module.info) for module in modules},
     }
@@ -90,6 +96,24 @@ def _why_not(info: ModuleInfo) -> str:
     """Name a module and what is wrong with it."""
     reasons = [str(problem) for problem in info.problems if problem.fatal]
     return f"{info.name} ({reasons[-1]})" if reasons else info.name
+
+
+def _further_clocks(found: Boundary) -> list[str]:
+    """The clock ports of the region that do not get its own clock by themselves."""
+    ports = [port.name for port in found.ports if port.role is Role.CLOCK]
+    return [name for name in ports if name != "aclk"] if len(ports) > 1 else []
+
+
+def what_is_missing(path: Path) -> list[str]:
+    """What keeps the build schema in `path` from being generated, one sentence each."""
+    try:
+        design = load_design(path)
+        runtime_config(design.system, Answers())
+    except CmError as error:
+        return str(error).splitlines()
+    findings = [finding.text(path) for finding in check_system(design.system) if finding.error]
+    problems = [problem for info in design.analysis.modules.values() for problem in info.problems if problem.breaks]
+    return [*findings, *map(str, problems)]
 
 
 def _streams(found: Boundary) -> Iterable[Mapping[str, str]]:

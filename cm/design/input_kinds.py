@@ -15,6 +15,7 @@ from typing import Any
 
 from cm.design import hdl
 from cm.design.errors import BuildError
+from cm.design.hdl.compile_order import compile_order
 from cm.design.hdl.errors import ModuleNotFound
 from cm.design.hdl.flat import Wanted, needs_wrapper
 from cm.design.hdl.flatten import flatten
@@ -99,8 +100,30 @@ def _of_hdl(files: Sequence[Path], options: Options) -> tuple[list[Given], Seque
     modules = reading.modules if options.top or options.every else hdl.roots(reading.modules)
     if not options.keys:
         return [Given(info) for info in modules], reading.problems
+    twice = {Path(problem.file) for problem in reading.problems if " is declared in " in problem.message}
+    folders = list(dict.fromkeys(path.parent for path in files))
+    if twice and len(folders) > 1:  # exports of one tool, each with its own copy of what they share
+        return _by_folder(files, folders, options), reading.problems
     known = reading.modules if options.top is None else hdl.read(files, None, *how).modules
     return [Given(info, _source_keys(info, known, files, options), tuple(files)) for info in modules], reading.problems
+
+
+def _by_folder(files: Sequence[Path], folders: Sequence[Path], options: Options) -> list[Given]:
+    """The modules of each folder with its own files first; those that another folder's module instantiates are none."""
+    found: dict[str, Given] = {}
+    below: set[str] = set()
+    for folder in folders:
+        mine = sorted(files, key=lambda path: path.parent != folder)
+        reading = hdl.read(mine, options.top, options.include_dirs, options.defines, options.parameters)
+        twice = {Path(problem.file) for problem in reading.problems if " is declared in " in problem.message}
+        kept = [path for path in mine if path not in twice]
+        for info in reading.modules if options.top else hdl.roots(reading.modules):
+            if Path(info.file).parent == folder:
+                found.setdefault(
+                    info.name, Given(info, _source_keys(info, reading.modules, kept, options), tuple(kept))
+                )
+        below |= {name for info in reading.modules for name in info.instantiates}
+    return [given for name, given in found.items() if name not in below or options.top]
 
 
 def _source_keys(
@@ -117,7 +140,7 @@ def _source_keys(
                 seen.add(name)
                 queue.append(by_name[name])
                 needed.add(Path(by_name[name].file))
-    sources = [path for path in files if path in needed]
+    sources = compile_order(path for path in files if path in needed)
     return {"sources": [options.path(path) for path in sources], **_register_map(sources, None, options)}
 
 

@@ -99,7 +99,10 @@ def _interface(slot: Slot, ports: Sequence[BoundaryPort], clocks: Clocks, fittin
             mine = clocks.names[0]
         if mine is None:
             if interface.protocol.startswith("axi"):
-                fittings[module].refused.append(f"the clock of {interface.name} is not known")
+                port = next((port for owner, port in clocks.of if owner == module), "CLOCK")
+                line = f"clocks: {{{port}: {{interfaces: [{interface.name}]}}}}"
+                text = f"write {line} under the module, with the right one"
+                fittings[module].refused.append(f"the clock of {interface.name} is not known: {text}")
         elif clock is None:
             clock, owner = mine, module
         elif mine != clock:

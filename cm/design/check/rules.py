@@ -16,10 +16,14 @@ from cm.design.errors import BuildError
 from cm.design.hdl.buses import aximm, axis
 from cm.design.hdl.detect import NOTHING_KNOWN
 from cm.design.plan import block_design
+from cm.design.plan.engines import EngineKind
 from cm.design.plan.flow import clashes
 from cm.design.plan.pins import placements
-from cm.design.plan.system import RegionPlan, System
+from cm.design.plan.system import RegionPlan, System, used_clocks
 from cm.design.project.source_position import Finding
+from cm.design.runtime.schema import bare_name, bare_windows
+from cm.schema.clock_rates import PLL, hertz, rate_problem, rounded
+from cm.schema.model import Clock
 
 
 def check_clocks(system: System) -> Iterator[Finding]:
@@ -46,6 +50,17 @@ def _buses(region: RegionPlan, port: str, clock: str) -> Iterator[Finding]:
         message = f"{interface.name} runs on {port}, which gets {clock}; its decoupler runs on {region.spec.clock}"
         hint = f"give {port} the region's clock, or put a crossing into the module"
         yield Finding("BD 41-237", ("regions", region.name, "clocks", port), message, hint)
+
+
+def check_rates(system: System) -> Iterator[Finding]:
+    """A finding for each clock that the processing system cannot give nearly enough: the manager would not load."""
+    pll = PLL["ultrascale+" if system.platform.ultrascale else "7series"]
+    for name in used_clocks(system):
+        spec = system.project.clocks[name]
+        there = rounded(pll, spec.rate)
+        if problem := rate_problem(Clock(name, spec.rate, tolerance=float(spec.tolerance)), there):
+            hint = f"write rate: {there}, or tolerance: if another PLL of the board gives more"
+            yield Finding("rate", ("clocks", name, "rate"), f"{problem}, with the I/O PLL at {hertz(pll)}", hint)
 
 
 def check_pins(system: System) -> Iterator[Finding]:
@@ -83,13 +98,36 @@ def check_handshakes(system: System) -> Iterator[Finding]:
             yield Finding("handshake", ("regions", region.name), message, hint)
 
 
+def check_windows(system: System) -> Iterator[Finding]:
+    """A note for each register window of a module of which no registers are known."""
+    for one in system.implementations:
+        for bus in bare_windows(system.project.source, one.region, one.module):
+            name = bare_name(one.name, bus)
+            message = f"no registers are known on {bus.interface.name}: its window is the memory {name}"
+            hint = "write registers: or register_map: to have them by name"
+            yield Finding("registers", ("modules", one.module.name), message, hint, error=False)
+
+
+def check_sidebands(system: System) -> Iterator[Finding]:
+    """A note for each stream into a region whose TUSER a DMA engine cannot drive: no picture ever begins."""
+    for region in system.regions:
+        for bus in region.streams:
+            if bus.dma and bus.dma.sends and bus.dma.kind is not EngineKind.VDMA and "TUSER" in bus.interface.ports:
+                message = f"{bus.interface.name} has TUSER, which its DMA engine leaves at 0"
+                key = ("regions", region.name, "interfaces", bus.interface.name)
+                yield Finding("TUSER", key, message, "video that begins with it wants connect: vdma", error=False)
+
+
 def check_system(system: System) -> list[Finding]:
     """Return what Vivado would refuse and what a designer should know, in the order of the flow."""
     design = check_block_design(system, block_design.context(system))
     return [
         *check_products(system),
         *check_clocks(system),
+        *check_rates(system),
+        *check_windows(system),
         *check_handshakes(system),
+        *check_sidebands(system),
         *design,
         *check_floorplan(system),
         *check_pins(system),

@@ -79,13 +79,6 @@ def software_outputs(system: System, answers: Answers) -> Iterator[Entry]:
             "module.dtso.j2",
             base | {"implementations": [one], "title": f"module {one.name}"},
         )
-    for mode in system.project.modes.values():
-        chosen = [system.implementation(module, region) for region, module in mode.modules.items()]
-        yield (
-            f"dts/mode_{mode.name}.dtso",
-            "module.dtso.j2",
-            base | {"implementations": chosen, "title": f"mode {mode.name}"},
-        )
     symbols = base | {"blocks": list(_blocks(system, config))}
     yield f"include/{name}_registers.h", "registers.h.j2", symbols
     yield f"python/{name}_registers.py", "registers.py.j2", symbols

@@ -13,7 +13,7 @@ from cm.design.generate.manifest import Tree, Written
 from cm.design.generate.outputs import render_all
 from cm.design.plan.planner import plan_system
 from cm.design.plan.system import System
-from cm.design.project.load import load_project
+from cm.design.project.load import load_project, normal
 from cm.design.project.model import Project
 from cm.design.runtime.answers import Answers, load_answers
 from cm.schema import SchemaError, loads
@@ -42,7 +42,7 @@ def load_design(path: Path | str) -> Design:
 
 def output_folder(project: Project, out: Path | str | None) -> Path:
     """Where generated files go: `out`, else ``build/`` beside the build schema."""
-    return Path(out).absolute() if out is not None else project.folder / OUT
+    return normal(Path(out)) if out is not None else project.folder / OUT
 
 
 def generate(design: Design, out: Path, answers: Answers | None = None) -> Written:

@@ -77,7 +77,8 @@ def read(
     detector = Detector(protocols, stated)
     modules = [detector.detect(module) for module in sources.evaluate(top, parameters)]
     _check_parameters(modules, parameters)
-    return Reading(tuple(modules), tuple(sources.problems), sources.outside(module.name for module in modules))
+    names = [module.name for module in modules]
+    return Reading(tuple(modules), (*sources.problems, *sources.hollow(names)), sources.outside(names))
 
 
 def roots(modules: Sequence[ModuleInfo]) -> list[ModuleInfo]:
@@ -98,6 +99,7 @@ class _Sources:
         self._below: dict[str, tuple[str, ...]] = {}
         self._paths: list[Path] = []
         self._errors: dict[Path, tuple[Problem, ...]] = {}  # of files with modules
+        self._hollow: dict[str, Problem] = {}
         self.problems: list[Problem] = []
 
     def add(self, path: Path, text: str) -> None:
@@ -117,6 +119,9 @@ class _Sources:
         tree = self._verilog.parse(path, text)
         self._register(tree.modules, tree.language, path)
         self._below |= {name.lower(): () for name in tree.interfaces}
+        for name, line in tree.hollow:
+            what = "nothing drives its outputs: a black box is 0 in simulation, and empty unless vendor IP fills it"
+            self._hollow.setdefault(name.lower(), Problem(f"module {name} has nothing inside: {what}", str(path), line))
         if tree.modules:
             self._errors[path] = tree.errors
         else:
@@ -132,8 +137,17 @@ class _Sources:
                 self._found[name] = (language, path)
                 self._below[name.lower()] = below
 
+    def hollow(self, modules: Sequence[str]) -> list[Problem]:
+        """What `modules` instantiate, at any depth, and that has nothing inside."""
+        own = {name.lower() for name in modules}
+        return [self._hollow[name] for name in self._reached(modules)[0] if name in self._hollow and name not in own]
+
     def outside(self, modules: Iterable[str]) -> tuple[str, ...]:
         """What `modules` instantiate, at any depth, that no file declares; VHDL entities match in any case."""
+        return tuple(sorted(self._reached(modules)[1].values()))
+
+    def _reached(self, modules: Iterable[str]) -> tuple[set[str], dict[str, str]]:
+        """All that `modules` instantiate, in lower case, and of that what no file declares, as it is spelled."""
         found: dict[str, str] = {}
         seen: set[str] = set()
         todo = list(modules)
@@ -146,7 +160,7 @@ class _Sources:
                 todo += self._below[name.lower()]
             else:
                 found[name.lower()] = name
-        return tuple(sorted(found.values()))
+        return seen, found
 
     def check(self, top: str | None) -> None:
         if not self._found:

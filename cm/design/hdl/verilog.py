@@ -36,6 +36,16 @@ _SEMANTIC = {
 }
 _COMMENTS = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
 _NETTYPE = re.compile(r"`default_nettype\s+(\w+)")
+# members that declare a module's outside
+_OUTER = frozenset(
+    [
+        "PortDeclaration",
+        "ParameterDeclarationStatement",
+        "PackageImportDeclaration",
+        "EmptyMember",
+        "TimeUnitsDeclaration",
+    ]
+)
 _FLAGS = ("AllowUseBeforeDeclare", "IgnoreUnknownModules", "AllowTopLevelIfacePorts", "AllowInvalidTop")
 
 
@@ -49,6 +59,7 @@ class Tree:
     errors: tuple[Problem, ...]
     modules: tuple[tuple[str, tuple[str, ...]], ...]  # name, and the names of the modules that it instantiates
     interfaces: tuple[str, ...] = ()
+    hollow: tuple[tuple[str, int], ...] = ()  # modules with outputs and nothing inside, and their lines
 
 
 def load_slang() -> ModuleType:
@@ -128,7 +139,11 @@ class VerilogReader:
         except RuntimeError as error:  # what slang raises for endless nesting
             raise HdlError(f"{path}: the parser gave up: {error or 'too deeply nested'}") from error
         problems, root = tuple(self._problems(path, syntax)), syntax.root
-        return Tree(path, language, syntax, problems, tuple(_modules(root)), tuple(_interfaces(root)))
+        hollow = tuple(
+            (found.header.name.valueText, self._sources.getLineNumber(found.header.name.location))
+            for found in _hollow(root)
+        )
+        return Tree(path, language, syntax, problems, tuple(_modules(root)), tuple(_interfaces(root)), hollow)
 
     def _problems(self, path: Path, syntax: Any) -> Iterator[Problem]:
         for diagnostic in syntax.diagnostics:
@@ -224,6 +239,19 @@ def _modules(root: Any) -> Iterator[tuple[str, tuple[str, ...]]]:
     for declaration in _declarations(root):
         if declaration.kind.name == "ModuleDeclaration" and declaration.header.name.valueText:
             yield declaration.header.name.valueText, tuple(dict.fromkeys(_instances(declaration.members)))
+
+
+def _hollow(root: Any) -> Iterator[Any]:
+    """Declarations of modules with outputs and nothing that drives them: black boxes, or stubs of something missing."""
+    for declaration in _declarations(root):
+        if declaration.kind.name == "ModuleDeclaration" and declaration.header.name.valueText:
+            inside = [member for member in declaration.members if member.kind.name not in _OUTER]
+            try:
+                outputs = not inside and re.search(r"\boutput\b", _COMMENTS.sub(" ", str(declaration)))
+            except UnicodeDecodeError:  # a comment in another encoding
+                continue
+            if outputs:
+                yield declaration
 
 
 def _instances(members: Iterable[Any]) -> Iterator[str]:

@@ -9,6 +9,7 @@ Small parts of a build schema: connections, registers, streams of modes, values 
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from typing import Any
 
 from cm.design.boards import BoardDefinition, boards
 from cm.design.errors import BuildError
+from cm.design.hdl.compile_order import compile_order
 from cm.design.project import references
 from cm.design.project.fusesoc import with_core
 from cm.design.project.model import (
@@ -111,11 +113,17 @@ class PathReader:
             files = sorted(path for path in base.glob(relative) if path.is_file())
             if not files:
                 self._report(key, "file_not_found", f"no file fits {name}", f"looked in {self._folder}")
-            return files
+            return [normal(path) for path in files]
         path = pattern if pattern.is_absolute() else self._folder / pattern
         if not path.exists():
             self._report(key, "file_not_found", f"{name} does not exist", f"looked in {self._folder}")
-        return [path]
+        return [normal(path)]
+
+
+def normal(path: Path) -> Path:
+    """Return an absolute path without ``.`` and ``..``, unless a link makes that another file."""
+    whole = Path(os.path.normpath(path.absolute()))
+    return whole if not path.exists() or (whole.exists() and whole.samefile(path)) else path.absolute()
 
 
 SCHEMA_FILE = Path(__file__).parents[1] / "data" / "build.schema.json"
@@ -153,7 +161,7 @@ class Reporter:
 
 def load_project(path: Path | str, text: str | None = None) -> Project:
     """Load the build schema in `path`, or `text` as if it were there. Raises SchemaError with every problem."""
-    path = Path(path).absolute()
+    path = normal(Path(path))
     report = Reporter(path)
     data = _data(path, text, report)
     project = _Builder(path, data, report).project()
@@ -164,7 +172,7 @@ def load_project(path: Path | str, text: str | None = None) -> Project:
 
 def project_data(path: Path | str) -> dict[str, Any]:
     """Load the build schema in `path` as plain data in normal form. Raises SchemaError as `load_project` does."""
-    path = Path(path).absolute()
+    path = normal(Path(path))
     return _data(path, None, Reporter(path))
 
 
@@ -262,6 +270,7 @@ class _Builder:
             key: self._files.many(spec.get(key), ("static", key))
             for key in ("sources", "include_dirs", "block_design", "constraints")
         }
+        files["sources"] = compile_order(files["sources"])
         return StaticSpec(
             **files,
             libraries=self._libraries(spec, ("static",)),
@@ -330,10 +339,10 @@ class _Builder:
         )
         core = self._files.one(spec.get("core"), (*where, "core"))
         if core is None or not core.is_file():
-            return module
+            return _ordered(module)
         roots = self._files.many(spec.get("core_roots"), (*where, "core_roots"))
         try:
-            return with_core(module, core, spec.get("core_target", "default"), roots, "top" in spec)
+            return _ordered(with_core(module, core, spec.get("core_target", "default"), roots, "top" in spec))
         except BuildError as error:
             self._report.key((*where, "core"), "bad_core", str(error), "")
             self._report.stop()
@@ -368,6 +377,11 @@ class _Builder:
             self._report.key(("modes", mode, "modules"), "ambiguous", message, f"write region: {module}")
             return None
         return regions[0]
+
+
+def _ordered(module: ModuleSpec) -> ModuleSpec:
+    """Return a module with the files of packages before those that use them."""
+    return replace(module, sources=compile_order(module.sources), sim_sources=compile_order(module.sim_sources))
 
 
 def _implied_modes(modules: dict[str, ModuleSpec]) -> dict[str, ModeSpec]:

@@ -9,8 +9,8 @@ from itertools import pairwise
 from pathlib import Path
 
 from cm.design.errors import BuildError
-from cm.design.platforms import platform_of
-from cm.design.project.model import ModeSpec, ModuleSpec, Project, RegionSpec, RegisterSpec
+from cm.design.platforms import PARTS, device_of, platform_of
+from cm.design.project.model import ModeSpec, ModuleSpec, Project, RegionSpec, RegisterSpec, Resources
 from cm.schema.problems import KeyPath, did_you_mean
 
 _SITE = re.compile(r"([A-Z0-9_]+)_X(\d+)Y(\d+)")
@@ -30,8 +30,10 @@ def check(project: Project, report: Report) -> None:
         report(("project", "part"), "bad_value", str(error), "")
     for region in project.regions.values():
         _region(project, region, report)
+        _fits(project, ("regions", region.name), region.resources, report)
     for module in project.modules.values():
         _module(project, module, report)
+        _fits(project, ("modules", module.name), module.resources, report)
     _streams(project, report)
     if project.switch and project.switch.clock not in project.clocks:
         unknown(report, ("switch", "clock"), "clock", project.switch.clock, project.clocks)
@@ -60,6 +62,18 @@ def _region(project: Project, region: RegionSpec, report: Report) -> None:
         _range(text, region.pblock, (*key, "pblock", index), report)
     if not project.modules_of(region.name):
         report(key, "unused", "no module goes to this region", "name it in a module's regions")
+
+
+def _fits(project: Project, key: KeyPath, wanted: Resources, report: Report) -> None:
+    """Check that resources are not more than the whole device has, where that is known."""
+    try:
+        device = device_of(project.part)
+    except BuildError:
+        return  # reported as the part
+    have = Resources(*PARTS[device][:4]) if device in PARTS else wanted
+    for name, most in zip(("lut", "ff", "bram", "dsp"), have.values(), strict=True):
+        if getattr(wanted, name) > most:
+            report((*key, "resources", name), "value_range", f"{getattr(wanted, name)} {name}", f"{device} has {most}")
 
 
 def _range(text: str, ranges: tuple[str, ...], key: KeyPath, report: Report) -> None:
@@ -145,6 +159,10 @@ def _register(register: RegisterSpec, key: KeyPath, report: Report) -> None:
         if part.lsb + part.width > register.width:
             hint = f"the register has {register.width} bits"
             report((*key, "fields", part.name), "value_range", "reaches beyond the register", hint)
+        for name, value in part.values.items():
+            if value >> part.width:
+                hint = f"{part.width} bits hold at most {(1 << part.width) - 1}"
+                report((*key, "fields", part.name, "values", name), "value_range", f"{value} does not fit", hint)
 
 
 def _mode(project: Project, mode: ModeSpec, report: Report) -> None:

@@ -12,9 +12,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from cm.design.errors import BuildError
+from cm.design.plan.addresses import Window
 from cm.design.plan.frames import frame_problem
 from cm.design.plan.switch import COMMIT, CONTROL, MUX, NONE, UPDATE, chain_of, register_name, route_values
-from cm.design.plan.system import RegionPlan, SwitchPlan, System
+from cm.design.plan.system import RegionPlan, RegisterBus, SwitchPlan, System
 from cm.design.project.model import FieldSpec, ModeSpec, ModeStreamSpec, ModuleSpec, RegisterSpec
 from cm.design.project.source_position import fault
 from cm.design.runtime.answers import Answers
@@ -29,6 +30,7 @@ from cm.schema.model import (
     Direction,
     Identity,
     Interrupt,
+    Memory,
     Mode,
     Module,
     Overlay,
@@ -77,20 +79,25 @@ def _static(system: System) -> StaticIdentity | None:
 
 def register_base(source: Path, region: RegionPlan, module: ModuleSpec) -> int:
     """The address to which the offsets of the module's registers are relative; `source`: the build schema."""
+    return register_window(source, region, module).base
+
+
+def register_window(source: Path, region: RegionPlan, module: ModuleSpec) -> Window:
+    """The window in which the module's registers are; `source`: the build schema."""
     buses = {bus.interface.name: bus for bus in region.registers}
     if module.interface is not None:
         if module.interface not in buses:
             message = f"region {region.name} has no register interface {module.interface!r}"
             hint = did_you_mean(module.interface, buses)
             raise fault(source, ("modules", module.name, "interface"), message, hint)
-        return buses[module.interface].window.base
+        return buses[module.interface].window
     if len(buses) != 1:
         have = f"{len(buses)} register interfaces ({', '.join(buses)})" if buses else "no register interface"
         message = f"{module.name} has registers, and region {region.name} has {have}"
         hint = "write interface: in the module" if buses else "none of its modules has an AXI4-Lite slave"
         key = "registers" if module.register_map is None else "register_map"
         raise fault(source, ("modules", module.name, key), message, hint)
-    return next(iter(buses.values())).window.base
+    return next(iter(buses.values())).window
 
 
 def _targets(system: System) -> list[tuple[str, ModuleSpec, RegionPlan, int]]:
@@ -108,13 +115,20 @@ def _module(source: Path, target: tuple[str, ModuleSpec, RegionPlan, int], answe
     name, module, region, identity = target
     registers = {}
     if module.registers:
-        base = register_base(source, region, module)
-        registers = {
-            key: _register(spec, base, region.name, answers.registers.get((name, key)))
-            for key, spec in module.registers.items()
-        }
+        window = register_window(source, region, module)
+        for key, spec in module.registers.items():
+            if spec.offset + spec.width // 8 > window.size:
+                message = f"{key} ends at {spec.offset + spec.width // 8:#x}, its window has {window.size:#x} bytes"
+                place = ("modules", module.name, "registers", key, "offset")
+                raise fault(source, place, message, "window: of the region says how many")
+            registers[key] = _register(spec, window.base, region.name, answers.registers.get((name, key)))
     file = Path(f"{name}.bin")
     model = module.model or (module.name if module.name != name else None)
+    memories = {}
+    for bus in bare_windows(source, region, module):
+        doc = f"{bus.interface.name}, of which no registers are known"
+        memory = Memory(bare_name(name, bus), bus.window.base, bus.window.size, region=region.name, doc=doc)
+        memories[memory.name] = memory
     made = Module(
         name=name,
         region=region.name,
@@ -123,8 +137,25 @@ def _module(source: Path, target: tuple[str, ModuleSpec, RegionPlan, int], answe
         model=model,
         registers=registers,
         doc=module.doc,
+        memories=memories,
     )
     return name, made
+
+
+def bare_windows(source: Path, region: RegionPlan, module: ModuleSpec) -> list[RegisterBus]:
+    """The windows that a module has, and no registers in them; `source`: the build schema."""
+    used = register_window(source, region, module).base if module.registers else None
+    present = {c.boundary for c in region.boundary.adaptation(module.name).connections if c.module}
+    return [
+        bus
+        for bus in region.registers
+        if bus.window.base != used and present.intersection(bus.interface.ports.values())
+    ]
+
+
+def bare_name(implementation: str, bus: RegisterBus) -> str:
+    """The name of the memory that such a window is in the runtime schema."""
+    return f"{implementation}_{bus.interface.name}"[:64]
 
 
 def _register(spec: RegisterSpec, base: int, region: str | None, default: int | None = None) -> Register:
@@ -153,10 +184,13 @@ def _mode(system: System, mode: ModeSpec, streams: Mapping[str, Stream]) -> Mode
     chosen = [system.implementation(module, region) for region, module in mode.modules.items()]
     source, static = system.project.source, system.project.static.registers
     registers = {key: _register(static[key], 0, None, value) for key, value in mode.registers.items() if key in static}
+    for key in registers:
+        _in_range(source, mode.name, static[key], mode.registers[key])
     for one in chosen:
         for key, value in mode.registers.items():
             if key in one.module.registers:
                 base = register_base(source, one.region, one.module)
+                _in_range(source, mode.name, one.module.registers[key], value)
                 registers[key] = _register(one.module.registers[key], base, one.region.name, value)
     registers |= _routes(system, mode)
     overlays = tuple(Overlay(f"module_{one.name}") for one in chosen if one.region.registers)
@@ -168,6 +202,15 @@ def _mode(system: System, mode: ModeSpec, streams: Mapping[str, Stream]) -> Mode
         streams=_mode_streams(system, mode, streams),
         doc=mode.doc,
     )
+
+
+def _in_range(source: Path, mode: str, register: RegisterSpec, value: int) -> None:
+    """Raise a fault for a value that a mode gives a register beyond its limits."""
+    low = register.minimum or 0
+    high = (1 << register.width) - 1 if register.maximum is None else register.maximum
+    if not low <= value <= high:
+        key = ("modes", mode, "registers", register.name)
+        raise fault(source, key, f"{value} is outside min and max of {register.name}", f"{low} to {high}")
 
 
 def _routes(system: System, mode: ModeSpec) -> dict[str, Register]:

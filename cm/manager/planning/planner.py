@@ -19,8 +19,9 @@ from cm.manager.interfaces import Devices, Files, Image, PlClock
 from cm.manager.planning.goals import Goal, Plan
 from cm.manager.state import steps as s
 from cm.manager.state.record import Throughput
-from cm.manager.state.steps import ApplyOverlay, Place, SetClock, SetRegister, hertz
+from cm.manager.state.steps import ApplyOverlay, Place, SetClock, SetRegister
 from cm.manager.state.table import BoardState, OverlayState, RegionPhase, loading_overlay
+from cm.schema.clock_rates import allowed, rate_problem
 from cm.schema.model import Access, Clock, Config, LoaderKind, Mode, Module, Region, Register
 
 
@@ -162,16 +163,8 @@ def _is_due(step: SetClock, state: BoardState) -> bool:
 
 def check_rate(clock: Clock, rate: int) -> None:
     """Raise ClockRate if a rate is further from what is wanted than the schema allows."""
-    if abs(rate - clock.rate) > allowed(clock):
-        raise ClockRate(
-            f"clock {clock.name} would run at {hertz(rate)} and {hertz(clock.rate)} is wanted, which is off by "
-            f"{100 * abs(rate - clock.rate) / clock.rate:.2g} %; {clock.tolerance:g} % is allowed (`tolerance`)"
-        )
-
-
-def allowed(clock: Clock) -> float:
-    """Hz by which the clock may be off; 1 Hz at least, because rates are whole numbers."""
-    return max(1.0, clock.rate * clock.tolerance / 100)
+    if problem := rate_problem(clock, rate):
+        raise ClockRate(problem)
 
 
 _WHOLE = (RegionPhase.READY, RegionPhase.DECOUPLED, RegionPhase.LOADED)  # phases in which a known content is certain

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cm.manager.interfaces import Image
+from cm.schema.clock_rates import hertz as hertz
 from cm.schema.model import Clock, LoaderKind, Module, Overlay, Region, Register, StaticIdentity
 
 
@@ -273,10 +274,3 @@ Step = (
     | SetClock
     | Publish
 )
-
-
-def hertz(rate: int | None) -> str:
-    """A rate for people, to the Hz."""
-    if rate is None:
-        return "an unknown rate"
-    return f"{rate / 1e6:.6f}".rstrip("0").rstrip(".") + " MHz"

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from build_support import AXIL_MODULE, MINIMAL, STREAM_MODULE, copy_examples, project
 
+from cm import schema
 from cm.cli.main import main
 from cm.design.boards import boards
 from cm.design.check.block_design import check_block_design
@@ -25,6 +26,8 @@ from cm.design.plan.system import System
 from cm.design.platforms import device_of
 from cm.design.project.load import load_project
 from cm.design.runtime.answers import Answers
+from cm.schema.clock_rates import PLL, rate_problem, rounded
+from cm.schema.model import Clock
 
 pytest.importorskip("pyslang", reason="needs pyslang: the extra [build] is not installed")
 
@@ -254,3 +257,112 @@ def test_a_proven_pblock_is_one_that_the_rules_accept(board: str, pblock: str, t
 @pytest.mark.parametrize("name", ["camera", "two_regions"])
 def test_an_example_has_every_pin_and_a_place_for_all_its_modules(name: str, tmp_path: Path) -> None:
     assert found_at(copy_examples(tmp_path) / name / "build.yaml") == []
+
+
+@pytest.mark.parametrize(
+    ("part", "rate", "there"),
+    [
+        ("xc7z020clg400-1", 150_000_000, 142_857_141),
+        ("xc7z020clg400-1", 142_857_141, None),
+        ("xc7z020clg400-1", 143_000_000, None),  # within one percent
+        ("xck26-sfvc784-2LV-c", 150_000_000, None),
+        ("xck26-sfvc784-2LV-c", 200_000_000, 187_499_998),
+    ],
+)
+def test_a_rate_that_the_manager_would_refuse_is_refused_before_the_flow(
+    part: str, rate: int, there: int | None, tmp_path: Path
+) -> None:
+    clocks = f"clocks: {{spare: {{rate: 100_000_000}}, fast: {{rate: {rate}}}}}\n"
+    text = clocks + MINIMAL.replace("{pblock: auto}", "{clock: fast}").replace("xc7z020clg400-1", part)
+    wrong = [line for line in found(tmp_path, text) if line.startswith("rate: ")]
+    family = PLL["7series" if part.startswith("xc7z") else "ultrascale+"]
+    told = rate_problem(Clock("fast", rate), rounded(family, rate))  # as the manager asks
+    assert bool(wrong) == bool(told) == (there is not None)
+    if there is not None:
+        assert told in wrong[0]
+        path = tmp_path / "build.yaml"
+        (line,) = [f.text(path) for f in check_system(load_design(path).system) if f.rule == "rate"]
+        assert "build.yaml:1:" in line
+        assert f"write rate: {there}" in line
+
+
+VIDEO = STREAM_MODULE.format(name="one", high=31).replace(
+    "s_axis_tlast,", "s_axis_tlast,\n    input wire s_axis_tuser,"
+)
+
+
+def test_a_tuser_that_nobody_drives_and_a_window_without_registers_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    assert "s_axis_tuser" in VIDEO
+    path = project(tmp_path, MINIMAL, one=VIDEO)
+    assert main(["build", "check", str(path)]) == 0
+    assert "note: " in (said := capsys.readouterr().out)
+    assert "s_axis has TUSER, which its DMA engine leaves at 0 (video that begins with it wants connect: vdma)" in said
+    path = project(tmp_path, MINIMAL, one=AXIL_MODULE)
+    assert main(["build", "check", str(path)]) == 0
+    assert "no registers are known on s_axi: its window is the memory one_s_axi" in capsys.readouterr().out
+    assert main(["build", "generate", str(path)]) == 0
+    (memory,) = schema.load(tmp_path / "build/config/small.yaml").modules["one"].memories.values()
+    assert (memory.name, memory.size, memory.region) == ("one_s_axi", 0x10000, "prr0")
+
+
+WRONG = [
+    (
+        "part: xc7z020clg400-1",
+        "part: xc7z021clg400-1",
+        "1:24: project.part: xc7z021clg400-1: there is no",
+    ),
+    (
+        "{pblock: auto}",
+        "{resources: {lut: 400000}}",
+        "3:22: regions.prr0.resources.lut: 400000 lut (xc7z020",
+    ),
+    ("[one.v]", "[one.v]\n    resources: {dsp: 400}", "modules.one.resources.dsp: 400 dsp (xc7z020 has 220)"),
+    (
+        "[one.v]",
+        "[one.v]\n    registers: {far: {offset: 0x10000}}",
+        "7:23: modules.one.registers.far.offset: far ends",
+    ),
+    (
+        "[one.v]",
+        "[one.v]\n    registers: {gain: {offset: 0, max: 9}}\nmodes:\n  m: {modules: [one], registers: {gain: 10}}",
+        "9:35: modes.m.registers.gain: 10 is outside min and max of gain (0 to 9)",
+    ),
+    (
+        "[one.v]",
+        "[one.v]\n    registers: {gain: {offset: 0, fields: {low: {lsb: 0, width: 2, values: {much: 4}}}}}",
+        "modules.one.registers.gain.fields.low.values.much: 4 does not fit",
+    ),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "said"), WRONG)
+def test_a_value_that_cannot_be_is_refused_at_its_line(
+    old: str, new: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    path = project(tmp_path, MINIMAL.replace(old, new), one=AXIL_MODULE)
+    assert main(["build", "check", str(path)]) == 1
+    assert said in capsys.readouterr().err
+
+
+def test_paths_are_told_without_detours(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    (tmp_path / "sub").mkdir()
+    project(tmp_path / "sub", MINIMAL.replace("[one.v]", "[.././sub/../one.v]"))
+    (tmp_path / "one.v").write_text("module one (input clk, output real x); endmodule\n")
+    assert main(["build", "check", str(tmp_path / "sub/../sub/./build.yaml")]) == 1
+    said = "".join(capsys.readouterr())
+    assert f"{tmp_path}/one.v" in said
+    assert ".." not in said
+
+
+def test_an_empty_module_below_the_top_is_told(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    text = STREAM_MODULE.format(name="one", high=31).replace("endmodule", "    fp_add adder (.y());\nendmodule")
+    stub = "(* black_box *)\nmodule fp_add (input a, output y);\nendmodule\n"
+    path = project(tmp_path, MINIMAL.replace("[one.v]", "[one.v, fp_add.v]"), one=text, fp_add=stub)
+    assert main(["build", "check", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert f"problem: {tmp_path}/fp_add.v:2: module fp_add has nothing inside: nothing drives its outputs" in said
+    (tmp_path / "fp_add.v").write_text(stub.replace(");", ");\n    assign y = a;"))
+    assert main(["build", "check", str(path)]) == 0
+    assert "problem" not in capsys.readouterr().out

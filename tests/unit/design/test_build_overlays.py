@@ -109,11 +109,12 @@ def test_the_pl_clocks_are_set_to_the_rates_of_the_build_schema(built: tuple[Sys
     assert fdtget(tree, "/cm-clocks", "assigned-clock-rates") == rates
 
 
-def test_a_modes_overlay_has_the_windows_of_its_modules(built: tuple[System, Path], tmp_path: Path) -> None:
+def test_the_overlays_of_a_modes_modules_have_their_windows(built: tuple[System, Path], tmp_path: Path) -> None:
     system, out = built
     base, overlays = compiled(system, out, tmp_path)
     for mode in system.project.modes.values():
-        tree = apply(base, overlays[f"{system.project.name}_static"], overlays[f"mode_{mode.name}"])
+        mine = [overlays[f"module_{system.implementation(*pair).name}"] for pair in map(reversed, mode.modules.items())]
+        tree = apply(base, overlays[f"{system.project.name}_static"], *mine)
         for region in mode.modules:
             windows = [f"{bus.window.base:x}" for bus in system.region(region).registers]
             place = f"/fpga-region-{system.region(region).index}"

@@ -13,9 +13,9 @@ from manager_support import Rig, killed_at, rig
 
 from cm.device import DeviceNotFound, PlClocks
 from cm.schema import dump, load, loads
+from cm.schema.clock_rates import PLL, rounded
 from cm.schema.model import Clock, Config
 from cm.simulation.software import Board as SimBoard
-from cm.simulation.software.nodes.clocks import PLL, rounded
 from cm.wire.messages.requests import ChangeMode
 from cm.wire.messages.status import ClockStatus
 

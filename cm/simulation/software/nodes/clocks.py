@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Callable, Iterable, Mapping
-from types import MappingProxyType
 
+from cm.schema.clock_rates import PLL, rounded
 from cm.simulation.software.errors import NodeError
 from cm.simulation.software.faults import Faults
 from cm.simulation.software.nodes.attributes import AttributeNode
@@ -14,16 +14,7 @@ from cm.simulation.software.transport.root import Root
 from cm.simulation.software.transport.server import Server
 
 BASE = "sys/class/cm_clock"
-# IOPLL with the crystal of most boards: 33.33 MHz times 30 (UG585), 33.33 MHz times 45 (UG1085).
-PLL: Mapping[str, int] = MappingProxyType({"7series": 999_999_990, "ultrascale+": 1_499_999_985})
-_DIVIDERS = range(1, 64)  # two of six bits, one behind the other
 _BOOT = 50_000_000  # Hz, as a boot loader may leave it
-
-
-def rounded(pll: int, hertz: int) -> int:
-    """The highest rate of the two dividers that is not above `hertz`, else their lowest."""
-    rates = {pll // (first * second) for first in _DIVIDERS for second in _DIVIDERS}
-    return max((rate for rate in rates if rate <= hertz), default=min(rates))
 
 
 class Clocks:
