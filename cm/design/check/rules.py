@@ -38,17 +38,19 @@ def check_clocks(system: System) -> Iterator[Finding]:
                 message = f"the modules of {region.name} have a clock {port} beside the region's: what drives it?"
                 hint = f"write clocks: {{{port}: CLOCK}} with one of {', '.join(system.project.clocks)}, or external"
                 yield Finding("clocks", ("regions", region.name), message, hint)
-            elif clock != region.spec.clock:
-                yield from _buses(region, port, clock)
+            elif clock == "external":
+                yield from _buses(region, port)
 
 
-def _buses(region: RegionPlan, port: str, clock: str) -> Iterator[Finding]:
+def _buses(region: RegionPlan, port: str) -> Iterator[Finding]:
     for interface in region.boundary.interfaces:
         connected = region.spec.interfaces.get(interface.name)
         if interface.clock != port or (connected and connected.connect in ("none", "external")):
             continue
-        message = f"{interface.name} runs on {port}, which gets {clock}; its decoupler runs on {region.spec.clock}"
-        hint = f"give {port} the region's clock, or put a crossing into the module"
+        message = (
+            f"{interface.name} runs on {port}, which comes from outside; its decoupler runs on {region.spec.clock}"
+        )
+        hint = f"give {port} one of clocks:, or put a crossing into the module"
         yield Finding("BD 41-237", ("regions", region.name, "clocks", port), message, hint)
 
 

@@ -154,7 +154,7 @@ def _axi_ports(system: System) -> Iterator[AxiPort]:
         full = [("m_axi", "Master", bus.interface) for bus in region.registers if bus.full]
         for prefix, mode, interface in (*full, *(("s_axi", "Slave", bus.interface) for bus in region.memory)):
             name, doc = f"{prefix}_{region.name}_{interface.name}", f"{region.name}.{interface.name}"
-            yield AxiPort(name, mode, doc, region.spec.clock, _settings(interface))
+            yield AxiPort(name, mode, doc, region.clock_of(interface), _settings(interface))
 
 
 def _settings(interface: Interface) -> tuple[tuple[str, object], ...]:

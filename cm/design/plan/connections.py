@@ -11,7 +11,7 @@ from cm.design.hdl.model import Interface, Mode, PortDirection
 from cm.design.plan.addresses import Allocator
 from cm.design.plan.streams import stream_bus
 from cm.design.plan.switch import check_switched
-from cm.design.plan.system import Line, MemoryBus, RegionPlan, RegisterBus, StreamBus
+from cm.design.plan.system import Line, MemoryBus, RegionPlan, RegisterBus, StreamBus, clock_of
 from cm.design.project.model import ConnectionSpec, Project, RegionSpec
 from cm.design.project.source_position import fault
 from cm.schema.problems import KeyPath, did_you_mean
@@ -96,12 +96,12 @@ class RegionPlanner:
             key = (*_key(region, interface.name), "connect")
             raise fault(self._project.source, key, message, f"write {' or '.join(allowed)}")
         if connect in ("dma", "vdma"):
-            parts.streams.append(self._stream(region, interface, spec))
+            parts.streams.append(self._stream(region, interface, spec, clock_of(region, boundary, interface)))
         elif connect == "switch":
             check_switched(self._project, region, interface)
             parts.streams.append(StreamBus(interface, f"{region.name}_{interface.name}", None, spec, self._width))
         elif connect == "interconnect":
-            parts.registers.append(self._registers(region, interface))
+            parts.registers.append(self._registers(region, interface, clock_of(region, boundary, interface)))
         elif connect == "memory":
             parts.memory.append(MemoryBus(interface))
         elif connect == "external" and interface.protocol == "axis":
@@ -110,14 +110,14 @@ class RegionPlanner:
             ports = [port for port in boundary.ports if port.interface == interface.name]
             (parts.external if connect == "external" else parts.unused).extend(ports)
 
-    def _stream(self, region: RegionSpec, interface: Interface, spec: ConnectionSpec) -> StreamBus:
+    def _stream(self, region: RegionSpec, interface: Interface, spec: ConnectionSpec, clock: str) -> StreamBus:
         if interface.mode is Mode.MASTER and "TLAST" not in interface.ports:
             self.notes.append(
                 f"{region.name}.{interface.name} has no TLAST: its DMA ends a transfer only when the buffer is full"
             )
-        return stream_bus(self._project, region, interface, spec)
+        return stream_bus(self._project, region, interface, spec, clock)
 
-    def _registers(self, region: RegionSpec, interface: Interface) -> RegisterBus:
+    def _registers(self, region: RegionSpec, interface: Interface, clock: str) -> RegisterBus:
         name = f"{region.name}_{interface.name}"
         bits = interface.addr_width or 12
         size = max(region.window, 1 << min(bits, 32)) if bits > 16 and interface.protocol == "axi4" else region.window
@@ -125,7 +125,7 @@ class RegionPlanner:
             self.notes.append(f"{name} decodes {bits} address bits; its window shows {size:#x} bytes of them")
         if interface.protocol == "axi4" or interface.data_width != 32:
             return RegisterBus(interface, self._addresses.wide(name, min(size, 1 << 24)), full=True)
-        return RegisterBus(interface, self._addresses.registers(name, size, region.clock))
+        return RegisterBus(interface, self._addresses.registers(name, size, clock))
 
     def _single(
         self, region: RegionSpec, port: BoundaryPort, boundary: Boundary, lines: list[Line], parts: _Region

@@ -38,8 +38,13 @@ def dma_width(bits: int) -> int:
     return width
 
 
-def stream_bus(project: Project, region: RegionSpec, interface: Interface, spec: ConnectionSpec) -> StreamBus:
-    """Make the stream of an interface, with a channel to which `place` assigns registers and an interrupt line."""
+def stream_bus(
+    project: Project, region: RegionSpec, interface: Interface, spec: ConnectionSpec, clock: str
+) -> StreamBus:
+    """Make the stream of an interface, with a channel to which `place` assigns registers and an interrupt line.
+
+    `clock`: on which it runs.
+    """
     video = spec.connect == "vdma"
     name = spec.stream or f"{region.name}_{interface.name}"
     key: KeyPath = ("regions", region.name, "interfaces", interface.name)
@@ -58,7 +63,7 @@ def stream_bus(project: Project, region: RegionSpec, interface: Interface, spec:
     direction = Direction.MM2S if interface.mode is Mode.SLAVE else Direction.S2MM
     bits = max(8, (spec.max_length or LONGEST).bit_length())
     kind = EngineKind.VDMA if video else EngineKind.DMA
-    dma = Dma(name, direction, _NOWHERE, -1, region.clock, width if video else dma_width(width), bits, kind=kind)
+    dma = Dma(name, direction, _NOWHERE, -1, clock, width if video else dma_width(width), bits, kind=kind)
     return StreamBus(interface, name, replace(dma, engine=spec.engine or name), spec)
 
 

@@ -35,7 +35,7 @@ def own_streams(project: Project, width: int) -> tuple[StreamBus, ...]:
     region = RegionSpec("switch", spec.clock)
     ends = [(name, Mode.SLAVE, given) for name, given in spec.inputs.items()]
     ends += [(name, Mode.MASTER, given) for name, given in spec.outputs.items()]
-    return tuple(stream_bus(project, region, _end(name, mode, width), given) for name, mode, given in ends)
+    return tuple(stream_bus(project, region, _end(name, mode, width), given, spec.clock) for name, mode, given in ends)
 
 
 def _end(name: str, mode: Mode, width: int) -> Interface:
@@ -73,9 +73,10 @@ def plan_switch(
 
 def _check_clock(project: Project, region: RegionPlan, bus: StreamBus) -> None:
     assert project.switch is not None
-    if region.spec.clock != project.switch.clock:
+    clock = region.clock_of(bus.interface)
+    if clock != project.switch.clock:
         key: KeyPath = ("regions", region.name, "interfaces", bus.interface.name, "connect")
-        message = f"{region.name} runs on {region.spec.clock}, the switch on {project.switch.clock}"
+        message = f"{region.name} runs on {clock}, the switch on {project.switch.clock}"
         raise fault(project.source, key, message, "all ends of the switch run on its clock")
 
 

@@ -93,6 +93,21 @@ class Line:
     edge: bool
 
 
+def clock_sources(spec: RegionSpec, boundary: Boundary) -> dict[str, str | None]:
+    """The source of each clock port of a boundary: a clock, ``external``, or None if it is not given.
+
+    The only clock, or the one called ``aclk``, is the region's own.
+    """
+    ports = [port.name for port in boundary.ports if port.role is Role.CLOCK]
+    return {name: spec.clocks.get(name, spec.clock if len(ports) == 1 or name == "aclk" else None) for name in ports}
+
+
+def clock_of(spec: RegionSpec, boundary: Boundary, interface: Interface) -> str:
+    """The clock on which everything that is connected to an interface runs: its own, or the region's."""
+    source = clock_sources(spec, boundary).get(interface.clock or "")
+    return source if source and source != "external" else spec.clock
+
+
 @dataclass(frozen=True, slots=True)
 class RegionPlan:
     """A region with everything around it; `index` is its bit in the control registers."""
@@ -114,13 +129,12 @@ class RegionPlan:
 
     @property
     def clocks(self) -> Mapping[str, str | None]:
-        """The source of each clock port of the boundary: a clock, ``external``, or None if it is not given.
+        """The source of each clock port of the boundary (`clock_sources`)."""
+        return clock_sources(self.spec, self.boundary)
 
-        The only clock, or the one called ``aclk``, is the region's own.
-        """
-        ports = [port.name for port in self.boundary.ports if port.role is Role.CLOCK]
-        own = self.spec.clock
-        return {name: self.spec.clocks.get(name, own if len(ports) == 1 or name == "aclk" else None) for name in ports}
+    def clock_of(self, interface: Interface) -> str:
+        """The clock on which everything that is connected to an interface runs."""
+        return clock_of(self.spec, self.boundary, interface)
 
     @property
     def cell(self) -> str:

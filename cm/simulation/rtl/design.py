@@ -142,7 +142,7 @@ def _wiring(design: RtlDesign, static: Path, seed: int) -> Iterator[str]:
         yield f"{kind} {stream.prefix} {clocks.index(stream.clock)}"
     for region in system.regions:
         for bus in region.memory:
-            yield f"memory m_axi_{region.name}_{bus.interface.name} {clocks.index(region.spec.clock)}"
+            yield f"memory m_axi_{region.name}_{bus.interface.name} {clocks.index(region.clock_of(bus.interface))}"
     if system.icap:
         yield f"port axis_icap {clocks.index(system.icap.clock)} 1"
     for output in design.outputs:
@@ -167,7 +167,7 @@ def _directions(region: RegionPlan) -> dict[str, tuple[PortDirection, int]]:
 def _streams(system: System) -> Iterator[StreamEnd]:
     """Streams of DMA engines and outside sources come first, as they have numbers; `drain` has none."""
     ends = [
-        _stream(region.name, region.spec.clock, b)
+        _stream(region.name, region.clock_of(b.interface), b)
         for region in system.regions
         for b in region.streams
         if not b.switched

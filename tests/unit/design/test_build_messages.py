@@ -23,7 +23,7 @@ GOOD = STREAM_MODULE.format(name="one", high=31)
 PLACED = MINIMAL.replace("pblock: auto", "pblock: [SLICE_X26Y50:SLICE_X43Y99, RAMB36_X2Y10:RAMB36_X2Y19]")
 EXTERNAL = MINIMAL.replace("{pblock: auto}", "{pblock: auto, interfaces: {m_axis: {connect: external}}}")
 TWO_CLOCKS = "clocks: {fclk0: {rate: 100_000_000}, fclk1: {rate: 50_000_000}}\n"
-CROSSED = TWO_CLOCKS + MINIMAL.replace("{pblock: auto}", "{pblock: auto, clocks: {aclk: fclk1}}")
+CROSSED = TWO_CLOCKS + MINIMAL.replace("{pblock: auto}", "{pblock: auto, clocks: {aclk: external}}")
 
 
 def body(text: str) -> str:

@@ -7,7 +7,7 @@ from cm.design.boundary.model import Role
 from cm.design.generate.netlist import Netlist, ones, zeros
 from cm.design.generate.static_part.registers import add_registers
 from cm.design.generate.static_part.shared import add_memory
-from cm.design.generate.static_part.site import Site
+from cm.design.generate.static_part.site import Site, reset_of
 from cm.design.generate.static_part.streams import add_stream
 from cm.design.hdl.model import PortDirection
 from cm.design.plan.system import RegionPlan, System
@@ -21,11 +21,12 @@ def add_region(net: Netlist, system: System, region: RegionPlan) -> None:
     _declare(site)
     _control(site)
     for registers in site.region.registers:
-        add_registers(site, registers)
+        add_registers(site.at(registers.interface), registers)
     for stream in site.region.streams:
-        add_stream(site, stream)
+        add_stream(site.at(stream.interface), stream)
     for memory in site.region.memory:
-        add_memory(site, memory)
+        add_memory(site.at(memory.interface), memory)
+    site.join()
     _interrupts(site)
     _external(site)
     _rest(site)
@@ -76,16 +77,12 @@ def _clocks(site: Site, reset: str) -> None:
                 site.net.assign(site.wire(port.name), f"clk_{clock or site.region.spec.clock}")
                 site.done.add(port.name)
         elif port.role is Role.RESET and port.direction is IN:
-            owner = next((name for name in site.region.clocks if _reset_of(name) == port.name), None)
+            owner = next((name for name in site.region.clocks if reset_of(name) == port.name), None)
             if owner is None or site.region.clocks[owner] in (site.region.spec.clock, None):
                 site.net.assign(site.wire(port.name), reset)
             else:
                 site.cm_sync(site.wire(port.name), site.wire(owner), reset, site.wire(port.name))
             site.done.add(port.name)
-
-
-def _reset_of(clock: str) -> str:
-    return "aresetn" if clock == "aclk" else f"{clock}_resetn"
 
 
 def _interrupts(site: Site) -> None:

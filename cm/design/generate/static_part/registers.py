@@ -18,7 +18,7 @@ def add_registers(site: Site, bus: RegisterBus) -> None:
     interface = bus.interface
     stuck = site.net.wire(f"{site.name}_{interface.name}_stuck")
     site.stuck.append(stuck)
-    connections: dict[str, str | None] = {"clear": f"!{site.name}_resetn_out", "stuck": stuck}
+    connections: dict[str, str | None] = {"clear": f"!{site.region_reset}", "stuck": stuck}
     parameters: dict[str, object] = {"ID_WIDTH": _id_width(interface)}
     outside = _Outside(site.net, site.system, site.region, bus)
     for channel, kinds in (("AW", axi.ADDRESS), ("W", ("DATA", "STRB")), ("AR", axi.ADDRESS)):
@@ -64,7 +64,7 @@ class _Outside:
         if self._bus.full:
             name = f"s_axi_{self._region.name}_{self._bus.interface.name}_{signal}"
             return self._net.port(name, OUT if logical in axi.FROM_SLAVE else IN, width)
-        domain = next(d for d in self._system.domains if d.clock == self._region.spec.clock)
+        domain = next(d for d in self._system.domains if d.clock == self._region.clock_of(self._bus.interface))
         have = next((bits for known, _, bits in LITE if known == signal), None)
         if have is None:  # AWCACHE and the like, which some AXI4-Lite slaves have against the specification
             return zeros(width)

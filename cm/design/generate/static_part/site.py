@@ -3,10 +3,17 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 from cm.design.generate import axi
 from cm.design.generate.netlist import Netlist
 from cm.design.hdl.model import Interface
 from cm.design.plan.system import RegionPlan, System
+
+
+def reset_of(clock: str) -> str:
+    """The boundary's reset of one of its clocks."""
+    return "aresetn" if clock == "aclk" else f"{clock}_resetn"
 
 
 class Site:
@@ -17,6 +24,8 @@ class Site:
         self.clock, self.reset = f"clk_{region.spec.clock}", f"resetn_{region.spec.clock}"
         self.name = region.name
         self.cut = f"{self.name}_cut"
+        self.region_reset = f"{self.name}_resetn_out"  # of the modules, active low, on `clock`
+        self._others: dict[str, Site] = {}
         self.drained: list[str] = []
         self.stuck: list[str] = []
         self.done: set[str] = set()
@@ -29,6 +38,37 @@ class Site:
     def main(self) -> str:
         """The clock of the control registers."""
         return f"clk_{self.system.domains[0].clock}"
+
+    def at(self, interface: Interface) -> Site:
+        """The site as an interface sees it: with its own clock, to which what cuts the region off is synchronised."""
+        clock = self.region.clock_of(interface)
+        if clock == self.region.spec.clock:
+            return self
+        if clock not in self._others:
+            other = copy(self)
+            other.clock, other.reset, other.cut = f"clk_{clock}", f"resetn_{clock}", f"{self.cut}_{clock}"
+            other.region_reset = self.wire(reset_of(interface.clock or ""))
+            other.drained, other.stuck = [], []
+            self.net.wire(other.cut)
+            if self.region.spec.decoupling:
+                # not only synchronised: the two synchronisers may differ by a clock, and a module in reset must not
+                # be heard, nor be given a beat that it would lose
+                asked = self.net.wire(f"{other.cut}_asked")
+                self.cm_sync(other.cut, other.clock, self.cut, asked)
+                self.net.assign(other.cut, f"{asked} || !{other.region_reset}")
+            else:
+                self.net.assign(other.cut, "1'b0")
+            self._others[clock] = other
+        return self._others[clock]
+
+    def join(self) -> None:
+        """Synchronise what the interfaces on other clocks say back to the region's."""
+        for other in self._others.values():
+            for mine, theirs in ((self.drained, other.drained), (self.stuck, other.stuck)):
+                for signal in theirs:
+                    here = self.net.wire(f"{signal}_here")
+                    self.cm_sync(here, self.clock, signal, here)
+                    mine.append(here)
 
     def cm_sync(self, name: str, clock: str, source: str, target: str, width: int = 1) -> None:
         """Synchronise levels to another clock."""
