@@ -74,14 +74,19 @@ class Connections:
         self._tcp = tcp
         self._stuck: dict[tuple[int, str], tuple[int, float]] = {}  # by inode and peer: bytes, and since when
         self._looked = 0.0
+        self._counted, self._next_count = Counter[str](), 0.0
 
     def counted(self) -> Counter[str]:
-        """How many lead to each place (`cm.server.shares.Client.place`)."""
-        found = Counter[str]()
+        """How many lead to each place (`cm.server.shares.Client.place`); counted in a tenth of the time at most."""
+        began = time.monotonic()
+        if began < self._next_count:
+            return self._counted
+        found = self._counted = Counter[str]()
         for connection in sockets():
             with connection, suppress(OSError):  # a listening one, or one that has just ended
                 found[self._place(connection)] += 1
         del found[""]
+        self._next_count = time.monotonic() + 10 * (time.monotonic() - began)
         return found
 
     def _place(self, connection: socket.socket, names: tuple[str, ...] = _TOPICS) -> str:
