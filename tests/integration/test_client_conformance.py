@@ -516,8 +516,8 @@ def test_a_time_out_may_be_none_or_infinite_and_nothing_else_but_a_number(board:
             board.stream("camera", timeout=wrong).open()
         with pytest.raises(InvalidRequest, match="number of seconds"):
             board.read("camera", timeout=wrong)
-    with pytest.raises(Timeout):
-        board.interrupts["frame_done"].wait(timeout=-1)
+    with board.interrupts["frame_done"].events(timeout=-1) as listening, pytest.raises(Timeout):
+        listening.next()
 
 
 def test_an_unknown_stream_is_an_error_when_it_is_opened(board: Any) -> None:

@@ -15,8 +15,8 @@ from typing import IO, Any
 import zmq
 
 from cm.errors import CmError
+from cm.tools.conformance.acting_manager import ActingManager, ServerKeys
 from cm.tools.conformance.cases import AnyError, Case
-from cm.tools.conformance.stage import ServerKeys, Stage
 
 _HUNG = 60.0  # seconds beyond a case's own time-outs
 
@@ -94,11 +94,11 @@ def run(command: Sequence[str], chosen: Iterator[Case]) -> Iterator[Outcome]:
 def _run(driver: Driver, case: Case) -> Outcome:
     with tempfile.TemporaryDirectory(prefix="cm-c-") as folder:
         server, client = _keys(case, Path(folder))
-        with Stage(Path(folder), case.play, case.listens, server) as stage:
-            place = {"endpoint": stage.endpoint, "keys": client} if server else {"folder": folder}
+        with ActingManager(Path(folder), case.play, case.listens, server) as manager:
+            place = {"endpoint": manager.endpoint, "keys": client} if server else {"folder": folder}
             line = {"case": case.name, "connect": place, "timeout": case.timeout, "do": list(case.do)}
             results = driver.ask(line, _HUNG + case.timeout * len(case.do))
-        why = _complaint(case, results) or "; ".join(stage.violations) or case.check(stage.taken)
+        why = _complaint(case, results) or "; ".join(manager.violations) or case.check(manager.taken)
     if any(isinstance(r, dict) and r.get("unsupported") for r in results):
         return Outcome(case.name, case.says, "left out", "the driver cannot do this")
     return Outcome(case.name, case.says, "failed" if why else "passed", why)

@@ -43,11 +43,11 @@ class ServerKeys:
     clients: frozenset[bytes]
 
 
-Play = Callable[["Stage", Taken], None]
-Listens = Callable[["Stage", str], None]
+Play = Callable[["ActingManager", Taken], None]
+Listens = Callable[["ActingManager", str], None]
 
 
-class Stage:
+class ActingManager:
     """Serves while the context lasts. `play` answers requests, `listens` is told of subscriptions, in its thread."""
 
     def __init__(self, folder: Path, play: Play, listens: Listens, keys: ServerKeys | None = None) -> None:
@@ -59,9 +59,9 @@ class Stage:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._ending = threading.Event()  # what has been sent by then is still read
         self._over = threading.Event()
-        self._thread = threading.Thread(target=self._serve, name="cm-stage")
+        self._thread = threading.Thread(target=self._serve, name="cm-manager")
 
-    def __enter__(self) -> Stage:
+    def __enter__(self) -> ActingManager:
         self._bind()
         self._thread.start()
         return self
