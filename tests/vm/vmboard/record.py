@@ -51,7 +51,8 @@ def good(tier: Tier, record: Path = RECORD, tree: Path = REPOSITORY) -> None:
     if not waits(tier) or any(os.environ.get(name) for name in SUBSTITUTES):
         return
     known = _read(record)
-    known[tier.name] = {"state": state(tier, tree), "day": datetime.datetime.now(datetime.UTC).date().isoformat()}
+    today = datetime.datetime.now(datetime.timezone.utc).date()
+    known[tier.name] = {"state": state(tier, tree), "day": today.isoformat()}
     text = json.dumps(dict(sorted(known.items())), indent=2) + "\n"
     if not record.exists() or record.read_text() != text:
         record.write_text(text)
