@@ -14,8 +14,8 @@ from types import MappingProxyType
 from typing import Any
 
 from cm.design import hdl
+from cm.design.compile_order import compile_order
 from cm.design.errors import BuildError
-from cm.design.hdl.compile_order import compile_order
 from cm.design.hdl.errors import ModuleNotFound
 from cm.design.hdl.flat import Wanted, needs_wrapper
 from cm.design.hdl.flatten import flatten

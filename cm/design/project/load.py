@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from cm.design.boards import BoardDefinition, boards
+from cm.design.compile_order import compile_order
 from cm.design.errors import BuildError
-from cm.design.hdl.compile_order import compile_order
 from cm.design.project import references
 from cm.design.project.fusesoc import with_core
 from cm.design.project.model import (
