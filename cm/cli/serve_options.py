@@ -22,7 +22,7 @@ from cm.wire.topics import split_tcp
 if TYPE_CHECKING:
     from cm.schema.model import Config
     from cm.server.endpoints import Security
-    from cm.server.host.reload import Reloaded
+    from cm.server.reload import Reloaded
     from cm.server.rights.model import Access
     from cm.server.settings import Settings
 
@@ -168,8 +168,8 @@ def read_again(args: argparse.Namespace, paths: Sequence[Path], began: Settings 
 
     `began`: the settings of the start; changes in them that need a restart are noted.
     """
-    from cm.server.host.reload import Reloaded
     from cm.server.limits import Limits
+    from cm.server.reload import Reloaded
 
     settings = settings_of(args)
     configs, left_out = configs_of(paths, settings)

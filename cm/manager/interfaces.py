@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the manager is given: devices, files, a data plane, the time and an observer. Protocols only.
 
-`cm.device` has all that is asked for here, and `cm.server.host` puts it together; nothing of either is imported, so
+`cm.device` has all that is asked for here, and `cm.server` puts it together; nothing of either is imported, so
 the manager runs, and is tested, where no shim was compiled.
 """
 

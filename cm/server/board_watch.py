@@ -9,8 +9,8 @@ from collections.abc import Callable
 from cm.device import DeviceGone
 from cm.errors import CmError
 from cm.manager.manager import Manager
-from cm.server.host.sleep import Sleep
 from cm.server.interrupts import InterruptWatch
+from cm.server.service import Sleep
 from cm.server.streams.stream_service import Streams
 
 _LOG = logging.getLogger("cm")

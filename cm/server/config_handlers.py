@@ -11,8 +11,7 @@ from cm.manager.manager import Manager
 from cm.manager.reporting import config_list, is_long
 from cm.server.connections import Sessions
 from cm.server.data_handlers import MemoryTransfers
-from cm.server.host.provision import Provisioner
-from cm.server.host.sent import Sender
+from cm.server.provision import Provisioner, Sender
 from cm.server.rights.gate import check
 from cm.server.rights.model import Role
 from cm.server.rights.needs import provisioning

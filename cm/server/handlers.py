@@ -20,10 +20,10 @@ from cm.server.client_jobs import ClientJobs, Result
 from cm.server.config_handlers import Description, SentConfigs
 from cm.server.connections import Connections, Sessions
 from cm.server.data_handlers import DataHandlers, MemoryTransfers
-from cm.server.host.provision import Provisioner
 from cm.server.interrupts import InterruptWatch
 from cm.server.lease_watch import LeaseWatch
 from cm.server.loop import Loop
+from cm.server.provision import Provisioner
 from cm.server.register_handlers import RegisterHandlers
 from cm.server.replies import Respond, refusal
 from cm.server.rights.gate import Gate

@@ -21,24 +21,24 @@ from cm.server.board_watch import BoardWatch
 from cm.server.client_jobs import ClientJobs
 from cm.server.connections import Connections, Sessions, raise_descriptors
 from cm.server.data_handlers import MemoryTransfers
+from cm.server.devices import BoardDevices
 from cm.server.dispatcher import Dispatcher
 from cm.server.endpoints import Authenticator, Locks, Sockets
+from cm.server.files import BoardFiles, Footprints
 from cm.server.folders import own_folder
 from cm.server.handlers import Handlers, Services
-from cm.server.host.devices import BoardDevices
-from cm.server.host.files import BoardFiles, Footprints
-from cm.server.host.provision import Provisioner
-from cm.server.host.reload import ReloadContext, Reloader, renewal
-from cm.server.host.systemd import ServiceManager
 from cm.server.interrupts import InterruptWatch
 from cm.server.lease_watch import LeaseWatch
 from cm.server.loop import Loop
 from cm.server.options import NO_METRICS, Options
+from cm.server.provision import Provisioner
 from cm.server.publisher import Publisher, mark
 from cm.server.read_cache import ReadCache
+from cm.server.reload import ReloadContext, Reloader, renewal
 from cm.server.rights.gate import Gate
 from cm.server.rights.users import system_users
 from cm.server.sensor_watch import SensorWatch
+from cm.server.service import ServiceManager
 from cm.server.shares import Clients
 from cm.server.steps import Steps
 from cm.server.streams.data_socket import DataSocket

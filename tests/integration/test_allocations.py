@@ -19,7 +19,7 @@ from manager_process import Manager, environment, served, until
 import cm
 from cm.device import DeviceBusy, DeviceNotFound, Icap, Root
 from cm.errors import NotFound
-from cm.server.host.memory import device_memory
+from cm.server.devices import device_memory
 from cm.simulation.software import Board as SimBoard
 
 MIB = 1 << 20
@@ -106,7 +106,7 @@ def test_without_a_port_a_channel_that_is_free_gives_memory(sim: SimBoard, monke
     def missing(*_: Any, **__: Any) -> Icap:
         raise DeviceNotFound(2, "no port", "/dev/cm_icap0")
 
-    monkeypatch.setattr("cm.server.host.memory.Icap.open", missing)
+    monkeypatch.setattr("cm.server.devices.Icap.open", missing)
     root = Root.of(sim.root)
     memory = device_memory(5000, root)
     assert (memory.length, os.fstat(memory.fd).st_size) == (8192, 8192)

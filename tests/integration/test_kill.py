@@ -22,7 +22,7 @@ from cm import child
 from cm.client.errors import ConnectionLost, NoAnswer, RequestFailed
 from cm.device import DeviceGone, Root
 from cm.errors import CmError
-from cm.server.host.devices import BoardDevices
+from cm.server.devices import BoardDevices
 from cm.simulation.software import Board as SimBoard
 
 READER = """

@@ -20,7 +20,7 @@ from typing import TypeVar
 from cm.device import DeviceNotFound
 from cm.device.data_plane import Plane, StreamSetup
 from cm.errors import Busy, CmError, InvalidRequest
-from cm.server.host.memory import DeviceMemory
+from cm.server.devices import DeviceMemory
 from cm.server.limits import USUAL
 from cm.server.loop import Loop
 from cm.server.streams.peer import Peer

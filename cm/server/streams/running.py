@@ -17,7 +17,7 @@ from cm.device import AxiDma, DeviceTimeout
 from cm.device.data_plane import ClientGone, ClientLeaves, Plane
 from cm.errors import CmError
 from cm.schema.model import Direction, Stream
-from cm.server.host.devices import BoardDevices
+from cm.server.devices import BoardDevices
 from cm.server.loop import Loop
 from cm.server.steps import Steps
 from cm.server.streams.clients import LocalClients, ZmqClients

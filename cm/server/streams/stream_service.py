@@ -14,7 +14,7 @@ from cm.errors import Busy
 from cm.manager.access.leases import Leases
 from cm.manager.reporting import stream_status
 from cm.schema.model import Config, Direction, Stream
-from cm.server.host.devices import BoardDevices
+from cm.server.devices import BoardDevices
 from cm.server.limits import USUAL, Limits
 from cm.server.loop import Loop
 from cm.server.steps import Steps

@@ -22,7 +22,7 @@ from cm.manager.interfaces import Image
 from cm.manager.loaders import Job, Loaders
 from cm.schema import loads
 from cm.schema.model import Config, LoaderKind, Module
-from cm.server.host.files import BoardFiles
+from cm.server.files import BoardFiles
 from cm.simulation.software import Board as SimBoard
 from cm.wire.messages.requests import ChangeMode, RegWrite
 

@@ -11,7 +11,7 @@ import pytest
 from manager_process import until
 from manager_support import Rig, camera, make_rig, rig
 
-from cm.server.host.devices import BoardDevices
+from cm.server.devices import BoardDevices
 from cm.simulation.software import Board as SimBoard
 
 HUNG = 60.0  # seconds for a load: a busy machine may take some

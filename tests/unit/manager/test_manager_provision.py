@@ -12,9 +12,8 @@ import pytest
 from cm.errors import Forbidden, InvalidRequest
 from cm.manager.errors import ChangeBusy, UnknownConfig
 from cm.schema import SchemaError, loads
-from cm.server.host.provision import Provisioner
-from cm.server.host.sent import SCHEMA_FILE, NoSpace, QuotaExceeded, Reserved, Sender
 from cm.server.limits import USUAL
+from cm.server.provision import SCHEMA_FILE, NoSpace, Provisioner, QuotaExceeded, Reserved, Sender
 from cm.wire.messages.requests import File
 
 SCHEMA = """
@@ -107,7 +106,7 @@ def test_a_kill_at_any_of_the_renames_leaves_the_old_one_or_the_new(
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, "rename", dying)
-        patch.setattr("cm.server.host.provision._remove", lambda *_, **__: None)  # a dead process cleans up nothing
+        patch.setattr("cm.server.provision._remove", lambda *_, **__: None)  # a dead process cleans up nothing
         if after < 2:
             with pytest.raises(Killed):
                 provisioner.store(SCHEMA, (File("one.bit", b"new"),))
@@ -208,8 +207,8 @@ def long(name: str, registers: int) -> str:
 def test_schemas_have_a_quota_of_their_own_since_they_stay_in_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cm.server.host.provision.SCHEMAS_EACH", 3000)
-    monkeypatch.setattr("cm.server.host.provision.SCHEMAS_ALL", 4000)
+    monkeypatch.setattr("cm.server.provision.SCHEMAS_EACH", 3000)
+    monkeypatch.setattr("cm.server.provision.SCHEMAS_ALL", 4000)
     provisioner = Provisioner(tmp_path / "configs")
     provisioner.store(long("a", 50), (), sender=ANNA)
     with pytest.raises(QuotaExceeded, match="schemas of yours would have"):

@@ -21,8 +21,8 @@ from zmq.utils.monitor import recv_monitor_message
 from cm.errors import InvalidRequest
 from cm.schema import load_folder
 from cm.schema.model import Config
-from cm.server.host.reload import Reloaded
 from cm.server.limits import USUAL
+from cm.server.reload import Reloaded
 from cm.server.rights.model import Access
 from cm.wire.encode import decode_reply, encode_request
 from cm.wire.messages import requests as rq

@@ -11,7 +11,7 @@ import pytest
 
 from cm.server.endpoints import FolderLock
 from cm.server.folders import UnsafeFolder, open_inside, own_folder, share
-from cm.server.host.provision import Provisioner
+from cm.server.provision import Provisioner
 
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to give folders to other users")
 STRANGER = 47113

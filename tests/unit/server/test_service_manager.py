@@ -12,8 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from cm.server.host.journald import JournalHandler, journal_handler
-from cm.server.host.systemd import ServiceManager
+from cm.server.service import JournalHandler, ServiceManager, journal_handler
 
 
 @pytest.fixture

@@ -13,8 +13,7 @@ from cm.manager.errors import BadOverlay
 from cm.manager.interfaces import Image
 from cm.schema.files import find_file, overlay_path
 from cm.schema.model import Config, Module, Overlay
-from cm.server.host.bitstreams import BitstreamReader
-from cm.server.host.firmware import FirmwareFolder
+from cm.server.images import BitstreamReader, FirmwareFolder
 
 _NAME = "firmware-name"
 _PARTIAL, _ENCRYPTED, _EXTERNAL = "partial-fpga-config", "encrypted-fpga-config", "external-fpga-config"

@@ -1,14 +1,102 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The board's devices for the manager: opened when first needed, kept, and closed together."""
+"""The board's devices for the manager: opened when needed, kept, closed together; memory for masters in the PL."""
 
 from __future__ import annotations
 
+import os
 import threading
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
-from cm.device import AxiDma, FpgaManager, GpioLine, Icap, Overlays, PlClocks, Root, Uio, find_uio, list_icap, list_uio
+from cm.device import (
+    AxiDma,
+    DeviceBusy,
+    DeviceError,
+    DeviceNotFound,
+    DmaBuffer,
+    FpgaManager,
+    GpioLine,
+    Icap,
+    Overlays,
+    PlClocks,
+    Root,
+    Uio,
+    find_uio,
+    list_dma,
+    list_icap,
+    list_uio,
+)
+from cm.errors import NotFound
 from cm.manager.interfaces import Window
-from cm.server.host.memory import DeviceMemory, device_memory, port_memory
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceMemory:
+    """`length` bytes behind a descriptor, which the device has at `address`; `free` gives them back."""
+
+    fd: int
+    length: int
+    coherent: bool
+    address: int
+    free: Callable[[], None]
+
+
+def device_memory(length: int, root: Root) -> DeviceMemory:
+    """Whole pages, `length` bytes at least.
+
+    Raises DeviceError, NotFound if no device provides any. A configuration port may be open several times, so an open
+    one of our own holds the memory. A DMA channel may not: it is closed at once, and the descriptor alone keeps the
+    memory.
+    """
+    try:
+        return port_memory(length, root)
+    except DeviceNotFound:
+        return _of_channel(length, root)
+
+
+def port_memory(length: int, root: Root) -> DeviceMemory:
+    """Likewise, of a configuration port only. Raises DeviceError; DeviceNotFound where there is none. Any thread."""
+    port = Icap.open(root=root)
+    try:
+        buffer = _told(port.allocate(length))
+    except BaseException:
+        port.close()
+        raise
+
+    def free() -> None:
+        with suppress(DeviceError):
+            buffer.close()
+        port.close()
+
+    return DeviceMemory(buffer.fd, buffer.length, buffer.coherent, buffer.address, free)
+
+
+def _of_channel(length: int, root: Root) -> DeviceMemory:
+    busy: DeviceError | None = None
+    for name in list_dma(root):
+        try:
+            with AxiDma.open(name, root) as channel:
+                return _kept(_told(channel.allocate(length)))
+        except DeviceBusy as error:
+            busy = error
+    if busy is not None:
+        raise busy
+    raise NotFound("no device of this board gives memory: it has neither a configuration port nor a DMA channel")
+
+
+def _kept(buffer: DmaBuffer) -> DeviceMemory:
+    fd = os.dup(buffer.fd)
+    return DeviceMemory(fd, buffer.length, buffer.coherent, buffer.address, lambda: os.close(fd))
+
+
+def _told(buffer: DmaBuffer) -> DmaBuffer:
+    if buffer.address:
+        return buffer
+    buffer.close()
+    raise NotFound("the kernel module does not report the addresses of memory: it is older than this package")
+
 
 _BOOT_ID = "proc/sys/kernel/random/boot_id"
 

@@ -22,9 +22,8 @@ from cm.formats.bitstream import expect_module, expect_static, footprint_of, to_
 from cm.manager.interfaces import Image
 from cm.schema.files import bitstream_path
 from cm.schema.model import Config, FrameRange, Module, Overlay, Region
-from cm.server.host.bitstreams import BitstreamReader, image_of
-from cm.server.host.firmware import FirmwareFolder
-from cm.server.host.overlays import OverlayFiles
+from cm.server.images import BitstreamReader, FirmwareFolder, image_of
+from cm.server.overlay_files import OverlayFiles
 
 _LOG = logging.getLogger("cm")
 _VERSION = 1
