@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
+from pathlib import Path
 
 from bitstream_support import frames
 
@@ -131,3 +132,18 @@ def slot_overlay(number: int, firmware: str | None, device: bool = False) -> byt
         inside["config@80000000"] = {"compatible": "generic-uio"}
     fragment = {"target": b"\xff\xff\xff\xff", "__overlay__": inside}
     return dtbo({"fragment@0": fragment, "__fixups__": {f"fpga_PR{number}": "/fragment@0:target:0"}})
+
+
+def key_pair(folder: Path, name: str, signers: Path) -> Path:
+    """Keys as openssl writes them; without openssl, made by the library that also verifies them."""
+    from cryptography.hazmat.primitives import serialization
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+    key = Ed25519PrivateKey.generate()
+    private = folder / f"{name}.pem"
+    none, pem = serialization.NoEncryption(), serialization.Encoding.PEM
+    private.write_bytes(key.private_bytes(pem, serialization.PrivateFormat.PKCS8, none))
+    signers.mkdir(exist_ok=True)
+    public = key.public_key().public_bytes(pem, serialization.PublicFormat.SubjectPublicKeyInfo)
+    (signers / f"{name}.pub.pem").write_bytes(public)
+    return private

@@ -171,7 +171,7 @@ def test_the_command_writes_a_configuration_that_loads(
 
 def test_a_signed_configuration_is_taken_where_its_key_is_trusted(theirs: Path, tmp_path: Path) -> None:
     pytest.importorskip("cryptography", reason="the extra sign is not installed")
-    from test_signing import key_pair
+    from import_support import key_pair
 
     from cm.formats.signing import Policy, judge
 

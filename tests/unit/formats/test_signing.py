@@ -11,6 +11,7 @@ import tarfile
 from pathlib import Path
 
 import pytest
+from import_support import key_pair
 
 from cm.cli.main import main
 from cm.cli.serve_options import configs_of
@@ -21,21 +22,6 @@ pytest.importorskip("cryptography", reason="the extra sign is not installed")
 
 SCHEMA = b"config: {name: vision, modules: {a: {}}, modes: {default: {modules: [a]}}}\n"
 FILES = {"vision.yaml": SCHEMA, "a.bit": b"some bytes"}
-
-
-def key_pair(folder: Path, name: str, signers: Path) -> Path:
-    """Keys as openssl writes them; without openssl, made by the library that also verifies them."""
-    from cryptography.hazmat.primitives import serialization
-    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-
-    key = Ed25519PrivateKey.generate()
-    private = folder / f"{name}.pem"
-    none, pem = serialization.NoEncryption(), serialization.Encoding.PEM
-    private.write_bytes(key.private_bytes(pem, serialization.PrivateFormat.PKCS8, none))
-    signers.mkdir(exist_ok=True)
-    public = key.public_key().public_bytes(pem, serialization.PublicFormat.SubjectPublicKeyInfo)
-    (signers / f"{name}.pub.pem").write_bytes(public)
-    return private
 
 
 class Place:
