@@ -65,14 +65,14 @@ setup: $(STAMP) ## a virtual environment with the package and what its demonstra
 demo: $(STAMP) ## the camera demonstration on a simulated board; writes demo/contact-sheet.png (IMAGES=DIR, OUT=DIR)
 	@$(BIN)/cm demo --out $(OUT) $(if $(IMAGES),--images $(IMAGES))
 
-demo-authors: $(VENV)/.installed-rtl ## the accelerators that the paper's authors published, behind the simulated board (ZYPR=DIR, a checkout of accl-kaust/zypr; OUT=DIR)
+demo-authors: $(VENV)/.installed-test-rtl ### the accelerators that the paper's authors published, behind the simulated board (ZYPR=DIR, a checkout of accl-kaust/zypr; OUT=DIR)
 	@test -d "$(ZYPR)" || { echo "demo-authors is skipped: git clone https://github.com/accl-kaust/zypr, then make demo-authors ZYPR=zypr"; exit 2; }
 	@$(BIN)/python examples/zypr/authors.py "$(ZYPR)" "$(OUT)"
 
 demo-ros: $(VENV)/.installed-demo-ros ## a simulated board as a ROS 2 node, seen by rclpy where ROS 2 is sourced, elsewhere by zenoh_ros2_sdk (OUT=DIR)
 	@$(BIN)/python ros2/demo.py --out $(if $(filter demo,$(OUT)),demo-ros,$(OUT))
 
-test-ros: $(STAMP) ## cm_ros2 against a real ROS 2: ROS=FOLDER with its setup.bash, or Jazzy's wheels from PyPI (x86-64; needs cmake, g++)
+test-ros: $(STAMP) ### cm_ros2 against a real ROS 2: ROS=FOLDER with its setup.bash, or Jazzy's wheels from PyPI (x86-64; needs cmake, g++)
 	@ros2/test.sh $(abspath $(BIN))/python $(ROS)
 
 demo-open: $(VENV)/.installed-build ## Verilog to partial bitstreams without a vendor's tool, and the modules run from their bits (OUT=DIR; fetches some 50 MB; needs verilator)

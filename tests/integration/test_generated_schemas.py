@@ -18,6 +18,8 @@ sys.path.append(str(Path(__file__).parents[1] / "unit"))
 
 from build_support import NAMES, copy_examples, generated
 
+pytestmark = pytest.mark.design
+
 
 @contextlib.contextmanager
 def running(config: Path, *arguments: str) -> Iterator[cm.Board]:
