@@ -16,6 +16,7 @@ RDEPENDS:${PN} = "kernel-module-cm-axidma-compat \
                   kernel-module-cm-dma \
                   kernel-module-cm-icap \
                   kernel-module-cm-overlay \
+                  kernel-module-cm-window \
                   python3-fpga-cm \
                   python3-fpga-cm-udev"
 RDEPENDS:${PN}-sim = "${PN} \
