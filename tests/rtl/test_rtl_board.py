@@ -8,7 +8,8 @@ import json
 import select
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -51,10 +52,11 @@ class Rig:
             icap.load(buffer, len(words))
             return icap.wait(PATIENCE)
 
-    def decouple(self, index: int, cut: bool) -> None:
+    def decouple(self, index: int, cut: bool, meanwhile: Callable[[], None] = lambda: None) -> None:
         """Of a region, and wait until it is so: its clock may be a slower one."""
         self.control.write(DECOUPLE + 0x10 * index, cut)
         for _ in range(1000):
+            meanwhile()
             if cut == bool(self.control.read(STATUS + 0x10 * index) & 1) and (
                 cut or self.control.read(IDENTITY + 0x10 * index)
             ):
@@ -179,11 +181,17 @@ def test_a_damaged_bitstream_leaves_the_region_undefined(rig: Rig) -> None:
     done = rig.load(bytes(damaged))
     assert device.IcapErrors.CRC in done.errors
     with device.AxiDma.open("from_left", rig.root) as back, back.allocate(1 << 20) as target:
-        for _ in range(16):  # takes what comes: a beat that waits could not be cut off
-            back.submit(target)
+
+        def take() -> None:  # what comes: a beat that waits could not be cut off
+            back.completions()
+            with suppress(device.DeviceBusy):
+                while True:
+                    back.submit(target)
+
+        take()
         rig.control.write(DECOUPLE, 0)
         identities = {rig.control.read(IDENTITY) for _ in range(20)}
-        rig.decouple(0, True)
+        rig.decouple(0, True, meanwhile=take)
         back.cancel()
     assert len(identities) > 10  # noise, another at each look
     rig.change(0, "plain")
