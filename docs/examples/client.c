@@ -4,7 +4,7 @@
  *
  *   protoc-c --c_out=. cm.proto
  *   cc -o client client.c cm.pb-c.c $(pkg-config --cflags --libs libzmq libprotobuf-c)
- *   ./client /run/cm edge
+ *   ./client /run/cm edge_detection
  *
  * Goes to a mode, sets a register, reads it back, and takes one camera frame.
  */

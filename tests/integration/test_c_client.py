@@ -35,7 +35,9 @@ def test_the_documented_c_client_drives_the_manager(board: cm.Board, manager: Ma
     sources = [REPOSITORY / "docs/examples/client.c", tmp_path / "cm.pb-c.c"]
     program = tmp_path / "client"
     subprocess.run(["cc", "-Wall", "-Werror", f"-I{tmp_path}", "-o", program, *sources, *flags], check=True)
-    done = subprocess.run([program, manager.runtime, "edge"], check=False, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(
+        [program, manager.runtime, "edge_detection"], check=False, capture_output=True, text=True, timeout=60
+    )
     assert done.returncode == 0, done.stderr
     assert "focus = 2" in done.stdout
     assert "frame of camera: 480x640 uint8, 307200 bytes, made in edge_detection" in done.stdout
