@@ -90,7 +90,7 @@ test: $(VENV)/.installed-test test-c ## all tests that need no board and no furt
 	@echo "What needs further tools: $(FURTHER:%=make test-%), make test-rtl test-open test-node test-bench test-vm"
 
 test-design: ### the tests that read HDL, generate projects and run Tcl (apt: tcl device-tree-compiler)
-test-networks: ### those of zenoh and ROS 2 (apt: python3-rosidl)
+test-networks: ### those of zenoh and ROS 2 (apt: python3-rosidl python3-empy)
 test-web: ### those of the page (apt: chromium)
 test-programs: ### those of C clients, shells, terminals, notebooks and type checkers (apt: the lines of .ci/run; some as root)
 test-release: ### those of packages, wheels and the layer

@@ -44,7 +44,7 @@ def has_rosidl() -> bool:
 
 def test_rosidl_reads_every_interface(tmp_path: Path) -> None:
     if not Path(SYSTEM).exists() or not has_rosidl():
-        pytest.skip("needs_rosidl: Debian's python3-rosidl")
+        pytest.skip("needs_rosidl: Debian's python3-rosidl and python3-empy")
     for source in SOURCES:
         (tmp_path / source.parent).mkdir(exist_ok=True)
     done = subprocess.run(
