@@ -133,6 +133,7 @@ class Writer:
         grant, memory = self._borrow(DEFAULT)
         self._submit(grant, length or memory.geometry.frame_length or memory.geometry.slot_length)
         connection, number = self._connection, self._next - 1
+        connection.set_timeout(self._timeout)
         while number in self._under_way:
             connection.receive()
             self._collect()
@@ -165,12 +166,12 @@ class Writer:
         self._check()
         self._collect()
         try:
-            self._connection.set_timeout(timeout)
+            left = timeout
             while not ready():
+                self._connection.set_timeout(left)
                 self._connection.receive()
                 self._collect()
-                if not ready():
-                    self._connection.set_timeout(deadline.left)
+                left = deadline.left
         except BlockingIOError:
             raise Timeout(
                 f"stream {self.name!r}: the hardware took nothing within {timeout or 0:g} s; "

@@ -152,7 +152,6 @@ def test_ctrl_c_ends_a_bench_and_what_it_measures_without_a_further_line(tmp_pat
         ("load camera", "default"),
         ("mode camera/colorise", "colorise"),
         ("mode loopback", "loopback"),
-        ("mode edge", "edge_detection"),
     ],
 )
 def test_a_mode_is_named_as_status_prints_it(

@@ -516,7 +516,7 @@ def test_a_time_out_may_be_none_or_infinite_and_nothing_else_but_a_number(board:
             board.stream("camera", timeout=wrong).open()
         with pytest.raises(InvalidRequest, match="number of seconds"):
             board.read("camera", timeout=wrong)
-    with board.interrupts["frame_done"].events(timeout=-1) as listening, pytest.raises(Timeout):
+    with board.interrupts["loop_done"].events(timeout=-1) as listening, pytest.raises(Timeout):
         listening.next()
 
 

@@ -10,7 +10,6 @@ import pytest
 
 import cm.manager
 import cm.server
-import cm.server.shares
 import cm.wire
 from cm.client import errors as client
 from cm.errors import Busy, CmError, Forbidden, InvalidRequest, NotFound, Timeout
@@ -28,14 +27,14 @@ OTHERS = {"nothing_loaded", "already_served", "state_in_use"}  # about a state, 
 
 def refusals() -> list[type[CmError]]:
     """All errors of the packages that answer requests."""
-    for package in (cm.manager, cm.server, cm.server.shares, cm.wire):
+    for package in (cm.manager, cm.server, cm.wire):
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
             importlib.import_module(module.name)
     found: list[type[CmError]] = []
     waiting = list(KINDS)
     while waiting:
         for kind in waiting.pop().__subclasses__():
-            if kind.__module__.startswith(("cm.manager", "cm.server", "cm.server.shares", "cm.wire")):
+            if kind.__module__.startswith(("cm.manager", "cm.server", "cm.wire")):
                 found.append(kind)
             waiting.append(kind)
     return sorted({kind for kind in found if kind.code not in OTHERS}, key=lambda kind: kind.__qualname__)
