@@ -26,7 +26,7 @@ ROUNDS ?= 8
 STOPPED ?= 4
 
 .DEFAULT_GOAL := help
-.PHONY: help help-all setup docs web-picture demo demo-authors demo-open demo-ros demo-fleet device-suite test test-bare $(FURTHER:%=test-%) test-c test-node test-rtl test-open test-bench test-ros test-fleet etcd test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
+.PHONY: help help-all setup docs web-picture demo demo-authors demo-open demo-ros demo-fleet device-suite test test-bare $(FURTHER:%=test-%) test-c test-node test-go test-rtl test-open test-bench test-ros test-fleet etcd test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
 
 help: ## the targets that most people need
 	@awk -F':[^#]*## ' '/^[a-z-]+:[^#]*## /{printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -87,7 +87,7 @@ demo-open: $(VENV)/.installed-build ## Verilog to partial bitstreams without a v
 RUN_TESTS = $(PYTEST) $(if $(STRICT),--no-skips) -n $(JOBS) --dist loadfile --no-loadscope-reorder
 test: $(VENV)/.installed-test test-c ## all tests that need no board and no further tools (SANITIZE=1: the C tests with sanitizers)
 	$(RUN_TESTS) $(SUITES) --board=sim --suite=plain $(PYTEST_ARGS)
-	@echo "What needs further tools: $(FURTHER:%=make test-%), make test-rtl test-open test-node test-bench test-vm"
+	@echo "What needs further tools: $(FURTHER:%=make test-%), make test-rtl test-open test-node test-go test-bench test-vm"
 
 test-design: ### the tests that read HDL, generate projects and run Tcl (apt: tcl device-tree-compiler)
 test-networks: ### those of zenoh and ROS 2 (apt: python3-rosidl python3-empy)
@@ -111,6 +111,15 @@ test-node: $(STAMP) ### the client for Node.js: built, and its tour over ipc and
 	$(if $(NODE),npm install --prefix build/node$(NODE) --no-save --silent node@$(NODE))
 	$(OTHER_NODE) node --version && cd clients/node && npm ci --ignore-scripts --silent && npm run --silent build && CM=cm PATH="$(abspath $(BIN)):$$PATH" npm test --silent
 	$(OTHER_NODE) $(BIN)/cm conformance -- node clients/node/dist/test/driver.js
+
+# Debian's packages of Go are a GOPATH, so that no module is fetched.
+GO := GO111MODULE=off GOPATH="$(abspath build/go):/usr/share/gocode" go
+test-go: $(STAMP) ### the client in Go: built, and its tour over ipc and TCP (apt: golang-go golang-google-protobuf-dev protoc-gen-go-1-5 protobuf-compiler)
+	mkdir -p build/go/src && ln -sfn ../../../clients/go build/go/src/fpga-cm
+	$(GO) generate fpga-cm && cd clients/go && test -z "$$(gofmt -l *.go driver)"
+	$(GO) vet fpga-cm fpga-cm/driver && $(GO) build -o build/go/driver fpga-cm/driver
+	CM=cm PATH="$(abspath $(BIN)):$$PATH" $(GO) test -race -timeout 10m fpga-cm
+	$(BIN)/cm conformance -- build/go/driver
 
 test-open: $(VENV)/.installed-test-rtl ### modules by their bits, and the flow of open tools (nextpnr and Project X-Ray are fetched from Debian)
 	$(RUN_TESTS) tests/open $(PYTEST_ARGS)
