@@ -241,7 +241,7 @@ def test_a_region_that_fits_nowhere_is_an_error(tmp_path: Path) -> None:
     text = """\
         project: {name: small, part: xc7z020clg400-1}
         regions:
-          prr0: {pblock: auto, resources: {lut: 999999}}
+          prr0: {pblock: auto, resources: {lut: 53100}}
         modules:
           one: {sources: [one.v]}
         """
