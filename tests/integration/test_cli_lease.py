@@ -58,7 +58,12 @@ def test_a_lease_for_a_time_outlives_the_command_and_is_given_back_by_its_id(
 
 
 def test_without_a_command_it_is_held_until_ctrl_c(board: cm.Board, manager: Manager) -> None:
-    command = [sys.executable, "-m", "cm", "lease", "take", "region:prr0", "--runtime-dir", str(manager.runtime)]
+    # whatever started the tests may have had it ignored, as a shell does for what runs in the background
+    start = (
+        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)\nfrom cm.cli.main import main\n"
+    )
+    words = ["lease", "take", "region:prr0", "--runtime-dir", str(manager.runtime)]
+    command = [sys.executable, "-c", f"{start}sys.exit(main({words!r}))"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment()) as holder:
         assert holder.stdout is not None
         assert holder.stdout.readline().endswith(" holds region:prr0 until Ctrl-C\n")
