@@ -26,7 +26,7 @@ def place(board: Board) -> tuple[int, int]:
 
 
 @pytest.fixture
-def windows(board: Board) -> Iterator[device.Windows]:
+def windows(board: Board, place: tuple[int, int]) -> Iterator[device.Windows]:
     with device.Windows.open(board.root) as opened:
         yield opened
 
