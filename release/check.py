@@ -52,9 +52,10 @@ def wrong_versions(wanted: str) -> Iterator[str]:
 
 
 def changelog(wanted: str, released: bool) -> Iterator[str]:
-    """A release has a section of its own; before it, what is new stands under Unreleased."""
+    """A release has a section of its own; before it, what is new, if anything is, stands under Unreleased."""
     text = (ROOT / "CHANGELOG.md").read_text()
-    heading = rf"^## {re.escape(wanted)} - \d{{4}}-\d\d-\d\d$" if released else r"^## Unreleased$"
+    section = rf"^## {re.escape(wanted)} - \d{{4}}-\d\d-\d\d$"
+    heading = section if released or "## Unreleased" not in text else r"^## Unreleased$"
     found = re.search(heading, text, re.MULTILINE)
     if not found:
         yield f"CHANGELOG.md: no section {'## ' + wanted + ' - YYYY-MM-DD' if released else '## Unreleased'}"

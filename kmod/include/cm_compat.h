@@ -15,7 +15,7 @@
 #include <linux/workqueue.h>
 
 /* cm/_version.py; all modules of one state of this tree have one */
-#define CM_VERSION "0.1.0"
+#define CM_VERSION "0.2.0"
 
 /* 6.13: symbol namespaces are strings */
 #if LINUX_VERSION_CODE >= KERNEL_VERSION(6, 13, 0)

@@ -50,6 +50,8 @@ def test_a_release_has_a_section_with_its_date(check: ModuleType, tmp_path: Path
     (tmp_path / "CHANGELOG.md").write_text("## Unreleased\n\n## 1.2.3 - 2026-11-22\n\n- Something.\n")
     assert list(check.changelog("1.2.3", released=True)) == []
     assert list(check.changelog("1.2.3", released=False)) == ["CHANGELOG.md: the section says nothing"]
+    (tmp_path / "CHANGELOG.md").write_text("## 1.2.3 - 2026-11-22\n\n- Something.\n")
+    assert list(check.changelog("1.2.3", released=False)) == []
 
 
 def test_links_to_what_is_not_there_are_found(check: ModuleType, tmp_path: Path) -> None:
