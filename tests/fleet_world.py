@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import json
 import random
+import weakref
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
 from typing import Any
 
@@ -208,6 +209,7 @@ class World:
         self.sleeping: list[tuple[float, asyncio.Future[None]]] = []
         self.again: list[Callable[[Ledger], Any]] = []
         self.ledger = Ledger(":memory:", lambda _: None, lambda: self.now)
+        weakref.finalize(self, self.ledger.close)
         self.history: dict[tuple[int, str], Place] = {}  # what was wanted, by generation and board
         self.told: list[Course] = []
         self.boards = {f"b{n}": SimBoard(self, f"b{n}") for n in range(size)}

@@ -45,11 +45,15 @@ class Ledger:
         self._changed, self._now = changed, now
         try:
             self._file = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+        except sqlite3.Error as error:
+            raise StoreRefused(f"{path}: {error}") from None
+        try:
             self._file.execute("PRAGMA journal_mode=WAL")
             self._file.execute("PRAGMA synchronous=FULL")  # a transaction that was answered outlives a loss of power
             self._file.executescript(_TABLES)
             leases = self._file.execute("SELECT id, seconds FROM leases").fetchall()
         except sqlite3.Error as error:
+            self._file.close()
             raise StoreRefused(f"{path}: {error}") from None
         self._ends = {lease: (now() + seconds, seconds) for lease, seconds in leases}
 
