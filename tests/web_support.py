@@ -66,7 +66,7 @@ def web_server(runtime: Path | None, *arguments: str) -> Iterator[WebServer]:
 @contextlib.contextmanager
 def chromium() -> Iterator[Any]:
     """A browser; skips where there is none."""
-    api = pytest.importorskip("playwright.sync_api", reason="needs playwright, of the extra [test]")
+    api = pytest.importorskip("playwright.sync_api", reason="needs playwright, of the extra [test-web]")
     program = shutil.which("chromium") or shutil.which("google-chrome")
     if program is None:
         pytest.skip("needs chromium: apt install chromium")

@@ -202,13 +202,14 @@ def test_registers_are_parameters_and_their_writers_are_reported(bridge: Bridge,
     def call(name: str, kind: str, **request: Any) -> dict[str, Any]:
         return peer.call(f"/lab/cm/{name}", f"rcl_interfaces/srv/{kind}", **request)
 
+    board.load("camera", mode="default")
     with peer.listening("/parameter_events", "rcl_interfaces/msg/ParameterEvent", EVENTS) as events:
         value = itertools.count()
 
         def heard() -> bool:
             good = {"name": "registers.focus", "value": {"type": 2, "integer_value": next(value) % 8 + 4}}
-            assert call("set_parameters", "SetParameters", parameters=[good])["results"][0]["successful"]
-            return not events.empty()
+            (done,) = call("set_parameters", "SetParameters", parameters=[good])["results"]
+            return done["successful"] and not events.empty()
 
         until(heard, PATIENCE)
         assert events.get()["changed_parameters"][0]["name"] == "registers.focus"
