@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cm.manager.state.table import TRANSITIONS, RegionEvent, RegionPhase, diagram
+from cm.manager.state.board_state import TRANSITIONS, RegionEvent, RegionPhase, diagram
 
 PAGE = Path(__file__).parent / "reconfiguration.md"
 BEGIN = "<!-- made by docs/reconfiguration_tables.py: begin -->\n"

@@ -26,8 +26,8 @@ from cm.manager.interfaces import (
     PortCompletion,
     TimeSource,
 )
+from cm.manager.state.board_state import loading_overlay
 from cm.manager.state.steps import Choice
-from cm.manager.state.table import loading_overlay
 from cm.schema.model import Config, LoaderKind, Module, Region
 
 OnBytes = Callable[[int], None]

@@ -2,36 +2,53 @@
 """The manager: configurations, the state of the board, changes one after the other, registers by name.
 
 Threads: requests come from one thread (the daemon's loop); one worker thread runs changes. All that is known are
-immutable values that are swapped (`cm.manager.state.board_state`).
+immutable values that are swapped (`cm.manager.state.record`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
+from cm.manager import planner
 from cm.manager.access.leases import Leases, leases_concerned
 from cm.manager.access.memory_service import MemoryService
 from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_service import RegisterService
-from cm.manager.environment import Environment, Settings
 from cm.manager.errors import ChangeBusy, NothingLoaded
 from cm.manager.execution.transaction import Tools, plan_to
 from cm.manager.execution.worker import Change, Worker
+from cm.manager.interfaces import DataPlane, Devices, Files, Observer, TimeSource
 from cm.manager.loaders import Loaders
-from cm.manager.planning import goals
-from cm.manager.planning.goals import Goal
+from cm.manager.planner import Goal
 from cm.manager.recovery import destination, is_whole, repair, take_stock, undo, way_back
 from cm.manager.reporting import Moment, StatusReporter, config_info
-from cm.manager.state.board_state import ManagerState
-from cm.manager.state.record import Pending
-from cm.manager.state.table import BoardState, slept
+from cm.manager.state.board_state import BoardState, slept
+from cm.manager.state.record import Journal, ManagerState, Pending
 from cm.schema.model import Config
 from cm.wire.messages.requests import ChangeMode, RegWrite
 from cm.wire.messages.status import ConfigInfo, ErrorInfo, PlanInfo, RegValues, Status
 
-__all__ = ["Environment", "Manager", "Settings"]
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What an operator may set."""
+
+    prefetch_bytes: int = 64 << 20  # DMA memory that images of the loaded configuration may take
+
+
+@dataclass(frozen=True, slots=True)
+class Environment:
+    """Everything the manager is given."""
+
+    devices: Devices
+    files: Files
+    journal: Journal
+    data_plane: DataPlane
+    time: TimeSource
+    observer: Observer
+    settings: Settings = Settings()
 
 
 class Manager:
@@ -41,12 +58,13 @@ class Manager:
         """`leases` are shared with the data plane."""
         self._env = env
         self._state = state = ManagerState(configs, env.journal)
-        self.totals, self._bus = state.totals, RegisterBus(env.devices)
+        self._bus = RegisterBus(env.devices)
         self.leases = leases or Leases(env.time)
         self._loaders = Loaders(env.devices, env.files, env.time, env.settings.prefetch_bytes)
         self.registers = RegisterService(state, self._bus, self.leases)
         self.memories = MemoryService(state, self.registers, self._bus, self.leases)
         self.reporter = StatusReporter(state, env.observer)
+        self.totals = self.reporter.totals
         self.leases.on_change = self.reporter.changed
         self._tools = Tools(
             state, self.reporter, env.devices, self._bus, self._loaders, env.files, env.data_plane, env.time
@@ -182,7 +200,7 @@ class Manager:
         loaded = self.state
         if not name and loaded.config is None:
             raise NothingLoaded("nothing is loaded: name a configuration")
-        config = goals.config_named(name or loaded.config or "", self.configs)
+        config = planner.config_named(name or loaded.config or "", self.configs)
         mode = loaded.mode if loaded.config == config.name else ""
         text = config.source.read_text(encoding="utf-8") if config.source and config.source.exists() else ""
         return config_info(config, mode or "", counts, text, loaded.modules)
@@ -196,7 +214,7 @@ class Manager:
         `on_done` is called at its end, from the worker's thread.
         """
         coming = self._worker.coming  # before the state, which names it from its end on
-        config, mode = goals.target(request, self.configs, self.state.config or coming)
+        config, mode = planner.target(request, self.configs, self.state.config or coming)
         scopes = leases_concerned(config, mode, self.state.config)
         self.leases.check(scopes, request.lease)
         if request.no_queue and self._worker.busy:
@@ -228,7 +246,7 @@ class Manager:
 
     def plan(self, request: ChangeMode) -> PlanInfo:
         """What a change would do; touches nothing, but reads and validates all files."""
-        config, mode = goals.target(request, self.configs, self.state.config)
+        config, mode = planner.target(request, self.configs, self.state.config)
         return plan_to(Goal(config, mode, request.force), self._tools).info(self._state.throughput)
 
     # ---- registers and errors of requests -------------------------------------------

@@ -17,11 +17,8 @@ from cm.manager.errors import NothingToUndo
 from cm.manager.execution.worker import Change
 from cm.manager.interfaces import Devices
 from cm.manager.loaders import resolved
-from cm.manager.planning.planner import place_of
-from cm.manager.state.board_state import ManagerState
-from cm.manager.state.record import Pending, Record
-from cm.manager.state.steps import Place, hertz
-from cm.manager.state.table import (
+from cm.manager.planner import place_of
+from cm.manager.state.board_state import (
     BoardState,
     OverlayState,
     RegionEvent,
@@ -30,6 +27,8 @@ from cm.manager.state.table import (
     all_lost,
     loading_overlay,
 )
+from cm.manager.state.record import ManagerState, Pending, Record
+from cm.manager.state.steps import Place, hertz
 from cm.schema.model import Access, Config, ConfigType, LoaderKind, Module, Region, Register
 
 _EMPTY = ("power off", "reset")  # states of an fpga_manager whose device holds nothing

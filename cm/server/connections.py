@@ -23,7 +23,7 @@ from pathlib import Path
 
 from cm.errors import Forbidden
 from cm.manager.manager import Manager
-from cm.manager.planning.goals import target
+from cm.manager.planner import target
 from cm.server.rights.gate import Gate
 from cm.server.rights.model import Access
 from cm.server.rights.needs import Scene, opening

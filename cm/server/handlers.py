@@ -13,7 +13,7 @@ from cm.manager.access.leases import check_scope_names_something
 from cm.manager.errors import UnknownInterrupt
 from cm.manager.execution.worker import QUEUE_LENGTH, Change
 from cm.manager.manager import Manager
-from cm.manager.planning.goals import hint
+from cm.manager.planner import hint
 from cm.schema.model import Config
 from cm.server.board_watch import BoardWatch
 from cm.server.client_jobs import ClientJobs, Result

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from cm.errors import Busy, CmError, Forbidden, InvalidRequest
 from cm.manager.errors import UnknownConfig
-from cm.manager.planning.goals import checked_name, listed
+from cm.manager.planner import checked_name, listed
 from cm.schema import load, loads
 from cm.schema.model import Config
 from cm.server.folders import own_folder

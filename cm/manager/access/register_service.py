@@ -8,6 +8,7 @@ from contextlib import suppress
 from time import monotonic_ns
 
 from cm.errors import CmError
+from cm.manager import planner
 from cm.manager.access.leases import Leases
 from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_view import (
@@ -23,8 +24,7 @@ from cm.manager.access.register_view import (
     split_name,
 )
 from cm.manager.errors import AccessDenied, NothingLoaded, RegionBusy
-from cm.manager.planning import goals
-from cm.manager.state.board_state import ManagerState
+from cm.manager.state.record import ManagerState
 from cm.schema.model import Access, Config, Register
 from cm.wire.messages.requests import RegWrite
 from cm.wire.messages.status import RegValue, RegValues
@@ -245,7 +245,7 @@ class RegisterService:
     def _renewed(self, before: View | None) -> View:
         config = self._state.loaded_config()
         if config is None:
-            there = goals.listed(self._state.configs)
+            there = planner.listed(self._state.configs)
             raise NothingLoaded(f"nothing is loaded, so there are no registers; there are {there}")
         view = View(self._state, config)
         if before is not None and before.config is config and before.mode == view.mode:

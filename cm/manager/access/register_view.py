@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 from cm.errors import InvalidRequest
 from cm.manager.errors import AccessDenied, OutOfRange, UnknownRegister
-from cm.manager.state.board_state import LockedRegions, ManagerState
-from cm.manager.state.table import BoardState, RegionPhase
+from cm.manager.state.board_state import BoardState, RegionPhase
+from cm.manager.state.record import LockedRegions, ManagerState
 from cm.schema.model import Access, BitField, Config, Register
 from cm.wire.messages.requests import RegWrite
 

@@ -14,9 +14,9 @@ from cm.errors import CmError
 from cm.manager.access.register_bus import drive
 from cm.manager.errors import RecordFailed, StaticUnknown, StepFailed, UndoFailed
 from cm.manager.execution.transaction import StepContext, Tools
-from cm.manager.planning.goals import Goal
+from cm.manager.planner import Goal
+from cm.manager.state.board_state import BoardState, RegionEvent, RegionPhase
 from cm.manager.state.steps import Place, Step, hertz
-from cm.manager.state.table import BoardState, RegionEvent, RegionPhase
 from cm.schema.model import Config, ConfigType, Region
 
 _CUT = (RegionPhase.DECOUPLED, RegionPhase.LOADED)

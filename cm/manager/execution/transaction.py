@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The execution of a plan: what its steps work with, how far it is, and each step recorded before it is taken.
+"""The execution of a plan: what its steps work with, how far it is, each step recorded before it is taken.
+
+What is done at each is one function per kind of step, and the table of them (`ACTIONS`).
 
 A step that fails leaves the board where the record says. Going back is another plan, made from that state
 (`cm.manager.execution.rollback`), not a list of inverses: so the way back works from whatever state was reached.
@@ -7,22 +9,32 @@ A step that fails leaves the board where the record says. Going back is another 
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any
 
-from cm.manager.access.register_bus import RegisterBus
-from cm.manager.errors import Cancelled, NoPort, RecordFailed
+from cm.errors import Busy
+from cm.manager.access.register_bus import RegisterBus, drive, is_cut
+from cm.manager.errors import Cancelled, IdentityMismatch, NoPort, RecordFailed, VerifyFailed, WrongStatic
 from cm.manager.interfaces import DataPlane, Devices, Files, TimeSource
-from cm.manager.loaders import Loaders, resolved
-from cm.manager.planning.goals import Goal, Plan, image_bytes
-from cm.manager.planning.planner import make_plan
+from cm.manager.loaders import Job, Loaders, Start, resolved
+from cm.manager.planner import Goal, Plan, check_rate, image_bytes, make_plan, place_of
 from cm.manager.reporting import StatusReporter
 from cm.manager.state import steps as s
-from cm.manager.state.board_state import ManagerState
+from cm.manager.state.board_state import (
+    BoardState,
+    OverlayState,
+    RegionEvent,
+    RegionPhase,
+    RegionState,
+    all_lost,
+    loading_overlay,
+)
+from cm.manager.state.record import ManagerState
 from cm.manager.state.steps import Step
-from cm.manager.state.table import BoardState, RegionEvent, RegionState
-from cm.schema.model import Config
+from cm.schema.model import Access, Config, LoaderKind, Register
 from cm.wire.messages.status import Progress
 
 
@@ -135,26 +147,23 @@ def _plan(goal: Goal, config: Config, tools: Tools) -> Plan:
     return make_plan(replace(goal, config=config), state.board, old, tools.files, state.throughput, tools.devices)
 
 
-Actions = Mapping[type, Callable[[StepContext, Any], None]]
-
-
-def take_steps(run: StepContext, goal: Goal, actions: Actions) -> None:
+def take_steps(run: StepContext, goal: Goal) -> None:
     """Record each step, then take it by its action.
 
     Raises what a step raised; `run.step` is that step. A plan that only adds the devices of the static part is followed
     by the one that they make possible.
     """
-    _take_all(run, actions)
+    _take_all(run)
     if run.plan.then:
         run.at = -1
         run.plan = plan_to(replace(goal, grounded=True), run.tools)
-        _take_all(run, actions)
+        _take_all(run)
 
 
-def _take_all(run: StepContext, actions: Actions) -> None:
+def _take_all(run: StepContext) -> None:
     for at, step in enumerate(run.plan.steps):
         run.at = at
-        _take(run, step, actions[type(step)])
+        _take(run, step, ACTIONS[type(step)])
 
 
 def _take(run: StepContext, step: Step, action: Callable[[StepContext, Any], None]) -> None:
@@ -163,4 +172,299 @@ def _take(run: StepContext, step: Step, action: Callable[[StepContext, Any], Non
     run.record(step)
     run.tell(0)
     action(run, step)
-    run.tools.state.took(step.kind, time.monotonic() - started, run.port_seconds)
+    seconds = time.monotonic() - started
+    run.tools.state.took(step.kind, seconds, run.port_seconds)
+    run.tools.reporter.totals.took(step.kind, seconds)
+
+
+IDENTITY_READS = 1000  # each read takes longer than a clock cycle of the region, all of them longer than any reset
+
+
+def job_of(run: StepContext, step: s.Load | s.LoadStatic) -> Job:
+    """What a loader is given for a step."""
+    if isinstance(step, s.LoadStatic):
+        return Job(run.plan.goal.config, step.image)
+    return Job(run.plan.goal.config, step.image, step.region, step.module, step.overlay, step.region.loader_name)
+
+
+def decouple(run: StepContext, step: s.Decouple) -> None:
+    """Isolate; the state says so first: if this fails, the region may be isolated."""
+    name, decoupler = step.region.name, step.region.decoupler
+    unknown = run.board.region(name).phase is RegionPhase.UNKNOWN
+    if decoupler and unknown and is_cut(run.tools.registers, decoupler):
+        run.apart.add(name)
+    run.region_event(name, RegionEvent.DECOUPLE)
+    if decoupler:
+        drive(run.tools.registers, decoupler, cut=True)
+        run.sealed.add(name)
+
+
+def recouple(run: StepContext, step: s.Recouple) -> None:
+    """Connect; only then does the state say so. Its registers were reset: nothing is known of them."""
+    run.update(lambda state: state.without_values(set(step.resets)))
+    run.sealed.discard(step.region.name)
+    if step.region.decoupler:
+        drive(run.tools.registers, step.region.decoupler, cut=False)
+    run.region_event(step.region.name, RegionEvent.RECOUPLE)
+
+
+def load(run: StepContext, step: s.Load) -> None:
+    """Load one region; before the port is touched, what it held is forgotten, and that is recorded."""
+    run.check_cancelled()
+    name = step.region.name
+    with run.tools.loaders.kind(step.port_kind).prepared(job_of(run, step), step.timeout) as start:
+        _forget_content(run, step)
+        run.begun.add(name)
+        try:
+            _through(run, step, start)
+        except BaseException:
+            run.region_event(name, RegionEvent.LOAD_FAILED)
+            raise
+    held = run.board.region(name).after(RegionEvent.LOAD_DONE)
+    run.set_region(name, held.holding(step.module.name, step.image.sha256))
+    if step.region.loader is LoaderKind.OVERLAY:
+        note_applied(run, OverlayState(loading_overlay(name), step.image.sha256))
+
+
+def _through(run: StepContext, step: s.Load, start: Start) -> None:
+    """Load through the step's port, or through the other one if that refuses before it has accepted anything."""
+    state, config = run.tools.state, run.plan.goal.config.name
+    try:
+        _timed(run, step, start)
+    except (Busy, PermissionError) as refused:
+        job = job_of(run, step)
+        loader, choice = run.tools.loaders.instead(job, state.configs[config], refused)
+        with loader.prepared(job, step.timeout) as other:
+            other(run.tell)
+        state.choose(config, {step.region.name: choice})
+
+
+def _forget_content(run: StepContext, step: s.Load) -> None:
+    name = step.region.name
+    before = run.board.region(name)
+    run.region_event(name, RegionEvent.LOAD)
+    try:
+        run.record(step)
+    except BaseException:
+        run.set_region(name, before)  # nothing was loaded
+        raise
+
+
+def load_static(run: StepContext, step: s.LoadStatic) -> None:
+    """Load the whole device; everything that it held is forgotten first."""
+    run.check_cancelled()
+    with run.tools.loaders.kind(step.port_kind).prepared(job_of(run, step), step.timeout) as start:
+        _forget_device(run, step)
+        run.tools.registers.forget()
+        _timed(run, step, start)
+    run.update(lambda x: replace(x, static_sha256=step.image.sha256, static_config=step.config, static_lost=False))
+
+
+def _forget_device(run: StepContext, step: s.LoadStatic) -> None:
+    before = run.board
+    run.update(all_lost)
+    try:
+        run.record(step)
+    except BaseException:
+        run.update(lambda _: before)  # nothing was loaded
+        raise
+
+
+def _timed(run: StepContext, step: s.Load | s.LoadStatic, start: Start) -> None:
+    started = run.tools.time.monotonic()
+    start(run.tell)
+    run.port_seconds = run.tools.time.monotonic() - started
+    run.tools.state.observed(step.port_kind, step.image.length, run.port_seconds)
+    run.tools.reporter.totals.loaded(step.port_kind.value, step.image.length, run.port_seconds)
+
+
+def check_static(run: StepContext, step: s.CheckStatic) -> None:
+    """The static part's identity register has to match the one that the modules were made with."""
+    static = step.static
+    if not step.known or static is None or static.base_address is None:
+        return
+    value = run.tools.registers.read_address(static.base_address + static.offset, static.width)
+    if value != static.identity:
+        raise WrongStatic(
+            f"{step.config} was made with another static design than the device holds: "
+            f"expected {static.identity:#x}, the board has {value:#x}; load the image that belongs to it"
+        )
+
+
+def check_identity(run: StepContext, step: s.CheckIdentity) -> None:
+    """The region's identity register has to read what the schema says of the module.
+
+    A region that has just been connected is still in reset for some clock cycles, and reads as 0.
+    """
+    identity = step.region.identity
+    if identity is None or step.module.identity is None:
+        return
+    for _ in range(IDENTITY_READS):
+        value = run.tools.registers.read_address(identity.base_address + identity.offset, identity.width)
+        if value == step.module.identity:
+            return
+        if value:
+            break
+    run.region_event(step.region.name, RegionEvent.LOSE)  # it is coupled, but to what?
+    raise IdentityMismatch(
+        f"region {step.region.name} answers {value:#x} at its identity register; "
+        f"module {step.module.name} is {step.module.identity:#x}"
+    )
+
+
+def validate(run: StepContext, _: s.Validate) -> None:
+    """The planner has read and checked every image; what remains is to ask the ports, and to lock the regions."""
+    plan = run.plan
+    for step in (*plan.steps, *(() if plan.ports_later else plan.then)):
+        if isinstance(step, s.Load | s.LoadStatic):
+            run.tools.loaders.kind(step.port_kind).check(job_of(run, step))
+    run.tools.state.lock_regions(plan.regions, whole=plan.full)
+    run.check_cancelled()
+
+
+def quiesce(run: StepContext, step: s.Quiesce) -> None:
+    """When this returns no transfer of these streams is under way."""
+    run.tools.data_plane.quiesce(step.streams)
+
+
+def set_register(run: StepContext, step: s.SetRegister) -> None:
+    """Write a register and, where it can be, read it back. Raises VerifyFailed."""
+    register = step.register
+    _remember(run, register)
+    run.tools.registers.write_address(register.address, register.width, step.value)
+    if not step.restores:
+        _note(run, register, step.value)
+    if not _keeps_its_value(register):
+        return
+    value = run.tools.registers.read(register)
+    if value != step.value:
+        raise VerifyFailed(f"register {register.name} reads {value:#x} after {step.value:#x} was written")
+
+
+def _note(run: StepContext, register: Register, value: int) -> None:
+    """Note a written value; until the end of the change, names are those of the configuration before it."""
+    run.written[register.name] = value
+    if run.board.config in (None, run.plan.goal.config.name):
+        run.tools.state.note_written(register.name, value)
+    else:
+        run.update(lambda board: board.without_values(_names_before(run, register)))
+
+
+def _names_before(run: StepContext, register: Register) -> set[str]:
+    """The name that the configuration before has for a register."""
+    config = run.tools.state.loaded_config()
+    if config is None:
+        return set()
+    seen = (r for mode in config.modes for r in config.visible_registers(mode).values())
+    return {r.name for r in seen if place_of(r) == place_of(register)}
+
+
+def _remember(run: StepContext, register: Register) -> None:
+    """What a register of the static part or of a region that stays held, if it has not been written yet."""
+    if register.region in run.plan.regions or run.plan.full or not _keeps_its_value(register):
+        return
+    same = run.board.config == run.plan.goal.config.name
+    names = {register.name} if same else _names_before(run, register)
+    if any(run.tools.state.written_value(name) is not None for name in names) or place_of(register) in run.found:
+        return
+    value = run.tools.registers.read(register)
+    run.found[place_of(register)] = value
+    run.tools.state.note_found(place_of(register), value)
+    run.record(run.step)  # a kill between the write and the next step must not lose it
+
+
+def _keeps_its_value(register: Register) -> bool:
+    return register.access is Access.RW and not register.volatile
+
+
+def publish(run: StepContext, step: s.Publish) -> None:
+    """The board is in the mode: record it, and release registers and streams.
+
+    A record that cannot be written now undoes nothing: the last one says that this change was nearly done, and after a
+    crash the board goes back to the mode before. Writing is tried once more when the change has ended, and a failure is
+    reported.
+    """
+    run.update(lambda state: _entered(state, run.plan.goal, run.written))
+    with contextlib.suppress(RecordFailed):
+        run.record(None)
+    run.tools.state.release_regions()
+    run.tools.data_plane.resume(run.plan.goal.config, step.mode, run.tools.state.board.modules)
+
+
+def _entered(state: BoardState, goal: Goal, written: dict[str, int]) -> BoardState:
+    """In another configuration the same names are other registers: only values that this change wrote are known."""
+    if state.config != goal.config.name:
+        state = replace(state, values=MappingProxyType(dict(written)))
+    return replace(state, config=goal.config.name, mode=goal.mode)
+
+
+def set_clock(run: StepContext, step: s.SetClock) -> None:
+    """Set a clock, keep it running, and read back its rate, since rates are rounded without an error.
+
+    Raises ClockRate if that is not near enough, DeviceError.
+    """
+    name = step.clock.name
+    if not step.before:
+        run.update(lambda board: board.with_clock(name, 0))
+        return
+    clock = run.tools.devices.clocks().find(name)
+    run.rates[name] = step.before
+    if clock.rate != step.clock.rate:
+        clock.rate = step.clock.rate
+    if not step.running:
+        clock.enabled = True
+    rate = clock.rate
+    run.update(lambda board: board.with_clock(name, rate))
+    if not step.restores:
+        check_rate(step.clock, rate)
+
+
+def remove_overlay(run: StepContext, step: s.RemoveOverlay) -> None:
+    """Take an overlay off, if it is still there."""
+    overlays = run.tools.devices.overlays()
+    if step.name in overlays.list():
+        overlays.remove(step.name)
+    run.update(lambda state: _without(state, step.name))
+    run.tools.registers.forget()
+
+
+def apply_overlay(run: StepContext, step: s.ApplyOverlay) -> None:
+    """Put an overlay on, in place of a leftover one with its name."""
+    overlays = run.tools.devices.overlays()
+    if step.overlay.name in overlays.list():
+        overlays.remove(step.overlay.name)
+    overlays.apply(step.overlay.name, step.data)
+    note_applied(run, OverlayState(step.overlay.name, step.sha256))
+
+
+def note_applied(run: StepContext, overlay: OverlayState) -> None:
+    """An overlay is on, the newest of all."""
+
+    def on_top(state: BoardState) -> BoardState:
+        return replace(state, overlays=(*_without(state, overlay.name).overlays, overlay))
+
+    run.update(on_top)
+    run.tools.registers.forget()
+
+
+def _without(state: BoardState, name: str) -> BoardState:
+    return replace(state, overlays=tuple(o for o in state.overlays if o.name != name))
+
+
+ACTIONS: Mapping[type, Callable[[StepContext, Any], None]] = MappingProxyType(
+    {
+        s.Validate: validate,
+        s.CheckStatic: check_static,
+        s.Quiesce: quiesce,
+        s.RemoveOverlay: remove_overlay,
+        s.Decouple: decouple,
+        s.Load: load,
+        s.LoadStatic: load_static,
+        s.ApplyOverlay: apply_overlay,
+        s.Recouple: recouple,
+        s.CheckIdentity: check_identity,
+        s.SetRegister: set_register,
+        s.SetClock: set_clock,
+        s.Publish: publish,
+    }
+)

@@ -10,16 +10,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from cm.errors import CmError
+from cm.manager import planner
 from cm.manager.access.leases import Leases
 from cm.manager.errors import Cancelled, ChangeBusy
-from cm.manager.execution.actions import ACTIONS
 from cm.manager.execution.rollback import Rollback, failure_of
 from cm.manager.execution.transaction import StepContext, Tools, plan_to, take_steps
-from cm.manager.planning import goals
-from cm.manager.planning.goals import Goal
+from cm.manager.planner import Goal
+from cm.manager.state.board_state import BoardState, RegionPhase
 from cm.manager.state.record import Pending, WayBack
 from cm.manager.state.steps import Place
-from cm.manager.state.table import BoardState, RegionPhase
 from cm.schema.model import ConfigType
 from cm.wire.messages.status import ChangeInfo, ErrorInfo, Reply
 
@@ -206,7 +205,7 @@ class Worker:
         self._leases.check(change.scopes, change.lease)  # one may have been given while this change waited
         configs = self._tools.state.configs
         config = configs[change.config]
-        mode = goals.mode_named(config, change.mode)  # it may have been provisioned anew while this change waited
+        mode = planner.mode_named(config, change.mode)  # it may have been provisioned anew while this change waited
         static = configs.get(change.static or "")
         also = tuple(name for name in change.also if name in config.modules)
         goal = Goal(config, mode, change.force, change.values, also, static, change.rates, change.found)
@@ -223,7 +222,7 @@ class Worker:
         if not run.plan.steps:
             self._check_board()
         try:
-            take_steps(run, goal, ACTIONS)
+            take_steps(run, goal)
         except Exception as error:  # defects of ours too: they must not leave the board half changed
             rollback = Rollback(self._tools, before, functools.partial(self._go_back, run), run.sealed)
             raise rollback.run(failure_of(run, error)) from error  # in no variable: its traceback has this frame
@@ -240,7 +239,7 @@ class Worker:
     def _go_back(self, failed: StepContext, goal: Goal) -> None:
         plan = plan_to(goal, self._tools)
         back = StepContext(plan, self._tools, failed.number, lambda: False, best_effort=True, sealed=failed.sealed)
-        take_steps(back, goal, ACTIONS)
+        take_steps(back, goal)
 
 
 def _internal(problem: Exception) -> ErrorInfo:

@@ -1,214 +1,183 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is known: the configurations, and what the board holds, kept in memory and in the record.
+"""The state table: what the hardware holds, as frozen data, and which transitions a region may make.
 
-All values are immutable, and are swapped. `lock` keeps register accesses of requests and the
-moments at which a change takes regions away from overlapping; both threads take it.
+An illegal transition raises and changes nothing. `docs/reconfiguration.md` shows the table as a
+diagram that `diagram()` generates.
 """
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+from enum import Enum
 from types import MappingProxyType
+from typing import Any
 
-from cm.manager.errors import RecordFailed, StoreCorrupt
-from cm.manager.state.record import Journal, Pending, Record, Throughput, WayBack
-from cm.manager.state.steps import ApplyOverlay, Choice, Place, RemoveOverlay, SetClock, Step
-from cm.manager.state.table import BoardState
-from cm.manager.state.totals import ChangeTotals
-from cm.schema.model import Config, LoaderKind, Memory
-from cm.wire.messages.status import ErrorInfo
+
+class RegionPhase(str, Enum):
+    """Where a region is."""
+
+    UNKNOWN = "unknown"  # nothing is known of its content
+    READY = "ready"  # holds a module and is coupled
+    DECOUPLED = "decoupled"  # isolated; content as before, or not to be trusted
+    LOADING = "loading"  # a bitstream is being loaded into it
+    LOADED = "loaded"  # holds the new module, still isolated
+    FAILED = "failed"  # a change failed, and so did the way back; stays isolated
+
+
+class RegionEvent(str, Enum):
+    """What happens to a region."""
+
+    DECOUPLE = "decouple"
+    LOAD = "load"
+    LOAD_DONE = "load_done"
+    LOAD_FAILED = "load_failed"
+    RECOUPLE = "recouple"
+    ISOLATE = "isolate"
+    LOSE = "lose"
+
+
+_P, _E = RegionPhase, RegionEvent
+
+TRANSITIONS: Mapping[tuple[RegionPhase, RegionEvent], RegionPhase] = MappingProxyType(
+    {
+        (_P.UNKNOWN, _E.DECOUPLE): _P.DECOUPLED,
+        (_P.READY, _E.DECOUPLE): _P.DECOUPLED,
+        (_P.FAILED, _E.DECOUPLE): _P.DECOUPLED,
+        (_P.DECOUPLED, _E.DECOUPLE): _P.DECOUPLED,
+        (_P.LOADED, _E.DECOUPLE): _P.DECOUPLED,
+        (_P.DECOUPLED, _E.LOAD): _P.LOADING,
+        (_P.LOADING, _E.LOAD_DONE): _P.LOADED,
+        (_P.LOADING, _E.LOAD_FAILED): _P.DECOUPLED,
+        (_P.LOADED, _E.RECOUPLE): _P.READY,
+        (_P.DECOUPLED, _E.RECOUPLE): _P.READY,
+        (_P.DECOUPLED, _E.ISOLATE): _P.FAILED,
+        (_P.LOADED, _E.ISOLATE): _P.FAILED,
+        (_P.LOADING, _E.ISOLATE): _P.FAILED,
+        (_P.FAILED, _E.ISOLATE): _P.FAILED,
+        (_P.UNKNOWN, _E.ISOLATE): _P.FAILED,
+        (_P.UNKNOWN, _E.LOSE): _P.UNKNOWN,
+        (_P.READY, _E.LOSE): _P.UNKNOWN,
+        (_P.DECOUPLED, _E.LOSE): _P.UNKNOWN,
+        (_P.LOADING, _E.LOSE): _P.UNKNOWN,
+        (_P.LOADED, _E.LOSE): _P.UNKNOWN,
+        (_P.FAILED, _E.LOSE): _P.UNKNOWN,
+    }
+)
+
+
+class IllegalTransition(RuntimeError):
+    """An event that is not in the table: a defect of the manager, never of a request."""
 
 
 @dataclass(frozen=True, slots=True)
-class LockedRegions:
-    """What a running change has locked against requests: regions, or the whole device."""
+class RegionState:
+    """A region's phase and what it holds; `module` and `sha256` are None when that is not known."""
 
-    regions: frozenset[str] = frozenset()
-    whole: bool = False
+    phase: RegionPhase = RegionPhase.UNKNOWN
+    module: str | None = None
+    sha256: str | None = None
 
-    def __contains__(self, region: object) -> bool:
-        return self.whole or region in self.regions
+    def after(self, event: RegionEvent) -> RegionState:
+        """The state after an event.
+
+        LOAD, LOAD_FAILED and LOSE forget the content, and so does what follows a failure: a region that
+        was left cut off is loaded again. DECOUPLE and RECOUPLE do not touch it.
+        """
+        phase = TRANSITIONS.get((self.phase, event))
+        if phase is None:
+            raise IllegalTransition(f"region in phase {self.phase.value} cannot {event.value}")
+        recovers = self.phase is RegionPhase.FAILED and phase is not RegionPhase.FAILED
+        if recovers or event in (RegionEvent.LOAD, RegionEvent.LOAD_FAILED, RegionEvent.LOSE):
+            return RegionState(phase)
+        return replace(self, phase=phase)
+
+    def holding(self, module: str, sha256: str) -> RegionState:
+        """The same phase with content."""
+        return replace(self, module=module, sha256=sha256)
 
 
-class ManagerState:
-    """What the manager knows, and its record on disk."""
+@dataclass(frozen=True, slots=True)
+class OverlayState:
+    """An applied overlay: its name in configfs and the hash of its file."""
 
-    def __init__(self, configs: Mapping[str, Config], journal: Journal) -> None:
-        self.configs: Mapping[str, Config] = MappingProxyType(dict(configs))  # all that can be loaded
-        self.latest = BoardState()  # what the board holds, except for `_written`
-        self.throughput = Throughput()
-        self.totals = ChangeTotals()  # since this manager's start
-        self.choices: Mapping[tuple[str, str], Choice] = MappingProxyType({})  # by configuration and region
-        self.lock = threading.RLock()
-        self.pending: Pending | None = None  # the change under way
-        self.way_back: WayBack | None = None  # of the last change, where its requester wanted it kept
-        self.locked = LockedRegions()
-        self.runtime_memories: Mapping[str, Memory] = MappingProxyType(
-            {}
-        )  # defined at run time, for this configuration
-        self._journal = journal
-        self._boot_id = ""
-        self._number = 0
-        self.generation = 0  # of the registers
-        self._recorded: Pending | None = None  # as it stands in the record
-        self._dirty = False
-        self.urgent = False  # something was noted that is nowhere but here
-        self._written: dict[str, int] = {}  # registers that were written since `latest` was made
+    name: str
+    sha256: str
+
+
+def loading_overlay(region: str) -> str:
+    """Name in configfs of the overlay by which a region's module was loaded."""
+    return f"cm-{region}"
+
+
+_UNKNOWN = RegionState()
+
+
+def _empty() -> Mapping[str, Any]:
+    return MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class BoardState:
+    """What the hardware holds, as far as the manager knows."""
+
+    config: str | None = None
+    mode: str | None = None
+    static_sha256: str | None = None  # of a full image that this manager loaded; None: what was there at boot
+    static_config: str | None = None  # the configuration of that image
+    static_lost: bool = False  # a load of a full image began and did not end well
+    regions: Mapping[str, RegionState] = field(default_factory=_empty)
+    overlays: tuple[OverlayState, ...] = ()  # in the order they were applied
+    values: Mapping[str, int] = field(default_factory=_empty)  # registers written since their region was loaded
+    clocks: Mapping[str, int] = field(
+        default_factory=_empty
+    )  # Hz as read back after they were set; 0: nothing here sets them
+
+    def region(self, name: str) -> RegionState:
+        """State of a region; one never heard of is unknown."""
+        return self.regions.get(name, _UNKNOWN)
 
     @property
-    def board(self) -> BoardState:
-        """What the board holds, as far as is known; replaced by `update`."""
-        if self._written:
-            with self.lock:
-                values = MappingProxyType({**self.latest.values, **self._written})
-                self.latest, self._written = replace(self.latest, values=values), {}
-        return self.latest
+    def modules(self) -> Mapping[str, str | None]:
+        """The module that each region holds, as far as is known."""
+        return {name: region.module for name, region in self.regions.items()}
 
-    def note_written(self, register: str, value: int, only_here: bool = False) -> None:
-        """Remember a register's written value; its cost does not grow with what is remembered.
+    def with_region(self, name: str, region: RegionState) -> BoardState:
+        """A copy with one region changed."""
+        return replace(self, regions=MappingProxyType({**self.regions, name: region}))
 
-        `only_here`: nobody can read it back from the hardware, so it has to be on disk before its write is confirmed.
-        """
-        with self.lock:
-            self._written[register] = value
-            self._dirty = True
-            if only_here:
-                self.urgent = True
+    def with_clock(self, name: str, rate: int) -> BoardState:
+        """A copy that remembers a clock's rate."""
+        return replace(self, clocks=MappingProxyType({**self.clocks, name: rate}))
 
-    def written(self) -> int:
-        """All noted values are in the registers; returns the number of this generation of them."""
-        with self.lock:
-            self.generation += 1
-            return self.generation
+    def values_since(self, before: BoardState, but: Collection[str]) -> Mapping[str, int]:
+        """Of registers that were written since then, all `but` some; the names are of the same configuration."""
+        if self.config != before.config:
+            return _empty()
+        return {n: v for n, v in self.values.items() if n not in but and before.values.get(n) != v}
 
-    def note_found(self, place: Place, value: int) -> None:
-        """Remember what a register held before the change that runs, for the way back after a crash."""
-        with self.lock:
-            if self.pending is not None:
-                self.pending = replace(self.pending, found=(*self.pending.found, (*place, value)))
-
-    def written_value(self, register: str) -> int | None:
-        """What was last written to a register since its region was loaded."""
-        with self.lock:
-            value = self._written.get(register)
-            return self.latest.values.get(register) if value is None else value
-
-    def loaded_config(self) -> Config | None:
-        """The configuration that is loaded."""
-        name = self.latest.config
-        return self.configs.get(name) if name else None
-
-    def add_config(self, config: Config) -> None:
-        """Make a configuration known, in place of one of its name."""
-        self.configs = MappingProxyType({**self.configs, config.name: config})
-        if config.name == self.latest.config:
-            self.runtime_memories = MappingProxyType({})
-
-    def forget_config(self, name: str) -> None:
-        """Make a configuration unknown."""
-        self.configs = MappingProxyType({known: config for known, config in self.configs.items() if known != name})
-
-    def choose(self, config: str, choices: Mapping[str, Choice]) -> None:
-        """Keep which ports load the regions of a configuration whose schema leaves that open."""
-        if choices:
-            self.choices = MappingProxyType({**self.choices, **{(config, name): c for name, c in choices.items()}})
-
-    def next_number(self) -> int:
-        """The number of a new change."""
-        self._number += 1
-        return self._number
-
-    def update(self, change: Callable[[BoardState], BoardState]) -> None:
-        """Replace the state in one piece; both threads do."""
-        with self.lock:
-            before = self.board
-            self.latest = change(before)
-            if self.latest.config != before.config:
-                self.runtime_memories = MappingProxyType({})
-
-    def lock_regions(self, regions: frozenset[str], whole: bool = False) -> None:
-        """Lock these regions' registers, or all, against requests; waits for an access under way."""
-        with self.lock:
-            self.locked = LockedRegions(regions, whole)
-
-    def release_regions(self) -> None:
-        """Requests may access what they could before."""
-        self.lock_regions(frozenset())
-
-    def define(self, memory: Memory) -> None:
-        """Make a memory known until the configuration changes, in place of one of its name."""
-        with self.lock:
-            self.runtime_memories = MappingProxyType({**self.runtime_memories, memory.name: memory})
-
-    def observed(self, kind: LoaderKind, length: int, seconds: float) -> None:
-        """Keep a measurement for plans and time-outs."""
-        self.throughput = self.throughput.observed(kind, length, seconds)
-        self.totals.loaded(kind.value, length, seconds)
-
-    def took(self, step: str, seconds: float, port_seconds: float) -> None:
-        """Keep how long a kind of step took, without the time of the port, for plans."""
-        self.throughput = self.throughput.took(step, seconds - port_seconds)
-        self.totals.took(step, seconds)
-
-    # ---- the record ----------------------------------------------------------------
-
-    def read_record(self) -> tuple[Record | None, str]:
-        """The record, and a sentence where it was not readable: then nothing is known, which is no reason to stop."""
-        try:
-            return self._journal.read(), ""
-        except StoreCorrupt as error:
-            return None, str(error)
-
-    def adopt(self, record: Record | None, board: BoardState, boot_id: str) -> None:
-        """Begin with what was found at start: what the board holds, and what the record says beside it."""
-        self.latest, self._written, self._boot_id = board, {}, boot_id
-        self.way_back = record.way_back if record is not None and record.boot_id == boot_id else None
-        self.runtime_memories = MappingProxyType({})
-        if record is not None:
-            self.throughput, self._number = record.throughput, record.number
-
-    def record(self, step: Step | None) -> None:
-        """Write the state and the step about to be taken, or that no change is under way. Raises RecordFailed."""
-        with self.lock:
-            if self.pending is not None and step is not None:
-                self.pending = _about_to(self.pending, step)
-            self._write(None if step is None else self.pending)
-
-    def _write(self, pending: Pending | None) -> None:
-        try:
-            known = Record(self._boot_id, self.board, pending, self.throughput, self._number, self.way_back)
-            self._journal.write(known)
-        except OSError as error:
-            raise RecordFailed(f"the state record could not be written: {error}") from error
-        self._recorded, self._dirty, self.urgent = pending, False, False
-
-    def try_record(self) -> ErrorInfo | None:
-        """Write that no change is under way; what went wrong, if it could not be written."""
-        return self._tried(None)
-
-    def flush(self) -> ErrorInfo | None:
-        """Write values of registers that requests wrote; a change that runs meanwhile stays under way."""
-        return self._tried(self._recorded) if self._dirty else None
-
-    def _tried(self, pending: Pending | None) -> ErrorInfo | None:
-        try:
-            with self.lock:
-                self._write(pending)
-        except RecordFailed as problem:
-            return ErrorInfo(problem.code, str(problem))
-        return None
+    def without_values(self, registers: set[str]) -> BoardState:
+        """A copy that has forgotten values which a load has reset."""
+        kept = {name: value for name, value in self.values.items() if name not in registers}
+        return replace(self, values=MappingProxyType(kept))
 
 
-def _about_to(pending: Pending, step: Step) -> Pending:
-    rates = pending.rates
-    if isinstance(step, SetClock) and step.before:
-        rates = {step.clock.name: step.before, **rates}
-    return replace(pending, step=step.kind, subject=step.subject, overlay=_overlay_name(step), rates=rates)
+def slept(state: BoardState) -> BoardState:
+    """After a sleep, in which the PL may have lost its power; what the boot loader put there is taken to be there."""
+    lost = all_lost(state)
+    if state.static_sha256 is not None or state.static_lost:
+        return lost
+    return replace(state, regions=lost.regions, values=_empty())
 
 
-def _overlay_name(step: Step) -> str | None:
-    if isinstance(step, ApplyOverlay):
-        return step.overlay.name
-    return step.name if isinstance(step, RemoveOverlay) else None
+def all_lost(state: BoardState) -> BoardState:
+    """While a full image is loaded nothing is known of the device but what the kernel keeps: overlays and clocks."""
+    lost = {name: region.after(RegionEvent.LOSE) for name, region in state.regions.items()}
+    return BoardState(regions=MappingProxyType(lost), overlays=state.overlays, static_lost=True, clocks=state.clocks)
+
+
+def diagram() -> str:
+    """The table as a Mermaid state diagram, for the documentation."""
+    lines = ["stateDiagram-v2", "    [*] --> unknown"]
+    lines += [f"    {a.value} --> {b.value}: {event.value}" for (a, event), b in TRANSITIONS.items() if a is not b]
+    return "\n".join(lines) + "\n"

@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The record of what the hardware holds and how long steps took: data, a line of JSON with a CRC, and its file on disk.
+"""What the manager knows, in memory and in its record on disk: what the hardware holds, and how long steps took.
 
-A journal of one line per record, of which the last whole one counts. A line is a single pwrite(2), so a killed manager
-leaves whole lines and at most one torn end. The file has its full length from the beginning, and so has the one that
-will replace it (by a rename) when it is full: a disk that others have filled does not prevent a change of mode. There
-is no fsync: after a loss of power the device is empty too, and the boot id shows that.
+All values are immutable, and are swapped. `ManagerState.lock` keeps register accesses of requests and the moments at
+which a change takes regions away from overlapping; both threads take it.
+
+The record is a journal of one line per record, JSON with a CRC, of which the last whole one counts. A line is a single
+pwrite(2), so a killed manager leaves whole lines and at most one torn end. The file has its full length from the
+beginning, and so has the one that will replace it (by a rename) when it is full: a disk that others have filled does
+not prevent a change of mode. There is no fsync: after a loss of power the device is empty too, and the boot id shows
+that.
 """
 
 from __future__ import annotations
@@ -14,17 +18,20 @@ import errno
 import fcntl
 import json
 import os
+import threading
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from cm.manager.errors import StateInUse, StoreCorrupt
-from cm.manager.state.table import BoardState, OverlayState, RegionPhase, RegionState
-from cm.schema.model import LoaderKind, Region
+from cm.manager.errors import RecordFailed, StateInUse, StoreCorrupt
+from cm.manager.state.board_state import BoardState, OverlayState, RegionPhase, RegionState
+from cm.manager.state.steps import ApplyOverlay, Choice, Place, RemoveOverlay, SetClock, Step
+from cm.schema.model import Config, LoaderKind, Memory, Region
+from cm.wire.messages.status import ErrorInfo
 
 # Before anything was measured: facts of the ports (UG470 32 bit × 100 MHz; zynq-fpga over PCAP).
 _NOMINAL = {LoaderKind.ICAP: 400e6, LoaderKind.FPGA_MANAGER: 145e6, LoaderKind.OVERLAY: 145e6}
@@ -396,3 +403,193 @@ def _locked(folder: Path) -> int:
             f"another configuration manager keeps its state in {folder}; stop it, or choose another --state-dir"
         ) from None
     return descriptor
+
+
+@dataclass(frozen=True, slots=True)
+class LockedRegions:
+    """What a running change has locked against requests: regions, or the whole device."""
+
+    regions: frozenset[str] = frozenset()
+    whole: bool = False
+
+    def __contains__(self, region: object) -> bool:
+        return self.whole or region in self.regions
+
+
+class ManagerState:
+    """What the manager knows, and its record on disk."""
+
+    def __init__(self, configs: Mapping[str, Config], journal: Journal) -> None:
+        self.configs: Mapping[str, Config] = MappingProxyType(dict(configs))  # all that can be loaded
+        self.latest = BoardState()  # what the board holds, except for `_written`
+        self.throughput = Throughput()
+        self.choices: Mapping[tuple[str, str], Choice] = MappingProxyType({})  # by configuration and region
+        self.lock = threading.RLock()
+        self.pending: Pending | None = None  # the change under way
+        self.way_back: WayBack | None = None  # of the last change, where its requester wanted it kept
+        self.locked = LockedRegions()
+        self.runtime_memories: Mapping[str, Memory] = MappingProxyType(
+            {}
+        )  # defined at run time, for this configuration
+        self._journal = journal
+        self._boot_id = ""
+        self._number = 0
+        self.generation = 0  # of the registers
+        self._recorded: Pending | None = None  # as it stands in the record
+        self._dirty = False
+        self.urgent = False  # something was noted that is nowhere but here
+        self._written: dict[str, int] = {}  # registers that were written since `latest` was made
+
+    @property
+    def board(self) -> BoardState:
+        """What the board holds, as far as is known; replaced by `update`."""
+        if self._written:
+            with self.lock:
+                values = MappingProxyType({**self.latest.values, **self._written})
+                self.latest, self._written = replace(self.latest, values=values), {}
+        return self.latest
+
+    def note_written(self, register: str, value: int, only_here: bool = False) -> None:
+        """Remember a register's written value; its cost does not grow with what is remembered.
+
+        `only_here`: nobody can read it back from the hardware, so it has to be on disk before its write is confirmed.
+        """
+        with self.lock:
+            self._written[register] = value
+            self._dirty = True
+            if only_here:
+                self.urgent = True
+
+    def written(self) -> int:
+        """All noted values are in the registers; returns the number of this generation of them."""
+        with self.lock:
+            self.generation += 1
+            return self.generation
+
+    def note_found(self, place: Place, value: int) -> None:
+        """Remember what a register held before the change that runs, for the way back after a crash."""
+        with self.lock:
+            if self.pending is not None:
+                self.pending = replace(self.pending, found=(*self.pending.found, (*place, value)))
+
+    def written_value(self, register: str) -> int | None:
+        """What was last written to a register since its region was loaded."""
+        with self.lock:
+            value = self._written.get(register)
+            return self.latest.values.get(register) if value is None else value
+
+    def loaded_config(self) -> Config | None:
+        """The configuration that is loaded."""
+        name = self.latest.config
+        return self.configs.get(name) if name else None
+
+    def add_config(self, config: Config) -> None:
+        """Make a configuration known, in place of one of its name."""
+        self.configs = MappingProxyType({**self.configs, config.name: config})
+        if config.name == self.latest.config:
+            self.runtime_memories = MappingProxyType({})
+
+    def forget_config(self, name: str) -> None:
+        """Make a configuration unknown."""
+        self.configs = MappingProxyType({known: config for known, config in self.configs.items() if known != name})
+
+    def choose(self, config: str, choices: Mapping[str, Choice]) -> None:
+        """Keep which ports load the regions of a configuration whose schema leaves that open."""
+        if choices:
+            self.choices = MappingProxyType({**self.choices, **{(config, name): c for name, c in choices.items()}})
+
+    def next_number(self) -> int:
+        """The number of a new change."""
+        self._number += 1
+        return self._number
+
+    def update(self, change: Callable[[BoardState], BoardState]) -> None:
+        """Replace the state in one piece; both threads do."""
+        with self.lock:
+            before = self.board
+            self.latest = change(before)
+            if self.latest.config != before.config:
+                self.runtime_memories = MappingProxyType({})
+
+    def lock_regions(self, regions: frozenset[str], whole: bool = False) -> None:
+        """Lock these regions' registers, or all, against requests; waits for an access under way."""
+        with self.lock:
+            self.locked = LockedRegions(regions, whole)
+
+    def release_regions(self) -> None:
+        """Requests may access what they could before."""
+        self.lock_regions(frozenset())
+
+    def define(self, memory: Memory) -> None:
+        """Make a memory known until the configuration changes, in place of one of its name."""
+        with self.lock:
+            self.runtime_memories = MappingProxyType({**self.runtime_memories, memory.name: memory})
+
+    def observed(self, kind: LoaderKind, length: int, seconds: float) -> None:
+        """Keep a measurement for plans and time-outs."""
+        self.throughput = self.throughput.observed(kind, length, seconds)
+
+    def took(self, step: str, seconds: float, port_seconds: float) -> None:
+        """Keep how long a kind of step took, without the time of the port, for plans."""
+        self.throughput = self.throughput.took(step, seconds - port_seconds)
+
+    # ---- the record ----------------------------------------------------------------
+
+    def read_record(self) -> tuple[Record | None, str]:
+        """The record, and a sentence where it was not readable: then nothing is known, which is no reason to stop."""
+        try:
+            return self._journal.read(), ""
+        except StoreCorrupt as error:
+            return None, str(error)
+
+    def adopt(self, record: Record | None, board: BoardState, boot_id: str) -> None:
+        """Begin with what was found at start: what the board holds, and what the record says beside it."""
+        self.latest, self._written, self._boot_id = board, {}, boot_id
+        self.way_back = record.way_back if record is not None and record.boot_id == boot_id else None
+        self.runtime_memories = MappingProxyType({})
+        if record is not None:
+            self.throughput, self._number = record.throughput, record.number
+
+    def record(self, step: Step | None) -> None:
+        """Write the state and the step about to be taken, or that no change is under way. Raises RecordFailed."""
+        with self.lock:
+            if self.pending is not None and step is not None:
+                self.pending = _about_to(self.pending, step)
+            self._write(None if step is None else self.pending)
+
+    def _write(self, pending: Pending | None) -> None:
+        try:
+            known = Record(self._boot_id, self.board, pending, self.throughput, self._number, self.way_back)
+            self._journal.write(known)
+        except OSError as error:
+            raise RecordFailed(f"the state record could not be written: {error}") from error
+        self._recorded, self._dirty, self.urgent = pending, False, False
+
+    def try_record(self) -> ErrorInfo | None:
+        """Write that no change is under way; what went wrong, if it could not be written."""
+        return self._tried(None)
+
+    def flush(self) -> ErrorInfo | None:
+        """Write values of registers that requests wrote; a change that runs meanwhile stays under way."""
+        return self._tried(self._recorded) if self._dirty else None
+
+    def _tried(self, pending: Pending | None) -> ErrorInfo | None:
+        try:
+            with self.lock:
+                self._write(pending)
+        except RecordFailed as problem:
+            return ErrorInfo(problem.code, str(problem))
+        return None
+
+
+def _about_to(pending: Pending, step: Step) -> Pending:
+    rates = pending.rates
+    if isinstance(step, SetClock) and step.before:
+        rates = {step.clock.name: step.before, **rates}
+    return replace(pending, step=step.kind, subject=step.subject, overlay=_overlay_name(step), rates=rates)
+
+
+def _overlay_name(step: Step) -> str | None:
+    if isinstance(step, ApplyOverlay):
+        return step.overlay.name
+    return step.name if isinstance(step, RemoveOverlay) else None

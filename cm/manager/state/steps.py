@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The steps of a change, as data: `planning.planner` orders them, `execution.transaction` takes them."""
+"""The steps of a change, as data: `cm.manager.planner` orders them, `cm.manager.execution.transaction` takes them."""
 
 from __future__ import annotations
 

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from cm.manager.errors import IdentityMismatch
-from cm.manager.execution.actions import IDENTITY_READS, check_identity
-from cm.manager.state.table import RegionEvent
+from cm.manager.execution.transaction import IDENTITY_READS, check_identity
+from cm.manager.state.board_state import RegionEvent
 
 EXPECTED = 0x5D27_8DE1
 

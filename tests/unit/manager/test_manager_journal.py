@@ -18,8 +18,8 @@ from types import MappingProxyType
 import pytest
 
 from cm.manager.errors import StateInUse, StoreCorrupt
+from cm.manager.state.board_state import BoardState, OverlayState, RegionPhase, RegionState
 from cm.manager.state.record import LENGTH, Journal, Pending, Record, Throughput, encode, newest
-from cm.manager.state.table import BoardState, OverlayState, RegionPhase, RegionState
 from cm.schema.model import LoaderKind
 
 FULL = Record(

@@ -11,8 +11,8 @@ import pytest
 from cm.manager.access.register_bus import RegisterBus
 from cm.manager.interfaces import Window
 from cm.manager.recovery import Destination, destination
+from cm.manager.state.board_state import BoardState
 from cm.manager.state.record import Pending
-from cm.manager.state.table import BoardState
 from cm.schema import loads
 from cm.schema.model import Access, Config, Register
 

@@ -19,8 +19,8 @@ from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_service import RegisterService
 from cm.manager.errors import HeldBy, RegionBusy
 from cm.manager.interfaces import Window
-from cm.manager.state.board_state import ManagerState
-from cm.manager.state.table import BoardState, RegionPhase, RegionState
+from cm.manager.state.board_state import BoardState, RegionPhase, RegionState
+from cm.manager.state.record import ManagerState
 from cm.schema import loads
 from cm.server.interrupts import InterruptWatch
 from cm.simulation.software import Board as SimBoard

@@ -14,7 +14,7 @@ import pytest
 from manager_process import until
 
 from cm.errors import InvalidRequest
-from cm.manager.state.totals import ChangeTotals, Histogram
+from cm.manager.reporting import ChangeTotals, Histogram
 from cm.server.metrics_server import CONNECTIONS, MetricsServer, split_address
 from cm.server.streams.stream import Moved, StreamTotals
 

@@ -16,7 +16,7 @@ from daemon_thread import daemon
 from prometheus_client.parser import text_string_to_metric_families
 
 from cm.cli.main import main
-from cm.manager.state.totals import ChangeTotals
+from cm.manager.reporting import ChangeTotals
 from cm.server.loop import Loop
 from cm.server.metrics import Metrics
 from cm.server.streams.stream import Moved

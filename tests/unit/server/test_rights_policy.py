@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cm.errors import Forbidden, InvalidRequest
-from cm.manager.planning.goals import target
+from cm.manager.planner import target
 from cm.schema import load_folder
 from cm.server.rights.gate import Gate
 from cm.server.rights.keys import authorized, pairs_of
