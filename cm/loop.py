@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """An event loop: descriptors, timers, and calls, from this thread or another. One thread; callbacks do not block.
 
-The simulated board runs on it as it is; the daemon adds ZeroMQ's sockets (`cm.server.loop`). Why it is not asyncio's,
-and what each costs: docs/decisions/own-event-loop.md.
+The simulated board runs on it as it is; the daemon adds ZeroMQ's sockets (`cm.server.sockets`). Why it is not
+asyncio's, and what each costs: docs/decisions/own-event-loop.md.
 
 Descriptors that were registered as listeners are served after all others of the same round. A client that
 closes a node and opens it again is thus always seen to close it first: the close happened before the

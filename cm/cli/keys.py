@@ -15,8 +15,8 @@ from cm.errors import CmError, InvalidRequest
 from cm.server.rights.keys import FOLDER, OLD_FOLDER, authorized, pairs_of
 
 if TYPE_CHECKING:
-    from cm.server.endpoints import Security
     from cm.server.rights.model import AuthorizedKey
+    from cm.server.sockets import Security
 
 
 class ReadableKey(CmError, PermissionError):
@@ -43,7 +43,7 @@ def read_key_file(path: Path) -> dict[str, bytes]:
 
 def load_server_keys(path: Path) -> Security:
     """A server's keys. Raises InvalidRequest for another file, ReadableKey for one that others may read."""
-    from cm.server.endpoints import Security
+    from cm.server.sockets import Security
 
     keys = read_key_file(path)
     if not {"public", "secret"} <= keys.keys() or "server-public" in keys:

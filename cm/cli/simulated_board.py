@@ -82,7 +82,7 @@ def _refuse_where_served(runtime: Path) -> None:
         with (runtime / "lock").open("rb") as lock:
             fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
-        from cm.server.endpoints import FolderLock
+        from cm.server.folders import FolderLock
 
         FolderLock(runtime).release()  # raises, naming the holder
     except OSError:

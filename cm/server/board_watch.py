@@ -11,7 +11,7 @@ from cm.errors import CmError
 from cm.manager.manager import Manager
 from cm.server.interrupts import InterruptWatch
 from cm.server.service import Sleep
-from cm.server.streams.stream_service import Streams
+from cm.server.streams.running import Streams
 
 _LOG = logging.getLogger("cm")
 

@@ -8,8 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
 from cm.errors import Busy
-from cm.server.loop import Loop
 from cm.server.shares import PENDING, Client, Ring
+from cm.server.sockets import Loop
 
 _T = TypeVar("_T")
 Result = Callable[[], _T]  # returns the job's result, or raises what it raised

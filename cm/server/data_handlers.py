@@ -17,8 +17,8 @@ from cm.server.board_watch import BoardWatch
 from cm.server.replies import Respond, error_info, refusal
 from cm.server.shares import Client
 from cm.server.steps import Done, Steps
+from cm.server.streams.running import Streams
 from cm.server.streams.stream import Frame
-from cm.server.streams.stream_service import Streams
 from cm.wire.messages import requests as rq
 from cm.wire.messages.status import ConfigInfo, FrameInfo, Reply, StreamStatus
 

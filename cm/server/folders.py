@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Folders that must be ours, so that no other user can place files or links there that we would open."""
+"""Folders that must be ours, so that no other user can place files or links there that we would open; their locks."""
 
 from __future__ import annotations
 
+import fcntl
 import os
 import stat
 from pathlib import Path
 
-from cm.errors import CmError
+from cm.device.base import AnyRoot
+from cm.device.paths import Root
+from cm.errors import Busy, CmError
 
 FOLDER_MODE, SOCKET_MODE = 0o750, 0o660
 
@@ -81,3 +84,89 @@ def share(path: Path, group: int | None) -> None:
     if group is not None:
         os.chown(path, -1, group, follow_symlinks=False)
     path.chmod(SOCKET_MODE)
+
+
+class AlreadyServed(Busy):
+    """Another manager serves this runtime folder."""
+
+    code = "already_served"
+
+
+class FolderLock:
+    """An flock on the runtime folder: it ends with the process, however that dies."""
+
+    def __init__(self, folder: Path, group: int | None = None) -> None:
+        """Make the folder, for this user and a group. Raises UnsafeFolder for one that is not ours."""
+        own_folder(folder, group)
+        self._fd = open_inside(folder, "lock", os.O_RDWR | os.O_CREAT)
+        try:
+            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            pid = os.read(self._fd, 32).decode("ascii", "replace").strip()
+            os.close(self._fd)
+            raise AlreadyServed(
+                f"a configuration manager (pid {pid}) serves {folder} already; stop it, or choose another --runtime-dir"
+            ) from None
+        os.ftruncate(self._fd, 0)
+        os.write(self._fd, str(os.getpid()).encode())
+
+    def release(self) -> None:
+        """Give it back."""
+        os.close(self._fd)
+
+
+class BoardLock:
+    """An flock on the board's sysfs: managers with other runtime folders notice each other.
+
+    Nothing is written. It ends with the process, and holds within one mount of sysfs: managers in containers with
+    mounts of their own do not see it.
+    """
+
+    def __init__(self, root: AnyRoot) -> None:
+        folder = Root.of(root).join("sys")
+        if not folder.is_dir():
+            folder = folder.parent
+        self._fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            holder = _holder(self._fd)
+            os.close(self._fd)
+            raise AlreadyServed(
+                f"{holder} holds the board below {folder.parent} already: two managers would load over each other. "
+                "Stop it, or give each a board of its own (CM_ROOT)"
+            ) from None
+
+    def release(self) -> None:
+        """Give it back."""
+        os.close(self._fd)
+
+
+class Locks:
+    """Both, held until `release`. Raises AlreadyServed."""
+
+    def __init__(self, folder: Path, root: AnyRoot, group: int | None = None) -> None:
+        self._folder = FolderLock(folder, group)
+        try:
+            self._board = BoardLock(root)
+        except BaseException:
+            self._folder.release()
+            raise
+
+    def release(self) -> None:
+        """Give them back."""
+        self._board.release()
+        self._folder.release()
+
+
+def _holder(fd: int) -> str:
+    """The holder of an flock on a file, as /proc/locks has it."""
+    wanted = os.fstat(fd).st_ino
+    try:
+        lines = Path("/proc/locks").read_text("ascii", "replace").splitlines()
+    except OSError:
+        lines = []
+    for fields in (line.split() for line in lines):
+        if len(fields) >= 6 and fields[1] == "FLOCK" and fields[5].rpartition(":")[2] == str(wanted):
+            return f"another process (pid {fields[4]})"
+    return "another process"

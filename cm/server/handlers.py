@@ -22,14 +22,14 @@ from cm.server.connections import Connections, Sessions
 from cm.server.data_handlers import DataHandlers, MemoryTransfers
 from cm.server.interrupts import InterruptWatch
 from cm.server.lease_watch import LeaseWatch
-from cm.server.loop import Loop
 from cm.server.provision import Provisioner
 from cm.server.register_handlers import RegisterHandlers
 from cm.server.replies import Respond, refusal
 from cm.server.rights.gate import Gate
 from cm.server.shares import Client, Clients, with_holdings
+from cm.server.sockets import Loop
 from cm.server.steps import Steps
-from cm.server.streams.stream_service import Streams
+from cm.server.streams.running import Streams
 from cm.server.uploads import Uploads
 from cm.wire.messages import requests as rq
 from cm.wire.messages.status import ChangeInfo, Reply, Status

@@ -18,7 +18,7 @@ from cm.device import Root, Uio, find_uio
 from cm.errors import CmError
 from cm.manager.manager import Manager
 from cm.schema.model import Config, Interrupt
-from cm.server.loop import Loop
+from cm.server.sockets import Loop
 from cm.wire.messages.status import ErrorInfo, Irq
 
 _LOG = logging.getLogger(__name__)

@@ -11,7 +11,7 @@ from typing import NoReturn
 from cm.errors import Busy, InvalidRequest
 from cm.loop import Timer
 from cm.manager.access.leases import Leases
-from cm.server.loop import Loop
+from cm.server.sockets import Loop
 from cm.wire.messages.requests import BreakLease, ReleaseLease, RenewLease, TakeLease
 from cm.wire.messages.status import LeaseInfo
 

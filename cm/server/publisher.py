@@ -16,17 +16,22 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Any
 
 import zmq
 from zmq import zmq_poll
 
 from cm._version import __version__
+from cm.manager.manager import Manager
+from cm.manager.reporting import Moment
 from cm.schema.model import ITEM_BYTES, Config, Stream
-from cm.server.loop import Loop, XpubSender
+from cm.server.interrupts import InterruptWatch
 from cm.server.settings.model import StreamSettings
 from cm.server.shares import Tracker
+from cm.server.sockets import Loop
 from cm.server.streams.compression import Compressor, compressions
+from cm.server.streams.running import Streams
 from cm.server.streams.stream import Frame
 from cm.wire import encode, topics
 from cm.wire.messages.status import ErrorInfo, FrameInfo, Irq, RegValues, SensorStatus, Status
@@ -35,7 +40,19 @@ from cm.wire.multipart import connection_of
 BYTES = int(StreamSettings().queue_mib * (1 << 20))  # of frames that wait for one subscriber, unless set otherwise
 _FEWEST, _MOST = 2, 1000  # messages
 _ON_THEIR_WAY = 4  # messages that libzmq holds beside those that it counts
+# libzmq's thread empties a queue of short messages at once when it gets a processor: seconds to give it.
+_PAUSES = (0.0001, 0.0005, 0.002, 0.01)
+_HOPELESS = 1.0  # seconds for which a queue that stayed full is not waited for again
+_NODROP, _NOBLOCK = int(zmq.XPUB_NODROP), int(zmq.NOBLOCK)
 _FLAT = 1 << 20  # bytes of a frame that no schema describes, or that may grow
+
+_LOG = logging.getLogger("cm")
+_AT_ONCE = 32  # subscriptions that are read before others get their turn
+TOPICS_EACH, TOPICS_ALL = 64 << 10, 1 << 20  # bytes of the topics of one connection, and of all
+AT_A_TIME = 1024  # subscriptions of a connection between two calls of `settle`
+_Owner = tuple[int, str]  # descriptor and id of a connection
+End = Callable[[int, str], None]  # ends the connection that they name
+_FRAME_TOPICS = (topics.READ_DATA, topics.DATA_READ)
 
 
 def mark(configs: Iterable[Config], limit: int) -> int:
@@ -80,15 +97,6 @@ class Kept:
     def _look(self) -> None:
         self._frames = deque([(tracker, size) for tracker, size in self._frames if not tracker.done])
         self.bytes = sum([size for _, size in self._frames])
-
-
-_LOG = logging.getLogger("cm")
-_AT_ONCE = 32  # subscriptions that are read before others get their turn
-TOPICS_EACH, TOPICS_ALL = 64 << 10, 1 << 20  # bytes of the topics of one connection, and of all
-AT_A_TIME = 1024  # subscriptions of a connection between two calls of `settle`
-_Owner = tuple[int, str]  # descriptor and id of a connection
-End = Callable[[int, str], None]  # ends the connection that they name
-_FRAME_TOPICS = (topics.READ_DATA, topics.DATA_READ)
 
 
 class Subscriptions:
@@ -143,6 +151,50 @@ class Subscriptions:
         if topic in owners or not owners:
             return bool(owners)
         return any(topic[:length] in owners for length in range(least, len(topic)))
+
+
+class XpubSender:
+    """Sends what is published. The loop's thread.
+
+    The socket has ZMQ_XPUB_NODROP: it reports when a subscriber's queue is full, and the message is then sent again
+    without that option, so that all others get it.
+    """
+
+    def __init__(self, loop: Loop, socket: zmq.Socket[bytes]) -> None:
+        self._loop = loop
+        self._socket = socket
+        self._hopeless_until = 0.0
+
+    def send(self, message: Sequence[Any]) -> None:
+        """Send a short message. Only a subscriber that has left its queue full for a while does not get it."""
+        for pause in _PAUSES:
+            try:
+                self._loop.send(self._socket, message, _NOBLOCK)
+                return
+            except zmq.Again:
+                if time.monotonic() < self._hopeless_until:
+                    break
+                time.sleep(pause)  # there is no event to wait for: a single subscriber's queue cannot be polled
+        else:
+            self._hopeless_until = time.monotonic() + _HOPELESS
+        self._send_to_all(message)
+
+    def send_frame(self, message: Sequence[Any]) -> bool:
+        """Send a frame; False if a subscriber does not get it, because too much waits for it already."""
+        try:
+            self._loop.send(self._socket, message, _NOBLOCK)
+        except zmq.Again:
+            self._send_to_all(message)
+            return False
+        return True
+
+    def _send_to_all(self, message: Sequence[Any]) -> None:
+        """Send to all that have room; the others lose it."""
+        self._socket.setsockopt(_NODROP, 0)
+        try:
+            self._loop.send(self._socket, message, _NOBLOCK)
+        finally:
+            self._socket.setsockopt(_NODROP, 1)
 
 
 class Publisher:
@@ -287,6 +339,70 @@ class Publisher:
     def close(self) -> None:
         """End the thread that compresses."""
         self._compressor.close()
+
+
+class StatusTold:
+    """What clients are told of the manager: implements `cm.manager.interfaces.Observer`.
+
+    `begin` comes before all else, as the manager is made with this. All but the observer's calls: the loop's thread.
+    """
+
+    def __init__(self, loop: Loop, publisher: Publisher, streams: Streams) -> None:
+        self._loop = loop
+        self._publisher = publisher
+        self._streams = streams
+        self._manager: Manager
+        self._interrupts: InterruptWatch
+        self._moments: deque[Moment] = deque()
+
+    def begin(self, manager: Manager, interrupts: InterruptWatch) -> None:
+        """Tell of this manager; its interrupts are watched anew when another configuration is loaded."""
+        self._manager, self._interrupts = manager, interrupts
+
+    def status(self, moment: Moment | None = None) -> Status:
+        """The status of a moment, or of now."""
+        streams, leases = self._streams.status(), self._manager.leases.told()
+        return self._manager.status(moment, streams=streams, leases=leases, **self._publisher.beside())
+
+    def publish(self) -> None:
+        """Publish the status of now."""
+        self._publisher.status(self.status)
+
+    def take_subscriptions(self) -> None:
+        """Someone subscribes, or does no longer."""
+        if self._publisher.take_subscriptions():
+            self.publish()
+        self._streams.refresh()
+
+    # ---- observer: any thread ---------------------------------------------------------
+
+    def status_changed(self) -> None:
+        """Every status is published, in order, even if the next follows at once."""
+        self._moments.append(self._manager.reporter.moment())
+        self._loop.call_threadsafe(self._publish_moments)
+
+    def progressed(self) -> None:
+        """Most statuses of a change say only this: if no one subscribes, they are counted but not made."""
+        if not self._publisher.passes_over():
+            self.status_changed()
+
+    def registers_changed(self, values: RegValues) -> None:
+        """Registers are written in the loop's thread only."""
+        self._publisher.registers(values)
+
+    def _publish_moments(self) -> None:
+        while self._moments:
+            moment = self._moments.popleft()
+            if not moment.running:
+                self._watch_interrupts()
+            if self._publisher.status(partial(self.status, moment)):
+                self._manager.reporter.was_read()
+            self._publisher.log(moment.error, moment.last[0])
+
+    def _watch_interrupts(self) -> None:
+        config = self._manager.loaded_config()
+        if self._interrupts.incomplete or config is not self._interrupts.config:
+            self._interrupts.watch(config)
 
 
 def _topics(stream: str) -> tuple[bytes, ...]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import logging
 import time
-from collections import deque
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
@@ -14,7 +13,6 @@ import zmq
 
 from cm.manager.access.leases import Leases
 from cm.manager.manager import Environment, Manager
-from cm.manager.reporting import Moment
 from cm.manager.state.record import Journal
 from cm.schema.model import Config
 from cm.server.board_watch import BoardWatch
@@ -23,16 +21,14 @@ from cm.server.connections import Connections, Sessions, raise_descriptors
 from cm.server.data_handlers import MemoryTransfers
 from cm.server.devices import BoardDevices
 from cm.server.dispatcher import Dispatcher
-from cm.server.endpoints import Authenticator, Locks, Sockets
 from cm.server.files import BoardFiles, Footprints
-from cm.server.folders import own_folder
+from cm.server.folders import Locks, own_folder
 from cm.server.handlers import Handlers, Services
 from cm.server.interrupts import InterruptWatch
 from cm.server.lease_watch import LeaseWatch
-from cm.server.loop import Loop
 from cm.server.options import NO_METRICS, Options
 from cm.server.provision import Provisioner
-from cm.server.publisher import Publisher, mark
+from cm.server.publisher import Publisher, StatusTold, mark
 from cm.server.read_cache import ReadCache
 from cm.server.reload import ReloadContext, Reloader, renewal
 from cm.server.rights.gate import Gate
@@ -40,13 +36,14 @@ from cm.server.rights.users import system_users
 from cm.server.sensor_watch import SensorWatch
 from cm.server.service import ServiceManager
 from cm.server.shares import Clients
+from cm.server.sockets import Authenticator, Loop, Sockets
 from cm.server.steps import Steps
 from cm.server.streams.data_socket import DataSocket
 from cm.server.streams.discovery import with_channels
-from cm.server.streams.stream_service import Streams
+from cm.server.streams.running import Streams
 from cm.server.uploads import Uploads
 from cm.wire.messages.requests import ChangeMode
-from cm.wire.messages.status import ErrorInfo, RegValues, Status
+from cm.wire.messages.status import ErrorInfo
 
 if TYPE_CHECKING:
     from cm.server.metrics import Metrics  # imports an HTTP server
@@ -56,7 +53,7 @@ _TICK = 1.0  # seconds between two checks of streams, records and a lost board
 
 
 class Server:
-    """Serves until `stop()`. Everything but `stop` and the observer's calls runs in the calling thread."""
+    """Serves until `stop()`. Everything but `stop` runs in the calling thread."""
 
     def __init__(self, options: Options) -> None:
         self._options = options
@@ -84,6 +81,7 @@ class Server:
         leases = Leases(time, options.limits.leases, options.limits.leases_each)
         told = self._publisher, leases, self._note_error, self._steps, options.limits
         self._streams = Streams(self._loop, self._devices, *told)
+        self._status = StatusTold(self._loop, self._publisher, self._streams)
         self._manager = Manager(configs, self._environment(), leases)
         self._sessions = Sessions(gate, options.runtime_dir, self._sockets.tcp, self._manager)
         local = self._streams.open_local, *self._streams.memories, self._sessions
@@ -92,13 +90,13 @@ class Server:
         self._interrupts = InterruptWatch(
             self._loop, options.root, self._manager, self._publisher.interrupt, self._note_error
         )
+        self._status.begin(self._manager, self._interrupts)
         self._leases = LeaseWatch(self._loop, leases)
         self._memories = MemoryTransfers(self._steps, self._manager.memories)
         self._board = BoardWatch(self._devices.boot_id, self._manager, self._streams, self._interrupts, self._autoload)
         self._dispatcher = self._make_dispatcher()
         self._metrics: Metrics | None = None
         self._sensors = SensorWatch(options.root, self._publisher.measured)
-        self._statuses: deque[Moment] = deque()
         self._service = ServiceManager()
         self._reloader = self._make_reloader()
 
@@ -110,7 +108,7 @@ class Server:
     def _environment(self) -> Environment:
         o = self._options
         files = BoardFiles(o.root.join(), Footprints(o.state_dir / "footprints"), o.firmware_dir)
-        return Environment(self._devices, files, self._journal, self._streams, time, self, o.settings)
+        return Environment(self._devices, files, self._journal, self._streams, time, self._status, o.settings)
 
     def _make_reloader(self) -> Reloader:
         loop, o = self._loop, self._options
@@ -139,7 +137,7 @@ class Server:
             uploads=self._uploads,
             board=self._board,
             sessions=self._sessions,
-            status=self._status,
+            status=self._status.status,
             connections=self._connections,
             complete=self._with_channels,
             jobs=self._jobs,
@@ -180,7 +178,7 @@ class Server:
             _LOG.info("listening on %s, %s, %s", bound.pub, bound.sub, bound.req)
         metrics = self._open_metrics() if self._options.metrics else ""
         self._sensors.start()
-        self._loop.add_socket(self._sockets.pub, self._on_subscription)
+        self._loop.add_socket(self._sockets.pub, self._status.take_subscriptions)
         self._loop.add_socket(self._sockets.sub, self._dispatcher.on_message)
         self._loop.add_socket(self._sockets.req, self._dispatcher.on_request, foremost=True)
         return metrics
@@ -216,47 +214,8 @@ class Server:
         for end in (self._manager.stop, self._data_socket.close, *users, *watches, *board, *last):
             end()
 
-    def _on_subscription(self) -> None:
-        if self._publisher.take_subscriptions():
-            self._publisher.status(self._status)
-        self._streams.refresh()
-
-    # ---- observer: any thread ---------------------------------------------------------
-
-    def status_changed(self) -> None:
-        """Every status is published, in order, even if the next follows at once."""
-        self._statuses.append(self._manager.reporter.moment())
-        self._loop.call_threadsafe(self._flush_statuses)
-
-    def progressed(self) -> None:
-        """Most statuses of a change say only this: if no one subscribes, they are counted but not made."""
-        if not self._publisher.passes_over():
-            self.status_changed()
-
-    def registers_changed(self, values: RegValues) -> None:
-        """Registers are written in the loop's thread only."""
-        self._publisher.registers(values)
-
-    def _flush_statuses(self) -> None:
-        while self._statuses:
-            moment = self._statuses.popleft()
-            if not moment.running:
-                self._watch_interrupts()
-            if self._publisher.status(partial(self._status, moment)):
-                self._manager.reporter.was_read()
-            self._publisher.log(moment.error, moment.last[0])
-
-    def _watch_interrupts(self) -> None:
-        config = self._manager.loaded_config()
-        if self._interrupts.incomplete or config is not self._interrupts.config:
-            self._interrupts.watch(config)
-
     def _note_error(self, error: ErrorInfo) -> None:
         self._manager.note_error(error)
-
-    def _status(self, moment: Moment | None = None) -> Status:
-        streams, leases = self._streams.status(), self._manager.leases.told()
-        return self._manager.status(moment, streams=streams, leases=leases, **self._publisher.beside())
 
     # ---- regular work ---------------------------------------------------------------------
 
@@ -270,4 +229,4 @@ class Server:
         self._connections.settle()
         self._publisher.settle()
         if self._streams.any_open:
-            self._publisher.status(self._status)
+            self._status.publish()

@@ -7,8 +7,8 @@ from collections.abc import Callable, Hashable, Iterator
 from typing import Protocol
 
 from cm.errors import Busy
-from cm.server.loop import Loop
 from cm.server.shares import Client, Ring
+from cm.server.sockets import Loop
 
 Done = Callable[[Exception | None], None]
 WAITING_MAX = 16  # pieces of work of one client

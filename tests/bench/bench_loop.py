@@ -24,7 +24,7 @@ import zmq
 import zmq.asyncio
 
 from cm.loop import Loop
-from cm.server.loop import Loop as DaemonLoop
+from cm.server.sockets import Loop as DaemonLoop
 from cm.wire import multipart
 
 TRIPS, ROUNDS = 200, 100

@@ -27,9 +27,9 @@ from cm.manager.access.register_bus import RegisterBus
 from cm.schema import load_folder
 from cm.server import server as daemon
 from cm.server.dispatcher import Dispatcher
-from cm.server.loop import Loop
 from cm.server.options import Options
 from cm.server.shares import Client
+from cm.server.sockets import Loop
 from cm.simulation.software import Board as SimBoard
 from cm.wire import cm_pb2 as pb
 from cm.wire.encode import encode_request

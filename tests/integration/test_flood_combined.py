@@ -20,7 +20,7 @@ from flood import descriptors, resident_mib, running
 from manager_process import CAMERA, short_folder, until
 
 import cm
-from cm.server import loop as loops
+from cm.server import sockets as loops
 from cm.simulation.software import Board as SimBoard
 
 pytestmark = pytest.mark.soak

@@ -9,7 +9,7 @@ from dataclasses import replace
 from importlib.util import find_spec
 
 from cm.errors import InvalidRequest
-from cm.server.loop import Loop
+from cm.server.sockets import Loop
 from cm.server.streams.stream import Frame
 from cm.wire.messages.status import FrameInfo
 

@@ -16,8 +16,9 @@ from pathlib import Path
 from typing import Protocol
 
 from cm.errors import Busy, CmError
+from cm.loop import Timer
 from cm.server.folders import share
-from cm.server.loop import Loop, Timer
+from cm.server.sockets import Loop
 from cm.server.steps import Steps
 from cm.server.streams.memory import Allocations, Echoes
 from cm.server.streams.peer import Peer

@@ -17,7 +17,8 @@ from dataclasses import replace
 
 from cm.device.data_plane import Plane, StreamSetup
 from cm.errors import Busy, CmError, InvalidRequest, Timeout
-from cm.server.loop import Loop, Timer
+from cm.loop import Timer
+from cm.server.sockets import Loop
 from cm.server.streams.policy import StreamStopped
 from cm.server.streams.settings import frame_bytes
 from cm.server.streams.stream import Done, Frame, OpenStream

@@ -14,7 +14,8 @@ import pytest
 import zmq
 
 from cm.errors import InvalidRequest
-from cm.server.endpoints import ENDPOINTS_FILE, AlreadyServed, Authenticator, BoardLock, FolderLock, Security, Sockets
+from cm.server.folders import AlreadyServed, BoardLock, FolderLock
+from cm.server.sockets import ENDPOINTS_FILE, Authenticator, Security, Sockets
 from cm.wire import multipart
 
 WAIT = 20_000  # ms

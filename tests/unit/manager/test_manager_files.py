@@ -25,9 +25,8 @@ from cm.manager.errors import BadOverlay
 from cm.manager.interfaces import Image
 from cm.schema import loads
 from cm.schema.model import Config, FrameRange, Overlay
-from cm.server.files import BoardFiles, Footprints, LearnedFootprint
+from cm.server.files import MAX_BYTES, BoardFiles, Footprints, LearnedFootprint
 from cm.server.folders import UnsafeFolder
-from cm.server.images import MAX_BYTES
 from cm.simulation.software import Board as SimBoard
 from cm.simulation.software.hardware.board_spec import BoardSpec
 

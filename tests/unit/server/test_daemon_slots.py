@@ -19,7 +19,7 @@ from manager_process import until
 from cm.device import AxiDma, DeviceError
 from cm.device.data_plane import Plane
 from cm.server.devices import BoardDevices
-from cm.server.loop import Loop
+from cm.server.sockets import Loop
 from cm.server.streams.slots import AT_ONCE, Slots
 from cm.wire import plane_packets as packets
 from cm.wire.messages import requests as rq

@@ -14,7 +14,7 @@ from functools import partial
 import pytest
 
 from cm.loop import Loop
-from cm.server.loop import Loop as DaemonLoop
+from cm.server.sockets import Loop as DaemonLoop
 
 WAIT = 20.0
 

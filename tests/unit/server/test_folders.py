@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from cm.server.endpoints import FolderLock
-from cm.server.folders import UnsafeFolder, open_inside, own_folder, share
+from cm.server.folders import FolderLock, UnsafeFolder, open_inside, own_folder, share
 from cm.server.provision import Provisioner
 
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to give folders to other users")

@@ -14,7 +14,7 @@ from manager_support import Clock
 
 from cm.manager.access.leases import Leases
 from cm.server.lease_watch import LeaseWatch, Unwatched
-from cm.server.loop import Loop
+from cm.server.sockets import Loop
 from cm.wire.messages.requests import TakeLease
 
 

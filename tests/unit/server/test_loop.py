@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import pytest
 import zmq
 
-from cm.server.loop import Loop
+from cm.server.sockets import Loop
 from cm.wire import multipart
 
 MESSAGES = 2000

@@ -17,8 +17,8 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from cm.cli.main import main
 from cm.manager.reporting import ChangeTotals
-from cm.server.loop import Loop
 from cm.server.metrics import Metrics
+from cm.server.sockets import Loop
 from cm.server.streams.stream import Moved
 from cm.wire.messages.status import (
     ClientStatus,

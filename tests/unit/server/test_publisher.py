@@ -10,8 +10,8 @@ import pytest
 import zmq
 from manager_process import short_folder
 
-from cm.server.loop import Loop
 from cm.server.publisher import Publisher
+from cm.server.sockets import Loop
 from cm.wire.encode import decode_event
 from cm.wire.messages.status import ErrorInfo, Irq, RegValue, RegValues, SensorStatus, Status, StreamStatus
 

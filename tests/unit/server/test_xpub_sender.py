@@ -11,8 +11,8 @@ import pytest
 import zmq
 
 from cm.schema.model import Config, Direction, Mode, Stream
-from cm.server.loop import Loop, XpubSender
-from cm.server.publisher import mark
+from cm.server.publisher import XpubSender, mark
+from cm.server.sockets import Loop
 
 MIB = 1 << 20
 
@@ -84,7 +84,7 @@ def test_a_short_message_waits_for_a_queue_that_is_full_for_a_moment() -> None:
 
 
 def test_a_queue_that_stays_full_is_waited_for_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cm.server.loop._HOPELESS", 60.0)  # seconds, of 1
+    monkeypatch.setattr("cm.server.publisher._HOPELESS", 60.0)  # seconds, of 1
     out, loop = sender(1000)
     out.send([b"one"])
     waited = len(loop.refused)

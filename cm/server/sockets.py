@@ -1,29 +1,42 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The manager's ZeroMQ sockets: bound in the runtime folder, and over TCP when asked for; ZAP asks who may enter.
+"""The manager's ZeroMQ sockets: bound in the runtime folder, and over TCP when asked for; who may enter; and the loop
+that waits for them.
 
 ZAP is ZeroMQ's authentication protocol (ZMTP RFC 27, ZAP 1.0). pyzmq's own authenticators need a thread or an asyncio
 loop of their own, and know no peers over ipc.
+
+In the loop one socket, that of requests, is waited for by `zmq_poll`, which looks at its state before and after; all
+else by the epoll, which `zmq_poll` waits for as well. That is half the cost per message of a `zmq.Poller` with all of
+them (docs/performance.md).
+
+A ZeroMQ socket's descriptor only says that something changed since the socket was last used in any way, sending
+included (zmq_getsockopt(3), ZMQ_FD). So a socket behind the epoll is read until it has nothing more, and checked again
+after anything was sent on it from elsewhere: by `Loop.send`.
 """
 
 from __future__ import annotations
 
-import fcntl
 import json
+import logging
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import zmq
+from zmq import zmq_poll
 from zmq.utils import z85
 
-from cm.device.base import AnyRoot
-from cm.device.paths import Root
-from cm.errors import Busy, InvalidRequest
-from cm.server.folders import open_inside, own_folder, share
+from cm.errors import InvalidRequest
+from cm.loop import Callback
+from cm.loop import Loop as EventLoop
+from cm.server.folders import share
 from cm.server.limits import USUAL, Limits
 from cm.server.rights.principal import CURVE, IPC, TCP
+from cm.wire import multipart
 from cm.wire.plane_packets import SOCKET
 from cm.wire.topics import Endpoints, ipc_endpoints, split_tcp, tcp_endpoints
 
@@ -74,92 +87,6 @@ _LAST = 65533  # the first of the last three
 _HANDSHAKE = 10_000  # milliseconds for which a connection may stay silent
 _TOPIC = 512  # bytes of a subscription, and of a handshake
 _WAITING = 16  # messages of each connection that wait to be read
-
-
-class AlreadyServed(Busy):
-    """Another manager serves this runtime folder."""
-
-    code = "already_served"
-
-
-class FolderLock:
-    """An flock on the runtime folder: it ends with the process, however that dies."""
-
-    def __init__(self, folder: Path, group: int | None = None) -> None:
-        """Make the folder, for this user and a group. Raises UnsafeFolder for one that is not ours."""
-        own_folder(folder, group)
-        self._fd = open_inside(folder, "lock", os.O_RDWR | os.O_CREAT)
-        try:
-            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            pid = os.read(self._fd, 32).decode("ascii", "replace").strip()
-            os.close(self._fd)
-            raise AlreadyServed(
-                f"a configuration manager (pid {pid}) serves {folder} already; stop it, or choose another --runtime-dir"
-            ) from None
-        os.ftruncate(self._fd, 0)
-        os.write(self._fd, str(os.getpid()).encode())
-
-    def release(self) -> None:
-        """Give it back."""
-        os.close(self._fd)
-
-
-class BoardLock:
-    """An flock on the board's sysfs: managers with other runtime folders notice each other.
-
-    Nothing is written. It ends with the process, and holds within one mount of sysfs: managers in containers with
-    mounts of their own do not see it.
-    """
-
-    def __init__(self, root: AnyRoot) -> None:
-        folder = Root.of(root).join("sys")
-        if not folder.is_dir():
-            folder = folder.parent
-        self._fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-        try:
-            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            holder = _holder(self._fd)
-            os.close(self._fd)
-            raise AlreadyServed(
-                f"{holder} holds the board below {folder.parent} already: two managers would load over each other. "
-                "Stop it, or give each a board of its own (CM_ROOT)"
-            ) from None
-
-    def release(self) -> None:
-        """Give it back."""
-        os.close(self._fd)
-
-
-class Locks:
-    """Both, held until `release`. Raises AlreadyServed."""
-
-    def __init__(self, folder: Path, root: AnyRoot, group: int | None = None) -> None:
-        self._folder = FolderLock(folder, group)
-        try:
-            self._board = BoardLock(root)
-        except BaseException:
-            self._folder.release()
-            raise
-
-    def release(self) -> None:
-        """Give them back."""
-        self._board.release()
-        self._folder.release()
-
-
-def _holder(fd: int) -> str:
-    """The holder of an flock on a file, as /proc/locks has it."""
-    wanted = os.fstat(fd).st_ino
-    try:
-        lines = Path("/proc/locks").read_text("ascii", "replace").splitlines()
-    except OSError:
-        lines = []
-    for fields in (line.split() for line in lines):
-        if len(fields) >= 6 and fields[1] == "FLOCK" and fields[5].rpartition(":")[2] == str(wanted):
-            return f"another process (pid {fields[4]})"
-    return "another process"
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,3 +215,72 @@ def _bind(socket: zmq.Socket[bytes], address: str) -> None:
         socket.bind(address)
     except zmq.ZMQError as error:
         raise InvalidRequest(f"cannot listen on {address}: {error}") from error
+
+
+_LOG = logging.getLogger(__name__)
+_POLLIN = int(zmq.POLLIN)  # arithmetic on the enumeration costs more than the call
+_TURNS = 16  # requests that one socket may have served before others get their turn
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Watched:
+    """A ZeroMQ socket, and what takes one message off it."""
+
+    sources: list[tuple[Any, int]]  # the socket, as `zmq_poll` takes it
+    take: Callback
+
+
+class Loop(EventLoop):
+    """An event loop that a defect in a callback does not end: it is logged."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._sockets: dict[zmq.Socket[bytes], _Watched] = {}
+        self._waited: list[tuple[Any, int]] = [(self._epoll.fileno(), _POLLIN)]  # as `zmq_poll` takes it
+        self._takes: dict[Any, Callback] = {self._epoll.fileno(): partial(self._serve, 0)}  # of what is waited for
+        self._unlooked: set[_Watched] = set()  # may have messages that their descriptors do not show
+
+    def add_socket(self, socket: zmq.Socket[bytes], take: Callback, foremost: bool = False) -> None:
+        """Call `take` when there are messages; it reads one or more from the socket.
+
+        A `foremost` one costs less per message of its own, and a little with every other event.
+        """
+        if foremost:
+            self._waited.append((socket, _POLLIN))
+            self._takes[socket] = take
+            return
+        watched = self._sockets[socket] = _Watched([(socket, _POLLIN)], take)
+        self.add(socket.fileno(), partial(self._look, watched))
+        self._unlooked.add(watched)
+
+    def send(self, socket: zmq.Socket[bytes], frames: Sequence[bytes | memoryview], flags: int = 0) -> None:
+        """Send on a socket that is watched; the loop looks at it again before it waits."""
+        watched = self._sockets.get(socket)
+        if watched is not None:
+            self._unlooked.add(watched)
+        multipart.send(socket, frames, flags)
+
+    def _wait(self, milliseconds: int) -> None:
+        taken = self._look_again() if self._unlooked else False  # this may have set new timers
+        for source, _ in zmq_poll(self._waited, 0 if taken or self._unlooked else milliseconds):
+            try:
+                self._takes[source]()
+            except Exception as error:  # noqa: BLE001 (see _failed)
+                self._failed(error)
+
+    def _look(self, watched: _Watched) -> bool:
+        """Serve a socket until it has nothing more, or for its share; returns whether it had something."""
+        for turn in range(_TURNS):
+            if not zmq_poll(watched.sources, 0):  # half the time of asking for ZMQ_EVENTS
+                self._unlooked.discard(watched)
+                return turn > 0
+            self._guarded(watched.take)
+        self._unlooked.add(watched)
+        return True
+
+    def _look_again(self) -> bool:
+        taken = [self._look(watched) for watched in tuple(self._unlooked)]
+        return any(taken)
+
+    def _failed(self, error: Exception) -> None:
+        _LOG.error("a callback failed", exc_info=error)
