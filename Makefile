@@ -189,7 +189,7 @@ lint: $(LINT_STAMP) ## ruff, ruff format, mypy (strict; the client for macOS and
 	$(BIN)/clang-format --style=file:csrc/.clang-format --dry-run -Werror $(C_FILES)
 	$(BIN)/reuse lint --quiet || { $(BIN)/reuse lint; exit 1; }
 
-docs: $(LINT_STAMP) ### the pages that are made: the picture of the rooms, the Python reference, the tables of keys and errors
+docs: $(LINT_STAMP) ### the pages that are made: the picture of the rooms, the tables of keys and errors, and the Python reference in build/reference
 	@for script in rooms reference schema_tables reconfiguration_tables; do $(BIN)/python docs/$$script.py || exit 1; done
 
 format: $(LINT_STAMP) ### format Python and C

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write ``docs/reference`` from the docstrings of the public API: ``python docs/reference.py``.
+"""Write ``build/reference`` from the docstrings of the public API: ``python docs/reference.py [FOLDER]``.
 
 The package is read, not imported (griffe), so that the pages are the same wherever they are made.
 """
@@ -7,6 +7,7 @@ The package is read, not imported (griffe), so that the pages are the same where
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,14 +15,14 @@ from typing import Any
 import griffe
 
 DOCS = Path(__file__).parent
-FOLDER = DOCS / "reference"
+FOLDER = DOCS.parent / "build" / "reference"
 
 # Page → its title, what it is for, and the modules whose public names stand on it. A module with __all__, or one that
 # imports names as themselves, shows those; another what it defines, or what stands behind a colon.
 PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "client": (
         "The blocking client",
-        "`cm.connect()` gives a `Board`; the rest hangs on it. [The guide](../client.md).",
+        "`cm.connect()` gives a `Board`; the rest hangs on it. [The guide](../../docs/client.md).",
         (
             "cm.client.board", "cm.client.registers", "cm.client.core.generations", "cm.client.interrupts",
             "cm.client.memories", "cm.client.stream", "cm.client.frame", "cm.client.mapping", "cm.client.writer",
@@ -31,7 +32,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     ),
     "aio": (
         "The asyncio client",
-        "`cm.aio.connect()`: the same names, awaited. [What differs](../client.md).",
+        "`cm.aio.connect()`: the same names, awaited. [What differs](../../docs/client.md).",
         (
             "cm.client.aio.board", "cm.client.aio.registers", "cm.client.aio.interrupts", "cm.client.aio.memories",
             "cm.client.aio.stream", "cm.client.aio.writer", "cm.client.aio.change", "cm.client.aio.lease",
@@ -41,13 +42,13 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "messages": ("What the manager tells", "Statuses, plans, descriptions, events.", ("cm.wire.messages.status",)),
     "errors": (
         "Errors",
-        "Each has a stable `code`; [what each means](../reconfiguration.md#errors).",
+        "Each has a stable `code`; [what each means](../../docs/reconfiguration.md#errors).",
         ("cm.errors", "cm.client.errors"),
     ),
-    "device": ("Devices", "Without a manager. [The guide](../device.md).", ("cm.device",)),
+    "device": ("Devices", "Without a manager. [The guide](../../docs/device.md).", ("cm.device",)),
     "sim": (
         "The simulated board",
-        "From Python, for tests. [The guide](../simulator.md).",
+        "From Python, for tests. [The guide](../../docs/simulator.md).",
         (
             "cm.simulation.software", "cm.simulation.software.hardware.board_spec:ModuleSpec",
             "cm.simulation.software.hardware.board_spec:ChannelSpec",
@@ -57,13 +58,13 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     ),
     "schema": (
         "Runtime schemas",
-        "Loading and checking them. [The format](../schema.md).",
+        "Loading and checking them. [The format](../../docs/schema.md).",
         ("cm.schema", "cm.schema.model", "cm.schema.pictures"),
     ),
     "fleet": (
         "Many boards",
         "`cm.fleet.connect()` gives a `Fleet` whose calls block, `cm.fleet.aio.connect()` one whose calls are awaited: "
-        "the same names, arguments and errors. [The guide](../fleet.md).",
+        "the same names, arguments and errors. [The guide](../../docs/fleet.md).",
         (
             "cm.networks.fleet.aio", "cm.networks.fleet.looking", "cm.networks.fleet.change:Course Leg",
             "cm.networks.fleet.asking:Answer Told",
@@ -75,7 +76,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     ),
     "bitstream": (
         "Bitstreams",
-        "Read, checked, converted. [The guide](../bitstreams.md).",
+        "Read, checked, converted. [The guide](../../docs/bitstreams.md).",
         ("cm.formats.bitstream", "cm.formats.bitstream.report:Section"),
     ),
 }  # fmt: skip
@@ -96,7 +97,7 @@ MEMBERS_INTERNAL = {"ask", "run", "subscribe", "end", "nothing"}  # for what han
 _DUNDERS = {"__getitem__", "__setitem__", "__iter__", "__len__", "__contains__", "__array__"}
 _PLAIN_BASES = ("Generic", "Protocol", "Guarded")
 _PREFACE = (
-    "Made from docstrings by `make docs`; a test compares. `Limit` is a time-out in seconds, or None, which waits for "
+    "Made from docstrings by `make docs`. `Limit` is a time-out in seconds, or None, which waits for "
     "ever; left out (`DEFAULT`) it is that of the board or of the stream."
 )
 _SECTION = re.compile(r"^(Args|Arguments|Returns|Raises|Yields):$")
@@ -255,16 +256,12 @@ def _text(found: Any) -> list[str]:
     return [*lines, ""]
 
 
-def write() -> None:
-    """Write all pages, and remove those that no longer exist."""
-    FOLDER.mkdir(exist_ok=True)
-    made = pages()
-    for old in FOLDER.glob("*.md"):
-        if old.name not in made:
-            old.unlink()
-    for name, text in made.items():
-        (FOLDER / name).write_text(text, "utf-8")
+def write(folder: Path) -> None:
+    """Write all pages."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in pages().items():
+        (folder / name).write_text(text, "utf-8")
 
 
 if __name__ == "__main__":
-    write()
+    write(Path(sys.argv[1]) if sys.argv[1:] else FOLDER)
