@@ -58,6 +58,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         add_json_option(action)
 
 
+def _elements(stream: StreamStatus) -> str:
+    return f"{stream.dtype} {stream.format}".rstrip()
+
+
 def run_list(args: argparse.Namespace) -> int:
     """Print the streams; the exit status."""
     with connected(args) as board:
@@ -66,7 +70,15 @@ def run_list(args: argparse.Namespace) -> int:
         print_json([plain(s) for s in streams])
         return 0
     rows = [
-        (s.name, s.channel, s.direction, "x".join(map(str, s.shape)) or "-", s.dtype, s.slots, *_flow(s))
+        (
+            s.name,
+            s.channel,
+            s.direction,
+            "x".join(map(str, s.shape)) or "-",
+            f"{s.dtype} {s.format}".rstrip(),
+            s.slots,
+            *_flow(s),
+        )
         for s in streams
     ]
     print_table(
@@ -132,7 +144,7 @@ def run_set(args: argparse.Namespace) -> int:
         print_json(plain(stream))
         return 0
     shape = "x".join(map(str, stream.shape)) or "any length"
-    print(f"{stream.name}: {shape} {stream.dtype}, {stream.slots} slots, {', '.join(_switches(stream))}")
+    print(f"{stream.name}: {shape} {_elements(stream)}, {stream.slots} slots, {', '.join(_switches(stream))}")
     return 0
 
 

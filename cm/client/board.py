@@ -275,6 +275,7 @@ class Board(Guarded):
         compression: str = "",
         lease: str = "",
         copy: bool = False,
+        raw: bool = False,
     ) -> Stream:
         """The frames of a stream, as a context manager and iterator; lost frames show as gaps in `sequence`.
 
@@ -286,15 +287,16 @@ class Board(Guarded):
         for ever. `lease`: your lease's id, if a stream with back-pressure belongs to a region under a lease.
         `copy`: use ZeroMQ on the manager's machine too, so that nobody else can access the frames (docs/security.md).
         Guests of a bridge request each frame (`newest`), in their own name.
+        A stream with a `format` gives RGB, as copies unless it is `rgb`; `raw`: its bytes as they are.
         """
         from cm.client.core.remote_stream import Wanted, check_compression
         from cm.client.stream import LocalStream, NewestStream, RemoteStream  # imported here: they need numpy
 
         if self._place.data is not None and not copy:
             check_compression(compression)
-            wanted = Open(name, depth=depth, lease=self._leases.named(lease))
+            wanted = Open(name, depth=depth, lease=self._leases.named(lease), raw=raw)
             return self._sockets.using(LocalStream(self._place.data, wanted, timeout, newest, owner=self))
-        published = Wanted(name, timeout, newest or bool(self._place.guest), compression, depth)
+        published = Wanted(name, timeout, newest or bool(self._place.guest), compression, depth, raw)
         if published.newest:
             return NewestStream(self, published, self._new_link)
         return RemoteStream(self, published)
@@ -341,8 +343,15 @@ class Board(Guarded):
             raise
 
     def write(self, stream: str, data: Any, lease: str = "") -> FrameInfo:
-        """Send an array or bytes to the hardware; returns when the hardware has taken them."""
+        """Send an array or bytes to the hardware; returns when the hardware has taken them.
+
+        An array (rows, columns, 3) for a stream with a `format` is RGB; all else is sent as it is.
+        """
         call = self.run(uploads.write_data(stream, data, lease))
+        try:
+            return self._ask_with_uploads(call, later(self.timeout, 5.0))
+        except RequestFailed as error:
+            call = self.run(uploads.recoded(error, stream, data, lease))
         return self._ask_with_uploads(call, later(self.timeout, 5.0))
 
     def allocate(

@@ -16,8 +16,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
+
 from cm.client.errors import ConnectionLost, LateRelease, NotAdmitted, request_error
 from cm.client.forks import not_for_children
+from cm.client.frame import Frame, in_rgb
 from cm.client.mapping import LocalFrame, SlotMappings, lend
 from cm.errors import NotFound
 from cm.wire import plane_packets as packets
@@ -111,7 +114,7 @@ class DataConnection:
             micro = 0 if seconds is None or self._polls else max(1, math.ceil(seconds * 1e6))
             self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIMEVAL.pack(*divmod(micro, 1_000_000)))
 
-    def receive(self, flags: int = 0) -> LocalFrame | None:
+    def receive(self, flags: int = 0) -> Frame | None:
         """Handle one packet; the frame if it was one. Raises BlockingIOError at the time-out, ConnectionLost, …"""
         if self._polls and not flags:
             self._await_packet(self._timeout or 0.0)
@@ -134,7 +137,7 @@ class DataConnection:
             handler(head, size, fds)
         return None
 
-    def take(self) -> LocalFrame | None:
+    def take(self) -> Frame | None:
         """As `receive`, but never waits. Raises BlockingIOError if nothing is there."""
         return self.receive(_DONTWAIT)
 
@@ -142,12 +145,22 @@ class DataConnection:
         if not self._readable.poll(math.ceil(seconds * 1000)):
             raise BlockingIOError(errno.EAGAIN, f"no packet within {seconds:g} s")
 
-    def _frame(self, memory: SlotMappings, head: Descriptor) -> LocalFrame:
+    def _frame(self, memory: SlotMappings, head: Descriptor) -> Frame:
         if self._expected is not None:
             self.lost += (head.sequence - self._expected) % _SEQUENCES
         self._expected = head.sequence + 1
         self.held += 1
-        return lend(memory, head, self.names, self.give_back, self.generation)
+        frame = lend(memory, head, self.names, self.give_back, self.generation)
+        return self._in_rgb(frame, memory.geometry.format) if memory.coded and not self.wanted.raw else frame
+
+    def _in_rgb(self, frame: LocalFrame, form: str) -> Frame:
+        """A copy in RGB, for which the slot is not needed any more; a frame that was cut short is bytes as they are."""
+        if frame.ndim != 3:
+            return frame
+        try:
+            return in_rgb(np.asarray(frame), form, frame.info)
+        finally:
+            frame.release()
 
     def give_back(self, memory: SlotMappings, frame: Descriptor) -> None:
         """Release a frame; if the stream was stopped meanwhile nothing is sent: its memory is not used again."""

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from cm.client.colours import AS_IT_IS, KNOWN, to_rgb
 from cm.client.picture import has_rows, png
 from cm.errors import InvalidRequest
 from cm.wire.messages.status import FrameInfo
@@ -69,15 +71,26 @@ class Frame(np.ndarray[Any, np.dtype[Any]]):
         return np.asarray(self).__reduce__() if self._is_view() else (_framed, (self.copy(), self.info))
 
 
-def frame_of(info: FrameInfo, payload: Any) -> Frame:
-    """A payload as an array of the shape and dtype that stand beside it. Raises InvalidRequest if they disagree."""
+def frame_of(info: FrameInfo, payload: Any, raw: bool = False) -> Frame:
+    """A payload as an array of the shape and dtype that stand beside it, in RGB where it has a format, unless `raw`.
+
+    Raises InvalidRequest if they disagree.
+    """
     try:
         array = np.frombuffer(payload, np.dtype(info.dtype)).reshape(info.shape)
     except (ValueError, TypeError) as error:
         raise InvalidRequest(
             f"frame {info.sequence} of {info.stream!r} does not fit {info.shape} {info.dtype}: {error}"
         ) from error
-    return _framed(array, info)
+    return _framed(array, info) if raw or info.format in AS_IT_IS else in_rgb(array, info.format, info)
+
+
+def in_rgb(pixels: npt.NDArray[Any], form: str, info: FrameInfo) -> Frame:
+    """A frame in memory as one in RGB, which is a copy. Raises InvalidRequest for a format of a newer manager."""
+    if form not in KNOWN:
+        raise InvalidRequest(f"stream {info.stream!r}: pixels of {form!r} are not known here; raw=True reads them")
+    found = to_rgb(pixels, form)
+    return _framed(found, replace(info, shape=found.shape, format="rgb"))
 
 
 def _framed(array: npt.NDArray[Any], info: FrameInfo) -> Frame:

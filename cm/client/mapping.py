@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from cm.client.colours import AS_IT_IS
 from cm.client.errors import FrameReleased
 from cm.client.frame import NO_INFO, Frame
 from cm.client.frame_methods import checked
@@ -34,6 +35,7 @@ class SlotMappings:
         self.epoch = epoch
         self.names = (geometry.stream, geometry.config_name, geometry.mode)
         self.dtype = np.dtype(geometry.dtype)
+        self.coded = geometry.format not in AS_IT_IS  # its pixels are not those of an array in RGB
         self.strides = self._strides()
         self._maps: list[mmap.mmap] = []
         self._fds: list[int] = []  # kept where the memory needs synchronising
@@ -167,6 +169,7 @@ class LocalFrame(Frame):
             lease.names[1],
             lease.names[2],
             generation=lease.generation,
+            format=memory.geometry.format if self.ndim == 3 else "",
         )
 
     @property

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from cm.client.colours import AS_IT_IS, from_rgb, is_rgb
 from cm.client.core.effects import DEFAULT, Deadline, Limit, seconds, time_limit
 from cm.client.data_connection import DataConnection
 from cm.client.errors import BoardClosed, ConnectionLost, TransferFailed
@@ -101,10 +102,15 @@ class Writer:
             raise
 
     def write(self, data: npt.ArrayLike, timeout: Limit = DEFAULT) -> None:
-        """Copy a frame, as an array or its bytes, into a slot and send it; returns at once. Raises as `slot` does."""
+        """Copy a frame, as an array or its bytes, into a slot and send it; returns at once. Raises as `slot` does.
+
+        An array (rows, columns, 3) for a stream with a `format` is RGB; all else is sent as it is.
+        """
         plain = isinstance(data, (bytes, bytearray, memoryview))
         array = np.frombuffer(data, np.uint8) if plain else np.asarray(data)  # type: ignore[arg-type]
         geometry = self.geometry
+        if geometry is not None and geometry.format not in AS_IT_IS and is_rgb(data):
+            array = from_rgb(array, geometry.format)
         if geometry is not None and geometry.frame_length and array.nbytes != geometry.frame_length:
             raise InvalidRequest(
                 f"stream {self.name!r} takes frames of {geometry.frame_length} bytes; this one has {array.nbytes}"

@@ -172,6 +172,7 @@ def stream_status(stream: Stream) -> StreamStatus:
         backpressure=stream.backpressure,
         stride=stream.stride or 0,
         limit=stream.limit or 0.0,
+        format=stream.format or "",
     )
 
 

@@ -35,7 +35,7 @@ from cm.schema.model import (
     StaticIdentity,
     Stream,
 )
-from cm.schema.pictures import camera_info
+from cm.schema.pictures import camera_info, pixel_shape
 from cm.schema.problems import KeyPath, did_you_mean, key_path
 
 STATIC = "static"  # what `region:` says for the static part
@@ -379,8 +379,16 @@ def _streams(
             continue
         changes = _stream_values(values)
         start = base.get(name) or Stream(name, changes.get("channel", name), changes["direction"], region=through)
-        found[name] = replace(start, **changes)
+        found[name] = _of_pixels(replace(start, **changes), changes)
     return MappingProxyType(found)
+
+
+def _of_pixels(stream: Stream, changes: dict[str, Any]) -> Stream:
+    """The stream with the third axis that its format says, where that is said anew."""
+    shape = stream.shape
+    if shape is not None and "format" in changes and "shape" not in changes:
+        shape = shape[:2]  # pixels of another size
+    return replace(stream, shape=pixel_shape(shape, stream.format))
 
 
 def _stream_values(values: dict[str, Any]) -> dict[str, Any]:

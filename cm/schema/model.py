@@ -295,6 +295,7 @@ class Stream:
     backpressure: bool = False  # readers lose nothing: the hardware waits for the slowest
     stride: int | None = None  # bytes from line to line in memory (VDMA); None: lines follow each other
     limit: float | None = None  # frames handed on per second at most; None: all
+    format: str | None = None  # of pixels in memory, a key of `pictures.FORMATS`: clients read and write RGB
     encoding: str | None = None  # of a pixel, by ROS's names; None: what shape and dtype say
     frame_id: str | None = None  # the coordinates that the data are in; None: the stream's name
     camera_info: CameraInfo | None = None

@@ -11,6 +11,7 @@ import re
 from dataclasses import dataclass
 from typing import Any
 
+FORMATS = {"rgb": 3, "bgr": 3, "rbg": 3, "yuv422": 2}  # of a stream's pixels in memory, with the bytes of each
 _BYTES = {"8": 1, "16": 2, "32": 4, "64": 8}
 _CHANNELS = {"mono": 1, "rgb": 3, "bgr": 3, "rgba": 4, "bgra": 4}
 _COLOURS = re.compile(r"(mono|rgba?|bgra?)(8|16)")
@@ -101,6 +102,27 @@ def pixel_bytes(encoding: str) -> int:
     if found := _PLAIN.fullmatch(encoding):
         return _BYTES[found[1]] * int(found[2])
     raise KeyError(encoding)
+
+
+def pixel_shape(shape: tuple[int, ...] | None, form: str | None) -> tuple[int, ...] | None:
+    """The shape of frames in memory: rows and columns get the bytes of a pixel of the format as their third axis."""
+    if form is not None and shape is not None and len(shape) == 2:
+        return (*shape, FORMATS[form])
+    return shape
+
+
+def format_misfit(form: str, shape: tuple[int, ...] | None, dtype: str) -> str:
+    """Why frames in memory are not pictures of this format; empty if they are."""
+    size = FORMATS[form]
+    if dtype != "uint8":
+        return f"pixels of {form} are bytes, not {dtype}"
+    if shape is None or len(shape) != 3:
+        return f"{form} is of pictures, and the frames have no rows and columns"
+    if shape[2] != size:
+        return f"a pixel of {form} has {size} bytes, not {shape[2]}"
+    if form == "yuv422" and shape[1] % 2:
+        return f"pixels of yuv422 share their colour in pairs, and a line has {shape[1]}"
+    return ""
 
 
 def misfit(encoding: str, shape: tuple[int, ...] | None, item: int) -> str:

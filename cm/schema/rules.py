@@ -19,7 +19,7 @@ from cm.schema.model import (
     StaticIdentity,
     Stream,
 )
-from cm.schema.pictures import implied_encoding, misfit
+from cm.schema.pictures import format_misfit, implied_encoding, misfit
 from cm.schema.problems import KeyPath, did_you_mean
 from cm.schema.rules_interrupts import check_interrupts
 from cm.schema.rules_memories import check_memories
@@ -211,6 +211,14 @@ def _check_streams(
 
 def _check_picture(stream: Stream, path: KeyPath, context: Context) -> None:
     """Pixels of the encoding are as long as those of the frames."""
+    if stream.format is not None:
+        problem = format_misfit(stream.format, stream.shape, stream.dtype)
+        if problem:
+            context.report((*path, "format"), "encoding_mismatch", problem, "shape: [rows, columns], and dtype uint8")
+        if stream.encoding is not None:
+            hint = "leave it out: bridges pass on rgb8"
+            context.report((*path, "encoding"), "not_applicable", "format says what a pixel is", hint)
+        return
     if stream.encoding is None:
         return
     problem = misfit(stream.encoding, stream.shape, ITEM_BYTES[stream.dtype])

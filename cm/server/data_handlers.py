@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 
-from cm.errors import CmError
+from cm.errors import CmError, InvalidRequest
 from cm.manager.access.memory_service import MemoryService, Transfer
 from cm.manager.errors import UnknownStream
 from cm.manager.manager import Manager
@@ -20,7 +20,13 @@ from cm.server.steps import Done, Steps
 from cm.server.streams.running import Streams
 from cm.server.streams.stream import Frame
 from cm.wire.messages import requests as rq
-from cm.wire.messages.status import ConfigInfo, FrameInfo, Reply, StreamStatus
+from cm.wire.messages.status import PIXEL_FORMAT, ConfigInfo, FrameInfo, Reply, StreamStatus
+
+
+class OtherPixels(InvalidRequest):
+    """A picture for a stream whose pixels lie in another order in memory."""
+
+    code = PIXEL_FORMAT
 
 
 class MemoryTransfers:
@@ -140,7 +146,9 @@ class DataHandlers:
             self._transfer(client, written, respond)
             return
         if request.stream:
-            self._stream(request.stream)
+            stream = self._stream(request.stream)
+            if request.format and stream.format and request.format != stream.format:
+                raise OtherPixels(f"stream {stream.name!r} takes pixels of {stream.format}, not {request.format}")
 
         def done(result: Frame | CmError | OSError) -> None:
             self._told(respond, result.info if isinstance(result, Frame) else result)

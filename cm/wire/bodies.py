@@ -179,6 +179,7 @@ def stream_to_pb(s: st.StreamStatus) -> pb.StreamState:
         exact=s.exact,
         max_length=s.max_length,
         last_error=None if s.last_error is None else error_to_pb(s.last_error),
+        format=s.format,
     )
 
 
@@ -211,6 +212,7 @@ def stream_from_pb(m: pb.StreamState) -> st.StreamStatus:
         m.exact,
         m.max_length,
         error_from_pb(m.last_error) if m.HasField("last_error") else None,
+        m.format,
     )
 
 
@@ -416,6 +418,7 @@ def frame_to_pb(f: st.FrameInfo) -> pb.Frame:
         compression=f.compression,
         offset=f.offset,
         generation=f.generation,
+        format=f.format,
     )
 
 
@@ -432,6 +435,7 @@ def frame_from_pb(m: pb.Frame) -> st.FrameInfo:
         m.compression,
         m.offset,
         m.generation,
+        m.format,
     )
 
 

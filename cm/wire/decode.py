@@ -171,7 +171,7 @@ def _write_data(message: bytes, payload: Sequence[Frame]) -> rq.Request:
         raise InvalidRequest(
             f"cm_write_data: {len(payload)} payload frames; one frame of data is expected, or an upload"
         )
-    return rq.WriteData(m.stream, b"" if m.upload else payload[0], m.lease, m.offset, m.upload)
+    return rq.WriteData(m.stream, b"" if m.upload else payload[0], m.lease, m.offset, m.upload, m.format)
 
 
 def _upload(message: bytes, payload: Sequence[Frame]) -> rq.Request:

@@ -96,7 +96,9 @@ def _write_data(r: rq.WriteData) -> list[Frame]:
     _place(r.stream, r.offset)
     return [
         topics.WRITE_DATA,
-        pb.WriteData(stream=r.stream, lease=r.lease, offset=r.offset, upload=r.upload).SerializeToString(),
+        pb.WriteData(
+            stream=r.stream, lease=r.lease, offset=r.offset, upload=r.upload, format=r.format
+        ).SerializeToString(),
         *(() if r.upload else (r.data,)),
     ]
 

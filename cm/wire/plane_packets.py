@@ -43,7 +43,7 @@ class Descriptor(NamedTuple):
 @dataclass(frozen=True, slots=True)
 class Open:
     """What a client wants: a stream to read or write, memory that comes back at once (`echo`), or memory for masters
-    in the PL (`allocate`)."""
+    in the PL (`allocate`). `raw`, which is not sent: pixels as they lie in memory, whatever the stream's format."""
 
     name: str
     write: bool = False
@@ -52,6 +52,7 @@ class Open:
     length: int = 0
     lease: str = ""
     allocate: bool = False
+    raw: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +71,7 @@ class Geometry:
     stream: str = ""
     config_name: str = ""
     mode: str = ""
+    format: str = ""  # of pixels, as in the runtime schema; a fourth name, which older readers leave alone
 
 
 def encode_open(wanted: Open) -> bytes:
@@ -120,6 +122,7 @@ def encode_geometry(geometry: Geometry) -> bytes:
         geometry.dtype.encode(),
     )
     names = encode_names(geometry.stream, geometry.config_name, geometry.mode)
+    names += encode_names(geometry.format) if geometry.format else b""
     return Descriptor(kind=GEOMETRY).pack() + body + names
 
 
@@ -129,7 +132,7 @@ def decode_geometry(packet: bytes) -> Geometry:
     if len(packet) < end:
         raise InvalidRequest("a GEOMETRY packet is too short")
     slot, frame, flags, depth, stride, dimensions, *rest = _GEOMETRY.unpack_from(packet, DESCRIPTOR.size)
-    stream, config_name, mode = decode_names(packet[end:])
+    stream, config_name, mode, form = decode_names(packet[end:], 4)
     return Geometry(
         slot,
         frame,
@@ -143,6 +146,7 @@ def decode_geometry(packet: bytes) -> Geometry:
         stream,
         config_name,
         mode,
+        form,
     )
 
 
@@ -168,9 +172,9 @@ def encode_names(*names: str) -> bytes:
     return b"".join(name.encode() + b"\0" for name in names)
 
 
-def decode_names(text: bytes) -> list[str]:
-    """Three names: stream, configuration, mode."""
-    return [part.decode("utf-8", "replace") for part in [*text.split(b"\0"), b"", b"", b""][:3]]
+def decode_names(text: bytes, count: int = 3) -> list[str]:
+    """Three names: stream, configuration, mode; and, of a GEOMETRY, the format."""
+    return [part.decode("utf-8", "replace") for part in [*text.split(b"\0"), *[b""] * count][:count]]
 
 
 def _head(packet: bytes) -> Descriptor:

@@ -82,7 +82,8 @@ struct cm_plane_descriptor {
  * @shape: extents of a whole frame
  * @dtype: numpy's name of an element's type, NUL-terminated
  *
- * Behind it the names of stream, configuration and mode, each with a NUL.
+ * Behind it the names of stream, configuration and mode, and the pixels' format
+ * if the stream has one, each with a NUL.
  */
 struct cm_plane_geometry {
 	uint64_t slot_length;

@@ -154,14 +154,14 @@ def describe_stream(name: str) -> Call[StreamStatus]:
     return Call(rq.DescribeData(name), lambda r: _body(r, StreamStatus))
 
 
-def read_data(stream: str, timeout: float) -> Call[Frame]:
-    """The next frame of a stream."""
+def read_data(stream: str, timeout: float, raw: bool = False) -> Call[Frame]:
+    """The next frame of a stream. `raw`: pixels as they lie in memory."""
 
     def result(reply: Reply) -> Frame:
         from cm.client.frame import frame_of  # imported here: it needs numpy
 
         info = _body(reply, FrameInfo)
-        return frame_of(info, reply.payload[0] if reply.payload else b"")
+        return frame_of(info, reply.payload[0] if reply.payload else b"", raw)
 
     return Call(rq.ReadData(stream, timeout), result)
 
@@ -170,7 +170,8 @@ def write_data(stream: str, data: Any, lease: str) -> Call[FrameInfo]:
     """Send a frame; the reply comes when the hardware has taken it."""
     plain = isinstance(data, (bytes, bytearray, memoryview)) or not isinstance(data, np.ndarray)
     view = memoryview(data if plain else np.ascontiguousarray(data).data).cast("B")
-    return Call(rq.WriteData(stream, view, lease), lambda r: _body(r, FrameInfo))
+    picture = not plain and data.ndim == 3 and data.shape[2] == 3 and data.dtype == np.uint8
+    return Call(rq.WriteData(stream, view, lease, format="rgb" if picture else ""), lambda r: _body(r, FrameInfo))
 
 
 def define_memory(request: rq.DefineMemory) -> Call[MemoryInfo]:

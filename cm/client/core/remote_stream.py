@@ -34,6 +34,7 @@ class Wanted:
     newest: bool = False
     compression: str = ""
     depth: int = 0  # frames that wait in our socket before newer ones are lost, 0: the usual number
+    raw: bool = False  # pixels as they lie in memory, whatever the stream's format
 
     def __post_init__(self) -> None:
         """Refuse impossible combinations. Raises InvalidRequest, also if a package is missing here."""
@@ -61,7 +62,8 @@ def check_compression(name: str) -> None:
 class Arrivals:
     """Published messages → frames; counts those that are missing between them."""
 
-    def __init__(self) -> None:
+    def __init__(self, raw: bool = False) -> None:
+        self._raw = raw
         self.lost = 0
         self._expected: int | None = None
 
@@ -70,7 +72,7 @@ class Arrivals:
         info = decode_event(frames)
         if not isinstance(info, FrameInfo) or len(frames) != 3:
             raise InvalidRequest(f"{type(info).__name__} in {len(frames)} parts came on a stream's topic")
-        return self.count(frame_of(info, unpacked(info, frames[2])))
+        return self.count(frame_of(info, unpacked(info, frames[2]), self._raw))
 
     def count(self, frame: Frame) -> Frame:
         """Note the frame's number."""
@@ -136,7 +138,7 @@ class PublishedReader:
         self._wanted = wanted
         self._subscribe = subscribe
         self._subscription: Subscription | None = None
-        self._arrivals = Arrivals()
+        self._arrivals = Arrivals(wanted.raw)
 
     @property
     def lost(self) -> int:
@@ -185,7 +187,7 @@ class NewestReader:
             if left <= 0:
                 raise _nothing(self._wanted.name, deadline.limit)
             try:
-                frame: Frame = yield Ask(calls.read_data(self._wanted.name, left), left + _ANSWER)
+                frame: Frame = yield Ask(calls.read_data(self._wanted.name, left, self._wanted.raw), left + _ANSWER)
                 return self._arrivals.count(frame)
             except RequestFailed as error:
                 if is_stopped(error):

@@ -12,9 +12,9 @@ from typing import Any
 from cm.client.core import calls
 from cm.client.core.calls import Call
 from cm.client.core.effects import Flow
-from cm.client.errors import RequestInvalid
+from cm.client.errors import RequestFailed, RequestInvalid
 from cm.wire.messages import requests as rq
-from cm.wire.messages.status import ConfigInfo, FrameInfo
+from cm.wire.messages.status import PIXEL_FORMAT, ConfigInfo, FrameInfo
 
 WHOLE = 4 << 20  # most bytes that are sent in the message itself
 PART = 1 << 20
@@ -41,6 +41,16 @@ def write_data(stream: str, data: Any, lease: str) -> Flow[Call[FrameInfo]]:
         return call
     name = yield from upload(request.data)
     return replace(call, request=replace(request, data=b"", upload=name)) if name else call
+
+
+def recoded(refused: RequestFailed, stream: str, data: Any, lease: str) -> Flow[Call[FrameInfo]]:
+    """A picture in RGB again, as the stream's format has it. Raises `refused` if that was not what it was about."""
+    if refused.code != PIXEL_FORMAT:
+        raise refused
+    from cm.client.colours import from_rgb  # imported here: it needs numpy
+
+    status = yield calls.describe_stream(stream)
+    return (yield from write_data(stream, from_rgb(data, status.format).reshape(-1), lease))
 
 
 def discarding(call: Call[Any]) -> Flow[None]:

@@ -61,6 +61,8 @@ def _literal(value: object) -> str:
     if isinstance(value, str):
         # "8'hFF" is a Verilog number, anything else text
         return value if "'" in value else f'"{value}"'
+    if isinstance(value, int) and value >> 31 > 0:  # as a plain number it has 32 bits with a sign (IEEE 1364, 3.5.1)
+        return f"{value.bit_length()}'d{value}"
     return str(value)
 
 

@@ -12,6 +12,7 @@ from cm.design.plan.engines import Dma, EngineKind
 from cm.design.plan.system import RegionPlan, StreamBus, SwitchPlan
 from cm.design.project.model import Project
 from cm.design.project.source_position import fault
+from cm.schema.pictures import format_misfit, pixel_shape
 from cm.schema.problems import KeyPath
 
 MAX_LINES, MAX_LINE = (1 << 13) - 1, (1 << 16) - 1  # a VDMA's VSIZE, HSIZE (xaxivdma_hw.h of Xilinx/embeddedsw)
@@ -76,7 +77,14 @@ def _of_routes(project: Project, switch: SwitchPlan) -> Iterator[tuple[KeyPath, 
 
 def frame_problem(bus: StreamBus, shape: Sequence[int] | None, dtype: str | None) -> tuple[str, str] | None:
     """Return what is wrong with frames of `shape` × `dtype` on this stream and what would be right, or None."""
-    if bus.dma is None or not shape:
+    if bus.dma is None:
+        return None
+    if bus.spec.format is not None:
+        shape = pixel_shape(tuple(shape) if shape else None, bus.spec.format)
+        problem = format_misfit(bus.spec.format, shape, dtype or bus.spec.dtype)
+        if problem:
+            return problem, "write shape: [rows, columns], and no dtype but uint8"
+    if not shape:
         return None
     if bus.dma.kind is EngineKind.VDMA:
         return _video_problem(bus.dma, shape, dtype or bus.spec.dtype)

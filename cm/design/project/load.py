@@ -36,6 +36,7 @@ from cm.design.project.model import (
     SwitchSpec,
 )
 from cm.schema.model import Access, LoaderKind
+from cm.schema.pictures import pixel_shape
 from cm.schema.problems import KeyPath, Problem, SchemaError, key_path
 from cm.schema.reader import Refused, read
 from cm.schema.structure import Structure
@@ -49,7 +50,8 @@ def connection(spec: dict[str, Any]) -> ConnectionSpec:
     pins = {name.lower(): tuple(given) for name, given in (spec.pop("pins", None) or {}).items()}
     if single:
         pins[""] = tuple(single)
-    return ConnectionSpec(**spec, shape=tuple(shape) if shape else None, pins=pins)
+    given = pixel_shape(tuple(shape) if shape else None, spec.get("format"))
+    return ConnectionSpec(**spec, shape=given, pins=pins)
 
 
 def switch(spec: dict[str, Any], clock: str) -> SwitchSpec:

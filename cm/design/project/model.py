@@ -87,6 +87,7 @@ class ConnectionSpec:
     stream: str | None = None
     shape: tuple[int, ...] | None = None
     dtype: str = "uint8"
+    format: str | None = None  # of pixels, as in a runtime schema
     slots: int = 8
     rate: float | None = None
     max_length: int | None = None

@@ -39,6 +39,7 @@ from cm.schema.model import (
     StaticIdentity,
     Stream,
 )
+from cm.schema.pictures import pixel_shape
 from cm.schema.problems import did_you_mean
 
 REGION_BLOCK = 0x100  # of cm_control.v
@@ -258,7 +259,8 @@ def _mode_stream(
         message = f"mode {mode.name} names the stream {name!r}"
         raise fault(source, ("modes", mode.name, "streams", name), message, did_you_mean(name, streams))
     stream = streams[name]
-    return name, replace(stream, shape=spec.shape or stream.shape, dtype=spec.dtype or stream.dtype)
+    shape = pixel_shape(spec.shape, stream.format) or stream.shape
+    return name, replace(stream, shape=shape, dtype=spec.dtype or stream.dtype)
 
 
 def _static_registers(system: System) -> dict[str, Register]:
@@ -299,12 +301,17 @@ def _streams(system: System, answers: Answers) -> list[Stream]:
         own = answers.streams.get(bus.name)
         shape, dtype, slots = bus.spec.shape, bus.spec.dtype, bus.spec.slots
         if own is not None:
-            shape, dtype, slots = own.shape or shape, own.dtype or dtype, own.slots or slots
+            shape, dtype, slots = (
+                pixel_shape(own.shape, bus.spec.format) or shape,
+                own.dtype or dtype,
+                own.slots or slots,
+            )
         problem = frame_problem(bus, shape, dtype)
         if problem:
             raise BuildError(f"stream {bus.name}: {'; '.join(problem)}")
         direction, region = Direction(bus.dma.direction.value), regions.get(bus.name)
-        found.append(Stream(bus.name, bus.name, direction, shape, dtype, slots, region, rate=bus.spec.rate))
+        told = Stream(bus.name, bus.name, direction, shape, dtype, slots, region, rate=bus.spec.rate)
+        found.append(replace(told, format=bus.spec.format))
     return found
 
 

@@ -170,15 +170,21 @@ def _said(status: Status, config: ConfigInfo) -> Mapping[str, Stream]:
         return {}
 
 
+_ENCODINGS = {"bgr": "bgr8", "rbg": "8UC3", "yuv422": "yuv422_yuy2"}  # ROS's names of pixels in memory
+
+
 def stream_format(now: StreamStatus, said: Stream | None) -> StreamFormat:
     """A stream as it is set now, with what the schema says of its frames."""
     frame_id = said.frame_id if said is not None and said.frame_id else now.name
+    writes = now.direction == "mm2s"
+    shape = (*now.shape[:2], 3) if now.format and not writes else now.shape  # what is read of pixels is RGB
+    named = _ENCODINGS.get(now.format) if writes else None  # what is written goes as it is
     return StreamFormat(
         name=now.name,
-        writes=now.direction == "mm2s",
-        shape=now.shape,
+        writes=writes,
+        shape=shape,
         dtype=now.dtype,
-        encoding=encoding_of(now.shape, now.dtype, said.encoding if said is not None else None),
+        encoding=encoding_of(shape, now.dtype, named or (said.encoding if said is not None else None)),
         frame_id=frame_id,
         camera_info=said.camera_info if said is not None else None,
         rate=(said.rate or 0.0) if said is not None else 0.0,

@@ -10,6 +10,7 @@ from cm.device import DmaCaps, DmaInfo, DmaType
 from cm.device.data_plane import StreamSetup
 from cm.errors import InvalidRequest
 from cm.schema.model import ITEM_BYTES, Direction, Stream
+from cm.schema.pictures import format_misfit, pixel_shape
 from cm.wire.messages.requests import ConfigureStream
 from cm.wire.plane_packets import DIMENSIONS, SLOTS_MAX
 
@@ -32,7 +33,7 @@ def changed(stream: Stream, request: ConfigureStream) -> Stream:
         raise InvalidRequest(f"stream {stream.name!r} cannot be cyclic: only a written frame is repeated")
     result = replace(
         stream,
-        shape=request.shape or stream.shape,
+        shape=pixel_shape(request.shape or stream.shape, stream.format),
         dtype=request.dtype or stream.dtype,
         slots=request.slots or stream.slots,
         limit=(None if math.isinf(request.rate) else request.rate) if request.rate else stream.limit,
@@ -47,6 +48,9 @@ def changed(stream: Stream, request: ConfigureStream) -> Stream:
 def _check(stream: Stream) -> None:
     """Raise InvalidRequest for a geometry that no channel supports."""
     name, shape = f"stream {stream.name!r}", stream.shape
+    problem = format_misfit(stream.format, shape, stream.dtype) if stream.format is not None else ""
+    if problem:
+        raise InvalidRequest(f"{name}: {problem}")
     if shape is not None and (len(shape) > DIMENSIONS or min(shape) < 1):
         raise InvalidRequest(f"{name}: no frame has the shape {shape}; 1 to {DIMENSIONS} extents of at least 1 go")
     if frame_bytes(stream) > _MAX_FRAME:

@@ -145,6 +145,7 @@ class OpenStream:
             stream=s.name,
             config_name=self._names[0],
             mode=self._names[1],
+            format=s.format or "",
         )
 
     def label(self, config: str, mode: str) -> None:
@@ -168,6 +169,7 @@ class OpenStream:
             config_name=self._names[0],
             mode=self._names[1],
             generation=generation,
+            format=(self.stream.format or "") if whole else "",
         )
 
     def status(self) -> StreamStatus:

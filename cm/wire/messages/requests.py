@@ -193,6 +193,7 @@ class WriteData:
     lease: str = ""
     offset: int = 0
     upload: str = ""  # the id of an `Upload` that has the bytes
+    format: str = ""  # of the pixels, if they are any: refused unless the stream's is this, or none
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
+PIXEL_FORMAT = "pixel_format"  # the code of a picture's refusal, whose pixels the client then brings in order
+
 
 class PrMode(str, Enum):
     """What kind of reconfiguration runs, or how the last one ended."""
@@ -115,6 +117,7 @@ class StreamStatus:
     exact: bool = False  # the channel cannot tell how many bytes arrived: each frame must end with TLAST; while open
     max_length: int = 0  # bytes of one transfer at most; 0 while the stream is closed
     last_error: ErrorInfo | None = None  # why it last failed, or lost a transfer, in this mode
+    format: str = ""  # of its pixels in memory
 
 
 @dataclass(frozen=True, slots=True)
@@ -368,6 +371,7 @@ class FrameInfo:
     compression: str = ""
     offset: int = 0
     generation: int = 0  # of the registers, when the frame began; 0: not known
+    format: str = ""  # of the payload's pixels, as in the runtime schema; empty: shape and dtype say all
 
 
 @dataclass(frozen=True, slots=True)

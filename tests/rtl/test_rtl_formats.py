@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures in beats of 8 to 64 bits and their colours, through modules behind DMA and VDMA."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from conftest import HERE, needs
+
+import cm
+
+sys.path.append(str(HERE.parent))
+from manager_process import Manager
+
+from cm.simulation.rtl.main import prepare
+
+pytestmark = [needs("verilator"), needs("g++"), pytest.mark.timeout(600)]
+FORMATS = HERE / "formats/build.yaml"
+
+
+@pytest.fixture(scope="module")
+def board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[cm.Board]:
+    prepare(FORMATS)
+    options = ("--sim=rtl", "--build", str(FORMATS), "--sim-icap-rate", "0")
+    manager = Manager(tmp_path_factory.mktemp("run"), *options).start()
+    try:
+        with manager.connected() as connected:
+            connected.load("formats", mode="all", timeout=120)
+            yield connected
+    finally:
+        manager.stop()
+
+
+def through(board: cm.Board, bits: int, picture: np.ndarray) -> np.ndarray:
+    with board.stream(f"from_{bits}", timeout=60) as back, board.writer(f"to_{bits}", timeout=60) as out:
+        out.write(picture)
+        return np.array(back.read())
+
+
+def rgb(*shape: int) -> np.ndarray:
+    return np.random.default_rng(7).integers(0, 256, (*shape, 3), np.uint8)
+
+
+def without_red(picture: np.ndarray) -> np.ndarray:
+    return picture ^ np.array([0xFF, 0, 0], np.uint8)
+
+
+def test_numbers_of_any_width_keep_their_order_and_the_last_beat_its_length(board: cm.Board) -> None:
+    grey = rgb(5, 7)[..., 0]
+    assert np.array_equal(through(board, 8, grey), ~grey)
+    wide = np.arange(35, dtype=np.uint16).reshape(5, 7) * 1000
+    assert np.array_equal(through(board, 64, wide), ~wide)
+
+
+def test_red_is_where_xilinx_cores_have_it_and_a_frame_has_its_start_and_lines(board: cm.Board) -> None:
+    """Through VDMA: TUSER with the first beat, TLAST with the last of each line; the module turns bits 16 to 23."""
+    picture = rgb(6, 8)
+    assert np.array_equal(through(board, 24, picture), without_red(picture))
+
+
+def test_two_pixels_to_a_beat_and_pixels_across_beats_keep_their_colours(board: cm.Board) -> None:
+    picture = rgb(5, 7)
+    assert np.array_equal(through(board, 32, picture), picture)
+    assert np.array_equal(through(board, 48, picture), without_red(picture))
+
+
+def test_yuv_comes_as_rgb_and_goes_as_it_came(board: cm.Board) -> None:
+    picture = np.full((6, 8, 3), (200, 60, 20), np.uint8)
+    picture[:, 4:] = (10, 90, 180)
+    assert np.abs(through(board, 16, picture).astype(int) - picture).max() <= 3
+    with board.stream("from_16", timeout=60, raw=True) as back:
+        board.write("to_16", picture)
+        assert back.read().shape == (6, 8, 2)
