@@ -26,7 +26,7 @@ ROUNDS ?= 8
 STOPPED ?= 4
 
 .DEFAULT_GOAL := help
-.PHONY: help help-all setup docs web-picture demo demo-authors demo-open demo-ros demo-fleet device-suite test test-bare $(FURTHER:%=test-%) test-c test-node test-go test-rtl test-open test-bench test-ros test-fleet etcd test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
+.PHONY: help help-all setup docs web-picture demo demo-authors demo-open demo-ros demo-fleet device-suite test test-bare $(FURTHER:%=test-%) test-c test-node test-go test-rtl test-open test-bench test-ros test-fleet etcd test-vm vm soak fuzz mutation bench bench-compare bench-counts lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
 
 help: ## the targets that most people need
 	@awk -F':[^#]*## ' '/^[a-z-]+:[^#]*## /{printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -175,8 +175,21 @@ mutation: $(VENV)/.installed-mutation $(VENV)/.installed-test ### whether the un
 bench: $(VENV)/.installed-bench ## measure latency and throughput beside the alternatives
 	$(BIN)/cm bench --json bench.json --plots bench-plots
 
-test-bench: $(VENV)/.installed-test-bench ### every measurement in its quick form: that it runs, not how fast
+test-bench: $(VENV)/.installed-test-bench ### every measurement in its quick form: that it runs, not how fast; and that no route has grown in counts (apt: strace)
 	$(PYTEST) tests/bench $(PYTEST_ARGS)
+
+# Another commit's tree, with an environment of its own; it stays for the next comparison.
+BASE ?= $(shell cat tests/bench/BASE)
+OTHER := build/bench-$(BASE)
+bench-compare: $(VENV)/.installed-bench ### this tree beside another commit, in turns: BASE=COMMIT (default: that of tests/bench/BASE; QUICK=1; apt: strace valgrind)
+	@git cat-file -e '$(BASE)^{commit}' || { echo "bench-compare: this clone does not have $(BASE): git fetch --unshallow"; exit 2; }
+	@test -e $(OTHER)/.venv/.installed || { mkdir -p $(OTHER) && git archive '$(BASE)' | tar -x -C $(OTHER); }
+	@test -e $(OTHER)/.venv/.installed || { $(PYTHON) -m venv $(OTHER)/.venv && cd $(OTHER) && \
+		$(abspath .ci/pip-install) .venv --editable . && touch .venv/.installed; }
+	$(BIN)/cm bench --compare $(OTHER) $(if $(QUICK),--quick)
+
+bench-counts: $(VENV)/.installed-test-bench ### record what each route costs, in counts, to tests/bench/counts.json (apt: strace; tests/bench/test_counts.py says when)
+	$(BIN)/python tests/bench/test_counts.py
 
 lint: $(LINT_STAMP) ## ruff, ruff format, mypy (strict; the client for macOS and Windows too), clang-format, licences (reuse)
 	$(BIN)/ruff check .

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cm.cli.common import print_table
+from cm.errors import InvalidRequest
 
 if TYPE_CHECKING:
     from cm.tools.bench.result import Result
@@ -32,6 +33,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--json", type=Path, metavar="FILE", help="write the results, with everything that describes the run"
     )
     parser.add_argument("--plots", type=Path, metavar="DIR", help="draw the figures as PNG (needs fpga-cm[bench])")
+    parser.add_argument(
+        "--compare",
+        type=Path,
+        metavar="DIR",
+        help="this tree and another (a checkout with its .venv) in turns, instead",
+    )
     parser.add_argument("--quick", action="store_true", help="measure little: shows that it works, not how fast it is")
     parser.set_defaults(run=run)
 
@@ -43,6 +50,8 @@ def run(args: argparse.Namespace) -> int:
     if args.list:
         print("\n".join(table.NAMES))
         return 0
+    if args.compare:
+        return _compare(args)
     cases = table.chosen(args.names)
     if args.plots:
         plots.require()
@@ -58,6 +67,20 @@ def run(args: argparse.Namespace) -> int:
     print_table(report.rows(results), report.HEADERS)
     if args.plots:
         plots.draw(args.plots, results)
+    return 0
+
+
+def _compare(args: argparse.Namespace) -> int:
+    from cm.tools.bench import compare, machine
+
+    if args.names or args.plots:
+        raise InvalidRequest("--compare measures its own routes: it takes no NAME and no --plots")
+    found = machine.describe()
+    with machine.pinned() as cpu:
+        pairs = list(compare.compare(args.compare, args.quick))
+    if args.json:
+        compare.write(args.json, pairs, {**found, "pinned_to_cpu": cpu, "quick": args.quick})
+    print_table([pair.row() for pair in pairs], compare.HEADERS)
     return 0
 
 

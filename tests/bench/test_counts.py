@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""No route grows unseen: calls and system calls of each, which do not depend on the machine, beside recorded ones.
+
+Run as a script, as `make bench-counts` does, it records what it counts for this version of Python in `counts.json`, and
+in `BASE` the commit that was counted.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cm.tools.bench import compare, routes
+
+HERE = Path(__file__).parent
+RECORDED, BASE = HERE / "counts.json", HERE / "BASE"
+PAGE = HERE.parents[1] / "docs/performance.md"
+PYTHON = ".".join(map(str, sys.version_info[:2]))
+GROWTH = 1.03
+WAITS = 1.10  # of a change of mode, whose loop looks after its timers as often as the machine gives it time
+WHY = """
+If that is wanted: commit, `make bench-counts`, and say why under "Counts" of docs/performance.md, which names the
+commit of tests/bench/BASE. `make bench-compare` measures both trees in turns.
+"""
+
+pytestmark = pytest.mark.timeout(600)
+
+
+def recorded() -> dict[str, dict[str, float]]:
+    """The counts of each version of Python."""
+    found: dict[str, dict[str, float]] = json.loads(RECORDED.read_text(encoding="utf-8"))
+    return found
+
+
+def allowed(name: str) -> float:
+    """How many times as much a route may cost."""
+    return WAITS if name == "mode, calls of the manager" else GROWTH
+
+
+@pytest.mark.skipif(not routes.may_trace(), reason="needs strace, and root or a kernel.yama.ptrace_scope of 0")
+@pytest.mark.skipif(PYTHON not in recorded(), reason=f"counts are recorded for Python {', '.join(recorded())}")
+def test_no_route_costs_more_than_is_recorded() -> None:
+    before, now = recorded()[PYTHON], compare.measured(Path(sys.executable), "counts")
+    assert now.keys() == before.keys(), "other routes or figures than recorded: make bench-counts"
+    grown = {name: f"{before[name]} -> {now[name]}" for name in now if now[name] > before[name] * allowed(name)}
+    assert not grown, f"{grown}{WHY}"
+
+
+def test_the_page_names_the_commit_that_was_counted() -> None:
+    assert BASE.read_text(encoding="ascii").strip()[:8] in PAGE.read_text(encoding="utf-8")
+
+
+if __name__ == "__main__":
+    counts = {**recorded(), PYTHON: compare.measured(Path(sys.executable), "counts")}
+    RECORDED.write_text(json.dumps(counts, indent=2) + "\n", encoding="utf-8")
+    commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=HERE, check=True, capture_output=True, text=True).stdout
+    BASE.write_text(commit, encoding="ascii")
