@@ -282,3 +282,30 @@ async def an_error_of_the_configuration_port_is_in_the_bit_that_its_driver_reads
     port.cfgerr_b.value = 1
     await ClockCycles(dut.clk_fclk0, 2)
     assert (await board.read(CONTROL + 0x14))[0] == status_bits("DONE", "EOS")
+
+
+@cocotb.test()
+async def nobody_couples_a_region_while_a_load_is_under_way(dut: object) -> None:
+    board = Board(dut)
+    await board.start()
+
+    async def decoupled() -> int:
+        return (await board.read(CONTROL + 0x100))[0]
+
+    async def word(value: int, last: bool) -> None:
+        dut.axis_icap_tvalid.value, dut.axis_icap_tdata.value, dut.axis_icap_tlast.value = 1, value, int(last)
+        await RisingEdge(dut.clk_fclk0)
+        dut.axis_icap_tvalid.value = 0
+        await ClockCycles(dut.clk_fclk0, 5)
+
+    await board.write(CONTROL + 0x100, 1)
+    await board.write(CONTROL + 0x100, 0)
+    assert await decoupled() == 0
+    await word(0xAA995566, last=False)
+    await board.write(CONTROL + 0x100, 1)  # to cut off is allowed at any time
+    await board.write(CONTROL + 0x100, 0)
+    assert await decoupled() == 1
+    await word(0x0000000D, last=True)
+    assert await decoupled() == 1
+    await board.write(CONTROL + 0x100, 0)
+    assert await decoupled() == 0

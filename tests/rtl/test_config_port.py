@@ -69,7 +69,7 @@ module bench;
     reg [32:0] words [0:%COUNT%-1];
     integer n = 0, taken = 0, seed = 7;
     wire ready;
-    wire [1:0] status;
+    wire [2:0] status;
     wire [31:0] count;
     always #5 clk = ~clk;
     cm_icap #(.ULTRASCALE(%ULTRASCALE%)) dut (.clk(clk), .resetn(resetn), .s_tvalid(valid), .s_tready(ready),
@@ -119,20 +119,20 @@ def test_a_bitstream_reaches_the_port_swapped_and_is_taken(tmp_path: Path, devic
     words = bitstream(device)
     taken, said = fed(tmp_path, device, words)
     assert taken == [swapped(word) for word in words]
-    assert said == f"status 01 count {len(words)} synced 0 failed 0"
+    assert said == f"status 001 count {len(words)} synced 0 failed 0"
 
 
 def test_a_port_that_is_not_available_loses_no_word_and_gets_none_twice(tmp_path: Path) -> None:
     words = bitstream("xczu3eg")
     taken, said = fed(tmp_path, "xczu3eg", words, stalls=True)
     assert taken == [swapped(word) for word in words]
-    assert said.startswith("status 01")
+    assert said.startswith("status 001")
 
 
 @pytest.mark.parametrize("device", ["xc7z020", "xczu3eg"])
 def test_a_wrong_crc_is_in_the_status_that_the_driver_reads(tmp_path: Path, device: str) -> None:
     _, said = fed(tmp_path, device, with_crc(bitstream(device), 0x100))
-    assert said.startswith("status 11")
+    assert said.startswith("status 011")
     assert said.endswith("failed 1")
 
 
@@ -140,13 +140,13 @@ def test_a_wrong_crc_is_in_the_status_that_the_driver_reads(tmp_path: Path, devi
 def test_a_good_load_after_a_failed_one_shows_no_error(tmp_path: Path, device: str) -> None:
     words = bitstream(device)
     _, said = fed(tmp_path, device, [*with_crc(words, 1), *words])
-    assert said.startswith("status 01")
+    assert said.startswith("status 001")
 
 
 def test_words_that_were_not_word_swapped_never_synchronise_and_the_end_is_reported(tmp_path: Path) -> None:
     words = [int.from_bytes(word.to_bytes(4, "big"), "little") for word in bitstream("xc7z020")]
     _, said = fed(tmp_path, "xc7z020", words)
-    assert said.startswith("status 01")  # nothing tells: the port ignores all of it
+    assert said.startswith("status 001")  # nothing tells: the port ignores all of it
 
 
 @pytest.mark.skipif("CM_CORPUS" not in os.environ, reason="needs CM_CORPUS: a folder with bitstreams")

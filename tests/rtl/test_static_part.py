@@ -39,7 +39,7 @@ def test_a_module_works_in_its_region(module: str, camera: tuple[Design, Path], 
     assert static is not None
     environment = {"CM_MODULE": module, "CM_IDENTITY": str(one.identity), "CM_STATIC_ID": str(static.identity)}
     ran = simulate("cm_static", sources, "cocotb_static_part", tmp_path, **environment)
-    assert len(ran) == (10 if module == "edge" else 9)
+    assert len(ran) == (11 if module == "edge" else 10)
 
 
 def test_garbage_of_a_region_is_kept_from_the_static_part(camera: tuple[Design, Path], tmp_path: Path) -> None:

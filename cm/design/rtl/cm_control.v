@@ -12,7 +12,8 @@
 //   0x01C STATIC_ID  ro   which static part this is: a hash of what it was generated from
 //   0x020 + 0x10 * (k - 1)  the same three registers for lines 32 * k to 32 * k + 31, k from 1 to 3
 // and for region n at 0x100 + 0x10 * n, so that a driver can own one region's register:
-//   +0x0 DECOUPLE    rw   [0] cut the region off
+//   +0x0 DECOUPLE    rw   [0] cut the region off; is not cleared while the ICAP takes a load, whoever writes it: that
+//                         page has to be user space's too, and a mapping knows no registers
 //   +0x4 RESET       rw   [0] hold its module in reset
 //   +0x8 STATUS      ro   [0] cut off, nothing pending on the static side;
 //                         [1] it left an access unanswered and was cut off for that
@@ -49,7 +50,7 @@ module cm_control #(
     input  wire [REGIONS-1:0]    decoupled,
     input  wire [REGIONS-1:0]    stuck,
     input  wire [REGIONS*32-1:0] identity,
-    input  wire [1:0]            icap_status,
+    input  wire [2:0]            icap_status, // of cm_icap.v
     input  wire [31:0]           icap_words,
     input  wire [IRQS-1:0]       irq_lines,
     output wire                  irq
@@ -118,7 +119,8 @@ module cm_control #(
             else if (s_bready) s_bvalid <= 1'b0;
             irq_enable <= next_enable[IRQS-1:0];
             for (n = 0; n < REGIONS; n = n + 1) begin
-                if (write && s_wstrb[0] && waddr == region_word(n[7:0], 2'd0)) decouple[n] <= s_wdata[0];
+                if (write && s_wstrb[0] && waddr == region_word(n[7:0], 2'd0))
+                    decouple[n] <= s_wdata[0] || (decouple[n] && icap_status[2]);
                 if (write && s_wstrb[0] && waddr == region_word(n[7:0], 2'd1)) region_reset[n] <= s_wdata[0];
             end
         end
@@ -130,7 +132,7 @@ module cm_control #(
         case (raddr)
             10'h000: value = ID;
             10'h001: value = {16'd0, IRQS[7:0], REGIONS[7:0]};
-            10'h005: value[2:0] = {icap_status[0], icap_status};
+            10'h005: value[2:0] = {icap_status[0], icap_status[1:0]};
             10'h006: value = icap_words;
             10'h007: value = STATIC_ID;
             default: begin

@@ -17,7 +17,7 @@ module cm_icap #(
     output wire        s_tready,
     input  wire [31:0] s_tdata,
     input  wire        s_tlast,
-    output wire [1:0]  status,  // [0] the last load ended, [1] error
+    output wire [2:0]  status,  // [0] the last load ended, [1] error, [2] one is under way
     output reg  [31:0] words    // of the running or last load
 );
     reg  [31:0] word;
@@ -35,7 +35,7 @@ module cm_icap #(
 
     wire csib = !(pending && available);
     assign s_tready = !pending || available;
-    assign status   = {failed, done};
+    assign status   = {!fresh || pending, failed, done};
 
     always @(posedge clk) begin
         if (!resetn) begin

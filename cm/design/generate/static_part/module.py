@@ -64,10 +64,10 @@ def _control(net: Netlist, system: System) -> None:
     net.wire("irq_lines", max(1, lines), indexed=True)
     if not lines:
         net.assign("irq_lines", "1'b0")
-    net.wire("icap_status", 2)
+    net.wire("icap_status", 3)
     net.wire("icap_words", 32)
     if not system.icap:
-        net.assign("icap_status", zeros(2))
+        net.assign("icap_status", zeros(3))
         net.assign("icap_words", zeros(32))
     connections: dict[str, str | None] = {"clk": f"clk_{domain.clock}", "resetn": f"resetn_{domain.clock}"}
     for signal, _, _ in LITE:

@@ -71,7 +71,7 @@ module cm_static (
     wire [0:0] stuck;
     wire [31:0] identity;
     wire [0:0] irq_lines;
-    wire [1:0] icap_status;
+    wire [2:0] icap_status;
     wire [31:0] icap_words;
     wire prr0_aclk;
     wire prr0_aresetn;
@@ -184,7 +184,7 @@ module cm_static (
         .REGIONS(1),
         .IRQS(1),
         .IRQ_EDGE(1'b1),
-        .STATIC_ID(32'hB86E4FBD)
+        .STATIC_ID(32'hC93B52A0)
     ) control (
         .clk(clk_fclk0),
         .resetn(resetn_fclk0),

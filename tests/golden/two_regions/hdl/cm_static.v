@@ -117,7 +117,7 @@ module cm_static (
     wire [1:0] stuck;
     wire [63:0] identity;
     wire [0:0] irq_lines;
-    wire [1:0] icap_status;
+    wire [2:0] icap_status;
     wire [31:0] icap_words;
     wire filter_aclk;
     wire filter_aresetn;
@@ -324,7 +324,7 @@ module cm_static (
         .REGIONS(2),
         .IRQS(1),
         .IRQ_EDGE(1'b1),
-        .STATIC_ID(32'hFB4B7A72)
+        .STATIC_ID(32'h8D9F1320)
     ) control (
         .clk(clk_pl_clk0),
         .resetn(resetn_pl_clk0),
