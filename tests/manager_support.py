@@ -175,7 +175,7 @@ class FaultyDevices:
     def fpga_manager(self, name: str | None) -> Any:
         return Watched(self._inner.fpga_manager(name), self._fault, "fpga_manager", ("load",))
 
-    def gpio(self, chip: str, line: int) -> Any:
+    def gpio(self, chip: str, line: int | str) -> Any:
         self._fault.step("gpio.open")
         return WatchedLine(self._inner.gpio(chip, line), self._fault)
 

@@ -117,8 +117,11 @@ class Devices(Protocol):
     def overlays(self) -> OverlayFolder:
         """The device-tree overlays."""
 
-    def gpio(self, chip: str, line: int) -> OutputLine:
-        """A line of a GPIO chip, by the chip's label or name; held until `lost`. Raises DeviceError."""
+    def gpio(self, chip: str, line: int | str) -> OutputLine:
+        """A line of a GPIO chip, by the chip's label or name and its own place or name; held until `lost`.
+
+        Raises DeviceError.
+        """
 
     def clocks(self) -> Clocks:
         """The clocks of the processing system for the PL."""

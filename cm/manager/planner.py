@@ -41,15 +41,7 @@ def target(request: ChangeMode, configs: Mapping[str, Config], loaded: str | Non
         config = configs[loaded]
     else:
         raise NothingLoaded(f"nothing is loaded: name a configuration ({listed(configs)})")
-    if not request.mode:
-        return config, config.first_mode()
-    if request.mode not in config.modes:
-        alone = [
-            f"; mode {m.name!r} has that module alone" for m in config.modes.values() if m.modules == (request.mode,)
-        ]
-        known = "".join(alone) or hint(request.mode, config.modes)
-        raise UnknownMode(f"configuration {config.name!r} has no mode {request.mode!r}{known}")
-    return config, request.mode
+    return config, mode_of(config, request.mode) if request.mode else config.first_mode()
 
 
 def config_named(name: str, configs: Mapping[str, Config]) -> Config:
@@ -60,7 +52,15 @@ def config_named(name: str, configs: Mapping[str, Config]) -> Config:
     return config
 
 
-def mode_named(config: Config, name: str) -> str:
+def mode_of(config: Config, name: str) -> str:
+    """A mode by its name alone. Raises UnknownMode."""
+    if name in config.modes:
+        return name
+    alone = [f"; mode {mode.name!r} has that module alone" for mode in config.modes.values() if mode.modules == (name,)]
+    raise UnknownMode(f"configuration {config.name!r} has no mode {name!r}{''.join(alone) or hint(name, config.modes)}")
+
+
+def _mode_meant(config: Config, name: str) -> str:
     """A mode by its name, or by the module that exactly one mode consists of."""
     if name in config.modes:
         return name
@@ -76,7 +76,7 @@ def _word(word: str, configs: Mapping[str, Config], loaded: str | None) -> tuple
     """One word in plain text: a mode or module of the loaded configuration, or else a configuration."""
     if loaded is not None:
         try:
-            return configs[loaded], mode_named(configs[loaded], word)
+            return configs[loaded], _mode_meant(configs[loaded], word)
         except UnknownMode:
             if word not in configs:
                 raise

@@ -272,8 +272,13 @@ _OF_REGISTERS = ("base_address", "offset", "bit", "width", "sequence")
 def _decoupler(values: dict[str, Any], path: KeyPath, context: Context) -> Decoupler:
     _check_kind(values, path, context)
     own = _integers({key: value for key, value in values.items() if key not in ("sequence", "gpio")})
-    line = GpioLine(values["gpio"]["chip"], int(values["gpio"]["line"])) if "gpio" in values else None
+    line = _gpio_line(values["gpio"]) if "gpio" in values else None
     return Decoupler(**own, sequence=tuple(_isolation(step) for step in values.get("sequence", ())), gpio=line)
+
+
+def _gpio_line(values: dict[str, Any]) -> GpioLine:
+    line = values["line"]
+    return GpioLine(values["chip"], line if isinstance(line, str) else int(line))
 
 
 def _check_kind(values: dict[str, Any], path: KeyPath, context: Context) -> None:

@@ -158,7 +158,7 @@ class GpioLine:
     """A line of a GPIO chip of the kernel; `chip` is its label (``zynq_gpio``) or its name (``gpiochip0``)."""
 
     chip: str
-    line: int  # its offset in the chip
+    line: int | str  # its offset in the chip, or its name
 
 
 @dataclass(frozen=True, slots=True)

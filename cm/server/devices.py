@@ -109,7 +109,7 @@ class BoardDevices:
         self._lock = threading.RLock()
         self._uios: dict[str, Uio] = {}
         self._icaps: dict[str, Icap] = {}
-        self._lines: dict[tuple[str, int], GpioLine] = {}
+        self._lines: dict[tuple[str, int | str], GpioLine] = {}
 
     @property
     def root(self) -> Path:
@@ -147,7 +147,7 @@ class BoardDevices:
                 found = self._icaps[name] = Icap.open(name, self._root)
             return found
 
-    def gpio(self, chip: str, line: int) -> GpioLine:
+    def gpio(self, chip: str, line: int | str) -> GpioLine:
         """A line of a GPIO chip, held until the board is lost: given back, it may change."""
         with self._lock:
             found = self._lines.get((chip, line))

@@ -204,8 +204,8 @@ class Worker:
             raise Cancelled("the change was cancelled before it began")
         self._leases.check(change.scopes, change.lease)  # one may have been given while this change waited
         configs = self._tools.state.configs
-        config = configs[change.config]
-        mode = planner.mode_named(config, change.mode)  # it may have been provisioned anew while this change waited
+        config = planner.config_named(change.config, configs)  # it may have been taken away while this change waited,
+        mode = planner.mode_of(config, change.mode)  # or provisioned anew
         static = configs.get(change.static or "")
         also = tuple(name for name in change.also if name in config.modules)
         goal = Goal(config, mode, change.force, change.values, also, static, change.rates, change.found)

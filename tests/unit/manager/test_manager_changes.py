@@ -636,10 +636,19 @@ def test_a_slow_first_change_does_not_raise_the_estimate_for_the_next(made: Rig)
     assert 0.5 * took < expected < 1.5 * took
 
 
-def test_a_mode_that_was_removed_while_its_change_waited_is_unknown(made: Rig, configs: dict[str, Config]) -> None:
+@pytest.mark.parametrize("beside", ["nothing", "a mode of the module that is called so"])
+def test_a_mode_that_was_removed_while_its_change_waited_is_unknown(
+    made: Rig, configs: dict[str, Config], beside: str
+) -> None:
     """The configuration was provisioned anew without it."""
     at(made, "duo/default")
     duo = configs["duo"]
+    anew = replace(duo, modes={n: m for n, m in duo.modes.items() if n != "lit"})
+    if beside != "nothing":
+        one = next(mode for mode in anew.modes.values() if len(mode.modules) == 1)
+        module = replace(duo.modules[one.modules[0]], name="lit")
+        modes = {**anew.modes, "other": replace(one, name="other", modules=("lit",))}
+        anew = replace(anew, modes=modes, modules={**duo.modules, "lit": module})
     held, let = threading.Event(), threading.Event()
 
     def hold(name: str) -> None:
@@ -650,7 +659,7 @@ def test_a_mode_that_was_removed_while_its_change_waited_is_unknown(made: Rig, c
     first = made.manager.submit(ChangeMode(config_name="kernel", mode="default"))
     assert held.wait(60)
     second = made.manager.submit(ChangeMode(config_name="duo", mode="lit"))
-    made.manager.add_config(replace(duo, modes={n: m for n, m in duo.modes.items() if n != "lit"}))
+    made.manager.add_config(anew)
     made.fault.watch = lambda _: None
     let.set()
     assert first.wait(60)

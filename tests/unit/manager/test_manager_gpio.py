@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A region that a GPIO line of the processor cuts off, as PYNQ-PRIO's are."""
+"""Regions that GPIO lines of the processor cut off, as PYNQ-PRIO's are: one by its place, one by its name."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -22,7 +23,7 @@ config:
   device: xc7z020
   regions:
     left: {decoupler: {gpio: {chip: zynq_gpio, line: 54}}}
-    right: {decoupler: {gpio: {chip: zynq_gpio, line: 55}, active_high: false}}
+    right: {decoupler: {gpio: {chip: zynq_gpio, line: right-cut}, active_high: false}}
   modules:
     a: {region: left}
     b: {region: left}
@@ -128,6 +129,15 @@ def test_the_manager_holds_its_lines_while_it_runs(made: Rig, sim: SimBoard) -> 
     GpioLine.open("zynq_gpio", 54, sim.root).close()
 
 
+def test_a_line_that_the_chip_does_not_have_is_told_by_its_name(sim: SimBoard, config: Config, tmp_path: Path) -> None:
+    right = replace(config.regions["right"], decoupler=Decoupler(gpio=Line("zynq_gpio", "no-such-line")))
+    with rig(sim.root, tmp_path, replace(config, regions={**config.regions, "right": right})) as started:
+        error = started.go("default", config="emio")
+    assert error is not None
+    assert "no-such-line" in error.message
+    assert "gpioinfo lists them" in error.message
+
+
 def test_a_region_whose_line_was_changed_while_no_manager_ran_is_brought_back_at_start(
     made: Rig, sim: SimBoard, config: Config, tmp_path: Path
 ) -> None:
@@ -142,7 +152,7 @@ def test_a_region_whose_line_was_changed_while_no_manager_ran_is_brought_back_at
 
 
 def test_a_line_travels_with_the_schema(config: Config) -> None:
-    assert config.regions["right"].decoupler == Decoupler(active_high=False, gpio=Line("zynq_gpio", 55))
+    assert config.regions["right"].decoupler == Decoupler(active_high=False, gpio=Line("zynq_gpio", "right-cut"))
     assert loads(dump(config)).regions == config.regions
 
 
@@ -153,7 +163,8 @@ def test_a_line_travels_with_the_schema(config: Config) -> None:
         ("{base_address: 0x1000}", "offset is missing"),
         ("{gpio: {chip: zynq_gpio, line: 54}, bit: 3}", "bit is of a register"),
         ("{gpio: {chip: zynq_gpio}}", "line is missing"),
-        ("{gpio: {chip: zynq_gpio, line: 55}}", "region left has the same decoupler line"),
+        ("{gpio: {chip: zynq_gpio, line: 1.5}}", "line"),
+        ("{gpio: {chip: zynq_gpio, line: right-cut}}", "region left has the same decoupler line"),
     ],
 )
 def test_a_decoupler_is_either_registers_or_a_line_of_its_own(wrong: str, expected: str) -> None:

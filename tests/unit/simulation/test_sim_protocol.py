@@ -35,6 +35,7 @@ SIZES = {
     "struct cm_icap_status": p.ICAP_STATUS,
     "struct cm_icap_completion": p.ICAP_COMPLETION,
     "struct gpiochip_info": p.GPIO_CHIP_INFO,
+    "struct gpio_v2_line_info": p.GPIO_LINE_INFO,
     "struct gpio_v2_line_request": p.GPIO_LINE_REQUEST,
     "struct gpio_v2_line_config": p.GPIO_LINE_CONFIG,
     "struct gpio_v2_line_values": p.GPIO_LINE_VALUES,
@@ -56,6 +57,7 @@ FIELDS = {
 }
 NUMBERS = {
     "GPIO_GET_CHIPINFO_IOCTL": p.GPIO_CHIP_INFO_IOCTL,
+    "GPIO_V2_GET_LINEINFO_IOCTL": p.GPIO_GET_LINE_INFO_IOCTL,
     "GPIO_V2_GET_LINE_IOCTL": p.GPIO_GET_LINE_IOCTL,
     "GPIO_V2_LINE_SET_CONFIG_IOCTL": p.GPIO_SET_CONFIG_IOCTL,
     "GPIO_V2_LINE_GET_VALUES_IOCTL": p.GPIO_GET_VALUES_IOCTL,

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -21,11 +21,12 @@ _FEWEST = 32  # lines of a chip that exists only because a schema names it
 
 @dataclass(frozen=True, slots=True)
 class Chip:
-    """A GPIO chip; `name` is that of its node."""
+    """A GPIO chip; `name` is that of its node, `names` the places of lines that have one."""
 
     name: str
     label: str
     lines: int
+    names: Mapping[str, int]
 
 
 class Lines:
@@ -54,16 +55,25 @@ class Lines:
         return (self._place(decoupler.gpio) in self._high) == decoupler.active_high
 
     def _place(self, line: GpioLine) -> tuple[str, int]:
-        return self._by_any_name[line.chip].name, line.line
+        chip = self._by_any_name[line.chip]
+        return chip.name, chip.names[line.line] if isinstance(line.line, str) else line.line
 
 
-def _chips(family: str, asked: Iterable[GpioLine]) -> Iterable[Chip]:
+def _chips(family: str, asked: Sequence[GpioLine]) -> Iterable[Chip]:
     """The processing system's chip, which is the first, and others that schemas name."""
+
+    def chip(name: str, label: str, lines: int) -> Chip:
+        """Lines that are asked for by name are the last ones that nobody asks for by place."""
+        wanted = [line.line for line in asked if line.chip in (name, label)]
+        free = (place for place in reversed(range(lines)) if place not in wanted)
+        names = dict.fromkeys(line for line in wanted if isinstance(line, str))
+        return Chip(name, label, lines, {line: next(free) for line in names})
+
     label, lines = PROCESSOR[family]
     most: dict[str, int] = {label: lines, "gpiochip0": lines}
     for line in asked:
-        most[line.chip] = max(most.get(line.chip, _FEWEST), line.line + 1)
-    yield Chip("gpiochip0", label, max(most.pop(label), most.pop("gpiochip0")))
+        most[line.chip] = max(most.get(line.chip, _FEWEST), line.line + 1 if isinstance(line.line, int) else 0)
+    yield chip("gpiochip0", label, max(most.pop(label), most.pop("gpiochip0")))
     free = (name for number in range(1, 1000) if (name := f"gpiochip{number}") not in most)
     for name, count in most.items():
-        yield Chip(name, name, count) if _NAME.fullmatch(name) else Chip(next(free), name, count)
+        yield chip(name, name, count) if _NAME.fullmatch(name) else chip(next(free), name, count)

@@ -41,6 +41,8 @@ class GpioChipSession:
             return protocol.GPIO_CHIP_INFO.pack(chip.name.encode(), chip.label.encode(), chip.lines)
         if op == protocol.GPIO_GET_LINE_IOCTL:
             return self._line(payload)
+        if op == protocol.GPIO_GET_LINE_INFO_IOCTL:
+            return self._info(payload)
         raise NodeError(errno.ENOTTY, "no such ioctl")
 
     def write(self, data: bytes) -> None:
@@ -48,6 +50,16 @@ class GpioChipSession:
 
     def close(self) -> None:
         """Lines that were asked for are files of their own."""
+
+    def _info(self, payload: bytes) -> bytes:
+        """The name of a line, "" where it has none; who holds it is not told."""
+        _sized(protocol.GPIO_LINE_INFO, payload)
+        _, place = protocol.GPIO_LINE_INFO.unpack(payload)
+        chip = self._node.chip
+        if place >= chip.lines:
+            raise NodeError(errno.EINVAL, f"lines are 0 to {chip.lines - 1}")
+        name = next((name for name, where in chip.names.items() if where == place), "")
+        return protocol.GPIO_LINE_INFO.pack(name.encode(), place)
 
     def _line(self, payload: bytes) -> Answer:
         _sized(protocol.GPIO_LINE_REQUEST, payload)

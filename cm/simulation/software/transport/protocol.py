@@ -52,6 +52,7 @@ ICAP_COMPLETION = struct.Struct("<QQQQiI")  # cookie, length, started_ns, finish
 
 # linux/gpio.h, for one line: the fields that we use, the others skipped
 GPIO_CHIP_INFO = struct.Struct("<32s32sI")  # name, label, lines
+GPIO_LINE_INFO = struct.Struct("<32s32xI188x")  # name, offset
 GPIO_LINE_REQUEST = struct.Struct("<I252x32sQ264xI24xi")  # offsets[0], consumer, config.flags, num_lines, fd
 GPIO_LINE_CONFIG = struct.Struct("<QI20xI4xQQ216x")  # flags, num_attrs; of the first attribute: id, values, mask
 GPIO_LINE_VALUES = struct.Struct("<QQ")  # bits, mask
@@ -97,6 +98,7 @@ WINDOW_IOC_REVOKE = ioc(_RW, MAGIC, 0x41, WINDOW_REVOKE.size)
 _GPIO_MAGIC = 0xB4
 GPIO_CHIP_INFO_IOCTL = ioc(_READ, _GPIO_MAGIC, 0x01, GPIO_CHIP_INFO.size)
 GPIO_GET_LINE_IOCTL = ioc(_RW, _GPIO_MAGIC, 0x07, GPIO_LINE_REQUEST.size)
+GPIO_GET_LINE_INFO_IOCTL = ioc(_RW, _GPIO_MAGIC, 0x05, GPIO_LINE_INFO.size)
 GPIO_SET_CONFIG_IOCTL = ioc(_RW, _GPIO_MAGIC, 0x0D, GPIO_LINE_CONFIG.size)
 GPIO_GET_VALUES_IOCTL = ioc(_RW, _GPIO_MAGIC, 0x0E, GPIO_LINE_VALUES.size)
 
