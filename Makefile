@@ -35,7 +35,7 @@ help-all: ## all targets
 	@awk -F':[^#]*###? ' '/^[a-z%-]+:[^#]*###? /{printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 check-system:
-	@./.ci/check-system $(PYTHON)
+	@./.ci/check-system "$(PYTHON)" "$(VENV)"
 
 define install
 	@echo "setting up $(VENV) with $(1)"
