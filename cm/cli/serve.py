@@ -208,8 +208,8 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
     # While the simulator starts, in a process of its own, this one gets on with its imports.
     from cm.device import Root
     from cm.manager.manager import Settings as ManagerSettings
-    from cm.server.limits import Limits
     from cm.server.options import Options
+    from cm.server.settings.model import Limits
 
     configs, left_out = configs_of(paths, settings)
     if not configs and sys.stderr.isatty():

@@ -168,8 +168,8 @@ def read_again(args: argparse.Namespace, paths: Sequence[Path], began: Settings 
 
     `began`: the settings of the start; changes in them that need a restart are noted.
     """
-    from cm.server.limits import Limits
     from cm.server.reload import Reloaded
+    from cm.server.settings.model import Limits
 
     settings = settings_of(args)
     configs, left_out = configs_of(paths, settings)

@@ -1,38 +1,337 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One handler per kind of request: from a frozen request to calls of manager and streams, and a reply."""
+"""What each request does: the handlers, by the request's class."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeVar
 
-from cm.errors import Busy, CmError
+from cm.errors import Busy, CmError, InvalidRequest
 from cm.manager.access.leases import check_scope_names_something
-from cm.manager.errors import UnknownInterrupt
+from cm.manager.access.memory_service import MemoryService, Transfer
+from cm.manager.access.register_service import AT_ONCE, ReadPieces, RegisterService, WritePieces
+from cm.manager.errors import ChangeBusy, UnknownInterrupt, UnknownStream
 from cm.manager.execution.worker import QUEUE_LENGTH, Change
 from cm.manager.manager import Manager
 from cm.manager.planner import hint
-from cm.schema.model import Config
+from cm.manager.reporting import config_list, is_long
+from cm.schema.model import Config, Stream
 from cm.server.board_watch import BoardWatch
-from cm.server.client_jobs import ClientJobs, Result
-from cm.server.config_handlers import Description, SentConfigs
+from cm.server.client_work import ClientJobs, Done, Result, Steps
 from cm.server.connections import Connections, Sessions
-from cm.server.data_handlers import DataHandlers, MemoryTransfers
 from cm.server.interrupts import InterruptWatch
 from cm.server.lease_watch import LeaseWatch
-from cm.server.provision import Provisioner
-from cm.server.register_handlers import RegisterHandlers
-from cm.server.replies import Respond, refusal
-from cm.server.rights.gate import Gate
+from cm.server.provision import Provisioner, Sender
+from cm.server.replies import Respond, error_info, refusal
+from cm.server.rights.gate import Gate, check
+from cm.server.rights.model import Role
+from cm.server.rights.needs import provisioning
 from cm.server.shares import Client, Clients, with_holdings
 from cm.server.sockets import Loop
-from cm.server.steps import Steps
 from cm.server.streams.running import Streams
+from cm.server.streams.stream import Frame
 from cm.server.uploads import Uploads
+from cm.wire.bodies import encode_values, encoded_registers
+from cm.wire.encode import encode_config
 from cm.wire.messages import requests as rq
-from cm.wire.messages.status import ChangeInfo, Reply, Status
+from cm.wire.messages.status import (
+    PIXEL_FORMAT,
+    ChangeInfo,
+    ConfigInfo,
+    FrameInfo,
+    RegValues,
+    Reply,
+    Status,
+    StreamStatus,
+)
+
+
+def takes_long(request: rq.ReadReg | rq.WriteReg, registers: RegisterService) -> bool:
+    """Whether a request is for so many registers that it is done piece by piece."""
+    named = request.writes if isinstance(request, rq.WriteReg) else request.names or registers.visible_names()
+    return len(named) > AT_ONCE
+
+
+class RegisterHandlers:
+    """As `Handlers`, which has them in its table."""
+
+    def __init__(self, manager: Manager, steps: Steps, board: BoardWatch) -> None:
+        self._manager = manager
+        self._steps = steps
+        self._board = board
+
+    @property
+    def table(self) -> Mapping[type, Callable[..., None]]:
+        """The handler of each kind of request."""
+        return {rq.ReadReg: self._read_reg, rq.WriteReg: self._write_reg}
+
+    def _read_reg(self, request: rq.ReadReg, respond: Respond, client: Client) -> None:
+        registers = self._manager.registers
+        if takes_long(request, self._manager.registers):
+            self._by_pieces(client, ReadPieces(registers, request.names), respond)
+        else:
+            respond(Reply(registers.read(request.names)))
+
+    def _write_reg(self, request: rq.WriteReg, respond: Respond, client: Client) -> None:
+        if takes_long(request, self._manager.registers):
+            pieces = WritePieces(self._manager.registers, request.writes, request.lease)
+            self._by_pieces(client, pieces, respond, self._manager.tell_registers)
+        else:
+            respond(Reply(self._manager.write_registers(request.writes, request.lease)))
+
+    def _by_pieces(
+        self,
+        client: Client,
+        work: ReadPieces | WritePieces,
+        respond: Respond,
+        then: Callable[[RegValues], object] = lambda _: None,
+    ) -> None:
+        """`then` gets what was done, even if that is not all."""
+
+        encoded = _Encoded(work)
+
+        def done(problem: Exception | None) -> None:
+            result = encoded.result()
+            if result.values:
+                then(result)
+            if problem is not None:
+                self._board.noticed(problem)
+            respond(Reply(result) if problem is None else refusal(problem))
+
+        self._steps.start(client, encoded, done)
+
+
+class _Encoded:
+    """A job whose values are encoded as they come: encoding all at once would take longer than any piece."""
+
+    def __init__(self, work: ReadPieces | WritePieces) -> None:
+        self._work = work
+        self._parts: list[bytes] = []
+
+    def step(self) -> bool:
+        """As the work's."""
+        ended = self._work.step()
+        self._parts.append(encode_values(self._work.newest))
+        return ended
+
+    def result(self) -> RegValues:
+        """What was done."""
+        return encoded_registers(self._work.result, self._parts)
+
+
+class Description:
+    """What a client is told of a configuration. Of a long one that takes 0.15 s, and is done beside the loop."""
+
+    def __init__(self, manager: Manager, memories: MemoryTransfers, name: str, counts: Mapping[str, int]) -> None:
+        """`name` is empty for the loaded one; `counts` of its interrupts."""
+        self._manager = manager
+        self._memories = memories
+        self._name = name
+        self._counts = counts
+
+    @property
+    def is_long(self) -> bool:
+        """Whether it takes longer than a request may."""
+        return is_long(self._manager.configs.get(self._name or self._manager.state.config or ""))
+
+    def info(self) -> ConfigInfo:
+        """Any thread. Raises UnknownConfig, NothingLoaded."""
+        return self._memories.described(self._manager.describe(self._name, self._counts))
+
+    def encoded(self) -> bytes:
+        """The same, as it stands in the reply."""
+        return encode_config(self.info())
+
+
+class SentConfigs:
+    """Configurations that clients sent, and who may do what with them. The loop's thread."""
+
+    def __init__(self, manager: Manager, provisioner: Provisioner, sessions: Sessions) -> None:
+        self._manager = manager
+        self._provisioner = provisioner
+        self._sessions = sessions
+
+    def listed(self) -> ConfigInfo:
+        """All configurations, with their origins."""
+        listed, owned = config_list(self._manager.configs), self._provisioner.owned
+        reserved = self._provisioner.reserved
+        entries = []
+        for entry in listed.entries:
+            whose = None if entry.name in reserved else owned.get(entry.name)
+            said = ("client", whose.name, whose.bytes) if whose else ("administrator", "", 0)
+            entries.append(replace(entry, origin=said[0], owner=said[1], bytes=said[2]))
+        return replace(listed, entries=tuple(entries))
+
+    def sender(self, connection: str) -> Sender:
+        """The sender on a connection."""
+        who = self._sessions.gate.principal(connection)
+        return Sender(who.account, str(who), self._sessions.gate.everywhere(connection) >= Role.ADMIN)
+
+    def allowed(self, connection: str) -> Callable[[str], None]:
+        """The check of a configuration's name, made in another thread once it is known: Forbidden, ChangeBusy."""
+        who, rights = self._sessions.gate.principal(connection), self._sessions.gate.rights(connection)
+
+        def ask(name: str) -> None:
+            check(who, rights, provisioning(name))
+            self._manager.check_replaceable(name)
+
+        return ask
+
+    def check_removable(self, name: str) -> None:
+        """Raise ChangeBusy while a configuration is loaded, or a change may need it."""
+        if self._manager.in_use(name):
+            raise ChangeBusy(f"configuration {name!r} is in use; load another first")
+
+
+class OtherPixels(InvalidRequest):
+    """A picture for a stream whose pixels lie in another order in memory."""
+
+    code = PIXEL_FORMAT
+
+
+class MemoryTransfers:
+    """Transfers of a client one after the other, clients by turns. Everything in the loop's thread."""
+
+    def __init__(self, steps: Steps, memories: MemoryService) -> None:
+        self._steps = steps
+        self._memories = memories
+
+    def described(self, info: ConfigInfo) -> ConfigInfo:
+        """A configuration with the memories that were defined for it, if it is the loaded one."""
+        blocks = self._memories.defined() if info.mode else ()
+        return replace(info, memories=(*info.memories, *blocks)) if blocks else info
+
+    def start(self, client: Client, transfer: Transfer, done: Done) -> None:
+        """Begin a transfer, a read when its client has room for the answer.
+
+        `done` is called once, now or later, with the error, if any. Raises Busy.
+        """
+        if transfer.write:
+            self._steps.start(client, transfer, done)
+            return
+        reserved = 0
+
+        def may_begin() -> bool:
+            nonlocal reserved
+            if client.has_room(transfer.length):
+                reserved = transfer.length
+                client.make(reserved)
+            return reserved > 0
+
+        def ended(problem: Exception | None) -> None:
+            client.make(-reserved)
+            done(problem)
+
+        self._steps.start(client, transfer, ended, may_begin)
+
+
+def frame_info(transfer: Transfer, config: str, mode: str) -> FrameInfo:
+    """What accompanies the payload of a memory."""
+    shape, dtype = transfer.form
+    memory, length = transfer.memory, transfer.length
+    return FrameInfo(memory.name, 0, time.monotonic_ns(), length, shape, dtype, config, mode, offset=transfer.offset)
+
+
+class DataHandlers:
+    """As `Handlers`, which has them in its table."""
+
+    def __init__(self, manager: Manager, streams: Streams, transfers: MemoryTransfers, board: BoardWatch) -> None:
+        self._manager = manager
+        self._memories = manager.memories
+        self._streams = streams
+        self._transfers = transfers
+        self._board = board
+
+    @property
+    def table(self) -> Mapping[type, Callable[..., None]]:
+        """The handler of each kind of request."""
+        return {
+            rq.DescribeData: self._describe_data,
+            rq.ConfigureStream: self._configure_stream,
+            rq.DefineMemory: self._define_memory,
+            rq.ReadData: self._read_data,
+            rq.WriteData: self._write_data,
+        }
+
+    def _describe_data(self, request: rq.DescribeData, respond: Respond) -> None:
+        memory = self._memories.find(request.name)
+        if memory is not None:
+            respond(Reply(self._memories.info(memory)))
+            return
+        stream = self._stream(request.name)
+        self._streams.check_lease(stream, request.lease)
+        respond(Reply(self._streams.status_of(stream.name)))
+
+    def _configure_stream(self, request: rq.ConfigureStream, respond: Respond) -> None:
+        self._memories.check_no_memory(request.stream)
+        self._streams.check_lease(self._stream(request.stream), request.lease)
+        self._streams.configure(request, partial(self._told, respond))
+
+    def _told(self, respond: Respond, result: StreamStatus | FrameInfo | Exception) -> None:
+        if isinstance(result, Exception):
+            self._board.noticed(result)
+            respond(Reply(error=error_info(result)))
+        else:
+            respond(Reply(result))
+
+    def _define_memory(self, request: rq.DefineMemory, respond: Respond) -> None:
+        respond(Reply(self._memories.info(self._memories.define(request))))
+
+    def _stream(self, name: str) -> Stream:
+        """A stream by name. Raises UnknownStream, which names the memories too: one of them may have been meant."""
+        try:
+            return self._streams.named(name, None)
+        except UnknownStream as error:
+            raise UnknownStream(f"{error}{self._memories.listed()}") from None
+
+    def _read_data(self, request: rq.ReadData, respond: Respond, client: Client) -> None:
+        if request.offset or request.length or self._memories.find(request.stream):
+            self._transfer(client, self._memories.begin_read(request.stream, request.offset, request.length), respond)
+            return
+        if request.stream:
+            self._stream(request.stream)
+        client.check_room()
+
+        def done(result: Frame | CmError | OSError) -> None:
+            if isinstance(result, Frame):
+                respond(Reply(result.info, payload=(result.data,)))
+            else:
+                self._told(respond, result)
+
+        self._streams.read_once(request.stream, request.timeout, done)
+
+    def _write_data(self, request: rq.WriteData, respond: Respond, client: Client) -> None:
+        if request.offset or self._memories.find(request.stream):
+            written = self._memories.begin_write(request.stream, request.offset, request.data, request.lease)
+            self._transfer(client, written, respond)
+            return
+        if request.stream:
+            stream = self._stream(request.stream)
+            if request.format and stream.format and request.format != stream.format:
+                raise OtherPixels(f"stream {stream.name!r} takes pixels of {stream.format}, not {request.format}")
+
+        def done(result: Frame | CmError | OSError) -> None:
+            self._told(respond, result.info if isinstance(result, Frame) else result)
+
+        self._streams.write(request.stream, request.data, done, request.lease)
+
+    def _transfer(self, client: Client, transfer: Transfer, respond: Respond) -> None:
+        def done(problem: Exception | None) -> None:
+            if problem is None:
+                respond(self._moved(transfer))
+            else:
+                self._board.noticed(problem)
+                respond(refusal(problem))
+
+        self._transfers.start(client, transfer, done)
+
+    def _moved(self, transfer: Transfer) -> Reply:
+        state, payload = self._manager.state, () if transfer.write else (transfer.data,)
+        return Reply(frame_info(transfer, state.config or "", state.mode or ""), payload=payload)
+
 
 _T = TypeVar("_T")
 Began = Callable[[Change], Callable[[], None]]

@@ -10,10 +10,10 @@ from pathlib import Path
 from cm.device import Root
 from cm.manager.manager import Settings
 from cm.schema.model import Config
-from cm.server.limits import USUAL, Limits
 from cm.server.publisher import BYTES
 from cm.server.reload import Reloaded
 from cm.server.rights.model import Access
+from cm.server.settings.model import USUAL, Limits
 from cm.server.sockets import Security
 
 NO_METRICS = "they need prometheus-client: pip install 'fpga-cm[metrics]', or Debian's python3-prometheus-client"

@@ -19,8 +19,8 @@ from cm.manager.planner import checked_name, listed
 from cm.schema import load, loads
 from cm.schema.model import Config
 from cm.server.folders import own_folder
-from cm.server.limits import USUAL, Limits
 from cm.server.service import keeping
+from cm.server.settings.model import USUAL, Limits
 from cm.wire.messages.requests import File
 
 SCHEMA_FILE = "schema.yaml"

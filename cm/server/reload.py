@@ -13,9 +13,9 @@ from cm.errors import CmError
 from cm.manager.access.leases import Leases
 from cm.manager.manager import Manager
 from cm.schema.model import Config
-from cm.server.limits import USUAL, Limits
 from cm.server.rights.model import Access
 from cm.server.service import ServiceManager
+from cm.server.settings.model import USUAL, Limits
 
 _LOG = logging.getLogger("cm")
 

@@ -34,8 +34,8 @@ from cm.errors import InvalidRequest
 from cm.loop import Callback
 from cm.loop import Loop as EventLoop
 from cm.server.folders import share
-from cm.server.limits import USUAL, Limits
 from cm.server.rights.principal import CURVE, IPC, TCP
+from cm.server.settings.model import USUAL, Limits
 from cm.wire import multipart
 from cm.wire.plane_packets import SOCKET
 from cm.wire.topics import Endpoints, ipc_endpoints, split_tcp, tcp_endpoints

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import ClassVar
 
 from cm.errors import Busy, CmError, InvalidRequest, NotFound
-from cm.server.limits import Limits
 from cm.server.replies import Respond
+from cm.server.settings.model import Limits
 from cm.server.shares import Client
 from cm.wire.messages import requests as rq
 from cm.wire.messages.status import Reply, UploadInfo

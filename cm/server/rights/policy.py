@@ -3,7 +3,11 @@
 
 from __future__ import annotations
 
+import grp
+import os
+import pwd
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 
@@ -93,3 +97,28 @@ def _grant(name: str, access: Access) -> Grant | None:
 def lacking(rights: Rights, needs: Iterable[Need]) -> Need | None:
     """The first need that rights do not allow."""
     return next((need for need in needs if not rights.allow(need)), None)
+
+
+def system_users() -> Users:
+    """The users of this machine, looked up at each call."""
+    return Users(_name, _groups, os.geteuid())
+
+
+def _name(uid: int) -> str:
+    try:
+        return pwd.getpwuid(uid).pw_name
+    except KeyError:  # a user of a container, or one that was deleted
+        return ""
+
+
+def _groups(uid: int, gid: int) -> tuple[str, ...]:
+    """The process's groups, and those that the user is a member of."""
+    numbers = [gid]
+    name = _name(uid)
+    if name:
+        numbers += [number for number in os.getgrouplist(name, gid) if number != gid]
+    found = [str(number) for number in numbers]
+    for number in numbers:
+        with suppress(KeyError):
+            found.append(grp.getgrgid(number).gr_name)
+    return tuple(found)

@@ -1,23 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``/etc/cm/cm.yaml`` → `Settings`, or everything that is wrong with it, by line and column."""
+"""The settings of a file: read, checked against their schema, and made into data."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import fields, replace
 from functools import lru_cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 from cm.errors import CmError
-from cm.schema.problems import KeyPath, Problem, SchemaError, key_path
+from cm.schema.problems import KeyPath, Problem, SchemaError, did_you_mean, key_path
 from cm.schema.reader import Refused, read
 from cm.schema.structure import Structure
 from cm.schema.tree import Mark, Node, Table, locate, plain
-from cm.server.settings.access import access, unknown_roles
+from cm.server.rights.model import Grant, Role, role_named
 from cm.server.settings.model import (
     FILE,
+    AccessSettings,
     DmaSettings,
     ImportSettings,
     LimitSettings,
@@ -25,6 +27,45 @@ from cm.server.settings.model import (
     Settings,
     StreamSettings,
 )
+
+_PEOPLE = ("users", "groups", "guests")
+_LISTS = ("local", "insecure")
+
+
+def access(values: Mapping[str, Any]) -> AccessSettings:
+    """The data for values that have been checked against the schema."""
+    known = dict(values)
+    if "keys" in known:
+        known["keys"] = Path(known["keys"])
+    known |= {name: tuple(known[name]) for name in _LISTS if name in known}
+    for name in (name for name in _PEOPLE if name in known):
+        known[name] = MappingProxyType({who: tuple(roles) for who, roles in known[name].items()})
+    if "roles" in known:
+        known["roles"] = MappingProxyType({name: _grant(said) for name, said in known["roles"].items()})
+    return AccessSettings(**known)
+
+
+def _grant(said: Mapping[str, Any]) -> Grant:
+    patterns = {name: tuple(found) for name, found in said.items() if name != "role"}
+    return Grant(role_named(said["role"]), **patterns)
+
+
+def unknown_roles(values: Mapping[str, Any]) -> Iterator[tuple[KeyPath, str, str]]:
+    """Names of roles that do not exist: where they stand, and what may have been meant."""
+    known = {*(role.name.lower() for role in Role if role), *values.get("roles", ())}
+    for path, roles in _named(values):
+        for index, role in enumerate(roles):
+            if role not in known:
+                yield ("access", *path, index), f"no role {role!r}", did_you_mean(role, sorted(known))
+
+
+def _named(values: Mapping[str, Any]) -> Iterator[tuple[KeyPath, list[str]]]:
+    for name in _LISTS:
+        yield (name,), values.get(name, [])
+    for name in _PEOPLE:
+        for who, roles in values.get(name, {}).items():
+            yield (name, who), roles
+
 
 SCHEMA = Path(__file__).with_name("settings.schema.json")
 _GROUPS = {

@@ -21,7 +21,7 @@ from cm.device import DeviceNotFound
 from cm.device.data_plane import Plane, StreamSetup
 from cm.errors import Busy, CmError, InvalidRequest
 from cm.server.devices import DeviceMemory
-from cm.server.limits import USUAL
+from cm.server.settings.model import USUAL
 from cm.server.sockets import Loop
 from cm.server.streams.peer import Peer
 from cm.wire.plane_packets import ADDRESS, Descriptor, Geometry, Open, encode_geometry, encode_refused

@@ -26,10 +26,10 @@ from cm.errors import Busy, CmError
 from cm.manager.access.leases import Leases
 from cm.manager.reporting import stream_status
 from cm.schema.model import Config, Direction, Stream
+from cm.server.client_work import Steps
 from cm.server.devices import BoardDevices
-from cm.server.limits import USUAL, Limits
+from cm.server.settings.model import USUAL, Limits
 from cm.server.sockets import Loop
-from cm.server.steps import Steps
 from cm.server.streams.compression import check_compression
 from cm.server.streams.memory import Allocations, Echoes, MemoryThread
 from cm.server.streams.over_zmq import ZmqReader, ZmqWriter

@@ -19,7 +19,7 @@ from cm.device.data_plane import Plane, StreamCounts, StreamSetup
 from cm.errors import CmError
 from cm.manager.reporting import stream_status
 from cm.schema.model import Direction, Stream
-from cm.server.limits import USUAL
+from cm.server.settings.model import USUAL
 from cm.server.streams.settings import frame_bytes, setup
 from cm.server.streams.slots import SlotHolders, Slots
 from cm.wire.messages.status import ErrorInfo, FrameInfo, StreamClient, StreamStatus

@@ -12,8 +12,8 @@ import pytest
 from cm.errors import Forbidden, InvalidRequest
 from cm.manager.errors import ChangeBusy, UnknownConfig
 from cm.schema import SchemaError, loads
-from cm.server.limits import USUAL
 from cm.server.provision import SCHEMA_FILE, NoSpace, Provisioner, QuotaExceeded, Reserved, Sender
+from cm.server.settings.model import USUAL
 from cm.wire.messages.requests import File
 
 SCHEMA = """

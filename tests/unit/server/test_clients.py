@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from cm.server.limits import USUAL
 from cm.server.rights.principal import from_id
+from cm.server.settings.model import USUAL
 from cm.server.shares import LITTLE, PENDING, Clients, RepliesUnread, Ring, TooMuchWaiting
 from cm.wire.messages.status import Reply
 

@@ -15,7 +15,7 @@ from daemon_thread import HUNG, Daemon, Subscriber, daemon
 from manager_process import until
 
 from cm.manager.manager import Settings
-from cm.server.limits import USUAL
+from cm.server.settings.model import USUAL
 from cm.wire import plane_packets as packets
 from cm.wire.messages import requests as rq
 from cm.wire.messages.requests import ChangeMode, ConfigureStream, File, ReadReg, RegWrite, Upload, WriteReg

@@ -21,9 +21,9 @@ from zmq.utils.monitor import recv_monitor_message
 from cm.errors import InvalidRequest
 from cm.schema import load_folder
 from cm.schema.model import Config
-from cm.server.limits import USUAL
 from cm.server.reload import Reloaded
 from cm.server.rights.model import Access
+from cm.server.settings.model import USUAL
 from cm.wire.encode import decode_reply, encode_request
 from cm.wire.messages import requests as rq
 from cm.wire.messages.requests import ChangeMode, ReadReg, RegWrite, WriteReg

@@ -39,12 +39,12 @@ def test_every_example_in_the_shipped_file_is_good() -> None:
     assert parse_settings("\n".join(examples)).load == "camera/default"
 
 
-EXAMPLE = re.compile(r"^    (?:listen|access|limits|policy):.*\n(?:^    .*\n)*", re.MULTILINE)
+EXAMPLE = re.compile(r"^( {4}|)(?:listen|access|limits|policy):.*\n(?:^\1(?!```).*\n)*", re.MULTILINE)
 
 
 @pytest.mark.parametrize("page", ["import", "security", "service"])
 def test_every_example_of_settings_in_the_docs_is_good(page: str) -> None:
-    examples = EXAMPLE.findall((ROOT / f"docs/{page}.md").read_text())
+    examples = [found[0] for found in EXAMPLE.finditer((ROOT / f"docs/{page}.md").read_text())]
     assert examples
     for example in examples:
         assert parse_settings(textwrap.dedent(example)) != Settings()

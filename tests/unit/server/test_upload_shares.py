@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from cm.server import uploads
-from cm.server.limits import USUAL
 from cm.server.rights.principal import Principal, from_id
+from cm.server.settings.model import USUAL
 from cm.server.shares import Client, Clients
 from cm.server.uploads import TooMuchUploaded, Uploads
 from cm.wire.messages.requests import Upload
