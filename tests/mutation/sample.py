@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the unit tests notice a defect: mutants of manager, daemon, bitstream and schema (`make mutation`).
+"""Whether the unit tests notice a defect: mutants of manager, server, bitstream and schema (`make mutation`).
 
     python tests/mutation/sample.py [PACKAGE…] [--count N] [--seed S] [--keep] [--max-survivors PERCENT]
 
@@ -21,7 +21,7 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-PACKAGES = ("manager", "daemon", "bitstream", "schema")
+PACKAGES = ("manager", "server", "formats.bitstream", "schema")  # below cm; all that `only_mutate` has can be named
 MUTANTS = Path("mutants")
 KILLED = {1, 3, 24, 36, 152, 255, -24, -9}  # failed, crashed, or out of time (`mutmut.stats`)
 CHUNK = 200  # names on one command line
@@ -49,9 +49,8 @@ def tested() -> set[str]:
 
 def draw(names: Iterable[str], packages: Iterable[str], share: int, seed: int) -> dict[str, list[str]]:
     """As many of each package, each with dice of its own: what is added to one changes no draw of another."""
-    by_package: dict[str, list[str]] = {package: [] for package in packages}
-    for name in sorted(names):
-        by_package.get(name.split(".")[1], []).append(name)
+    made = sorted(names)
+    by_package = {package: [name for name in made if name.startswith(f"cm.{package}.")] for package in packages}
     return {
         package: sorted(random.Random(f"{seed} {package}").sample(of, min(share, len(of))))
         for package, of in by_package.items()
@@ -60,7 +59,7 @@ def draw(names: Iterable[str], packages: Iterable[str], share: int, seed: int) -
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("packages", nargs="*", metavar="PACKAGE", choices=(*PACKAGES, []), help=", ".join(PACKAGES))
+    parser.add_argument("packages", nargs="*", metavar="PACKAGE", help=f"below cm; usually {', '.join(PACKAGES)}")
     parser.add_argument("--count", type=int, default=100, help="mutants of each package")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2)
@@ -88,7 +87,7 @@ def report(drawn: dict[str, list[str]], entered: set[str], allowed: float) -> in
     for package, names in drawn.items():
         alive = [name for name in names if status[name] not in KILLED]
         lived += alive
-        print(f"cm/{package}: {len(alive)} of {len(names)} mutants lived")
+        print(f"cm.{package}: {len(alive)} of {len(names)} mutants lived")
         for name in alive:
             print(f"    {name}{'' if name.rpartition('__mutmut_')[0] in entered else '  (no unit test enters it)'}")
     total = sum(map(len, drawn.values()))
