@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """rmw_zenoh's names: keys of topics and services, tokens by which its graph knows nodes and their ends, attachments.
 
-As its docs/design.md has them since Jazzy (0.2). Humble's keys have no hashes of types, and are others.
+As its design document has them since Jazzy (0.2). Humble's keys have no hashes of types, and are others.
 """
 
 from __future__ import annotations

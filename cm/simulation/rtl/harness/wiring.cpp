@@ -19,7 +19,7 @@ Harness::Harness(std::istream &wiring, int socket, int arena_fd) : connection(so
 		throw Failure("the wiring names no static part");
 }
 
-// One line of the wiring: see cm/simulation/rtl/wiring.py
+// One line of the wiring: see wiring() of cm/simulation/rtl/design.py
 void Harness::wire(const std::string &line)
 {
 	std::istringstream words(line);
