@@ -14,7 +14,7 @@ from cm.server.sockets import Loop
 Done = Callable[[Exception | None], None]
 WAITING_MAX = 16  # pieces of work of one client
 NOT_YET = object()  # what a step yields that cannot be done yet
-_AGAIN = 0.005  # seconds until work that could not be done is asked again
+_STEP_INTERVAL = 0.005  # seconds until work that could not be done is asked again
 
 
 class Work(Protocol):
@@ -84,7 +84,7 @@ class Steps:
                 self._come_back()
             elif self._ring:
                 self._late = 0
-                self._loop.call_later(_AGAIN, self._come_back)
+                self._loop.call_later(_STEP_INTERVAL, self._come_back)
 
     def close(self) -> None:
         """Forget what waits."""

@@ -17,7 +17,7 @@ from cm.web.topics import Topics
 from cm.wire.messages.fleet import BoardStatus
 from cm.wire.messages.status import Status
 
-_AGAIN = 2.0  # seconds between two tries to reach the fleet
+_RECONNECT = 2.0  # seconds between two tries to reach the fleet
 _PAUSE = 0.25  # seconds between two tables
 _SHOWN = 500  # boards at most; the page is told how many there are
 
@@ -40,7 +40,7 @@ class FleetWatch:
                     await self._follow(fleet)
             except (CmError, OSError) as error:
                 self._tell(str(error))
-            await asyncio.sleep(_AGAIN)
+            await asyncio.sleep(_RECONNECT)
 
     async def _follow(self, fleet: Fleet) -> None:
         self._rows, self._statuses = {}, {}

@@ -20,7 +20,7 @@ from cm.wire import topics as wire
 from cm.wire.encode import decode_event
 from cm.wire.messages.status import ConfigInfo, Irq, RegValues, Status
 
-_AGAIN = 1.0  # seconds between two looks at the status, and between two tries to connect
+_INTERVAL = 1.0  # seconds between two looks at the status, and between two tries to connect
 _ERRORS = 50
 Connect = Callable[[], Board]
 
@@ -59,7 +59,7 @@ class Hub:
             finally:
                 self.board = None
                 self.connected.clear()
-            await asyncio.sleep(_AGAIN)
+            await asyncio.sleep(_INTERVAL)
 
     async def _follow(self, board: Board) -> None:
         self.board = board
@@ -142,7 +142,7 @@ class Hub:
     async def _look_again(self, board: Board) -> None:
         """Rates, latencies and sensors are not published when nothing else happens."""
         while True:
-            await asyncio.sleep(_AGAIN)
+            await asyncio.sleep(_INTERVAL)
             await self._look(board)
 
     async def _describe(self, board: Board) -> None:
@@ -155,7 +155,7 @@ class Hub:
                 if isinstance(error, ConnectionError):
                     raise
                 self.topics.tell("config", None)  # nothing is loaded, or another change has begun
-                await asyncio.sleep(_AGAIN)
+                await asyncio.sleep(_INTERVAL)
 
     async def _ask_all(self, board: Board) -> None:
         status = self.status

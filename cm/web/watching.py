@@ -18,7 +18,7 @@ from cm.web import pictures
 from cm.web.hub import Hub
 
 _EVERY = 1 / 30  # seconds between two pictures at least
-_AGAIN = 1.0  # seconds before a stream that could not be read is tried again
+_REREAD = 1.0  # seconds before a stream that could not be read is tried again
 _LINGER = 2.0  # seconds for which a stream is still read when no page watches it: a page may just be reloading
 _KINDS = {"raw": pictures.raw, "small": pictures.small}
 OnPicture = Callable[[str], None]
@@ -97,7 +97,7 @@ class Watching:
             except (CmError, OSError) as error:
                 watched.problem = str(error)
                 self._tell()
-            await asyncio.sleep(_AGAIN)
+            await asyncio.sleep(_REREAD)
 
     async def _read_on(self, stream: str, watched: _Watched) -> None:
         board, status = self._hub.board, self._hub.status

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from cm.client.writer import Writer
 
 _WAIT = 0.25  # seconds between two checks whether a reader is to end
-_AGAIN = 1.0  # seconds between two tries to read a stream that fails
+_REREAD = 1.0  # seconds between two tries to read a stream that fails
 
 
 class FrameReader:
@@ -66,7 +66,7 @@ class FrameReader:
                 self._read()
             except (CmError, OSError) as error:  # the manager goes away, or the mode has no such stream just now
                 self.problem = str(error)
-                self._ending.wait(_AGAIN)
+                self._ending.wait(_REREAD)
 
     def _read(self) -> None:
         status = self._board.status

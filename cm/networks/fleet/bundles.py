@@ -22,7 +22,7 @@ from cm.wire.messages.fleet import FetchBundle
 PART = 1 << 20  # bytes
 _TIMEOUT = 20.0  # seconds for a part
 PATIENCE = 10.0  # seconds until all routers know a sender
-_AGAIN = 0.1
+_BETWEEN_TRIES = 0.1  # seconds
 _ORIGIN = "origin"
 _AT_ONCE = 8  # parts that a cache fetches or hands out at once
 
@@ -217,4 +217,4 @@ def _from_one_of(session: Any, keys: list[str], part: str, patience: float) -> b
                 return data
         if time.monotonic() >= end:
             return None
-        time.sleep(_AGAIN)
+        time.sleep(_BETWEEN_TRIES)

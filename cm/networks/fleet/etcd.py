@@ -30,7 +30,7 @@ _ALL = 8.0  # and for that of any
 _MANY = 3.0  # more for an answer with all boards
 _PACE = 200e3  # bytes a second of a large request, beyond that
 _QUIET = 15.0  # seconds without a word after which a watch asks another member
-_AGAIN = (4, 14)  # gRPC's DEADLINE_EXCEEDED, UNAVAILABLE: another member may do it
+_ANOTHER_MEMBER = (4, 14)  # gRPC's DEADLINE_EXCEEDED, UNAVAILABLE: another member may do it
 _UNAUTHENTICATED = 16
 _NOT_FOUND = 5
 
@@ -168,7 +168,7 @@ class Etcd:
                     said = str(error)
                     if error.code == _UNAUTHENTICATED and self._cluster.user and path != "auth/authenticate":
                         self._token = ""
-                    elif error.code not in _AGAIN:
+                    elif error.code not in _ANOTHER_MEMBER:
                         raise (_Gone if error.code == _NOT_FOUND else StoreRefused)(_explained(said)) from None
                 else:
                     self._first = place
@@ -286,7 +286,7 @@ def _parsed(data: bytes, status: int) -> dict[str, Any]:
     try:
         found = json.loads(data)
     except ValueError:
-        raise _Failed(_AGAIN[1], f"HTTP {status}: {data[:80]!r}") from None
+        raise _Failed(_ANOTHER_MEMBER[1], f"HTTP {status}: {data[:80]!r}") from None
     failed = found.get("error")
     if failed:
         about = failed if isinstance(failed, dict) else found

@@ -19,7 +19,7 @@ KEEPER = "keeper"
 LEASE = 10.0  # seconds, zenoh's own
 _PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws", "unixsock-stream", "unixpipe", "serial", "vsock")
 _TRY = 3000  # milliseconds of one try to reach a router
-_AGAIN = 1.0  # seconds between two
+_BETWEEN_TRIES = 1.0  # seconds between two
 
 
 class NoNetwork(CmError, ConnectionError):
@@ -138,7 +138,7 @@ def awaited(network: Network, over: threading.Event, say: Callable[[str], None])
             if str(error) != said:
                 say(f"{error}; it is tried again")
             said = str(error)
-            over.wait(_AGAIN)
+            over.wait(_BETWEEN_TRIES)
     return None
 
 

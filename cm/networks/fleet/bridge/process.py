@@ -36,7 +36,7 @@ from cm.wire.messages.fleet import ClockSync
 from cm.wire.messages.status import ErrorInfo
 
 _LOG = logging.getLogger("cm.fleet")
-_AGAIN = 1.0  # seconds between two tries to reach a manager
+_RECONNECT = 1.0  # seconds between two tries to reach a manager
 _TOGETHER = 0.05  # seconds in which what comes is looked at together: whoever changes the fleet asks anyway
 _CLOCK = 10.0  # seconds between two checks of how well the clock is set
 
@@ -104,7 +104,7 @@ class Bridge:
                 except CmError as error:
                     said = _once(said, error)
                     await relay.close()
-            await asyncio.sleep(_AGAIN)
+            await asyncio.sleep(_RECONNECT)
 
     def _manager_changed(self, up: bool) -> None:
         self._status = b""
@@ -244,7 +244,7 @@ async def _alone(board: str, network: Any, lease: float) -> None:
         if time.monotonic() > end:
             raise Busy(f"a board called {board!r} is in this fleet already: give this one another --name")
         _LOG.warning("a board called %s is in this fleet: if that was this one, it will be gone soon", board)
-        await asyncio.sleep(_AGAIN)
+        await asyncio.sleep(_RECONNECT)
 
 
 def _is_there(board: str, network: Any) -> bool:
