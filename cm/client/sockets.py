@@ -22,7 +22,7 @@ _Socket = TypeVar("_Socket", bound="zmq.Socket[Any]")
 _User = TypeVar("_User", bound="User")
 # Milliseconds until ZeroMQ tries to connect again, which are 100 unless set. Over ipc it costs little, and ZeroMQ does
 # not wait for a place in a full queue: where others connect without end, there is one now and then only.
-_WOULD_BLOCK = 10
+_RECONNECT_MS = 10
 _LEAVES = 5.0  # seconds at most until a thread that was sent out of its socket has left it
 
 
@@ -188,7 +188,7 @@ class Sockets:
             raise self.gone()
         socket = prepare(self._context.socket(kind), self._keys, depth)
         if self.endpoints.req.startswith("ipc:"):
-            socket.setsockopt(zmq.RECONNECT_IVL, _WOULD_BLOCK)
+            socket.setsockopt(zmq.RECONNECT_IVL, _RECONNECT_MS)
         self._open.add(socket)
         return socket
 
