@@ -24,7 +24,8 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "The blocking client",
         "`cm.connect()` gives a `Board`; the rest hangs on it. [The guide](../../docs/client.md).",
         (
-            "cm.client.board", "cm.client.registers", "cm.client.core.generations", "cm.client.interrupts",
+            "cm.client.board", "cm.client.registers", "cm.client.window", "cm.client.core.generations",
+            "cm.client.interrupts",
             "cm.client.memories", "cm.client.stream", "cm.client.frame", "cm.client.mapping", "cm.client.writer",
             "cm.client.allocation", "cm.client.change", "cm.client.lease", "cm.client.events", "cm.client.picture",
             "cm.client.address", "cm.wire.plane_packets:Geometry Descriptor",
@@ -93,7 +94,7 @@ INTERNAL = {
     "cm.client.stream": {"NewestStream", "RemoteStream"},
     "cm.client.aio.stream": {"AsyncRemoteStream"},
 }
-MEMBERS_INTERNAL = {"ask", "run", "subscribe", "end", "nothing"}  # for what hangs on a board
+MEMBERS_INTERNAL = {"ask", "run", "subscribe", "end", "disown", "nothing"}  # for what hangs on a board
 _DUNDERS = {"__getitem__", "__setitem__", "__iter__", "__len__", "__contains__", "__array__"}
 _PLAIN_BASES = ("Generic", "Protocol", "Guarded")
 _PREFACE = (

@@ -169,6 +169,9 @@ class FaultyDevices:
         watched = Watched(found.device, self._fault, "uio", ("read", "write", "read_block", "write_block"))
         return Window(watched, found.map, found.offset)  # type: ignore[arg-type]
 
+    def windows(self) -> Any:
+        return Watched(self._inner.windows(), self._fault, "window", ("grant", "revoke", "revoke_grant"))
+
     def icap(self, name: str | None) -> Any:
         return Watched(self._inner.icap(name), self._fault, "icap", ("allocate", "load", "wait", "status"))
 

@@ -48,10 +48,12 @@ def settled(board: Board, seconds: float) -> Status:
 
 def plain(value: Any) -> Any:
     """A frozen message as what JSON knows."""
-    return asdict(value, dict_factory=lambda pairs: {k: _enum(v) for k, v in pairs})
+    return asdict(value, dict_factory=lambda pairs: {k: _known(v) for k, v in pairs})
 
 
-def _enum(value: Any) -> Any:
+def _known(value: Any) -> Any:
+    if isinstance(value, tuple) and value and hasattr(value[0], "_asdict"):
+        return [part._asdict() for part in value]
     return value.value if isinstance(value, Enum) else value
 
 

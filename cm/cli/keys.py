@@ -101,7 +101,7 @@ def add_keygen(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--role",
         default="provision",
-        help="role of the clients: observe, operate, provision (default), admin, or one of your own",
+        help="role of the clients: observe, operate, map, provision (default), admin, or one of your own",
     )
     parser.add_argument(
         "--expires", metavar="DAY", default="", help="last day on which the clients' keys are valid, such as 2030-12-31"

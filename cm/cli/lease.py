@@ -22,6 +22,7 @@ from cm.wire.messages.requests import TakeLease
 if TYPE_CHECKING:
     from cm.client.board import Board
     from cm.client.lease import BoardLease
+    from cm.wire.messages.status import WindowStatus
 
 _HELD = 30.0  # seconds for which a lease is taken, and renewed three times in that time
 _VARIABLE = "CM_LEASE"
@@ -52,7 +53,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "id", metavar="ID", nargs="?", default=os.environ.get(_VARIABLE, ""), help="its id (default: $CM_LEASE)"
     )
     giving.set_defaults(run=run_give, refuse=giving.error)
-    listing = actions.add_parser("list", help="list the leases, who holds them and for how long")
+    listing = actions.add_parser("list", help="list the leases and windows, who holds them and for how long")
     listing.set_defaults(run=run_list)
     breaking = actions.add_parser("break", help="end somebody else's lease (for administrators)")
     breaking.add_argument("number", metavar="NUMBER", type=int, help="number of the lease in the list")
@@ -163,16 +164,23 @@ def run_give(args: argparse.Namespace) -> int:
 def run_list(args: argparse.Namespace) -> int:
     """Print the leases; the exit status."""
     with connected(args) as board:
-        held = board.status.leases
+        status = board.status
+    held, windows = status.leases, status.windows
     if args.json:
-        print_json([plain(lease) for lease in held])
+        mapped = [{"scope": f"window:{x.region}", **x._asdict()} for x in windows]
+        print_json([*(plain(lease) for lease in held), *mapped])
     else:
-        rows = [
+        rows: list[tuple[object, ...]] = [
             (x.number, x.scope, "alone" if x.exclusive else "shared", x.holder, x.client, f"{x.seconds:.0f} s")
             for x in held
         ]
+        rows += [("-", f"window:{x.region}", _how(x), x.module or "-", x.client, "-") for x in windows]
         print_table(rows, ("NUMBER", "SCOPE", "HOW", "HOLDER", "CLIENT", "LEFT"))
     return 0
+
+
+def _how(window: WindowStatus) -> str:
+    return "alone" if window.exclusive else "writes" if window.writes else "reads"
 
 
 def run_break(args: argparse.Namespace) -> int:

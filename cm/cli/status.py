@@ -10,7 +10,7 @@ import sys
 from cm.cli.colours import painted
 from cm.cli.common import add_connection_options, add_json_option, natural, print_json, print_table, seconds
 from cm.cli.connection import awaited, connected, followed, plain, settled
-from cm.wire.messages.status import Status
+from cm.wire.messages.status import Status, WindowStatus
 
 _NOTICES = ("reconciled", "slept")  # what the manager found out, where nothing failed
 _COLOURS = {"idle": "green", "partial": "yellow", "full": "yellow", "error": "red"}
@@ -98,6 +98,10 @@ def show(status: Status) -> None:
         print()
         regions = [(r.name, r.module or "-", r.state) for r in status.regions]
         print_table(regions, ("REGION", "MODULE", "STATE"), _REGION_COLOURS)
+    if status.windows:
+        print()
+        mapped = [(f"{x.address:#x}", x.region, x.module or "-", _how(x), x.client) for x in status.windows]
+        print_table(mapped, ("WINDOW", "REGION", "MODULE", "HOW", "CLIENT"))
     if status.clocks:
         print()
         rates = [(c.name, _megahertz(c.wanted), _megahertz(c.rate) if c.rate else "not known") for c in status.clocks]
@@ -125,6 +129,10 @@ def show(status: Status) -> None:
             for s in status.streams
         ]
         print_table(rows, ("STREAM", "DIRECTION", "SHAPE", "DTYPE", "FLOW", "FRAMES", "DROPPED"))
+
+
+def _how(window: WindowStatus) -> str:
+    return "alone" if window.exclusive else "writes" if window.writes else "reads"
 
 
 def _megahertz(rate: int) -> str:

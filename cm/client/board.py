@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import weakref
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     from cm.client.allocation import DeviceArray
     from cm.client.frame import Frame
     from cm.client.stream import Stream
+    from cm.client.window import RegisterWindow
     from cm.client.writer import Writer
 
 _T = TypeVar("_T")
@@ -115,7 +117,7 @@ class Board(Guarded):
         self._link = Link(self._sockets, timeout, guest)
         self._leases = HeldLeases()
         # Set directly, because Guarded refuses to; not properties, since each access to a register would run them.
-        object.__setattr__(self, "registers", Registers(self))
+        object.__setattr__(self, "registers", Registers(self, self._window))
         object.__setattr__(self, "interrupts", Interrupts(self))
         object.__setattr__(self, "memories", Memories(self))
 
@@ -328,6 +330,17 @@ class Board(Guarded):
         writer = self._sockets.using(Writer(folder, wanted, timeout, owner=self))
         writer.open()
         return writer
+
+    def _window(self, wanted: Open, timeout: Limit) -> RegisterWindow:
+        self._check_open()
+        folder = self._place.data_folder("a window")
+        from cm.client.window import RegisterWindow  # here: it needs the shim, which only Linux has
+
+        limit = None if wanted.wait and timeout is DEFAULT else seconds(timeout, self.timeout)
+        wanted = replace(wanted, lease=self._leases.named(wanted.lease))
+        window = self._sockets.using(RegisterWindow(folder, wanted, limit, self._leases, self, wanted.wait))
+        window.open()
+        return window
 
     def read(self, stream: str = "", timeout: float | None = 1.0) -> Frame:
         """The next frame of a stream; `timeout` in seconds, None waits for ever. Raises RequestTimeout."""

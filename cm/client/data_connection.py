@@ -79,7 +79,7 @@ class DataConnection:
         self._readable = select.poll()
         self._readable.register(self.socket, select.POLLIN)
         try:
-            _connect(self.socket, folder)
+            connect(self.socket, folder)
             self.socket.send(packets.encode_open(wanted))
         except BaseException:
             self.socket.close()
@@ -132,7 +132,7 @@ class DataConnection:
         if head.kind == packets.FRAME and self.memory is not None:
             return self._frame(self.memory, head)
         handler = self._handlers.get(head.kind)
-        fds = _fds(ancillary) if ancillary else []
+        fds = descriptors(ancillary) if ancillary else []
         if handler is not None:
             handler(head, size, fds)
         return None
@@ -265,7 +265,7 @@ class DataConnection:
         )
 
 
-def _connect(sock: socket.socket, folder: Path) -> None:
+def connect(sock: socket.socket, folder: Path) -> None:
     """Connect by a short name: socket paths hold 107 bytes."""
     try:
         place = os.open(folder, os.O_PATH | os.O_DIRECTORY | os.O_CLOEXEC)
@@ -279,7 +279,7 @@ def _connect(sock: socket.socket, folder: Path) -> None:
         raise NotFound(f"no configuration manager serves the data socket in {folder}") from error
 
 
-def _fds(ancillary: list[tuple[int, int, bytes]]) -> list[int]:
+def descriptors(ancillary: list[tuple[int, int, bytes]]) -> list[int]:
     found = array.array("i")
     for level, kind, data in ancillary:
         if level == socket.SOL_SOCKET and kind == socket.SCM_RIGHTS:

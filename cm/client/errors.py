@@ -69,6 +69,19 @@ class LateRelease(CmError):
     code = "late_release"
 
 
+class WindowRevoked(CmError):
+    """The manager took a window's pages back: what was read was not the register, a write may not have reached it.
+
+    The board is in `mode` of `config_name` now, or on its way there; both are empty where that is not known.
+    """
+
+    code = "window_revoked"
+
+    def __init__(self, sentence: str, config_name: str = "", mode: str = "") -> None:
+        super().__init__(sentence)
+        self.config_name, self.mode = config_name, mode
+
+
 class TransferFailed(CmError):
     """The hardware did not take a written frame."""
 
@@ -77,11 +90,11 @@ class TransferFailed(CmError):
 
 _BUSY = (
     "busy", "region_busy", "held_by", "stream_stopped", "no_slots", "too_much_waiting", "replies_unread",
-    "too_many_leases", "too_much_uploaded", "lease_unwatched", "quota",
+    "module_absent", "too_many_leases", "too_much_uploaded", "lease_unwatched", "quota",
 )  # fmt: skip
 _INVALID = (
     "invalid_request", "access", "out_of_range", "schema", "unsupported", "too_long", "too_many", "name_too_long",
-    "number_too_long", "config_reserved", "bad_overlay", "pixel_format",
+    "number_too_long", "config_reserved", "bad_overlay", "pixel_format", "no_window",
 )  # fmt: skip
 _KINDS: dict[str, type[RequestFailed]] = {
     **dict.fromkeys(_BUSY, RequestBusy),

@@ -3,19 +3,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, MutableMapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping
 from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from cm.client.core import calls, registers
+from cm.client.core.effects import DEFAULT, Limit
 from cm.client.core.events import RegisterEvents
 from cm.client.core.generations import Written
 from cm.client.errors import RequestNotFound
 from cm.client.events import EventStream
 from cm.wire.messages import html
 from cm.wire.messages.status import RegisterInfo, RegValues
+from cm.wire.plane_packets import Open
 
 if TYPE_CHECKING:
     from cm.client.link import Caller
+    from cm.client.window import RegisterWindow
 
 _T = TypeVar("_T")
 
@@ -23,8 +26,32 @@ _T = TypeVar("_T")
 class Registers(MutableMapping[str, int]):
     """Registers (``"focus"``) and fields (``"control.enable"``) of the current mode by name."""
 
-    def __init__(self, board: Caller) -> None:
+    def __init__(self, board: Caller, open_window: Callable[[Open, Limit], RegisterWindow]) -> None:
         self._board = board
+        self._open_window = open_window
+
+    def window(
+        self,
+        name: str,
+        *,
+        write: bool = True,
+        wait: bool = False,
+        exclusive: bool = False,
+        timeout: Limit = DEFAULT,
+        lease: str = "",
+    ) -> RegisterWindow:
+        """Map the registers of a module, of what a region holds, or of the static part ("static").
+
+        A context manager whose attributes are the registers: each access is one load or store. The manager takes the
+        pages back when the region is reconfigured, and each access raises WindowRevoked from then on; with `wait` it
+        goes on as soon as the same module is there again. `exclusive`: a lease on the region goes with it, so that
+        others can neither write there nor change it. `timeout`: seconds to wait for the pages; with `wait` for ever.
+        On the manager's machine only; needs the role `map`. Raises RequestFailed ("no_window" where they cannot be
+        mapped: the registers go by requests as before), RequestBusy.
+        """
+        return self._open_window(
+            Open(name, write=write, window=True, exclusive=exclusive, wait=wait, lease=lease), timeout
+        )
 
     def __getitem__(self, name: str) -> int:
         return self._board.ask(calls.read_registers((name,))).values[0].value

@@ -72,6 +72,18 @@ class RegionBusy(Busy):
     code = "region_busy"
 
 
+class ModuleAbsent(Busy):
+    """A window's module is not in its region now."""
+
+    code = "module_absent"
+
+
+class NoWindow(CmError):
+    """Its registers cannot be mapped here; they go on by requests. The sentence says why."""
+
+    code = "no_window"
+
+
 class ChangeBusy(Busy):
     """Another change runs and the queue is full, or the request did not want to wait."""
 

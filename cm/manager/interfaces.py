@@ -57,6 +57,52 @@ class Window:
     offset: int
 
 
+class GrantedPages(Protocol):
+    """Pages on loan: a number by which they are taken back, and a descriptor to be given away."""
+
+    @property
+    def id(self) -> int:
+        """The number."""
+
+    @property
+    def fd(self) -> int:
+        """The descriptor, its owner's."""
+
+
+class GrantEnded(Protocol):
+    """A grant that ended."""
+
+    @property
+    def id(self) -> int:
+        """Its number."""
+
+    @property
+    def reason(self) -> int:
+        """0: nobody has it any more; else why it was taken back."""
+
+
+class WindowLender(Protocol):
+    """What lends pages of registers, and takes them back. All raise DeviceError."""
+
+    def grant(self, address: int, length: int, write: bool = False) -> GrantedPages:
+        """Lend whole pages at a physical address."""
+
+    def revoke(self, address: int, length: int) -> int:
+        """Take back whatever of a range was lent; returns from how many."""
+
+    def revoke_grant(self, number: int) -> bool:
+        """Take one back. Raises FileNotFoundError where nobody has it any more."""
+
+    def take(self) -> Sequence[GrantEnded]:
+        """Those that have ended by themselves since the last call."""
+
+    def fileno(self) -> int:
+        """Polls readable when there are such."""
+
+    def close(self) -> None:
+        """Take back all."""
+
+
 class OverlayFolder(Protocol):
     """Device-tree overlays, by name. All but `available` raise DeviceError."""
 
@@ -107,6 +153,9 @@ class Devices(Protocol):
 
     def window(self, address: int, width: int) -> Window:
         """Where `width` bits at a physical address are mapped. Raises DeviceNotFound."""
+
+    def windows(self) -> WindowLender:
+        """What lends register pages, opened anew: the caller's. Raises NoWindow where there is none."""
 
     def icap(self, name: str | None) -> ConfigPort:
         """A configuration access port; the only one if no name is given."""

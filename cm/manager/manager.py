@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cm.manager import planner
 from cm.manager.access.leases import Leases, leases_concerned
@@ -28,7 +28,10 @@ from cm.manager.state.board_state import BoardState, slept
 from cm.manager.state.record import Journal, ManagerState, Pending
 from cm.schema.model import Config
 from cm.wire.messages.requests import ChangeMode, RegWrite
-from cm.wire.messages.status import ConfigInfo, ErrorInfo, PlanInfo, RegValues, Status
+from cm.wire.messages.status import ConfigInfo, ErrorInfo, PlanInfo, RegValues, Status, WindowStatus
+
+if TYPE_CHECKING:
+    from cm.manager.access.windows import Windows
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,9 +68,18 @@ class Manager:
         self.memories = MemoryService(state, self.registers, self._bus, self.leases)
         self.reporter = StatusReporter(state, env.observer)
         self.totals = self.reporter.totals
-        self.leases.on_change = self.reporter.changed
+        self.leases.on_change = self._leases_changed
+        self._windows: Windows | None = None
         self._tools = Tools(
-            state, self.reporter, env.devices, self._bus, self._loaders, env.files, env.data_plane, env.time
+            state,
+            self.reporter,
+            env.devices,
+            self._bus,
+            self._loaders,
+            env.files,
+            env.data_plane,
+            env.time,
+            self._take_back,
         )
         self._worker = Worker(self._tools, self.leases, prefetches=env.settings.prefetch_bytes > 0)
 
@@ -75,6 +87,34 @@ class Manager:
     def state(self) -> BoardState:
         """What the board holds, as far as is known."""
         return self._state.board
+
+    @property
+    def windows(self) -> Windows:
+        """Registers that clients have mapped. Nothing of it is there before somebody asks."""
+        if self._windows is None:
+            from cm.manager.access.windows import Windows
+
+            self._windows = Windows(self._state, self.registers, self._bus, self.leases, self._env.time)
+            self._windows.changed = self.reporter.changed
+        return self._windows
+
+    @property
+    def mapped(self) -> tuple[WindowStatus, ...]:
+        """Who has which registers mapped."""
+        return self._windows.told() if self._windows is not None else ()
+
+    def _take_back(self, config: str, mode: str) -> None:
+        if self._windows is not None:
+            self._windows.revoke(self._state.locked, config, mode)
+
+    def _leases_changed(self) -> None:
+        if self._windows is not None:
+            self._windows.look_at_leases()
+        self.reporter.changed()
+
+    def _forget_windows(self) -> None:
+        if self._windows is not None:
+            self._windows.forget()
 
     @property
     def configs(self) -> Mapping[str, Config]:
@@ -120,6 +160,7 @@ class Manager:
         if self._worker.busy:
             raise ChangeBusy("the board was restarted while a change runs; its end is awaited")
         self._loaders.forget()
+        self._forget_windows()
         self._bus.forget(lost=True)
         self.reconcile()
 
@@ -132,6 +173,7 @@ class Manager:
         if self._worker.busy:
             raise ChangeBusy("the machine slept while a change ran; its end is awaited")
         before = self.state
+        self._forget_windows()
         there = destination(before, None, self.configs)
         self._bus.forget(lost=False)
         self._state.update(slept)
@@ -146,6 +188,7 @@ class Manager:
         """The board does not answer any more: nothing is known of it."""
         with self._state.lock:
             self._loaders.forget()
+            self._forget_windows()
             self._bus.forget(lost=True)
             self.reporter.set_error(ErrorInfo("device_gone", f"the board does not answer: {error}"), failed=True)
         self.reporter.changed()
@@ -154,6 +197,7 @@ class Manager:
         """End after the running change; queued ones are refused as cancelled."""
         self._worker.stop()
         self._loaders.forget()
+        self._forget_windows()
         self.flush()
 
     # ---- configurations -----------------------------------------------------------

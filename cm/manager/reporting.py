@@ -246,10 +246,12 @@ def _registers(config: Config) -> tuple[RegisterInfo, ...]:
     for mode in config.modes:
         for name, register in config.visible_registers(mode).items():
             found.setdefault(name, (register, []))[1].append(mode)
-    return tuple(_register(r, modes, len(config.modes)) for r, modes in found.values())
+    all_modes = len(config.modes)
+    return tuple(register_info(r, () if len(modes) == all_modes else tuple(modes)) for r, modes in found.values())
 
 
-def _register(r: Register, modes: list[str], of_modes: int) -> RegisterInfo:
+def register_info(r: Register, modes: tuple[str, ...] = ()) -> RegisterInfo:
+    """A register; `modes` is empty where all have it."""
     return RegisterInfo(
         name=r.name,
         address=r.address,
@@ -260,7 +262,7 @@ def _register(r: Register, modes: list[str], of_modes: int) -> RegisterInfo:
         maximum=r.maximum,
         doc=r.doc,
         fields=tuple(FieldInfo(f.name, f.lsb, f.width, f.doc, tuple(f.values.items())) for f in r.fields.values()),
-        modes=() if len(modes) == of_modes else tuple(modes),
+        modes=modes,
         region=r.region or "",
     )
 

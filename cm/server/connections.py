@@ -26,7 +26,7 @@ from cm.manager.manager import Manager
 from cm.manager.planner import target
 from cm.server.rights.gate import Gate
 from cm.server.rights.model import Access
-from cm.server.rights.needs import Scene, opening
+from cm.server.rights.needs import Scene, mapping, opening
 from cm.server.rights.principal import DATA, IPC, Principal, of_process
 from cm.server.shares import place_of
 from cm.wire.plane_packets import SOCKET, Open
@@ -179,9 +179,10 @@ class Sessions:
 
     def check_open(self, connection: socket.socket, wanted: Open) -> None:
         """Raise Forbidden if a connection to the data socket requests something that it has no right to."""
-        who, writes = self.whose(connection), wanted.write or wanted.allocate
+        who, writes, scene = self.whose(connection), wanted.write or wanted.allocate, self.scene()
+        need = mapping(wanted.name, scene) if wanted.window else opening(wanted.name, writes, scene)
         try:
-            self.gate.check(who, opening(wanted.name, writes, self.scene()))
+            self.gate.check(who, need)
         except Forbidden as error:
             self.gate.refused(who, "opening", error)
             raise

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cm.device import (
     AxiDma,
@@ -29,7 +30,11 @@ from cm.device import (
     list_uio,
 )
 from cm.errors import NotFound
+from cm.manager.errors import NoWindow
 from cm.manager.interfaces import Window
+
+if TYPE_CHECKING:
+    from cm.device.window import Windows
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +134,20 @@ class BoardDevices:
             info, index = find_uio(address, width // 8, self._root)
             uio = self.uio(info.node)
             return Window(uio, index, address - uio.maps[index].address)
+
+    def windows(self) -> Windows:
+        """What lends register pages; the caller's. Raises NoWindow where nothing does."""
+        from cm.device.window import Windows
+
+        try:
+            return Windows.open(self._root)
+        except DeviceNotFound as error:
+            why = "the kernel module cm_window is not loaded (modprobe cm_window)"
+            if self._root.simulated:
+                why = (
+                    "this simulated board lends no registers: its logic has to see each access (--sim=rtl, --sim=bits)"
+                )
+            raise NoWindow(f"{why}; they go by requests as before") from error
 
     def uio(self, name: str) -> Uio:
         """An open UIO device, by its node's or its own name."""

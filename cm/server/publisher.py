@@ -354,6 +354,7 @@ class StatusTold:
         self._manager: Manager
         self._interrupts: InterruptWatch
         self._moments: deque[Moment] = deque()
+        self.at_rest: Callable[[], None] = lambda: None  # something is different, and no change runs
 
     def begin(self, manager: Manager, interrupts: InterruptWatch) -> None:
         """Tell of this manager; its interrupts are watched anew when another configuration is loaded."""
@@ -362,7 +363,8 @@ class StatusTold:
     def status(self, moment: Moment | None = None) -> Status:
         """The status of a moment, or of now."""
         streams, leases = self._streams.status(), self._manager.leases.told()
-        return self._manager.status(moment, streams=streams, leases=leases, **self._publisher.beside())
+        windows = self._manager.mapped
+        return self._manager.status(moment, streams=streams, leases=leases, windows=windows, **self._publisher.beside())
 
     def publish(self) -> None:
         """Publish the status of now."""
@@ -395,6 +397,7 @@ class StatusTold:
             moment = self._moments.popleft()
             if not moment.running:
                 self._watch_interrupts()
+                self.at_rest()
             if self._publisher.status(partial(self.status, moment)):
                 self._manager.reporter.was_read()
             self._publisher.log(moment.error, moment.last[0])

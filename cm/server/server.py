@@ -44,7 +44,12 @@ from cm.wire.messages.requests import ChangeMode
 from cm.wire.messages.status import ErrorInfo
 
 if TYPE_CHECKING:
+    import socket
+
     from cm.server.metrics import Metrics  # imports an HTTP server
+    from cm.server.streams.peer import Peer
+    from cm.server.windows import OpenWindows
+    from cm.wire.plane_packets import Open
 
 _LOG = logging.getLogger("cm")
 _TICK = 1.0  # seconds between two checks of streams, records and a lost board
@@ -82,7 +87,8 @@ class Server:
         self._status = StatusTold(self._loop, self._publisher, self._streams)
         self._manager = Manager(configs, self._environment(), leases)
         self._sessions = Sessions(gate, options.runtime_dir, self._sockets.tcp, self._manager)
-        local = self._streams.open_local, *self._streams.memories, self._sessions
+        self._windows: OpenWindows | None = None
+        local = self._streams.open_local, *self._streams.memories, self._open_window, self._sessions
         taken = self._steps, options.group
         self._data_socket = DataSocket(self._loop, options.runtime_dir, *local, *taken)
         self._interrupts = InterruptWatch(
@@ -209,11 +215,24 @@ class Server:
         watches = (self._sensors.close, self._leases.close, self._jobs.close)
         board = (self._publisher.close, self._devices.lost, self._journal.close, self._sockets.close)
         last = (self._authenticator.close, self._context.term, self._loop.close, self._locks.release)
-        for end in (self._manager.stop, self._data_socket.close, *users, *watches, *board, *last):
+        for end in (self._manager.stop, self._data_socket.close, self._close_windows, *users, *watches, *board, *last):
             end()
 
     def _note_error(self, error: ErrorInfo) -> None:
         self._manager.note_error(error)
+
+    def _open_window(self, connection: socket.socket, wanted: Open, peer: Peer) -> None:
+        """Lend registers to a client of the data socket; nothing of it is there before one asks."""
+        if self._windows is None:
+            from cm.server.windows import OpenWindows
+
+            self._windows = OpenWindows(self._loop, self._manager, self._devices, self._sessions)
+            self._status.at_rest = self._windows.ask_again
+        self._windows.open(connection, wanted, peer)
+
+    def _close_windows(self) -> None:
+        if self._windows is not None:
+            self._windows.close()
 
     # ---- regular work ---------------------------------------------------------------------
 

@@ -14,7 +14,13 @@ Listener = Callable[[str], None]
 
 def plain(message: Any) -> Any:
     """A frozen message as plain data for JSON."""
-    return asdict(message, dict_factory=lambda pairs: {k: v.value if isinstance(v, Enum) else v for k, v in pairs})
+    return asdict(message, dict_factory=lambda pairs: {k: _known(v) for k, v in pairs})
+
+
+def _known(value: Any) -> Any:
+    if isinstance(value, tuple) and value and hasattr(value[0], "_asdict"):
+        return [part._asdict() for part in value]
+    return value.value if isinstance(value, Enum) else value
 
 
 class Topics:

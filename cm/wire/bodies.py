@@ -47,6 +47,8 @@ def encoded_status(s: st.Status) -> bytes:
         message.last_error.CopyFrom(error_to_pb(s.last_error))
     if s.leases:
         message.leases.extend([holders.lease_state_to_pb(x) for x in s.leases])
+    if s.windows:
+        message.windows.extend([holders.window_to_pb(x) for x in s.windows])
     if s.clients:
         message.clients.extend([holders.client_to_pb(x) for x in s.clients])
     lasting = s.configs, s.streams, s.sensors, s.clocks, s.version, s.started_ns, s.board
@@ -126,6 +128,7 @@ def status_from_pb(m: pb.Status) -> st.Status:
         sensors=tuple([st.SensorStatus(x.device, x.name, x.quantity, x.value) for x in m.sensors]),
         leases=tuple(holders.lease_state_from_pb(x) for x in m.leases),
         clients=tuple(holders.client_from_pb(x) for x in m.clients),
+        windows=tuple([holders.window_from_pb(x) for x in m.windows]),
     )
 
 

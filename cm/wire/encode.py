@@ -245,6 +245,19 @@ def encode_config(info: st.ConfigInfo) -> bytes:
     return pb.Reply(config=bodies.config_to_pb(info)).SerializeToString()
 
 
+def encode_table(info: st.ConfigInfo) -> bytes:
+    """A `Config` message by itself: the registers of a window."""
+    return bodies.config_to_pb(info).SerializeToString()
+
+
+def decode_table(data: bytes) -> st.ConfigInfo:
+    """The inverse of `encode_table`. Raises InvalidRequest."""
+    try:
+        return bodies.config_from_pb(pb.Config.FromString(data))
+    except DecodeError as error:
+        raise InvalidRequest(f"the registers of a window: {error}") from error
+
+
 class RegisterReply:
     """A reply that holds registers, kept to be filled in again: a third of the time that a new one takes.
 

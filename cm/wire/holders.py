@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Leases and clients in the status ↔ protobuf messages."""
+"""Leases, windows and clients in the status ↔ protobuf messages."""
 
 from __future__ import annotations
 
@@ -21,6 +21,15 @@ def lease_state_to_pb(x: st.LeaseStatus) -> pb.LeaseState:
 
 def lease_state_from_pb(m: pb.LeaseState) -> st.LeaseStatus:
     return st.LeaseStatus(m.number, m.scope, m.exclusive, m.holder, m.client, m.pid, m.seconds)
+
+
+def window_to_pb(x: st.WindowStatus) -> pb.WindowState:
+    return pb.WindowState(**x._asdict())
+
+
+def window_from_pb(m: pb.WindowState) -> st.WindowStatus:
+    what = m.number, m.region, m.module, m.address, m.length, m.writes, m.exclusive
+    return st.WindowStatus(*what, m.client, m.pid)
 
 
 def client_to_pb(x: st.ClientStatus) -> pb.ClientState:

@@ -16,7 +16,9 @@ FDS_MAX = 64
 
 OPEN, RELEASE, SUBMIT, PING, LEAVE = 1, 2, 3, 4, 5
 GEOMETRY, SLOTS, FRAME, GRANT, DONE, PONG, STOPPED, LATE, LABEL, REFUSED, GENERATION, ADDRESS = range(16, 28)
-OPEN_WRITE, OPEN_ECHO, OPEN_ALLOCATE = 1, 2, 4
+WINDOW, REVOKED = 28, 29
+OPEN_WRITE, OPEN_ECHO, OPEN_ALLOCATE, OPEN_WINDOW, OPEN_EXCLUSIVE, OPEN_WAIT = 1, 2, 4, 8, 16, 32
+_OPEN_FLAGS = OPEN_WRITE | OPEN_ECHO | OPEN_ALLOCATE | OPEN_WINDOW | OPEN_EXCLUSIVE | OPEN_WAIT
 COHERENT, WRITABLE, CYCLIC = 1, 2, 4
 
 DESCRIPTOR = struct.Struct("=HBBIQQQ")
@@ -42,8 +44,12 @@ class Descriptor(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Open:
-    """What a client wants: a stream to read or write, memory that comes back at once (`echo`), or memory for masters
-    in the PL (`allocate`). `raw`, which is not sent: pixels as they lie in memory, whatever the stream's format."""
+    """What a client wants: a stream to read or write, memory that comes back at once (`echo`), memory for masters
+    in the PL (`allocate`), or the registers of a module or region, mapped (`window`).
+
+    A window is `exclusive` where others may not write beside it; with `wait` it comes when the module is there.
+    `raw`, which is not sent: pixels as they lie in memory, whatever the stream's format.
+    """
 
     name: str
     write: bool = False
@@ -53,6 +59,9 @@ class Open:
     lease: str = ""
     allocate: bool = False
     raw: bool = False
+    window: bool = False
+    exclusive: bool = False
+    wait: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +86,8 @@ class Geometry:
 def encode_open(wanted: Open) -> bytes:
     """The first packet of a client. Raises InvalidRequest for what no packet can hold."""
     flags = (OPEN_WRITE if wanted.write else 0) | (OPEN_ECHO if wanted.echo else 0)
-    flags |= OPEN_ALLOCATE if wanted.allocate else 0
+    flags |= (OPEN_ALLOCATE if wanted.allocate else 0) | (OPEN_WINDOW if wanted.window else 0)
+    flags |= (OPEN_EXCLUSIVE if wanted.exclusive else 0) | (OPEN_WAIT if wanted.wait else 0)
     text = f"{wanted.name}\0{wanted.lease}" if wanted.lease else wanted.name
     try:
         return Descriptor(wanted.depth, OPEN, flags, length=wanted.length).pack() + text.encode()
@@ -90,14 +100,17 @@ def encode_open(wanted: Open) -> bytes:
 def decode_open(packet: bytes) -> Open:
     """Raises InvalidRequest."""
     head = _head(packet)
-    if head.kind != OPEN or head.flags & ~(OPEN_WRITE | OPEN_ECHO | OPEN_ALLOCATE):
+    if head.kind != OPEN or head.flags & ~_OPEN_FLAGS:
         raise InvalidRequest("the first packet on the data socket must be an OPEN")
     try:
         name, _, lease = packet[DESCRIPTOR.size :].decode().partition("\0")
     except UnicodeDecodeError:
         raise InvalidRequest("the stream's name is not UTF-8") from None
     write, echo, allocate = (bool(head.flags & flag) for flag in (OPEN_WRITE, OPEN_ECHO, OPEN_ALLOCATE))
-    return Open(name, write, head.slot, echo, head.length, lease, allocate)
+    window, exclusive, wait = (bool(head.flags & flag) for flag in (OPEN_WINDOW, OPEN_EXCLUSIVE, OPEN_WAIT))
+    if (exclusive or wait) and not window:
+        raise InvalidRequest("only a window can be exclusive, or be waited for")
+    return Open(name, write, head.slot, echo, head.length, lease, allocate, False, window, exclusive, wait)
 
 
 def encode_geometry(geometry: Geometry) -> bytes:
@@ -148,6 +161,43 @@ def decode_geometry(packet: bytes) -> Geometry:
         mode,
         form,
     )
+
+
+class WindowPages(NamedTuple):
+    """What a WINDOW packet says: where the pages begin, how many bytes they have, and whose registers they are."""
+
+    address: int
+    length: int
+    writable: bool
+    region: str  # "static": outside all regions
+    module: str
+    config_name: str
+    mode: str
+    lease: str  # that goes with an exclusive one
+
+
+def encode_window(pages: WindowPages) -> bytes:
+    """A WINDOW packet; a descriptor of the pages goes with it, and one of a `Config` message of the registers."""
+    flags = WRITABLE if pages.writable else 0
+    return Descriptor(0, WINDOW, flags, 0, pages.length, pages.address).pack() + encode_names(*pages[3:])
+
+
+def decode_window(packet: bytes) -> WindowPages:
+    """Raises InvalidRequest."""
+    head = _head(packet)
+    names = [*(part.decode("utf-8", "replace") for part in packet[DESCRIPTOR.size :].split(b"\0")), *[""] * 5][:5]
+    return WindowPages(head.sequence, head.length, bool(head.flags & WRITABLE), *names)
+
+
+def encode_revoked(reason: int, config_name: str, mode: str) -> bytes:
+    """A REVOKED packet: why a window ended, and the mode that the board is in, or goes to."""
+    return Descriptor(kind=REVOKED, flags=reason).pack() + encode_names(config_name, mode)
+
+
+def decode_revoked(packet: bytes) -> tuple[int, str, str]:
+    """Reason, configuration, mode. Raises InvalidRequest."""
+    config_name, mode, _ = decode_names(packet[DESCRIPTOR.size :])
+    return _head(packet).flags, config_name, mode
 
 
 def encode_label(stream: str, config_name: str, mode: str) -> bytes:

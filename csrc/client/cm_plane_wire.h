@@ -39,6 +39,15 @@
 
 #define CM_PLANE_ADDRESS 27 /* of memory that was asked for: @sequence is where devices see it */
 
+/*
+ * Registers that were asked for: @length bytes from physical address @sequence; @flags: CM_PLANE_WRITABLE.
+ * Names follow: region, module, configuration, mode, lease.  Two descriptors come along: the pages, for
+ * cm_grant_map() or mmap() (cm_window.h), and a file with a Config message (cm.proto) of the registers in them.
+ */
+#define CM_PLANE_WINDOW 28
+/* They were taken back; @flags: why (CM_WINDOW_REVOKED_*).  Configuration and mode follow; the connection ends. */
+#define CM_PLANE_REVOKED 29
+
 /* flags of OPEN; those of other packets are the low bits of the epoch, which change with GEOMETRY */
 #define CM_PLANE_OPEN_WRITE 1
 #define CM_PLANE_OPEN_ECHO \
@@ -46,6 +55,11 @@
 
 #define CM_PLANE_OPEN_ALLOCATE \
 	4 /* no stream: @length bytes in one piece for masters in the PL, until we hang up */
+
+/* no stream: the registers of the module or region that is named, until we hang up; with WRITE to write too */
+#define CM_PLANE_OPEN_WINDOW 8
+#define CM_PLANE_OPEN_EXCLUSIVE 16 /* a window: with a lease on its region */
+#define CM_PLANE_OPEN_WAIT 32	   /* a window: not refused while the module is not there */
 
 /**
  * struct cm_plane_descriptor - 32 bytes

@@ -293,6 +293,17 @@ def test_integers_of_every_kind_are_written(board: Any, value: Any) -> None:
     assert board.registers.write({"focus": value}) == {"focus": 5}
 
 
+def test_registers_are_mapped_on_the_managers_machine_only(board: Any, reach: tuple[str, dict[str, Any]]) -> None:
+    if "endpoint" in reach[1]:
+        with pytest.raises(InvalidRequest, match="only its own machine"):
+            board.registers.window("prr0")
+        return
+    window = board.registers.window("prr0")
+    window["focus"] = 9
+    assert window["focus"] == board.registers.read("focus")["focus"] == 9
+    window.close()
+
+
 def test_registers_are_described(board: Any) -> None:
     assert board.registers.info["focus"].name == "focus"
 

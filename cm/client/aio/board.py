@@ -7,6 +7,7 @@ import asyncio
 import os
 import weakref
 from collections.abc import Generator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -53,6 +54,7 @@ from cm.wire.plane_packets import Open
 
 if TYPE_CHECKING:
     from cm.client.allocation import DeviceArray
+    from cm.client.window import RegisterWindow
 
 _T = TypeVar("_T")
 
@@ -99,7 +101,7 @@ class Board(Guarded):
         self._link = Link(self._sockets, timeout, guest)
         self._leases = HeldLeases()
         # Set directly, because Guarded refuses to; not properties, since each access to a register would run them.
-        object.__setattr__(self, "registers", Registers(self))
+        object.__setattr__(self, "registers", Registers(self, self._window))
         object.__setattr__(self, "interrupts", Interrupts(self))
         object.__setattr__(self, "memories", Memories(self))
 
@@ -332,6 +334,21 @@ class Board(Guarded):
 
         wait = asyncio.get_running_loop().run_in_executor
         return await wait(None, allocated, folder, shape, dtype, limit, self._sockets.using)
+
+    async def _window(self, wanted: Open, timeout: Limit) -> RegisterWindow:
+        self._check_open()
+        folder = self._place.data_folder("a window")
+        limit = None if wanted.wait and timeout is DEFAULT else seconds(timeout, self.timeout)
+        from cm.client.window import RegisterWindow  # here: it needs the shim, which only Linux has
+
+        wanted = replace(wanted, lease=self._leases.named(wanted.lease))
+        window = self._sockets.using(RegisterWindow(folder, wanted, limit, self._leases, owner=self))
+        try:
+            await asyncio.get_running_loop().run_in_executor(None, window.open)
+        except BaseException:  # also the end of the task, while the thread waits
+            window.close()
+            raise
+        return window
 
     async def configure_stream(
         self,

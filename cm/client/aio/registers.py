@@ -3,18 +3,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Awaitable, Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from cm.client.aio.events import EventStream
 from cm.client.core import calls, registers
+from cm.client.core.effects import DEFAULT, Limit
 from cm.client.core.events import RegisterEvents
 from cm.client.core.generations import Written
 from cm.client.errors import RequestNotFound
 from cm.wire.messages.status import RegisterInfo, RegValues
+from cm.wire.plane_packets import Open
 
 if TYPE_CHECKING:
     from cm.client.aio.link import Caller
+    from cm.client.window import RegisterWindow
 
 _T = TypeVar("_T")
 
@@ -22,8 +25,27 @@ _T = TypeVar("_T")
 class Registers:
     """Registers (``"focus"``) and fields (``"control.enable"``) of the current mode by name."""
 
-    def __init__(self, board: Caller) -> None:
+    def __init__(self, board: Caller, open_window: Callable[[Open, Limit], Awaitable[RegisterWindow]]) -> None:
         self._board = board
+        self._open_window = open_window
+
+    async def window(
+        self,
+        name: str,
+        *,
+        write: bool = True,
+        wait: bool = False,
+        exclusive: bool = False,
+        timeout: Limit = DEFAULT,
+        lease: str = "",
+    ) -> RegisterWindow:
+        """Map registers, as the blocking client: ``with await board.registers.window("edge") as regs: regs.focus = 2``.
+
+        An access is a load or a store and is not awaited. So `wait` waits until the module is there, and an access
+        whose pages were taken back raises WindowRevoked with it too: ask for another window then.
+        """
+        wanted = Open(name, write=write, lease=lease, window=True, exclusive=exclusive, wait=wait)
+        return await self._open_window(wanted, timeout)
 
     @overload
     async def get(self, name: str, default: None = None) -> int | None: ...

@@ -19,6 +19,7 @@ REVOKED_SLEEP: int = lib.CM_WINDOW_REVOKED_SLEEP
 TAKE_AT_ONCE = 64
 
 read32 = lib.cm_grant_read32  # the value, or -1: see `cm.device.native.call.last_error`
+write_plain = lib.cm_grant_write  # handle, offset, width, value; 0, or -1
 
 
 class Event(NamedTuple):

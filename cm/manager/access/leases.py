@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from itertools import count
+from math import inf
 
 from cm.errors import Busy, InvalidRequest, NotFound
 from cm.manager.errors import HeldBy
@@ -136,7 +137,7 @@ class Leases:
         """End those whose time is over; seconds until that of the next one, None where none is held."""
         with self._lock:
             self._expire()
-            left = min((self._left(held) for held in self._held.values()), default=None)
+            left = min((self._left(held) for held in self._held.values() if held.until < inf), default=None)
         self._tell()
         return left
 
@@ -184,9 +185,16 @@ class Leases:
         with self._lock:
             self._expire()
             return tuple(
-                LeaseStatus(x.number, x.info.scope, x.info.exclusive, x.info.holder, x.client, x.pid, self._left(x))
+                LeaseStatus(x.number, x.info.scope, x.info.exclusive, x.info.holder, x.client, x.pid, self._told(x))
                 for x in self._held.values()
             )
+
+    def hold(self, scope: str, holder: str, client: str, pid: int) -> str:
+        """Take one that has no end but `drop`, or being broken; returns its id. Raises HeldBy, TooManyLeases."""
+        taken = self.request(TakeLease(scope, True, MAX_SECONDS, holder, pid), client)
+        with self._lock:
+            self._held[taken.id] = replace(self._held[taken.id], until=inf)
+        return taken.id
 
     def drop(self, lease: str) -> bool:
         """End a lease whose holder has died."""
@@ -241,6 +249,9 @@ class Leases:
         self._untold |= len(held) < len(self._held)
         self._held = held
 
+    def _told(self, held: _Lease) -> float:
+        return self._left(held) if held.until < inf else 0.0
+
     def _left(self, held: _Lease) -> float:
         return max(0.0, held.until - self._time.monotonic())
 
@@ -285,7 +296,8 @@ def _overlap(a: str, b: str) -> bool:
 
 def _held_by(info: LeaseInfo, left: float) -> str:
     how = "alone" if info.exclusive else "shared"
-    return f"{info.scope} is held by {info.holder} ({how}), for {left:.0f} s more unless renewed"
+    long = f"for {left:.0f} s more unless renewed" if left < inf else "until that is given back"
+    return f"{info.scope} is held by {info.holder} ({how}), {long}"
 
 
 def _named(holder: str) -> str:

@@ -50,6 +50,7 @@ class Tools:
     files: Files
     data_plane: DataPlane
     time: TimeSource
+    take_back: Callable[[str, str], None]  # windows of what is locked, before a change to this configuration and mode
 
 
 @dataclass(slots=True)
@@ -313,12 +314,16 @@ def check_identity(run: StepContext, step: s.CheckIdentity) -> None:
 
 
 def validate(run: StepContext, _: s.Validate) -> None:
-    """The planner has read and checked every image; what remains is to ask the ports, and to lock the regions."""
+    """The planner has read and checked every image; what remains is to ask the ports, and to lock the regions.
+
+    What clients have mapped of them is taken back here: from now on nobody but this change reaches them.
+    """
     plan = run.plan
     for step in (*plan.steps, *(() if plan.ports_later else plan.then)):
         if isinstance(step, s.Load | s.LoadStatic):
             run.tools.loaders.kind(step.port_kind).check(job_of(run, step))
     run.tools.state.lock_regions(plan.regions, whole=plan.full)
+    run.tools.take_back(plan.goal.config.name, plan.goal.mode)
     run.check_cancelled()
 
 

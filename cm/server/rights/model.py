@@ -18,8 +18,9 @@ class Role(IntEnum):
     NONE = 0
     OBSERVE = 1  # look at all that the board holds and tells
     OPERATE = 2  # change modes, registers, streams and memories; take leases
-    PROVISION = 3  # send configurations, remove one's own, define memories
-    ADMIN = 4  # take away leases and configurations of others; speak for others
+    MAP = 3  # map registers: nobody sees what is read and written there, nor checks it
+    PROVISION = 4  # send configurations, remove one's own, define memories
+    ADMIN = 5  # take away leases and configurations of others; speak for others
 
 
 def role_named(name: str) -> Role:

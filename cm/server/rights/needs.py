@@ -84,6 +84,15 @@ def opening(name: str, writes: bool, scene: Scene) -> Need:
     return next(_data(Need(Role.OPERATE if writes else Role.OBSERVE, "data"), rq.ReadData(name), scene))
 
 
+def mapping(name: str, scene: Scene) -> Need:
+    """What it takes to map the registers of a module, a region or the static part: a right to all that are there."""
+    loaded = scene.loaded
+    module = loaded.modules.get(name) if loaded else None
+    region = module.region if module else name
+    known = loaded is not None and (region in loaded.regions or region == STATIC)
+    return Need(Role.MAP, "data", _loaded(scene), region if known else "*", "*", "*")
+
+
 def provisioning(name: str) -> Need:
     """The need to store or remove a configuration."""
     return Need(Role.PROVISION, _WRITE_CONFIG, name)

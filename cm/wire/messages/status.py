@@ -133,6 +133,20 @@ class LeaseStatus:
     seconds: float = 0.0
 
 
+class WindowStatus(NamedTuple):
+    """Pages of registers that a client has mapped, until it gives them back or the manager takes them."""
+
+    number: int
+    region: str  # "static": outside all regions
+    module: str
+    address: int  # physical, of the first page
+    length: int
+    writes: bool = False
+    exclusive: bool = False  # a lease on the region goes with it
+    client: str = ""
+    pid: int = 0
+
+
 @dataclass(frozen=True, slots=True)
 class ClientStatus:
     """What one client uses of what all share."""
@@ -177,6 +191,7 @@ class Status:
     sensors: tuple[SensorStatus, ...] = ()  # of the board; within the last seconds
     leases: tuple[LeaseStatus, ...] = ()
     clients: tuple[ClientStatus, ...] = ()  # only in the reply to a request for them
+    windows: tuple[WindowStatus, ...] = ()
 
     def _repr_html_(self) -> str:
         from cm.wire.messages import html  # only notebooks need it

@@ -41,10 +41,8 @@ class WindowNode:
         return found[0]
 
     def _shared(self, address: int, length: int) -> bool:
-        """Whether a region is isolated, or known, by a register in these pages."""
-        parts = [
-            part for region in self.fabric.regions.values() for part in (region.spec.decoupler, region.spec.identity)
-        ]
+        """Whether a region is isolated by a register in these pages."""
+        parts = [region.spec.decoupler for region in self.fabric.regions.values()]
         places = [part.base_address + part.offset for part in parts if part is not None and part.size]
         return any(address <= place < address + length for place in places)
 
