@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 import zmq
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from manager_process import Manager
 
 import cm
+from cm.server.settings.model import USUAL
 from cm.simulation.software import Board as SimBoard
 from cm.wire import cm_pb2 as pb
 
@@ -163,6 +165,22 @@ def test_an_error_is_logged_once(own: tuple[Manager, SimBoard]) -> None:
     peer.close()
     manager.stop()
     assert manager.log.count(b"has no mode 'sharpen'") == 1
+
+
+def test_a_frame_above_the_pages_limit_ends_its_connection_and_no_other(peer: Peer, manager: Manager) -> None:
+    most = USUAL.message_bytes
+    page = (Path(__file__).parents[2] / "docs/protocol.md").read_text(encoding="utf-8")
+    assert f"A frame of a message has at most {most >> 20} MiB" in page
+    dealer = peer.dealer(manager)
+    dealer.send_multipart([b"cm_status", b"", bytes(most)])
+    assert dealer.poll(60_000)
+    dealer.recv_multipart()
+    ended = dealer.get_monitor_socket(zmq.EVENT_DISCONNECTED)
+    dealer.send_multipart([b"cm_status", b"", bytes(most + 1)])
+    assert ended.poll(60_000)
+    dealer.disable_monitor()
+    ended.close(0)
+    assert peer.ask(b"cm_status", b"").ok
 
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

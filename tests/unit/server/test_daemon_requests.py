@@ -226,6 +226,7 @@ def test_a_repeated_read_after_a_change_of_mode_is_of_the_new_mode(camera: Daemo
         (rq.DefineMemory("scratchpad", 0x1A00, 16), "invalid_request", "'scratchpad' is a memory of configuration"),
         (written("version", 1), "access", "read-only"),
         (written("focus", 16), "out_of_range", "15"),
+        (written("led.blink", 9, 1), "invalid_request", "give a value or a mask, not both"),
         (rq.RenewLease("none"), "unknown_lease", "none"),
         (rq.TakeLease("registers:nothing"), "not_found", "nothing"),
         (rq.ReadData("nothing"), "unknown_stream", "nothing"),

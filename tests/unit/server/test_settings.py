@@ -7,7 +7,7 @@ import contextlib
 import json
 import re
 import textwrap
-from dataclasses import fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from cm.cli.main import main
 from cm.server.settings import Settings, SettingsError, SettingsMissing, find_configs, load_settings, parse_settings
 from cm.server.settings import settings_schema as schema
+from cm.server.settings.model import USUAL, Limits, LimitSettings
 
 ROOT = Path(__file__).resolve().parents[3]
 SCHEMA = "config: {{name: {}, modules: {{a: {{}}}}, modes: {{m: {{modules: [a]}}}}}}\n"
@@ -69,6 +70,15 @@ def test_schema_and_data_name_the_same_keys_with_the_same_defaults() -> None:
                 assert described["default"] == (list(value) if isinstance(value, tuple) else value)
 
     compare(schema(), Settings())
+
+
+@pytest.mark.parametrize("name", [one.name for one in fields(Limits)])
+def test_each_limit_has_its_default_and_its_value_from_the_settings_alone(name: str) -> None:
+    assert all(one.default is one.default_factory is MISSING for one in fields(Limits))
+    key = name.replace("_bytes", "_mib")
+    said = replace(LimitSettings(), **{key: getattr(LimitSettings(), key) + 1})
+    unit = 1 << 20 if key.endswith("_mib") else 1
+    assert Limits.of(said) == replace(USUAL, **{name: getattr(USUAL, name) + unit})
 
 
 def test_one_address_may_stand_without_a_list() -> None:
