@@ -6,12 +6,12 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from cm.cli.common import print_json
 from cm.errors import NotFound
+from cm.frozen import dataclass
 from cm.schema import Problem, SchemaError, json_schema, load, loads, schema_files
 from cm.schema.model import Config
 from cm.server.settings import Settings, SettingsError, SettingsMissing, load_settings, parse_settings, settings_schema

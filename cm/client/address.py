@@ -6,11 +6,11 @@ from __future__ import annotations
 import os
 import re
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 from cm.client.errors import NotAdmitted
 from cm.errors import InvalidRequest, NotFound
+from cm.frozen import dataclass
 from cm.wire.topics import Endpoints, ipc_endpoints, tcp_endpoints
 
 SYSTEM_DIR = Path("/run/cm")

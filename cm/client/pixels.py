@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
+from cm.frozen import dataclass
 
 Array = npt.NDArray[Any]
 _MOST = 1e38  # greatest value of a signal: close to what a float32 can hold

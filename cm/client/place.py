@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import os
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 from cm.client.address import Keys, load_keys, resolve
 from cm.errors import InvalidRequest
+from cm.frozen import dataclass
 from cm.wire import plane_packets as packets
 from cm.wire.topics import Endpoints
 

@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import errno
-from dataclasses import dataclass
 
 from cm.device import advice
 from cm.device.errors import DeviceError, device_error
 from cm.device.native import attr as native
 from cm.device.paths import Root
+from cm.frozen import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import enum
 import errno
-from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
@@ -15,6 +14,7 @@ from cm.device.buffer import DmaBuffer
 from cm.device.native import axidma as native
 from cm.device.native.call import Handle
 from cm.device.paths import Root
+from cm.frozen import dataclass
 
 FOLDER = "dev/cm_dma"
 

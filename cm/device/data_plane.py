@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 import errno
-from dataclasses import dataclass
 
 from cm.device.axidma import AxiDma
 from cm.device.errors import device_error
 from cm.device.native import plane as native
+from cm.frozen import dataclass
 
 ECHO_DEPTH = 64  # transfers under way where there is no channel
 

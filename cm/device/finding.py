@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass
+
+from cm.frozen import dataclass
 
 
 class State(enum.Enum):

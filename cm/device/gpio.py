@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import errno
-from dataclasses import dataclass
 from typing import ClassVar
 
 from cm.device import advice
@@ -13,6 +12,7 @@ from cm.device.errors import device_error
 from cm.device.native import gpio as native
 from cm.device.native.call import Handle
 from cm.device.paths import Root
+from cm.frozen import dataclass
 
 CONSUMER = "fpga-cm"  # what gpioinfo(1) says of a line that is held
 

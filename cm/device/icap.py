@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import enum
 import os
-from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
@@ -14,6 +13,7 @@ from cm.device.base import AnyRoot, Device, Shim, open_handle
 from cm.device.buffer import DmaBuffer
 from cm.device.native import icap as native
 from cm.device.paths import Root
+from cm.frozen import dataclass
 
 
 class IcapState(enum.Enum):

@@ -12,10 +12,10 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from cm.device.paths import Root
+from cm.frozen import dataclass
 
 HWMON, IIO = "sys/class/hwmon", "sys/bus/iio/devices"
 _MOST = 64  # readings of a board, so that its status stays short

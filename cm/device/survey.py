@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import stat
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from cm.device import advice
@@ -26,6 +25,7 @@ from cm.device.overlays import FOLDER as OVERLAY_FOLDER
 from cm.device.overlays import Overlays
 from cm.device.paths import Root
 from cm.device.uio import list_uio
+from cm.frozen import dataclass
 
 # Modules that provide what is looked for here; those built into the kernel do not show in /proc/modules.
 MODULES = ("uio", "uio_pdrv_genirq", "xilinx_dma", "cm_dma", "cm_icap", "cm_overlay", "fpga_mgr", "fpga_region")

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import errno
-from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
@@ -14,6 +13,7 @@ from cm.device.errors import DeviceError, DeviceInvalid, DeviceNotFound, device_
 from cm.device.native import uio as native
 from cm.device.native.call import Handle, last_error
 from cm.device.paths import Root
+from cm.frozen import dataclass
 
 WIDTHS = (8, 16, 32, 64)
 

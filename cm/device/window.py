@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import enum
 import os
-from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, ClassVar, NoReturn
 
@@ -19,6 +18,7 @@ from cm.device.errors import DeviceRevoked, device_error
 from cm.device.native import window as native
 from cm.device.native.call import Handle, last_error
 from cm.device.paths import Root
+from cm.frozen import dataclass
 
 
 class WindowEnd(enum.IntEnum):

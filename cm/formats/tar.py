@@ -15,8 +15,9 @@ import bz2
 import time
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import BinaryIO, Protocol
+
+from cm.frozen import dataclass
 
 try:
     from lzma import FORMAT_XZ, LZMADecompressor, LZMAError

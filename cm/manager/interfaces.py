@@ -8,10 +8,10 @@ the manager runs, and is tested, where no shim was compiled.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+from cm.frozen import dataclass
 from cm.schema.model import Config, Module, Overlay
 from cm.wire.messages.status import RegValues
 

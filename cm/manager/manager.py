@@ -8,9 +8,10 @@ immutable values that are swapped (`cm.manager.state.record`).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from cm.frozen import dataclass
 from cm.manager import planner
 from cm.manager.access.leases import Leases, leases_concerned
 from cm.manager.access.memory_service import MemoryService

@@ -12,10 +12,11 @@ from __future__ import annotations
 import difflib
 import hashlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from types import MappingProxyType
 
 from cm.errors import InvalidRequest
+from cm.frozen import dataclass
 from cm.manager.errors import ClockRate, NothingLoaded, StaticUnknown, UnknownConfig, UnknownMode
 from cm.manager.interfaces import Devices, Files, Image, PlClock
 from cm.manager.state import steps as s

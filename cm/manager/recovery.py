@@ -8,10 +8,11 @@ under way when the manager died. Touches nothing but leftover overlays of a step
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import MappingProxyType
 
 from cm.errors import CmError
+from cm.frozen import dataclass
 from cm.manager.access.register_bus import RegisterBus, is_cut
 from cm.manager.errors import NothingToUndo
 from cm.manager.execution.worker import Change

@@ -7,11 +7,11 @@ import threading
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import accumulate
 from operator import is_
 from typing import Any, Generic, NamedTuple, TypeVar
 
+from cm.frozen import dataclass
 from cm.manager.interfaces import Observer
 from cm.manager.state.board_state import BoardState, RegionState
 from cm.manager.state.record import ManagerState

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
 from typing import Any
+
+from cm.frozen import dataclass
 
 FORMATS = {"rgb": 3, "bgr": 3, "rbg": 3, "yuv422": 2}  # of a stream's pixels in memory, with the bytes of each
 _BYTES = {"8": 1, "16": 2, "32": 4, "64": 8}

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
 from cm.errors import CmError
+from cm.frozen import dataclass
 
 KeyPath = tuple[str | int, ...]
 _LONGEST_NAME = 64

@@ -7,7 +7,6 @@ import os
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,6 +29,7 @@ from cm.device import (
     list_uio,
 )
 from cm.errors import NotFound
+from cm.frozen import dataclass
 from cm.manager.errors import NoWindow
 from cm.manager.interfaces import Window
 

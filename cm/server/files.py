@@ -19,7 +19,6 @@ import re
 import threading
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -39,6 +38,7 @@ from cm.formats.bitstream import (
 )
 from cm.formats.bitstream.cache import Inspected
 from cm.formats.bitstream.errors import BadContainer, BitstreamError, Sha256Mismatch
+from cm.frozen import dataclass
 from cm.manager.errors import BadOverlay
 from cm.manager.interfaces import Image
 from cm.schema.files import bitstream_path, find_file, overlay_path

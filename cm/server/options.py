@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from cm.device import Root
+from cm.frozen import dataclass
 from cm.manager.manager import Settings
 from cm.schema.model import Config
 from cm.server.publisher import BYTES
@@ -29,7 +29,7 @@ class Options:
     configs: Mapping[str, Config]
     listen: tuple[str, ...] = ()
     security: Security | None = None
-    access: Access = Access()  # noqa: RUF009 (frozen)
+    access: Access = Access()
     group: int | None = None  # of the runtime folder and its sockets; None: that of this process
     load: str = ""
     metrics: str = ""  # where to serve them: PORT on this machine, or HOST:PORT
@@ -40,5 +40,5 @@ class Options:
     unsigned: bool = True  # whether clients may provision configurations, which cannot be signed
     reload: Callable[[], Reloaded] | None = None  # reads schemas and settings again; None: there is nothing to read
     changed: Callable[[], object] | None = None  # a value that changes when settings or keys do; read every second
-    settings: Settings = Settings()  # noqa: RUF009 (frozen)
+    settings: Settings = Settings()
     limits: Limits = USUAL

@@ -10,10 +10,11 @@ import logging
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from cm.errors import Busy, CmError, Forbidden, InvalidRequest
+from cm.frozen import dataclass
 from cm.manager.errors import UnknownConfig
 from cm.manager.planner import checked_name, listed
 from cm.schema import load, loads

@@ -6,10 +6,10 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
-from dataclasses import dataclass
 from typing import Protocol
 
 from cm.errors import CmError
+from cm.frozen import dataclass
 from cm.manager.access.leases import Leases
 from cm.manager.manager import Manager
 from cm.schema.model import Config

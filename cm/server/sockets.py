@@ -21,7 +21,7 @@ import logging
 import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -31,6 +31,7 @@ from zmq import zmq_poll
 from zmq.utils import z85
 
 from cm.errors import InvalidRequest
+from cm.frozen import dataclass
 from cm.loop import Callback
 from cm.loop import Loop as EventLoop
 from cm.server.folders import share

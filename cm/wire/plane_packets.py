@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from cm.errors import InvalidRequest
+from cm.frozen import dataclass
 
 SOCKET = "data"  # the socket's name in the runtime folder
 PACKET_MAX = 4096

@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 from cm.errors import InvalidRequest
+from cm.frozen import dataclass
 
 STATUS = b"cm_status"
 READ_CONFIG = b"cm_read_config"

@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from cm.client.core.values import register_value, register_write
 from cm.client.errors import request_error
 from cm.errors import InvalidRequest
+from cm.frozen import dataclass
 from cm.wire.lazy_numpy import np
 from cm.wire.messages import requests as rq
 from cm.wire.messages.status import (

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Generator
-from dataclasses import dataclass
 from enum import Enum
 from typing import Any, Protocol, TypeVar
 
 from cm.client.core.calls import Call
 from cm.errors import InvalidRequest
+from cm.frozen import dataclass
 
 _T = TypeVar("_T")
 

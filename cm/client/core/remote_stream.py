@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Protocol
 
@@ -13,6 +12,7 @@ from cm.client.core.effects import Ask, Deadline, Flow, Limit, Pause, Receive, S
 from cm.client.errors import RequestFailed, RequestTimeout
 from cm.client.frame import Frame, frame_of
 from cm.errors import InvalidRequest, Timeout
+from cm.frozen import dataclass
 from cm.wire import topics
 from cm.wire.encode import decode_event
 from cm.wire.messages.requests import ConfigureStream

@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 from cm.device.paths import Root
+from cm.frozen import dataclass
 
 FAMILIES = {"xlnx,zynq-7000": "zynq", "xlnx,zynqmp": "zynqmp"}
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from cm.device.native import bitstream as native
 from cm.formats.bitstream.container import BitHeader, pack_bit
@@ -30,6 +29,7 @@ from cm.formats.bitstream.packets import (
     type1,
     type2,
 )
+from cm.frozen import dataclass
 
 _MFWR_WORDS = {Family.SERIES7: 4, Family.ULTRASCALE_PLUS: 14}  # as Vivado writes; their values mean nothing
 _UNPRINTABLE = re.compile(r"[^!-:<-~]")  # in a header: all but visible ASCII, and the separator

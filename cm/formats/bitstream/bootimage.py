@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 
 from cm.formats.bitstream.errors import NoSync
 from cm.formats.bitstream.sync import SEARCH, find_sync
+from cm.frozen import dataclass
 
 _PADDING = {bytes([255] * 4), bytes.fromhex("000000bb"), bytes.fromhex("11220044")}
 _BOOT_MAGIC = 0x24

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import os
 from collections import OrderedDict
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
 from cm.formats.bitstream.container import named, read_bitstream
 from cm.formats.bitstream.inspect import inspect
 from cm.formats.bitstream.report import Report
+from cm.frozen import dataclass
 
 InodeState: TypeAlias = "tuple[int, int, int, int, int]"
 _TRIES = 3

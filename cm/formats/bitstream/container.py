@@ -10,7 +10,6 @@ import re
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 from typing import BinaryIO, TypeAlias
@@ -19,6 +18,7 @@ from cm.formats.bitstream.bootimage import find_bitstream, is_boot_image
 from cm.formats.bitstream.errors import BadContainer, BitstreamError, NoSync, Truncated
 from cm.formats.bitstream.pdi import check_pdi
 from cm.formats.bitstream.sync import SEARCH, find_sync, whole_words
+from cm.frozen import dataclass
 
 Source: TypeAlias = "bytes | bytearray | memoryview | Path | str"
 

@@ -13,8 +13,9 @@ was found: state them (`idcode:`, `--idcode`).
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from enum import Enum
+
+from cm.frozen import dataclass
 
 REVISION_MASK = 0x0FFFFFFF
 

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache
 from itertools import accumulate
 from pathlib import Path
+
+from cm.frozen import dataclass
 
 _COLUMNS = Path(__file__).with_name("data") / "columns.json"  # importlib.resources is 2 MiB of a manager
 

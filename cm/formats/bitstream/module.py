@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import struct
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from itertools import accumulate
 
 from cm.formats.bitstream.assemble import FrameRun, assemble
@@ -18,6 +17,7 @@ from cm.formats.bitstream.devices import Device, Family, device_by_name
 from cm.formats.bitstream.errors import UnknownDevice
 from cm.formats.bitstream.far import FrameAddress
 from cm.formats.bitstream.geometry import geometry_of
+from cm.frozen import dataclass
 from cm.schema.model import FrameRange
 
 _MAGIC = b"CM-RM\0\0\1"

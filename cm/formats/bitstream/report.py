@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
 from typing import Any, NamedTuple
 
 from cm.formats.bitstream.container import BitHeader, Container
 from cm.formats.bitstream.devices import Family
+from cm.frozen import dataclass
 
 
 class CrcResult(Enum):

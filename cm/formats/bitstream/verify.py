@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 from cm.formats.bitstream.container import NO_USER_ID
 from cm.formats.bitstream.devices import REVISION_MASK, base_name, device_by_name, package_of
@@ -22,6 +21,7 @@ from cm.formats.bitstream.errors import (
 )
 from cm.formats.bitstream.footprint import describe, outside
 from cm.formats.bitstream.report import Refusal, Report
+from cm.frozen import dataclass
 from cm.schema.model import Config, FrameRange, Module
 
 _SHOWN = 4  # footprint entries named in a sentence

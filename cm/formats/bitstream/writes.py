@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 from cm.device.native import bitstream as native
 from cm.formats.bitstream.container import Image
+from cm.frozen import dataclass
 
 _TYPE1_COUNT = 0x7FF  # of a header; 0 where a type 2 header with the count follows
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 from cm.formats.hwh.model import ConnectedPort, Hwh, MemoryRange, ModuleInstance, RegisterInfo
+from cm.frozen import dataclass
 
 _PROCESSORS = ("processing_system7", "zynq_ultra_ps_e", "versal_cips")
 _PS_INTERRUPTS = re.compile(r"IRQ_F2P|pl_ps_irq[01]|Core[01]_n(FIQ|IRQ)")

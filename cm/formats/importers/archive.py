@@ -8,13 +8,13 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import TypeAlias
 
 from cm.formats.importers.result import ImportRefused
 from cm.formats.importers.versions import KEEP, locked, put_in_force, roll_back, versions
 from cm.formats.tar import BadTar, Limits, Member, TarStream
+from cm.frozen import dataclass
 from cm.schema import load_folder
 from cm.schema.files import bitstream_path, overlay_path
 from cm.schema.model import Config

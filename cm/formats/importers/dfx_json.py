@@ -7,11 +7,11 @@ What an accel.json says about an accelerator: devices and data movers.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from cm.formats.importers.result import ImportRefused, Names
+from cm.frozen import dataclass
 from cm.schema.model import Direction, Register, Stream
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from cm.formats.bitstream import footprint_of, outside
 from cm.formats.importers.dfx_json import Fields, accel_registers, accel_streams, to_number
 from cm.formats.importers.images import FoundImage, FoundOverlay, find_image, find_overlay
 from cm.formats.importers.result import Names, frozen, static_of, to_name
+from cm.frozen import dataclass
 from cm.schema.model import (
     Config,
     ConfigType,

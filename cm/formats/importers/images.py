@@ -6,12 +6,12 @@ What a device-tree overlay of another project's package does, as far as an impor
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 from cm.formats import fdt
 from cm.formats.bitstream import BitstreamError, Report, inspect
 from cm.formats.importers.result import ImportRefused
+from cm.frozen import dataclass
 
 
 @dataclass(frozen=True, slots=True)

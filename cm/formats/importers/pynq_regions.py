@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 
 from cm.formats import hwh as handoff
@@ -17,6 +17,7 @@ from cm.formats.bitstream import BitstreamError, Report, footprint_of, inspect, 
 from cm.formats.hwh import DecouplerInfo, Hwh, HwhError
 from cm.formats.importers.registers import RegisterBank, memories, within
 from cm.formats.importers.result import Names, frozen, static_of, to_name
+from cm.frozen import dataclass
 from cm.schema.model import (
     Config,
     ConfigType,

@@ -15,13 +15,13 @@ import os
 import re
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
 from cm.device.native.exchange import exchange
 from cm.errors import NotFound
 from cm.formats.importers.result import ImportRefused
+from cm.frozen import dataclass
 
 KEEP = 3
 

@@ -7,10 +7,10 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from cm.formats.signing.errors import SignatureRefused
+from cm.frozen import dataclass
 
 MANIFEST = "manifest.json"
 SIGNATURES = "manifest.sig"

@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 from cm.formats.signing.errors import SignatureRefused, SigningUnavailable
 from cm.formats.signing.keys import public_keys, signer
 from cm.formats.signing.manifest import MANIFEST, Manifest, check_files, parse, read_small
+from cm.frozen import dataclass
 
 SIGNERS = Path("/etc/cm/signers")
 

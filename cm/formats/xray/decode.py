@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 
 from cm.formats.xray.database import Database
 from cm.formats.xray.features import Feature
 from cm.formats.xray.frames import ECC_MASK, Frames, set_bits
 from cm.formats.xray.tiles import Segment, Tile
+from cm.frozen import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 from cm.formats.xray.database import Database
 from cm.formats.xray.features import Feature
 from cm.formats.xray.frames import with_ecc
+from cm.frozen import dataclass
 
 
 @dataclass(frozen=True, slots=True)

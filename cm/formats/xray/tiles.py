@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from cm.formats.xray.features import XrayError
 from cm.formats.xray.segbits import Bit
+from cm.frozen import dataclass
 
 BLOCKS = {"CLB_IO_CLK": "", "BLOCK_RAM": ".block_ram"}  # block of bits → suffix of the segbits file
 

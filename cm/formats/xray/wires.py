@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
 from cm.formats.xray.database import Database
 from cm.formats.xray.tiles import Tile
+from cm.frozen import dataclass
 
 Wire = tuple[str, str]  # tile, name of the wire in it
 _Joints = dict[tuple[int, int], dict[str, list[str]]]  # (dx, dy) → kind of the tile there → its wires

@@ -10,12 +10,13 @@ from __future__ import annotations
 import secrets
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from difflib import get_close_matches
 from itertools import count
 from math import inf
 
 from cm.errors import Busy, InvalidRequest, NotFound
+from cm.frozen import dataclass
 from cm.manager.errors import HeldBy
 from cm.manager.interfaces import TimeSource
 from cm.schema.model import Config, Memory, Mode, Module

@@ -8,10 +8,12 @@ diagram that `diagram()` generates.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from enum import Enum
 from types import MappingProxyType
 from typing import Any
+
+from cm.frozen import dataclass
 
 
 class RegionPhase(str, Enum):

@@ -21,12 +21,13 @@ import os
 import threading
 import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from cm.frozen import dataclass
 from cm.manager.errors import RecordFailed, StateInUse, StoreCorrupt
 from cm.manager.state.board_state import BoardState, OverlayState, RegionPhase, RegionState
 from cm.manager.state.steps import ApplyOverlay, Choice, Place, RemoveOverlay, SetClock, Step

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from cm.frozen import dataclass
 from cm.manager.interfaces import Image
 from cm.schema.clock_rates import hertz as hertz
 from cm.schema.model import Clock, LoaderKind, Module, Overlay, Region, Register, StaticIdentity

@@ -6,9 +6,10 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from cm.errors import Forbidden
+from cm.frozen import dataclass
 from cm.server.rights import policy
 from cm.server.rights.audit import Audit, described
 from cm.server.rights.model import Access, Need, Rights, Role

@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from enum import IntEnum
 from fnmatch import fnmatchcase
 from types import MappingProxyType
+
+from cm.frozen import dataclass
 
 ALL = ("*",)
 

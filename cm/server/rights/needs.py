@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
+from cm.frozen import dataclass
 from cm.schema.model import Config, ConfigType
 from cm.server.rights.model import Need, Role
 from cm.wire.messages import requests as rq

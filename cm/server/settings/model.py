@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from types import MappingProxyType
 
+from cm.frozen import dataclass
 from cm.server.rights.model import Grant
 
 FILE = Path("/etc/cm/cm.yaml")

@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from cm.errors import CmError
+from cm.frozen import dataclass
 from cm.schema import load, schema_files
 from cm.schema.model import Config
 

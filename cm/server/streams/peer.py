@@ -6,8 +6,9 @@ from __future__ import annotations
 import os
 import socket
 import struct
-from dataclasses import dataclass
 from pathlib import Path
+
+from cm.frozen import dataclass
 
 _CREDENTIALS = struct.Struct("=iII")  # struct ucred
 

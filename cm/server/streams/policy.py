@@ -7,12 +7,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass
 from enum import Enum
 from types import MappingProxyType
 from typing import Any
 
 from cm.errors import Busy, InvalidRequest, Timeout
+from cm.frozen import dataclass
 from cm.manager.errors import NothingLoaded, UnknownStream
 from cm.manager.planner import hint
 from cm.schema.model import Config, Direction, Stream

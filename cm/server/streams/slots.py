@@ -12,12 +12,12 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from time import monotonic_ns
 
 from cm.device import AxiDma, DeviceGone, DeviceTimeout, DmaBuffer
 from cm.device.data_plane import Plane
 from cm.errors import Busy, CmError
+from cm.frozen import dataclass
 from cm.schema.model import Direction, Stream
 from cm.server.streams.peer import Peer
 from cm.wire.plane_packets import SLOTS_MAX

@@ -7,8 +7,9 @@ A net is ``0``, ``1``, ``port:NAME[BIT]``, ``clock:N`` or an output of a cell (`
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TypeAlias
+
+from cm.frozen import dataclass
 
 ZERO, ONE = "0", "1"
 Net: TypeAlias = str

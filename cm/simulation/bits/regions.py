@@ -6,7 +6,6 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from cm.design.generate.wrapper import black_box
@@ -16,6 +15,7 @@ from cm.design.plan.system import System
 from cm.errors import CmError
 from cm.formats.bitstream import device_by_name
 from cm.formats.xray import Database, Wires, decode
+from cm.frozen import dataclass
 from cm.simulation.bits.cells import Netlist
 from cm.simulation.bits.errors import BitsError
 from cm.simulation.bits.extract import Boundary, extract

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
+from cm.frozen import dataclass
 from cm.simulation.bits.cells import (
     ONE,
     ZERO,

@@ -7,9 +7,9 @@ import re
 import subprocess
 from collections.abc import Iterable, Iterator, Set
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 
+from cm.frozen import dataclass
 from cm.simulation.rtl.cache import cache_folder, digest, made
 from cm.simulation.rtl.errors import RtlError
 from cm.simulation.rtl.tools import Tools

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
+from cm.frozen import dataclass
 from cm.simulation.rtl.errors import RtlError
 from cm.simulation.rtl.tools import find_tools
 

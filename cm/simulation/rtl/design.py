@@ -8,7 +8,7 @@ so that the modules, which are separate libraries, can be exchanged.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from cm.design.generate.inputs import RTL, module_files
@@ -22,6 +22,7 @@ from cm.design.plan.engines import EngineKind
 from cm.design.plan.system import Implementation, RegionPlan, StreamBus, System, used_clocks
 from cm.design.render import Renderer
 from cm.design.runtime.answers import Answers
+from cm.frozen import dataclass
 from cm.schema.model import Direction
 from cm.simulation.rtl.compile import Unit
 from cm.simulation.rtl.dma_engines import add_engines, prefix_of

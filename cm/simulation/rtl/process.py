@@ -14,11 +14,11 @@ import struct
 import subprocess
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
 from typing import NoReturn
 
+from cm.frozen import dataclass
 from cm.simulation.rtl.errors import RtlError
 
 _HEAD = struct.Struct("=IIQQQQ")

@@ -6,10 +6,10 @@ from __future__ import annotations
 import contextlib
 import logging
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
+from cm.frozen import dataclass
 from cm.simulation.rtl.design import RtlDesign
 from cm.simulation.rtl.errors import RtlError
 from cm.simulation.rtl.process import HarnessProcess, Message, Op

@@ -8,9 +8,9 @@ import re
 import shutil
 import subprocess
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
+from cm.frozen import dataclass
 from cm.simulation.rtl.errors import RtlError, ToolMissing
 
 MISSING = "needs {}: apt-get install {}"

@@ -90,7 +90,7 @@ class Counts:
         def heard(event: str, arguments: tuple[Any, ...]) -> None:
             if event == "import" and arguments[0].split(".")[0] == "cm":
                 numbers[MODULES] += 1
-            elif event == "compile":
+            elif event == "compile" and not str(arguments[1]).endswith(".py"):  # a module without bytecode is none
                 numbers[COMPILED] += 1
 
         sys.addaudithook(heard)
@@ -116,6 +116,7 @@ def manager(folder: Path, *before: str) -> Iterator[tuple[subprocess.Popen[bytes
     data = Path(cm.__file__).parent / "data/camera"
     words = [*before, "--sim", "--config", str(data), "--runtime-dir", str(folder), "--state-dir", str(folder / "s")]
     environment = {"CM_SIM_TIMEOUT": "60", **os.environ}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # an installed package has its bytecode
     start = time.perf_counter()
     process = subprocess.Popen(words, stderr=subprocess.PIPE, env=environment)
     try:

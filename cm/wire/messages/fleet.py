@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import Enum
 
+from cm.frozen import dataclass
 from cm.wire.messages.status import ErrorInfo, Status
 
 

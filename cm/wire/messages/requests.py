@@ -6,7 +6,9 @@ Several of them share a topic and a message on the wire (`cm.wire.decode` tells 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
+
+from cm.frozen import dataclass
 
 
 @dataclass(frozen=True, slots=True)

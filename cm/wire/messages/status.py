@@ -6,9 +6,10 @@ Objects that are made for every control request are named tuples: a frozen datac
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
+
+from cm.frozen import dataclass
 
 PIXEL_FORMAT = "pixel_format"  # the code of a picture's refusal, whose pixels the client then brings in order
 

@@ -6,8 +6,8 @@ from __future__ import annotations
 import errno
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 
+from cm.frozen import dataclass
 from cm.schema.model import Access, Decoupler
 from cm.simulation.software.errors import NodeError
 from cm.simulation.software.faults import Faults

@@ -6,9 +6,9 @@ from __future__ import annotations
 import errno
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from cm.formats.bitstream.devices import Device
+from cm.frozen import dataclass
 from cm.loop import Loop
 from cm.simulation.software.errors import NodeError
 from cm.simulation.software.faults import Faults

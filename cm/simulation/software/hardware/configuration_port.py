@@ -9,13 +9,13 @@ words come, and keeps the error bits of STAT; it does not object to what no devi
 from __future__ import annotations
 
 from array import array
-from dataclasses import dataclass
 from enum import Enum, Flag, auto
 
 from cm.device.native import sim_crc
 from cm.formats.bitstream.devices import Device
 from cm.formats.bitstream.far import FrameAddress
 from cm.formats.bitstream.module import ModuleIdentity, identify_bytes
+from cm.frozen import dataclass
 
 _SYNC, _NOP = b"\x66\x55\x99\xaa", 0x20000000
 _CRC, _FAR, _FDRI, _CMD, _LOUT, _MFWR, _CBC, _IDCODE, _DWC = 0, 1, 2, 4, 8, 10, 11, 12, 26

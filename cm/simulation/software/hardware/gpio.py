@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from types import MappingProxyType
 
+from cm.frozen import dataclass
 from cm.schema.model import Decoupler, GpioLine
 from cm.simulation.software.hardware.board_spec import BoardSpec
 

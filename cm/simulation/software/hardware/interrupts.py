@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 
+from cm.frozen import dataclass
 from cm.schema.model import Interrupt
 from cm.simulation.software.faults import Faults
 from cm.simulation.software.hardware.cells import Cell, Window

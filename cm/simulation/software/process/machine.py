@@ -7,8 +7,9 @@ import os
 import sys
 import uuid
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
+from cm.frozen import dataclass
 from cm.loop import Loop
 from cm.schema.model import LoaderKind
 from cm.simulation.software.errors import SimError
