@@ -202,8 +202,9 @@ lint: $(LINT_STAMP) ## ruff, ruff format, mypy (strict; the client for macOS and
 	$(BIN)/clang-format --style=file:csrc/.clang-format --dry-run -Werror $(C_FILES)
 	$(BIN)/reuse lint --quiet || { $(BIN)/reuse lint; exit 1; }
 
-docs: $(LINT_STAMP) ### the pages that are made: the picture of the rooms, the tables of keys and errors, and the Python reference in build/reference
-	@for script in rooms reference schema_tables reconfiguration_tables; do $(BIN)/python docs/$$script.py || exit 1; done
+docs: $(VENV)/.installed-docs ## the site of docs/, into build/site, with no warning (apt: graphviz), after what is kept in pages: rooms, tables of keys and of states
+	@for script in rooms schema_tables reconfiguration_tables; do $(BIN)/python docs/$$script.py || exit 1; done
+	@$(BIN)/python docs/site.py $(SITE)
 
 format: $(LINT_STAMP) ### format Python and C
 	$(BIN)/ruff format .
@@ -236,6 +237,7 @@ wheel: sdist ## wheels for ARCHES (amd64 arm64 armhf) and one for any system, in
 
 deb: wheel ## Debian packages for ARCHES, checked by lintian, into build/release
 	@rm -f $(RELEASE)/*.deb
+	@$(BIN)/python release/manpages.py $(RELEASE)/man
 	@status=0; release/deb.sh $(SDIST) $(RELEASE) $(ARCHES) || status=$$?; \
 		if [ $$status = 77 ]; then echo "SKIPPED: Debian packages (see above)"; exit 0; fi; exit $$status
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write ``build/reference`` from the docstrings of the public API: ``python docs/reference.py [FOLDER]``.
+"""Write the pages of the public API from its docstrings: ``python docs/reference.py [FOLDER]`` (``build/reference``).
 
 The package is read, not imported (griffe), so that the pages are the same wherever they are made.
 """

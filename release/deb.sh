@@ -30,6 +30,7 @@ for arch; do
 	cp system/systemd/cm.service "$work/$arch/fpga_cm-$version/debian/fpga-cm.cm.service"
 	cp system/udev/60-cm.rules "$work/$arch/fpga_cm-$version/debian/fpga-cm.cm.udev"
 	cp system/tmpfiles.d/cm.conf "$work/$arch/fpga_cm-$version/debian/fpga-cm.tmpfiles"
+	cp "$out"/man/*.[1-8] "$work/$arch/fpga_cm-$version/debian/"
 	cp kmod/dkms.conf "$work/$arch/fpga_cm-$version/debian/fpga-cm-dkms.dkms"
 	log=$work/$arch.log
 	(cd "$work/$arch/fpga_cm-$version" &&

@@ -30,9 +30,10 @@ from pathlib import Path
 from typing import IO
 
 import yaml
+from manager_process import REPOSITORY, short_folder
 
 PATIENCE = 240.0  # seconds for a block; most end within one
-_FENCE = re.compile(r"^(?P<in> *)```(?P<kind>[\w-]*)[^\n]*\n(?P<text>.*?)^(?P=in)```$", re.MULTILINE | re.DOTALL)
+_FENCE = re.compile(r"^(?P<in> *)```(?P<kind>[\w{}-]*)[^\n]*\n(?P<text>.*?)^(?P=in)```$", re.MULTILINE | re.DOTALL)
 _REASON = re.compile(r"<!-- not run: ([^>]+) -->\s*\Z")
 _NONE = re.compile(r"^<!-- none run: ([^>]+) -->$", re.MULTILINE)
 _SUITE = re.compile(r"^<!-- suite: (\w+) -->$", re.MULTILINE)
@@ -184,7 +185,7 @@ class Reader:
             yaml.safe_load(block.text)
         elif block.kind == "json":
             json.loads(block.text)
-        elif block.kind not in ("text", "mermaid"):
+        elif block.kind not in ("text", "mermaid", "{toctree}"):
             raise PageFailed(f"nothing is known of ```{block.kind}: say why it does not run")
 
     def _commands(self, text: str) -> str:
@@ -251,3 +252,10 @@ def installed(folder: Path, repository: Path) -> dict[str, str]:
         "XDG_CACHE_HOME": os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache")),
         "TERM": "dumb",
     }
+
+
+def read(page: str, name: str) -> None:
+    """Do all that a page says, in an empty folder. Raises PageFailed."""
+    with short_folder() as folder, reader(folder, installed(folder, REPOSITORY)) as person:
+        for block in blocks(page):
+            person.run(block, name)

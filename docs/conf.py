@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The site of these pages: ``make docs`` (Sphinx, MyST, Furo; docs/decisions/the-site.md says why)."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+from docutils import nodes
+from sphinx.application import Sphinx
+from sphinx.ext.graphviz import graphviz
+from sphinx.transforms import SphinxTransform
+
+HERE = Path(__file__).parent
+REPOSITORY = HERE.parent
+sys.path[:0] = [str(HERE), str(REPOSITORY / "release"), str(REPOSITORY)]
+MADE = HERE / "reference"  # pages that are not kept: of docstrings, the parser, the settings' schema, the messages
+READMES = ("clients/node", "clients/go", "yocto/meta-cm")  # which belong into the site too
+
+project = "fpga-cm"
+author = "fpga-cm maintainers"
+release = re.findall(r'"(.+)"', (REPOSITORY / "cm/_version.py").read_text())[0]
+version = release
+extensions = ["myst_parser", "sphinx.ext.graphviz"]
+exclude_patterns = ["examples", "boards/loop", "notebooks/*.ipynb"]
+suppress_warnings = ["misc.highlighting_failure"]  # Listing 1 as printed, lines of consoles with …
+myst_heading_anchors = 4
+myst_enable_extensions = ["deflist"]
+html_theme = "furo"
+html_title = f"fpga-cm {release}"
+html_static_path = ["_site"]
+html_css_files = ["site.css"]
+html_js_files = ["versions.js"]
+html_show_sphinx = False
+html_copy_source = False
+html_theme_options = {"navigation_with_keys": True, "top_of_page_buttons": []}
+graphviz_output_format = "svg"
+_ARROW = re.compile(r"^\s*(\S+) --> ([^\s:]+)(?:: (.*))?$", re.MULTILINE)
+_OUTSIDE = re.compile(r"\[((?:`[^`]*`|[^\[\]`\n])*)\]\(((?:\.\./)+[^)#\s]+)(#[^)\s]*)?\)")
+_LINK = re.compile(r"\[((?:`[^`]*`|[^\[\]`\n])*)\]\((?!\w+:)([^)#\s]+)(#[^)\s]*)?\)")
+
+
+def drawn(mermaid: str) -> str:
+    """The arrows of a Mermaid diagram, which GitHub draws, as a graph for dot."""
+    style = 'node [shape=box, style="rounded", fontname="sans-serif"]; edge [fontname="sans-serif", fontsize=10];'
+    arrows = (
+        f'"{start}" -> "{end}" [label="{label}"];'.replace("[*]", " ") for start, end, label in _ARROW.findall(mermaid)
+    )
+    return f"digraph {{ bgcolor=transparent; {style} {' '.join(arrows)} }}"
+
+
+class Diagrams(SphinxTransform):
+    """Draw what is between ```mermaid and ```, where there is dot; elsewhere it stays text."""
+
+    default_priority = 10
+
+    def apply(self, **_kwargs: Any) -> None:
+        if shutil.which("dot") is None:
+            return
+        for block in list(self.document.findall(nodes.literal_block)):
+            if block.get("language") == "mermaid":
+                block.replace_self(graphviz("", code=drawn(block.astext()), options={"docname": self.env.docname}))
+
+
+def make_pages(_app: Sphinx) -> None:
+    """Write the pages that are made, where they are not yet as they should be."""
+    import manpages
+    import reference
+
+    texts = dict(reference.pages())
+    texts |= {f"{page.file}.md": manpages.markdown(page) for page in manpages.pages()}
+    texts["messages.proto.md"] = "# Messages\n\nAll that goes over the wire; [the protocol](../protocol.md).\n\n"
+    texts["messages.proto.md"] += f"```protobuf\n{(REPOSITORY / 'cm/wire/cm.proto').read_text('utf-8')}```\n"
+    texts |= {_readme(name).name: (REPOSITORY / name / "README.md").read_text("utf-8") for name in READMES}
+    MADE.mkdir(exist_ok=True)
+    for old in {path.name for path in MADE.iterdir()} - texts.keys():
+        (MADE / old).unlink()
+    for name, text in texts.items():
+        path = MADE / name
+        if not path.exists() or path.read_text("utf-8") != text:
+            path.write_text(text, "utf-8")
+
+
+def _readme(folder: str) -> Path:
+    return MADE / f"{folder.replace('/', '-')}.md"
+
+
+def outside(_app: Sphinx, docname: str, source: list[str]) -> None:
+    """Links out of docs/: to a README that is a page here, else to a copy of the file, else no link."""
+    origin = next((name for name in READMES if _readme(name).stem == docname.removeprefix("reference/")), None)
+    folder = REPOSITORY / origin if origin else (HERE / docname).parent
+
+    def put(found: re.Match[str]) -> str:
+        target = (folder / found[2]).resolve()
+        if target.parent.relative_to(REPOSITORY).as_posix() in READMES and target.name == "README.md":
+            target = _readme(target.parent.relative_to(REPOSITORY).as_posix())
+        elif not target.is_file() or (target.suffix == ".md" and not target.is_relative_to(HERE)):
+            return found[1]  # the text alone: the sources have it
+        return f"[{found[1]}]({os.path.relpath(target, (HERE / docname).parent)}{found[3] or ''})"
+
+    source[0] = _LINK.sub(put, source[0]) if origin else _OUTSIDE.sub(put, source[0])
+
+
+def setup(app: Sphinx) -> None:
+    app.add_transform(Diagrams)
+    app.connect("builder-inited", make_pages)
+    app.connect("source-read", outside)
