@@ -91,7 +91,7 @@ def _rows(r: RegisterInfo) -> list[tuple[str, str, int, str, str, str, str]]:
     rows = [(r.name, f"{r.address:#x}", r.width, r.access, _limits(r), r.region or "static", r.doc)]
     for f in r.fields:
         names = ", ".join(f"{name}={value}" for name, value in f.values)
-        rows.append((f"  .{f.name}", f"bit {f.lsb}", f.width, "", names, "", f.doc))
+        rows.append((f"  .{f.name}", f"bit {f.lsb}", f.width, f.access, names, "", f.doc))
     return rows
 
 

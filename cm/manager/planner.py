@@ -12,7 +12,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from types import MappingProxyType
 
 from cm.errors import InvalidRequest
@@ -252,7 +252,18 @@ class Writing:
         """Writes of registers whose region was reset, or whose value differs from what was written."""
         visible = self.goal.config.visible_registers(self.goal.mode).values()
         values = [(r, self._value(r)) for r in visible if self._can_write(r)]
-        return [SetRegister(r, value) for r, value in values if value is not None and self._is_due(r, value)]
+        return [
+            *(SetRegister(r, value) for r, value in values if value is not None and self._is_due(r, value)),
+            *self._starts(),
+        ]
+
+    def _starts(self) -> Iterator[SetRegister]:
+        """What the mode starts, when all else is set; what runs continuously already goes on."""
+        goal = self.goal
+        again = goal.config.modes[goal.mode].run == "once" and self.state.mode != goal.mode
+        for register, value in goal.config.controls(goal.mode):
+            if again or self._is_due(register, value):
+                yield SetRegister(replace(register, volatile=True), value)
 
     def restored(self) -> list[SetRegister]:
         """What a failed change wrote to registers of the static part that this mode has no name for."""

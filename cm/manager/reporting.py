@@ -16,7 +16,7 @@ from cm.manager.interfaces import Observer
 from cm.manager.state.board_state import BoardState, RegionState
 from cm.manager.state.record import ManagerState
 from cm.manager.state.steps import Choice
-from cm.schema.model import Config, Memory, Register, Stream
+from cm.schema.model import BitField, Config, Memory, Register, Stream
 from cm.wire.messages.status import (
     ClockStatus,
     ConfigEntry,
@@ -261,10 +261,14 @@ def register_info(r: Register, modes: tuple[str, ...] = ()) -> RegisterInfo:
         minimum=r.minimum,
         maximum=r.maximum,
         doc=r.doc,
-        fields=tuple(FieldInfo(f.name, f.lsb, f.width, f.doc, tuple(f.values.items())) for f in r.fields.values()),
+        fields=tuple(_field(f) for f in r.fields.values()),
         modes=modes,
         region=r.region or "",
     )
+
+
+def _field(f: BitField) -> FieldInfo:
+    return FieldInfo(f.name, f.lsb, f.width, f.doc, tuple(f.values.items()), f.access.value if f.access else "")
 
 
 def _memories(config: Config) -> tuple[MemoryInfo, ...]:

@@ -21,6 +21,7 @@ from cm.schema.model import (
     ConfigType,
     Decoupler,
     Direction,
+    FieldAccess,
     FrameRange,
     GpioLine,
     Identity,
@@ -134,7 +135,8 @@ def _fields(data: dict[str, Any], path: KeyPath, context: Context) -> Mapping[st
         bits = _bits(values, (*path, name), context)
         if bits is not None:
             names = {word: int(value) for word, value in values.get("values", {}).items()}
-            found[name] = BitField(name, *bits, values.get("doc", ""), MappingProxyType(names))
+            access = FieldAccess(values["access"]) if "access" in values else None
+            found[name] = BitField(name, *bits, values.get("doc", ""), MappingProxyType(names), access)
     return MappingProxyType(found)
 
 
@@ -363,6 +365,7 @@ def _mode(
         streams=MappingProxyType({**streams, **own}) if own else streams,
         doc=values.get("doc", ""),
         memories=build_memories(values, owner, context),
+        run=values.get("run"),
     )
 
 

@@ -7,7 +7,7 @@ Nothing here knows YAML, files of the host or devices. Mappings are read-only
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import field
 from enum import Enum
 from pathlib import Path
@@ -67,6 +67,23 @@ class Direction(str, Enum):
     S2MM = "s2mm"
 
 
+class FieldAccess(str, Enum):
+    """What bits do when their register is read or written, where that differs from the register's access."""
+
+    RW = "rw"
+    RO = "ro"
+    WO = "wo"
+    W1C = "w1c"
+    W1S = "w1s"  # a written 1 sets, the hardware clears
+    W1T = "w1t"  # a written 1 toggles
+    RC = "rc"  # read-only, and reading clears
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether a write of other bits of the register has to write these as they are: of the rest, 0 does nothing."""
+        return self in (FieldAccess.RW, FieldAccess.WO)
+
+
 @dataclass(frozen=True, slots=True)
 class BitField:
     """A named run of bits in a register."""
@@ -76,6 +93,7 @@ class BitField:
     width: int
     doc: str = ""
     values: Mapping[str, int] = field(default_factory=_empty)  # names of values, for people
+    access: FieldAccess | None = None  # None: as the register
 
     @property
     def mask(self) -> int:
@@ -105,6 +123,16 @@ class Register:
     def address(self) -> int:
         """Physical address."""
         return self.base_address + self.offset
+
+    @property
+    def kept(self) -> int:
+        """The bits that a write of others has to write as they are."""
+        return ~sum(f.mask for f in self.fields.values() if f.access is not None and not f.access.is_kept)
+
+    @property
+    def clears(self) -> bool:
+        """Whether reading it clears a field."""
+        return any(f.access is FieldAccess.RC for f in self.fields.values())
 
 
 @dataclass(frozen=True, slots=True)
@@ -323,6 +351,7 @@ class Mode:
     streams: Mapping[str, Stream] = field(default_factory=_empty)  # complete, config's streams merged in
     doc: str = ""
     memories: Mapping[str, Memory] = field(default_factory=_empty)
+    run: str | None = None  # "once" or "continuous": modules with a field `start` are started when all is set
 
 
 @dataclass(frozen=True, slots=True)
@@ -390,6 +419,14 @@ class Config:
                 found.update(self.modules[module].registers)
             found.update(self.modes[mode].registers)
         return found
+
+    def controls(self, mode: str) -> Iterator[tuple[Register, int]]:
+        """What `run` of a mode starts: the registers with a field `start`, and what is written to each."""
+        said = self.modes[mode]
+        for register in [r for name in said.modules for r in self.modules[name].registers.values()] if said.run else ():
+            wanted = ("start",) if said.run == "once" else ("start", "auto_restart")
+            if all(word in register.fields for word in wanted):
+                yield register, sum(register.fields[word].mask for word in wanted)
 
     def visible_memories(self, mode: str | None) -> dict[str, Memory]:
         """Memories that can be named in `mode`, as `visible_registers`. No stream of any mode has their names."""

@@ -23,7 +23,7 @@ from cm.schema.pictures import format_misfit, implied_encoding, misfit
 from cm.schema.problems import KeyPath, did_you_mean
 from cm.schema.rules_interrupts import check_interrupts
 from cm.schema.rules_memories import check_memories
-from cm.schema.rules_registers import check_registers
+from cm.schema.rules_registers import check_registers, check_runs
 
 _TOP: KeyPath = ("config",)
 
@@ -40,6 +40,7 @@ def check_rules(config: Config, context: Context) -> None:
     for mode in config.modes.values():
         _check_mode(mode, config, context)
     check_registers(config, context)
+    check_runs(config, context)
     check_memories(config, context)
     check_interrupts(config, context)
 

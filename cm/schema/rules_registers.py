@@ -7,7 +7,7 @@ from bisect import bisect_left
 from collections.abc import Iterator, Mapping
 
 from cm.schema.construct import Context
-from cm.schema.model import Access, BitField, Config, Mode, Register
+from cm.schema.model import Access, BitField, Config, FieldAccess, Mode, Register
 from cm.schema.problems import KeyPath, did_you_mean, key_path
 
 _Placed = tuple[KeyPath, Register]  # where it stands in the file, and the register
@@ -24,6 +24,22 @@ def check_registers(config: Config, context: Context) -> None:
     together = _Together(own, context)
     for mode in config.modes.values():
         together.check([(context.where[owner, name], r) for owner, name, r in _added(mode, config)])
+
+
+def check_runs(config: Config, context: Context) -> None:
+    """Report modes that start what cannot be started."""
+    for name, mode in config.modes.items():
+        if mode.run is None:
+            continue
+        here: KeyPath = ("config", "modes", name, "run")
+        started = list(config.controls(name)) if all(m in config.modules for m in mode.modules) else None
+        if started == []:
+            wanted = "start" if mode.run == "once" else "start and auto_restart"
+            message = "no module of this mode has a register that starts it"
+            context.report(here, "not_applicable", message, f"a register with fields {wanted}, such as HLS' ap_ctrl")
+        for register, _ in started or ():
+            if register.default is not None:
+                context.report(here, "not_applicable", f"{register.name} has a default too", "one of the two")
 
 
 def _all(config: Config, context: Context) -> Iterator[tuple[KeyPath, KeyPath, Register]]:
@@ -92,6 +108,10 @@ def _check_fields(register: Register, path: KeyPath, context: Context) -> None:
                 hint = f"{other.name} has bits {other.lsb + other.width - 1}:{other.lsb}"
                 context.report(here, "field_overlap", f"field {name} overlaps field {other.name}", hint)
         used.append(field)
+        whole = register.access is not Access.RW and field.access is not None
+        if whole and (field.access in (FieldAccess.RO, FieldAccess.RC)) is not (register.access is Access.RO):
+            message = f"a field of other access in a register of {register.access.value}"
+            context.report((*here, "access"), "not_applicable", message, "access of the register: rw")
         for word, value in field.values.items():
             if value >> field.width:
                 message = f"{value:#x} does not fit {field.width} bits"

@@ -143,6 +143,7 @@ def _mode(mode: Mode, config: Config) -> dict[str, Any]:
     data: dict[str, Any] = {}
     _put(data, "doc", mode.doc)
     _put(data, "modules", list(mode.modules))
+    _put(data, "run", mode.run)
     _put(data, "overlays", _overlays(mode.overlays))
     region = default_region(mode.modules, config.modules)
     _put(data, "mmio", _windows(mode.registers.values(), region))
@@ -211,6 +212,7 @@ def _register(register: Register) -> dict[str, Any]:
 
 def _field(field: BitField) -> dict[str, Any]:
     data: dict[str, Any] = {"lsb": field.lsb, "width": field.width}
+    _put(data, "access", field.access.value if field.access else "")
     _put(data, "doc", field.doc)
     values: Mapping[str, int] = field.values
     _put(data, "values", dict(values))

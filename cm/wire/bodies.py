@@ -334,11 +334,11 @@ def _register_to_pb(r: st.RegisterInfo) -> pb.RegisterInfo:
 
 def _field_to_pb(f: st.FieldInfo) -> pb.FieldInfo:
     values = [pb.FieldValue(name=name, value=value) for name, value in f.values]
-    return pb.FieldInfo(name=f.name, lsb=f.lsb, width=f.width, doc=f.doc, values=values)
+    return pb.FieldInfo(name=f.name, lsb=f.lsb, width=f.width, doc=f.doc, values=values, access=f.access)
 
 
 def _field_from_pb(m: pb.FieldInfo) -> st.FieldInfo:
-    return st.FieldInfo(m.name, m.lsb, m.width, m.doc, tuple((v.name, v.value) for v in m.values))
+    return st.FieldInfo(m.name, m.lsb, m.width, m.doc, tuple((v.name, v.value) for v in m.values), m.access)
 
 
 def _register_from_pb(m: pb.RegisterInfo) -> st.RegisterInfo:

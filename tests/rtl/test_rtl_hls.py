@@ -16,8 +16,9 @@ import cm
 from cm import device
 
 sys.path.append(str(HERE.parent))
-from manager_process import Manager
+from manager_process import Manager, until
 
+from cm.client.errors import RequestFailed
 from cm.simulation.rtl.compile import Unit, compile_units
 from cm.simulation.rtl.errors import RtlError
 from cm.simulation.rtl.main import prepare
@@ -27,7 +28,6 @@ from cm.simulation.software import Board, SimError
 pytestmark = [needs("verilator"), needs("g++"), pytest.mark.timeout(300)]
 HLS = HERE / "hls/build.yaml"
 SHAPE = (24, 32, 3)
-START, AUTO_RESTART = 1, 0x80
 
 
 def curve(picture: np.ndarray) -> np.ndarray:
@@ -53,8 +53,10 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[cm.Board]:
 
 
 def test_frames_pass_a_vdma_and_a_module_with_a_table_in_a_file(board: cm.Board) -> None:
-    """The module takes pixels from TUSER on, and its table is `./tone_curve_rom.dat`, which is beside its source."""
-    board.registers["control"] = START | AUTO_RESTART
+    """The module takes pixels from TUSER on, and its table is `./tone_curve_rom.dat`, which is beside its source.
+
+    It was started when its registers were set, since its mode says `run: continuous`.
+    """
     with board.stream("from_tone", timeout=60) as back, board.writer("to_tone") as out:
         for picture in pictures(3):
             out.write(picture)
@@ -67,7 +69,21 @@ def test_the_modules_interrupt_comes_by_name_with_the_end_of_a_frame(board: cm.B
         out.write(pictures(1)[0])
         back.read()
         board.interrupts[name].wait(timeout=60)  # though it came before
-    assert board.registers["interrupt_status"] & 1
+    assert board.registers["isr.done"]
+
+
+def test_what_runs_once_is_started_by_name_again_and_done_is_there_until_it_is_read(board: cm.Board) -> None:
+    board.set_mode("single")
+    with board.stream("from_tone", timeout=60) as back, board.writer("to_tone") as out:
+        for picture in pictures(2):
+            out.write(picture)
+            assert np.array_equal(back.read(), curve(picture))
+            until(lambda: board.registers.read()["isr"] & 1)  # all that can be read, without what reading would clear
+            assert (board.registers["ap_ctrl.done"], board.registers["ap_ctrl.done"]) == (1, 0)
+            board.registers["ap_ctrl.start"] = 1
+    assert board.registers["ap_ctrl.auto_restart"] == 0
+    with pytest.raises(RequestFailed, match=r"field 'ap_ctrl\.done' is read-only"):
+        board.registers["ap_ctrl.done"] = 1
 
 
 @pytest.fixture(scope="module")

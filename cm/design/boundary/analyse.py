@@ -16,7 +16,7 @@ from cm.design.hdl import UserProtocol
 from cm.design.hdl.associate import restated
 from cm.design.hdl.flat import Flat, Wanted, needs_wrapper
 from cm.design.hdl.flatten import flatten
-from cm.design.hdl.hls_registers import HDL, differences
+from cm.design.hdl.hls_registers import HDL, differences, hls_memories, is_hls
 from cm.design.hdl.model import Language, ModuleInfo, Polarity, Problem, Stated
 from cm.design.hdl.register_maps import read_register_map
 from cm.design.hdl.vhdl_units import missing_units
@@ -96,7 +96,8 @@ def _with_registers(project: Project, spec: ModuleSpec) -> ModuleSpec:
         raise
     except BuildError as error:
         raise fault(project.source, ("modules", spec.name, "register_map"), str(error)) from None
-    return replace(spec, registers={**found, **spec.registers})
+    memories = hls_memories(spec.register_map) if is_hls(spec.register_map) else {}
+    return replace(spec, registers={**found, **spec.registers}, memories={**memories, **spec.memories})
 
 
 def analyse(project: Project) -> Analysis:

@@ -14,8 +14,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from cm.design.errors import BuildError
-from cm.design.project.model import FieldSpec, RegisterSpec
-from cm.schema.model import Access
+from cm.design.project.model import FieldSpec, MemorySpec, RegisterSpec
+from cm.schema.model import Access, FieldAccess
 
 HDL = re.compile(r".+_s_axi\.(?:v|sv|vhdl?)$", re.IGNORECASE)
 HEADER = re.compile(r"x?\w+_hw\.h$", re.IGNORECASE)
@@ -25,6 +25,10 @@ _FIELD = re.compile(
     rf"^\s*(?://|--)\s*bit\s+(\d+)(?:~(\d+))?\s*-\s*(.*?)\s*(?:\(({_ACCESS}(?:/{_ACCESS})*)\))?\s*$", re.IGNORECASE
 )
 _MEMORY = re.compile(r"^\s*(?://|--)\s*0x([0-9a-f]+)\s*~\s*$", re.IGNORECASE)
+_ARRAY = re.compile(
+    r"^\s*(?://|--)\s*0x([0-9a-f]+)\s*~\s*\n\s*(?://|--)\s*0x[0-9a-f]+\s*:\s*Memory '(\w+)' \((\d+) \* (\d+)b\)",
+    re.MULTILINE | re.IGNORECASE,
+)
 _OF = re.compile(r"(?:Data|Control) signal of (\w+)", re.IGNORECASE)
 _SLICE = re.compile(r"\w+\[(?:\d+:)?(\d+)\]")  # its lowest bit
 _CONSTANT = re.compile(
@@ -65,6 +69,21 @@ def hls_registers(path: Path) -> dict[str, RegisterSpec]:
     if listed:
         return listed
     return {name: RegisterSpec(name, offset, volatile=name in _VOLATILE) for name, offset in stated.items()}
+
+
+def hls_memories(path: Path) -> dict[str, MemorySpec]:
+    """Read the arrays on the bus of one file, as HLS packs elements into words; those beyond 64 bits are left out."""
+    text = path.read_text(encoding="utf-8", errors="replace")
+    listed = [(name.lower(), int(at, 16), int(n), int(bits)) for at, name, n, bits in _ARRAY.findall(text)]
+    return {name: _memory(name, *numbers) for name, *numbers in listed if numbers[2] <= 64}
+
+
+def _memory(name: str, offset: int, count: int, bits: int) -> MemorySpec:
+    item = next(size for size in (8, 16, 32, 64) if bits <= size)
+    length = count * item // 8
+    shape = (count,) if length % 4 == 0 else None
+    doc = "" if bits == item else f"elements of {bits} bits"
+    return MemorySpec(name, offset, -(-length // 4) * 4, dtype=f"uint{item}", shape=shape, doc=doc)
 
 
 def differences(ours: Mapping[str, RegisterSpec], theirs: Mapping[str, RegisterSpec]) -> list[str]:
@@ -113,7 +132,8 @@ def _register(name: str, offset: int, title: str, parts: list[re.Match[str]]) ->
     readable, writable = any(one[0] for one in said), any(one[1] for one in said)
     access = Access.RO if readable and not writable else Access.WO if writable and not readable else Access.RW
     changing = name in _VOLATILE or any(one[2] for one in said) or access is Access.RO
-    fields = dict(_fields(parts)) if len(parts) > 1 or not _SLICE.match(parts[0][3] if parts else "a[0]") else {}
+    single = len(parts) <= 1 and _SLICE.match(parts[0][3] if parts else "a[0]")
+    fields = {} if single else dict(_fields(parts, whole[1] if whole else ""))
     plain = "" if _OF.match(title) else re.sub(r"\s*\([^()]*\)\s*$", "", title)
     doc = "; ".join(filter(None, (plain, _said(whole[1])[2] if whole else "")))
     return RegisterSpec(name, offset, access=access, volatile=changing, fields=fields, doc=doc)
@@ -128,7 +148,8 @@ def _said(words: str) -> tuple[bool, bool, str]:
     return "READ" in parts or "R" in parts or not known, writes or not known, more
 
 
-def _fields(parts: Iterable[re.Match[str]]) -> Iterator[tuple[str, FieldSpec]]:
+def _fields(parts: Iterable[re.Match[str]], whole: str) -> Iterator[tuple[str, FieldSpec]]:
+    """The named bits; `whole`: what the comment says of all of them."""
     for part in parts:
         high, low, what = int(part[1]), int(part[2] or part[1]), part[3]
         channel = re.match(r"Channel \d+ \((\w+)\)|enable (\w+) interrupt|(\w+)(?: interrupt)?", what, re.IGNORECASE)
@@ -138,8 +159,22 @@ def _fields(parts: Iterable[re.Match[str]]) -> Iterator[tuple[str, FieldSpec]]:
             continue
         name = "enable" if what.lower().startswith("global") else name
         readable, writable, more = _said(part[4] or "")
-        only = "" if part[4] is None or (readable and writable) else "read only" if readable else "write only"
-        yield name, FieldSpec(name, min(high, low), abs(high - low) + 1, doc="; ".join(filter(None, (only, more))))
+        access = _access(part[4] or whole, readable, writable)
+        yield name, FieldSpec(name, min(high, low), abs(high - low) + 1, doc=more, access=access)
+
+
+def _access(words: str, readable: bool, writable: bool) -> FieldAccess | None:
+    """What a field's bits do; None for those that are simply read and written."""
+    parts = {word.strip().upper() for word in words.split("/")}
+    if "TOW" in parts:
+        return FieldAccess.W1T
+    if parts & {"COH", "SC"} and writable:
+        return FieldAccess.W1S
+    if "COR" in parts:
+        return FieldAccess.RC
+    if not words or (readable and writable):
+        return None
+    return FieldAccess.RO if readable else FieldAccess.WO
 
 
 def _constants(text: str) -> Iterator[tuple[str, int]]:

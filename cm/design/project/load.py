@@ -25,6 +25,7 @@ from cm.design.project.model import (
     ClockSpec,
     ConnectionSpec,
     FieldSpec,
+    MemorySpec,
     ModeSpec,
     ModeStreamSpec,
     ModuleSpec,
@@ -35,7 +36,7 @@ from cm.design.project.model import (
     StaticSpec,
     SwitchSpec,
 )
-from cm.schema.model import Access, LoaderKind
+from cm.schema.model import Access, FieldAccess, LoaderKind
 from cm.schema.pictures import pixel_shape
 from cm.schema.problems import KeyPath, Problem, SchemaError, key_path
 from cm.schema.reader import Refused, read
@@ -75,10 +76,30 @@ def registers(spec: dict[str, Any]) -> dict[str, RegisterSpec]:
 
 
 def _register(name: str, spec: dict[str, Any]) -> RegisterSpec:
-    fields = {key: FieldSpec(key, **value) for key, value in (spec.get("fields") or {}).items()}
+    fields = {key: _field(key, value) for key, value in (spec.get("fields") or {}).items()}
     rest = {key: value for key, value in spec.items() if key not in ("access", "fields", "min", "max")}
     access = Access(spec.get("access", "rw"))
     return RegisterSpec(name, access=access, fields=fields, minimum=spec.get("min"), maximum=spec.get("max"), **rest)
+
+
+def _field(name: str, spec: dict[str, Any]) -> FieldSpec:
+    access = FieldAccess(spec["access"]) if "access" in spec else None
+    return FieldSpec(name, **{**spec, "access": access})
+
+
+def memories(spec: dict[str, Any]) -> dict[str, MemorySpec]:
+    """Memories by name."""
+    return {
+        name: MemorySpec(
+            name,
+            **{
+                **values,
+                "access": Access(values.get("access", "rw")),
+                "shape": tuple(values["shape"]) if "shape" in values else None,
+            },
+        )
+        for name, values in (spec.get("memories") or {}).items()
+    }
 
 
 def macro(value: object) -> str:
@@ -331,6 +352,7 @@ class _Builder:
             component=self._files.one(spec.get("component"), (*where, "component")),
             model=spec.get("model"),
             registers=registers(spec),
+            memories=memories(spec),
             register_map=self._files.one(spec.get("register_map"), (*where, "register_map")),
             interface=spec.get("interface"),
             clocks={key: tuple((one or {}).get("interfaces", ())) for key, one in (spec.get("clocks") or {}).items()},
@@ -367,7 +389,7 @@ class _Builder:
                 chosen[region] = module
         streams = {key: mode_stream(value) for key, value in (spec.get("streams") or {}).items()}
         share, doc, routes = spec.get("share", 1.0), spec.get("doc", ""), spec.get("routes") or {}
-        return ModeSpec(name, chosen, spec.get("registers") or {}, streams, share, doc, routes)
+        return ModeSpec(name, chosen, spec.get("registers") or {}, streams, share, doc, spec.get("run"), routes)
 
     def _only_region(self, mode: str, module: str, modules: dict[str, ModuleSpec]) -> str | None:
         if module not in modules:

@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import Any
 
 from cm.design.boards import BoardDefinition
-from cm.schema.model import Access, LoaderKind
+from cm.schema.model import Access, FieldAccess, LoaderKind
 
 
 def empty() -> Mapping[Any, Any]:
@@ -52,6 +52,20 @@ class FieldSpec:
     lsb: int
     width: int = 1
     values: Mapping[str, int] = field(default_factory=empty)
+    doc: str = ""
+    access: FieldAccess | None = None  # None: as the register
+
+
+@dataclass(frozen=True, slots=True)
+class MemorySpec:
+    """A memory of a module: `offset` in bytes from the start of the module's window, as a register's."""
+
+    name: str
+    offset: int
+    size: int
+    access: Access = Access.RW
+    dtype: str = "uint32"
+    shape: tuple[int, ...] | None = None
     doc: str = ""
 
 
@@ -148,6 +162,7 @@ class ModuleSpec:
     sim_sources: tuple[Path, ...] = ()
     model: str | None = None
     registers: Mapping[str, RegisterSpec] = field(default_factory=empty)
+    memories: Mapping[str, MemorySpec] = field(default_factory=empty)
     register_map: Path | None = None
     interface: str | None = None
     clocks: Mapping[str, tuple[str, ...]] = field(default_factory=empty)  # port → interfaces on it
@@ -179,6 +194,7 @@ class ModeSpec:
     streams: Mapping[str, ModeStreamSpec] = field(default_factory=empty)
     share: float = 1.0
     doc: str = ""
+    run: str | None = None  # as in the runtime schema
     routes: Mapping[str, str] = field(default_factory=empty)  # through the switch: sink → source
 
 

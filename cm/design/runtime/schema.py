@@ -114,8 +114,9 @@ def _region(system: System, region: RegionPlan) -> Region:
 
 def _module(source: Path, target: tuple[str, ModuleSpec, RegionPlan, int], answers: Answers) -> tuple[str, Module]:
     name, module, region, identity = target
-    registers = {}
-    if module.registers:
+    registers: dict[str, Register] = {}
+    memories: dict[str, Memory] = {}
+    if module.registers or module.memories:
         window = register_window(source, region, module)
         for key, spec in module.registers.items():
             if spec.offset + spec.width // 8 > window.size:
@@ -123,9 +124,9 @@ def _module(source: Path, target: tuple[str, ModuleSpec, RegionPlan, int], answe
                 place = ("modules", module.name, "registers", key, "offset")
                 raise fault(source, place, message, "window: of the region says how many")
             registers[key] = _register(spec, window.base, region.name, answers.registers.get((name, key)))
+        memories = {m.name: m for m in _memories(source, module, window, region.name, registers)}
     file = Path(f"{name}.bin")
     model = module.model or (module.name if module.name != name else None)
-    memories = {}
     for bus in bare_windows(source, region, module):
         doc = f"{bus.interface.name}, of which no registers are known"
         memory = Memory(bare_name(name, bus), bus.window.base, bus.window.size, region=region.name, doc=doc)
@@ -145,7 +146,7 @@ def _module(source: Path, target: tuple[str, ModuleSpec, RegionPlan, int], answe
 
 def bare_windows(source: Path, region: RegionPlan, module: ModuleSpec) -> list[RegisterBus]:
     """The windows that a module has, and no registers in them; `source`: the build schema."""
-    used = register_window(source, region, module).base if module.registers else None
+    used = register_window(source, region, module).base if module.registers or module.memories else None
     present = {c.boundary for c in region.boundary.adaptation(module.name).connections if c.module}
     return [
         bus
@@ -178,7 +179,22 @@ def _register(spec: RegisterSpec, base: int, region: str | None, default: int | 
 
 
 def _field(spec: FieldSpec) -> BitField:
-    return BitField(spec.name, spec.lsb, spec.width, spec.doc, spec.values)
+    return BitField(spec.name, spec.lsb, spec.width, spec.doc, spec.values, spec.access)
+
+
+def _memories(
+    source: Path, module: ModuleSpec, window: Window, region: str, registers: Mapping[str, Register]
+) -> Iterator[Memory]:
+    """The memories of a module beside its registers. A name that is a register's too gets ``_memory``."""
+    for key, spec in module.memories.items():
+        if spec.offset + spec.size > window.size:
+            message = f"{key} ends at {spec.offset + spec.size:#x}, its window has {window.size:#x} bytes"
+            place = ("modules", module.name, "memories", key, "offset")
+            raise fault(source, place, message, "window: of the region says how many")
+        name = f"{key}_memory" if key in registers else key
+        yield Memory(
+            name, window.base, spec.size, spec.offset, spec.access, spec.dtype, spec.shape, region, doc=spec.doc
+        )
 
 
 def _mode(system: System, mode: ModeSpec, streams: Mapping[str, Stream]) -> Mode:
@@ -202,6 +218,7 @@ def _mode(system: System, mode: ModeSpec, streams: Mapping[str, Stream]) -> Mode
         overlays=overlays,
         streams=_mode_streams(system, mode, streams),
         doc=mode.doc,
+        run=mode.run,
     )
 
 

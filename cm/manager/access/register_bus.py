@@ -94,29 +94,33 @@ class RegisterBus:
         value = self.read(register)
         standing = value & clear
         if standing:
-            kept = 0 if register.access is Access.W1C else value & ~flags
+            kept = 0 if register.access is Access.W1C else value & ~flags & register.kept
             self.write_address(register.address, register.width, kept | standing)
         return value
 
-    def write(self, register: Register, value: int, mask: int, last: int | None) -> int:
+    def write(
+        self, register: Register, value: int, mask: int, last: int | None, kept: int = -1, unread: bool = False
+    ) -> int:
         """Write the bits in `mask`; returns the whole value written.
 
-        The other bits are read first; of a write-only register they are those last written, and a
-        write-one-to-clear register's are written as 0, which clears nothing.
+        The other bits are read first; of a write-only register, or one that must not be read (`unread`), they are those
+        last written, and a write-one-to-clear register's, like those that are not in `kept`, are written as 0, which
+        does nothing.
         """
         full = (1 << register.width) - 1
         if mask != full:
-            value = self._merged(register, value, mask, last)
+            value = self._merged(register, value, mask, last, unread) & (kept | mask)
             in_range(
                 register.name, value, register.minimum or 0, full if register.maximum is None else register.maximum
             )
         self.write_address(register.address, register.width, value)
         return value
 
-    def _merged(self, register: Register, value: int, mask: int, last: int | None) -> int:
+    def _merged(self, register: Register, value: int, mask: int, last: int | None, unread: bool) -> int:
         if register.access is Access.W1C:
             return value
-        rest = (last or 0) if register.access is Access.WO else self.read_address(register.address, register.width)
+        unread = unread or register.access is Access.WO
+        rest = (last or 0) if unread else self.read_address(register.address, register.width)
         return (rest & ~mask) | value
 
 

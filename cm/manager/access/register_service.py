@@ -25,7 +25,7 @@ from cm.manager.access.register_view import (
 )
 from cm.manager.errors import AccessDenied, NothingLoaded, RegionBusy
 from cm.manager.state.record import ManagerState
-from cm.schema.model import Access, Config, Register
+from cm.schema.model import Access, Config, FieldAccess, Register
 from cm.wire.messages.requests import RegWrite
 from cm.wire.messages.status import RegValue, RegValues
 
@@ -112,7 +112,7 @@ class WritePieces(_Pieces):
         return self._at >= len(self._checked)
 
 
-_WO, _RW = Access.WO, Access.RW  # looking them up in the enum's class takes time
+_WO, _FIELD_WO = Access.WO, FieldAccess.WO  # looking them up in the enum's class takes time
 
 
 def _flags(config: Config, status: str) -> int:
@@ -267,7 +267,8 @@ class RegisterService:
 
     def _readable(self, view: View) -> list[Place]:
         readable = (r for r in view.registers.values() if r.access is not _WO and r.region in view.free)
-        return [view.places.get(r.name) or self._find(view, r.name) for r in readable]
+        places = [view.places.get(r.name) or self._find(view, r.name) for r in readable]
+        return [place for place in places if not place.clears]  # who wants that names it
 
     def _read(self, place: Place, view: View) -> RegValue:
         register, field = place.register, place.field
@@ -275,6 +276,8 @@ class RegisterService:
             self._check_free(register)
         if register.access is _WO:
             raise AccessDenied(f"register {register.name!r} is write-only")
+        if field is not None and field.access is _FIELD_WO:
+            raise AccessDenied(f"field {register.name}.{field.name} is write-only")
         value = self._bus.read_address(place.address, place.width)
         if field is None:
             return value_of(register, value) if register.fields else RegValue(register.name, value)
@@ -285,9 +288,12 @@ class RegisterService:
         if mask == place.mask and place.field is None:
             bus.write_address(place.address, place.width, value)
         else:
-            value = bus.write(register, value, mask, self._state.written_value(register.name))
+            last = self._state.written_value(register.name)
+            if place.clears and last is None:
+                last = register.reset or 0
+            value = bus.write(register, value, mask, last, place.kept, place.clears)
         self._state.note_written(register.name, value, register.access is _WO)
-        shown = value if register.access is not _RW else bus.read_address(place.address, place.width)
+        shown = value if not place.shown else bus.read_address(place.address, place.width)
         return value_of(register, shown)
 
     def check_region(self, region: str | None, what: str) -> None:

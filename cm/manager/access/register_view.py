@@ -11,9 +11,10 @@ from cm.errors import InvalidRequest
 from cm.manager.errors import AccessDenied, OutOfRange, UnknownRegister
 from cm.manager.state.board_state import BoardState, RegionPhase
 from cm.manager.state.record import LockedRegions, ManagerState
-from cm.schema.model import Access, BitField, Config, Register
+from cm.schema.model import Access, BitField, Config, FieldAccess, Register
 from cm.wire.messages.requests import RegWrite
 
+_READ_ONLY = (FieldAccess.RO, FieldAccess.RC)
 _RO, _READY = Access.RO, RegionPhase.READY  # looking them up in the enum's class takes time
 
 
@@ -71,6 +72,8 @@ def checked_write(
     if write.named:
         write = _by_name(write, field)
     if field is not None:
+        if field.access in _READ_ONLY:
+            raise AccessDenied(f"field {write.name!r} is read-only")
         limit = (1 << field.width) - 1
         if write.mask is not None:
             raise InvalidRequest(f"{write.name!r} is a field: give a value or a mask, not both")
@@ -116,6 +119,9 @@ class Place(NamedTuple):
     high: int
     lsb: int
     mask: int
+    kept: int  # of the other bits, those to be written as they are
+    clears: bool  # reading the register clears a field of it
+    shown: bool  # after a write, it is read
 
 
 Checked = tuple[Place, int, int]  # value and mask in the register's place
@@ -130,9 +136,12 @@ def place_of(register: Register, field: BitField | None) -> Place:
     else:
         low = max(low, register.minimum or 0)
         high = high if register.maximum is None else min(high, register.maximum)
-    if register.access is _RO:
+    if register.access is _RO or (field is not None and field.access in _READ_ONLY):
         low, high = 1, 0
-    return Place(register, field, register.region, register.address, register.width, low, high, lsb, mask)
+    clears = register.clears
+    shown = register.access is Access.RW and not clears
+    where = (register.region, register.address, register.width)
+    return Place(register, field, *where, low, high, lsb, mask, register.kept, clears, shown)
 
 
 def plainly(place: Place, write: RegWrite) -> Checked | None:

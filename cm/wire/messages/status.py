@@ -226,6 +226,7 @@ class FieldInfo:
     width: int
     doc: str = ""
     values: tuple[tuple[str, int], ...] = ()  # names of values
+    access: str = ""  # as in the runtime schema; empty: as the register
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,8 +10,9 @@ from build_support import MINIMAL, project
 from import_support import described, hwh, module, register, register_field
 
 from cm.design.errors import BuildError
+from cm.design.hdl.hls_registers import hls_memories
 from cm.design.hdl.register_maps import read_register_map
-from cm.schema.model import Access
+from cm.schema.model import Access, FieldAccess
 
 IPXACT = """<?xml version="1.0" encoding="UTF-8"?>
 <spirit:component xmlns:spirit="http://www.spiritconsortium.org/XMLSchema/SPIRIT/1685-2009">
@@ -155,16 +156,35 @@ def test_registers_of_hls_are_those_of_its_comment(style: str, tmp_path: Path) -
         "ap_ctrl": (0, "rw"), "gie": (4, "rw"), "ier": (8, "rw"), "isr": (0xC, "rw"), "gain": (0x10, "rw"),
         "where_r_0": (0x18, "rw"), "where_r_1": (0x1C, "rw"), "sum": (0x24, "ro"), "sum_ctrl": (0x28, "ro"),
     }  # fmt: skip
-    control = {name: (one.lsb, one.doc) for name, one in found["ap_ctrl"].fields.items()}
-    assert control["start"] == (0, "cleared by the handshake")
-    assert control["done"] == (1, "read only; reading clears it")
-    assert control["idle"] == (2, "read only")
-    assert control["auto_restart"] == (7, "")
+    control = {name: (one.lsb, one.access, one.doc) for name, one in found["ap_ctrl"].fields.items()}
+    assert control["start"] == (0, FieldAccess.W1S, "cleared by the handshake")
+    assert control["done"] == (1, FieldAccess.RC, "reading clears it")
+    assert control["idle"] == (2, FieldAccess.RO, "")
+    assert control["auto_restart"] == (7, None, "")
+    assert {one.access for one in found["isr"].fields.values()} == {FieldAccess.W1T}
+    assert {one.access for one in found["ier"].fields.values()} == {None}
     assert {name: set(found[name].fields) for name in ("gie", "ier", "isr")} == {
         "gie": {"enable"}, "ier": {"done", "ready"}, "isr": {"done", "ready"},
     }  # fmt: skip
     assert "writing 1 toggles it" in found["isr"].doc + found["isr"].fields["done"].doc
     assert [name for name, one in found.items() if one.volatile] == ["ap_ctrl", "isr", "sum", "sum_ctrl"]
+
+
+@pytest.mark.parametrize(
+    ("said", "memory"),
+    [
+        ("(16 * 32b)", (0x40, 64, "uint32", (16,))),
+        ("(64 * 8b)", (0x40, 64, "uint8", (64,))),
+        ("(32 * 12b)", (0x40, 64, "uint16", (32,))),
+        ("(3 * 16b)", (0x40, 8, "uint16", None)),
+        ("(8 * 64b)", (0x40, 64, "uint64", (8,))),
+    ],
+)
+def test_arrays_of_hls_are_memories(said: str, memory: tuple[object, ...], tmp_path: Path) -> None:
+    path = tmp_path / "filter_control_s_axi.v"
+    path.write_text(S_AXI["2024"].replace("(16 * 32b)", said))
+    (found,) = hls_memories(path).values()
+    assert (found.name, (found.offset, found.size, found.dtype, found.shape)) == ("table", memory)
 
 
 def test_addresses_of_hls_alone_are_enough(tmp_path: Path) -> None:
@@ -240,7 +260,9 @@ def test_what_hls_wrote_needs_no_line_for_its_registers_and_two_sources_are_comp
     assert "register_map: one_control_s_axi.v" in build.read_text()
     assert main(["build", "generate", str(build)]) == 0
     path = next((tmp_path / "build/config").glob("*.yaml"))
-    registers = schema.load(path).modules["one"].registers
+    module = schema.load(path).modules["one"]
+    registers, table = module.registers, module.memories["table"]
+    assert (table.base_address, table.offset, table.size) == (registers["gain"].base_address, 0x40, 64)
     assert registers["ap_ctrl"].fields["auto_restart"].lsb == 7
     assert registers["where_r_1"].offset == 0x1C
     (tmp_path / "xone_hw.h").write_text(HLS.replace("0x10", "0x20"))
