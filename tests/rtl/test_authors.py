@@ -137,17 +137,46 @@ def test_the_memories_add_to_each_byte_that_is_written(
     assert words.registers["first"] == sum(((0x10203040 >> 8 * byte) + added & 0xFF) << 8 * byte for byte in range(4))
 
 
-def test_gaussian_is_refused_with_the_cores_that_it_lacks(schemas: Mapping[str, Path]) -> None:
-    schema = schemas["vision"].with_name("gaussian.yaml")
+def gaussian(schema: Path, models: bool) -> Path:
+    """A build schema for it; with simulation models of the cores, if they are given."""
     folder = (schema.parent / "zypr/gaussian").resolve()
     sources = [
         path for path in sorted(folder.glob("*.v")) if "sim_netlist" not in path.name and "stub" not in path.name
     ]
+    files = f"sources: [{', '.join(map(str, sources))}]"
+    if models:  # in place of the black boxes of ignore.v
+        own = [path for path in sources if path.name != "ignore.v"]
+        files += f", sim_sources: [{', '.join(map(str, [*own, HERE / 'floats/cores.sv']))}]"
+    registers = folder / "gaussian_AXILiteS_s_axi.v"
     schema.write_text(
         "project: {name: gaussian, part: xczu3eg-sbva484-1-i}\nclocks: {pl0: {rate: 100_000_000}}\n"
-        "regions: {prr0: {pblock: auto, resources: {lut: 9000, dsp: 60}, clock: pl0}}\n"
-        f"modules: {{top: {{sources: [{', '.join(map(str, sources))}], resources: {{lut: 8000}}}}}}\n"
+        "regions: {prr0: {pblock: auto, resources: {lut: 9000, dsp: 60}, clock: pl0, interfaces: {"
+        "stream_in: {stream: to_blur, shape: [24, 48]}, stream_out: {stream: from_blur, shape: [24, 48]}}}}\n"
+        f"modules: {{top: {{{files}, register_map: {registers}, resources: {{lut: 8000}}}}}}\n"
+        "modes: {top: {modules: [top], run: once, registers: {rows_in: 24, cols_in: 48, sigma: 0x3f800000}}}\n"
     )
+    return schema
+
+
+def test_gaussian_runs_with_models_of_the_cores_that_it_lacks(
+    schemas: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Within one of a kernel of 3 × 3 with sigma 1: its weights are of 8 bits. Borders are left out."""
+    schema = gaussian(schemas["vision"].with_name("gaussian.yaml"), models=True)
+    for board in served(schema, tmp_path_factory.mktemp("run")):
+        picture = np.ascontiguousarray(PHOTO[:240:10, :480:10])
+        with board.stream("from_blur", timeout=120) as back, board.writer("to_blur", timeout=120) as out:
+            out.write(picture)
+            result = np.asarray(back.read())
+    weights = np.exp(-np.array([1, 0, 1]) / 2)
+    kernel = np.outer(weights, weights) / weights.sum() ** 2
+    windows = np.lib.stride_tricks.sliding_window_view(picture.astype(float), (3, 3))
+    wanted = (windows * kernel).sum(axis=(2, 3))
+    assert np.abs(result[1:-1, 1:-1] - wanted).max() <= 2
+
+
+def test_gaussian_is_refused_with_the_cores_that_it_lacks(schemas: Mapping[str, Path]) -> None:
+    schema = gaussian(schemas["vision"].with_name("refused.yaml"), models=False)
     with pytest.raises(RtlError, match=r"module top: nothing is in .*gaussian_ap_fexp_6_full_dsp_32.*sim_sources"):
         prepare(schema)
 

@@ -198,10 +198,15 @@ class Models:
         self._added[name] = model
 
     def check(self, configs: Iterable[Config]) -> None:
-        """Raise SimError for a module whose `model` does not exist."""
+        """Raise SimError for a module whose `model` does not exist.
+
+        That of ``turn_left`` in region ``left`` may be ``turn`` without there being one: it is a module's own name,
+        of which `cm build` made one for each of several regions.
+        """
         for config in configs:
             for module in config.modules.values():
-                if module.model is not None and module.model not in self._all:
+                own = module.name == f"{module.model}_{module.region}"
+                if module.model is not None and module.model not in self._all and not own:
                     close = difflib.get_close_matches(module.model, self._all, 1)
                     raise SimError(
                         f"module {module.name} of {config.name}: no model is called {module.model!r}"
