@@ -468,7 +468,15 @@ def _writer(register: RegisterInfo, offset: int, writable: bool) -> Callable[[An
 
     if register.access == "ro" or not writable:
         return refuse
-    return write_and_keep if register.access == "wo" and register.fields else write
+    return write_and_keep if register.fields and _is_not_read(register) else write
+
+
+_ZERO = ("ro", "rc", "w1c", "w1s", "w1t")  # fields that a write of another leaves alone by a 0
+
+
+def _is_not_read(register: RegisterInfo) -> bool:
+    """Whether the rest of a register is what was last written, when a field of it is."""
+    return register.access == "wo" or any(field.access == "rc" for field in register.fields)
 
 
 def _field_reader(read: Callable[[Any], int], mask: int, lsb: int) -> Callable[[Any], int]:
@@ -484,17 +492,19 @@ def _field_writer(
 ) -> Callable[[Any, Any], None]:
     """Writes the field and leaves the rest; of a write-one-to-clear register the rest is written as 0."""
     (mask, lsb), (read, write) = place, whole
+    kept = ~mask & ~sum(((1 << f.width) - 1) << f.lsb for f in register.fields if f.access in _ZERO)
 
     def rest(window: Any) -> int:
         if register.access == "w1c":
             return 0
-        if register.access != "wo":
-            return read(window) & ~mask
+        if not _is_not_read(register):
+            return read(window) & kept
         if register.name not in window._seen:
+            why = "is write-only" if register.access == "wo" else "has a field that reading clears"
             raise RequestInvalid(
-                ErrorInfo("access", f"register {register.name!r} is write-only: write the whole of it here first")
+                ErrorInfo("access", f"register {register.name!r} {why}: write the whole of it here first")
             )
-        return int(window._seen[register.name]) & ~mask
+        return int(window._seen[register.name]) & kept
 
     def put(window: Any, value: Any) -> None:
         if isinstance(value, str):
@@ -507,4 +517,11 @@ def _field_writer(
             _refuse(name, number, 0, mask >> lsb)
         write(window, rest(window) | number << lsb)
 
-    return put
+    def refuse(_: Any, __: Any) -> NoReturn:
+        _no_access(name, writes=True)
+
+    return (
+        refuse
+        if any(f"{register.name}.{f.name}" == name and f.access in ("ro", "rc") for f in register.fields)
+        else put
+    )

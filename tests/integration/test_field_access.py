@@ -60,6 +60,20 @@ def test_a_write_of_one_field_leaves_those_alone_that_a_written_1_changes(board:
     assert board.registers["control"] == 0x50, "what was written last, for nothing was read; `start` is not kept"
 
 
+def test_a_window_leaves_them_alone_too(board: cm.Board) -> None:
+    with board.registers.window("default") as regs:
+        regs.status = 0x301
+        regs["status.level"] = 5
+        assert regs.status == 0x500
+        with pytest.raises(RequestFailed, match="has a field that reading clears: write the whole of it here first"):
+            regs["control.auto_restart"] = 1
+        regs.control = 0xD1
+        regs["control.auto_restart"] = 0
+        assert regs.control == 0x50
+        with pytest.raises(RequestFailed, match="read-only"):
+            regs["control.done"] = 1
+
+
 def test_what_cannot_be_read_or_written_is_refused_by_its_name(board: cm.Board) -> None:
     with pytest.raises(RequestFailed, match=r"field 'control\.done' is read-only"):
         board.registers["control.done"] = 1
