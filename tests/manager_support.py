@@ -217,6 +217,7 @@ class Rig:
 
     manager: Manager
     devices: BoardDevices
+    given: FaultyDevices  # the same, as the manager has them
     fault: Fault
     data_plane: Nobody
     journal: FaultyJournal
@@ -271,10 +272,10 @@ def make_rig(root: Path, state: Path, *configs: Config, prefetch: int = 0, files
     devices = BoardDevices(Root.of(root))
     journal = FaultyJournal(state, fault)
     clock, opened = Clock(), files(root)
-    given = (FaultyDevices(devices, fault), opened, journal, nobody, clock, nobody)
-    env = Environment(*given, settings=Settings(prefetch_bytes=prefetch))
+    faulty = FaultyDevices(devices, fault)
+    env = Environment(faulty, opened, journal, nobody, clock, nobody, settings=Settings(prefetch_bytes=prefetch))
     known = {config.name: config for config in configs or (camera(),)}
-    return Rig(Manager(known, env), devices, fault, nobody, journal, clock, opened)
+    return Rig(Manager(known, env), devices, faulty, fault, nobody, journal, clock, opened)
 
 
 def killed_at(

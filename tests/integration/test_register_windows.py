@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from manager_process import Manager, environment, served, stalled, until
+from manager_process import REPOSITORY, Manager, environment, served, stalled, until
 
 import cm
 import cm.aio
@@ -272,7 +272,7 @@ def test_a_window_ends_with_its_board(edge: cm.Board, manager: Manager) -> None:
 
 
 def test_a_process_has_so_many(edge: cm.Board) -> None:
-    held = [edge.registers.window("edge", write=False) for _ in range(32)]
+    held = [edge.registers.window("edge", write=False) for _ in range(8)]
     assert code(lambda: edge.registers.window("edge")) == "busy"
     for window in held:
         window.close()
@@ -317,15 +317,15 @@ def test_a_killed_client_leaves_nothing_of_a_thousand_windows(edge: cm.Board, ma
     until(lambda: not edge.status.windows)
     before = descriptors(manager.pid)
     text = """
-for _ in range(968):
+for _ in range(992):
     board.registers.window("edge").close()
-held = [board.registers.window("edge") for _ in range(32)]
+held = [board.registers.window("edge") for _ in range(8)]
 say("held")
 time.sleep(600)
 """
     with client(manager, text) as process:
         assert line(process) == "held"
-        assert len(windows(edge)) == 32
+        assert len(windows(edge)) == 8
         process.kill()
         until(lambda: not edge.status.windows)
     until(lambda: descriptors(manager.pid) <= before)
@@ -434,3 +434,14 @@ def test_windows_end_with_the_manager() -> None:
             with pytest.raises(WindowRevoked, match="has ended"):
                 _ = regs.focus
         manager.start()
+
+
+def test_the_control_loop_reads_no_other_modules_register(board: cm.Board, manager: Manager) -> None:
+    example = REPOSITORY / "examples" / "control_loop.py"
+    words = ["--runtime-dir", str(manager.runtime), "--seconds", "0.5", "--changes", "4", "--reads", "20000"]
+    done = subprocess.run(
+        [sys.executable, str(example), *words], env=environment(), capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "reads, 0 of another module" in done.stdout
+    assert board.mode == "edge_detection"

@@ -29,7 +29,7 @@ from cm.schema.model import Access, Config, Memory, Mode, Module, Register
 from cm.wire.messages.status import ConfigInfo, RegValues, WindowStatus
 
 STATIC = "static"  # the name of the part outside all regions
-EACH, MOST = 32, 512  # windows of one process, and of all
+EACH, MOST = 8, 64  # windows of one process, and of all: each is taken back before a change goes on
 _RELEASED, _CALL, _GONE = 0, 1, 4  # why one ended: as `cm.device.WindowEnd`
 _READING = 0.0005  # seconds that reading again may hold up a change; what is left then is not known any more
 
@@ -223,16 +223,20 @@ class Windows:
 
         When it returns nobody reaches the registers by a window, whatever its holder does.
         """
+        with self._lock:
+            places = {(x.place.address, x.place.length) for x in self._loans.values() if x.place.region in touched}
+        for address, length in places:
+            if self._lender is not None:
+                self._lender.revoke(address, length)  # if it fails, they are lent still
         taken = self._take(lambda loan: loan.place.region in touched)
-        try:
-            for address, length in {(loan.place.address, loan.place.length) for loan in taken}:
-                if self._lender is not None:
-                    self._lender.revoke(address, length)
-        finally:
-            until = self._time.monotonic() + _READING
-            for loan in taken:
-                self._read_again(loan, until)
-                self._over(loan, _CALL, config, mode)
+        until = self._time.monotonic() + _READING
+        oldest = {loan.place.address: loan for loan in reversed(taken) if loan.request.write}
+        for loan in oldest.values():  # once, whoever has it as well
+            self._read_again(loan, until)
+        for loan in taken:
+            self._over(loan, _CALL, config, mode)
+        if taken:
+            self.changed()
 
     def give_back(self, number: int) -> RegValues | None:
         """A client does not want it any more, or has gone; returns what it has left in registers, to be published."""
@@ -255,6 +259,7 @@ class Windows:
                 if is_free(self._state.latest, self._state.locked, loan.place.region):
                     self._read_again(loan)
             self._over(loan, _CALL, *self._now())
+            self.changed()
 
     def collect(self) -> None:
         """See which the kernel has taken back, or nobody has any more."""
@@ -262,6 +267,7 @@ class Windows:
         for loan in self._take(lambda loan: loan.id in ended):
             self._forget_values(loan, [r.name for r in loan.place.registers])
             self._over(loan, ended[loan.id], *self._now())
+            self.changed()
 
     def forget(self) -> None:
         """The board is gone, or was started anew: so are all windows."""
@@ -271,6 +277,7 @@ class Windows:
             lender.close()
         for loan in self._take(lambda _: True):
             self._over(loan, _GONE, *self._now())
+            self.changed()
 
     def fileno(self) -> int:
         """A descriptor that polls readable when there is something to `collect`; -1 before the first loan."""
@@ -293,7 +300,6 @@ class Windows:
     def _over(self, loan: Loan, reason: int, config: str, mode: str) -> None:
         loan.ended(reason, config, mode)
         self._leases.drop(loan.lease)
-        self.changed()
 
     def _now(self) -> tuple[str, str]:
         return self._state.latest.config or "", self._state.latest.mode or ""

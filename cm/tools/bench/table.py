@@ -30,6 +30,7 @@ CASES = (
     Case("frame_local", ("frame_local_vs_zmq", "frame_local_vs_64b", "frame_local_vs_iceoryx2")),
     Case("frame_pl", ("frame_pl_vs_zmq", "frame_pl_vs_zenoh", "frame_pl_vs_c")),
     Case("control", ("control_vs_zmq",)),
+    Case("registers", ("register_window", "register_request")),
     Case("reconfigure", ("reconfigure",)),
     Case("fanout", ("fanout",)),
     Case("footprint", ("footprint",)),

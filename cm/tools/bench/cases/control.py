@@ -28,15 +28,15 @@ def run(bench: Run) -> list[Result]:
         served = stack.enter_context(serve(bench))
         board = stack.enter_context(served.connect())
         settle(board)
-        read = _asking(stack, served, ReadReg((REGISTER,)))
-        status = _asking(stack, served, ReadStatus())
+        read = asking(stack, served, ReadReg((REGISTER,)))
+        status = asking(stack, served, ReadStatus())
         register = next(r for r in board.config().registers if r.name == REGISTER)
-        place = _same_bytes(bench, read)
+        place = same_bytes(bench, read)
         zmq_board.put_register(place, served.runtime_dir / "board", register.address, register.width)
         contestants: dict[str, Batch] = {
-            "bare": timed(stack.enter_context(Peer("zmq_reply", _same_bytes(bench, read), 0)).trip),
+            "bare": timed(stack.enter_context(Peer("zmq_reply", same_bytes(bench, read), 0)).trip),
             "bare_with_access": timed(stack.enter_context(Peer("zmq_board", place, 0)).trip),
-            "bare_status": timed(stack.enter_context(Peer("zmq_reply", _same_bytes(bench, status), 0)).trip),
+            "bare_status": timed(stack.enter_context(Peer("zmq_reply", same_bytes(bench, status), 0)).trip),
             "cm_read_reg": timed(read.trip),
             "cm_status": timed(status.trip),
             "client": timed(lambda: board.registers[REGISTER]),
@@ -44,14 +44,16 @@ def run(bench: Run) -> list[Result]:
         return [_result(interleave(contestants, bench.plan(200)))]
 
 
-def _asking(stack: ExitStack, served: Served, request: Request) -> zmq_reply.Asking:
+def asking(stack: ExitStack, served: Served, request: Request) -> zmq_reply.Asking:
+    """A client over a bare REQ socket, that asks for one thing."""
     frames = [bytes(frame) for frame in encode_request(request)]
     asking = zmq_reply.Asking(f"ipc://{served.runtime_dir}/req", frames)
     stack.callback(asking.close)
     return asking
 
 
-def _same_bytes(bench: Run, asking: zmq_reply.Asking) -> Path:
+def same_bytes(bench: Run, asking: zmq_reply.Asking) -> Path:
+    """Where a peer finds the frames of a request and of its reply."""
     place = bench.place("r")
     zmq_reply.put(place, asking.request, asking.trip())
     return place
