@@ -26,7 +26,7 @@ ROUNDS ?= 8
 STOPPED ?= 4
 
 .DEFAULT_GOAL := help
-.PHONY: help help-all setup docs web-picture demo demo-authors demo-open demo-ros demo-fleet device-suite test test-bare $(FURTHER:%=test-%) test-c test-node test-go test-rtl test-open test-bench test-ros test-fleet etcd test-vm vm soak fuzz mutation bench bench-compare bench-counts lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
+.PHONY: help help-all setup docs web-picture demo demo-authors demo-open demo-ros demo-fleet device-suite test test-bare $(FURTHER:%=test-%) test-c test-node test-go test-rtl test-open test-bench test-ros test-fleet etcd test-vm vm strangers soak fuzz mutation bench bench-compare bench-counts lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
 
 help: ## the targets that most people need
 	@awk -F':[^#]*## ' '/^[a-z-]+:[^#]*## /{printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -156,7 +156,11 @@ vm: $(VENV)/.installed-build ## a shell on that board, with a manager running an
 web-picture: $(VENV)/.installed-test-web ### the picture of the page in docs/images, taken by chromium
 	$(BIN)/python docs/web_picture.py
 
-soak: $(FURTHER:%=$(VENV)/.installed-test-%) ### ten thousand changes of mode, scraped ones too, a thousand in a page, a minute of killed readers, every attack on limits, two regions and random designs by their bits (PLACEMENTS=N, default none), five thousand flipped bits, every virtual board; new examples for the tests that draw some
+strangers: $(VENV)/.installed-test-soak $(VENV)/.installed-fuzz $(VENV)/.installed-test-networks ### what strangers tried, in ten minutes: attacks on every limit, floods, a hundred killed managers, bad input to every reader (CI: test-soak and fuzz, in short)
+	$(RUN_TESTS) $(SUITES) --board=sim --suite=soak --kills=100 --rounds=20 --stress=30 $(PYTEST_ARGS)
+	nice $(BIN)/python tests/fuzz/fuzz.py --minutes 0.1 --jobs $(JOBS)
+
+soak: strangers $(FURTHER:%=$(VENV)/.installed-test-%) ### what strangers tried, ten thousand changes of mode, scraped ones too, a thousand in a page, a minute of killed readers, every attack on limits, two regions and random designs by their bits (PLACEMENTS=N, default none), five thousand flipped bits, every virtual board; new examples for the tests that draw some
 	$(PYTEST) tests/unit tests/fuzz -m hypothesis --hypothesis-profile=search $(PYTEST_ARGS)
 	$(PYTEST) tests/soak --changes=10000 --stress=60 --rounds=300 --kills=1000 $(PYTEST_ARGS)
 	CM_SCHEDULES=20000 $(PYTEST) tests/unit/test_fleet_schedules.py -n $(CORES) $(PYTEST_ARGS)
