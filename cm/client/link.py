@@ -12,7 +12,7 @@ import zmq
 from zmq import zmq_poll
 
 from cm.client.core.calls import Call
-from cm.client.core.effects import DEFAULT, AskBeside, Deadline, Flow, Limit, Pause, Receive, seconds
+from cm.client.core.effects import DEFAULT, AskBeside, Flow, Limit, Pause, Receive, seconds
 from cm.client.core.requests import Requests, result
 from cm.client.sockets import Socket, Sockets, not_subscribed
 from cm.wire import multipart
@@ -104,16 +104,13 @@ class Link:
         if self._sockets.closed:  # before the turn too: after a fork it may never come
             raise self._sockets.gone()
         with self._turn:
-            self._check_open()
+            if self._socket.closed or self._sockets.closed:
+                raise self._sockets.gone()
             try:
                 reply = self._exchange(call, timeout, beside)
             except zmq.ContextTerminated:  # closed by another thread
                 raise self._sockets.gone() from None
         return result(call, reply)
-
-    def _check_open(self) -> None:
-        if self._socket.closed or self._sockets.closed:
-            raise self._sockets.gone()
 
     def _exchange(self, call: Call[Any], timeout: float | None, beside: AskBeside | None) -> list[bytes | memoryview]:
         number, frames = self._requests.begin(call)
@@ -148,12 +145,12 @@ class Link:
         return self.ask(effect.call, seconds(effect.timeout, self.timeout), beside)
 
     def _wait(self, number: bytes, timeout: float | None, beside: AskBeside | None) -> list[bytes | memoryview]:
-        deadline = Deadline(timeout)
+        until = None if timeout is None else time.monotonic() + timeout
         other = beside.subscription.socket if beside else None
         sources = self._sources if other is None else [*self._sources, (other, _POLLIN)]
         while True:
-            left = deadline.left
-            ready = dict(zmq_poll(sources, -1 if left is None else _milliseconds(left)))
+            left = -1 if until is None else _milliseconds(until - time.monotonic())
+            ready = dict(zmq_poll(sources, left))
             if beside is not None and other is not None and other in ready:
                 beside.take(other.recv_multipart())
             if self._socket in ready:
@@ -165,7 +162,7 @@ class Link:
                 self._look()
                 if self._handshake.lost:
                     raise self._requests.lost()
-            elif not ready and deadline.left == 0:
+            elif not ready and left == 0:
                 raise self._handshake.suspected or self._requests.no_answer(timeout)
 
     def _send(self, frames: Sequence[Any]) -> None:

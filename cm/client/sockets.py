@@ -79,7 +79,7 @@ class Sockets:
         self._open: set[Any] = set()
         self._turns = Living()
         self._users = Living()
-        self._over = False
+        self.closed = False  # the board; or it belongs to the process that this one was forked from
         self._disowned = False
         self._ending: threading.Thread | None = None
         self.closing: AbstractContextManager[Any] = (
@@ -87,14 +87,9 @@ class Sockets:
         )  # for one thread at a time, and again for a signal handler in it
         not_for_children(self)
 
-    @property
-    def closed(self) -> bool:
-        """Whether the board has been closed, or belongs to the process that this one was forked from."""
-        return self._over
-
     def disown(self) -> None:
         """This process was forked: all is the parent's, and locks that its other threads held will never be free."""
-        self._over = self._disowned = True
+        self.closed = self._disowned = True
         self.closing = threading.RLock()
         self.end_users()
 
@@ -126,14 +121,14 @@ class Sockets:
     def using(self, user: _User) -> _User:
         """Note who uses the manager's data socket, and ends with the board. Raises BoardClosed."""
         self._users.add(user)
-        if self._over:  # looked at last: a `refuse` that did not find the user has said so before
+        if self.closed:  # looked at last: a `refuse` that did not find the user has said so before
             user.end(self.gone())
             raise self.gone()
         return user
 
     def refuse(self) -> None:
         """End all users of the data socket; whoever asks for any socket from here on gets BoardClosed."""
-        self._over = True
+        self.closed = True
         self.end_users()
 
     def free(self) -> None:
@@ -141,7 +136,7 @@ class Sockets:
 
         What is left to do is to close.
         """
-        self._over = True  # who gets a turn from here on sees that
+        self.closed = True  # who gets a turn from here on sees that
         if self._disowned:
             return
         with self.closing:
@@ -209,7 +204,7 @@ class Sockets:
 
     def close(self) -> None:
         """Close all; twice is fine."""
-        self._over = True
+        self.closed = True
         if self._disowned:
             return
         with self.closing:

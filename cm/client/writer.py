@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,12 +15,15 @@ import numpy as np
 import numpy.typing as npt
 
 from cm.client.colours import AS_IT_IS, from_rgb, is_rgb
-from cm.client.core.effects import DEFAULT, Deadline, Limit, seconds, time_limit
+from cm.client.core.effects import DEFAULT, Limit, seconds, time_limit
 from cm.client.data_connection import DataConnection
 from cm.client.errors import BoardClosed, ConnectionLost, TransferFailed
 from cm.errors import CmError, InvalidRequest, Timeout
 from cm.wire import plane_packets as packets
 from cm.wire.plane_packets import Descriptor, Geometry, Open
+
+# What memory and socket raise if another thread closes the writer meanwhile; then that is what is said.
+_BROKEN = (CmError, OSError, LookupError, ValueError, AttributeError)
 
 
 class Writer:
@@ -78,10 +82,13 @@ class Writer:
         `length` bytes of it, as flat uint8; a whole frame in the stream's shape if 0. Waits for a slot.
         Raises Timeout, TransferFailed of an earlier frame.
         """
-        with self._used():
+        try:
             grant, memory = self._borrow(timeout)
             array = memory.slot_array(grant.slot, length)
             memory.begin(grant.slot)
+        except _BROKEN:
+            self._check()
+            raise
         try:
             yield array
         except BaseException:
@@ -89,15 +96,9 @@ class Writer:
             self._put_back(grant, memory)
             raise
         memory.end(grant.slot)
-        with self._used():
-            self._submit(grant, array.nbytes if not memory.geometry.stride else memory.geometry.frame_length)
-
-    @contextmanager
-    def _used(self) -> Iterator[None]:
-        """If another thread closes the writer meanwhile, memory and socket go under this one: that is what is said."""
         try:
-            yield
-        except (CmError, OSError, LookupError, ValueError, AttributeError):
+            self._submit(grant, array.nbytes if not memory.geometry.stride else memory.geometry.frame_length)
+        except _BROKEN:
             self._check()
             raise
 
@@ -168,7 +169,7 @@ class Writer:
         self._next += 1
 
     def _wait(self, ready: Callable[[], bool], timeout: float | None) -> None:
-        deadline = Deadline(timeout)
+        until = None if timeout is None else time.monotonic() + timeout
         self._check()
         self._collect()
         try:
@@ -177,7 +178,7 @@ class Writer:
                 self._connection.set_timeout(left)
                 self._connection.receive()
                 self._collect()
-                left = deadline.left
+                left = None if until is None else max(0.0, until - time.monotonic())
         except BlockingIOError:
             raise Timeout(
                 f"stream {self.name!r}: the hardware took nothing within {timeout or 0:g} s; "

@@ -265,7 +265,7 @@ def registers_from_pb(m: pb.RegValues) -> st.RegValues:
 
 def _value_from_pb(m: pb.RegValue) -> st.RegValue:
     fields = m.fields
-    return st.RegValue(m.name, m.value, tuple(sorted(fields.items())) if fields else ())
+    return st.RegValue(m.name, m.value, tuple(sorted([(name, fields[name]) for name in fields])) if fields else ())
 
 
 def config_to_pb(c: st.ConfigInfo) -> pb.Config:

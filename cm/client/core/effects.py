@@ -30,8 +30,8 @@ _EVER = 2e6  # seconds, 23 days: poll(2) takes milliseconds as an int
 
 
 def seconds(limit: Limit, default: float | None) -> float | None:
-    """A time-out in seconds; None waits for ever. Raises InvalidRequest."""
-    return time_limit(default if isinstance(limit, Default) else limit)
+    """A time-out in seconds; None waits for ever. `default` is one already. Raises InvalidRequest."""
+    return default if isinstance(limit, Default) else time_limit(limit)
 
 
 def time_limit(limit: float | None) -> float | None:

@@ -32,7 +32,7 @@ from cm.wire.messages.status import ErrorInfo, MemoryInfo
 )
 def test_a_time_out_is_a_number_of_seconds_or_for_ever(given: Any, meant: float | None) -> None:
     assert seconds(given, 5.0) == meant
-    assert seconds(DEFAULT, given) == meant
+    assert seconds(DEFAULT, meant) == meant
     assert Deadline(given).limit == meant
 
 
