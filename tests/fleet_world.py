@@ -16,10 +16,10 @@ from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequenc
 from typing import Any
 
 from cm.errors import Busy, CmError
-from cm.networks.fleet import names
+from cm.networks.fleet import keys
 from cm.networks.fleet.board import Board, Notes, NotUndone, Part, Place, Planned, Seen, Unsettled
-from cm.networks.fleet.bridge.commands import Commands
 from cm.networks.fleet.bridge.managed import packed, unpacked
+from cm.networks.fleet.bridge.queries import Commands
 from cm.networks.fleet.change import Coordinator, Course
 from cm.networks.fleet.keeper import Ledger
 from cm.networks.fleet.store import LEASE, Entry, Put, StoreAway, StoreRefused, View, views
@@ -265,7 +265,7 @@ class World:
         there = self.boards[board]
         if there.gone:
             return SILENT
-        work = there.start(there.commands.do(names.Command(verb, caller), encode_step(step), []))
+        work = there.start(there.commands.do(keys.Command(verb, caller), encode_step(step), []))
         await asyncio.wait([work])
         if work.cancelled():
             return SILENT

@@ -9,9 +9,8 @@ from pathlib import Path
 from cm.design.packages import PackageTree
 from cm.formats.bitstream import FrameAddress, open_image
 from cm.formats.bitstream.devices import Family
-from cm.formats.bitstream.far import encode_far
-from cm.formats.bitstream.geometry import geometry_of
-from cm.formats.bitstream.writes import frame_writes
+from cm.formats.bitstream.geometry import encode_far, geometry_of
+from cm.formats.bitstream.packets import frame_writes
 
 DATABASE = "usr/share/prjxray/database"
 PARTS = {"xc7z020": "zynq7/xc7z020clg400-1", "xc7a50t": "artix7/xc7a50tcsg324-1", "xc7z010": "zynq7/xc7z010clg400-1"}

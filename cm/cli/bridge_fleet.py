@@ -111,14 +111,14 @@ async def _serve(options: Options) -> None:
 
 
 def _options(args: argparse.Namespace) -> Options:
-    from cm.networks.fleet import names
+    from cm.networks.fleet import keys
     from cm.networks.fleet.bridge.process import Options, default_state
     from cm.networks.fleet.network import endpoint, member_of
 
     listen = tuple(map(endpoint, args.listen))
     network = network_of(args, listen=listen, mode="peer" if listen else "client", lease=args.lease)
     for label in args.label:
-        names.check(label, "label")
+        keys.check(label, "label")
     return Options(
         network,
         args.state_dir or default_state(),
@@ -127,7 +127,7 @@ def _options(args: argparse.Namespace) -> Options:
         args.keys,
         _name(args.name, network.config),
         tuple(args.label),
-        names.check(args.site, "site") if args.site else "",
+        keys.check(args.site, "site") if args.site else "",
         args.own_name,
         _importer(args.import_to, args.settings, args.after_import) if args.import_to else None,
         args.follow,

@@ -57,7 +57,7 @@ def run_push(args: argparse.Namespace) -> int:
 
 def run_cache(args: argparse.Namespace) -> int:
     """Serve until interrupted; the exit status."""
-    from cm.networks.fleet import names
+    from cm.networks.fleet import keys
     from cm.networks.fleet.bundles import Cache
     from cm.networks.fleet.network import awaited
 
@@ -70,7 +70,7 @@ def run_cache(args: argparse.Namespace) -> int:
     if network is None:
         return 0
     with network:
-        cache = Cache(network, names.check(args.site, "site"), args.folder)
+        cache = Cache(network, keys.check(args.site, "site"), args.folder)
         print(f"cm fleet cache: ready for {args.site}", file=sys.stderr, flush=True)
         over.wait()
         cache.close()

@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
 def run_reconcile(args: argparse.Namespace) -> int:
     """Go where it is wanted; 0 where every board is there."""
     from cm.cli.connection import plain
-    from cm.networks.fleet.telling import FINE, wanted
+    from cm.networks.fleet.status_text import FINE, wanted
     from cm.wire.messages.status import ErrorInfo
 
     with connected_fleet(args) as fleet:

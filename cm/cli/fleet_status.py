@@ -60,7 +60,7 @@ def _add_reg(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
 
 def run_status(args: argparse.Namespace) -> int:
     """Print a line for each board; 1 where one of them did not answer, or is not where it is wanted."""
-    from cm.networks.fleet.telling import prometheus, stands_apart
+    from cm.networks.fleet.status_text import prometheus, stands_apart
     from cm.wire.messages.status import ErrorInfo
 
     with connected_fleet(args) as fleet:
@@ -83,7 +83,7 @@ HEADERS = ("BOARD", "CONFIG", "MODE", "STATE", "FLEET", "LABELS", "CLOCK", "NOTE
 
 
 def _row(name: str, status: BoardStatus | ErrorInfo) -> tuple[object, ...]:
-    from cm.networks.fleet.telling import note
+    from cm.networks.fleet.status_text import note
     from cm.wire.messages.status import ErrorInfo
 
     if isinstance(status, ErrorInfo):
@@ -106,7 +106,7 @@ def clock_words(status: BoardStatus) -> str:
 
 def clocks_line(found: Mapping[str, Any]) -> str:
     """How closely timestamps of these boards agree."""
-    from cm.networks.fleet.clocks import said_apart
+    from cm.networks.fleet.status_text import said_apart
     from cm.wire.messages.status import ErrorInfo
 
     clocks = {name: status.clock for name, status in found.items() if not isinstance(status, ErrorInfo)}

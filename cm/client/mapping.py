@@ -16,8 +16,7 @@ import numpy.typing as npt
 
 from cm.client.colours import AS_IT_IS
 from cm.client.errors import FrameReleased
-from cm.client.frame import NO_INFO, Frame
-from cm.client.frame_methods import checked
+from cm.client.frame import NO_INFO, Frame, checked
 from cm.errors import InvalidRequest
 from cm.wire.messages.status import FrameInfo
 from cm.wire.plane_packets import Descriptor, Geometry

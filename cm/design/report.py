@@ -10,7 +10,7 @@ from cm.design.boundary.analyse import Analysis
 from cm.design.boundary.model import Adaptation, Boundary, Fit, Role
 from cm.design.hdl.model import Mode, ModuleInfo
 from cm.design.plan import flow
-from cm.design.plan.engines import EngineKind
+from cm.design.plan.dma_engines import EngineKind
 from cm.design.plan.system import RegionPlan, StreamBus, System
 from cm.design.project.model import Project
 

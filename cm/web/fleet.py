@@ -10,9 +10,8 @@ from typing import Any
 
 from cm.errors import CmError
 from cm.networks.fleet.aio import Fleet
-from cm.networks.fleet.clocks import said_apart
+from cm.networks.fleet.status_text import note, said_apart, stands_apart, wanted
 from cm.networks.fleet.store import StoreAway, StoreRefused
-from cm.networks.fleet.telling import note, stands_apart, wanted
 from cm.web.topics import Topics
 from cm.wire.messages.fleet import BoardStatus
 from cm.wire.messages.status import Status

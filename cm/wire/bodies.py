@@ -7,8 +7,69 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from cm.wire import cm_pb2 as pb
-from cm.wire import holders
 from cm.wire.messages import status as st
+
+
+def lease_state_to_pb(x: st.LeaseStatus) -> pb.LeaseState:
+    return pb.LeaseState(
+        number=x.number,
+        scope=x.scope,
+        exclusive=x.exclusive,
+        holder=x.holder,
+        client=x.client,
+        pid=x.pid,
+        seconds=x.seconds,
+    )
+
+
+def lease_state_from_pb(m: pb.LeaseState) -> st.LeaseStatus:
+    return st.LeaseStatus(m.number, m.scope, m.exclusive, m.holder, m.client, m.pid, m.seconds)
+
+
+def window_to_pb(x: st.WindowStatus) -> pb.WindowState:
+    return pb.WindowState(**x._asdict())
+
+
+def window_from_pb(m: pb.WindowState) -> st.WindowStatus:
+    what = m.number, m.region, m.module, m.address, m.length, m.writes, m.exclusive
+    return st.WindowStatus(*what, m.client, m.pid)
+
+
+def client_to_pb(x: st.ClientStatus) -> pb.ClientState:
+    return pb.ClientState(
+        name=x.name,
+        connections=x.connections,
+        leases=x.leases,
+        slots=x.slots,
+        upload_bytes=x.upload_bytes,
+        waiting_bytes=x.waiting_bytes,
+        loop_seconds=x.loop_seconds,
+        requests=x.requests,
+        refused=x.refused,
+        account=x.account,
+        waiting=x.waiting,
+        memory_bytes=x.memory_bytes,
+        unread_bytes=x.unread_bytes,
+    )
+
+
+def client_from_pb(m: pb.ClientState) -> st.ClientStatus:
+    return st.ClientStatus(
+        m.name,
+        m.connections,
+        m.leases,
+        m.slots,
+        m.upload_bytes,
+        m.waiting_bytes,
+        m.loop_seconds,
+        m.requests,
+        m.refused,
+        m.account,
+        m.waiting,
+        m.memory_bytes,
+        m.unread_bytes,
+    )
+
 
 _PR_MODES = tuple(st.PrMode)  # in the order of the enum PrMode of cm.proto
 _PR_NUMBERS: dict[st.PrMode, Any] = {mode: number for number, mode in enumerate(_PR_MODES)}
@@ -46,11 +107,11 @@ def encoded_status(s: st.Status) -> bytes:
     if s.last_error is not None:
         message.last_error.CopyFrom(error_to_pb(s.last_error))
     if s.leases:
-        message.leases.extend([holders.lease_state_to_pb(x) for x in s.leases])
+        message.leases.extend([lease_state_to_pb(x) for x in s.leases])
     if s.windows:
-        message.windows.extend([holders.window_to_pb(x) for x in s.windows])
+        message.windows.extend([window_to_pb(x) for x in s.windows])
     if s.clients:
-        message.clients.extend([holders.client_to_pb(x) for x in s.clients])
+        message.clients.extend([client_to_pb(x) for x in s.clients])
     lasting = s.configs, s.streams, s.sensors, s.clocks, s.version, s.started_ns, s.board
     return bytes(_LASTING.encoded(lasting) + message.SerializeToString())
 
@@ -126,9 +187,9 @@ def status_from_pb(m: pb.Status) -> st.Status:
         realtime_offset_ns=m.realtime_offset_ns,
         generation=m.generation,
         sensors=tuple([st.SensorStatus(x.device, x.name, x.quantity, x.value) for x in m.sensors]),
-        leases=tuple(holders.lease_state_from_pb(x) for x in m.leases),
-        clients=tuple(holders.client_from_pb(x) for x in m.clients),
-        windows=tuple([holders.window_from_pb(x) for x in m.windows]),
+        leases=tuple(lease_state_from_pb(x) for x in m.leases),
+        clients=tuple(client_from_pb(x) for x in m.clients),
+        windows=tuple([window_from_pb(x) for x in m.windows]),
     )
 
 

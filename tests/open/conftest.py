@@ -20,7 +20,7 @@ from routed import TOOLS, Routed, route  # noqa: E402 - beside this file
 from cm.design.errors import BuildError  # noqa: E402
 from cm.design.openflow.tools import Tools, fetch_tools  # noqa: E402
 from cm.design.packages import PackagesUnavailable, default_folder, fetch  # noqa: E402
-from cm.design.packages.tree import PackageTree  # noqa: E402
+from cm.design.packages.fetch import PackageTree  # noqa: E402
 
 EXAMPLES = HERE.parents[1] / "cm" / "data" / "examples"
 

@@ -12,7 +12,7 @@ import pytest
 from netlist_simulation import Simulation
 from routed import HERE, Routed
 
-from cm.design.packages.tree import PackageTree
+from cm.design.packages.fetch import PackageTree
 from cm.formats.bitstream import device_by_name, to_dma_words
 from cm.formats.xray import Wires, decode
 from cm.formats.xray.frames import words

@@ -22,7 +22,7 @@ import pytest
 import cm
 from cm.formats.bitstream.assemble import FrameRun, assemble_stream
 from cm.formats.bitstream.convert import to_dma_words
-from cm.formats.bitstream.far import FrameAddress
+from cm.formats.bitstream.geometry import FrameAddress
 from cm.simulation.rtl import design as rtl_design
 
 HERE = Path(__file__).parent

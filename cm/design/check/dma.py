@@ -22,7 +22,7 @@ import re
 from collections.abc import Iterator, Mapping
 
 from cm.design.plan.dma_cells import DmaCell
-from cm.design.plan.engines import MC_CHANNELS, EngineKind
+from cm.design.plan.dma_engines import MC_CHANNELS, EngineKind
 from cm.design.project.source_position import Finding
 from cm.schema.problems import KeyPath
 

@@ -16,7 +16,7 @@ from cm.design.errors import BuildError
 from cm.design.hdl.buses import aximm, axis
 from cm.design.hdl.detect import NOTHING_KNOWN
 from cm.design.plan import block_design
-from cm.design.plan.engines import EngineKind
+from cm.design.plan.dma_engines import EngineKind
 from cm.design.plan.flow import clashes
 from cm.design.plan.pins import placements
 from cm.design.plan.system import RegionPlan, System, used_clocks

@@ -19,9 +19,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from cm.design.plan.block_design import memory_ports
 from cm.design.plan.dma_cells import FRAME_STORES, clock_pins
-from cm.design.plan.engines import Dma, Engine, EngineKind
-from cm.design.plan.ports import memory_ports
+from cm.design.plan.dma_engines import Dma, Engine, EngineKind
 from cm.design.plan.system import Implementation, RegionPlan, System, used_clocks
 from cm.design.runtime.answers import Answers
 from cm.design.runtime.schema import REGION_BLOCK, REGION_STRIDE, runtime_config, runtime_text

@@ -6,9 +6,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from cm.design.openflow.enables import Cell, shares
 from cm.design.openflow.layout import Layout
 from cm.design.openflow.netlists import ANCHOR, HARNESS
+from cm.design.openflow.rewrites import Cell, shares
 from cm.design.openflow.routed import PASSED, Routed, tile_of
 from cm.design.plan.pins import Placement
 from cm.formats.xray import Database, Feature, Tile, Wires

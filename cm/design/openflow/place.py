@@ -18,8 +18,8 @@ from typing import Any
 
 from cm.design.openflow.merge import Side
 from cm.design.openflow.netlists import HARNESS
+from cm.design.openflow.rewrites import with_contents
 from cm.design.openflow.routed import read_routed
-from cm.design.openflow.shifts import with_contents
 from cm.design.openflow.steps import run_tool
 from cm.design.openflow.tools import Tool
 from cm.formats.xray import Database, read_features

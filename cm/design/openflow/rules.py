@@ -8,9 +8,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from cm.design.errors import BuildError
-from cm.design.openflow.engines import WIDEST, halves
-from cm.design.openflow.processor import MEMORY_PORTS
-from cm.design.plan.engines import Dma, EngineKind
+from cm.design.openflow.netlists import MEMORY_PORTS, WIDEST, halves
+from cm.design.plan.dma_engines import Dma, EngineKind
 from cm.design.plan.floorplan import rectangle
 from cm.design.plan.system import Implementation, RegionPlan, System
 from cm.design.project.model import in_libraries

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from cm.design.plan.engines import Dma, Engine, EngineKind
+from cm.design.plan.dma_engines import Dma, Engine, EngineKind
 from cm.design.plan.system import System
 from cm.schema.model import Direction
 

@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from cm.design.plan.engines import Dma, EngineKind
+from cm.design.plan.dma_engines import Dma, EngineKind
 from cm.design.plan.system import RegionPlan, StreamBus, SwitchPlan
 from cm.design.project.model import Project
 from cm.design.project.source_position import fault

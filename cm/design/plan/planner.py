@@ -11,7 +11,7 @@ from cm.design.errors import BuildError
 from cm.design.hdl.model import Interface
 from cm.design.plan.addresses import CONTROL_SIZE, Allocator, Window
 from cm.design.plan.connections import RegionPlanner
-from cm.design.plan.engines import Dma
+from cm.design.plan.dma_engines import Dma
 from cm.design.plan.frames import check_frames
 from cm.design.plan.minimal_runs import Cover, check_shells, cover, first_run
 from cm.design.plan.streams import crowding, place

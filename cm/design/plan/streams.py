@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from cm.design.errors import BuildError
 from cm.design.hdl.model import Interface, Mode
 from cm.design.plan.addresses import Allocator, Window
-from cm.design.plan.engines import MC_CHANNELS, Dma, EngineKind
+from cm.design.plan.dma_engines import MC_CHANNELS, Dma, EngineKind
 from cm.design.plan.system import RegionPlan, StreamBus
 from cm.design.project.model import ConnectionSpec, Project, RegionSpec
 from cm.design.project.source_position import fault

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from cm.design.boundary.model import Boundary, BoundaryPort, Role
 from cm.design.hdl.model import Interface
 from cm.design.plan.addresses import Window
-from cm.design.plan.engines import Dma, Engine, engines_of
+from cm.design.plan.dma_engines import Dma, Engine, engines_of
 from cm.design.plan.minimal_runs import Cover
 from cm.design.platforms import Platform
 from cm.design.project.model import ConnectionSpec, ModuleSpec, Project, RegionSpec

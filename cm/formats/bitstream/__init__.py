@@ -19,9 +19,9 @@ from cm.formats.bitstream.devices import Family as Family
 from cm.formats.bitstream.devices import device_by_idcode as device_by_idcode
 from cm.formats.bitstream.devices import device_by_name as device_by_name
 from cm.formats.bitstream.errors import BitstreamError as BitstreamError
-from cm.formats.bitstream.far import FrameAddress as FrameAddress
 from cm.formats.bitstream.footprint import footprint_of as footprint_of
 from cm.formats.bitstream.footprint import outside as outside
+from cm.formats.bitstream.geometry import FrameAddress as FrameAddress
 from cm.formats.bitstream.inspect import inspect as inspect
 from cm.formats.bitstream.module import ModuleIdentity as ModuleIdentity
 from cm.formats.bitstream.module import assemble_module as assemble_module

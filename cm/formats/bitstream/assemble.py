@@ -16,7 +16,7 @@ from cm.device.native import bitstream as native
 from cm.formats.bitstream.container import BitHeader, pack_bit
 from cm.formats.bitstream.devices import Device, Family, device_by_name
 from cm.formats.bitstream.errors import UnknownDevice
-from cm.formats.bitstream.far import FrameAddress, encode_far
+from cm.formats.bitstream.geometry import FrameAddress, encode_far
 from cm.formats.bitstream.packets import (
     BUS_WIDTH_DETECT,
     BUS_WIDTH_SYNC,

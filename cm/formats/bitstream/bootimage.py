@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Boot images as bootgen writes them: which of their bytes are the bitstream."""
+"""Boot images as bootgen writes them: which of their bytes are the bitstream, and where its words begin."""
 
 from __future__ import annotations
 
@@ -7,8 +7,31 @@ import struct
 from collections.abc import Iterable, Iterator
 
 from cm.formats.bitstream.errors import NoSync
-from cm.formats.bitstream.sync import SEARCH, find_sync
 from cm.frozen import dataclass
+
+_SYNC_BIG = bytes.fromhex("aa995566")
+_SYNC_LITTLE = bytes.fromhex("665599aa")
+SEARCH = 1 << 16  # bytes: in a plain .bin the sync word stands within the first few hundred
+
+
+def find_sync(data: memoryview, start: int, end: int) -> tuple[int, bool]:
+    """Return where the first word-aligned sync word is, and whether it is swapped; -1 if there is none."""
+    found = []
+    window = bytes(data[start:end])
+    for pattern, swapped in ((_SYNC_BIG, False), (_SYNC_LITTLE, True)):
+        at = window.find(pattern)
+        while at >= 0 and at % 4:
+            at = window.find(pattern, at + 1)
+        if at >= 0:
+            found.append((start + at, swapped))
+    return min(found, default=(-1, False))
+
+
+def whole_words(data: memoryview) -> tuple[memoryview, int]:
+    """Return the words of `data`, and how many bytes of one more there are."""
+    rest = len(data) % 4
+    return (data[: len(data) - rest], rest) if rest else (data, 0)
+
 
 _PADDING = {bytes([255] * 4), bytes.fromhex("000000bb"), bytes.fromhex("11220044")}
 _BOOT_MAGIC = 0x24

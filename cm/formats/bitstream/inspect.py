@@ -11,12 +11,11 @@ from cm.formats.bitstream import frames
 from cm.formats.bitstream.container import Image, Source, named, open_image, read_source
 from cm.formats.bitstream.devices import Family, base_name, device_by_idcode, device_by_name, family_of
 from cm.formats.bitstream.errors import BadContainer, UnknownDevice, WrongDevice
+from cm.formats.bitstream.frames import check_addresses
 from cm.formats.bitstream.geometry import Geometry, geometry_of
-from cm.formats.bitstream.packets import Register
-from cm.formats.bitstream.reach import check_addresses
+from cm.formats.bitstream.packets import Register, packet_events
 from cm.formats.bitstream.report import Refusal, Report, Section
 from cm.formats.bitstream.rules import Rules
-from cm.formats.bitstream.writes import packet_events
 
 
 def _take(image: Image) -> tuple[Rules, native.Events, list[int]]:

@@ -15,8 +15,7 @@ from itertools import accumulate
 from cm.formats.bitstream.assemble import FrameRun, assemble
 from cm.formats.bitstream.devices import Device, Family, device_by_name
 from cm.formats.bitstream.errors import UnknownDevice
-from cm.formats.bitstream.far import FrameAddress
-from cm.formats.bitstream.geometry import geometry_of
+from cm.formats.bitstream.geometry import FrameAddress, geometry_of
 from cm.frozen import dataclass
 from cm.schema.model import FrameRange
 

@@ -4,12 +4,15 @@
 from __future__ import annotations
 
 import asyncio
+import fnmatch
 import getpass
 import os
 import secrets
-from collections.abc import Generator, Iterable, Mapping
+from collections.abc import AsyncIterator, Generator, Iterable, Mapping
+from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
+from time import time_ns
 from types import TracebackType
 from typing import Any
 
@@ -17,20 +20,32 @@ from cm.client.core.calls import write_data, write_registers
 from cm.client.errors import request_error
 from cm.client.frame import Frame, frame_of
 from cm.errors import InvalidRequest
-from cm.networks.fleet import asking, bundles, names
-from cm.networks.fleet.asking import Answer, absent
+from cm.networks.fleet import bundles, keys, queries
 from cm.networks.fleet.change import Coordinator, Course, Progress, nothing
-from cm.networks.fleet.errors import ChangeFailed, FleetRefused
-from cm.networks.fleet.looking import ALL, Looker
+from cm.networks.fleet.errors import ChangeFailed, FleetRefused, NoSuchBoard
 from cm.networks.fleet.network import Network, from_environment, member_of, opened_store, session
 from cm.networks.fleet.presence import Presence
-from cm.networks.fleet.store import Entry, Put, Settings, StoreRefused, key, packed, views
+from cm.networks.fleet.queries import Answer, Told, absent
+from cm.networks.fleet.status_text import Reading, reading
+from cm.networks.fleet.store import (
+    BOARDS,
+    Entry,
+    Put,
+    Settings,
+    StoreAway,
+    StoreRefused,
+    View,
+    key,
+    packed,
+    views,
+)
 from cm.wire import fleet as wire
 from cm.wire import topics
-from cm.wire.encode import decode_event, decode_reply, encode_request
-from cm.wire.messages.fleet import BundleState, Decision, FleetState, FleetStep, Policy
-from cm.wire.messages.status import ErrorInfo, FrameInfo, RegValues
+from cm.wire.encode import decode_event, decode_plan, decode_registers, decode_reply, encode_request
+from cm.wire.messages.fleet import BoardStatus, BundleState, Decision, FleetState, FleetStep, Policy
+from cm.wire.messages.status import ErrorInfo, FrameInfo, PlanInfo, RegValues
 
+ALL = ("*",)  # boards
 ABSENT = ("refuse", "wait", "go-on")
 
 
@@ -58,11 +73,11 @@ def connect(
     return Fleet(network, caller or member_of(network.config) or getpass.getuser(), timeout)
 
 
-class Fleet(Looker):
+class Fleet:
     """Many boards. Groups of them are given by name, glob (``line1-*``) or label (``@camera``); by default all."""
 
     def __init__(self, network: Network, caller: str, timeout: float) -> None:
-        self._caller = names.check(caller, "caller")
+        self._caller = keys.check(caller, "caller")
         self.timeout = timeout
         self._network = network
         self.session: Any = None
@@ -97,6 +112,149 @@ class Fleet(Looker):
             await self._store.close()
             await asyncio.to_thread(self.session.close)
 
+    # ---- who is there -----------------------------------------------------------------------
+
+    async def boards(self) -> tuple[str, ...]:
+        """Names of all boards whose bridges are running, sorted."""
+        return self._presence.boards()
+
+    async def inventory(self) -> dict[str, View]:
+        """The boards of the fleet, there or away, sorted: each with its settings and with what is wanted of it.
+
+        Raises StoreAway.
+        """
+        found = views(await self._store.get(BOARDS))
+        return {name: view for name, view in found.items() if view.settings is not None}
+
+    async def chosen(self, boards: Iterable[str] = ALL, exist: bool = True) -> tuple[str, ...]:
+        """The boards of a group, sorted, from the inventory. Raises NoSuchBoard for a part of it that matches none.
+
+        `exist`: False: also those that are there and not in the inventory, and any that are given by name.
+        """
+        groups, known = tuple(boards) or ALL, await self.inventory()
+        there = set(known) if exist else {*known, *await self.boards()}
+        found: set[str] = set()
+        for group in groups:
+            if group.startswith("@"):
+                members = {n for n, view in known.items() if view.settings and group[1:] in view.settings.labels}
+            else:
+                members = set(fnmatch.filter(there, group)) or ({group} if not exist and _is_name(group) else set())
+            if not members:
+                loose = ", ".join(sorted({*await self.boards()} - {*known}))
+                raise NoSuchBoard(
+                    f"no board of the inventory is called or labelled {group}; it has {', '.join(known) or 'none'}"
+                    + (f" (there, but not in it: {loose}; `cm fleet add` puts them in)" if loose else "")
+                )
+            found |= members
+        return tuple(sorted(found))
+
+    async def meant(self, boards: Iterable[str]) -> tuple[str, ...]:
+        """The boards of a group for what is no change: of names, those; of none, all that are there, store or not."""
+        groups = tuple(boards) or ALL
+        if groups == ALL:
+            return await self.boards()
+        return tuple(sorted(groups)) if all(map(_is_name, groups)) else await self.chosen(groups)
+
+    # ---- looking ------------------------------------------------------------------------------
+
+    async def status(self, boards: Iterable[str] = ALL) -> dict[str, BoardStatus | ErrorInfo]:
+        """The status of each board, or why there is none (code ``no_answer``, or what its manager said).
+
+        By default of all that are there or in the inventory; if the store is away, of those that are there. Raises
+        NoSuchBoard for a glob or a label that matches none; a name that does not exist gets an error.
+        """
+        found = await self._each("status", boards)
+        if tuple(boards) in ((), ALL):
+            try:
+                away = set(await self.inventory()) - set(found)
+            except (StoreAway, StoreRefused):
+                away = set()
+            found = dict(sorted({**{n: Answer(n, "", b"", error=absent(False)) for n in away}, **found}.items()))
+        return {n: a.error or wire.board_status(a.payload) for n, a in found.items()}
+
+    async def plan(
+        self, mode: str = "", config: str = "", boards: Iterable[str] = ALL
+    ) -> dict[str, PlanInfo | ErrorInfo]:
+        """What a change would do on each board, in steps, bytes and seconds; touches nothing.
+
+        Without `mode` to the default mode, without `config` of the loaded configuration. Raises NoSuchBoard.
+        """
+        words = f"config?plan={mode}" + (f";config={config}" if config else "")
+        found = await self._each(words, boards, max(self.timeout, 30.0))
+        return {n: a.error or decode_plan(a.payload) for n, a in found.items()}
+
+    async def read(self, register: str, boards: Iterable[str] = ALL) -> dict[str, RegValues | ErrorInfo]:
+        """A register, or ``register.field``, of each board. Raises NoSuchBoard, InvalidRequest (a name with ``/``)."""
+        found = await self._each(f"reg/{keys.check(register, 'register')}", boards)
+        return {n: a.error or decode_registers(a.payload) for n, a in found.items()}
+
+    async def clocks(self, boards: Iterable[str] = ALL) -> dict[str, Reading | ErrorInfo]:
+        """How far each board's clock may be off, ns: as it says itself, and the bounds measured from here.
+
+        Raises NoSuchBoard.
+        """
+        chosen = await self.meant(boards)
+        found = await asyncio.gather(*(self._clock(name) for name in chosen))
+        return dict(zip(chosen, found, strict=True))
+
+    async def _clock(self, board: str) -> Reading | ErrorInfo:
+        """The least delayed of a few readings: it bounds the offset best."""
+        best: Reading | ErrorInfo = absent(True)
+        for _ in range(4):
+            answer, asked, came = await self._timed(board)
+            if answer.error is None:
+                found = reading(wire.board_status(answer.payload).clock, asked, came)
+                best = found if isinstance(best, ErrorInfo) or found.width_ns < best.width_ns else best
+        return best
+
+    async def _timed(self, board: str) -> tuple[Answer, int, int]:
+        asked = time_ns()
+        answer = (await self._each("status", (board,)))[board]
+        return answer, asked, time_ns()
+
+    @asynccontextmanager
+    async def watch(self, boards: str = "*") -> AsyncIterator[AsyncIterator[tuple[str, BoardStatus | None]]]:
+        """Statuses of boards as they change, and each second; None when a board has gone. One name or ``*``."""
+        async with queries.listening(self.session, keys.key(boards, "status"), self._presence) as told:
+            yield self._statuses(told)
+
+    async def _statuses(self, told: AsyncIterator[Told]) -> AsyncIterator[tuple[str, BoardStatus | None]]:
+        async for each in told:
+            if each.payload is None:
+                yield each.board, None
+            elif each.key.endswith("/status"):
+                yield each.board, wire.board_status(each.payload)
+
+    @asynccontextmanager
+    async def listen(self, board: str, *parts: str) -> AsyncIterator[AsyncIterator[Told]]:
+        """What a board publishes: ``listen("b1", "frames", "camera")``, ``listen("*", "irq", "*")``.
+
+        If more than 64 wait to be read, the oldest are lost.
+        """
+        async with queries.listening(self.session, keys.key(board, *parts), waiting=64) as told:
+            yield told
+
+    async def _each(self, rest: str, boards: Iterable[str], timeout: float = 0.0) -> dict[str, Answer]:
+        """An answer for each board; one that is absent or does not answer gets an error that says so."""
+        limit, groups = timeout or self.timeout, tuple(boards) or ALL
+        if groups != ALL:
+            chosen = groups if all(map(_is_name, groups)) else await self.chosen(groups)
+            return await self._each_by_name(rest, chosen, limit)
+        asked = queries.get(self.session, keys.key("*", rest), timeout=limit)
+        answers, there = await asyncio.gather(asked, self.boards())
+        found = {answer.board: answer for answer in answers}
+        # Rules match by inclusion: a caller that may query some boards but not all gets nothing at all for "*".
+        left = await self._each_by_name(rest, tuple(name for name in there if name not in found), limit)
+        return dict(sorted({**found, **left}.items()))
+
+    async def _each_by_name(self, rest: str, boards: tuple[str, ...], limit: float) -> dict[str, Answer]:
+        found = await asyncio.gather(*(queries.get(self.session, keys.key(n, rest), timeout=limit) for n in boards))
+        there = await self.boards() if not all(found) else boards
+        return {
+            name: answers[0] if answers else Answer(name, "", b"", error=absent(name in there))
+            for name, answers in zip(boards, found, strict=True)
+        }
+
     # ---- the inventory --------------------------------------------------------------------------
 
     async def add(self, boards: Iterable[str]) -> tuple[str, ...]:
@@ -107,7 +265,7 @@ class Fleet(Looker):
         known = await self.inventory()
         found = [name for name in await self.chosen(boards, exist=False) if not known.get(name)]
         for name in found:
-            puts = {key(names.check(name, "board"), "settings"): Put(packed(Settings()))}
+            puts = {key(keys.check(name, "board"), "settings"): Put(packed(Settings()))}
             await self._store.txn({key(name, "settings"): 0}, puts)
         return tuple(found)
 
@@ -158,7 +316,7 @@ class Fleet(Looker):
         Returns each board's state, or its error. Raises NoSuchBoard.
         """
         chosen = await self.meant(boards)
-        step = FleetStep(names.AGAIN)
+        step = FleetStep(keys.AGAIN)
         found = await asyncio.gather(*(self._step(name, "reconcile", step, max(60.0, self.timeout)) for name in chosen))
         return dict(zip(chosen, found, strict=True))
 
@@ -171,9 +329,9 @@ class Fleet(Looker):
 
         The answer's payload is a Reply; it has an error if none came within `timeout` seconds (0: the fleet's).
         """
-        where = names.command_key(names.check(board, "board"), verb, self.caller)
+        where = keys.command_key(keys.check(board, "board"), verb, self.caller)
         payload, attachment = (message, None) if data is None else (data, message)
-        found = await asking.get(self.session, where, payload, attachment, timeout or self.timeout)
+        found = await queries.get(self.session, where, payload, attachment, timeout or self.timeout)
         return found[0] if found else Answer(board, where, b"", error=absent(board in await self.boards()))
 
     async def write(
@@ -186,11 +344,11 @@ class Fleet(Looker):
         message = bytes(encode_request(write_registers(values).request)[1])
         chosen = await self.meant(boards)
         said = await asyncio.gather(*(self.do("reg", name, message) for name in chosen))
-        return {n: asking.registers(a) for n, a in zip(chosen, said, strict=True)}
+        return {n: queries.registers(a) for n, a in zip(chosen, said, strict=True)}
 
     async def frame(self, board: str, stream: str) -> Frame:
         """The next frame of a stream of one board, as an array of the stream's shape. Raises RequestFailed."""
-        found = await asking.get(self.session, names.key(board, "frames", stream), timeout=self.timeout)
+        found = await queries.get(self.session, keys.key(board, "frames", stream), timeout=self.timeout)
         answer = found[0] if found else Answer(board, "", b"", error=absent(board in await self.boards()))
         if answer.error is not None:
             raise request_error(_named(board, answer.error))
@@ -264,13 +422,13 @@ class Fleet(Looker):
         wanted = set(chosen)
         if absent == "wait":
             await self._presence.all_there(wanted, timeout)
-        gone = {name: asking.absent(False) for name in sorted(wanted - {*await self.boards()})}
+        gone = {name: queries.absent(False) for name in sorted(wanted - {*await self.boards()})}
         if gone and absent != "go-on":
             raise FleetRefused(gone)
         return gone
 
     async def _step(self, board: str, verb: str, step: FleetStep, timeout: float) -> FleetState | ErrorInfo:
-        return asking.said(await self.do(verb, board, wire.encode_step(step), timeout=timeout), FleetState)
+        return queries.said(await self.do(verb, board, wire.encode_step(step), timeout=timeout), FleetState)
 
     async def push(
         self, archive: str | os.PathLike[str], boards: Iterable[str] = ALL, *, timeout: float = 600.0
@@ -286,9 +444,13 @@ class Fleet(Looker):
         with bundles.offered(self.session, path, bundle):
             asked = (self.do("bundle", name, wire.encode_fetch(bundle), timeout=timeout) for name in chosen)
             said = await asyncio.gather(*asked)
-        return {n: asking.said(a, BundleState) for n, a in zip(chosen, said, strict=True)}
+        return {n: queries.said(a, BundleState) for n, a in zip(chosen, said, strict=True)}
 
 
 def _named(board: str, error: ErrorInfo) -> ErrorInfo:
     """The error with its board in the sentence, for where nothing else names it."""
     return ErrorInfo(error.code, f"{board}: {error.message}")
+
+
+def _is_name(group: str) -> bool:
+    return not group.startswith("@") and not keys.WILD & set(group) and "[" not in group

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from cm.errors import CmError, NotFound
-from cm.networks.fleet import names
+from cm.networks.fleet import keys
 from cm.wire.messages.fleet import FetchBundle
 
 PART = 1 << 20  # bytes
@@ -48,7 +48,7 @@ def described(archive: Path, part_length: int = PART) -> FetchBundle:
 
 def part_key(place: str, sha256: str, part: str) -> str:
     """`place`: "origin", or a site. Parts are named by their own hash, so that anyone may serve them."""
-    return f"{names.BUNDLES}/{place}/{sha256}/{part}"
+    return f"{keys.BUNDLES}/{place}/{sha256}/{part}"
 
 
 @contextmanager

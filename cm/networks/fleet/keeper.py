@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from cm.errors import Busy, CmError, InvalidRequest
-from cm.networks.fleet import asking
-from cm.networks.fleet.names import STORE
+from cm.networks.fleet import queries
+from cm.networks.fleet.keys import STORE
 from cm.networks.fleet.store import BOARDS, Entry, Put, StoreAway, StoreRefused, key
 
 _TIMEOUT = 3.0  # seconds for an answer
@@ -266,7 +266,7 @@ class KeeperStore:
 
     async def _ask(self, operation: str, **what: Any) -> Any:
         asked = json.dumps(what).encode()
-        found = await asking.get(self._session, f"{STORE}/{operation}/{self._caller}", asked, timeout=_TIMEOUT)
+        found = await queries.get(self._session, f"{STORE}/{operation}/{self._caller}", asked, timeout=_TIMEOUT)
         if not found:
             raise StoreAway("the fleet's keeper does not answer: `cm bridge fleet --keeper` runs on one board, or the "
                             "router's rules keep us off")  # fmt: skip

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from cm.networks.fleet import names
+from cm.networks.fleet import keys
 from cm.networks.fleet.network import zenoh_module
 
 _FIRST = 2.0  # seconds for the tokens that existed before
@@ -38,9 +38,9 @@ class Presence:
         await asyncio.to_thread(self._begin, timeout)
 
     def _begin(self, timeout: float) -> None:
-        key = names.key("*", "alive")
+        key = keys.key("*", "alive")
         replies = self._session.liveliness().get(key, timeout=timeout)
-        before = {names.board_of(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None}
+        before = {keys.board_of(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None}
         self._subscriber = self._session.liveliness().declare_subscriber(key, self._came, history=True)
         end = time.monotonic() + _FIRST
         while not before <= self._boards and time.monotonic() < end:
@@ -49,7 +49,7 @@ class Presence:
 
     def _came(self, sample: Any) -> None:
         """In zenoh's thread."""
-        board = names.board_of(str(sample.key_expr))
+        board = keys.board_of(str(sample.key_expr))
         there = sample.kind != zenoh_module().SampleKind.DELETE
         with self._lock:
             (self._boards.add if there else self._boards.discard)(board)

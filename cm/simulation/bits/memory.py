@@ -6,13 +6,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from struct import pack, unpack
 
+from cm.errors import CmError
 from cm.formats.bitstream.container import Container, Image
 from cm.formats.bitstream.devices import Device, Family
-from cm.formats.bitstream.far import FrameAddress, decode_far, encode_far
-from cm.formats.bitstream.geometry import Row, geometry_of
-from cm.formats.bitstream.writes import frame_writes
+from cm.formats.bitstream.geometry import FrameAddress, Row, decode_far, encode_far, geometry_of
+from cm.formats.bitstream.packets import frame_writes
 from cm.formats.xray.frames import WORDS
-from cm.simulation.bits.errors import BitsError
+
+
+class BitsError(CmError):
+    """Frames cannot be simulated; the text says which configured feature is not understood."""
+
+    code = "bits_error"
+
 
 _SIZE = 4 * WORDS  # bytes
 _PADS = 2  # frames after each row that belong to no column

@@ -17,9 +17,8 @@ from cm.formats.bitstream import device_by_name
 from cm.formats.xray import Database, Wires, decode
 from cm.frozen import dataclass
 from cm.simulation.bits.cells import Netlist
-from cm.simulation.bits.errors import BitsError
 from cm.simulation.bits.extract import Boundary, extract
-from cm.simulation.bits.memory import FrameMemory
+from cm.simulation.bits.memory import BitsError, FrameMemory
 from cm.simulation.bits.verilog import Port, verilog
 from cm.simulation.rtl.compile import Unit, Watched, compile_units
 from cm.simulation.rtl.running_design import Library

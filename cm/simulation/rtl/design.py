@@ -3,6 +3,10 @@
 
 The static part is the one that `cm build` generates, without its regions: their pins are ports of the simulated part,
 so that the modules, which are separate libraries, can be exchanged.
+
+MCDMA engines are not simulated. Their channels are ports, ``dma_<channel>_…``, behind the library's own join and
+split, with their roles exchanged: they do to streams what the engine does, packets of several channels one after the
+other, with TDEST.
 """
 
 from __future__ import annotations
@@ -12,22 +16,56 @@ from dataclasses import replace
 from pathlib import Path
 
 from cm.design.generate.inputs import RTL, module_files
-from cm.design.generate.netlist import Netlist, Signal
+from cm.design.generate.netlist import Netlist, Signal, concat
 from cm.design.generate.outputs import identified, render_identified
 from cm.design.generate.static_part.module import static_part
 from cm.design.generate.tree import load_design
 from cm.design.generate.wrapper import wrapper
 from cm.design.hdl.model import PortDirection
-from cm.design.plan.engines import EngineKind
+from cm.design.plan.dma_engines import Dma, Engine, EngineKind
 from cm.design.plan.system import Implementation, RegionPlan, StreamBus, System, used_clocks
 from cm.design.render import Renderer
 from cm.design.runtime.answers import Answers
 from cm.frozen import dataclass
 from cm.schema.model import Direction
 from cm.simulation.rtl.compile import Unit
-from cm.simulation.rtl.dma_engines import add_engines, prefix_of
 from cm.simulation.rtl.errors import RtlError
 from cm.simulation.rtl.vhdl import as_verilog
+
+IN, OUT = PortDirection.IN, PortDirection.OUT
+
+
+def prefix_of(dma: Dma) -> str:
+    """How the names of a channel's ports begin."""
+    return f"dma_{dma.name}" if dma.shared else f"axis_{dma.name}"
+
+
+def add_engines(net: Netlist, system: System) -> None:
+    """Put the channels of each shared engine in front of its ports."""
+    for engine in system.engines:
+        for way in engine.directions if engine.channels[0].shared else ():
+            _channels(net, engine, way)
+
+
+def _channels(net: Netlist, engine: Engine, way: Direction) -> None:
+    sends, channels = way is Direction.MM2S, engine.of(way)
+    size = channels[0].width // 8
+    widths = {"tdata": 8 * size, "tkeep": size, "tdest": 4}
+    inside, outside = ("m", "s") if sends else ("s", "m")
+    connections: dict[str, str | None] = {"clk": f"clk_{engine.clock}", "resetn": f"resetn_{engine.clock}"}
+    for signal in ("tvalid", "tready", "tdata", "tkeep", "tlast", "tdest"):
+        name, width = f"{engine.port(way)}_{signal}", widths.get(signal, 1)
+        net.ports[:] = [port for port in net.ports if port.name != name]
+        net.wires.append(Signal(name, width))
+        connections[f"{inside}_{signal}"] = name
+        if signal != "tdest":
+            direction = IN if (signal != "tready") == sends else OUT
+            lanes = [net.port(f"{prefix_of(dma)}_{signal}", direction, width) for dma in channels]
+            connections[f"{outside}_{signal}"] = concat(reversed(lanes))
+    kind = "cm_axis_join" if sends else "cm_axis_split"
+    parameters = {"COUNT": len(channels), "BYTES": size}
+    net.instance(kind, f"engine_{engine.name}_{way.value}", connections, parameters, f"MCDMA {engine.name}")
+
 
 EVENT_BYTES = 32  # of the pin that shows marks in traces
 _HDL = Path(__file__).parent / "hdl"

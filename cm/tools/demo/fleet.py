@@ -20,7 +20,7 @@ from cm.errors import NotInstalled, Timeout
 from cm.networks.fleet.blocking import Fleet, connect
 from cm.networks.fleet.errors import ChangeFailed
 from cm.tools.demo.boards import LocalFleet, local_etcd
-from cm.tools.demo.course import Course, Picture
+from cm.tools.demo.timeline import Course, Picture
 from cm.wire.messages.fleet import BoardStatus, Decision
 
 EYE, MIND, HAND = "eye", "mind", "hand"

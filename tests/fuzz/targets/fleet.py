@@ -14,11 +14,9 @@ import zenoh
 from pieces import join, split
 
 from cm.errors import CmError
-from cm.networks.fleet import names
+from cm.networks.fleet import keys
 from cm.networks.fleet.board import Board, Notes, Part, Place, Planned, Seen
-from cm.networks.fleet.bridge.commands import Commands
-from cm.networks.fleet.bridge.queries import Queries
-from cm.networks.fleet.bridge.reading import Reader
+from cm.networks.fleet.bridge.queries import Commands, Queries, Reader
 from cm.networks.fleet.store import Claim, Entry, Wanted, packed
 from cm.wire import cm_pb2 as pb
 from cm.wire.fleet import encode_answer, encode_fetch, encode_step
@@ -143,7 +141,7 @@ async def _answered(query: _Query) -> None:
 
     queries = Queries("b1", session, Reader("b1", manager, status), commands)
     await queries._answer(query)
-    assert query.answers or names.WILD & set(str(query.key_expr)), "nobody was told anything"
+    assert query.answers or keys.WILD & set(str(query.key_expr)), "nobody was told anything"
     await board.look()  # whatever was written down can be gone on from
 
 

@@ -6,8 +6,8 @@ from __future__ import annotations
 from contextlib import suppress
 
 from cm.errors import CmError
+from cm.networks.fleet.status_text import note, stands_apart
 from cm.networks.fleet.store import Entry, views
-from cm.networks.fleet.telling import note, stands_apart
 from cm.web.fleet import row
 from cm.wire import cm_pb2 as pb
 from cm.wire import fleet as wire

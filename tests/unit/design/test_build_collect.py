@@ -23,7 +23,7 @@ from cm.design.generate.tree import Design, generate, load_design
 from cm.design.runtime.answers import Answers
 from cm.formats.bitstream import assemble_module, inspect
 from cm.formats.bitstream.assemble import FrameRun, assemble
-from cm.formats.bitstream.far import FrameAddress
+from cm.formats.bitstream.geometry import FrameAddress
 from cm.schema.model import ConfigType, Direction
 
 

@@ -22,7 +22,7 @@ from cm.design.collect.collected import QUIET
 from cm.design.errors import BuildError
 from cm.design.generate.tree import Design, generate, load_design, output_folder
 from cm.design.plan.block_design import context
-from cm.design.plan.engines import EngineKind
+from cm.design.plan.dma_engines import EngineKind
 from cm.schema import SchemaError
 
 ONE_TO = "    regions: [{}]\n"

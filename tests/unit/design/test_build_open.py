@@ -16,16 +16,15 @@ from cm.cli.main import main
 from cm.design.errors import BuildError, MissingTool
 from cm.design.generate.tree import load_design
 from cm.design.openflow.images import outside, user_id
-from cm.design.openflow.memories import packable
 from cm.design.openflow.netlists import bits_of_region, module_side, open_system, open_top, static_side
 from cm.design.openflow.place import Timing, read_timing, slacks
+from cm.design.openflow.rewrites import packable, separate, unchain, with_contents
 from cm.design.openflow.routed import read_routed
 from cm.design.openflow.rules import check_cells, check_open
-from cm.design.openflow.shifts import separate, unchain, with_contents
 from cm.design.openflow.steps import OpenStepEndless, OpenStepFailed, Steps, key_of, run_tool
 from cm.design.openflow.synth import Sources, script
 from cm.design.openflow.tools import Tool, find_tools
-from cm.design.plan.engines import EngineKind
+from cm.design.plan.dma_engines import EngineKind
 from cm.design.plan.system import System
 from cm.design.project.source_position import Finding
 from cm.formats.xray import Feature

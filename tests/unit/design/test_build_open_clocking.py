@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from cm.design.errors import BuildError
-from cm.design.openflow.clocking import check_clocks
+from cm.design.openflow.synth import check_clocks
 
 BUFFER = {
     "type": "BUFG",

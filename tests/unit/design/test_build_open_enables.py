@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from cm.design.errors import BuildError
-from cm.design.openflow.enables import shares
+from cm.design.openflow.rewrites import shares
 from cm.formats.xray import Tile
 
 Cells = dict[str, dict[str, Any]]

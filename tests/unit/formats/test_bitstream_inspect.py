@@ -20,7 +20,7 @@ from cm.formats.bitstream import (
     inspect,
 )
 from cm.formats.bitstream.devices import DEVICES, Device, Family
-from cm.formats.bitstream.far import decode_far, encode_far
+from cm.formats.bitstream.geometry import decode_far, encode_far
 from cm.formats.bitstream.report import Footprint
 
 RCRC = (0x30008001, 7)

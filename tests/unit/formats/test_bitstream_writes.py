@@ -11,10 +11,9 @@ from bitstream_support import FRAME_BYTES, HERE, bit, frames, two_sections
 from cm.formats.bitstream import FrameAddress, FrameRun, SharedFrame, assemble, convert, device_by_name, open_image
 from cm.formats.bitstream.container import Container
 from cm.formats.bitstream.devices import Family
-from cm.formats.bitstream.far import encode_far
-from cm.formats.bitstream.writes import FrameWrite, frame_writes
-from cm.simulation.bits.errors import BitsError
-from cm.simulation.bits.memory import FrameMemory
+from cm.formats.bitstream.geometry import encode_far
+from cm.formats.bitstream.packets import FrameWrite, frame_writes
+from cm.simulation.bits.memory import BitsError, FrameMemory
 
 FAR, FDRI, CMD, DESYNC = 0x30002001, 0x30004000, 0x30008001, 13
 

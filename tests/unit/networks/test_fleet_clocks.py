@@ -6,7 +6,7 @@ from __future__ import annotations
 import time
 
 from cm.networks.fleet.bridge import clock
-from cm.networks.fleet.clocks import contradictions, reading, said_apart
+from cm.networks.fleet.status_text import reading, said_apart
 from cm.wire.messages.fleet import ClockSync
 
 ALONE = "7F7F0101,,8,1795359102.231335873,0.000000000,0.000000000,0.000000000,0.000,0.000,0.000,0.000000000,0.000000000,0.0,Normal\n"  # noqa: E501
@@ -72,9 +72,3 @@ def test_a_reading_bounds_the_offset_whatever_the_way_took() -> None:
     found = reading(ClockSync(now_ns=5040 + 1000), asked_ns=5000, came_ns=5042)
     assert found.low_ns <= 1000 <= found.high_ns
     assert found.width_ns == 42
-
-
-def test_a_clock_that_is_measured_to_be_further_off_than_it_says_is_named() -> None:
-    liar = reading(ClockSync("chrony", True, 1_000_000, now_ns=9_000_000), asked_ns=0, came_ns=2_000_000)
-    true = reading(ClockSync("chrony", True, 1_000_000, now_ns=2_500_000), asked_ns=0, came_ns=2_000_000)
-    assert list(contradictions({"liar": liar, "true": true}, own_error_ns=1_000)) == ["liar"]

@@ -13,11 +13,10 @@ from pathlib import Path
 import pytest
 
 from cm.errors import Busy, InvalidRequest, NotFound
-from cm.networks.fleet.names import check, command_of
+from cm.networks.fleet.keys import VERBS, check, command_of
 from cm.networks.fleet.network import endpoint
 from cm.networks.fleet.security.folder import KeyFolder
 from cm.networks.fleet.security.rules import Member, access_control, verbs_of
-from cm.networks.fleet.verbs import VERBS
 from cm.server.rights.model import Role
 from cm.server.rights.needs import least
 from cm.wire.messages import requests as rq

@@ -14,7 +14,7 @@ import cm.networks.fleet
 from cm import child
 from cm.cli.parser import build_parser
 from cm.errors import InvalidRequest
-from cm.networks.fleet.names import check
+from cm.networks.fleet.keys import check
 from cm.networks.fleet.network import Network, NoNetwork, endpoint, session
 
 CLOSED = "127.0.0.1:9"

@@ -13,7 +13,7 @@ from cm.design.generate.axi import LITE, slave_port
 from cm.design.generate.netlist import Netlist, concat, ones, zeros
 from cm.design.generate.static_part.site import Site
 from cm.design.hdl.model import Interface, PortDirection
-from cm.design.plan.engines import Engine
+from cm.design.plan.dma_engines import Engine
 from cm.design.plan.system import MemoryBus, StreamBus, SwitchPlan, System
 from cm.schema.model import Direction
 

@@ -11,7 +11,7 @@ from cm.design.generate import axi
 from cm.design.generate.netlist import concat, low_bits, ones, zeros
 from cm.design.generate.static_part.site import Site
 from cm.design.hdl.model import PortDirection
-from cm.design.plan.engines import EngineKind
+from cm.design.plan.dma_engines import EngineKind
 from cm.design.plan.system import StreamBus
 
 IN, OUT = PortDirection.IN, PortDirection.OUT

@@ -18,15 +18,13 @@ from cm.client.aio.relay import Relay
 from cm.client.core import calls
 from cm.client.errors import NotAdmitted
 from cm.errors import Busy, CmError, NotFound
-from cm.networks.fleet import names
+from cm.networks.fleet import keys
 from cm.networks.fleet.board import Board
 from cm.networks.fleet.bridge import clock
 from cm.networks.fleet.bridge.bundles import Bundles, Import
-from cm.networks.fleet.bridge.commands import Commands
 from cm.networks.fleet.bridge.managed import ManagedBoard, NotesFile
 from cm.networks.fleet.bridge.publishing import BEAT, Publications
-from cm.networks.fleet.bridge.queries import Queries
-from cm.networks.fleet.bridge.reading import Reader
+from cm.networks.fleet.bridge.queries import Commands, Queries, Reader
 from cm.networks.fleet.keeper import Keeper
 from cm.networks.fleet.network import Network, awaited, opened_store
 from cm.networks.fleet.store import BOARDS, Settings, Store, StoreAway, StoreRefused, packed, views
@@ -74,7 +72,7 @@ class Bridge:
         """Raises NotAdmitted if the manager does not admit us, Busy if the board's name is taken."""
         relay = await self._reach()
         try:
-            board = names.check(self.options.name or (await relay.ask(calls.status())).board, "board")
+            board = keys.check(self.options.name or (await relay.ask(calls.status())).board, "board")
             over = threading.Event()
             try:
                 network = await asyncio.to_thread(awaited, self.options.network, over, _LOG.warning)
@@ -123,7 +121,7 @@ class Bridge:
         publications = Publications(board, network, relay, self._with_extras)
         queries = Queries(board, network, reader, commands)
         self._clock = await asyncio.to_thread(clock.read)
-        token = network.liveliness().declare_token(names.key(board, "alive"))  # last: who sees it may ask
+        token = network.liveliness().declare_token(keys.key(board, "alive"))  # last: who sees it may ask
         self.ready(board)
         work = (
             self._listen(relay, publications), self._beat(publications), self._look_at_clock(),
@@ -248,7 +246,7 @@ async def _alone(board: str, network: Any, lease: float) -> None:
 
 
 def _is_there(board: str, network: Any) -> bool:
-    replies = network.liveliness().get(names.key(board, "alive"), timeout=2.0)
+    replies = network.liveliness().get(keys.key(board, "alive"), timeout=2.0)
     return any(reply.ok is not None for reply in list(replies))
 
 

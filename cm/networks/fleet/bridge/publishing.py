@@ -12,7 +12,7 @@ from typing import Any
 
 from cm.client.aio.relay import Relay
 from cm.errors import CmError
-from cm.networks.fleet import names
+from cm.networks.fleet import keys
 from cm.wire import fleet as wire
 from cm.wire import topics
 
@@ -59,7 +59,7 @@ class Publications:
     def _put(self, rest: str, kind: str, message: Callable[[], bytes]) -> None:
         publisher = self._publishers.get(rest)
         if publisher is None:
-            publisher = self._session.declare_publisher(names.key(self._board, rest))
+            publisher = self._session.declare_publisher(keys.key(self._board, rest))
             self._publishers[rest] = publisher
         if publisher.matching_status.matching:
             publisher.put(message(), encoding=encoding(kind))
@@ -70,7 +70,7 @@ class Publications:
             self._streams.pop(name).end()
         for name in wanted:
             if name not in self._streams:
-                publisher = self._session.declare_publisher(names.key(self._board, "frames", name))
+                publisher = self._session.declare_publisher(keys.key(self._board, "frames", name))
                 self._streams[name] = Stream(name, publisher, self._relay)
 
     def end(self) -> None:

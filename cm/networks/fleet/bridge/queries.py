@@ -1,23 +1,179 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Queries of the network, answered in the loop: each with samples under this board's keys, or with an error."""
+"""What the fleet asks of a board: reads and commands, each answered with samples under this board's keys, or an error.
+
+A read is a query's key → requests to the manager → samples. Commands under ``do/`` are passed to the manager in the
+caller's name, or done here if they are the fleet's own.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import logging
+from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
-from cm.errors import CmError, NotFound
-from cm.networks.fleet import names
-from cm.networks.fleet.bridge.commands import Commands
+from cm.client.aio.relay import Relay
+from cm.client.core import calls
+from cm.client.errors import RequestFailed
+from cm.errors import Busy, CmError, NotFound
+from cm.networks.fleet import keys
+from cm.networks.fleet.board import Board
+from cm.networks.fleet.bridge.managed import ManagedBoard
 from cm.networks.fleet.bridge.publishing import encoding
-from cm.networks.fleet.bridge.reading import Reader, Sample
+from cm.networks.fleet.keys import VERBS
 from cm.networks.fleet.network import zenoh_module
-from cm.networks.fleet.verbs import VERBS
 from cm.wire import fleet as wire
+from cm.wire.encode import encode_request
 from cm.wire.json_text import from_json, to_json
+from cm.wire.messages import requests as rq
+from cm.wire.messages.fleet import BundleState, FetchBundle, FleetState, FleetStep
 from cm.wire.messages.status import ErrorInfo
+
+_TIMEOUT = 30.0  # seconds; a plan reads and checks files
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """A message under a key; for a frame the payload is its bytes, and the message accompanies it."""
+
+    key: str
+    kind: str
+    message: bytes
+    payload: bytes | None = None
+
+
+class Reader:
+    """Answers queries for one board. Raises CmError, which the caller turns into an error reply."""
+
+    def __init__(self, board: str, relay: Relay, status: Callable[[], Awaitable[bytes]]) -> None:
+        self._board = board
+        self._relay = relay
+        self._status = status
+
+    async def answers(self, intersects: Callable[[str], bool], words: Mapping[str, str]) -> list[Sample]:
+        """The answers for all keys of this board that match the query; `words` are the selector's parameters."""
+        found: list[Sample] = []
+        if intersects(keys.key(self._board, "status")):
+            found.append(Sample(keys.key(self._board, "status"), "Status", await self._status()))
+        if intersects(keys.key(self._board, "config")):
+            found.append(await self._config(words))
+        for section, ask in (("reg", self._registers), ("irq", self._interrupts)):
+            if intersects(keys.key(self._board, section, "*")):
+                found += await ask(intersects)
+        return found
+
+    async def frame(self, stream: str) -> Sample:
+        """The next frame of a stream."""
+        request = rq.ReadData(stream, 1.0)
+        reply = await self._relay.forward(encode_request(request), timeout=_TIMEOUT)
+        kind, message = _body(reply[1])
+        return Sample(keys.key(self._board, "frames", stream), kind, message, b"".join(reply[2:]))
+
+    async def _asked(self, request: rq.Request) -> tuple[str, bytes]:
+        reply = await self._relay.forward(encode_request(request), timeout=_TIMEOUT)
+        return _body(reply[1])
+
+    async def _config(self, words: Mapping[str, str]) -> Sample:
+        config = words.get("config", "")
+        request: Any = rq.ReadConfig(config)
+        if "list" in words:
+            request = rq.ListConfigs()
+        elif "plan" in words:
+            request = rq.PlanChange(config, words["plan"])
+        return Sample(keys.key(self._board, "config"), *await self._asked(request))
+
+    async def _registers(self, intersects: Callable[[str], bool]) -> list[Sample]:
+        """All readable registers, in one request; those whose keys match are returned."""
+        _, values = await self._asked(rq.ReadReg(()))
+        each = wire.each_register(values)
+        return [
+            Sample(key, "RegValues", message)
+            for name, message in each
+            if intersects(key := keys.key(self._board, "reg", name))
+        ]
+
+    async def register(self, name: str) -> Sample:
+        """One register, or a field, by name."""
+        return Sample(keys.key(self._board, "reg", name), *await self._asked(rq.ReadReg((name,))))
+
+    async def interrupt(self, name: str) -> Sample:
+        """One interrupt's count and time."""
+        return Sample(keys.key(self._board, "irq", name), *await self._asked(rq.ReadIrq(name)))
+
+    async def _interrupts(self, intersects: Callable[[str], bool]) -> list[Sample]:
+        config = await self._relay.ask(calls.describe(), timeout=_TIMEOUT)
+        wanted = [i.name for i in config.interrupts if intersects(keys.key(self._board, "irq", i.name))]
+        return [await self.interrupt(name) for name in wanted]
+
+
+def _body(reply: bytes) -> tuple[str, bytes]:
+    found = wire.body(reply)
+    if isinstance(found, ErrorInfo):
+        raise RequestFailed(found)
+    return found
+
+
+MANY = 64  # commands that may be under way at once
+
+FetchAndImport = Callable[[FetchBundle, str], Awaitable[BundleState]]
+
+
+class Commands:
+    """Of one board."""
+
+    def __init__(self, relay: Relay, board: Board, managed: ManagedBoard, bundles: FetchAndImport) -> None:
+        self._relay = relay
+        self._board = board
+        self._managed = managed
+        self._bundles = bundles
+        self._one = asyncio.Lock()  # what the board does for its fleet, one after the other
+        self._running = 0
+
+    async def do(self, command: keys.Command, message: bytes, payload: list[bytes]) -> bytes:
+        """Carry it out; returns a serialised Reply, also for an error."""
+        caller = command.caller or keys.NOBODY
+        try:
+            if self._running >= MANY:
+                raise Busy(f"{MANY} commands are under way on this board's bridge already")
+            self._running += 1
+            try:
+                return await self._do(command.verb, caller, message, payload)
+            finally:
+                self._running -= 1
+        except CmError as error:
+            return wire.encode_answer(ErrorInfo(error.code, str(error)))
+        except OSError as error:
+            return wire.encode_answer(ErrorInfo("io", f"the bridge cannot write its notes: {error}"))
+
+    async def _do(self, verb: str, caller: str, message: bytes, payload: list[bytes]) -> bytes:
+        found = VERBS.get(verb)
+        if found is None:
+            raise NotFound(f"there is no command do/{verb}; there are {', '.join(VERBS)}")
+        if found.topic:
+            frames = [found.topic, message, *payload]
+            return (await self._relay.forward(frames, self._managed.guest(caller)))[1]
+        if verb == "bundle":
+            return wire.encode_answer(await self._bundles(wire.decode_fetch(message), caller))
+        return wire.encode_answer(await self._step(verb, wire.decode_step(message), caller))
+
+    async def _step(self, verb: str, step: FleetStep, caller: str) -> FleetState:
+        async with self._one:
+            if verb == "prepare":
+                return await self._board.prepare(step, caller)
+            if verb == "apply":
+                return await self._board.apply(step)
+            return await self._board.look(again=step.id == keys.AGAIN)
+
+    async def look(self) -> str:
+        """Do what is wanted of the board now; returns why that is not possible yet, empty if all is done."""
+        async with self._one:
+            try:
+                return (await self._board.look()).store_error
+            except (CmError, OSError) as error:
+                return str(error)
+
 
 _LOG = logging.getLogger("cm.fleet")
 JSON = "application/json"
@@ -33,7 +189,7 @@ class Queries:
         self._loop = asyncio.get_running_loop()
         self._tasks: set[asyncio.Task[None]] = set()
         self._expression = zenoh_module().KeyExpr
-        self._queryable = session.declare_queryable(f"{names.ROOT}/{board}/**", self._came, complete=True)
+        self._queryable = session.declare_queryable(f"{keys.ROOT}/{board}/**", self._came, complete=True)
 
     def end(self) -> None:
         """Answer nothing more."""
@@ -62,7 +218,7 @@ class Queries:
 
     async def _reply(self, query: Any, words: dict[str, str], as_json: bool) -> None:
         wanted = str(query.key_expr)
-        command = names.command_of(wanted)
+        command = keys.command_of(wanted)
         try:
             if command is not None:
                 return self._put(query, await self._command(command, query, as_json), as_json)
@@ -75,8 +231,8 @@ class Queries:
             self._put(query, sample, as_json)
         return None
 
-    async def _command(self, command: names.Command, query: Any, as_json: bool) -> Sample:
-        key = names.command_key(self._board, command.verb, command.caller)
+    async def _command(self, command: keys.Command, query: Any, as_json: bool) -> Sample:
+        key = keys.command_key(self._board, command.verb, command.caller)
         payload = bytes(query.payload) if query.payload is not None else b""
         data: list[bytes] = []
         if query.attachment is not None:  # data travel beside their message, as everywhere
@@ -87,12 +243,12 @@ class Queries:
 
     async def _read(self, wanted: str, expression: Any, words: dict[str, str]) -> list[Sample]:
         parts = wanted.split("/")
-        if len(parts) == 4 and not names.WILD & set(parts[3]):  # one thing by its name
+        if len(parts) == 4 and not keys.WILD & set(parts[3]):  # one thing by its name
             named = {"reg": self._reader.register, "irq": self._reader.interrupt, "frames": self._reader.frame}
             if parts[2] in named:
                 return [await named[parts[2]](parts[3])]
         found = await self._reader.answers(lambda key: bool(expression.intersects(self._expression(key))), words)
-        if not found and not names.WILD & set(wanted):  # no answer at all would look like an absent board
+        if not found and not keys.WILD & set(wanted):  # no answer at all would look like an absent board
             raise NotFound(f"there is nothing under {wanted}")
         return found
 

@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import Any
 
 from cm.errors import Busy, InvalidRequest, NotFound
-from cm.networks.fleet import names
+from cm.networks.fleet import keys
 from cm.networks.fleet.security.certificates import Identity, authority, issued
 from cm.networks.fleet.security.rules import Member, access_control, verbs_of
 
 _MEMBERS, _CA, _CA_KEY, ROUTER = "members.json", "ca.pem", "ca.key", "router"
-_RESERVED = frozenset(("ca", ROUTER, "members", names.NOBODY))
+_RESERVED = frozenset(("ca", ROUTER, "members", keys.NOBODY))
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class KeyFolder:
 
     def add(self, member: Member, days: int) -> Path:
         """A certificate for a member, in a file of its own. Raises InvalidRequest, Busy for a name that is taken."""
-        names.check(member.name, member.kind)
+        keys.check(member.name, member.kind)
         if member.name in _RESERVED or not member.name.isascii():
             raise InvalidRequest(f"{member.name!r} cannot be the name of a {member.kind}: take another")
         verbs_of(member.role)
@@ -116,7 +116,7 @@ class KeyFolder:
     def _rewrite_router(self) -> None:
         path = self.folder / f"{ROUTER}.json5"
         settings = json.loads(path.read_bytes())
-        nobody = Member(names.NOBODY, "client", boards=(names.NOBODY,))  # gives rules before there are members
+        nobody = Member(keys.NOBODY, "client", boards=(keys.NOBODY,))  # gives rules before there are members
         settings["access_control"] = access_control(self._load()[1] or (nobody,))
         _write(path, _json(settings), 0o600)
 

@@ -15,8 +15,7 @@ from typing import Any
 
 from cm.errors import InvalidRequest
 from cm.networks.fleet.keeper import OPERATIONS
-from cm.networks.fleet.names import BUNDLES, STORE
-from cm.networks.fleet.verbs import VERBS
+from cm.networks.fleet.keys import BUNDLES, STORE, VERBS
 
 ROLES = ("observe", "operate", "provision")
 _READ = ("status", "config", "reg/**", "irq/**", "frames/**")

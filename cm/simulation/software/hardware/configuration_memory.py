@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from cm.formats.bitstream.far import FrameAddress
+from cm.formats.bitstream.geometry import FrameAddress
 from cm.formats.bitstream.module import ModuleIdentity
 from cm.schema.model import FrameRange
 from cm.simulation.software.hardware.board_spec import BoardSpec, ModuleSpec, RegionSpec

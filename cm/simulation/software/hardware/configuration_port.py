@@ -13,7 +13,7 @@ from enum import Enum, Flag, auto
 
 from cm.device.native import sim_crc
 from cm.formats.bitstream.devices import Device
-from cm.formats.bitstream.far import FrameAddress
+from cm.formats.bitstream.geometry import FrameAddress
 from cm.formats.bitstream.module import ModuleIdentity, identify_bytes
 from cm.frozen import dataclass
 

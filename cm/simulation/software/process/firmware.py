@@ -10,7 +10,7 @@ from pathlib import Path
 from cm.formats import fdt
 from cm.formats.bitstream.assemble import FrameRun, assemble
 from cm.formats.bitstream.convert import to_dma_words
-from cm.formats.bitstream.far import FrameAddress
+from cm.formats.bitstream.geometry import FrameAddress
 from cm.formats.bitstream.module import assemble_module
 from cm.schema.files import FileMissing, bitstream_path, overlay_path
 from cm.schema.model import Config, ConfigType, LoaderKind, Module, Overlay

@@ -6,8 +6,8 @@ from __future__ import annotations
 from contextlib import ExitStack
 
 from cm.tools.bench.floor import Copies
-from cm.tools.bench.loop import looped
 from cm.tools.bench.peer import Unavailable
+from cm.tools.bench.pl_loop import looped
 from cm.tools.bench.result import Result
 from cm.tools.bench.rounds import Batch, Plan, interleave
 from cm.tools.bench.run import IMAGE, IMAGES, Baselines, Run

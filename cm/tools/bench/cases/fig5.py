@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack
 
-from cm.tools.bench.loop import echoed, looped, looped_over_tcp
+from cm.tools.bench.pl_loop import echoed, looped, looped_over_tcp
 from cm.tools.bench.result import Result
 from cm.tools.bench.rounds import Batch, Samples, interleave
 from cm.tools.bench.run import IMAGE, IMAGES, Baselines, Run

@@ -15,8 +15,8 @@ import numpy as np
 from cm import child
 from cm.client.board import Board
 from cm.errors import CmError
-from cm.tools.bench.loop import WrongFrame, serving
 from cm.tools.bench.peer import Peer, Unavailable, load
+from cm.tools.bench.pl_loop import WrongFrame, serving
 from cm.tools.bench.result import Goal, Result, unavailable
 from cm.tools.bench.rounds import Batch, Samples, interleave
 from cm.tools.bench.run import IMAGES, Run

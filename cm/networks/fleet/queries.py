@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from cm.errors import CmError, InvalidRequest
-from cm.networks.fleet import names
+from cm.networks.fleet import keys
 from cm.networks.fleet.network import zenoh_module
 from cm.networks.fleet.presence import Presence
 from cm.wire import fleet as wire
@@ -77,7 +77,7 @@ def _answer(reply: Any) -> Answer:
     if reply.ok is not None:
         attachment = bytes(reply.ok.attachment) if reply.ok.attachment is not None else b""
         key = str(reply.ok.key_expr)
-        return Answer(names.board_of(key), key, bytes(reply.ok.payload), attachment)
+        return Answer(keys.board_of(key), key, bytes(reply.ok.payload), attachment)
     data = bytes(reply.err.payload)
     try:
         error = wire.body(data)
@@ -143,11 +143,11 @@ async def listening(
     def came(sample: Any) -> None:
         key = str(sample.key_expr)
         attachment = bytes(sample.attachment) if sample.attachment is not None else b""
-        tell(Told(names.board_of(key), key, bytes(sample.payload), attachment))
+        tell(Told(keys.board_of(key), key, bytes(sample.payload), attachment))
 
     def came_or_went(board: str, there: bool) -> None:
         if not there:
-            tell(Told(board, names.key(board, "alive"), None))
+            tell(Told(board, keys.key(board, "alive"), None))
 
     async def each() -> AsyncIterator[Told]:
         while True:

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a board stands to what its fleet wants, in words and figures for people. Pure."""
+"""What the statuses of a fleet say to people: how each board stands to what is wanted, and how closely clocks agree."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
-from cm.wire.messages.fleet import BoardStatus, FleetState
+from cm.wire.messages.fleet import BoardStatus, ClockSync, FleetState
 from cm.wire.messages.status import ErrorInfo
 
 FINE = ("free", "there")
@@ -61,3 +62,38 @@ def prometheus(found: Mapping[str, BoardStatus | ErrorInfo]) -> Iterator[str]:
         yield f"# HELP cm_fleet_board_{metric} {text}"
         yield f"# TYPE cm_fleet_board_{metric} gauge"
         yield from (f'cm_fleet_board_{metric}{{board="{n}"}} {getattr(s, which)}' for n, s in states.items())
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What a board says about its clock, and the clock's offset from this machine's: between `low_ns` and `high_ns`.
+
+    The board read its clock after the request was sent and before the answer came: whatever the network's delays, one
+    exchange shows that, and no more.
+    """
+
+    clock: ClockSync
+    low_ns: int
+    high_ns: int
+
+    @property
+    def width_ns(self) -> int:
+        """How little is known."""
+        return self.high_ns - self.low_ns
+
+
+def reading(clock: ClockSync, asked_ns: int, came_ns: int) -> Reading:
+    """A reading from CLOCK_REALTIME here before and after an exchange."""
+    return Reading(clock, clock.now_ns - came_ns, clock.now_ns - asked_ns)
+
+
+def said_apart(clocks: Mapping[str, ClockSync]) -> int | None:
+    """How far timestamps of one instant may differ between these boards, ns, as they say themselves.
+
+    None if one of them is not synchronised, or cannot tell. The errors of two boards add up; this holds only if all
+    follow the same reference.
+    """
+    errors = sorted((c.error_ns for c in clocks.values() if c.synchronised and c.error_ns), reverse=True)
+    if len(errors) != len(clocks):
+        return None
+    return sum(errors[:2]) if len(errors) > 1 else 0

@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keys of a fleet: ``cm/<board>/{alive,status,config,reg/*,irq/*,frames/*,do/<verb>[/<caller>]}``."""
+"""Keys of a fleet, ``cm/<board>/{alive,status,config,reg/*,irq/*,frames/*,do/<verb>[/<caller>]}``, and their commands.
+
+A command under ``do/`` has a message that carries it to the manager, and a role that it needs.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from cm.errors import InvalidRequest
+from cm.wire import topics
 
 ROOT = "cm"
 BUNDLES = "cm-bundles"
@@ -56,3 +60,27 @@ def command_of(key_expression: str) -> Command | None:
     if len(parts) not in (4, 5) or parts[0] != ROOT or parts[2] != "do" or any(WILD & set(p) for p in parts[3:]):
         return None
     return Command(parts[3], parts[4] if len(parts) == 5 else "")
+
+
+@dataclass(frozen=True, slots=True)
+class Verb:
+    """A command: its message, and its topic at the manager; without a topic the bridge carries it out itself."""
+
+    message: str
+    role: str
+    topic: bytes = b""
+
+
+VERBS = {
+    "mode": Verb("WriteConfig", "operate", topics.WRITE_CONFIG),
+    "reg": Verb("WriteReg", "operate", topics.WRITE_REG),
+    "stream": Verb("DataConfig", "operate", topics.DATA_CONFIG),
+    "data": Verb("WriteData", "operate", topics.WRITE_DATA),
+    "lease": Verb("Lease", "operate", topics.LEASE),
+    "upload": Verb("Upload", "operate", topics.UPLOAD),
+    "provision": Verb("WriteConfig", "provision", topics.WRITE_CONFIG),
+    "prepare": Verb("FleetStep", "operate"),
+    "apply": Verb("FleetStep", "operate"),
+    "reconcile": Verb("FleetStep", "operate"),
+    "bundle": Verb("FetchBundle", "provision"),
+}
