@@ -19,12 +19,12 @@ from cm.errors import CmError
 from cm.simulation.software import Board as SimBoard
 
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to be several users")
-GROUP, ALICE, BOB, CARL, DORA, ERIN, MALLORY = range(47110, 47117)
+GROUP, ALICE, BOB, CARL, DORA, ERIN, MALLORY, FRED = range(47110, 47118)
 
 
 PLAY = """
 import hashlib, json, os, sys
-import cm, cm.aio, cm.client.board, cm.client.data_connection, cm.client.stream, cm.client.aio.stream
+import cm, cm.aio, cm.client.board, cm.client.data_connection, cm.client.stream, cm.client.aio.stream, cm.client.window
 import encodings.idna, hashlib, numpy.linalg
 from cm.errors import CmError
 
@@ -68,7 +68,9 @@ def manager() -> Iterator[Manager]:
     with short_folder() as folder, SimBoard([CAMERA], root=folder / "board") as sim:
         folder.chmod(0o755)
         settings = folder / "cm.yaml"
-        users = f"{ALICE}: operate, {BOB}: observe, {CARL}: provision, {DORA}: provision, {ERIN}: [operate]"
+        users = (
+            f"{ALICE}: operate, {BOB}: observe, {CARL}: provision, {DORA}: provision, {ERIN}: [operate], {FRED}: [map]"
+        )
         settings.write_text(f"state_dir: {folder}/state\naccess: {{group: '{GROUP}', local: [], users: {{{users}}}}}\n")
         arguments = ("--settings", str(settings), "--config", str(CAMERA), "--root", str(sim.root))
         manager = Manager(folder / "run", *arguments, service=True)
@@ -170,6 +172,43 @@ def test_a_user_whose_role_is_taken_away_loses_streams_subscriptions_and_request
         assert held.stdout.read().split("\n")[:3] == ["ConnectionLost", "NotAdmitted", "NotAdmitted forbidden"]
         next(iter(stream))
         assert board.status.mode == "default"
+
+
+MAP = """
+import json, os, sys
+import cm, cm.client.board, cm.client.window
+from cm.client.errors import WindowRevoked
+
+uid, gid, runtime = json.loads(sys.argv[1])
+os.setgroups([gid]); os.setgid(uid); os.setuid(uid)
+window = cm.connect(runtime_dir=runtime, timeout=60).registers.window("prr0")
+print(hex(window.ident), flush=True)
+try:
+    while True:
+        window.ident
+except WindowRevoked as error:
+    print(type(error).__name__, flush=True)
+os._exit(0)
+"""
+
+
+@pytest.mark.programs
+@needs_root
+def test_registers_are_mapped_by_the_role_for_it_and_for_as_long_as_it_is_held(manager: Manager) -> None:
+    act = "board.registers.window('prr0').region"
+    told = outcome(manager, ALICE, act)[act]
+    assert told.startswith("RequestForbidden: forbidden: ")
+    assert "takes the role map" in told
+    assert outcome(manager, CARL, act) == {act: "prr0"}
+    settings = manager.runtime.parent / "cm.yaml"
+    command = [sys.executable, "-c", MAP, json.dumps([FRED, GROUP, str(manager.runtime)])]
+    with subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE, text=True, cwd=REPOSITORY) as held:
+        assert held.stdout is not None
+        assert held.stdout.readline() == "0xca3e0001\n"
+        settings.write_text(settings.read_text().replace("[map]", "[operate]"))
+        assert held.stdout.read() == "WindowRevoked\n"
+    with manager.connected() as board:
+        assert board.status.windows == ()
 
 
 @pytest.mark.programs
