@@ -138,7 +138,8 @@ def _check_stated(project: Project, spec: ModuleSpec, info: ModuleInfo) -> None:
 
 def _stated(spec: ModuleSpec) -> Stated:
     levels = {None: None, "low": Polarity.LOW, "high": Polarity.HIGH}
-    return Stated(spec.clocks, {port: (clock, levels[level]) for port, (clock, level) in spec.resets.items()})
+    resets = {port: (clock, levels[level]) for port, (clock, level) in spec.resets.items()}
+    return Stated(spec.clocks, resets, spec.streams)
 
 
 def _elsewhere(spec: ModuleSpec, info: ModuleInfo) -> bool:

@@ -116,6 +116,18 @@ def axis_short() -> Protocol:
     )
 
 
+def acknowledged() -> Protocol:
+    """A stream whose receiver acknowledges: `In_Valid`, `In_Data`, `In_Ack`, perhaps `In_SOF` and `In_EOF`.
+
+    It is AXI4-Stream by other names if a beat is over when valid and ack are high (VLSI-EDA/PoC), and something else if
+    ack is an answer that comes later: only the designer knows.
+    """
+    spelled = {"valid": "TVALID", "vld": "TVALID", "data": "TDATA", "ack": "TREADY", "sof": "TUSER", "eof": "TLAST"}
+    halves = (frozenset({"TDATA", "TVALID", "TREADY"}),)
+    pattern = _pattern(".+?", spelled)
+    return replace(axis(), halves=halves, pattern=pattern, spelled=MappingProxyType(spelled))
+
+
 _FULL_ONLY = frozenset(["AWLEN", "ARLEN", "AWSIZE", "ARSIZE", "AWBURST", "ARBURST", "WLAST", "RLAST", "WID"])
 _AXI3_LEN_BITS = 4  # AXI4 has 8
 

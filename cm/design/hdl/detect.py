@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from cm.design.hdl import vivado_attributes
 from cm.design.hdl.associate import associate
-from cm.design.hdl.buses import Protocol, aximm, axis, axis_short
+from cm.design.hdl.buses import Protocol, acknowledged, aximm, axis, axis_short
 from cm.design.hdl.clock_reset_names import drives_clock, interrupt_mode, is_clock, is_reset, named_low
 from cm.design.hdl.group_ports import Candidate, candidates
 from cm.design.hdl.model import (
@@ -39,10 +39,12 @@ class Detector:
         self._builtin: tuple[Protocol, ...] = (aximm(), axis(), axis_short())
         self._user = tuple(user)
         self._stated = stated
+        self._acknowledged = acknowledged()
 
     def detect(self, module: ModuleInfo) -> ModuleInfo:
         """Return the module with everything that was found."""
-        return _Detection(vivado_attributes.with_statements(module, self._stated), self._builtin, self._user).result()
+        detection = _Detection(vivado_attributes.with_statements(module, self._stated), self._builtin, self._user)
+        return detection.result(self._acknowledged, self._stated.streams)
 
 
 class _Detection:
@@ -58,7 +60,8 @@ class _Detection:
         self._problems: list[Problem] = []
         self._rejected: list[tuple[Candidate, str]] = []
 
-    def result(self) -> ModuleInfo:
+    def result(self, stream: Protocol, streams: Sequence[str] | None) -> ModuleInfo:
+        """Everything that is found; `stream` with valid, data and acknowledge is one if its name is in `streams`."""
         module = self._module
         self._bind()
         tagged = read_tags(module.ports, {p.name: p for p in reversed(self._builtin)})
@@ -68,6 +71,7 @@ class _Detection:
             self._by_name(protocol, FoundBy.NAME)
         for user in self._user:
             self._by_name(user.protocol, FoundBy.PROTOCOL_FILE)
+        self._by_statement(stream, streams)
         clocks = (*tagged.clocks, *self._clocks())
         resets = (*tagged.resets, *self._resets())
         interrupts = (*tagged.interrupts, *self._interrupts())
@@ -166,6 +170,35 @@ class _Detection:
             for port in candidate.ports.values():
                 stated.update(vivado_attributes.parameters(port))
             self._add(make_interface(name, protocol, verdict.mode, candidate.ports, found_by, stated))
+
+    def _by_statement(self, stream: Protocol, streams: Sequence[str] | None) -> None:
+        """Add the streams that the build schema names, and ask about others if it says nothing."""
+        wanted = {name.lower() for name in streams or ()}
+        asked: dict[str, Candidate] = {}
+        for found in list(candidates(self._free.values(), stream)):
+            mode = judge(found.name, stream, found.ports).mode
+            if mode is not None:
+                self._go_with(found)
+            if mode is not None and found.name.lower() in wanted:
+                self._add(make_interface(found.name, stream, mode, found.ports, FoundBy.PROTOCOL_FILE))
+                wanted.discard(found.name.lower())
+            elif mode is not None:
+                asked[found.name] = found
+        for name in wanted:
+            text = f"streams: names {name}, of which {self._module.name} has no valid, data and ack that fit"
+            self._problems.append(Problem(text, self._module.file, self._module.line, fatal=True))
+        for found in asked.values() if streams is None else ():
+            self._reject(
+                found,
+                f"looks like a stream that {found.ports['TREADY'].name} acknowledges: if a beat is over when that and "
+                f"{found.ports['TVALID'].name} are high, write streams: [{', '.join(asked)}] in the module, else []",
+            )
+
+    def _go_with(self, stream: Candidate) -> None:
+        """Ports such as `Out_Meta_rst` reset no register: they begin with the stream's name, and go with it."""
+        for port in self._free.values():
+            if port.name.lower().startswith(f"{stream.name.lower()}_") and is_reset(port):
+                self._reasons[port.name] = f"goes with the stream {stream.name}"
 
     def _reject(self, candidate: Candidate, reason: str) -> None:
         if _worth_a_word(candidate):

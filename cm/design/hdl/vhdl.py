@@ -97,8 +97,8 @@ class VhdlReader:
             for declaration in _declarations(node, first):
                 self._constants.setdefault(declaration.name.lower(), declaration)
         for node in _find(root, ("subtype_declaration",)):
-            name, _, definition = _text(node).rstrip("; \n").partition(" is ")
-            self._subtypes.setdefault(name.split()[-1].lower(), definition.strip())
+            name, _, definition = " ".join(_text(node).rstrip("; \n").split()).partition(" is ")
+            self._subtypes.setdefault(name.split()[-1].lower(), definition)
 
     def _entity(self, unit: Unit, units: Iterable[Unit], path: Path, text: str) -> Entity:
         root = self._parser.parse(unit.text.encode()).root_node

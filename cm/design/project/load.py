@@ -357,6 +357,7 @@ class _Builder:
             interface=spec.get("interface"),
             clocks={key: tuple((one or {}).get("interfaces", ())) for key, one in (spec.get("clocks") or {}).items()},
             resets={key: (one.get("clock"), one.get("polarity")) for key, one in (spec.get("resets") or {}).items()},
+            streams=tuple(spec["streams"]) if "streams" in spec else None,
             resources=Resources(**spec.get("resources") or {}),
             doc=spec.get("doc", ""),
             **many,

@@ -167,6 +167,9 @@ class ModuleSpec:
     interface: str | None = None
     clocks: Mapping[str, tuple[str, ...]] = field(default_factory=empty)  # port → interfaces on it
     resets: Mapping[str, tuple[str | None, str | None]] = field(default_factory=empty)  # port → clock, low or high
+    streams: tuple[str, ...] | None = (
+        None  # which of those with valid, data and acknowledge are streams; None: not said
+    )
     resources: Resources = Resources()
     doc: str = ""
 

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Streams by other names: valid, data and acknowledge, in VHDL with packages, are asked for and decided by a line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from cm.cli.main import main
+
+pytest.importorskip("tree_sitter_vhdl", reason="needs tree-sitter-vhdl: the extra [build] is not installed")
+
+ENTITY = """library work;
+use work.widths.all;
+entity relay is
+  generic (BITS : positive := 32);
+  port (
+    Clock, Reset : in std_logic;
+    In_Valid : in std_logic; In_Data : in std_logic_vector(BITS - 1 downto 0);
+    In_EOF : in std_logic; In_Ack : out std_logic;
+    Out_Valid : out std_logic; Out_Data : out T_BYTE; Out_EOF : out std_logic; Out_Ack : in std_logic;
+    Out_Meta_rst : in std_logic
+  );
+end entity;
+"""
+PACKAGE = "package widths is\n  subtype T_BYTE\t\tis std_logic_vector(7 downto 0);\nend package;\n"
+
+
+def read(folder: Path, streams: str) -> str:
+    """What `check` says of a module with such streams."""
+    (folder / "relay.vhd").write_text(ENTITY)
+    (folder / "widths.vhd").write_text(PACKAGE)
+    (folder / "build.yaml").write_text(
+        "project: {name: relay, part: xc7z020clg400-1}\n"
+        "regions: {prr0: {pblock: auto, resources: {lut: 500}}}\n"
+        f"modules: {{relay: {{sources: [widths.vhd, relay.vhd], resources: {{lut: 50}}{streams}}}}}\n"
+    )
+    return str(main(["build", "check", str(folder / "build.yaml")]))
+
+
+def test_a_stream_that_is_acknowledged_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert read(tmp_path, "") != "0"
+    out = capsys.readouterr().out
+    assert "looks like a stream that In_Ack acknowledges" in out
+    assert "write streams: [In, Out] in the module, else []" in out
+
+
+def test_one_line_makes_it_a_stream(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert read(tmp_path, ", streams: [In, Out]") == "0"
+    out = capsys.readouterr().out
+    assert "In: axis slave, 32 bits" in out
+    assert "Out: axis master, 8 bits" in out
+    assert "goes with the stream Out" in out
+
+
+def test_a_name_that_is_no_stream_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert read(tmp_path, ", streams: [In, Aut]") != "0"
+    assert "streams: names aut, of which relay has no valid, data and ack that fit" in capsys.readouterr().out
