@@ -16,6 +16,7 @@ import cm
 sys.path.append(str(HERE.parent))
 from manager_process import Manager, environment
 
+from cm.client.errors import RequestInvalid
 from cm.simulation.rtl.main import example_build, prepare
 from cm.simulation.software.hardware.camera import frame, shipped_photos
 from cm.simulation.software.hardware.models import Colorise, default, edge
@@ -54,6 +55,14 @@ def test_every_mode_gives_the_pixels_of_the_software_model(
         pictures = [np.array(stream.read()) for _ in range(6)]
     assert any(np.array_equal(picture, expected) for picture in pictures), "the lens follows within a few frames"
     assert np.array_equal(pictures[-1], expected)
+
+
+def test_registers_of_simulated_rtl_are_not_mapped_but_asked_for(board: cm.Board) -> None:
+    """The logic has to see each access."""
+    with pytest.raises(RequestInvalid, match="--sim=rtl") as told:
+        board.registers.window("prr0")
+    assert told.value.code == "no_window"
+    assert board.registers["focus"] >= 0
 
 
 def test_the_interrupt_of_a_frame_is_the_modules_own(board: cm.Board) -> None:
