@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The parser of `cm`: all arguments of one command, and only name and help of the others; ``cm help``."""
+"""The parser of `cm`: all arguments of one command; ``cm help``."""
 
 from __future__ import annotations
 
@@ -84,6 +84,8 @@ class Parser(argparse.ArgumentParser):
 def build_parser(chosen: str | None, helps: bool = False) -> argparse.ArgumentParser:
     """The parser of `cm`, with the arguments of the command called `chosen`, and the help of the others if `helps`.
 
+    Otherwise it does not have the others: each of some sixty parsers looks for translations of its headings on disk.
+
     Raises `CommandMissing` where that command cannot be imported.
     """
     parser, subparsers = _top()
@@ -92,8 +94,6 @@ def build_parser(chosen: str | None, helps: bool = False) -> argparse.ArgumentPa
             add_command(command, subparsers)
         elif helps:
             subparsers.add_parser(command.name, help=command.help)
-        else:
-            subparsers.add_parser(command.name)  # without help, so that _epilog() alone lists it
     return parser
 
 

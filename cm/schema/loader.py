@@ -23,6 +23,7 @@ from cm.schema.tree import Mark, Node, Table, locate, plain
 MAX_FILE_BYTES = 1 << 20
 MAX_PROBLEMS = 100  # a file with that many is not a schema
 _CONFIG = re.compile(rb"^[{ ]*[\"']?config[\"']?\s*:", re.MULTILINE)
+_SURELY = re.compile(rb"^config:", re.MULTILINE)  # at the beginning of a line: a key of the whole
 SUFFIXES = (".yaml", ".yml")
 
 
@@ -110,6 +111,8 @@ def _is_schema(file: Path) -> bool:
     """Whether `file` has a ``config:``; if it is not valid YAML, whether it looks as if it should have one."""
     try:
         data = _bytes(file)
+        if _SURELY.search(data):  # then it is not read twice
+            return True
         tree = read(data.decode("utf-8-sig"), lambda *_: None)
     except SchemaError:
         return True  # cannot be read: to be reported as such
