@@ -6,6 +6,7 @@ Each has a connection of its own: its end gives the pages back, and over it the 
 
 from __future__ import annotations
 
+import logging
 import os
 import socket
 from contextlib import suppress
@@ -22,6 +23,7 @@ from cm.server.streams.peer import Peer
 from cm.wire.encode import encode_table
 from cm.wire.plane_packets import Open, WindowPages, encode_refused, encode_revoked, encode_window
 
+_LOG = logging.getLogger("cm")
 _NOT_YET = (ModuleAbsent, NothingLoaded, RegionBusy, HeldBy)  # what may be over after a change of mode
 
 
@@ -78,6 +80,7 @@ class OpenWindows:
             names = loan.status.region, place.module, place.config.name, place.mode, loan.lease
             packet = encode_window(WindowPages(place.address, place.length, wanted.write, *names))
             socket.send_fds(client.connection, [packet], [fd, table], socket.MSG_NOSIGNAL)
+            _LOG.info("registers of %s mapped by %s", place.module or loan.status.region, name)
         finally:
             os.close(fd)
             os.close(table)
