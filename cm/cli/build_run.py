@@ -19,10 +19,9 @@ from cm.design.openflow.rules import refuse_open
 from cm.design.openflow.tools import Tools, fetch_tools, find_tools
 from cm.design.project.load import load_project
 from cm.design.project.model import Project
+from cm.design.run.archive import pack, unpack
 from cm.design.run.make import run_flow
-from cm.design.run.pack import pack
 from cm.design.run.steps import Flow, Planned, State
-from cm.design.run.unpack import unpack
 from cm.design.run.vivado import find_vivado
 
 

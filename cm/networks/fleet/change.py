@@ -48,6 +48,13 @@ def nothing(phase: str, board: str, answer: FleetState | ErrorInfo) -> None:
     """A receiver of progress that ignores it."""
 
 
+def enough(policy: Policy, members: int, there: int) -> bool:
+    """Whether `there` boards out of `members` in the new mode are enough for it to be kept."""
+    if policy is Policy.ALL:
+        return there == members
+    return there * 2 > members if policy is Policy.QUORUM else there > 0
+
+
 @dataclass(frozen=True, slots=True)
 class Leg:
     """One phase of a change: how long it took, and which board it waited for longest."""
@@ -211,7 +218,7 @@ class Coordinator:
     def _enough(self, there: Sequence[str]) -> bool:
         """Under the policy `all`, boards that are known to be away do not count."""
         among = len(self.members) - (len(self.away) if self.policy is Policy.ALL else 0)
-        return not self._lost and self.policy.holds(among, len(there))
+        return not self._lost and enough(self.policy, among, len(there))
 
     @property
     def _generation(self) -> int:

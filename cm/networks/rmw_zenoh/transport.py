@@ -10,7 +10,7 @@ from typing import Any
 import zenoh
 
 from cm.networks.rmw_zenoh import cdr
-from cm.networks.rmw_zenoh.ends import Service, ZenohPublisher, ZenohSubscription, hand_on
+from cm.networks.rmw_zenoh.endpoints import Service, ZenohPublisher, ZenohSubscription, hand_on
 from cm.networks.rmw_zenoh.interfaces import type_hash
 from cm.networks.rmw_zenoh.keys import End, EndKey, NodeKey
 from cm.networks.rmw_zenoh.session import opened

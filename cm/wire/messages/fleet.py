@@ -32,12 +32,6 @@ class Policy(str, Enum):
         """The name as users type it."""
         return self.value.replace("_", "-")
 
-    def holds(self, members: int, there: int) -> bool:
-        """Whether `there` boards out of `members` are enough."""
-        if self is Policy.ALL:
-            return there == members
-        return there * 2 > members if self is Policy.QUORUM else there > 0
-
 
 class Decision(str, Enum):
     """The outcome of a change, decided once, by one transaction of the store."""

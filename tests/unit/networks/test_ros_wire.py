@@ -65,12 +65,12 @@ def values(name: str, number: int = 1) -> dict[str, Any]:
 def test_our_interfaces_are_those_of_the_files() -> None:
     sys.path.insert(0, str(ROOT / "ros2"))
     try:
-        text = import_module("write_own").module()
+        text = import_module("write_cm_interfaces").module()
     finally:
         sys.path.remove(str(ROOT / "ros2"))
-    written = (ROOT / "cm" / "networks" / "rmw_zenoh" / "own.py").read_text()
+    written = (ROOT / "cm" / "networks" / "rmw_zenoh" / "cm_interfaces.py").read_text()
     same = ast.dump(ast.parse(written)) == ast.dump(ast.parse(text))  # however it is formatted: ruff need not be here
-    assert same, "run: python ros2/write_own.py"
+    assert same, "run: python ros2/write_cm_interfaces.py"
 
 
 @pytest.mark.parametrize("name", sorted(PUBLISHED))

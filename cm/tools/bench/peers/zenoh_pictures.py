@@ -26,7 +26,7 @@ from cm.client.frame import Frame
 from cm.errors import CmError
 from cm.networks.bridge.records import StreamFormat, frame_record
 from cm.networks.rmw_zenoh import cdr
-from cm.networks.rmw_zenoh.ends import ZenohPublisher, quality
+from cm.networks.rmw_zenoh.endpoints import ZenohPublisher, quality
 from cm.networks.rmw_zenoh.interfaces import type_hash
 from cm.networks.rmw_zenoh.keys import End, EndKey, NodeKey
 from cm.networks.rmw_zenoh.session import USUAL, opened

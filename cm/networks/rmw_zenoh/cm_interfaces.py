@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The interfaces of ros2/cm_interfaces without comments and constants; ``python ros2/write_own.py`` writes it."""
+"""ros2/cm_interfaces without comments and constants; ``python ros2/write_cm_interfaces.py`` writes it."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write ``cm/networks/rmw_zenoh/own.py`` from cm_interfaces: ``python ros2/write_own.py``."""
+"""Write ``cm/networks/rmw_zenoh/cm_interfaces.py`` from cm_interfaces: ``python ros2/write_cm_interfaces.py``."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import re
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-TARGET = HERE.parent / "cm" / "networks" / "rmw_zenoh" / "own.py"
+TARGET = HERE.parent / "cm" / "networks" / "rmw_zenoh" / "cm_interfaces.py"
 HEAD = '''\
 # SPDX-License-Identifier: Apache-2.0
-"""The interfaces of ros2/cm_interfaces without comments and constants; ``python ros2/write_own.py`` writes it."""
+"""ros2/cm_interfaces without comments and constants; ``python ros2/write_cm_interfaces.py`` writes it."""
 
 from __future__ import annotations
 
