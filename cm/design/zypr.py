@@ -20,6 +20,8 @@ from cm.design.hdl.model import Interface, Mode, ModuleInfo
 from cm.design.hdl.register_maps import identifier
 from cm.design.input_kinds import Options, read_inputs
 from cm.design.platforms import platform_of
+from cm.schema.clock_rates import PLL, hertz, rate_problem, rounded
+from cm.schema.model import Clock
 
 _RATE = 100  # MHz, where the file says none
 _LINES, _COLUMNS = 480, 640  # of a frame, which the file does not say
@@ -67,7 +69,7 @@ def _lines(project: Mapping[str, Any], path: Path, folder: Path) -> Iterator[str
     yield ""
     yield f"project: {{name: {identifier(project['project']['project_name'])}, part: {part}}}"
     yield ""
-    yield f"clocks: {{{clock}: {{rate: {rate}_000_000}}}}"
+    yield from _clock(clock, rate * 1_000_000, clock == "pl0")
     yield ""
     yield "regions:"
     first = ""
@@ -173,6 +175,16 @@ def _frame(interface: Interface) -> str:
     width = interface.data_width or 8
     shape = f"shape: [{_LINES}, {_COLUMNS}" + (f", {width // 8}]" if width not in _BEATS else "]")
     return shape + (f", dtype: {_BEATS[width]}" if width in _BEATS and width > 8 else "")
+
+
+def _clock(name: str, rate: int, ultrascale: bool) -> Iterator[str]:
+    """The clock, with as much tolerance as it takes where the I/O PLL has no such rate: Vivado rounds it too."""
+    there = rounded(PLL["ultrascale+" if ultrascale else "7series"], rate)
+    if rate_problem(Clock(name, rate), there):
+        yield f"# With the I/O PLL of most boards it runs at {hertz(there)}."
+        yield f"clocks: {{{name}: {{rate: {rate:_}, tolerance: {-(-100 * abs(rate - there) // rate)}}}}}"
+    else:
+        yield f"clocks: {{{name}: {{rate: {rate:_}}}}}"
 
 
 def _listed(key: str, files: Sequence[str]) -> Iterator[str]:

@@ -54,6 +54,15 @@ def written(folder: Path, content: dict[str, Any]) -> Path:
     return folder / "build.yaml"
 
 
+def test_a_rate_that_no_divider_gives_is_written_with_the_tolerance_that_it_takes(folder: Path) -> None:
+    """Theirs is 200 MHz, for which Vivado takes 187.5 of the I/O PLL: `check` would refuse it."""
+    theirs = project()
+    theirs["config"]["config_zypr"]["clock_freq"] = 200
+    schema = written(folder, theirs)
+    assert "clocks: {pl0: {rate: 200_000_000, tolerance: 7}}" in schema.read_text()
+    assert main(["build", "check", str(schema)]) == 0
+
+
 def test_a_project_file_becomes_a_design_without_a_line_by_hand(folder: Path) -> None:
     path = folder / "demo.json"
     path.write_text(json.dumps(project(dma="video")))
