@@ -6,8 +6,10 @@ Each test says what the product guide, the binding or our uapi demands.
 
 from __future__ import annotations
 
+import contextlib
 import errno
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +20,7 @@ from boardfile import FIRMWARE, write_bitstreams
 from served import PATIENCE, driver, until
 
 from cm import device
+from cm.formats import fdt
 from cm.formats.bitstream import to_dma_words
 
 pytestmark = pytest.mark.needs("xilinx_dma")
@@ -371,11 +374,18 @@ def bitstream() -> bytes:
     return to_dma_words((FIRMWARE / "edge.bit").read_bytes())
 
 
-def load(name: str) -> device.IcapCompletion:
+@contextlib.contextmanager
+def opened(name: str) -> Iterator[tuple[device.Icap, Callable[[], None]]]:
+    """A port, and what starts a load through it."""
     data = bitstream()
     with device.Icap.open(name) as port, port.allocate(len(data)) as buffer:
         buffer.array(0, len(data))[:] = bytearray(data)
-        port.load(buffer, len(data))
+        yield port, lambda: port.load(buffer, len(data))
+
+
+def load(name: str) -> device.IcapCompletion:
+    with opened(name) as (port, start):
+        start()
         return port.wait(PATIENCE)
 
 
@@ -431,17 +441,76 @@ def firmware(name: str) -> Path:
     return Path("/sys/kernel/debug/cm_axi/firmware", name)
 
 
-def test_a_port_that_the_platform_gives_is_selected_for_the_load_alone() -> None:
-    name, engine = port_behind("icap-that-is-refused"), Engine("refused")
-    writes, loads = int(firmware("writes").read_text()), engine.number("loads")
+@pytest.fixture
+def given() -> Iterator[str]:
+    """A port that the platform gives."""
     firmware("secure_access").write_text("1")
-    try:
-        assert load(name).status == 0
-    finally:
-        firmware("secure_access").write_text("0")
+    yield port_behind("icap-that-is-refused")
+    firmware("secure_access").write_text("0")
+
+
+def test_a_port_that_the_platform_gives_is_selected_for_the_load_alone(given: str) -> None:
+    engine = Engine("refused")
+    writes, loads = int(firmware("writes").read_text()), engine.number("loads")
+    assert load(given).status == 0
     assert engine.number("loads") == loads + 1
     assert int(firmware("writes").read_text()) == writes + 2  # ICAP, and PCAP again
     assert firmware("pcap_ctrl").read_text() == "0x00000001\n"
+
+
+# one of ICAP and PCAP at a time: the platform's own FPGA manager is held for the length of a load
+
+
+PCAP = Path("/sys/kernel/debug/cm_pcap")
+
+
+@contextlib.contextmanager
+def through_platform() -> Iterator[None]:
+    """An overlay that the platform's own manager loads an image for; taken away again by the thread that applied it."""
+    write_bitstreams()
+    image = FIRMWARE / "edge.bit"
+    content = {"firmware-name": f"{image.relative_to('/lib/firmware')}\0".encode(), "partial-fpga-config": b""}
+    overlays = device.Overlays("/")
+    overlays.apply("platform", fdt.pack(fdt.overlay("/fpga-full", fdt.FdtNode("", content))))
+    yield
+    overlays.remove("platform")
+
+
+def test_the_platforms_manager_is_busy_while_the_port_loads(given: str) -> None:
+    loads = int((PCAP / "loads").read_text())
+    with opened(given) as (port, start):
+        with Engine("refused").held("mm2s"):
+            start()
+            with pytest.raises(device.DeviceError), through_platform():
+                pass
+            assert int((PCAP / "loads").read_text()) == loads
+            assert port.status().loading
+        assert port.wait(PATIENCE).ok
+    with through_platform():
+        assert int((PCAP / "loads").read_text()) == loads + 1
+
+
+def test_the_port_is_busy_while_the_platforms_manager_loads(given: str) -> None:
+    def apply() -> None:
+        with through_platform():
+            pass
+
+    engine, hold = Engine("refused"), PCAP / "hold"
+    loads, writes = engine.number("loads"), firmware("writes").read_text()
+    managers = [device.FpgaManager(int(name.removeprefix("fpga")), "/") for name in device.list_fpga_managers("/")]
+    hold.write_text("1")
+    with ThreadPoolExecutor(1) as beside:
+        other = beside.submit(apply)
+        try:
+            until(lambda: any(manager.state == "write" for manager in managers))
+            with pytest.raises(device.DeviceBusy):
+                load(given)
+        finally:
+            hold.write_text("0")
+        other.result()
+    assert (engine.number("loads"), firmware("writes").read_text()) == (loads, writes)
+    assert bridge("58013000.fpga-bridge") == "enabled"
+    assert load(given).status == 0
 
 
 # clocks: UG585, FPGA0_CLK_CTRL: two divisors of 1 to 63, the nearest rate below

@@ -6,6 +6,7 @@
  * and who is asked for what; it does not stand for a driver of the kernel.
  */
 #include <linux/debugfs.h>
+#include <linux/delay.h>
 #include <linux/fpga/fpga-mgr.h>
 #include <linux/module.h>
 #include <linux/of.h>
@@ -20,6 +21,7 @@
  * @full: full ones among them
  * @bytes: of the last one
  * @fail: so many loads end with -EIO
+ * @hold: a load takes as long as this is set
  */
 struct model_manager {
 	struct dentry *debugfs;
@@ -27,6 +29,7 @@ struct model_manager {
 	u64 full;
 	u64 bytes;
 	u32 fail;
+	bool hold;
 };
 
 static int manager_init(struct fpga_manager *mgr, struct fpga_image_info *info, const char *buf,
@@ -46,6 +49,8 @@ static int manager_write(struct fpga_manager *mgr, const char *buf, size_t count
 {
 	struct model_manager *model = mgr->priv;
 
+	while (READ_ONCE(model->hold))
+		msleep(10);
 	model->bytes += count;
 	return 0;
 }
@@ -92,6 +97,7 @@ static int manager_probe(struct platform_device *pdev)
 	debugfs_create_u64("full", 0400, model->debugfs, &model->full);
 	debugfs_create_u64("bytes", 0400, model->debugfs, &model->bytes);
 	debugfs_create_u32("fail", 0600, model->debugfs, &model->fail);
+	debugfs_create_bool("hold", 0600, model->debugfs, &model->hold);
 	return devm_add_action_or_reset(dev, forget, model->debugfs);
 }
 
