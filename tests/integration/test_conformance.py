@@ -101,7 +101,6 @@ def test_our_manager_keeps_what_the_page_promises(
 def test_the_page_has_every_action_and_no_other() -> None:
     page = (REPOSITORY / "docs" / "conformance.md").read_text(encoding="utf-8")
     assert set(re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE)) - {"do"} == {*ACTIONS, "together", "as_guest"}
-    assert f"{len(list(cases()))} passed, 0 failed" in page
 
 
 def test_a_driver_or_a_manager_must_be_given(capsys: pytest.CaptureFixture[str]) -> None:
