@@ -43,7 +43,7 @@ _CLICKS = """async (modes) => {
         look();
     });
     for (const name of modes) {
-        await is(() => !mode(name).querySelector(".go").disabled);
+        await is(() => mode(name).querySelector(".go").ariaDisabled !== "true");
         mode(name).querySelector(".go").click();
         await is(() => mode(name).dataset.here === "true");
     }

@@ -67,7 +67,9 @@ class Hub:
         await self._look(board)
         self._tell_link("")
         self.connected.set()
-        tasks = [asyncio.create_task(work(board)) for work in (self._listen, self._look_again, self._describe)]
+        tasks = [
+            asyncio.create_task(work(board)) for work in (self._listen, self._look_again, self._describe, Board._gone)
+        ]
         try:
             await asyncio.gather(*tasks)
         finally:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import resource
 import socket
 from collections.abc import Iterator
@@ -13,9 +14,11 @@ import pytest
 import zmq
 from flood import descriptors, idle_connections, resident_mib
 from keyed_manager import KeyedManager, served_with_keys
-from manager_process import until
+from manager_process import Manager, until
+from manager_process import served as served_board
 
 import cm
+import cm.aio
 from cm.cli.keys import read_key_file
 from cm.wire.encode import decode_reply, encode_request
 from cm.wire.messages.requests import Upload
@@ -151,3 +154,22 @@ def test_encrypted_messages_within_bounds_arrive_in_any_number(served: KeyedMana
             assert peer.poll(60_000)
             assert decode_reply(peer.recv_multipart()[1:]).error is None
     assert resident_mib(served.pid) < before + 64
+
+
+def test_the_end_of_a_manager_is_noticed_though_nothing_is_asked_of_it() -> None:
+    """As the page of `cm web` does, which says "connected" until then."""
+
+    async def look(manager: Manager) -> str:
+        async with cm.aio.connect(runtime_dir=manager.runtime, timeout=None) as board:
+            await board.status()
+            gone = asyncio.create_task(board._gone())
+            await asyncio.sleep(0)  # so that it waits
+            manager.kill()
+            try:
+                await gone
+            except cm.CmError as error:
+                return error.code
+        return ""
+
+    with served_board() as (manager, _):
+        assert asyncio.run(look(manager)) == "connection_lost"

@@ -97,11 +97,61 @@ def test_the_board_and_its_frames_are_shown(page: Any, camera: tuple[Manager, Si
     shoot(page, "dark")
 
 
-def test_the_page_fits_a_phone(server: WebServer, browser: Any, page: Any) -> None:
-    with page_of(browser, server, width=390, height=844, color_scheme="light") as small:
+# Of what is visible: text smaller than 12 px (in a drawing, as it is drawn), and what is tapped smaller than 44 px.
+SMALL_TEXT = """[...document.querySelectorAll('body *')].filter((node) => {
+    const own = [...node.childNodes].some((kid) => kid.nodeType === 3 && kid.textContent.trim());
+    if (!own || !node.getClientRects().length || !node.checkVisibility()) return false;
+    const scale = node.ownerSVGElement ? node.getScreenCTM().a : 1;
+    const size = parseFloat(getComputedStyle(node).fontSize) * scale;
+    return size > 0 && size < 11.99;
+}).map((node) => node.outerHTML)"""
+SMALL_TARGETS = """[...document.querySelectorAll('button, select, input, summary')].filter((node) => {
+    const box = node.getBoundingClientRect();
+    return node.checkVisibility() && box.width && Math.min(box.width, box.height) < 43.9;
+}).map((node) => node.outerHTML)"""
+
+
+@pytest.mark.parametrize("width", [320, 390, 430])
+def test_the_page_fits_a_phone(width: int, server: WebServer, browser: Any, page: Any) -> None:
+    with page_of(browser, server, width=width, height=844, color_scheme="light", has_touch=True) as small:
         watch(small)
-        assert small.evaluate("document.documentElement.scrollWidth") <= 390
-        shoot(small, "telephone")
+        small.wait_for_selector("[data-register=zoom]")
+        assert small.evaluate("document.documentElement.scrollWidth") <= width
+        assert small.evaluate("document.querySelector('header').offsetHeight") <= 56
+        assert small.evaluate(SMALL_TEXT) == []
+        assert small.evaluate(SMALL_TARGETS) == []
+        logic, processor = (small.locator(f"#device {part}").bounding_box() for part in (".logic", ".processor"))
+        assert logic["y"] > processor["y"] + processor["height"] - 1, "one above the other"
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [390, 1024, 1680])
+def test_pictures_at_three_widths(width: int, scheme: str, server: WebServer, browser: Any, page: Any) -> None:
+    """To be looked at: build/web/WIDTH-SCHEME.png."""
+    with page_of(browser, server, width=width, height=1050, color_scheme=scheme) as shown:
+        watch(shown)
+        change(shown, "edge_detection")
+        shown.wait_for_selector("[data-register=threshold]")
+        shoot(shown, f"{width}-{scheme}")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing(scheme: str, server: WebServer, browser: Any, page: Any) -> None:
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="needs the extra [test-web]")
+    with page_of(browser, server, color_scheme=scheme) as shown:
+        watch(shown)
+        shown.wait_for_selector("[data-register=zoom]")
+        found = axe.Axe().run(shown).response["violations"]
+    assert [(one["id"], [node["html"] for node in one["nodes"]]) for one in found] == []
+
+
+def test_what_fails_is_told_beside_what_was_tapped(page: Any, camera: tuple[Manager, SimBoard]) -> None:
+    with camera[0].connected() as board, board.lease("region:prr0", seconds=60):
+        page.click("li[data-mode=edge_detection] .go")
+        page.wait_for_selector("li[data-mode=edge_detection] .note:not([hidden])")
+        assert "held_by" in page.text_content("li[data-mode=edge_detection] .note")
+    change(page, "edge_detection")
+    assert page.is_hidden("li[data-mode=edge_detection] .note")
 
 
 def test_the_theme_is_the_systems_until_one_is_chosen(page: Any) -> None:
@@ -132,7 +182,7 @@ def test_a_page_that_may_look_offers_nothing_else(camera: tuple[Manager, SimBoar
         assert other.text_content("#rights") == "read-only"
         enabled = "[...document.querySelectorAll('.go, .register input, .register select, .register button')]"
         assert other.evaluate(f"{enabled}.length") > 8
-        assert other.evaluate(f"{enabled}.every((node) => node.disabled)")
+        assert other.evaluate(f"{enabled}.every((node) => node.disabled || node.ariaDisabled === 'true')")
         shoot(other, "read-only")
 
 
@@ -185,11 +235,11 @@ def test_what_others_hold_is_shown_and_keeps_the_page_off(page: Any, camera: tup
 
 def test_a_manager_that_goes_is_reported_and_found_again(browser: Any) -> None:
     with served() as (manager, _), web_server(manager.runtime, "--control") as server, page_of(browser, server) as page:
-        page.wait_for_selector(".go:not(:disabled)")
+        page.wait_for_selector(".go:not([aria-disabled=true])")
         manager.kill()
         page.wait_for_selector("body[data-link=manager]")
         assert "No manager" in page.text_content("#banner")
-        assert page.is_disabled("li[data-mode=default] .go")
+        assert page.get_attribute("li[data-mode=default] .go", "aria-disabled") == "true"
         shoot(page, "no-manager")
         manager.start()
         page.wait_for_selector("body[data-link=up]")
@@ -240,6 +290,10 @@ def test_all_of_it_works_by_keyboard(page: Any, camera: tuple[Manager, SimBoard]
     page.keyboard.press("Enter")
     page.wait_for_selector("li[data-mode=edge_detection][data-here=true]")
     page.wait_for_selector("[data-register=threshold]")
+    assert page.evaluate("document.activeElement.closest('li')?.dataset.mode") == "edge_detection", "the focus stays"
+    page.keyboard.press("Shift+Tab")
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.textContent") == "edge_detection", "the loaded mode is in the order"
     page.get_by_role("slider", name="focus").focus()
     for _ in range(4):
         page.keyboard.press("ArrowRight")

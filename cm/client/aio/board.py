@@ -105,6 +105,10 @@ class Board(Guarded):
         object.__setattr__(self, "interrupts", Interrupts(self))
         object.__setattr__(self, "memories", Memories(self))
 
+    async def _gone(self) -> None:
+        """Until the manager goes away, whether or not something is asked of it. Raises ConnectionLost."""
+        await self._link.gone()
+
     @property
     def timeout(self) -> float | None:
         """Seconds to wait for the answer to any request but `load`; None waits for ever."""

@@ -104,6 +104,17 @@ class Link:
             self._socket, self._monitor, self._handshake = self._sockets.requests()
             self._tasks = (asyncio.create_task(self._read()), asyncio.create_task(self._look()))
 
+    async def gone(self) -> None:
+        """Wait for nothing but the manager's end, which is raised as in every call that waits: ConnectionLost."""
+        self.open()
+        end: asyncio.Future[list[bytes]] = asyncio.get_running_loop().create_future()
+        name = b"until the end %d" % id(end)  # no request's number
+        self._pending[name] = end
+        try:
+            await end
+        finally:
+            self._pending.pop(name, None)
+
     async def _read(self) -> None:
         assert self._socket is not None
         while True:

@@ -3,6 +3,10 @@
 
 import { at, byId, bytes, duration, empty, h, keyed, text } from "./dom.js";
 
+// What the colours of the bars mean; style.css has the colours.
+const KINDS = [["validate", "check"], ["quiesce", "stop streams"], ["overlay_remove", "overlays"], ["load", "load"],
+  ["registers", "registers"], ["other", "all else"]];
+
 export class Changes {
   constructor({ ask, failed, control }) {
     this.control = control;
@@ -11,6 +15,7 @@ export class Changes {
     this.step = h("span", { class: "muted" });
     this.bar = h("progress", { max: 1, "aria-label": "How far it is" });
     this.cancel = h("button", { type: "button", text: "Cancel", onclick: () => ask("cancel").catch(failed) });
+    byId("changes").before(h("ul", { class: "key" }, ...KINDS.map(([step, name]) => h("li", {}, h("i", { "data-step": step }), name))));
     node.append(h("div", { class: "row" }, this.title, this.step, h("span", { class: "stretch" }), this.cancel), this.bar);
   }
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Registers of the loaded mode by region, with their fields; sliders where their bounds are known.
 
-import { empty, h, hex, keyed, set, text } from "./dom.js";
+import { empty, h, hex, keyed, set, tell, text } from "./dom.js";
 
 const SLIDER_BITS = 12; // a wider one without bounds is a number to type
 const BETWEEN = 60; // milliseconds between two writes while a slider moves
@@ -33,20 +33,21 @@ export class Registers {
 
   make(register) {
     const fields = register.fields.length ? register.fields : [null];
-    const rows = fields.map((field) => this.makeValue(register, field));
+    const note = h("p", { class: "note", role: "alert", hidden: true });
+    const rows = fields.map((field) => this.makeValue(register, field, note));
     const title = h("div", { class: "row" }, h("code", { text: register.name }), h("span", { class: "muted small", text: register.access }),
       h("span", { class: "stretch" }), h("code", { class: "hex" }));
     const node = h("div", { class: "register", "data-register": register.name, title: `${hex(register.address)} · ${register.width} bit` },
-      title, register.doc ? h("p", { class: "muted small", text: register.doc }) : null, ...rows.map((row) => row.node));
+      title, register.doc ? h("p", { class: "muted small", text: register.doc }) : null, ...rows.map((row) => row.node), note);
     return { node, rows, hex: title.lastChild };
   }
 
-  makeValue(register, field) {
+  makeValue(register, field, note) {
     const name = field ? `${register.name}.${field.name}` : register.name;
     const row = { field, own: null };
     const send = throttled((value) => this.ask("write", { name, value }).then(
-      () => { if (row.own?.value === value) row.own.answered = performance.now(); },
-      (error) => { row.own = null; this.failed(error); },
+      () => { note.hidden = true; if (row.own?.value === value) row.own.answered = performance.now(); },
+      (error) => { row.own = null; tell(note, error); },
     ));
     const write = (value) => {
       row.own = { value, answered: Infinity };
@@ -90,7 +91,7 @@ export class Registers {
       else if (row.input.type === "text") {
         if (document.activeElement !== row.input) row.input.value = hex(value, register.width);
       } else row.input.value = String(value);
-      set(row.input, "aria-valuetext", name ?? null);
+      if (row.input.type === "range") set(row.input, "aria-valuetext", name ?? null);
     }
   }
 }
