@@ -206,7 +206,7 @@ def test_a_change_is_shown_step_by_step_and_a_region_that_it_left_cut_off(browse
         page.wait_for_selector("#progress", state="hidden")
         page.wait_for_selector("#changes [data-state=failed]")
         page.wait_for_selector("g[data-region=prr0].failed")  # there was no mode to go back to
-        assert "load_failed" in page.text_content("#banner")
+        assert "load_failed" in " ".join(page.locator(".modes .note").all_text_contents())
         assert page.get_attribute("#state", "data-state") == "error"
         shoot(page, "cut-off")
 
@@ -215,7 +215,7 @@ def test_a_change_that_fails_says_why_and_stays_in_the_list(page: Any, camera: t
     camera[1].control.inject("icap_crc", count=1)
     page.click("li[data-mode=colorise] .go")
     page.wait_for_selector("#changes [data-state=failed] .note")
-    page.wait_for_selector("#banner:not([hidden])")
+    page.wait_for_selector("li[data-mode=colorise] .note:not([hidden])")
     page.wait_for_selector("#errors li")
     page.wait_for_selector("li[data-mode=default][data-here=true]")  # it went back
     shoot(page, "failed")
@@ -227,8 +227,8 @@ def test_what_others_hold_is_shown_and_keeps_the_page_off(page: Any, camera: tup
         assert page.text_content("#leases code") == "region:prr0"
         assert "calibration" in page.text_content("#leases")
         page.click("li[data-mode=colorise] .go")
-        page.wait_for_selector("#banner:not([hidden])")
-        assert "held by calibration" in page.text_content("#banner")
+        page.wait_for_selector("li[data-mode=colorise] .note:not([hidden])")
+        assert "held by calibration" in page.text_content("li[data-mode=colorise] .note")
         shoot(page, "lease")
     seen(page, "!document.querySelector('#leases code')")
 
