@@ -3,7 +3,7 @@
 
 `POC=DIR make test SUITES=tests/corpus`: DIR is a checkout; nothing of it is in this repository. PoC's streams are
 AXI4-Stream by other names; whether an Ack is a TREADY only the designer knows, so they are asked for. Its FIFOs (put,
-full; valid, got) are no such streams.
+full; valid, got) are asked for in other words.
 """
 
 from __future__ import annotations

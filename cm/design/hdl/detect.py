@@ -193,6 +193,19 @@ class _Detection:
                 f"looks like a stream that {found.ports['TREADY'].name} acknowledges: if a beat is over when that and "
                 f"{found.ports['TVALID'].name} are high, write streams: [{', '.join(asked)}] in the module, else []",
             )
+        if streams is None:
+            self._ask_about_fifos(stream)
+
+    def _ask_about_fifos(self, stream: Protocol) -> None:
+        """The sides of a FIFO (VLSI-EDA/PoC) are streams by a line of HDL, as `full` is TREADY turned round."""
+        free = {port.name.lower(): port for port in self._free.values()}
+        for (valid, data, ready), said in ((("put", "din", "full"), "not full"), (("valid", "dout", "got"), "got")):
+            if {valid, data, ready} <= free.keys():
+                self._reject(
+                    Candidate(valid, stream, {"TVALID": free[valid], "TDATA": free[data], "TREADY": free[ready]}),
+                    f"looks like a side of a FIFO, which is a stream with TVALID {valid}, TDATA {data} and "
+                    f"TREADY {said}: a module around it gives it these ports, or streams: [] says that it is none",
+                )
 
     def _go_with(self, stream: Candidate) -> None:
         """Ports such as `Out_Meta_rst` reset no register: they begin with the stream's name, and go with it."""

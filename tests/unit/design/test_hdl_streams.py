@@ -27,9 +27,9 @@ end entity;
 PACKAGE = "package widths is\n  subtype T_BYTE\t\tis std_logic_vector(7 downto 0);\nend package;\n"
 
 
-def read(folder: Path, streams: str) -> str:
+def read(folder: Path, streams: str, entity: str = ENTITY) -> str:
     """What `check` says of a module with such streams."""
-    (folder / "relay.vhd").write_text(ENTITY)
+    (folder / "relay.vhd").write_text(entity)
     (folder / "widths.vhd").write_text(PACKAGE)
     (folder / "build.yaml").write_text(
         "project: {name: relay, part: xc7z020clg400-1}\n"
@@ -57,3 +57,22 @@ def test_one_line_makes_it_a_stream(tmp_path: Path, capsys: pytest.CaptureFixtur
 def test_a_name_that_is_no_stream_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert read(tmp_path, ", streams: [In, Aut]") != "0"
     assert "streams: names aut, of which relay has no valid, data and ack that fit" in capsys.readouterr().out
+
+
+FIFO = """entity relay is
+  port (
+    clk, rst : in std_logic;
+    put : in std_logic; din : in std_logic_vector(7 downto 0); full : out std_logic;
+    got : in std_logic; dout : out std_logic_vector(7 downto 0); valid : out std_logic
+  );
+end entity;
+"""
+
+
+def test_the_sides_of_a_fifo_are_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert read(tmp_path, "", FIFO) != "0"
+    out = capsys.readouterr().out
+    assert "a stream with TVALID put, TDATA din and TREADY not full" in out
+    assert "a stream with TVALID valid, TDATA dout and TREADY got" in out
+    read(tmp_path, ", streams: []", FIFO)
+    assert "side of a FIFO" not in capsys.readouterr().out
