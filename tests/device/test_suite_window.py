@@ -45,6 +45,12 @@ def mapped(grant: device.Grant) -> device.MappedWindow:
         return device.MappedWindow(grant.fd)
 
 
+def read_until(ends: float, window: device.MappedWindow, offset: int) -> None:
+    """Read on: a simulated node hears a moment later that a window's owner is gone."""
+    while time.monotonic() < ends:
+        window.read(offset)
+
+
 def events(windows: device.Windows) -> list[device.WindowEvent]:
     assert select.select([windows], [], [], PATIENCE)[0]
     return windows.take()
@@ -134,10 +140,8 @@ def test_grants_end_with_who_lent_them(board: Board, place: tuple[int, int]) -> 
     with device.Windows.open(board.root) as windows:
         window = mapped(windows.grant(address, PAGE))
         window.read(offset)
-    ends = time.monotonic() + PATIENCE
     with window, pytest.raises(device.DeviceRevoked) as told:
-        while time.monotonic() < ends:  # a simulated node hears of it a moment later
-            window.read(offset)
+        read_until(time.monotonic() + PATIENCE, window, offset)
     assert told.value.reason is device.WindowEnd.OWNER
 
 
