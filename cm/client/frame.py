@@ -19,7 +19,7 @@ from cm.client.picture import has_rows, png
 from cm.errors import InvalidRequest
 from cm.wire.messages.status import FrameInfo
 
-_Kind = TypeVar("_Kind", bound=type)
+_T = TypeVar("_T", bound=type)
 _LOOK = (
     "__complex__", "__contains__", "__copy__", "__deepcopy__", "__float__", "__index__", "__int__", "all", "any",
     "argmax", "argmin", "argpartition", "argsort", "astype", "byteswap", "choose", "clip", "compress", "conj",
@@ -29,7 +29,7 @@ _LOOK = (
 )  # fmt: skip
 
 
-def checked(kind: _Kind) -> _Kind:
+def checked(kind: _T) -> _T:
     """A class of arrays whose methods call its `_check` first.
 
     What C takes of an array without asking it cannot be checked: its buffer, and `numpy.asarray`.
