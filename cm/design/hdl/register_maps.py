@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -25,6 +26,7 @@ def read_register_map(path: Path, module: str) -> Registers:
         ".hwh": _hwh,
         ".rdl": _systemrdl,
         ".h": _hls,
+        ".json": _hls_config,
     }
     reader = _hls if is_hls(path) else readers.get(path.suffix.lower())
     if reader is None:
@@ -38,6 +40,22 @@ def read_register_map(path: Path, module: str) -> Registers:
 def _hls(path: Path, module: str) -> Registers:
     del module  # one file for each bus of a module
     return hls_registers(path)
+
+
+def _hls_config(path: Path, module: str) -> Registers:
+    """The arguments on a module's bus, by top and bundle, as in the config.json beside what HLS wrote."""
+    try:
+        tops = json.loads(path.read_text(encoding="utf-8"))
+        bundles = tops[module] if len(tops) > 1 else next(iter(tops.values()))
+        arguments = [(a["name"], int(a["offset"], 0), int(a["size"], 0)) for b in bundles.values() for a in b.values()]
+    except (ValueError, KeyError, TypeError, AttributeError, StopIteration) as error:
+        raise BuildError(f"{path}: not a config.json of HLS, which has top, bundle and argument: {error!r}") from None
+    found: Registers = {}
+    for name, offset, size in arguments:
+        for at in range(0, max(size, 1), 4):
+            word = identifier(name) if size <= 4 else f"{identifier(name)}_{at // 4}"
+            found[word] = RegisterSpec(word, offset + at)
+    return found
 
 
 def identifier(name: str) -> str:

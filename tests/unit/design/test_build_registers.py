@@ -270,3 +270,23 @@ def test_what_hls_wrote_needs_no_line_for_its_registers_and_two_sources_are_comp
     capsys.readouterr()
     assert main(["build", "check", str(build)]) == 1
     assert "disagree: gain is at 0x20 and at 0x10; sum is at 0x18 and at 0x24" in capsys.readouterr().err
+
+
+CONFIG_JSON = """{"scale": {"S_AXI_CONTROL": {
+  "rows": {"name": "rows", "offset": "0x10", "size": "0x4", "type": "unsigned short"},
+  "start at": {"name": "start at", "offset": "0x18", "size": "0x8", "type": "unsigned long"}}}}"""
+
+
+def test_arguments_are_read_from_the_config_json_of_hls(tmp_path: Path) -> None:
+    (tmp_path / "config.json").write_text(CONFIG_JSON)
+    found = read_register_map(tmp_path / "config.json", "scale")
+    assert {name: spec.offset for name, spec in found.items()} == {"rows": 0x10, "start_at_0": 0x18, "start_at_1": 0x1C}
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", '{"a": {"b": {"c": {"name": "c"}}}}', '{"a": 1}', '{"a": {}, "b": {}}']
+)
+def test_another_json_is_no_register_map(tmp_path: Path, text: str) -> None:
+    (tmp_path / "config.json").write_text(text)
+    with pytest.raises(BuildError, match=r"config\.json: not a config\.json of HLS"):
+        read_register_map(tmp_path / "config.json", "scale")
