@@ -48,11 +48,11 @@ def _hls_config(path: Path, module: str) -> Registers:
         tops = json.loads(path.read_text(encoding="utf-8"))
         bundles = tops[module] if len(tops) > 1 else next(iter(tops.values()))
         arguments = [(a["name"], int(a["offset"], 0), int(a["size"], 0)) for b in bundles.values() for a in b.values()]
-    except (ValueError, KeyError, TypeError, AttributeError, StopIteration) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, StopIteration, RecursionError) as error:
         raise BuildError(f"{path}: not a config.json of HLS, which has top, bundle and argument: {error!r}") from None
     found: Registers = {}
     for name, offset, size in arguments:
-        for at in range(0, max(size, 1), 4):
+        for at in range(0, size if size <= 8 else 0, 4):  # what is longer is an array, which *_s_axi.v describes
             word = identifier(name) if size <= 4 else f"{identifier(name)}_{at // 4}"
             found[word] = RegisterSpec(word, offset + at)
     return found
