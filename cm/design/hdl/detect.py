@@ -177,12 +177,13 @@ class _Detection:
         asked: dict[str, Candidate] = {}
         for found in list(candidates(self._free.values(), stream)):
             mode = judge(found.name, stream, found.ports).mode
-            if mode is not None:
-                self._go_with(found)
-            if mode is not None and found.name.lower() in wanted:
+            if mode is None:
+                continue
+            self._go_with(found)
+            if found.name.lower() in wanted:
                 self._add(make_interface(found.name, stream, mode, found.ports, FoundBy.PROTOCOL_FILE))
                 wanted.discard(found.name.lower())
-            elif mode is not None:
+            else:
                 asked[found.name] = found
         for name in wanted:
             text = f"streams: names {name}, of which {self._module.name} has no valid, data and ack that fit"

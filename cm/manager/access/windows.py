@@ -11,6 +11,7 @@ import errno
 import mmap
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from itertools import count
@@ -243,10 +244,7 @@ class Windows:
         found = self._take(lambda loan: loan.number == number)
         changed: RegValues | None = None
         for loan in found:
-            self._revoke_one(loan)
-            with self._state.lock:
-                if is_free(self._state.latest, self._state.locked, loan.place.region):
-                    changed = self._read_again(loan)
+            changed = self._revoke_one(loan)
             self._leases.drop(loan.lease)
             self.changed()
         return changed
@@ -255,9 +253,6 @@ class Windows:
         """Take back those for writing where another's lease forbids that now, or whose own has been broken."""
         for loan in self._take(self._is_overruled):
             self._revoke_one(loan)
-            with self._state.lock:
-                if is_free(self._state.latest, self._state.locked, loan.place.region):
-                    self._read_again(loan)
             self._over(loan, _CALL, *self._now())
             self.changed()
 
@@ -290,12 +285,14 @@ class Windows:
                 del self._loans[loan.number]
         return taken
 
-    def _revoke_one(self, loan: Loan) -> None:
-        try:
+    def _revoke_one(self, loan: Loan) -> RegValues | None:
+        """Take one back, and note what was written in it; returns that. A region that is locked is not read."""
+        with suppress(FileNotFoundError):  # nobody has it any more
             if self._lender is not None:
                 self._lender.revoke_grant(loan.id)
-        except FileNotFoundError:  # nobody has it any more
-            return
+        with self._state.lock:
+            free = is_free(self._state.latest, self._state.locked, loan.place.region)
+            return self._read_again(loan) if free else None
 
     def _over(self, loan: Loan, reason: int, config: str, mode: str) -> None:
         loan.ended(reason, config, mode)
