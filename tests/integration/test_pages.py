@@ -15,6 +15,14 @@ PAGES = sorted(
     for path in REPOSITORY.glob(pattern)
     if "reference" not in path.parts
 )
+# The suites that pages may name; by these words the files of a suite are found.
+MARKS: dict[str, tuple[pytest.MarkDecorator, ...]] = {
+    "plain": (),
+    "design": (pytest.mark.design,),
+    "networks": (pytest.mark.networks,),
+    "programs": (pytest.mark.programs,),
+    "web": (pytest.mark.web,),
+}
 
 
 def text_of(path: Path) -> str:
@@ -32,8 +40,7 @@ def parameters() -> list[object]:
         ):
             # A newcomer's run takes README; the other pages are half a minute that it does without.
             further = "programs" if suite(page) == "plain" and name != "README.md" else suite(page)
-            marks = [] if further == "plain" else [getattr(pytest.mark, further)]
-            found.append(pytest.param(path, id=name.replace("/", "-"), marks=marks))
+            found.append(pytest.param(path, id=name.replace("/", "-"), marks=MARKS[further]))
     return found
 
 
