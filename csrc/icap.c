@@ -107,6 +107,25 @@ int cm_icap_load(struct cm_icap *icap, uint32_t handle, uint64_t offset, uint64_
 			       CM_NODE_FD_NONE);
 }
 
+int cm_icap_read_back(struct cm_icap *icap, uint32_t handle, const struct cm_icap_parts *parts,
+		      uint64_t cookie)
+{
+	struct cm_icap_read arg = {
+		.size = sizeof(arg),
+		.handle = handle,
+		.request_offset = parts->request_offset,
+		.request_length = parts->request_length,
+		.reply_offset = parts->reply_offset,
+		.reply_length = parts->reply_length,
+		.closing_offset = parts->closing_offset,
+		.closing_length = parts->closing_length,
+		.cookie = cookie,
+	};
+
+	return cm_node_request(icap->node, CM_ICAP_IOC_READ, &arg, sizeof(arg), NULL,
+			       CM_NODE_FD_NONE);
+}
+
 int cm_icap_take(struct cm_icap *icap, struct cm_icap_completion *completion)
 {
 	return (int)cm_node_take(icap->node, completion, sizeof(*completion), 1);

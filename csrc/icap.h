@@ -45,7 +45,26 @@ int cm_icap_free(struct cm_icap *icap, uint32_t handle);
 int cm_icap_load(struct cm_icap *icap, uint32_t handle, uint64_t offset, uint64_t length,
 		 uint64_t cookie, uint32_t flags);
 
-/* Take the end of a load if it came: 1, or 0.  See cm_node_take(). */
+/* Where the parts of a read lie in its buffer, in bytes: see struct cm_icap_read. */
+struct cm_icap_parts {
+	uint64_t request_offset;
+	uint64_t request_length;
+	uint64_t reply_offset;
+	uint64_t reply_length;
+	uint64_t closing_offset;
+	uint64_t closing_length;
+};
+
+/**
+ * cm_icap_read_back() - start a read; its end is an event, as that of a load
+ *
+ * Errors: as cm_icap_load(); EINVAL for parts that overlap, EOPNOTSUPP where the
+ * port has no way back (CM_ICAP_CAP_READ).
+ */
+int cm_icap_read_back(struct cm_icap *icap, uint32_t handle, const struct cm_icap_parts *parts,
+		      uint64_t cookie);
+
+/* Take the end of a load or read if it came: 1, or 0.  See cm_node_take(). */
 int cm_icap_take(struct cm_icap *icap, struct cm_icap_completion *completion);
 
 /* The same, but wait for it; as cm_dma_wait(). */

@@ -50,6 +50,7 @@ _SENTENCES = {
 class IcapInfo:
     """A port; ``clock_hz`` and ``idcode`` are 0 where the driver does not know them.
 
+    ``readable``: words can be read from the port, not only written to it (`Icap.read`).
     ``denied``: the platform's firmware refused the port when the driver asked for it, and loads end with EACCES.
     """
 
@@ -59,6 +60,7 @@ class IcapInfo:
     idcode: int
     has_status: bool
     denied: bool = False
+    readable: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +110,10 @@ def _completion(raw: native.Completion) -> IcapCompletion:
     return IcapCompletion(raw.cookie, raw.length, raw.started_ns, raw.finished_ns, raw.status, _errors(raw.errors))
 
 
+def _range(part: slice) -> tuple[int, int]:
+    return part.start, part.stop - part.start
+
+
 def list_icap(root: AnyRoot = None) -> list[str]:
     """Return the names of all configuration ports, sorted."""
     return [name for name in advice.names(Root.of(root).join("dev")) if name.startswith("cm_icap")]
@@ -133,7 +139,8 @@ class Icap(Device):
         except OSError as error:
             raise self._error(error, "describe") from error
         status, denied = bool(raw.caps & native.CAP_STATUS), bool(raw.caps & native.CAP_DENIED)
-        return IcapInfo(raw.word_bits, raw.clock_hz, raw.max_length, raw.idcode, status, denied)
+        readable = bool(raw.caps & native.CAP_READ)
+        return IcapInfo(raw.word_bits, raw.clock_hz, raw.max_length, raw.idcode, status, denied, readable)
 
     def allocate(self, length: int) -> DmaBuffer:
         """Return a new buffer of at least ``length`` bytes that the port can load from."""
@@ -171,6 +178,20 @@ class Icap(Device):
             native.load(self._handle, buffer.handle, offset, length, cookie, flags)
         except (OSError, OverflowError) as error:
             raise self._error(error, f"load {length} bytes at {offset} through") from error
+
+    def read(self, buffer: DmaBuffer, request: slice, reply: slice, closing: slice, cookie: int = 0) -> None:
+        """Start a read and return at once: its end comes as that of a load, ``length`` are the reply's bytes.
+
+        The parts are slices of the buffer in bytes, whole words in the byte order of loads: what is written to the
+        port first, where the words go that are read then, and what is written at the end, also after an error.
+        Raises DeviceBusy while any file loads or reads, DeviceInvalid for parts that do not fit or overlap, and
+        DeviceUnsupported where the port has no way back (`IcapInfo.readable`).
+        """
+        parts = native.Parts(*_range(request), *_range(reply), *_range(closing))
+        try:
+            native.read_back(self._handle, buffer.handle, parts, cookie)
+        except (OSError, OverflowError) as error:
+            raise self._error(error, f"read {parts.reply_length} bytes through") from error
 
     def take(self) -> IcapCompletion | None:
         """Return the end of a load of this file if it came; never blocks."""

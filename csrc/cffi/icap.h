@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 #define CM_ICAP_CAP_STATUS ...
 #define CM_ICAP_CAP_DENIED ...
+#define CM_ICAP_CAP_READ ...
 #define CM_ICAP_LOAD_FULL ...
 #define CM_ICAP_LOAD_ENCRYPTED ...
 #define CM_ICAP_STATE_IDLE ...
@@ -41,6 +42,15 @@ struct cm_icap_completion {
 	...;
 };
 
+struct cm_icap_parts {
+	uint64_t request_offset;
+	uint64_t request_length;
+	uint64_t reply_offset;
+	uint64_t reply_length;
+	uint64_t closing_offset;
+	uint64_t closing_length;
+};
+
 struct cm_icap;
 struct cm_icap *cm_icap_open(const char *root, const char *name);
 void cm_icap_close(struct cm_icap *icap);
@@ -53,5 +63,7 @@ int cm_icap_import(struct cm_icap *icap, int fd, struct cm_buffer *buffer);
 int cm_icap_free(struct cm_icap *icap, uint32_t handle);
 int cm_icap_load(struct cm_icap *icap, uint32_t handle, uint64_t offset, uint64_t length,
 		 uint64_t cookie, uint32_t flags);
+int cm_icap_read_back(struct cm_icap *icap, uint32_t handle, const struct cm_icap_parts *parts,
+		      uint64_t cookie);
 int cm_icap_take(struct cm_icap *icap, struct cm_icap_completion *completion);
 int cm_icap_wait(struct cm_icap *icap, int64_t timeout_ns, struct cm_icap_completion *completion);

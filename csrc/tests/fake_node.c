@@ -203,6 +203,19 @@ static void complete_load(int events, const struct cm_icap_load *load)
 	send_packet(events, &done, sizeof(done), NULL, 0);
 }
 
+static void complete_read(int events, const struct cm_icap_read *read)
+{
+	struct cm_icap_completion done = {
+		.cookie = read->cookie,
+		.length = read->reply_length,
+		.status = read->closing_offset == read->reply_offset + read->reply_length
+				  ? 0
+				  : -ETIMEDOUT,
+	};
+
+	send_packet(events, &done, sizeof(done), NULL, 0);
+}
+
 static void answer_request(struct fake_node *fake, const struct packet *request, int fd, int events,
 			   struct answer *answer)
 {
@@ -250,6 +263,9 @@ static void answer_request(struct fake_node *fake, const struct packet *request,
 		break;
 	case CM_ICAP_IOC_LOAD:
 		complete_load(events, body);
+		break;
+	case CM_ICAP_IOC_READ:
+		complete_read(events, body);
 		break;
 	case CM_ICAP_IOC_STATUS:
 		((struct cm_icap_status *)body)->loads = 3;

@@ -291,6 +291,22 @@ static void a_load_ends_with_an_event(void)
 	fake_root_remove(root);
 }
 
+static void a_read_names_its_parts_and_ends_with_an_event(void)
+{
+	struct cm_icap_parts parts = { 0, 64, 64, 808, 872, 32 };
+	char *root = fake_root_make();
+	struct fake_node *fake = fake_node_start(root, "dev/cm_icap0", WELL_BEHAVED);
+	struct cm_icap *icap = cm_icap_open(root, "cm_icap0");
+	struct cm_icap_completion done;
+
+	CHECK(icap && !cm_icap_read_back(icap, 1, &parts, 9));
+	CHECK(cm_icap_wait(icap, 5 * S, &done) == 1);
+	CHECK(done.cookie == 9 && done.length == 808 && done.status == 0);
+	cm_icap_close(icap);
+	fake_node_stop(fake);
+	fake_root_remove(root);
+}
+
 int main(void)
 {
 	RUN(a_uio_device_is_found_by_name_number_and_address);
@@ -309,5 +325,6 @@ int main(void)
 	RUN(completions_come_in_order_with_the_length_that_moved);
 	RUN(a_completion_of_another_size_is_eproto);
 	RUN(a_load_ends_with_an_event);
+	RUN(a_read_names_its_parts_and_ends_with_an_event);
 	return 0;
 }

@@ -11,6 +11,7 @@ from cm.device.native.call import Handle, check, encode, last_error, owned, wait
 
 CAP_STATUS: int = lib.CM_ICAP_CAP_STATUS
 CAP_DENIED: int = lib.CM_ICAP_CAP_DENIED
+CAP_READ: int = lib.CM_ICAP_CAP_READ
 LOAD_FULL: int = lib.CM_ICAP_LOAD_FULL
 LOAD_ENCRYPTED: int = lib.CM_ICAP_LOAD_ENCRYPTED
 STATE_IDLE: int = lib.CM_ICAP_STATE_IDLE
@@ -53,6 +54,17 @@ class Completion(NamedTuple):
     finished_ns: int
     status: int
     errors: int
+
+
+class Parts(NamedTuple):
+    """``struct cm_icap_parts``: where the parts of a read lie in its buffer, in bytes."""
+
+    request_offset: int
+    request_length: int
+    reply_offset: int
+    reply_length: int
+    closing_offset: int
+    closing_length: int
 
 
 def _completion(c: Handle) -> Completion:
@@ -110,6 +122,12 @@ def free(handle: Handle, buffer_handle: int) -> None:
 def load(handle: Handle, buffer: int, offset: int, length: int, cookie: int, flags: int) -> None:
     """Start a load and return at once."""
     if lib.cm_icap_load(handle, buffer, offset, length, cookie, flags) < 0:
+        raise last_error()
+
+
+def read_back(handle: Handle, buffer: int, parts: Parts, cookie: int) -> None:
+    """Start a read and return at once."""
+    if lib.cm_icap_read_back(handle, buffer, ffi.new("struct cm_icap_parts *", parts), cookie) < 0:
         raise last_error()
 
 

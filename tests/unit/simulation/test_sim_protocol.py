@@ -32,6 +32,7 @@ SIZES = {
     "struct cm_dma_completion": p.DMA_COMPLETION,
     "struct cm_icap_info": p.ICAP_INFO,
     "struct cm_icap_load": p.ICAP_LOAD,
+    "struct cm_icap_read": p.ICAP_READ,
     "struct cm_icap_status": p.ICAP_STATUS,
     "struct cm_icap_completion": p.ICAP_COMPLETION,
     "struct gpiochip_info": p.GPIO_CHIP_INFO,
@@ -52,6 +53,8 @@ FIELDS = {
     "struct cm_dma_completion": "cookie length timestamp_ns sequence status flags",
     "struct cm_icap_info": "size flags word_bits clock_hz max_length idcode caps",
     "struct cm_icap_load": "size flags handle reserved offset length cookie",
+    "struct cm_icap_read": "size flags handle reserved request_offset request_length reply_offset reply_length"
+    " closing_offset closing_length cookie",
     "struct cm_icap_status": "size flags state errors bytes_done bytes_total loads",
     "struct cm_icap_completion": "cookie length started_ns finished_ns status errors",
 }
@@ -82,6 +85,8 @@ NUMBERS = {
     "CM_ICAP_ERR_NOSYNC": p.ERR_NOSYNC,
     "CM_ICAP_ERR_PORT": p.ERR_PORT,
     "CM_ICAP_ERR_TIMEOUT": p.ERR_TIMEOUT,
+    "CM_ICAP_CAP_READ": p.ICAP_CAP_READ,
+    "CM_ICAP_READ_SIZE_VER0": p.ICAP_READ.size,
     "CM_ICAP_STATE_ERROR": p.STATE_ERROR,
     **{f"CM_{name}": getattr(p, name) for name in dir(p) if name.startswith(("DMA_IOC_", "ICAP_IOC_"))},
 }

@@ -47,6 +47,7 @@ DMA_COMPLETION = struct.Struct("<QQQQiI")  # cookie, length, timestamp_ns, seque
 
 ICAP_INFO = struct.Struct("<IIIIQII")  # size, flags, word_bits, clock_hz, max_length, idcode, caps
 ICAP_LOAD = struct.Struct("<IIIIQQQ")  # size, flags, handle, reserved, offset, length, cookie
+ICAP_READ = struct.Struct("<IIIIQQQQQQQ")  # size, flags, handle, reserved, offset and length of three parts, cookie
 ICAP_STATUS = struct.Struct("<IIIIQQQ")  # size, flags, state, errors, bytes_done, bytes_total, loads
 ICAP_COMPLETION = struct.Struct("<QQQQiI")  # cookie, length, started_ns, finished_ns, status, errors
 
@@ -84,6 +85,7 @@ ICAP_IOC_IMPORT = ioc(_RW, MAGIC, 0x22, BUFFER_IMPORT.size)
 ICAP_IOC_FREE = ioc(_WRITE, MAGIC, 0x23, BUFFER_FREE.size)
 ICAP_IOC_LOAD = ioc(_WRITE, MAGIC, 0x24, ICAP_LOAD.size)
 ICAP_IOC_STATUS = ioc(_RW, MAGIC, 0x25, ICAP_STATUS.size)
+ICAP_IOC_READ = ioc(_WRITE, MAGIC, 0x26, ICAP_READ.size)
 
 WINDOW_GRANT = struct.Struct("<IIQQIi")  # size, flags, address, length, id, fd
 WINDOW_REVOKE = struct.Struct("<IIQQII")  # size, flags, address, length, id, count
@@ -113,6 +115,7 @@ STATE_IDLE, STATE_LOADING, STATE_ERROR = 0, 1, 2
 ERR_CRC, ERR_ID, ERR_DMA, ERR_TIMEOUT, ERR_NOSYNC, ERR_PORT = 1, 2, 4, 8, 16, 32
 ICAP_CAP_STATUS = 1
 ICAP_CAP_DENIED = 2
+ICAP_CAP_READ = 4
 
 
 def unpack(form: struct.Struct, payload: bytes) -> tuple[int, ...]:
