@@ -9,12 +9,13 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from design import Design
 from netlist_simulation import Simulation
 from routed import HERE, Routed
 
 from cm.design.packages.fetch import PackageTree
 from cm.formats.bitstream import device_by_name, to_dma_words
-from cm.formats.xray import Wires, decode
+from cm.formats.xray import Feature, Wires, bits_of, decode, volatile_bits
 from cm.formats.xray.frames import words
 from cm.simulation.bits import Boundary, FlipFlop, LutMemory, Netlist, Port, extract, verilog
 from cm.simulation.bits.memory import FrameMemory
@@ -49,6 +50,26 @@ def test_everything_that_the_module_is_made_of_is_found(netlist: Netlist) -> Non
     assert {cell.synchronous for cell in stores} == {True, False}
     assert {cell.value for cell in stores} == {cell.init for cell in stores} == {True, False}
     assert {(cell.shifts, cell.small) for cell in tables} == {(False, True), (True, True), (True, False)}
+
+
+def test_the_tables_that_nextpnr_made_memories_of_are_what_changes_by_itself(routed: Routed) -> None:
+    database = routed.database
+    cells = Design(routed.netlist, routed.routes).cells.values()
+    placed = {
+        (cell.tile, cell.element[0]) for cell in cells if re.match("RAM|SRL", cell.kind) and "LUT" in cell.element
+    }
+    masks = volatile_bits(database, routed.frames)
+    found = set()
+    for tile in database.tiles.values():
+        for letter in "ABCD" if tile.kind.startswith("CLBLM") else "":
+            places = [bits_of(database, Feature(tile.name, f"SLICEM_X0.{letter}LUT.INIT[{bit}]")) for bit in range(64)]
+            values = {(masks.get(far) or 0) >> at & 1 for place in places for (far, at), _ in place or []}
+            if values == {1}:
+                found.add((f"X{tile.x}Y{tile.y}", letter))
+            else:
+                assert values == {0}
+    assert found == placed
+    assert len(placed) > 5
 
 
 def test_it_does_what_its_verilog_does_cycle_by_cycle(netlist: Netlist, tmp_path: Path) -> None:

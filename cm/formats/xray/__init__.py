@@ -28,6 +28,7 @@ from cm.formats.xray.frames import to_bytes as to_bytes
 from cm.formats.xray.frames import with_ecc as with_ecc
 from cm.formats.xray.tiles import Segment as Segment
 from cm.formats.xray.tiles import Tile as Tile
+from cm.formats.xray.volatile import volatile_bits as volatile_bits
 from cm.formats.xray.wires import Pip as Pip
 from cm.formats.xray.wires import SitePins as SitePins
 from cm.formats.xray.wires import Wires as Wires

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import random
 import struct
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -22,6 +23,7 @@ from cm.formats.xray import (
     Database,
     DatabaseMissing,
     Feature,
+    Tile,
     Wires,
     XrayError,
     decode,
@@ -32,6 +34,7 @@ from cm.formats.xray import (
     read_features,
     set_bits,
     to_bytes,
+    volatile_bits,
     with_ecc,
 )
 
@@ -138,6 +141,58 @@ def test_a_tile_described_as_another_kind_has_its_bits_where_bitread_sees_them(
     assert given <= decode(database, frames).features
     read = read_bits(tree, "xc7z010", assemble("xc7z010", runs_of(frames)), tmp_path)
     assert {word for _, word, _ in read} <= {0, 1}
+
+
+def places_of(database: Database, tile: str, names: str) -> set[tuple[int, int]]:
+    """Where the features of a tile that begin so have their bits."""
+    (segment,) = (one for one in database.tiles[tile].segments if one.block == "CLB_IO_CLK")
+    found = database.segbits(segment.kind).features.items()
+    bits = (bit for name, bits in found if name.startswith(names) for bit in bits)
+    return {(segment.base + bit.frame, bit.position + segment.shift) for bit in bits}
+
+
+def masked(masks: Mapping[int, int | None]) -> set[tuple[int, int]]:
+    return {(address, at) for address, mask in masks.items() for at in set_bits(mask or 0)}
+
+
+def column(tile: Tile) -> dict[int, int]:
+    (segment,) = (one for one in tile.segments if one.block == "CLB_IO_CLK")
+    return dict.fromkeys(range(segment.base, segment.base + segment.frames), 0)
+
+
+@pytest.mark.parametrize("use", ["RAM", "SRL"])
+def test_contents_of_tables_are_volatile_where_the_frames_say_that_they_are_memory(tree: PackageTree, use: str) -> None:
+    database = Database.open("xc7z010", tree.path(DATABASE))
+    name = next(name for name, tile in database.tiles.items() if tile.kind == "CLBLM_R")
+    frames = column(database.tiles[name])
+    before = masked(volatile_bits(database, frames))
+    assert not before & places_of(database, name, "SLICEM_X0.BLUT")
+    table = {Feature(name, f"SLICEM_X0.BLUT.{use}"), Feature(name, "SLICEM_X0.ALUT.INIT[0]")}
+    after = masked(volatile_bits(database, frames | encode(database, table).frames))
+    assert after - before == places_of(database, name, "SLICEM_X0.BLUT.INIT[")
+    assert len(after - before) == 64
+
+
+def test_what_a_register_begins_with_is_volatile_as_a_capture_overwrites_it(tree: PackageTree) -> None:
+    database = Database.open("xc7z010", tree.path(DATABASE))
+    name = next(name for name, tile in database.tiles.items() if tile.kind == "CLBLL_L")
+    found = masked(volatile_bits(database, column(database.tiles[name])))
+    begins = [f"SLICEL_X{side}.{letter}{ff}.ZINI" for side in "01" for letter in "ABCD" for ff in ("FF", "5FF")]
+    assert {bit for begin in begins for bit in places_of(database, name, begin)} < found
+    assert len(found) == 16 * 50  # sixteen registers in each of fifty tiles, and nothing else
+
+
+def test_contents_of_block_ram_are_volatile_and_its_settings_are_not(tree: PackageTree) -> None:
+    database = Database.open("xc7z010", tree.path(DATABASE))
+    settings, contents = 0xB00, 0x800100
+    masks = volatile_bits(database, {settings: 0, contents: 0})
+    assert masks == {settings: 0, contents: (1 << 3232) - 1}
+
+
+def test_frames_that_the_database_does_not_know_cannot_be_judged(tree: PackageTree) -> None:
+    """The XADC has bits in this column and none in the database; there is no column 0x7F."""
+    database = Database.open("xc7z010", tree.path(DATABASE))
+    assert volatile_bits(database, {0x1100: 0, 0x3F80: 0, 0x900: 0}) == {0x1100: None, 0x3F80: None, 0x900: 0}
 
 
 def test_wires_of_one_node_are_joined_over_tiles(tree: PackageTree) -> None:
