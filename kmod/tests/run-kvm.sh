@@ -45,7 +45,7 @@ trap 'rm -rf "$root" "$root.cpio.gz"' EXIT
 
 # whether the kernel says anything under KVM: where it is there and broken, a guest says nothing for ever
 kvm_works() {
-	[ -w /dev/kvm ] || return 1
+	[ -w "${KVM:-/dev/kvm}" ] || return 1
 	timeout -k 1 "${KVM_PATIENCE:-20}" qemu-system-x86_64 -accel kvm -cpu host -m 512 -nodefaults -display none \
 		-no-reboot -serial "file:$root/probe" -kernel "$kernel" \
 		-append "console=ttyS0 earlyprintk=ttyS0 panic=-1" </dev/null >/dev/null 2>&1 &
