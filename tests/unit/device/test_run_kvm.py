@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 SCRIPT = Path(__file__).parents[3] / "kmod/tests/run-kvm.sh"
-# Under KVM it writes nothing for ever, or boots; emulated it boots. The probe's serial port is a file, the guest's stdout.
+# Under KVM it says nothing for ever, or boots; emulated it boots. The serial port of the probe is a file.
 QEMU = """#!/bin/sh
 echo "$*" >>"$CALLS"
 case "$*" in *"-accel kvm"*) [ "$KVM_IS" = good ] || exec sleep 600;; esac
