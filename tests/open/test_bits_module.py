@@ -15,10 +15,10 @@ from routed import HERE, Routed
 
 from cm.design.packages.fetch import PackageTree
 from cm.formats.bitstream import device_by_name, to_dma_words
+from cm.formats.bitstream.memory import FrameMemory
 from cm.formats.xray import Feature, Wires, bits_of, decode, volatile_bits
 from cm.formats.xray.frames import words
 from cm.simulation.bits import Boundary, FlipFlop, LutMemory, Netlist, Port, extract, verilog
-from cm.simulation.bits.memory import FrameMemory
 
 pytestmark = pytest.mark.timeout(600)
 PORTS = (Port("clk", 1, True), Port("a", 8, True), Port("y", 8, False))

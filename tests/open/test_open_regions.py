@@ -22,10 +22,10 @@ from cm.design.openflow.place import Files, read_side
 from cm.design.openflow.tools import Tools, fetched
 from cm.design.plan.system import System
 from cm.formats.bitstream import device_by_name
+from cm.formats.bitstream.memory import FrameMemory
 from cm.formats.xray import Database, decode, from_bytes, set_bits
 from cm.formats.xray.frames import ECC_MASK
 from cm.simulation.bits.main import streams_of
-from cm.simulation.bits.memory import FrameMemory
 from cm.tools.testing.served import Served
 
 pytestmark = pytest.mark.timeout(1500)  # the first of them runs the flow

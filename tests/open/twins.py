@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 from cm.design.openflow.layout import layouts
 from cm.formats.bitstream import device_by_name
+from cm.formats.bitstream.memory import FrameMemory
 from cm.formats.xray import Database, Feature, Wires, decode
 from cm.simulation.bits import Boundary, Netlist, Port, extract, verilog
 from cm.simulation.bits.cells import Lut
 from cm.simulation.bits.main import collected, streams_of
-from cm.simulation.bits.memory import FrameMemory
 from cm.simulation.bits.regions import Place
 from cm.simulation.rtl.design import RtlDesign, load_rtl_design
 

@@ -14,11 +14,12 @@ from cm.design.openflow.layout import Layout, layouts
 from cm.design.plan.system import System
 from cm.errors import CmError
 from cm.formats.bitstream import device_by_name
+from cm.formats.bitstream.memory import FrameMemory
 from cm.formats.xray import Database, Wires, decode
 from cm.frozen import dataclass
 from cm.simulation.bits.cells import Netlist
+from cm.simulation.bits.errors import BitsError
 from cm.simulation.bits.extract import Boundary, extract
-from cm.simulation.bits.memory import BitsError, FrameMemory
 from cm.simulation.bits.verilog import Port, verilog
 from cm.simulation.rtl.compile import Unit, Watched, compile_units
 from cm.simulation.rtl.running_design import Library
@@ -70,7 +71,7 @@ class LoadedBits:
 
     @classmethod
     def of(cls, system: System, tools: Tools, watched: Watched, folder: Path) -> LoadedBits:
-        """Of a design, with no frames yet. BitsError, XrayError where its device is not known."""
+        """Of a design, with no frames yet. BitstreamError, XrayError where its device is not known."""
         device = device_by_name(system.device)
         if device is None:
             raise BitsError(f"{system.device} is not a device that bitstreams are known of")

@@ -11,9 +11,10 @@ from bitstream_support import FRAME_BYTES, HERE, bit, frames, two_sections
 from cm.formats.bitstream import FrameAddress, FrameRun, SharedFrame, assemble, convert, device_by_name, open_image
 from cm.formats.bitstream.container import Container
 from cm.formats.bitstream.devices import Family
+from cm.formats.bitstream.errors import BadPacket
 from cm.formats.bitstream.geometry import encode_far
+from cm.formats.bitstream.memory import FrameMemory
 from cm.formats.bitstream.packets import FrameWrite, frame_writes
-from cm.simulation.bits.memory import BitsError, FrameMemory
 
 FAR, FDRI, CMD, DESYNC = 0x30002001, 0x30004000, 0x30008001, 13
 
@@ -88,7 +89,7 @@ def test_two_frames_after_a_row_are_discarded() -> None:
 
 
 def test_an_address_that_the_device_does_not_have_is_refused() -> None:
-    with pytest.raises(BitsError, match="frame address 0x"):
+    with pytest.raises(BadPacket, match="frame address 0x"):
         memory().load(
             bytes(convert(assemble("xc7z020", [FrameRun(FrameAddress(0, 0, 127), frames(2))]), Container.BIN_SWAPPED))
         )

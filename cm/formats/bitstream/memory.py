@@ -4,48 +4,45 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from struct import pack, unpack
 
-from cm.errors import CmError
 from cm.formats.bitstream.container import Container, Image
 from cm.formats.bitstream.devices import Device, Family
+from cm.formats.bitstream.errors import BadPacket, UnknownDevice
 from cm.formats.bitstream.geometry import FrameAddress, Row, decode_far, encode_far, geometry_of
 from cm.formats.bitstream.packets import frame_writes
-from cm.formats.xray.frames import WORDS
+from cm.formats.xray.frames import BYTES, from_bytes
 
-
-class BitsError(CmError):
-    """Frames cannot be simulated; the text says which configured feature is not understood."""
-
-    code = "bits_error"
-
-
-_SIZE = 4 * WORDS  # bytes
 _PADS = 2  # frames after each row that belong to no column
 _IN_ROWS = (0, 1)  # block types of frames that belong to a place: logic and routing, contents of block RAM
 
 
 class FrameMemory:
-    """Frames by their address (FAR), as `cm.formats.xray` has them."""
+    """Frames by their address (FAR), as `cm.formats.xray` has them: numbers."""
 
     def __init__(self, device: Device) -> None:
+        """Raises UnknownDevice for one that is not of the 7 series, or whose columns are not known."""
         geometry = geometry_of(device.name)
         if device.family is not Family.SERIES7 or geometry is None:
-            raise BitsError(f"{device.name}: the frames of its columns are not known, so its bits cannot be run")
+            raise UnknownDevice(f"{device.name}: the frames of its columns are not known")
         self.frames: dict[int, int] = {}
         self._order = list(_addresses(geometry.rows, device.family))
         self._place = {address: number for number, address in enumerate(self._order) if address is not None}
 
     def load(self, stream: bytes) -> set[int]:
-        """Take a bitstream as it is in memory for DMA (``66 55 99 AA``); returns the addresses of the frames it wrote.
+        """Take a bitstream as it is in memory for DMA (``66 55 99 AA``), otherwise as `take`."""
+        return self.take(
+            Image(Container.BIN_SWAPPED, None, memoryview(stream)[: len(stream) // 4 * 4], 0, swapped=True)
+        )
 
-        It is expected to be good: the simulated port has refused all others.
+    def take(self, image: Image) -> set[int]:
+        """Take a bitstream that has been found good; returns the addresses of the frames it wrote.
+
+        Raises BadPacket for a frame address that the device does not have.
         """
-        image = Image(Container.BIN_SWAPPED, None, memoryview(stream)[: len(stream) // 4 * 4], 0, swapped=True)
         written: set[int] = set()
         held = 0
         for write in frame_writes(image):
-            frames = [_number(write.data[at : at + _SIZE]) for at in range(0, len(write.data), _SIZE)]
+            frames = [from_bytes(write.data[at : at + BYTES]) for at in range(0, len(write.data), BYTES)]
             # The last frame of a run stays in the port: it pushes out the one before, and is what MFWR repeats.
             held = frames[-1] if frames else held
             for address, frame in self._placed(write.far, frames[:-1] or [held] * write.repeated):
@@ -58,16 +55,11 @@ class FrameMemory:
         if decode_far(far, Family.SERIES7).block_type not in _IN_ROWS:
             return  # Vivado's bitstreams write some; none of the database's features lies there
         if far not in self._place:
-            raise BitsError(f"frame address 0x{far:08x} does not exist in this device")
+            raise BadPacket(f"frame address 0x{far:08x} does not exist in this device")
         begin = self._place[far]
         for address, frame in zip(self._order[begin:], frames, strict=False):
             if address is not None:
                 yield address, frame
-
-
-def _number(frame: bytes) -> int:
-    """A frame as `cm.formats.xray` has it: word n from bit 32·n on."""
-    return int.from_bytes(pack(f"<{WORDS}I", *unpack(f">{WORDS}I", frame)), "little")
 
 
 def _addresses(rows: Mapping[tuple[int, int], Row], family: Family) -> Iterator[int | None]:
