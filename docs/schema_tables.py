@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write the tables of keys in ``schema.md`` from the JSON Schema: ``python docs/schema_tables.py``."""
+"""Write the tables of keys in ``schema-keys.md`` from the JSON Schema: ``python docs/schema_tables.py``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 DOCS = Path(__file__).parent
-PAGE = DOCS / "schema.md"
+PAGE = DOCS / "schema-keys.md"
 SCHEMA = DOCS.parent / "cm" / "schema" / "data" / "runtime.schema.json"
 BEGIN = "<!-- made by docs/schema_tables.py: begin -->\n"
 END = "<!-- made by docs/schema_tables.py: end -->\n"
@@ -53,7 +53,7 @@ def _section(title: str, shape: dict[str, Any], definitions: dict[str, Any]) -> 
     required = shape.get("required", ())
     rows = [_row(key, value, key in required, definitions) for key, value in shape["properties"].items()]
     head = ["| key | value | default | meaning |", "|---|---|---|---|"]
-    return "\n".join([f"### `{title}`", "", shape["description"], "", *head, *rows, ""])
+    return "\n".join([f"## `{title}`", "", shape["description"], "", *head, *rows, ""])
 
 
 def _row(key: str, value: dict[str, Any], required: bool, definitions: dict[str, Any]) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Packets of the local data plane (csrc/client/cm_plane_wire.h, docs/streams.md), without sockets."""
+"""Packets of the local data plane (csrc/client/cm_plane_wire.h, docs/protocol.md), without sockets."""
 
 from __future__ import annotations
 

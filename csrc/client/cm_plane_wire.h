@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * What travels on the socket "data" in the runtime folder (docs/streams.md).
+ * What travels on the socket "data" in the runtime folder (docs/protocol.md, The data socket).
  *
  * A Unix SOCK_SEQPACKET socket; one connection is one reader or writer of one
  * stream.  Every packet begins with a struct cm_plane_descriptor, in the byte

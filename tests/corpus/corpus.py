@@ -3,7 +3,7 @@
 
     python tests/corpus/corpus.py FOLDER            # one folder below for each repository (owner+name)
     python tests/corpus/corpus.py FOLDER --update   # write the list of verdicts anew
-    python tests/corpus/corpus.py FOLDER --table    # the table of docs/bitstreams.md
+    python tests/corpus/corpus.py FOLDER --table    # the table of README.md
 
 The files themselves are nobody's to pass on: the list holds their sha256, what is expected, and where
 they were found. A repository is a clone, or its files with `COMMIT` (hash and date) beside them.

@@ -3,7 +3,7 @@
 
 They are strict enough that no single flipped bit between the first sync word and the last DESYNC of
 a stream with CRCs gets through: what a CRC does not cover (before RCRC, after the last CRC, NOPs,
-padding, headers) may only be what real tools write there. `docs/bitstreams.md` gives the argument.
+padding, headers) may only be what real tools write there. `docs/decisions/bitstreams-are-read.md` gives the argument.
 """
 
 from __future__ import annotations

@@ -94,7 +94,7 @@ class Gate:
         """The id of a new connection; None for a client that may do nothing at all.
 
         The socket for publications admits only clients that may look at everything: ZeroMQ selects by prefix, and has
-        no safe way to refuse one prefix to one subscriber (docs/security.md).
+        no safe way to refuse one prefix to one subscriber (docs/promises.md).
         """
         transport, _, publishes = domain.partition(" ")
         address = address.removeprefix("::ffff:")  # IPv4 at a socket for both

@@ -192,7 +192,7 @@ def _two_inputs() -> StreamPolicy:
 
 
 def test_the_documentation_shows_the_table() -> None:
-    page = Path(__file__).resolve().parents[3] / "docs" / "streams.md"
+    page = Path(__file__).resolve().parents[3] / "docs" / "decisions" / "frames-as-descriptors.md"
     lines = ["stateDiagram-v2", "    [*] --> closed"]
     lines += [f"    {a.value} --> {b.value}: {event.value}" for (a, event), b in TRANSITIONS.items() if a is not b]
     assert "\n".join(lines) + "\n" in page.read_text(encoding="utf-8")
