@@ -5,11 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from cm.formats.bitstream.container import Container, Image
-from cm.formats.bitstream.devices import Device, Family
+from cm.formats.bitstream.container import Container, Image, Source, open_image
+from cm.formats.bitstream.devices import Device, Family, device_by_idcode
 from cm.formats.bitstream.errors import BadPacket, UnknownDevice
 from cm.formats.bitstream.geometry import FrameAddress, Row, decode_far, encode_far, geometry_of
+from cm.formats.bitstream.inspect import inspect
 from cm.formats.bitstream.packets import frame_writes
+from cm.formats.bitstream.verify import Expectation, verify
 from cm.formats.xray.frames import BYTES, from_bytes
 
 _PADS = 2  # frames after each row that belong to no column
@@ -70,3 +72,18 @@ def _addresses(rows: Mapping[tuple[int, int], Row], family: Family) -> Iterator[
             for minor in range(found.frames(column)):
                 yield encode_far(FrameAddress(block_type, row, column, minor), family)
         yield from [None] * _PADS
+
+
+def frames_in(source: Source) -> tuple[Device, dict[int, int]]:
+    """Return the device of a bitstream, and the frames that it writes, by their address.
+
+    Raises the bitstream's first refusal; UnknownDevice as `FrameMemory` does.
+    """
+    report = inspect(source)
+    verify(report, Expectation())
+    device = device_by_idcode(report.idcode) if report.idcode is not None else None
+    if device is None:
+        raise UnknownDevice(f"{report.device or 'a device without an IDCODE'}: its frames are not known")
+    memory = FrameMemory(device)
+    written = memory.take(open_image(source))
+    return device, {address: memory.frames[address] for address in sorted(written)}

@@ -18,6 +18,7 @@ from xray_oracle import DATABASE, frames_read, part, read_bits, run
 from cm.design.packages import PackagesUnavailable, PackageTree, fetch
 from cm.formats.bitstream import FrameRun, assemble
 from cm.formats.bitstream.devices import Family
+from cm.formats.bitstream.fabric import fabric
 from cm.formats.bitstream.geometry import decode_far
 from cm.formats.xray import (
     Database,
@@ -193,6 +194,19 @@ def test_frames_that_the_database_does_not_know_cannot_be_judged(tree: PackageTr
     """The XADC has bits in this column and none in the database; there is no column 0x7F."""
     database = Database.open("xc7z010", tree.path(DATABASE))
     assert volatile_bits(database, {0x1100: 0, 0x3F80: 0, 0x900: 0}) == {0x1100: None, 0x3F80: None, 0x900: 0}
+
+
+def test_the_database_knows_kinds_of_columns_and_the_tiles_of_each_row(tree: PackageTree) -> None:
+    database = Database.open("xc7z010", tree.path(DATABASE))
+    starts = (0xC80, 0x1380, 0x1400, 0x1480, 0x1500, 0x1B80)
+    columns = {column.address: column for column in fabric(dict.fromkeys(starts, 0), database)}
+    kinds = ["DSP", "clock spine", "CLB", "CLB with memory", "block RAM", "I/O"]
+    assert [columns[start].kind for start in starts] == kinds
+    names = columns[0x1480].names
+    assert [names[row] for row in (0, 49)] == ["CLBLM_R_X17Y50, INT_R_X17Y50", "CLBLM_R_X17Y99, INT_R_X17Y99"]
+    assert [columns[0x1500].names[row].partition(",")[0] for row in (0, 4, 5)] == ["BRAM_L_X18Y50"] * 2 + [
+        "BRAM_L_X18Y55"
+    ]
 
 
 def test_wires_of_one_node_are_joined_over_tiles(tree: PackageTree) -> None:
