@@ -23,12 +23,18 @@ _MEMORY = re.compile(r"""\$readmem[hb]\s*\(\s*"([^"\n]+)\"""")
 _INIT_FILE = re.compile(r"""file_open\s*\([^;]*?"([^"\n]+)\"""", re.IGNORECASE)
 
 
+def library(system: System) -> list[Path]:
+    """The library's files for a static part: what it does not ask for would change the identity of others."""
+    found = sorted(RTL.glob("*.v"))
+    return [*found, RTL / "readback/cm_icap_read.v"] if system.readback else found
+
+
 def static_files(system: System, out: Path) -> dict[str, Any]:
     """Sources of the static part by language, its constraints and include folders."""
     spec = system.project.static
     generated = [out / "hdl/cm_top.v", out / "hdl/cm_static.v"]
     generated += [out / f"hdl/{region.module}.v" for region in system.regions]
-    generated += [out / f"hdl/lib/{path.name}" for path in sorted(RTL.glob("*.v"))]
+    generated += [out / f"hdl/lib/{path.name}" for path in library(system)]
     constraints = [out / "constraints/static.xdc", out / "constraints/pins.xdc", *spec.constraints]
     return by_language([*generated, *spec.sources]) | {
         "constraints": constraints,
@@ -40,9 +46,9 @@ def static_files(system: System, out: Path) -> dict[str, Any]:
 def module_files(one: Implementation, out: Path) -> dict[str, Any]:
     """Sources of a module in its wrapper, with its macros and include folders."""
     module = one.module
-    library = [out / f"hdl/lib/{path.name}" for path in sorted(RTL.glob("cm_axi_slave_decoupler*.v"))]
+    own = [out / f"hdl/lib/{path.name}" for path in sorted(RTL.glob("cm_axi_slave_decoupler*.v"))]
     flat = [out / f"wrappers/{one.name}/{module.flat[0]}"] if module.flat else []
-    sources = by_language([out / f"wrappers/{one.name}/{one.region.module}.v", *library, *module.sources, *flat])
+    sources = by_language([out / f"wrappers/{one.name}/{one.region.module}.v", *own, *module.sources, *flat])
     defines = [name if value == "1" else f"{name}={value}" for name, value in module.defines.items()]
     include_dirs = list(dict.fromkeys([*module.include_dirs, *(path.parent for path in sources["header"])]))
     context: dict[str, Any] = {"name": one.name, "module": module, "region": one.region}
@@ -121,7 +127,7 @@ def _content(system: System, path: Path, out: Path, texts: Mapping[str, str]) ->
     if name in texts:
         return f"generated {name}", texts[name].encode()
     if name.startswith("hdl/lib/"):
-        path = RTL / path.name
+        path = next(found for found in library(system) if found.name == path.name)
         return f"library {path.name}", path.read_bytes()
     name = Path(os.path.relpath(path, system.project.folder)).as_posix()
     return f"given {name}", path.read_bytes() if path.is_file() else b"missing"

@@ -50,7 +50,7 @@ def render_identified(system: System, out: Path, answers: Answers) -> dict[str, 
     """As `render_all`, of a system that has the identity of its static part."""
     renderer = _renderer(system, out)
     files = {output.path: renderer.render(output.template, output.context) for output in _hardware(system, out)}
-    for path in sorted(inputs.RTL.glob("*.v")):
+    for path in inputs.library(system):
         files[f"hdl/lib/{path.name}"] = path.read_text(encoding="utf-8")
     for name, template, context in software_outputs(system, answers):
         files[name] = renderer.render(template, context)

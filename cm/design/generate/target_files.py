@@ -158,7 +158,7 @@ class _DeviceTree:
     @property
     def streams(self) -> list[tuple[Dma, ...]]:
         """Channels of streams, in groups as large as the node's binding allows."""
-        found = [dma for dma in self._system.dmas if dma is not self._system.icap]
+        found = [dma for dma in self._system.dmas if dma not in (self._system.icap, self._system.readback)]
         return [tuple(found[start : start + CHANNELS]) for start in range(0, len(found), CHANNELS)]
 
     def firmware(self, one: Implementation) -> bool:

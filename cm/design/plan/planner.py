@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 from cm.design.boundary.model import Boundary
 from cm.design.errors import BuildError
@@ -14,7 +15,7 @@ from cm.design.plan.connections import RegionPlanner
 from cm.design.plan.dma_engines import Dma
 from cm.design.plan.frames import check_frames
 from cm.design.plan.minimal_runs import Cover, check_shells, cover, first_run
-from cm.design.plan.streams import crowding, place
+from cm.design.plan.streams import READBACK, crowding, place
 from cm.design.plan.switch import own_streams, plan_switch, switch_width
 from cm.design.plan.system import (
     Domain,
@@ -50,7 +51,7 @@ class _Planner:
         self._check_coherence()
         check_shells(project, self._platform)
         control = self._addresses.control(main)
-        icap = self._icap(main)
+        port = self._port(main)
         width = switch_width(project, _switched(project, boundaries))
         planner = RegionPlanner(project, self._addresses, width)
         regions = tuple(
@@ -62,7 +63,7 @@ class _Planner:
             message = f"the modules have {planner.bits} interrupts, the concentrator holds {MAX_INTERRUPTS}"
             raise BuildError(f"{message}: connect some to external or none")
         own = own_streams(project, width) if project.switch else ()
-        regions, own, icap = place(project, regions, own, icap, self._addresses, self._platform.irq_count)
+        regions, own, port = place(project, regions, own, port, self._addresses, self._platform.irq_count)
         self._notes += crowding(regions, own, self._platform.irq_count)
         switch = self._switch(regions, own)
         check_frames(project, regions, switch)
@@ -74,12 +75,13 @@ class _Planner:
             regions=regions,
             domains=self._domains(),
             control=control,
-            icap=icap,
+            icap=port[0] if port else None,
             implementations=tuple(self._implementations(regions)),
             runs=tuple(self._names(run) for run in covered.runs),
             cover=covered,
             notes=tuple(self._notes),
             switch=switch,
+            readback=port[1] if len(port) > 1 else None,
         )
 
     def _switch(self, regions: tuple[RegionPlan, ...], own: tuple[StreamBus, ...]) -> SwitchPlan | None:
@@ -100,15 +102,21 @@ class _Planner:
                 "(0xff41a040) before the processors start, which an [init] file of bootgen can do (UG1085)"
             )
 
-    def _icap(self, clock: str) -> Dma | None:
+    def _port(self, clock: str) -> tuple[Dma, ...]:
+        """Return the channels of the configuration port: none, that to it, or that and the one back."""
+        back = self._project.static.readback
         if not any(region.loader in (LoaderKind.ICAP, LoaderKind.AUTO) for region in self._project.regions.values()):
-            return None
+            if back:
+                message = "no region is loaded through the ICAP, so there is nothing that could be read back"
+                raise fault(self._project.source, ("static", "readback"), message, "give a region loader: icap")
+            return ()
         rate, limit = self._project.clocks[clock].rate, self._platform.icap_rate_max
         if rate > limit:
             message = f"the ICAP runs on {clock} at {rate} Hz; {self._platform.name} allows {limit} Hz"
             hint = "list a slower clock first, or give regions another loader"
             raise fault(self._project.source, ("clocks", clock, "rate"), message, hint)
-        return Dma("icap", Direction.MM2S, Window("", 0, 0), -1, clock, 32)
+        sends = Dma("icap", Direction.MM2S, Window("", 0, 0), -1, clock, 32)
+        return (sends, replace(sends, name=READBACK, direction=Direction.S2MM, engine="icap")) if back else (sends,)
 
     def _domains(self) -> tuple[Domain, ...]:
         domains: list[Domain] = []

@@ -27,6 +27,7 @@ _NAMES = {
     EngineKind.MCDMA: "AXI MCDMA (PG288)",
     EngineKind.VDMA: "AXI VDMA (PG020)",
 }
+READBACK = "icap_read"  # the channel from the configuration port to memory
 _NOWHERE = Window("", 0, 0)
 
 
@@ -85,11 +86,12 @@ def place(
     project: Project,
     regions: tuple[RegionPlan, ...],
     own: tuple[StreamBus, ...],
-    icap: Dma | None,
+    port: tuple[Dma, ...],
     addresses: Allocator,
     lines: int,
-) -> tuple[tuple[RegionPlan, ...], tuple[StreamBus, ...], Dma | None]:
-    """Return the regions, the switch's streams and the configuration port with engines, registers and interrupt lines.
+) -> tuple[tuple[RegionPlan, ...], tuple[StreamBus, ...], tuple[Dma, ...]]:
+    """Return the regions, the switch's streams and the channels of the configuration port, which share an engine, with
+    engines, registers and interrupt lines.
 
     `lines`: how many the PL has; line 0 belongs to the control registers, and no driver may share it.
     """
@@ -103,18 +105,19 @@ def place(
     groups: dict[str, list[_Member]] = {}
     for member in buses:
         groups.setdefault(member.dma.engine, []).append(member)
-    if icap:
-        icap = replace(icap, window=addresses.dma(icap.name, _NAMES[icap.kind]), line=1)
+    if port:
+        window = addresses.dma(port[0].name, _NAMES[port[0].kind])
+        port = tuple(replace(dma, window=window, line=1 + index) for index, dma in enumerate(port))
     placed: dict[str, Dma] = {}
     for name, members in groups.items():
         kind = _kind(project, name, members)
         window = addresses.dma(name, _NAMES[kind])
         placed |= {dma.name: replace(dma, window=window, kind=kind) for dma in _channels(members, kind)}
     order = [placed[member.bus.name] for member in buses]
-    for dma, line in zip(order, _lines(order, 1 + bool(icap), lines), strict=True):
+    for dma, line in zip(order, _lines(order, 1 + len(port), lines), strict=True):
         placed[dma.name] = replace(dma, line=line)
     found = tuple(replace(region, streams=_with(region.streams, placed)) for region in regions)
-    return found, _with(own, placed), icap
+    return found, _with(own, placed), port
 
 
 @dataclass(frozen=True, slots=True)

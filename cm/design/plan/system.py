@@ -188,6 +188,7 @@ class System:
     cover: Cover
     notes: tuple[str, ...] = ()
     switch: SwitchPlan | None = None
+    readback: Dma | None = None  # what comes back from the configuration port
     static_identity: int = 0  # what the control register STATIC_ID reads; 0: not computed
 
     @property
@@ -198,7 +199,7 @@ class System:
     @property
     def dmas(self) -> tuple[Dma, ...]:
         """All DMA channels, the ICAP's first."""
-        return (*([self.icap] if self.icap else []), *(bus.dma for bus in self.streams if bus.dma))
+        return (*(dma for dma in (self.icap, self.readback) if dma), *(bus.dma for bus in self.streams if bus.dma))
 
     @property
     def streams(self) -> tuple[StreamBus, ...]:

@@ -299,6 +299,7 @@ class _Builder:
             libraries=self._libraries(spec, ("static",)),
             registers=registers(spec),
             coherent=bool(spec.get("coherent")),
+            readback=bool(spec.get("readback")),
             revision=str(spec.get("revision", "")),
             abstract_shells=bool(spec.get("abstract_shells")),
         )

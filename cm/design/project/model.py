@@ -222,6 +222,7 @@ class StaticSpec:
     constraints: tuple[Path, ...] = ()
     registers: Mapping[str, RegisterSpec] = field(default_factory=empty)
     coherent: bool = False
+    readback: bool = False  # the configuration port can be read too
     revision: str = ""  # part of the identity
     abstract_shells: bool = False  # modules beyond the first run are implemented without the static design
 

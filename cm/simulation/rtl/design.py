@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from cm.design.generate.inputs import RTL, module_files
+from cm.design.generate.inputs import RTL, library, module_files
 from cm.design.generate.netlist import Netlist, Signal, concat
 from cm.design.generate.outputs import identified, render_identified
 from cm.design.generate.static_part.module import static_part
@@ -137,7 +137,7 @@ def load_rtl_design(schema: Path, folder: Path) -> RtlDesign:
     _write(folder / "hdl/cm_static_sim.v", renderer.render("module.v.j2", {"net": static}))
     return RtlDesign(
         system,
-        Unit("the static part", static.name, _static_sources(folder), made=folder),
+        Unit("the static part", static.name, _static_sources(system, folder), made=folder),
         {(one.region.name, one.name): _unit(one, folder, renderer) for one in system.implementations},
         tuple(_streams(system)),
         tuple(_outputs(static, system)),
@@ -184,6 +184,8 @@ def _wiring(design: RtlDesign, static: Path, seed: int) -> Iterator[str]:
             yield f"memory m_axi_{region.name}_{bus.interface.name} {clocks.index(region.clock_of(bus.interface))}"
     if system.icap:
         yield f"port axis_icap {clocks.index(system.icap.clock)} 1"
+    if system.readback:
+        yield f"drain axis_{system.readback.name} {clocks.index(system.readback.clock)}"
     for output in design.outputs:
         yield f"output {output.port}"
     for region in system.regions:
@@ -235,8 +237,8 @@ def _outputs(static: Netlist, system: System) -> Iterator[Output]:
                 yield Output(name, region.name, port.name)
 
 
-def _static_sources(folder: Path) -> tuple[Path, ...]:
-    return (folder / "hdl/cm_static_sim.v", *sorted(RTL.glob("*.v")), *sorted(_HDL.glob("*.*v")))
+def _static_sources(system: System, folder: Path) -> tuple[Path, ...]:
+    return (folder / "hdl/cm_static_sim.v", *library(system), *sorted(_HDL.glob("*.*v")))
 
 
 def _unit(one: Implementation, folder: Path, renderer: Renderer) -> Unit:

@@ -328,3 +328,25 @@ def test_a_signal_that_axi4_lite_does_not_have_is_driven_0(tmp_path: Path) -> No
     static = files(design(tmp_path, one=text))["hdl/cm_static.v"]
     assert "s_awpayload" in static
     assert "{4{1'b0}}" in static
+
+
+def test_a_port_that_can_be_read_has_a_channel_back(tmp_path: Path) -> None:
+    before = design(tmp_path, MINIMAL)
+    found = design(tmp_path, MINIMAL + "static: {readback: true}\n")
+    dmas = [(dma.name, dma.engine or dma.name, dma.line) for dma in found.system.dmas[:2]]
+    assert dmas == [("icap", "icap", 1), ("icap_read", "icap", 2)]
+    written = files(found)
+    assert "cm_icap_read #(" in written["hdl/cm_static.v"]
+    assert "hdl/lib/cm_icap_read.v" in written
+    assert "Slave -vlnv xilinx.com:interface:axis_rtl:1.0 axis_icap_read" in written["tcl/block_design.tcl"]
+    assert "dmas = <&cm_dma_icap 0>, <&cm_dma_icap 1>;" in written["dts/small_static.dtso"]
+    assert 'dma-names = "icap", "rx";' in written["dts/small_static.dtso"]
+    assert "icap_read" not in written["config/small.yaml"]
+    # nothing of it is in a design that does not ask for it
+    assert not [name for name, text in files(before).items() if "icap_read" in name + text]
+
+
+def test_what_is_not_loaded_through_the_port_cannot_be_read_through_it(tmp_path: Path) -> None:
+    text = MINIMAL.replace("{pblock: auto}", "{loader: fpga_manager}") + "static: {readback: true}\n"
+    with pytest.raises(BuildError, match=r"static\.readback.*nothing that could be read back"):
+        design(tmp_path, text)

@@ -92,4 +92,8 @@ def _icap(net: Netlist, system: System) -> None:
         connections[f"s_{signal}"] = net.port(f"axis_icap_{signal}", direction, width)
     connections |= {"status": "icap_status", "words": "icap_words"}
     parameters = {"ULTRASCALE": int(system.platform.ultrascale)}
-    net.instance("cm_icap", "icap", connections, parameters, "Configuration port")
+    if system.readback:
+        for signal, direction, width in (("tvalid", OUT, 1), ("tready", IN, 1), ("tdata", OUT, 32), ("tlast", OUT, 1)):
+            connections[f"m_{signal}"] = net.port(f"axis_{system.readback.name}_{signal}", direction, width)
+    kind = "cm_icap_read" if system.readback else "cm_icap"
+    net.instance(kind, "icap", connections, parameters, "Configuration port")

@@ -20,13 +20,14 @@ module ICAPE2 #(
 
     wire [7:0] status;
     wire synced, failed, aborting, prdone;
+    wire [31:0] read;
     cm_config_port core (
         .clk(CLK), .csib(CSIB), .rdwrb(RDWRB), .i(I), .status(status),
-        .synced(synced), .failed(failed), .aborting(aborting), .prdone(prdone)
+        .synced(synced), .failed(failed), .aborting(aborting), .prdone(prdone), .o(read)
     );
     // 0xFFFFFF5B was measured of a device that had refused a load
-    assign O = {24'hFFFFFF, status[7] && !injected, status[6:0]};
-    wire unused = &{ICAP_WIDTH != "X32", synced, failed, aborting, prdone};
+    assign O = RDWRB && !aborting ? read : {24'hFFFFFF, status[7] && !injected, status[6:0]};
+    wire unused = &{ICAP_WIDTH != "X32", synced, failed, prdone};
 endmodule
 
 `default_nettype wire

@@ -21,11 +21,12 @@ module ICAPE3 (
 
     wire [7:0] status;
     wire synced, failed, aborting;
-    cm_config_port core (
+    wire [31:0] read;
+    cm_config_port #(.FRAME_WORDS(93), .PIPELINE(25)) core (
         .clk(CLK), .csib(CSIB), .rdwrb(RDWRB), .i(I), .status(status),
-        .synced(synced), .failed(failed), .aborting(aborting), .prdone(PRDONE)
+        .synced(synced), .failed(failed), .aborting(aborting), .prdone(PRDONE), .o(read)
     );
-    assign O       = RDWRB && aborting ? {24'd0, status} : 32'd0;
+    assign O       = !RDWRB ? 32'd0 : aborting ? {24'd0, status} : read;
     assign AVAIL   = 1'b1;
     assign PRERROR = failed || injected;
     wire unused = &{1'b0, synced};
