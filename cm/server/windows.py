@@ -13,7 +13,7 @@ from contextlib import suppress
 from functools import partial
 
 from cm.errors import Busy, CmError
-from cm.manager.access.windows import EACH, MOST, Loan, WindowRequest
+from cm.manager.access.windows import Loan, WindowRequest
 from cm.manager.errors import HeldBy, ModuleAbsent, NothingLoaded, RegionBusy
 from cm.manager.manager import Manager
 from cm.server.devices import BoardDevices
@@ -24,6 +24,7 @@ from cm.wire.encode import encode_table
 from cm.wire.plane_packets import Open, WindowPages, encode_refused, encode_revoked, encode_window
 
 _LOG = logging.getLogger("cm")
+EACH, MOST = 8, 64  # windows of one process, and of all: each is taken back before a change goes on
 _NOT_YET = (ModuleAbsent, NothingLoaded, RegionBusy, HeldBy)  # what may be over after a change of mode
 
 

@@ -30,7 +30,6 @@ from cm.schema.model import Access, Config, Memory, Mode, Module, Register
 from cm.wire.messages.status import ConfigInfo, RegValues, WindowStatus
 
 STATIC = "static"  # the name of the part outside all regions
-EACH, MOST = 8, 64  # windows of one process, and of all: each is taken back before a change goes on
 _RELEASED, _CALL, _GONE = 0, 1, 4  # why one ended: as `cm.device.WindowEnd`
 _READING = 0.0005  # seconds that reading again may hold up a change; what is left then is not known any more
 
@@ -160,15 +159,13 @@ class Windows:
     def _check(self, place: Place, request: WindowRequest) -> None:
         self._registers.check_region(place.region, f"window {request.name!r}")
         _check_pages(place)
-        with self._lock:
-            loans = tuple(self._loans.values())
-        if sum(loan.request.pid == request.pid for loan in loans) >= EACH or len(loans) >= MOST:
-            raise Busy(f"a process has at most {EACH} windows, all together {MOST}; give one back")
         if request.exclusive and (not request.write or place.region is None):
             raise InvalidRequest("an exclusive window is one for writing, of a region: it goes with a lease on that")
         if not request.write:
             return
         self._leases.check(_scopes(place), request.lease)
+        with self._lock:
+            loans = tuple(self._loans.values())
         others = [x for x in loans if request.exclusive and x.request.write and x.place.region == place.region]
         if others:
             raise HeldBy(f"region {place.region} has a window for writing already, of {others[0].request.client}")
