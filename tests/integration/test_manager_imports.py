@@ -33,7 +33,7 @@ def test_a_manager_that_works_imports_no_arrays_and_no_library_it_does_not_need(
         board.mode = "loopback"
         assert board.mode == "loopback"
     modules = imported(manager.log)
-    assert {"cm.formats.bitstream.inspect", "cm.server.streams.settings", "cm.wire.cm_pb2"} <= modules
+    assert {"cm.formats.bitstream.inspect", "cm.server.streams.channel_setup", "cm.wire.cm_pb2"} <= modules
     assert not modules & HEAVY
     tops = {name.partition(".")[0] for name in modules} - sys.stdlib_module_names - STARTED_WITH - _ELSEWHERE
     assert tops <= LIBRARIES

@@ -19,7 +19,7 @@ from cm.cli.main import main
 from cm.device import AxiDma, DeviceError, DmaCaps
 from cm.errors import InvalidRequest
 from cm.schema.model import Direction, Stream
-from cm.server.streams.settings import setup
+from cm.server.streams.channel_setup import setup
 from cm.simulation.software import Board as SimBoard
 from cm.wire.messages.status import StreamStatus
 

@@ -31,12 +31,12 @@ from cm.server.client_work import Steps
 from cm.server.devices import BoardDevices
 from cm.server.settings.model import USUAL, Limits
 from cm.server.sockets import Loop
+from cm.server.streams.channel_setup import changed, setup
 from cm.server.streams.compression import check_compression
 from cm.server.streams.memory import Allocations, Echoes, MemoryThread
 from cm.server.streams.over_zmq import ZmqReader, ZmqWriter
 from cm.server.streams.peer import Peer
 from cm.server.streams.policy import StreamEvent, StreamPhase, StreamPolicy, Users
-from cm.server.streams.settings import changed, setup
 from cm.server.streams.stream import Done, Frame, Moved, OpenStream, StreamTotals
 from cm.wire.messages.requests import ConfigureStream
 from cm.wire.messages.status import ErrorInfo, StreamStatus

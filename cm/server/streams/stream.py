@@ -21,7 +21,7 @@ from cm.frozen import dataclass
 from cm.manager.reporting import stream_status
 from cm.schema.model import Direction, Stream
 from cm.server.settings.model import USUAL
-from cm.server.streams.settings import frame_bytes, setup
+from cm.server.streams.channel_setup import frame_bytes, setup
 from cm.server.streams.slots import SlotHolders, Slots
 from cm.wire.messages.status import ErrorInfo, FrameInfo, StreamClient, StreamStatus
 from cm.wire.plane_packets import Descriptor, Geometry, encode_geometry, encode_label

@@ -12,7 +12,7 @@ from cm.device import Direction as ChannelDirection
 from cm.device import DmaCaps, DmaInfo, DmaType
 from cm.errors import InvalidRequest
 from cm.schema.model import Direction, Stream
-from cm.server.streams.settings import changed, frame_bytes, setup
+from cm.server.streams.channel_setup import changed, frame_bytes, setup
 from cm.wire.messages.requests import ConfigureStream
 
 READ = Stream("camera", "ch0", Direction.S2MM, shape=(480, 640))
