@@ -27,12 +27,23 @@ _FAULTS = """faults (TARGET, VALUE):
   drop_interrupt   interrupt           the next one does not come
   icap_crc, icap_id, icap_hang         how the next load fails
   icap_stall       '', bytes           the port takes no more until cleared
+  icap_write_only                      the port cannot be read until cleared
   overlay_error    overlay             the next one cannot be applied
   fpga_manager_error                   the next load fails at its end
   register_stuck   register            writes are lost until cleared
   clock_stuck      clock               its rate stays until cleared
   gpio_stuck       LABEL:LINE          the line keeps its value until cleared
 """
+
+
+_UPSET = "Turn over bits of the configuration memory under a region that runs; says frame, word and bit of each."
+
+
+def _address(text: str) -> int:
+    try:
+        return int(text, 0)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not an address such as 0x00400080") from None
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -78,6 +89,13 @@ def _add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -
     step = actions.add_parser("step", help="let a paused camera deliver frames")
     completes(step.add_argument("channel"), "<channel>")
     step.add_argument("frames", nargs="?", type=positive, default=1)
+    upset = actions.add_parser(
+        "upset", help="turn over bits of a region's configuration, as radiation does", description=_UPSET
+    )
+    completes(upset.add_argument("--region", required=True, metavar="NAME"), "<region>")
+    upset.add_argument("--bits", type=positive, default=1, help="how many, each in a random place (default: 1)")
+    upset.add_argument("--frame", type=_address, metavar="FAR", help="in this frame, by its address (0x00400080)")
+    upset.add_argument("--bit", type=natural, metavar="N", help="with --frame: this bit, 32 times the word and its bit")
     trace = actions.add_parser("trace", help="record the signals of the RTL in FST files")
     trace.add_argument("what", choices=("start", "stop"))
     trace.add_argument("folder", nargs="?", type=Path, metavar="DIR", help="where the files go")
@@ -162,6 +180,8 @@ def _carry_out(control: Control, args: argparse.Namespace) -> None:
         control.interrupt(args.name)
     elif args.action == "step":
         control.step(args.channel, args.frames)
+    elif args.action == "upset":
+        _upset(control, args)
     elif args.action == "trace":
         _trace(control, args)
     elif args.action == "mark":
@@ -170,6 +190,17 @@ def _carry_out(control: Control, args: argparse.Namespace) -> None:
         print(json.dumps(control.state(), indent=2))
     else:
         getattr(control, args.action)(args.channel)
+
+
+def _upset(control: Control, args: argparse.Namespace) -> None:
+    if args.bit is not None and args.frame is None:
+        args.refuse("upset --bit N: in which frame? add --frame FAR")
+    hits = control.upset(args.region, args.bits, args.frame, args.bit)
+    if args.json:
+        print_json([{"frame": f"0x{far:08x}", "word": bit // 32, "bit": bit % 32} for far, bit in hits])
+    else:
+        for far, bit in hits:
+            print(f"{args.region}: frame 0x{far:08x}, word {bit // 32}, bit {bit % 32}")
 
 
 def _trace(control: Control, args: argparse.Namespace) -> None:

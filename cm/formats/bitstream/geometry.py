@@ -8,7 +8,7 @@ beginnings of runs are compared with a region.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache
 from itertools import accumulate
 from pathlib import Path
@@ -115,3 +115,45 @@ def _dies() -> Mapping[str, Geometry]:
 def geometry_of(device: str | None) -> Geometry | None:
     """Return the geometry of a device by its name (`xc7z020`); None if it is not known."""
     return _dies().get(device) if device else None
+
+
+_IN_ROWS = (0, 1)  # block types of frames that belong to a place: logic and routing, contents of block RAM
+_PADS = 2  # of 7-series: frames after each row that belong to no column
+
+
+class FrameOrder:
+    """The frames of a device in the order in which it counts them: a run goes on from an address through these."""
+
+    def __init__(self, geometry: Geometry, family: Family) -> None:
+        self.family = family
+        self.order: list[int | None] = list(_addresses(geometry, family))  # FAR; None: of no column
+        self.place = {far: number for number, far in enumerate(self.order) if far is not None}
+
+    def run(self, far: int) -> Iterator[tuple[int, int]]:
+        """Where the frames of a run that begins at `far` go: number in the run, FAR. KeyError for no such address.
+
+        On UltraScale+ it ends with the row: how many frames follow there that belong to no column is not public.
+        """
+        begin = self.place[far]
+        for number in range(begin, len(self.order)):
+            address = self.order[number]
+            if address is not None:
+                yield number - begin, address
+            elif self.family is not Family.SERIES7:
+                return
+
+
+def _addresses(geometry: Geometry, family: Family) -> Iterator[int | None]:
+    for block_type, row in sorted(key for key in geometry.rows if key[0] in _IN_ROWS):
+        found = geometry.rows[block_type, row]
+        for column in range(found.columns):
+            for minor in range(found.frames(column)):
+                yield encode_far(FrameAddress(block_type, row, column, minor), family)
+        yield from [None] * _PADS
+
+
+@cache
+def frame_order(device: str, family: Family) -> FrameOrder | None:
+    """The order of a device's frames by its name (`xc7z020`); None where its columns are not public."""
+    geometry = geometry_of(device)
+    return None if geometry is None else FrameOrder(geometry, family)

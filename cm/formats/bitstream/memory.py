@@ -3,18 +3,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 from cm.formats.bitstream.container import Container, Image, Source, open_image
 from cm.formats.bitstream.devices import Device, Family, device_by_idcode
 from cm.formats.bitstream.errors import BadPacket, UnknownDevice
-from cm.formats.bitstream.geometry import FrameAddress, Row, decode_far, encode_far, geometry_of
+from cm.formats.bitstream.geometry import FrameOrder, decode_far, frame_order
 from cm.formats.bitstream.inspect import inspect
 from cm.formats.bitstream.packets import frame_writes
 from cm.formats.bitstream.verify import Expectation, verify
 from cm.formats.xray.frames import BYTES, from_bytes
 
-_PADS = 2  # frames after each row that belong to no column
 _IN_ROWS = (0, 1)  # block types of frames that belong to a place: logic and routing, contents of block RAM
 
 
@@ -23,12 +22,11 @@ class FrameMemory:
 
     def __init__(self, device: Device) -> None:
         """Raises UnknownDevice for one that is not of the 7 series, or whose columns are not known."""
-        geometry = geometry_of(device.name)
-        if device.family is not Family.SERIES7 or geometry is None:
+        order = frame_order(device.name, device.family)
+        if device.family is not Family.SERIES7 or order is None:
             raise UnknownDevice(f"{device.name}: the frames of its columns are not known")
         self.frames: dict[int, int] = {}
-        self._order = list(_addresses(geometry.rows, device.family))
-        self._place = {address: number for number, address in enumerate(self._order) if address is not None}
+        self._order = order
 
     def load(self, stream: bytes) -> set[int]:
         """Take a bitstream as it is in memory for DMA (``66 55 99 AA``), otherwise as `take`."""
@@ -56,22 +54,12 @@ class FrameMemory:
         """Frames with their addresses, one after the other from `far` on; those after the end of a row are dropped."""
         if decode_far(far, Family.SERIES7).block_type not in _IN_ROWS:
             return  # Vivado's bitstreams write some; none of the database's features lies there
-        if far not in self._place:
+        if far not in self._order.place:
             raise BadPacket(f"frame address 0x{far:08x} does not exist in this device")
-        begin = self._place[far]
-        for address, frame in zip(self._order[begin:], frames, strict=False):
-            if address is not None:
-                yield address, frame
-
-
-def _addresses(rows: Mapping[tuple[int, int], Row], family: Family) -> Iterator[int | None]:
-    """All frame addresses in the order in which the device counts them; None for frames after the end of a row."""
-    for block_type, row in sorted(key for key in rows if key[0] in _IN_ROWS):
-        found = rows[block_type, row]
-        for column in range(found.columns):
-            for minor in range(found.frames(column)):
-                yield encode_far(FrameAddress(block_type, row, column, minor), family)
-        yield from [None] * _PADS
+        for number, address in self._order.run(far):
+            if number >= len(frames):
+                return
+            yield address, frames[number]
 
 
 def frames_in(source: Source) -> tuple[Device, dict[int, int]]:
@@ -87,3 +75,21 @@ def frames_in(source: Source) -> tuple[Device, dict[int, int]]:
     memory = FrameMemory(device)
     written = memory.take(open_image(source))
     return device, {address: memory.frames[address] for address in sorted(written)}
+
+
+def frames_of(image: Image, order: FrameOrder) -> dict[int, bytes]:
+    """The frames that a good bitstream leaves in the device, by FAR; those of other block types are left out."""
+    size = 4 * order.family.frame_words
+    found: dict[int, bytes] = {}
+    held = b""
+    for write in frame_writes(image):
+        data = [write.data[at : at + size] for at in range(0, len(write.data), size)]
+        held = data[-1] if data else held
+        frames = data[:-1] or [held] * write.repeated
+        if write.far in order.place:
+            # the last frame of a run only pushes the one before it out of the port, which holds it then
+            for number, far in order.run(write.far):
+                if number >= len(frames):
+                    break
+                found[far] = frames[number]
+    return found

@@ -63,11 +63,18 @@ def default_footprint(index: int, device: str | Device, size: int = DEFAULT_SIZE
     """Return frames for the region with this index that overlap no other index's and hold `size` bytes."""
     known = _known(device)
     left = -(-size // (4 * known.family.frame_words))
-    last = 0
-    while left > (here := _column_frames(known, FrameAddress(0, index, last))) and last < _COLUMNS - 1:
+    last, row = 0, _row(known, index)
+    while left > (here := _column_frames(known, FrameAddress(0, row, last))) and last < _COLUMNS - 1:
         left -= here
         last += 1
-    return (FrameRange(block_type=0, row=index, column_first=0, column_last=last),)
+    return (FrameRange(block_type=0, row=row, column_first=0, column_last=last),)
+
+
+def _row(device: Device, index: int) -> int:
+    """A row of the device for each region, as long as there are some; rows of the bottom half are 32 and up."""
+    geometry = geometry_of(device.name)
+    rows = sorted(row for block_type, row in geometry.rows if block_type == 0) if geometry else []
+    return rows[index] if index < len(rows) else index
 
 
 def _column_frames(device: Device, column: FrameAddress) -> int:

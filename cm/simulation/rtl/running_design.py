@@ -58,6 +58,7 @@ class RunningDesign:
         self._loop, self._libraries, self._seed = parts.loop, libraries, parts.seed
         self._hears = False  # already asked to
         self._applied: dict[str, object] = dict.fromkeys(design.regions)
+        self._runs: dict[str, Library] = {}  # what was loaded last, by region
         self._outputs = dict.fromkeys(design.outputs, 0)
         self.on_sent: dict[int, Callable[[], None]] = {}
         self.on_received: dict[int, Callable[[int, bool], None]] = {}
@@ -65,6 +66,7 @@ class RunningDesign:
         self.traced = False
         self.stopped: dict[str, str] = {}  # regions whose module ended itself, and why
         parts.fabric.answering = self.follow
+        parts.fabric.altered = self.again
         parts.fabric.resetting = self.reset
 
     def ask(self, op: Op, a: int = 0, b: int = 0, c: int = 0, d: int = 0, text: str = "") -> Message:
@@ -117,10 +119,20 @@ class RunningDesign:
         if wanted == "loading":
             self._do(Op.UNDEFINE, number)
         elif library is not None:
+            self._runs[region.name] = library
             self._do(Op.LOAD, number, library.text)
         elif before != "loading":
             self._do(Op.EMPTY, number)
         # else: a load that failed leaves the region as it was left: undefined
+
+    def again(self, region: Region) -> None:
+        """Bits have changed under a module: its library is that of the bits now. What it held is lost with that."""
+        if self._applied[region.name] is not region.module or region.module is None:
+            return
+        library = self._libraries(region)
+        if library is not None and library != self._runs.get(region.name):
+            self._runs[region.name] = library
+            self._do(Op.LOAD, self.design.regions.index(region.name), library.text)
 
     def reset(self) -> None:
         """As after power-up: the static part's registers too."""

@@ -16,13 +16,14 @@ KINDS: Mapping[str, str] = {
     "icap_id": "",
     "icap_hang": "",
     "icap_stall": "none; value: bytes that are taken before; until cleared",
+    "icap_write_only": "none; until cleared",
     "overlay_error": "overlay name, or none for any",
     "fpga_manager_error": "",
     "register_stuck": "register name; until cleared",
     "clock_stuck": "clock name; until cleared",
     "gpio_stuck": "line as LABEL:LINE; until cleared",
 }
-STICKY = frozenset({"hang", "icap_stall", "register_stuck", "clock_stuck", "gpio_stuck"})
+STICKY = frozenset({"hang", "icap_stall", "icap_write_only", "register_stuck", "clock_stuck", "gpio_stuck"})
 UNTIL_CLEARED = 0
 
 

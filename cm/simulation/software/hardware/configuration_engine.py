@@ -47,11 +47,12 @@ class ConfigurationEngine:
         self.total = 0
         self.loads = 0
         self._run: _Run | None = None
+        self._reading = False
 
     @property
     def busy(self) -> bool:
-        """Whether a load is under way."""
-        return self._run is not None
+        """Whether a load or read is under way."""
+        return self._run is not None or self._reading
 
     def start(
         self,
@@ -68,13 +69,57 @@ class ConfigurationEngine:
         first word does not count, since a DMA engine begins at once. `through`: a function that the words pass
         through before they arrive.
         """
-        if self._run is not None:
-            raise NodeError(errno.EBUSY, "a load is running")
-        self.state, self.errors, self.done, self.total = protocol.STATE_LOADING, 0, 0, len(data)
-        self._port.reset()
+        self._begin(len(data))
+        self._port.keeps = bool(self._memory.frames.upset)
         started_ns = asked_ns or time.monotonic_ns()
         self._run = _Run(data, started_ns, finished, full, self.rate if rate is None else rate, through)
         self._loop.call_soon(self._step)
+
+    def read(
+        self, request: memoryview, reply: memoryview, closing: memoryview, finished: Callable[[LoadResult], None]
+    ) -> None:
+        """Write words, read words into `reply`, and write words; `finished` is called at the end (EBUSY)."""
+        asked_ns = time.monotonic_ns()
+        self._begin(len(reply))
+        self._reading = True
+        seconds = (len(request) + len(reply) + len(closing)) / self.rate if self.rate > 0 else 0.0
+
+        def end() -> None:
+            left = asked_ns / 1e9 + seconds - time.monotonic()
+            if left >= _STEP:  # the loop's clock is too coarse for the last step
+                self._loop.call_later(left - _STEP / 2, end)
+                return
+            time.sleep(max(left, 0.0))
+            status = self._answer(request, reply, closing)
+            self._reading = False
+            self._ended(status, protocol.ERR_TIMEOUT if status else 0)
+            finished(LoadResult(self.done, asked_ns, time.monotonic_ns(), status, self.errors))
+
+        self._loop.call_soon(end)
+
+    def _answer(self, request: memoryview, reply: memoryview, closing: memoryview) -> int:
+        """What the port does for a read; 0, or an errno's negative."""
+        port = self._port
+        port.keeps = False
+        port.feed(request)
+        asked, hangs = port.asked, self._faults.take("icap_hang")
+        if asked is not None and not hangs:
+            data = self._memory.frames.read(*asked)[: len(reply)]
+            reply[: len(data)] = data
+            self.done = len(data)
+        port.feed(closing)
+        return 0 if self.done == len(reply) and port.complete else -errno.ETIMEDOUT
+
+    def _begin(self, total: int) -> None:
+        if self.busy:
+            raise NodeError(errno.EBUSY, "the port is in use")
+        self.state, self.errors, self.done, self.total = protocol.STATE_LOADING, 0, 0, total
+        self._port.reset()
+
+    def _ended(self, status: int, errors: int) -> None:
+        self.loads += 1
+        self.errors = errors
+        self.state = protocol.STATE_ERROR if status else protocol.STATE_IDLE
 
     def _step(self) -> None:
         run = self._run
@@ -136,14 +181,12 @@ class ConfigurationEngine:
         run, self._run = self._run, None
         if run is None:
             return
-        self.loads += 1
-        self.errors = errors
-        self.state = protocol.STATE_ERROR if status else protocol.STATE_IDLE
+        self._ended(status, errors)
         if run.full and status == 0:
             self._fabric.reset()
         if run.through is not None:
             run.through(run.data[:0], bool(errors))
-        self._memory.settle(status == 0, run.data)
+        self._memory.settle(status == 0, run.data[: run.fed], self._port.started)
         run.finished(LoadResult(self.done, run.started_ns, time.monotonic_ns(), status, errors))
 
 

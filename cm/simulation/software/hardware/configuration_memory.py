@@ -9,11 +9,15 @@ import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from cm.formats.bitstream.geometry import FrameAddress
+from cm.device.native.bitstream import swap
+from cm.formats.bitstream.assemble import FrameRun, assemble_stream
+from cm.formats.bitstream.devices import Device
+from cm.formats.bitstream.geometry import FrameAddress, decode_far
 from cm.formats.bitstream.module import ModuleIdentity
 from cm.schema.model import FrameRange
 from cm.simulation.software.hardware.board_spec import BoardSpec, ModuleSpec, RegionSpec
 from cm.simulation.software.hardware.cells import Region
+from cm.simulation.software.hardware.configuration_frames import Frames
 from cm.simulation.software.hardware.configuration_port import FrameWrite
 from cm.simulation.software.hardware.fabric import Fabric
 
@@ -31,6 +35,7 @@ class _Touched:
 
     addresses: list[FrameAddress] = field(default_factory=list)
     module: ModuleIdentity | None = None
+    mends: bool = True  # frames differed only in bits that had turned over: what runs there goes on
 
 
 class ConfigMemory:
@@ -41,11 +46,16 @@ class ConfigMemory:
         self._fabric = fabric
         self._known = known
         self._touched: dict[str, _Touched] = {}
+        self._written: list[tuple[int, int]] = []
+        self.frames = Frames(fabric.spec.device)
         self.outside = 0  # frame writes that hit no region, in partial loads, since the start
 
     def apply(self, writes: Iterable[FrameWrite], full: bool) -> None:
         """Frames have arrived: the regions they lie in hold no module any more."""
         for write in writes:
+            if write.again is not None:
+                continue
+            self._written.append((write.far, write.words))
             if write.address.block_type >= _SHARED:
                 continue
             region = self._region_at(write.address)
@@ -55,18 +65,46 @@ class ConfigMemory:
             touched = self._touched.setdefault(region.name, _Touched())
             touched.addresses.append(write.address)
             touched.module = touched.module or write.module
-            if not region.loading:
+            touched.mends &= bool(write.data) and region.running and self.frames.only_mends(write)
+            if not (touched.mends or region.loading):
                 self._fabric.start_load(region)
 
-    def settle(self, ok: bool, stream: memoryview) -> None:
-        """The load is over: regions that it covered run their module if it went well, or else nothing."""
+    def settle(self, ok: bool, stream: memoryview, started: bool) -> None:
+        """The load is over: regions that it covered run their module if it went well, or else nothing.
+
+        `started`: it had a START, without which frames are only written over. `stream`: what the port has taken.
+        """
+        self.frames.loaded(stream, tuple(self._written))
+        self._written.clear()
         if ok:
             self._fabric.configured(stream)
         for name, touched in self._touched.items():
             region = self._fabric.regions[name]
+            if touched.mends and not started:
+                self._fabric.altered(region)
+                continue
             module = self._module(region.spec, touched, stream) if ok else None
             self._fabric.end_load(region, module)
         self._touched.clear()
+
+    def hit(self, name: str, bits: int, far: int | None = None, bit: int | None = None) -> list[tuple[int, int]]:
+        """Turn over bits of a region's frames, random ones of logic and routing unless they are named.
+
+        Returns frame address and bit (32 times the word, and the bit in it) of each. Raises KeyError for a region or
+        frame that holds nothing.
+        """
+        region = self._fabric.regions[name]
+        held = self.frames.held(_columns(region.spec))
+        if not held or (far is not None and far not in held):
+            raise KeyError(name)
+        hits = []
+        for _ in range(bits):
+            chosen = self.frames.pick(held) if far is None else far
+            hits.append((chosen, self.frames.hit(chosen, bit)))
+        for chosen in {chosen for chosen, _ in hits}:
+            self._fabric.configured(memoryview(_stream(self._fabric.spec.device, chosen, self.frames.frame(chosen))))
+        self._fabric.altered(region)
+        return hits
 
     def _region_at(self, address: FrameAddress) -> Region | None:
         for region in self._fabric.regions.values():
@@ -82,6 +120,20 @@ class ConfigMemory:
             _log.warning("a bitstream of %s does not cover region %s", touched.module.name, region.name)
             return None
         return module_named(self._fabric.spec, touched.module, region.name)
+
+
+def _columns(region: RegionSpec) -> Iterable[tuple[int, int, int]]:
+    """The columns of logic and routing."""
+    for frames in region.footprint:
+        if frames.block_type == 0:
+            for column in range(frames.column_first, frames.column_last + 1):
+                yield 0, frames.row, column
+
+
+def _stream(device: Device, far: int, frame: bytes) -> bytes:
+    """A bitstream that writes one frame, for what follows the frames by itself."""
+    run = FrameRun(decode_far(far, device.family), swap(frame) + bytes(len(frame)))
+    return swap(assemble_stream(device, [[run]]))
 
 
 def module_named(spec: BoardSpec, identity: ModuleIdentity, region: str) -> ModuleSpec:

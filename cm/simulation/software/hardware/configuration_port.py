@@ -18,8 +18,8 @@ from cm.formats.bitstream.module import ModuleIdentity, identify_bytes
 from cm.frozen import dataclass
 
 _SYNC, _NOP = b"\x66\x55\x99\xaa", 0x20000000
-_CRC, _FAR, _FDRI, _CMD, _LOUT, _MFWR, _CBC, _IDCODE, _DWC = 0, 1, 2, 4, 8, 10, 11, 12, 26
-_RCRC, _DESYNC = 7, 13
+_CRC, _FAR, _FDRI, _FDRO, _CMD, _LOUT, _MFWR, _CBC, _IDCODE, _DWC = 0, 1, 2, 3, 4, 8, 10, 11, 12, 26
+_RCFG, _START, _RCRC, _DESYNC = 4, 5, 7, 13
 _REVISION = 0x0FFFFFFF  # the rest of an IDCODE is the silicon's revision
 _REGISTERS = {0, 1, 2, 4, 5, 6, 8, 9, 10, 11, 12, 13, 14, 16, 17, 19, 24, 26, 31}  # that are written
 _BULK = {_FDRI, _MFWR, _CBC}
@@ -38,11 +38,18 @@ class PortError(Flag):
 
 @dataclass(frozen=True, slots=True)
 class FrameWrite:
-    """Frames that arrived: where, how many words, and of which module, if they begin with our assembler's mark."""
+    """Frames that arrived: where, how many words, and of which module, if they begin with our assembler's mark.
+
+    Where the port keeps them, also `data`, as it was fed, and FAR. `again` numbers writes by MFWR since FAR was
+    written: of the frame that was written last, which is not said to have arrived otherwise.
+    """
 
     address: FrameAddress
     words: int
     module: ModuleIdentity | None
+    far: int = 0
+    data: bytes = b""
+    again: int | None = None
 
 
 class _State(Enum):
@@ -61,8 +68,10 @@ class ConfigPort:
     (``66 55 99 AA``), False for the order in a `.bit`. Frames that come after an error do not count.
     """
 
-    def __init__(self, device: Device, swapped: bool = True) -> None:
+    def __init__(self, device: Device, swapped: bool = True, keeps: bool = False) -> None:
+        """`keeps`: writes come with their data."""
         self.device = device
+        self.keeps = keeps
         self._swapped = swapped
         self._frame_words, self._fields = _SHAPES[device.family.label]
         self.reset()
@@ -73,7 +82,12 @@ class ConfigPort:
         self._state = _State.UNSYNCED
         self._register = self._left = self._crc = self._far = self._count = 0
         self._head = b""
+        self._kept: list[bytes] = []
+        self._again = 0
         self._writes: list[FrameWrite] = []
+        self._reads = False  # CMD is RCFG
+        self.asked: tuple[int, int] | None = None  # a read of FDRO: FAR, and how many words
+        self.started = False  # CMD was START: what was loaded begins anew
         self.errors = PortError.NONE
         self.frames = 0  # frames written without an error before them
         self.sections = 0  # DESYNCs seen
@@ -109,7 +123,9 @@ class ConfigPort:
         if self._state is _State.DATA or self._state is _State.CIPHER:
             return self._data(words[at : at + self._left])
         word: int = words[at]
-        if self._state is _State.TYPE2:
+        if self._state is _State.TYPE2 and self._register == _FDRO:
+            self._ask(word)
+        elif self._state is _State.TYPE2:
             self._begin(word & 0x07FFFFFF, word >> 27 == 0b01010 and word & 0x07FFFFFF != 0)
         elif word == 0:
             self._crc = sim_crc.word(self._crc, _FDRI, 0)  # padding of a debug bitstream
@@ -129,12 +145,22 @@ class ConfigPort:
 
     def _header(self, word: int) -> None:
         register, count = word >> 13 & 0x1F, word & 0x7FF
+        if word >> 27 == 0b00101 and register == _FDRO and self._reads and not count:
+            self._register, self._state = register, _State.TYPE2
+            return
         self._register = register
         sound = word >> 27 == 0b00110 and not word & 0x07FC1800 and register in _REGISTERS
         if sound and count == 0 and register in _BULK:
             self._state = _State.TYPE2
         else:
             self._begin(count, sound and (count == 1 or register in _BULK))
+
+    def _ask(self, word: int) -> None:
+        if word >> 27 != 0b01001:
+            self._begin(0, sound=False)
+            return
+        self.asked = self._far, word & 0x07FFFFFF
+        self._state = _State.HEADER
 
     def _begin(self, count: int, sound: bool) -> None:
         if not sound:
@@ -159,16 +185,23 @@ class ConfigPort:
         missing = 4 * self._frame_words - len(self._head)
         if missing > 0:
             self._head += _swapped(words[: -(-missing // 4)])
+        if self.keeps and self._register == _FDRI:
+            self._kept.append(words.tobytes())
         if self._left == 0:
             self._state = _State.HEADER
             if self._register == _FDRI:
                 self._frames()
+            elif self._register == _MFWR and self.keeps and not self.errors:
+                self._writes.append(FrameWrite(self._address(), 0, None, self._far, again=self._again))
+                self._again += 1
 
     def _frames(self) -> None:
+        data, self._kept = b"".join(self._kept), []
         if self.errors:
             return
         self.frames += self._count // self._frame_words
-        self._writes.append(FrameWrite(self._address(), self._count, identify_bytes(self._head)))
+        identity = identify_bytes(self._head)
+        self._writes.append(FrameWrite(self._address(), self._count, identity, self._far, data))
 
     def _address(self) -> FrameAddress:
         """Each field of FAR ends where the one above it begins; the block type has three bits."""
@@ -185,7 +218,7 @@ class ConfigPort:
             return
         self._crc = sim_crc.word(self._crc, self._register, value)
         if self._register == _FAR:
-            self._far = value
+            self._far, self._again = value, 0
         elif self._register == _CMD:
             self._command(value)
         elif self._register == _IDCODE and (value ^ self.device.idcode) & _REVISION:
@@ -194,6 +227,8 @@ class ConfigPort:
             self._state, self._left = _State.CIPHER, value
 
     def _command(self, value: int) -> None:
+        self._reads = value == _RCFG
+        self.started |= value == _START
         if value == _RCRC:
             self._crc = 0
         elif value == _DESYNC:

@@ -35,6 +35,7 @@ class Fabric:
         self.changed: Callable[[], None] = lambda: None  # called when data may flow that could not before
         self.answering: Callable[[Region], None] = lambda _: None  # called when a region begins or ceases to answer
         self.loaded: Callable[[Region], None] = lambda _: None  # called when another module runs, or none
+        self.altered: Callable[[Region], None] = lambda _: None  # called when bits have changed under what runs
         self.configured: Callable[[memoryview], None] = lambda _: None  # called with each bitstream that loaded well
         self.resetting: Callable[[], None] = lambda: None  # called before everything is reset as after power-up
         self._by_name: dict[str, list[Cell]] = {}

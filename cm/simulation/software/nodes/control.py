@@ -44,6 +44,12 @@ class Controlled(Protocol):
     def parent(self) -> Owner | None:
         """None: it was started manually."""
 
+    def upset(self, region: str, bits: int, frame: int | None, bit: int | None) -> None:
+        """Turn over bits of a region's frames. Raises KeyError where it holds none."""
+
+    def power_up(self) -> None:
+        """Empty all, as power-up does."""
+
     def kick(self) -> None:
         """Check whether data can move."""
 
@@ -67,6 +73,7 @@ class ControlNode:
             "adopt": self._adopt,
             "trace": self._trace,
             "mark": self._mark,
+            "upset": self._upset,
             "cover": self._cover,
         }
 
@@ -126,10 +133,20 @@ class ControlNode:
         self._camera(order).resume()
 
     def _reset(self, order: Order) -> None:  # noqa: ARG002 - an order like the others
-        self._machine.fabric.reset()
+        self._machine.power_up()
         for line in self._machine.interrupts.lines:
             line.drop_pending()
         self._machine.kick()
+
+    def _upset(self, order: Order) -> None:
+        region, frame, bit = str(order["region"]), order.get("frame"), order.get("bit")
+        if region not in self._machine.fabric.regions:
+            raise NodeError(errno.ENOENT, f"no region is called {region}{_there(self._machine.fabric.regions)}")
+        try:
+            self._machine.upset(region, int(order.get("bits", 1)), frame, bit)
+        except (KeyError, IndexError):
+            where = "" if frame is None else f" in frame {frame:#010x}, or no such bit"
+            raise NodeError(errno.ENODATA, f"region {region} holds no configuration{where}") from None
 
     def _trace(self, order: Order) -> None:
         self._machine.logic.trace(str(order.get("folder") or ""))

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from cm.simulation.software.errors import NodeError
+from cm.simulation.software.faults import Faults
 from cm.simulation.software.hardware.configuration_engine import ConfigurationEngine, LoadResult, Through
 from cm.simulation.software.transport import protocol
 from cm.simulation.software.transport.buffers import Buffer, Buffers, DmaMemory, Syncs, fit
@@ -21,12 +22,18 @@ class IcapNode:
     """``/dev/cm_icap0``; any number of files may be open."""
 
     def __init__(
-        self, engine: ConfigurationEngine, through: Through, memory: DmaMemory, idcode: int, clock_hz: int
-    ) -> None:
-        self.engine, self.through, self._memory = engine, through, memory
+        self, engine: ConfigurationEngine, through: Through, memory: DmaMemory, idcode: int, clock_hz: int,
+        faults: Faults,
+    ) -> None:  # fmt: skip
+        self.engine, self.through, self._memory, self._faults = engine, through, memory, faults
         self.idcode, self.clock_hz = idcode, clock_hz
         self.sessions: set[IcapSession] = set()
         self.syncs = Syncs()
+
+    @property
+    def readable(self) -> bool:
+        """Whether the port has a way back."""
+        return self._faults.take("icap_write_only") is None
 
     def open(self, events: Events) -> IcapSession:
         """A new open file."""
@@ -47,6 +54,7 @@ class IcapSession:
             protocol.ICAP_IOC_ALLOC & 0xFFFF: self.buffers.allocate,
             protocol.ICAP_IOC_FREE & 0xFFFF: self.buffers.free,
             protocol.ICAP_IOC_LOAD & 0xFFFF: self._load,
+            protocol.ICAP_IOC_READ & 0xFFFF: self._read,
             protocol.ICAP_IOC_STATUS & 0xFFFF: self._status,
         }
 
@@ -71,9 +79,8 @@ class IcapSession:
     def _info(self, payload: bytes) -> bytes:
         protocol.require_zero(protocol.unpack(protocol.ICAP_INFO, payload)[0])
         node = self._node
-        info = protocol.ICAP_INFO.pack(
-            len(payload), 0, 32, node.clock_hz, MAX_LENGTH, node.idcode, protocol.ICAP_CAP_STATUS
-        )
+        caps = protocol.ICAP_CAP_STATUS | (protocol.ICAP_CAP_READ if node.readable else 0)
+        info = protocol.ICAP_INFO.pack(len(payload), 0, 32, node.clock_hz, MAX_LENGTH, node.idcode, caps)
         return fit(info, payload)
 
     def _load(self, payload: bytes) -> bytes:
@@ -95,6 +102,31 @@ class IcapSession:
         )
         buffer.inflight += 1
         return payload
+
+    def _read(self, payload: bytes) -> bytes:
+        flags, handle, reserved, *places, cookie = protocol.unpack(protocol.ICAP_READ, payload)
+        protocol.require_zero(flags, reserved)
+        if not self._node.readable:
+            raise NodeError(errno.EOPNOTSUPP, "the port has no way back")
+        buffer = self.buffers.get(handle)
+        request, reply, closing = self._parts(buffer, places)
+        if not (buffer.allocated and buffer.writable):
+            raise NodeError(errno.EINVAL, "what is read goes into memory that was allocated here")
+        self._node.engine.read(request, reply, closing, lambda result: self._finished(buffer, cookie, result))
+        buffer.inflight += 1
+        return payload
+
+    def _parts(self, buffer: Buffer, places: Sequence[int]) -> Sequence[memoryview]:
+        """The parts of a read, whole words inside of the buffer, that do not overlap (EINVAL, EMSGSIZE)."""
+        ranges = list(zip(places[::2], places[1::2], strict=True))
+        end = 0
+        for offset, length in sorted(ranges):
+            if offset % 4 or length % 4 or length <= 0 or offset < end or offset + length > buffer.length:
+                raise NodeError(errno.EINVAL, "a part is empty, not of whole words, not inside the buffer, or overlaps")
+            end = offset + length
+            if length > MAX_LENGTH:
+                raise NodeError(errno.EMSGSIZE, f"each part has at most {MAX_LENGTH} bytes")
+        return [buffer.memory[offset : offset + length] for offset, length in ranges]
 
     def _finished(self, buffer: Buffer, cookie: int, result: LoadResult) -> None:
         buffer.inflight -= 1

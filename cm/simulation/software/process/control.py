@@ -57,6 +57,16 @@ class Control:
         """Empty all regions and reset all registers, as power-up does."""
         self._order("reset")
 
+    def upset(
+        self, region: str, bits: int = 1, frame: int | None = None, bit: int | None = None
+    ) -> list[tuple[int, int]]:
+        """Turn over bits of a region's frames: in random places, or in a frame by its address, and there a bit.
+
+        Returns frame address, and 32 times the word and the bit in it, of each. Raises SimError.
+        """
+        self._order("upset", region=region, bits=bits, frame=frame, bit=bit)
+        return [(far, at) for far, at in self.state()["upsets"]]
+
     def trace(self, folder: Path | str | None) -> None:
         """Write the signals of the RTL to files in a folder; None ends that.
 

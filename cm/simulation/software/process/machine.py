@@ -81,6 +81,7 @@ class Machine:
         self.links = self.logic.links(self.channels)
         self.dma_nodes = {name: DmaNode(channel, self.memory) for name, channel in self.channels.items()}
         self.icap_node = self._icap_node()
+        self._upsets: list[tuple[int, int]] = []  # the last: frame address, and bit of the frame
         self.fabric.changed = self.faults.ordered = self.kick
 
     @property
@@ -110,6 +111,15 @@ class Machine:
                 self.root.bind(f"dev/{chip.name}"), GpioChipNode(chip, self.fabric, self.faults, self.server)
             )
         ControlNode(self).serve(self.server, self.root)
+
+    def upset(self, region: str, bits: int, frame: int | None, bit: int | None) -> None:
+        """Turn over bits of a region's frames. Raises KeyError where it holds none."""
+        self._upsets = self._config.hit(region, bits, frame, bit)
+
+    def power_up(self) -> None:
+        """Empty all, as power-up does."""
+        self._config.frames.clear()
+        self.fabric.reset()
 
     def kick(self) -> None:
         """Let every link check whether data can move."""
@@ -148,6 +158,7 @@ class Machine:
             "outside_writes": self._config.outside,
             "overlays": self.overlays.applied,
             "clocks": self.clocks.rates,
+            "upsets": self._upsets,
             "faults": self.faults.listing(),
             **self.logic.state(),
         }
@@ -200,7 +211,7 @@ class Machine:
     def _icap_node(self) -> IcapNode:
         device = self.spec.device
         clock = ICAP_CLOCK[device.family.label]
-        return IcapNode(self.engine, self.logic.configure, self.memory, device.idcode, clock)
+        return IcapNode(self.engine, self.logic.configure, self.memory, device.idcode, clock, self.faults)
 
 
 def _with_engines(spec: BoardSpec, options: Options) -> dict[str, ChannelSpec]:

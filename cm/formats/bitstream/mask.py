@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which bits of a region's frames the fabric itself changes, and are not compared when they are read back.
+
+These are the contents of block RAM, look-up tables that are memories or shift registers, and where a capture was made
+the values of flip-flops. Vivado writes them as ``.msk`` (`write_bitstream -mask_file`, UG470 "Verifying Readback
+Data"): a file of the bitstream's own form in which a 1 says "do not compare". Where there is none, Project X-Ray's
+database knows them for 7-series. Without either the frames of block RAM's contents are left out, and the others are
+compared as they are, as far as nothing says that a design has such look-up tables.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from cm.errors import CmError
+from cm.formats.bitstream.container import open_image
+from cm.formats.bitstream.devices import Device
+from cm.formats.bitstream.geometry import decode_far, frame_order
+from cm.formats.bitstream.memory import frames_of
+from cm.frozen import dataclass
+
+Masks = Mapping[int, "int | None"]  # by FAR: bits to ignore (32·word + bit), None: the frame cannot be judged
+_CONTENTS = 1  # block type of the contents of block RAM
+
+
+@dataclass(frozen=True, slots=True)
+class Mask:
+    """What is not compared, and `why`, in words, for people; `source`: msk, xray or none."""
+
+    of: Callable[[Sequence[int]], Masks]
+    source: str
+    why: str = ""
+
+
+def mask_for(bitstream: Path, device: Device, frames: Mapping[int, bytes] | None = None) -> Mask:
+    """The mask of a bitstream: of the file beside it, of the database, or what is known of every design.
+
+    `frames`: what the bitstream holds, by FAR. Raises the refusals of `cm.formats.bitstream` for a damaged ``.msk``.
+    """
+    beside = bitstream.with_name(bitstream.name.split(".")[0] + ".msk")
+    if beside.is_file():
+        return _of_file(beside, device)
+    known = _of_database(device, frames or {})
+    if known is not None:
+        return known
+    why = (
+        "the contents of block RAM are not compared, and nothing says which look-up tables are memories "
+        f"(no {beside.name}, no database of Project X-Ray)"
+    )
+    return Mask(lambda fars: _without_contents(fars, device), "none", why)
+
+
+def _without_contents(fars: Sequence[int], device: Device) -> Masks:
+    return {far: None for far in fars if decode_far(far, device.family).block_type == _CONTENTS}
+
+
+def _of_file(path: Path, device: Device) -> Mask:
+    order = frame_order(device.name, device.family)
+    found = frames_of(open_image(path), order) if order is not None else {}
+
+    def of(fars: Sequence[int]) -> Masks:
+        return {far: as_number(found[far]) if far in found else None for far in fars}
+
+    return Mask(of, "msk", f"{path.name} says what is not compared")
+
+
+def _of_database(device: Device, frames: Mapping[int, bytes]) -> Mask | None:
+    """None where the database is not installed, or does not know the device."""
+    try:
+        from cm.formats.xray.database import Database
+        from cm.formats.xray.volatile import volatile_bits
+
+        masks = volatile_bits(Database.open(device.name), {far: as_number(frame) for far, frame in frames.items()})
+    except CmError:
+        return None
+    return Mask(lambda fars: {far: masks.get(far) for far in fars}, "xray", "Project X-Ray's database says what is not")
+
+
+def as_number(frame: bytes) -> int:
+    """A frame of big-endian words as a number: bit b of word w is bit 32·w + b of it."""
+    words = struct.unpack(f">{len(frame) // 4}I", frame)
+    return int.from_bytes(struct.pack(f"<{len(words)}I", *words), "little")

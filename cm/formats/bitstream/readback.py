@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frames read back from a device: the words that ask for them, and the comparison with what was loaded.
+
+The sequence is that of UG470 and UG570, "Configuration Memory Read Procedure", without the shutdown, which would stop
+the design, as AMD's own driver does it through the ICAP (embeddedsw, hwicap, `XHwIcap_DeviceReadFrame`).
+docs/readback.md has it step by step. Words are big-endian, as in a `.bit`, but in a `Slice` as they lie in memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+
+from cm.device.native import bitstream as native
+from cm.formats.bitstream.assemble import StreamWriter
+from cm.formats.bitstream.container import Image
+from cm.formats.bitstream.devices import Device, Family
+from cm.formats.bitstream.geometry import FrameAddress, decode_far, frame_order
+from cm.formats.bitstream.mask import Mask
+from cm.formats.bitstream.memory import frames_of
+from cm.formats.bitstream.packets import (
+    BUS_WIDTH_DETECT,
+    BUS_WIDTH_SYNC,
+    DUMMY,
+    NOP,
+    SYNC,
+    Command,
+    Register,
+)
+from cm.frozen import dataclass
+
+_RCFG = 4  # a value of CMD that no bitstream has
+_FDRO = 0x28006000  # header of a type 1 read of FDRO (register 3) of no words; the count follows as type 2
+_TYPE2_READ = 0x48000000
+_FLUSH = {Family.SERIES7: 34, Family.ULTRASCALE_PLUS: 66}  # NOPs that push the request through the packet buffer
+_PIPELINE = {Family.SERIES7: 0, Family.ULTRASCALE_PLUS: 25}  # words ahead of the frames (UG570, UltraScale+)
+
+
+def request_words(family: Family, far: int, frames: int) -> bytes:
+    """What is written before `frames` frames can be read from the address `far` on."""
+    writer = StreamWriter()
+    writer.raw(DUMMY, BUS_WIDTH_SYNC, BUS_WIDTH_DETECT, DUMMY, SYNC, NOP)
+    writer.command(Command.RCRC, nops=6)
+    writer.write(Register.CMD, _RCFG)
+    writer.raw(NOP)
+    writer.write(Register.FAR, far)
+    writer.raw(_FDRO, _TYPE2_READ | reply_words(family, frames), *[NOP] * _FLUSH[family])
+    return bytes(writer.words)
+
+
+def reply_words(family: Family, frames: int) -> int:
+    """How many words are read then: a frame of padding comes first, on UltraScale+ behind the pipeline's words."""
+    return _PIPELINE[family] + (frames + 1) * family.frame_words
+
+
+def closing_words() -> bytes:
+    """What is written after the last word was read. No START: nothing was stopped."""
+    writer = StreamWriter()
+    writer.raw(NOP)
+    writer.command(Command.RCRC)
+    writer.command(Command.DESYNC, nops=16)
+    return bytes(writer.words)
+
+
+def repair_words(device: Device, runs: Iterable[tuple[int, Sequence[bytes]]]) -> bytes:
+    """A bitstream that writes frames (big-endian) from an address on, each run of them, and does nothing else.
+
+    No GRESTORE and no START, which would set flip-flops to their initial values: the design goes on running.
+    """
+    writer = StreamWriter()
+    writer.raw(*[DUMMY] * 8, BUS_WIDTH_SYNC, BUS_WIDTH_DETECT, DUMMY, DUMMY, SYNC, NOP)
+    writer.command(Command.RCRC, nops=2)
+    writer.write(Register.IDCODE, device.idcode)
+    for far, frames in runs:
+        writer.write(Register.FAR, far)
+        writer.command(Command.WCFG)
+        writer.bulk(Register.FDRI, b"".join([*frames, bytes(4 * device.family.frame_words)]))
+    writer.check()
+    writer.raw(NOP, NOP)
+    writer.command(Command.DESYNC, nops=16)
+    return bytes(writer.words)
+
+
+@dataclass(frozen=True, slots=True)
+class WrongFrame:
+    """A frame that is not as it was loaded: `bits` are those that differ, 32 times the word and the bit in it."""
+
+    far: int
+    address: FrameAddress
+    bits: tuple[int, ...]
+    volatile: bool  # the fabric itself changes other bits of it, so it cannot simply be written again
+
+
+@dataclass(frozen=True, slots=True)
+class Slice:
+    """Frames that follow each other in the device, as they are read in one go: words as for DMA (``dma``)."""
+
+    request: bytes
+    reply_length: int  # bytes
+    closing: bytes
+    frames: int
+    judge: Callable[[bytes | memoryview], tuple[WrongFrame, ...]]  # of the reply
+
+
+class LoadedFrames:
+    """The frames of a loaded bitstream, against which what is read back is compared.
+
+    `unjudged` are frames that cannot be, with `why`; they are not read.
+    """
+
+    def __init__(self, device: Device, image: Image, mask: Mask) -> None:
+        self._device, self._family = device, device.family
+        self._order = order = frame_order(device.name, device.family)
+        self.why = mask.why
+        if order is None:
+            self._frames: dict[int, bytes] = {}
+            self.why = f"the frames of {device.name}'s columns are not public"
+            self._ignored: Mapping[int, int] = {}
+            self.unjudged: tuple[FrameAddress, ...] = ()
+            return
+        loaded = frames_of(image, order)
+        masked = mask.of(tuple(loaded))
+        self._frames = {far: native.swap(frame) for far, frame in loaded.items() if masked.get(far, 0) is not None}
+        self._ignored = {far: ignored for far, ignored in masked.items() if ignored}
+        left = [far for far in loaded if far not in self._frames]
+        self.unjudged = tuple(decode_far(far, self._family) for far in sorted(left))
+
+    @property
+    def judged(self) -> int:
+        """How many frames are compared."""
+        return len(self._frames)
+
+    def slices(self, most: int) -> Iterator[Slice]:
+        """All frames, `most` at a time."""
+        run: list[int] = []
+        for far in self._in_order():
+            if run and (len(run) == most or self._place(far) != self._place(run[-1]) + 1):
+                yield self._slice(tuple(run))
+                run = []
+            run.append(far)
+        if run:
+            yield self._slice(tuple(run))
+
+    def repair(self, wrong: Iterable[WrongFrame]) -> bytes | None:
+        """A bitstream as it is in memory for DMA that writes frames anew; None where the region has to be loaded.
+
+        A frame with bits that the fabric itself changes would lose them: what a look-up table holds as memory.
+        """
+        frames = list(wrong)
+        if any(frame.volatile for frame in frames):
+            return None
+        runs = [(frame.far, [native.swap(self._frames[frame.far])]) for frame in frames]
+        return native.swap(repair_words(self._device, runs))
+
+    def _place(self, far: int) -> int:
+        assert self._order is not None
+        return self._order.place[far]
+
+    def _in_order(self) -> list[int]:
+        return sorted(self._frames, key=self._place) if self._order is not None else []
+
+    def _slice(self, fars: tuple[int, ...]) -> Slice:
+        family = self._family
+        expected = b"".join([self._frames[far] for far in fars])
+        request = native.swap(request_words(family, fars[0], len(fars)))
+        length = 4 * reply_words(family, len(fars))
+
+        def judge(reply: bytes | memoryview) -> tuple[WrongFrame, ...]:
+            there = bytes(reply[length - len(expected) : length])
+            return () if there == expected else tuple(self._differences(fars, there))
+
+        return Slice(request, length, native.swap(closing_words()), len(fars), judge)
+
+    def _differences(self, fars: tuple[int, ...], there: bytes) -> Iterator[WrongFrame]:
+        size = 4 * self._family.frame_words
+        for number, far in enumerate(fars):
+            frame, wanted = there[number * size : (number + 1) * size], self._frames[far]
+            if frame == wanted:
+                continue
+            ignored = self._ignored.get(far, 0)
+            wrong = (int.from_bytes(frame, "little") ^ int.from_bytes(wanted, "little")) & ~ignored
+            if wrong:
+                yield WrongFrame(far, decode_far(far, self._family), tuple(_set_bits(wrong)), bool(ignored))
+
+
+def _set_bits(number: int) -> Iterator[int]:
+    while number:
+        low = number & -number
+        yield low.bit_length() - 1
+        number ^= low
