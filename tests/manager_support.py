@@ -22,7 +22,7 @@ from cm.schema import loads
 from cm.schema.model import Config
 from cm.server.devices import BoardDevices
 from cm.server.files import BoardFiles
-from cm.wire.messages.requests import ChangeMode
+from cm.wire.messages.requests import ChangeMode, CheckRegion
 from cm.wire.messages.status import RegValues
 
 CAMERA = Path(__file__).resolve().parents[1] / "cm" / "data" / "camera" / "camera.yaml"
@@ -173,7 +173,7 @@ class FaultyDevices:
         return Watched(self._inner.windows(), self._fault, "window", ("grant", "revoke", "revoke_grant"))
 
     def icap(self, name: str | None) -> Any:
-        return Watched(self._inner.icap(name), self._fault, "icap", ("allocate", "load", "wait", "status"))
+        return Watched(self._inner.icap(name), self._fault, "icap", ("allocate", "load", "read", "wait", "status"))
 
     def fpga_manager(self, name: str | None) -> Any:
         return Watched(self._inner.fpga_manager(name), self._fault, "fpga_manager", ("load",))
@@ -279,9 +279,12 @@ def make_rig(root: Path, state: Path, *configs: Config, prefetch: int = 0, files
 
 
 def killed_at(
-    root: Path, state: Path, configs: Iterable[Config], goal: tuple[str, str] | ChangeMode, number: int
+    root: Path, state: Path, configs: Iterable[Config], goal: tuple[str, str] | ChangeMode | CheckRegion, number: int
 ) -> bool:
-    """Go to `goal` (configuration, mode) in a child process that is killed at an operation; False if it survived."""
+    """Go to `goal` (configuration, mode), or repair a region, in a child process that is killed at an operation.
+
+    False if it survived.
+    """
     pid = os.fork()
     if pid == 0:
         try:
@@ -290,7 +293,10 @@ def killed_at(
             made.manager.start()
             made.manager.wait_idle()
             made.arm(number)
-            made.manager.submit(goal if isinstance(goal, ChangeMode) else ChangeMode(*goal)).wait(30.0)
+            if isinstance(goal, CheckRegion):
+                made.manager.repair(goal).wait(30.0)
+            else:
+                made.manager.submit(goal if isinstance(goal, ChangeMode) else ChangeMode(*goal)).wait(30.0)
         finally:
             os._exit(0)
     return os.WIFSIGNALED(os.waitpid(pid, 0)[1])

@@ -42,6 +42,7 @@ from cm.wire.messages.status import (
     FrameInfo,
     LeaseInfo,
     PlanInfo,
+    RegionCheck,
     Status,
     StreamStatus,
 )
@@ -250,6 +251,17 @@ class Board(Guarded):
     def plan(self, mode: str = "", config: str = "") -> PlanInfo:
         """What a change to a mode would do, and how long it would take; changes nothing."""
         return self.ask(calls.plan(mode, config), timeout=at_least(self.timeout, 30.0))
+
+    def check_region(
+        self, name: str, *, repair: bool = False, reload: bool = False, lease: str = "", timeout: Limit = DEFAULT
+    ) -> RegionCheck:
+        """Read a region's configuration back and compare it with what was loaded; `repair` it, and do so again.
+
+        `reload`: repair by loading the whole region. Raises RequestFailed with the code no_readback where the board's
+        port cannot be read, region_wrong where the region differs also after it was loaded again.
+        """
+        limit = at_least(self.timeout, 60.0) if timeout is DEFAULT else timeout
+        return self.ask(calls.check_region(name, repair, reload, lease), timeout=limit)
 
     def provision(self, schema: str | os.PathLike[str], *files: str | os.PathLike[str], lease: str = "") -> ConfigInfo:
         """Send a schema file with the bitstreams and overlays that belong to it; it can then be loaded."""

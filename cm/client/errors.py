@@ -106,6 +106,7 @@ _KINDS: dict[str, type[RequestFailed]] = {
             "not_found",
             "unknown_config",
             "unknown_mode",
+            "unknown_region",
             "unknown_register",
             "unknown_stream",
             "unknown_memory",

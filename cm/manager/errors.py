@@ -24,6 +24,12 @@ class UnknownRegister(NotFound):
     code = "unknown_register"
 
 
+class UnknownRegion(NotFound):
+    """The loaded configuration has no such region."""
+
+    code = "unknown_region"
+
+
 class UnknownStream(NotFound):
     """No such stream, or not in this mode."""
 
@@ -128,6 +134,18 @@ class NoPort(CmError):
     """No port of the board can load the region."""
 
     code = "no_port"
+
+
+class NoReadback(CmError):
+    """What the region holds cannot be read back here, or not be compared; the sentence says why."""
+
+    code = "no_readback"
+
+
+class RegionWrong(CmError):
+    """The region differs from what was loaded, also after it was loaded again."""
+
+    code = "region_wrong"
 
 
 class LoadUnsupported(CmError):

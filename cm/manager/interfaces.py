@@ -7,7 +7,7 @@ the manager runs, and is tested, where no shim was compiled.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -185,6 +185,88 @@ class Devices(Protocol):
         """Close everything: the board is gone, or is another one now."""
 
 
+class WrongFrame(Protocol):
+    """A frame that does not hold what was loaded."""
+
+    @property
+    def far(self) -> int:
+        """Its address as a word."""
+
+    @property
+    def address(self) -> FramePlace:
+        """Its address."""
+
+    @property
+    def bits(self) -> tuple[int, ...]:
+        """Those that differ: 32 times the word, and the bit in it."""
+
+
+class FramePlace(Protocol):
+    """Where a frame lies."""
+
+    @property
+    def block_type(self) -> int:
+        """0: logic and routing, 1: contents of block RAM."""
+
+    @property
+    def row(self) -> int:
+        """Of the device."""
+
+    @property
+    def column(self) -> int:
+        """In the row."""
+
+    @property
+    def minor(self) -> int:
+        """In the column."""
+
+
+class FrameSlice(Protocol):
+    """Frames that are read in one go; words as they lie in memory for DMA."""
+
+    @property
+    def request(self) -> bytes:
+        """What is written to the port first."""
+
+    @property
+    def reply_length(self) -> int:
+        """Bytes that are read then."""
+
+    @property
+    def closing(self) -> bytes:
+        """What is written at the end."""
+
+    @property
+    def judge(self) -> Callable[[memoryview], Sequence[WrongFrame]]:
+        """Which of them are wrong, from what was read."""
+
+
+class LoadedFrames(Protocol):
+    """The frames of a bitstream, to compare with what a port gives."""
+
+    @property
+    def judged(self) -> int:
+        """How many are compared."""
+
+    @property
+    def unjudged(self) -> Sequence[FramePlace]:
+        """Those that cannot be."""
+
+    @property
+    def why(self) -> str:
+        """Why not, and how it is known what the fabric itself changes; a sentence."""
+
+    @property
+    def frame_bytes(self) -> int:
+        """Bytes of a frame."""
+
+    def slices(self, most: int) -> Sequence[FrameSlice]:
+        """All that are compared, `most` at a time."""
+
+    def repair(self, wrong: Sequence[Any]) -> bytes | None:
+        """Words that write frames anew; None where that would destroy what the fabric holds in them."""
+
+
 class PortBuffer(Protocol):
     """Memory from which a configuration port can load."""
 
@@ -216,6 +298,14 @@ class PortInfo(Protocol):
     def denied(self) -> bool:
         """Whether the platform's firmware does not let the port be used."""
 
+    @property
+    def readable(self) -> bool:
+        """Whether words can be read from it."""
+
+    @property
+    def clock_hz(self) -> int:
+        """Its clock; 0 where the driver does not know it."""
+
 
 class PortStatus(Protocol):
     """What a configuration port does."""
@@ -241,6 +331,10 @@ class PortCompletion(Protocol):
         """0, or a negative errno."""
 
     @property
+    def length(self) -> int:
+        """Bytes that the port took, or gave."""
+
+    @property
     def reason(self) -> str:
         """A sentence for why it failed."""
 
@@ -259,6 +353,9 @@ class ConfigPort(Protocol):
         self, buffer: Any, length: int | None = None, *, cookie: int = 0, full: bool = False, encrypted: bool = False
     ) -> None:
         """Start a load of a buffer of its own, and return at once."""
+
+    def read(self, buffer: Any, request: slice, reply: slice, closing: slice, cookie: int = 0) -> None:
+        """Start a read, whose parts are bytes of a buffer of its own, and return at once."""
 
     def wait(self, timeout: float | None = None) -> PortCompletion:
         """The next end of a load. Raises TimeoutError after `timeout` seconds."""
@@ -309,6 +406,12 @@ class Files(Protocol):
 
     def port_bytes(self, image: Image) -> bytes:
         """The image as words in the order in which a DMA-fed port takes them from memory."""
+
+    def loaded_frames(self, image: Image) -> LoadedFrames:
+        """What the image leaves in the device, and how much of it can be compared with what is read back.
+
+        Raises Sha256Mismatch where the file is another one now.
+        """
 
     def firmware_name(self, image: Image) -> str:
         """A name below /lib/firmware under which the kernel finds our own copy of the image in .bin form."""

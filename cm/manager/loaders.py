@@ -200,6 +200,18 @@ class IcapLoader:
         icap.load(held.buffer, held.length, cookie=cookie, full=whole, encrypted=image.encrypted)
         _raise_failed(self._wait(icap, cookie, image, timeout, on_bytes), image)
 
+    def write(self, port: str | None, words: bytes, image: Image, timeout: float) -> None:
+        """Load words that are no image of a file. Raises LoadFailed, StepTimeout or DeviceError."""
+        icap = self._devices.icap(port)
+        held = _filled(icap, words)
+        try:
+            self._await_idle(icap, image, timeout)
+            cookie = next(self._cookies)
+            icap.load(held.buffer, held.length, cookie=cookie)
+            _raise_failed(self._wait(icap, cookie, image, timeout, lambda _: None), image)
+        finally:
+            self._dispose(held)
+
     def _dispose(self, held: Held) -> None:
         """Close a buffer, and earlier ones that an abandoned load was still using then."""
         left = [*self._in_use, held]
@@ -340,6 +352,10 @@ class Loaders:
     def kind(self, kind: LoaderKind) -> Loader:
         """The loader of a kind."""
         return self._all[kind]
+
+    def write(self, region: Region, words: bytes, image: Image, timeout: float) -> None:
+        """Load words that are no image of a file into a region, through its ICAP; `image` is what is there."""
+        self._icap.write(region.loader_name, words, image, timeout)
 
     def instead(self, job: Job, schema: Config, refused: Exception) -> tuple[Loader, Choice]:
         """The loader after the ICAP has refused a load, if the schema leaves the port open. Else raises `refused`."""

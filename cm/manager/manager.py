@@ -17,7 +17,8 @@ from cm.manager.access.leases import Leases, leases_concerned
 from cm.manager.access.memory_service import MemoryService
 from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_service import RegisterService
-from cm.manager.errors import ChangeBusy, NothingLoaded
+from cm.manager.errors import ChangeBusy, NothingLoaded, UnknownRegion
+from cm.manager.execution.scan import Checked, Outcome, Scan, checked_region
 from cm.manager.execution.transaction import Tools, plan_to
 from cm.manager.execution.worker import Change, Worker
 from cm.manager.interfaces import DataPlane, Devices, Files, Observer, TimeSource
@@ -28,8 +29,8 @@ from cm.manager.reporting import Moment, StatusReporter, config_info
 from cm.manager.state.board_state import BoardState, slept
 from cm.manager.state.record import Journal, ManagerState, Pending
 from cm.schema.model import Config
-from cm.wire.messages.requests import ChangeMode, RegWrite
-from cm.wire.messages.status import ConfigInfo, ErrorInfo, PlanInfo, RegValues, Status, WindowStatus
+from cm.wire.messages.requests import ChangeMode, CheckRegion, RegWrite
+from cm.wire.messages.status import ConfigInfo, ErrorInfo, PlanInfo, RegionCheck, RegValues, Status, WindowStatus
 
 if TYPE_CHECKING:
     from cm.manager.access.windows import Windows
@@ -272,6 +273,40 @@ class Manager:
             if self._worker.busy:
                 raise ChangeBusy("a change runs: only the last one that has ended can be undone")
             undo(change, way_back(request.undo, config.name, mode, self._state), self._state)
+        return self._worker.add(change)
+
+    def prepared_check(self, name: str) -> Checked:
+        """A region, ready to be compared with what was loaded into it; reads its bitstream. Any thread.
+
+        Raises NotFound, RegionBusy, NoReadback, and what is wrong with the file.
+        """
+        return checked_region(name, self._state, self._env.devices, self._env.files)
+
+    def check(self, what: Checked, on_done: Callable[[RegionCheck | Exception], None]) -> None:
+        """Compare a region; `on_done` is called at the end, from the worker's thread. Raises ChangeBusy."""
+        started = self._env.time.monotonic()
+
+        def done(outcome: Outcome) -> None:
+            scan, error = outcome
+            if error is None:
+                self._worker.note(scan)
+                self.reporter.changed()
+            on_done(error or scan.result(self._env.time.monotonic() - started))
+
+        self._worker.look(Scan(what, self._state, self._env.devices, done))
+
+    def repair(self, request: CheckRegion, on_done: Callable[[Change], None] | None = None) -> Change:
+        """Accept a change that compares a region and repairs it; `on_done` as for `submit`."""
+        config, mode = self.loaded_config(), self.state.mode
+        if config is None or mode is None:
+            raise NothingLoaded("nothing is loaded: there is no region to compare")
+        if request.name not in config.regions:
+            known = planner.hint(request.name, config.regions)
+            raise UnknownRegion(f"configuration {config.name!r} has no region {request.name!r}{known}")
+        scopes = (f"region:{request.name}",)
+        self.leases.check(scopes, request.lease)
+        change = Change(self._state.next_number(), config.name, mode, False, None, scopes, request.lease)
+        change.repairs, change.reloads, change.on_done = request.name, request.reload, on_done
         return self._worker.add(change)
 
     @property

@@ -114,6 +114,7 @@ class Goal:
     `static` is the full configuration whose image a partial one ran on, for the way back to it.
     `rates` are clocks' rates in Hz that the way back restores, whatever the configuration says of them; `found`
     likewise what registers held, by physical address and width, which no name of the configuration has to reach.
+    `reload`: regions that are loaded again, though they hold what is wanted.
     `grounded`: the configuration's own overlays are on, by a plan before this one.
     """
 
@@ -126,6 +127,7 @@ class Goal:
     rates: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
     found: Mapping[s.Place, int] = field(default_factory=lambda: MappingProxyType({}))
     grounded: bool = False
+    reload: Collection[str] = ()
 
     @property
     def base(self) -> Config | None:
@@ -427,7 +429,12 @@ class _Planner:
     def _differs(self, module: Module, image: Image) -> bool:
         """Whether the region has to be loaded; one that is only cut off holds what it held."""
         held = self._state.region(module.region)
-        if self._goal.force or held.phase not in _WHOLE or held.sha256 != image.sha256:
+        if (
+            self._goal.force
+            or module.region in self._goal.reload
+            or held.phase not in _WHOLE
+            or held.sha256 != image.sha256
+        ):
             return True
         by_overlay = self._config.regions[module.region].loader is LoaderKind.OVERLAY
         return by_overlay and loading_overlay(module.region) not in {o.name for o in self._state.overlays}

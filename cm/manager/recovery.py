@@ -133,6 +133,9 @@ def _distrust_pending(state: BoardState, pending: Pending | None) -> BoardState:
     if pending.step == "decouple":  # its circuit is unchanged, whether or not it is isolated now
         region = state.region(pending.subject)
         return state.with_region(pending.subject, region.after(RegionEvent.DECOUPLE))
+    if pending.step == "repair":  # a frame may have been written half: the region is loaded again
+        region = state.region(pending.subject)
+        return state.with_region(pending.subject, region.after(RegionEvent.LOSE))
     if pending.step == "registers":
         return state.without_values({pending.subject})
     return state

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from itertools import accumulate
 from operator import is_
+from types import MappingProxyType
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from cm.frozen import dataclass
@@ -28,6 +29,7 @@ from cm.wire.messages.status import (
     ModeInfo,
     PrMode,
     Progress,
+    RegionHealth,
     RegionStatus,
     RegisterInfo,
     Status,
@@ -51,6 +53,7 @@ class Moment(NamedTuple):
     config: Config | None  # that is loaded
     configs: Mapping[str, Config]
     choices: Mapping[tuple[str, str], Choice]
+    health: Mapping[str, RegionHealth]
 
 
 class _Kept(Generic[_T]):
@@ -76,6 +79,7 @@ class StatusReporter:
         self._state = state
         self._observer = observer
         self.totals = ChangeTotals()  # since this manager's start
+        self.health = Health()  # likewise
         self._running = False
         self._full = False  # the running change loads a whole image
         self._progress: Progress | None = None
@@ -132,7 +136,7 @@ class StatusReporter:
         running, state, error = self._running, self._state, self._error or self._notice
         board, generation = state.board, state.generation
         what = running, self._pr_mode(running), self._progress, error, self._last, generation, board
-        return Moment(*what, state.loaded_config(), state.configs, state.choices)
+        return Moment(*what, state.loaded_config(), state.configs, state.choices, self.health.told)
 
     def status(self, moment: Moment | None = None, **beside: Any) -> Status:
         """The state of a moment as it is told, or of now; `beside`: streams, sequence and the like, the daemon's."""
@@ -144,7 +148,7 @@ class StatusReporter:
             pr_mode=m.pr_mode,
             progress=m.progress,
             last_error=m.error,
-            regions=self._regions.of(m.config, m.board.regions, m.choices),
+            regions=self._regions.of(m.config, m.board.regions, m.choices, m.health),
             configs=self._configs.of(m.configs),
             last_change=m.last[0],
             last_change_seconds=m.last[1],
@@ -157,6 +161,38 @@ class StatusReporter:
         if running:
             return PrMode.FULL if self._full else PrMode.PARTIAL
         return PrMode.ERROR if self._failed else PrMode.IDLE
+
+
+class Health:
+    """What checks of regions have found, by region. The worker's thread; `told` is for any."""
+
+    def __init__(self) -> None:
+        self.told: Mapping[str, RegionHealth] = MappingProxyType({})
+        self._known: dict[str, frozenset[tuple[int, int]]] = {}  # bits that are counted already
+
+    def checked(self, region: str, wrong: frozenset[tuple[int, int]], frames: int, unjudged: int) -> None:
+        """A check went over all of a region, and found these bits wrong (frame address, bit)."""
+        before = self._of(region)
+        new = len(wrong - self._known.get(region, frozenset()))
+        self._known[region] = wrong
+        counted = before.checks + 1, before.upsets + new, before.repairs, len(wrong), frames, unjudged
+        self._tell(region, RegionHealth(*counted))
+
+    def repaired(self, region: str) -> None:
+        """What was wrong is right again."""
+        self._tell(region, self._of(region)._replace(repairs=self._of(region).repairs + 1))
+
+    def mended(self, region: str) -> None:
+        """It was loaded: what was found wrong is gone."""
+        self._known.pop(region, None)
+        if region in self.told and self.told[region].wrong_bits:
+            self._tell(region, self.told[region]._replace(wrong_bits=0))
+
+    def _of(self, region: str) -> RegionHealth:
+        return self.told.get(region, RegionHealth())
+
+    def _tell(self, region: str, health: RegionHealth) -> None:
+        self.told = MappingProxyType({**self.told, region: health})
 
 
 def stream_status(stream: Stream) -> StreamStatus:
@@ -177,13 +213,16 @@ def stream_status(stream: Stream) -> StreamStatus:
 
 
 def region_states(
-    config: Config | None, regions: Mapping[str, RegionState], choices: Mapping[tuple[str, str], Choice]
+    config: Config | None,
+    regions: Mapping[str, RegionState],
+    choices: Mapping[tuple[str, str], Choice],
+    health: Mapping[str, RegionHealth],
 ) -> tuple[RegionStatus, ...]:
     """All regions that are known, those of the loaded configuration first."""
     names = dict.fromkeys([*(config.regions if config else ()), *regions])
     chosen = {n: choices.get((config.name, n)) for n in names} if config else {}
     states = ((n, regions.get(n, _UNKNOWN)) for n in names)
-    return tuple(RegionStatus(n, x.module, x.phase.value, _loader(chosen.get(n))) for n, x in states)
+    return tuple(RegionStatus(n, x.module, x.phase.value, _loader(chosen.get(n)), health.get(n)) for n, x in states)
 
 
 def _loader(choice: Choice | None) -> str:

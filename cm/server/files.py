@@ -40,7 +40,7 @@ from cm.formats.bitstream.cache import Inspected
 from cm.formats.bitstream.errors import BadContainer, BitstreamError, Sha256Mismatch
 from cm.frozen import dataclass
 from cm.manager.errors import BadOverlay
-from cm.manager.interfaces import Image
+from cm.manager.interfaces import Image, LoadedFrames
 from cm.schema.files import bitstream_path, find_file, overlay_path
 from cm.schema.model import Config, FrameRange, Module, Overlay, Region
 from cm.server.folders import own_folder
@@ -48,6 +48,7 @@ from cm.server.folders import own_folder
 MAX_BYTES = 512 << 20  # more than the largest device of the supported families needs
 
 _KEPT = 256  # files
+_FRAMES_KEPT = 4  # images whose frames are ready to be compared
 
 _Pair = tuple[str, str]
 _SYNC = b"\x66\x55\x99\xaa"
@@ -626,6 +627,7 @@ class BoardFiles:
         self._reader = BitstreamReader()
         self._firmware = FirmwareFolder(root, self._reader, copies)
         self._footprints = footprints or Footprints()
+        self._frames: dict[str, LoadedFrames] = {}  # by the image's hash
         self._overlays = OverlayFiles(root, self._reader, self._firmware, self._read_overlay)
 
     # ---- bitstreams -----------------------------------------------------------------
@@ -663,6 +665,26 @@ class BoardFiles:
     def port_bytes(self, image: Image) -> bytes:
         """Words in the order a DMA-fed port takes them. Raises Sha256Mismatch if the file changed since."""
         return to_dma_words(self._reader.read(image))
+
+    def loaded_frames(self, image: Image) -> LoadedFrames:
+        """What an image leaves in the device. Those of the last few are kept: scrubbing asks again and again."""
+        from cm.formats.bitstream.container import open_image
+        from cm.formats.bitstream.devices import device_by_idcode
+        from cm.formats.bitstream.errors import UnknownDevice
+        from cm.formats.bitstream.mask import mask_for
+        from cm.formats.bitstream.readback import LoadedFrames as Loaded
+
+        found = self._frames.pop(image.sha256, None)
+        if found is None:
+            device = device_by_idcode(image.idcode) if image.idcode is not None else None
+            if device is None or image.encrypted:
+                what = "is encrypted" if image.encrypted else "is for a device that is not known"
+                raise UnknownDevice(f"{image.path} {what}: its frames cannot be compared")
+            found = Loaded(device, open_image(self._reader.read(image)), mask_for(image.path, device))
+        self._frames[image.sha256] = found
+        while len(self._frames) > _FRAMES_KEPT:
+            self._frames.pop(next(iter(self._frames)))
+        return found
 
     def forget(self, config: str) -> None:
         """This configuration was replaced: its footprints are learned anew."""

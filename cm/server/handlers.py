@@ -15,6 +15,7 @@ from cm.manager.access.leases import check_scope_names_something
 from cm.manager.access.memory_service import MemoryService, Transfer
 from cm.manager.access.register_service import AT_ONCE, ReadPieces, RegisterService, WritePieces
 from cm.manager.errors import ChangeBusy, UnknownInterrupt, UnknownStream
+from cm.manager.execution.scan import Checked
 from cm.manager.execution.worker import QUEUE_LENGTH, Change
 from cm.manager.manager import Manager
 from cm.manager.planner import hint
@@ -43,6 +44,7 @@ from cm.wire.messages.status import (
     ChangeInfo,
     ConfigInfo,
     FrameInfo,
+    RegionCheck,
     RegValues,
     Reply,
     Status,
@@ -385,6 +387,7 @@ class Handlers:
             rq.Provision: self._provision,
             rq.RemoveConfig: self._remove_config,
             rq.Upload: self._upload,
+            rq.CheckRegion: self._check_region,
             rq.ReadIrq: self._read_irq,
             rq.TakeLease: self._lease,
             rq.RenewLease: self._lease,
@@ -427,6 +430,8 @@ class Handlers:
                 self.table[kind](request, respond, self._s.clients.of(connection))
             elif kind is rq.ChangeMode:
                 self._change_mode(request, respond, began, connection)  # type: ignore[arg-type]
+            elif kind is rq.CheckRegion:
+                self._check_region(request, respond, began, connection)  # type: ignore[arg-type]
             elif kind in _STORES:
                 self.table[kind](request, respond, began, connection)
             else:
@@ -478,23 +483,48 @@ class Handlers:
         self._run_job(client, lambda: self._s.manager.plan(change), lambda plan: respond(Reply(plan)), respond)
 
     def _change_mode(self, request: rq.ChangeMode, respond: Respond, began: Began, connection: str) -> None:
+        respond_at_end = (lambda _: None) if request.no_wait else respond
+        change = self._begin(partial(self._s.manager.submit, request), respond_at_end, began, connection)
+        if request.no_wait:
+            respond(Reply(ChangeInfo(change.number, done=False)))
+
+    def _begin(
+        self, submit: Callable[[Callable[[Change], None]], Change], respond: Respond, began: Began, connection: str
+    ) -> Change:
+        """Have a client's change accepted, and answer when it has ended."""
         client = self._s.clients.of(connection)
         if client.changes >= CHANGES_EACH:
             raise Busy(f"{client.changes} changes of {client.name} wait or run; try again when one has ended")
         ends: list[Callable[[], None]] = []
 
         def ended(change: Change) -> None:
-            if not request.no_wait:
-                respond(change.reply())
+            respond(change.reply())
             client.changes -= 1
             for end in ends:
                 end()
 
-        change = self._s.manager.submit(request, lambda c: self._s.loop.call_threadsafe(partial(ended, c)))
+        change = submit(lambda c: self._s.loop.call_threadsafe(partial(ended, c)))
         client.changes += 1
         ends.append(began(change))  # its end is reported in a later turn of the loop
-        if request.no_wait:
-            respond(Reply(ChangeInfo(change.number, done=False)))
+        return change
+
+    def _check_region(self, request: rq.CheckRegion, respond: Respond, began: Began, connection: str) -> None:
+        manager = self._s.manager
+        if request.repair or request.reload:
+            self._begin(partial(manager.repair, request), respond, began, connection)
+            return
+
+        def ended(result: RegionCheck | Exception) -> None:
+            if isinstance(result, Exception):
+                self._failed(result, respond)
+            else:
+                respond(Reply(result))
+
+        def prepared(what: Checked) -> None:
+            manager.check(what, lambda result: self._s.loop.call_threadsafe(partial(ended, result)))
+
+        client = self._s.clients.of(connection)
+        self._run_job(client, partial(manager.prepared_check, request.name), prepared, respond)
 
     def _cancel_change(self, _: rq.CancelChange, respond: Respond) -> None:
         self._s.manager.cancel()

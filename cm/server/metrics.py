@@ -193,6 +193,19 @@ def _of_board(status: Status) -> Iterator[Metric]:
     yield single("cm_failed", "gauge", "Whether the last change failed.", status.pr_mode.value == "error")
     regions = [({"region": r.name, "module": r.module or "", "state": r.state}, 1) for r in status.regions]
     yield many("cm_region", "gauge", "1 for what each region holds and its state.", regions)
+    health = {region.name: region.health for region in status.regions if region.health is not None}
+    for name, kind, text, values in (
+        ("checks_total", "counter", "Checks of what a region holds.", {n: h.checks for n, h in health.items()}),
+        ("upsets_total", "counter", "Bits that were found wrong.", {n: h.upsets for n, h in health.items()}),
+        ("repairs_total", "counter", "Repairs of regions.", {n: h.repairs for n, h in health.items()}),
+        (
+            "wrong_bits",
+            "gauge",
+            "Bits that are wrong, by the last check.",
+            {n: h.wrong_bits for n, h in health.items()},
+        ),
+    ):
+        yield by_label(f"cm_region_{name}", kind, text, "region", values)
     rates = {c.name: float(c.rate) for c in status.clocks if c.rate}
     yield by_label("cm_clock_hertz", "gauge", "Clocks of the loaded configuration.", "clock", rates)
 

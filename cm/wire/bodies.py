@@ -101,7 +101,11 @@ def encoded_status(s: st.Status) -> bytes:
         generation=s.generation,
     )
     for region in s.regions:
-        message.regions.add(name=region.name, module=region.module or "", state=region.state, loader=region.loader)
+        told = message.regions.add(
+            name=region.name, module=region.module or "", state=region.state, loader=region.loader
+        )
+        if region.health is not None:
+            told.health.MergeFrom(pb.RegionHealth(**region.health._asdict()))
     if s.progress is not None:
         message.progress.CopyFrom(_progress_to_pb(s.progress))
     if s.last_error is not None:
@@ -175,7 +179,7 @@ def status_from_pb(m: pb.Status) -> st.Status:
         progress=_progress_from_pb(m.progress) if m.HasField("progress") else None,
         sequence=m.sequence,
         last_error=error_from_pb(m.last_error) if m.HasField("last_error") else None,
-        regions=tuple(st.RegionStatus(r.name, r.module or None, r.state, r.loader) for r in m.regions),
+        regions=tuple(_region_from_pb(r) for r in m.regions),
         streams=tuple(stream_from_pb(x) for x in m.streams),
         configs=tuple(m.configs),
         version=m.version,
@@ -190,6 +194,39 @@ def status_from_pb(m: pb.Status) -> st.Status:
         leases=tuple(lease_state_from_pb(x) for x in m.leases),
         clients=tuple(client_from_pb(x) for x in m.clients),
         windows=tuple([window_from_pb(x) for x in m.windows]),
+    )
+
+
+def _region_from_pb(r: pb.RegionState) -> st.RegionStatus:
+    h = r.health if r.HasField("health") else None
+    health = st.RegionHealth(h.checks, h.upsets, h.repairs, h.wrong_bits, h.frames, h.unjudged) if h else None
+    return st.RegionStatus(r.name, r.module or None, r.state, r.loader, health)
+
+
+def check_to_pb(c: st.RegionCheck) -> pb.RegionCheck:
+    return pb.RegionCheck(
+        region=c.region,
+        module=c.module,
+        verdict=c.verdict,
+        frames=c.frames,
+        unjudged=c.unjudged,
+        why=c.why,
+        wrong_frames=c.wrong_frames,
+        wrong_bits=c.wrong_bits,
+        wrong=[pb.FrameError(**frame._asdict()) for frame in c.wrong],
+        repaired=c.repaired,
+        seconds=c.seconds,
+        change=c.change,
+        config_name=c.config_name,
+        mode=c.mode,
+    )
+
+
+def check_from_pb(m: pb.RegionCheck) -> st.RegionCheck:
+    wrong = tuple([st.FrameError(x.far, x.block_type, x.row, x.column, x.minor, tuple(x.bits)) for x in m.wrong])
+    counted = m.frames, m.unjudged, m.why, m.wrong_frames, m.wrong_bits, wrong
+    return st.RegionCheck(
+        m.region, m.module, m.verdict, *counted, m.repaired, m.seconds, m.change, m.config_name, m.mode
     )
 
 

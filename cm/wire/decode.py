@@ -181,6 +181,14 @@ def _upload(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     return rq.Upload(m.id, m.length, m.offset, payload[0] if payload else b"", m.discard)
 
 
+def _region(message: bytes, payload: Sequence[Frame]) -> rq.Request:
+    _no_payload("cm_region", payload)
+    m = parse.parse(pb.Region, "cm_region", message)
+    if m.reload and not m.repair:
+        raise InvalidRequest("cm_region: reload says how to repair; it goes with repair")
+    return rq.CheckRegion(m.name, m.repair, m.reload, m.lease)
+
+
 def _read_irq(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     _no_payload("cm_irq", payload)
     return rq.ReadIrq(parse.parse(pb.ReadIrq, "cm_irq", message).name)
@@ -215,5 +223,6 @@ _DECODERS: dict[bytes, _Decoder] = {
     topics.IRQ: _read_irq,
     topics.LEASE: _lease,
     topics.UPLOAD: _upload,
+    topics.REGION: _region,
 }
 TOPICS = frozenset(_DECODERS)  # of commands

@@ -190,6 +190,10 @@ _REQUESTS: dict[type, Callable[[Any], list[Frame]]] = {
     rq.ReadData: _read_data,
     rq.WriteData: _write_data,
     rq.Upload: _upload,
+    rq.CheckRegion: lambda r: [
+        topics.REGION,
+        pb.Region(name=r.name, repair=r.repair, reload=r.reload, lease=r.lease).SerializeToString(),
+    ],
     rq.ReadIrq: lambda r: [topics.IRQ, pb.ReadIrq(name=r.name).SerializeToString()],
     rq.TakeLease: _take_lease,
     rq.RenewLease: lambda r: _lease(pb.Lease(id=r.id, seconds=r.seconds, pid=r.pid)),
@@ -212,6 +216,7 @@ _BODIES: dict[type, tuple[str, Callable[[Any], Any], Callable[[Any], Any]]] = {
         lambda x: pb.Upload(id=x.id, length=x.length, offset=x.got),
         lambda m: st.UploadInfo(m.id, m.length, m.offset),
     ),
+    st.RegionCheck: ("region", bodies.check_to_pb, bodies.check_from_pb),
     st.MemoryInfo: ("memory", bodies.memory_to_pb, bodies.memory_from_pb),
     st.StreamStatus: (
         "stream",

@@ -19,6 +19,7 @@ WRITE_DATA = b"cm_write_data"
 IRQ = b"cm_irq"
 LEASE = b"cm_lease"
 UPLOAD = b"cm_upload"
+REGION = b"cm_region"
 
 TEXT_CONFIG = b"cm_config"  # the paper's spelling of cm_write_config
 DATA_READ = b"cm_data_read"  # the paper's spelling of cm_read_data

@@ -23,6 +23,7 @@ from cm.wire.messages.status import (
     LeaseInfo,
     MemoryInfo,
     PlanInfo,
+    RegionCheck,
     RegValues,
     Reply,
     Status,
@@ -199,6 +200,11 @@ def read_memory(name: str, offset: int, length: int) -> Call[tuple[FrameInfo, An
 def write_memory(name: str, offset: int, data: memoryview, lease: str) -> Call[FrameInfo]:
     """Write bytes to a memory; the reply comes when they have been written."""
     return Call(rq.WriteData(name, data, lease, offset), lambda r: _body(r, FrameInfo))
+
+
+def check_region(name: str, repair: bool, reload: bool, lease: str) -> Call[RegionCheck]:
+    """Compare a region's frames with what was loaded."""
+    return Call(rq.CheckRegion(name, repair or reload, reload, lease), lambda r: _body(r, RegionCheck))
 
 
 def interrupt(name: str) -> Call[Irq]:

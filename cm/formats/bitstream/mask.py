@@ -11,12 +11,12 @@ compared as they are, as far as nothing says that a design has such look-up tabl
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from cm.errors import CmError
 from cm.formats.bitstream.container import open_image
-from cm.formats.bitstream.devices import Device
+from cm.formats.bitstream.devices import Device, Family
 from cm.formats.bitstream.geometry import decode_far, frame_order
 from cm.formats.bitstream.memory import frames_of
 from cm.frozen import dataclass
@@ -29,53 +29,60 @@ _CONTENTS = 1  # block type of the contents of block RAM
 class Mask:
     """What is not compared, and `why`, in words, for people; `source`: msk, xray or none."""
 
-    of: Callable[[Sequence[int]], Masks]
+    of: Callable[[Mapping[int, bytes]], Masks]  # of frames as they were loaded, by FAR
     source: str
     why: str = ""
 
 
-def mask_for(bitstream: Path, device: Device, frames: Mapping[int, bytes] | None = None) -> Mask:
+def mask_for(bitstream: Path, device: Device) -> Mask:
     """The mask of a bitstream: of the file beside it, of the database, or what is known of every design.
 
-    `frames`: what the bitstream holds, by FAR. Raises the refusals of `cm.formats.bitstream` for a damaged ``.msk``.
+    Raises the refusals of `cm.formats.bitstream` for a damaged ``.msk``.
     """
     beside = bitstream.with_name(bitstream.name.split(".")[0] + ".msk")
     if beside.is_file():
         return _of_file(beside, device)
-    known = _of_database(device, frames or {})
+    known = _of_database(device)
     if known is not None:
         return known
     why = (
         "the contents of block RAM are not compared, and nothing says which look-up tables are memories "
         f"(no {beside.name}, no database of Project X-Ray)"
     )
-    return Mask(lambda fars: _without_contents(fars, device), "none", why)
+    return Mask(lambda frames: _without_contents(frames, device), "none", why)
 
 
-def _without_contents(fars: Sequence[int], device: Device) -> Masks:
-    return {far: None for far in fars if decode_far(far, device.family).block_type == _CONTENTS}
+def _without_contents(frames: Iterable[int], device: Device) -> Masks:
+    return {far: None for far in frames if decode_far(far, device.family).block_type == _CONTENTS}
 
 
 def _of_file(path: Path, device: Device) -> Mask:
     order = frame_order(device.name, device.family)
     found = frames_of(open_image(path), order) if order is not None else {}
 
-    def of(fars: Sequence[int]) -> Masks:
-        return {far: as_number(found[far]) if far in found else None for far in fars}
+    def of(frames: Mapping[int, bytes]) -> Masks:
+        return {far: as_number(found[far]) if far in found else None for far in frames}
 
     return Mask(of, "msk", f"{path.name} says what is not compared")
 
 
-def _of_database(device: Device, frames: Mapping[int, bytes]) -> Mask | None:
+def _of_database(device: Device) -> Mask | None:
     """None where the database is not installed, or does not know the device."""
-    try:
-        from cm.formats.xray.database import Database
-        from cm.formats.xray.volatile import volatile_bits
+    from cm.formats.xray.database import Database  # here: few boards have it
 
-        masks = volatile_bits(Database.open(device.name), {far: as_number(frame) for far, frame in frames.items()})
+    if device.family is not Family.SERIES7:
+        return None
+    try:
+        database = Database.open(device.name)
     except CmError:
         return None
-    return Mask(lambda fars: {far: masks.get(far) for far in fars}, "xray", "Project X-Ray's database says what is not")
+
+    def of(frames: Mapping[int, bytes]) -> Masks:
+        from cm.formats.xray.volatile import volatile_bits
+
+        return volatile_bits(database, {far: as_number(frame) for far, frame in frames.items()})
+
+    return Mask(of, "xray", "Project X-Ray's database says what is not compared")
 
 
 def as_number(frame: bytes) -> int:

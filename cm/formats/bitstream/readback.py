@@ -17,6 +17,7 @@ from cm.formats.bitstream.devices import Device, Family
 from cm.formats.bitstream.geometry import FrameAddress, decode_far, frame_order
 from cm.formats.bitstream.mask import Mask
 from cm.formats.bitstream.memory import frames_of
+from cm.formats.bitstream.module import identify_bytes
 from cm.formats.bitstream.packets import (
     BUS_WIDTH_DETECT,
     BUS_WIDTH_SYNC,
@@ -97,7 +98,6 @@ class Slice:
     request: bytes
     reply_length: int  # bytes
     closing: bytes
-    frames: int
     judge: Callable[[bytes | memoryview], tuple[WrongFrame, ...]]  # of the reply
 
 
@@ -109,6 +109,7 @@ class LoadedFrames:
 
     def __init__(self, device: Device, image: Image, mask: Mask) -> None:
         self._device, self._family = device, device.family
+        self._cut: dict[int, tuple[Slice, ...]] = {}
         self._order = order = frame_order(device.name, device.family)
         self.why = mask.why
         if order is None:
@@ -118,19 +119,33 @@ class LoadedFrames:
             self.unjudged: tuple[FrameAddress, ...] = ()
             return
         loaded = frames_of(image, order)
-        masked = mask.of(tuple(loaded))
+        if mask.source != "msk" and _made_up(loaded):
+            mask = Mask(
+                lambda _: {}, "none", "no circuit is in these frames: they were assembled for the simulated board"
+            )
+        self.why, masked = mask.why, mask.of(loaded)
         self._frames = {far: native.swap(frame) for far, frame in loaded.items() if masked.get(far, 0) is not None}
         self._ignored = {far: ignored for far, ignored in masked.items() if ignored}
         left = [far for far in loaded if far not in self._frames]
         self.unjudged = tuple(decode_far(far, self._family) for far in sorted(left))
 
     @property
+    def frame_bytes(self) -> int:
+        """Bytes of a frame."""
+        return 4 * self._family.frame_words
+
+    @property
     def judged(self) -> int:
         """How many frames are compared."""
         return len(self._frames)
 
-    def slices(self, most: int) -> Iterator[Slice]:
+    def slices(self, most: int) -> tuple[Slice, ...]:
         """All frames, `most` at a time."""
+        if most not in self._cut:
+            self._cut[most] = tuple(self._sliced(most))
+        return self._cut[most]
+
+    def _sliced(self, most: int) -> Iterator[Slice]:
         run: list[int] = []
         for far in self._in_order():
             if run and (len(run) == most or self._place(far) != self._place(run[-1]) + 1):
@@ -168,7 +183,7 @@ class LoadedFrames:
             there = bytes(reply[length - len(expected) : length])
             return () if there == expected else tuple(self._differences(fars, there))
 
-        return Slice(request, length, native.swap(closing_words()), len(fars), judge)
+        return Slice(request, length, native.swap(closing_words()), judge)
 
     def _differences(self, fars: tuple[int, ...], there: bytes) -> Iterator[WrongFrame]:
         size = 4 * self._family.frame_words
@@ -180,6 +195,11 @@ class LoadedFrames:
             wrong = (int.from_bytes(frame, "little") ^ int.from_bytes(wanted, "little")) & ~ignored
             if wrong:
                 yield WrongFrame(far, decode_far(far, self._family), tuple(_set_bits(wrong)), bool(ignored))
+
+
+def _made_up(frames: Mapping[int, bytes]) -> bool:
+    """Whether they are of our own assembler, and do not configure anything."""
+    return bool(frames) and identify_bytes(next(iter(frames.values()))) is not None
 
 
 def _set_bits(number: int) -> Iterator[int]:

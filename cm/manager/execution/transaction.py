@@ -222,6 +222,7 @@ def load(run: StepContext, step: s.Load) -> None:
         except BaseException:
             run.region_event(name, RegionEvent.LOAD_FAILED)
             raise
+    run.tools.reporter.health.mended(name)
     held = run.board.region(name).after(RegionEvent.LOAD_DONE)
     run.set_region(name, held.holding(step.module.name, step.image.sha256))
     if step.region.loader is LoaderKind.OVERLAY:
@@ -383,6 +384,20 @@ def _keeps_its_value(register: Register) -> bool:
     return register.access is Access.RW and not register.volatile
 
 
+def repair(run: StepContext, step: s.Repair) -> None:
+    """Write frames anew. One that is written with what it holds already changes nothing (docs/readback.md).
+
+    If it fails, nobody knows what these frames hold: the region's content is not trusted.
+    """
+    run.check_cancelled()
+    try:
+        run.tools.loaders.write(step.region, step.words, step.image, step.timeout)
+    except BaseException:
+        run.begun.add(step.region.name)
+        run.region_event(step.region.name, RegionEvent.LOSE)
+        raise
+
+
 def publish(run: StepContext, step: s.Publish) -> None:
     """The board is in the mode: record it, and release registers and streams.
 
@@ -471,6 +486,7 @@ ACTIONS: Mapping[type, Callable[[StepContext, Any], None]] = MappingProxyType(
         s.CheckIdentity: check_identity,
         s.SetRegister: set_register,
         s.SetClock: set_clock,
+        s.Repair: repair,
         s.Publish: publish,
     }
 )

@@ -7,22 +7,24 @@ import functools
 import queue
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from cm.errors import CmError
 from cm.manager import planner
 from cm.manager.access.leases import Leases
-from cm.manager.errors import Cancelled, ChangeBusy
+from cm.manager.errors import Cancelled, ChangeBusy, RegionWrong
 from cm.manager.execution.rollback import Rollback, failure_of
+from cm.manager.execution.scan import Scan, bits_of, checked_region
 from cm.manager.execution.transaction import StepContext, Tools, plan_to, take_steps
-from cm.manager.planner import Goal
+from cm.manager.planner import Goal, Plan
 from cm.manager.state.board_state import BoardState, RegionPhase
 from cm.manager.state.record import Pending, WayBack
-from cm.manager.state.steps import Place
+from cm.manager.state.steps import Place, Repair, Validate
 from cm.schema.model import ConfigType
-from cm.wire.messages.status import ChangeInfo, ErrorInfo, Reply
+from cm.wire.messages.status import ChangeInfo, ErrorInfo, RegionCheck, Reply
 
 QUEUE_LENGTH = 8
+SCANS = 8  # that may wait or run
 
 
 @dataclass(eq=False)
@@ -47,6 +49,9 @@ class Change:
     asked: bool = False  # by a client, so that the way back of the change before it is void
     undoing: bool = False  # that change before it: void only once this one has ended well
     undoable: str = ""  # the name under which its own way back is kept
+    repairs: str = ""  # a region that it compares with what was loaded, and repairs; it goes nowhere else
+    reloads: bool = False  # that region as a whole
+    checked: RegionCheck | None = None  # what came of that
     _cancel: threading.Event = field(default_factory=threading.Event)
     _done: threading.Event = field(default_factory=threading.Event)
 
@@ -70,6 +75,8 @@ class Change:
 
     def reply(self) -> Reply:
         """What the client is told at its end."""
+        if self.checked is not None and self.error is None:
+            return Reply(replace(self.checked, change=self.number, seconds=self.seconds))
         ended = ChangeInfo(self.number, done=True, seconds=self.seconds, generation=self.generation)
         return Reply(ended) if self.error is None else Reply(error=self.error)
 
@@ -89,7 +96,9 @@ class Worker:
         self._tools = tools
         self._leases = leases
         self._prefetches = prefetches
-        self._queue: queue.Queue[Change | None] = queue.Queue(QUEUE_LENGTH)
+        self._queue: queue.SimpleQueue[Change | Scan | None] = queue.SimpleQueue()
+        self._count = threading.Condition()
+        self._changes = self._scans = 0  # that wait or run
         self._thread = threading.Thread(target=self._work, name="cm-changes", daemon=True)
         self._stopping = threading.Event()
         self._newest: Change | None = None
@@ -108,12 +117,21 @@ class Worker:
 
     def add(self, change: Change) -> Change:
         """Let a change wait for its turn. Raises ChangeBusy if too many wait."""
-        try:
-            self._queue.put_nowait(change)
-        except queue.Full:
-            raise ChangeBusy(f"{QUEUE_LENGTH} changes wait already; try again when one has ended") from None
+        with self._count:
+            if self._changes - (self.running is not None) >= QUEUE_LENGTH:
+                raise ChangeBusy(f"{QUEUE_LENGTH} changes wait already; try again when one has ended")
+            self._changes += 1
+        self._queue.put(change)
         self._newest = change
         return change
+
+    def look(self, scan: Scan) -> None:
+        """Let a check wait for its turns, a slice in each. Raises ChangeBusy if too many wait."""
+        with self._count:
+            if self._scans >= SCANS:
+                raise ChangeBusy(f"{SCANS} checks of regions run or wait already; try again when one has ended")
+            self._scans += 1
+        self._queue.put(scan)
 
     @property
     def coming(self) -> str | None:
@@ -123,31 +141,49 @@ class Worker:
     @property
     def busy(self) -> bool:
         """Whether a change runs or waits."""
-        return self._queue.unfinished_tasks > 0
+        return self._changes > 0
 
     def wait_idle(self) -> None:
         """Wait until no change runs or waits."""
-        self._queue.join()
+        with self._count:
+            self._count.wait_for(lambda: not self._changes)
+
+    def _ended(self) -> None:
+        with self._count:
+            self._changes -= 1
+            self._count.notify_all()
 
     # ---- the worker's thread ------------------------------------------------------------
 
     def _work(self) -> None:
-        while (change := self._queue.get()) is not None:
+        while (work := self._queue.get()) is not None:
             try:
-                self._turn(change)
+                if isinstance(work, Scan):
+                    self._look(work)
+                else:
+                    self._turn(work)
             except Exception as problem:  # noqa: BLE001 (the thread has to live)
                 self._tools.reporter.set_error(_internal(problem))
                 self._tools.reporter.changed()
-        self._queue.task_done()
+
+    def _look(self, scan: Scan) -> None:
+        """Read a slice of a region; the next one after the changes that wait now."""
+        if self._stopping.is_set():
+            scan.end(Cancelled("the configuration manager is stopping"))
+        elif not scan.step():
+            self._queue.put(scan)
+            return
+        with self._count:
+            self._scans -= 1
 
     def _turn(self, change: Change) -> None:
         if self._stopping.is_set():
-            self._queue.task_done()
+            self._ended()
             change.finish(ErrorInfo("cancelled", "the configuration manager is stopping"), 0.0)
             return
         self._run(change)
-        if change.error is None and self._prefetches and self._queue.empty():
-            self._tools.loaders.prefetch_modules(self._tools.state.loaded_config(), self._queue.empty)
+        if change.error is None and self._prefetches and not self.busy:
+            self._tools.loaders.prefetch_modules(self._tools.state.loaded_config(), lambda: not self.busy)
 
     def _run(self, change: Change) -> None:
         """Run a change and finish it; the next may be requested before the end of this one is published."""
@@ -165,7 +201,7 @@ class Worker:
         reporter.ended(change.number, error, seconds)
         state.release_regions()
         reporter.note(state.try_record())
-        self._queue.task_done()
+        self._ended()
         reporter.changed()
         change.finish(error, seconds)
 
@@ -203,6 +239,9 @@ class Worker:
         if change.cancelled:
             raise Cancelled("the change was cancelled before it began")
         self._leases.check(change.scopes, change.lease)  # one may have been given while this change waited
+        if change.repairs:
+            self._repair(change)
+            return
         configs = self._tools.state.configs
         config = planner.config_named(change.config, configs)  # it may have been taken away while this change waited,
         mode = planner.mode_of(config, change.mode)  # or provisioned anew
@@ -211,14 +250,57 @@ class Worker:
         goal = Goal(config, mode, change.force, change.values, also, static, change.rates, change.found)
         self._go_to(goal, change)
 
-    def _go_to(self, goal: Goal, change: Change) -> None:
-        """Go there, or back to where the board was.
+    def _repair(self, change: Change) -> None:
+        """Compare a region; write its wrong frames anew, or load it again; compare again.
+
+        Raises RegionWrong where it differs also after that.
+        """
+        before = self._scan(change)
+        change.checked = first = before.result(0.0)
+        if not before.wrong:
+            return
+        what, words = before.what, None if change.reloads else before.what.frames.repair(before.wrong)
+        after, how = before, "frames"
+        if words is not None:
+            timeout = self._tools.state.throughput.timeout(what.region, len(words))
+            step = Repair(what.region, what.module, what.image, words, len(before.wrong), timeout)
+            goal = Goal(what.config, what.mode)
+            self._go_to(goal, change, Plan(goal, (Validate((what.image,)), step)))
+            after = self._scan(change)
+        if after.wrong:
+            how = "load"
+            also = () if what.module.name in what.config.modes[what.mode].modules else (what.module.name,)
+            values = self._tools.state.board.values
+            config = self._tools.state.configs[what.config.name]
+            self._go_to(Goal(config, what.mode, values=values, also=also, reload=(what.region.name,)), change)
+            after = self._scan(change)
+        if after.wrong:
+            bits = after.result(0.0).wrong_bits
+            raise RegionWrong(f"region {change.repairs} differs in {bits} bits also after it was loaded again")
+        self._tools.reporter.health.repaired(change.repairs)
+        change.checked = replace(first, verdict="good", repaired=how)
+
+    def _scan(self, change: Change) -> Scan:
+        tools = self._tools
+        what = checked_region(change.repairs, tools.state, tools.devices, tools.files)
+        scan = Scan(what, tools.state, tools.devices, lambda _: None)
+        scan.run()
+        self.note(scan)
+        return scan
+
+    def note(self, scan: Scan) -> None:
+        """A check went over all of a region."""
+        frames, name = scan.what.frames, scan.what.region.name
+        self._tools.reporter.health.checked(name, bits_of(scan.wrong), frames.judged, len(frames.unjudged))
+
+    def _go_to(self, goal: Goal, change: Change, plan: Plan | None = None) -> None:
+        """Go there, by a plan that was made already where there is one, or back to where the board was.
 
         Raises what the plan says is wrong (nothing was touched then), StepFailed (the board went back)
         or UndoFailed (regions stay decoupled).
         """
         before = self._tools.state.board
-        run = StepContext(plan_to(goal, self._tools), self._tools, change.number, lambda: change.cancelled)
+        run = StepContext(plan or plan_to(goal, self._tools), self._tools, change.number, lambda: change.cancelled)
         if not run.plan.steps:
             self._check_board()
         try:

@@ -242,6 +242,23 @@ class SetClock:
 
 
 @dataclass(frozen=True, slots=True)
+class Repair(_OfRegion):
+    """Write frames anew that are wrong, under the module that runs there."""
+
+    region: Region
+    module: Module
+    image: Image
+    words: bytes  # for the port
+    frames: int
+    timeout: float  # seconds
+    kind = "repair"
+
+    @property
+    def text(self) -> str:
+        return f"write {self.frames} frame{'s' if self.frames > 1 else ''} of {self.region.name} anew"
+
+
+@dataclass(frozen=True, slots=True)
 class Publish:
     """The board is in the new mode: say so, and let the streams run."""
 
@@ -271,5 +288,6 @@ Step = (
     | CheckIdentity
     | SetRegister
     | SetClock
+    | Repair
     | Publish
 )

@@ -71,6 +71,12 @@ def _change(base: Need, request: rq.ChangeMode, scene: Scene) -> Iterator[Need]:
         yield replace(base, config=config.name, region=region)
 
 
+def _region(base: Need, request: rq.CheckRegion, scene: Scene) -> Iterator[Need]:
+    """Comparing takes the port for a while, and repairing writes to the region."""
+    known = scene.loaded is not None and request.name in scene.loaded.regions
+    yield replace(base, config=_loaded(scene), region=request.name if known else "*")
+
+
 def _remove(base: Need, request: rq.RemoveConfig, _: Scene) -> Iterator[Need]:
     yield replace(base, config=request.config_name)
 
@@ -175,6 +181,7 @@ _KINDS: dict[type, _Kind] = {
     rq.ReadData: _Kind(Role.OBSERVE, "cm_read_data", _data),
     rq.WriteData: _Kind(Role.OPERATE, "cm_write_data", _data),
     rq.Upload: _Kind(Role.OPERATE, "cm_upload"),
+    rq.CheckRegion: _Kind(Role.OPERATE, "cm_region", _region),
     rq.ReadIrq: _Kind(Role.OBSERVE, "cm_irq"),
     rq.TakeLease: _Kind(Role.OPERATE, "cm_lease", _take),
     rq.RenewLease: _Kind(Role.OPERATE, "cm_lease"),

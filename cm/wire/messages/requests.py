@@ -210,6 +210,19 @@ class Upload:
 
 
 @dataclass(frozen=True, slots=True)
+class CheckRegion:
+    """Compare a region's frames with what was loaded; with `repair`, write what is wrong anew, and compare again.
+
+    `reload`: by loading the whole region again, also where its frames could be written one by one.
+    """
+
+    name: str
+    repair: bool = False
+    reload: bool = False
+    lease: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class ReadIrq:
     """An interrupt's count and last time."""
 
@@ -267,6 +280,7 @@ Request = (
     | ReadData
     | WriteData
     | Upload
+    | CheckRegion
     | ReadIrq
     | TakeLease
     | RenewLease

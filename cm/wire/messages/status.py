@@ -45,6 +45,17 @@ class Progress:
     fraction: float = 0.0
 
 
+class RegionHealth(NamedTuple):
+    """What checks of a region have found, since the manager's start."""
+
+    checks: int = 0  # that went over all of it
+    upsets: int = 0  # bits that were found wrong, each once
+    repairs: int = 0
+    wrong_bits: int = 0  # by the last check; 0 once it was repaired or loaded again
+    frames: int = 0  # that the last check has compared
+    unjudged: int = 0  # and those that it could not
+
+
 @dataclass(frozen=True, slots=True)
 class RegionStatus:
     """A region: the module in it (None: unknown or none) and its state."""
@@ -53,6 +64,44 @@ class RegionStatus:
     module: str | None
     state: str
     loader: str = ""  # the port of `loader: auto`: icap, or fpga_manager with the reason; else empty
+    health: RegionHealth | None = None  # once it was checked
+
+
+class FrameError(NamedTuple):
+    """A frame that does not hold what was loaded, by its address; `bits`: 32 times the word, and the bit in it."""
+
+    far: int
+    block_type: int
+    row: int
+    column: int
+    minor: int
+    bits: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class RegionCheck:
+    """What a region holds, compared with what was loaded into it.
+
+    `verdict`: good, wrong, or unjudged where not a frame could be compared. `frames` were compared, `unjudged` could
+    not be; `why` says why, and how it is known which bits the fabric itself changes. `wrong`: at most 256 frames with
+    64 bits each, `wrong_frames` and `wrong_bits` count all. `repaired`: "frames" or "load", and then the verdict is
+    that of the check after it, the wrong frames those that were found before.
+    """
+
+    region: str
+    module: str
+    verdict: str
+    frames: int = 0
+    unjudged: int = 0
+    why: str = ""
+    wrong_frames: int = 0
+    wrong_bits: int = 0
+    wrong: tuple[FrameError, ...] = ()
+    repaired: str = ""
+    seconds: float = 0.0
+    change: int = 0  # number of the change that repaired it, or looked whether that is needed
+    config_name: str = ""
+    mode: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -412,6 +461,7 @@ Body = (
     | ChangeInfo
     | Irq
     | MemoryInfo
+    | RegionCheck
     | None
 )
 

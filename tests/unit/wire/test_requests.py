@@ -45,6 +45,8 @@ ALL: list[Any] = [
     rq.Upload("a", 10, 4, b"part"),
     rq.Upload("a", discard=True),
     rq.WriteData("s", upload="a"),
+    rq.CheckRegion("prr0"),
+    rq.CheckRegion("prr0", repair=True, reload=True, lease="l"),
     rq.ReadIrq("done"),
     rq.TakeLease("region:prr0", False, 5.0, "anna", 7),
     rq.RenewLease("id", 5.0, 7),

@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A region's frames read back, a slice at a time, and compared with what was loaded.
+
+A slice takes the port for a millisecond at most: between two of them a change gets its turn.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+
+from cm.frozen import dataclass
+from cm.manager.errors import NoReadback, RegionBusy, StepTimeout, UnknownRegion
+from cm.manager.interfaces import ConfigPort, Devices, Files, Image, LoadedFrames, PortBuffer, WrongFrame
+from cm.manager.loaders import resolved
+from cm.manager.planner import hint
+from cm.manager.state.board_state import BoardState, RegionPhase
+from cm.manager.state.record import ManagerState
+from cm.schema.model import Config, LoaderKind, Module, Region
+from cm.wire.messages.status import FrameError, RegionCheck
+
+SLICE_SECONDS = 0.001  # that a slice may keep the port from a change
+_SLOWEST = 100e6  # bytes per second of a port whose clock the driver does not know: a Zynq's PCAP has 145e6
+_PATIENCE = 2.0  # seconds until a read counts as hung
+_LISTED, _BITS = 256, 64  # of a result: frames, and bits of each
+_cookies = itertools.count(1 << 32)  # apart from those of loads
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """A region that can be read back, and what was loaded into it."""
+
+    config: Config
+    mode: str
+    region: Region
+    module: Module
+    image: Image
+    frames: LoadedFrames
+
+
+def checked_region(name: str, state: ManagerState, devices: Devices, files: Files) -> Checked:
+    """What a region holds, and how it is compared; reads its bitstream. Any thread.
+
+    Raises NotFound, RegionBusy where nothing is known of its content, NoReadback where its port cannot be read, and
+    what is wrong with the file.
+    """
+    board, config = state.board, state.loaded_config()
+    if config is None or board.mode is None:
+        raise RegionBusy(f"region {name!r}: nothing is loaded that could be compared")
+    if name not in config.regions:
+        raise UnknownRegion(f"configuration {config.name!r} has no region {name!r}{hint(name, config.regions)}")
+    config = resolved(config, (), devices)[0]
+    module = _module(name, board, config)
+    region = config.regions[name]
+    if region.loader is not LoaderKind.ICAP:
+        raise NoReadback(f"region {name} is loaded by {region.loader.value}, which cannot read: loader: icap can")
+    if not devices.icap(region.loader_name).info.readable:
+        raise NoReadback(
+            f"region {name}: its configuration port can be written but not read (no CM_ICAP_CAP_READ): the design's "
+            "port, its second DMA channel or this driver has no way back"
+        )
+    image = files.image(config, module)
+    if image.sha256 != board.region(name).sha256:
+        raise NoReadback(f"region {name}: {image.path} is not what was loaded any more; load it, or restore the file")
+    return Checked(config, board.mode, region, module, image, files.loaded_frames(image))
+
+
+def _module(name: str, board: BoardState, config: Config) -> Module:
+    held = board.region(name)
+    module = config.modules.get(held.module or "")
+    if held.phase is not RegionPhase.READY or module is None:
+        raise RegionBusy(f"region {name} is {held.phase.value}: nothing is known of what it holds")
+    return module
+
+
+class Reader:
+    """A buffer of a port, for reads one after the other."""
+
+    def __init__(self, port: ConfigPort) -> None:
+        self._port = port
+        self._buffer: PortBuffer | None = None
+
+    def most_frames(self, frame_bytes: int) -> int:
+        """As many as take the port a slice's time, with what goes before and after them."""
+        rate = 4.0 * self._port.info.clock_hz or _SLOWEST
+        return max(1, int(SLICE_SECONDS * rate) // frame_bytes - 3)
+
+    def read(self, request: bytes, length: int, closing: bytes, judge: Callable[[memoryview], object]) -> object:
+        """What `judge` makes of the reply. Raises DeviceError, StepTimeout."""
+        begin, end = len(request), len(request) + length
+        buffer = self._room(end + len(closing))
+        view = buffer.memoryview()
+        buffer.sync_begin(write=True)
+        view[:begin] = request
+        view[end : end + len(closing)] = closing
+        buffer.sync_end(write=True)
+        cookie = next(_cookies)
+        self._port.read(buffer, slice(0, begin), slice(begin, end), slice(end, end + len(closing)), cookie=cookie)
+        self._await(cookie, length)
+        buffer.sync_begin(write=False)
+        try:
+            return judge(view[begin:end])
+        finally:
+            buffer.sync_end(write=False)
+
+    def _room(self, length: int) -> PortBuffer:
+        if self._buffer is None or self._buffer.length < length:
+            self.close()
+            self._buffer = self._port.allocate(length)
+        return self._buffer
+
+    def _await(self, cookie: int, length: int) -> None:
+        while True:
+            try:
+                completion = self._port.wait(_PATIENCE)
+            except TimeoutError:
+                raise StepTimeout(f"the port did not answer a read within {_PATIENCE:.0f} s") from None
+            if completion.cookie == cookie:
+                break
+        if completion.status or completion.length != length:
+            raise NoReadback(f"the port gave {completion.length} of {length} bytes: {completion.reason or 'too few'}")
+
+    def close(self) -> None:
+        """Give the buffer back."""
+        if self._buffer is not None:
+            self._buffer.close()
+            self._buffer = None
+
+
+class Scan:
+    """One pass over a region; `step` by step in the worker's thread. `done` gets the result, or what went wrong."""
+
+    def __init__(self, what: Checked, state: ManagerState, devices: Devices, done: Callable[[Outcome], None]) -> None:
+        self.what = what
+        self.wrong: list[WrongFrame] = []
+        self._state, self._devices, self._done = state, devices, done
+        self._at = 0
+        self._reader: Reader | None = None
+
+    def step(self) -> bool:
+        """Read a slice; whether that was the last. An error ends it, and is told."""
+        try:
+            ended = self._slice()
+        except Exception as error:  # noqa: BLE001 (whoever asked is told)
+            self.end(error)
+            return True
+        if ended:
+            self.end(None)
+        return ended
+
+    def run(self) -> None:
+        """All of it at once. Raises what went wrong."""
+        try:
+            while not self._slice():
+                pass
+        finally:
+            self._close()
+
+    def end(self, error: Exception | None) -> None:
+        """It is over."""
+        self._close()
+        self._done((self, error))
+
+    def _slice(self) -> bool:
+        what = self.what
+        held = self._state.board.region(what.region.name)
+        if held.phase is not RegionPhase.READY or held.sha256 != what.image.sha256:
+            raise RegionBusy(f"region {what.region.name} was changed while it was compared; ask again")
+        if self._reader is None:
+            self._reader = Reader(self._devices.icap(what.region.loader_name))
+        slices = what.frames.slices(self._reader.most_frames(what.frames.frame_bytes))
+        if self._at < len(slices):
+            part = slices[self._at]
+            found = self._reader.read(part.request, part.reply_length, part.closing, part.judge)
+            assert isinstance(found, tuple)
+            self.wrong.extend(found)
+            self._at += 1
+        return self._at >= len(slices)
+
+    def _close(self) -> None:
+        if self._reader is not None:
+            self._reader.close()
+            self._reader = None
+
+    def result(self, seconds: float) -> RegionCheck:
+        """As it is told."""
+        what, wrong = self.what, self.wrong
+        verdict = "wrong" if wrong else "good" if what.frames.judged else "unjudged"
+        bits = sum(len(frame.bits) for frame in wrong)
+        return RegionCheck(
+            region=what.region.name,
+            module=what.module.name,
+            verdict=verdict,
+            frames=what.frames.judged,
+            unjudged=len(what.frames.unjudged),
+            why=what.frames.why,
+            wrong_frames=len(wrong),
+            wrong_bits=bits,
+            wrong=tuple(_told(frame) for frame in wrong[:_LISTED]),
+            seconds=seconds,
+            config_name=what.config.name,
+            mode=what.mode,
+        )
+
+
+Outcome = tuple[Scan, "Exception | None"]
+
+
+def _told(frame: WrongFrame) -> FrameError:
+    at = frame.address
+    return FrameError(frame.far, at.block_type, at.row, at.column, at.minor, frame.bits[:_BITS])
+
+
+def bits_of(wrong: Sequence[WrongFrame]) -> frozenset[tuple[int, int]]:
+    """Frame address and bit of each."""
+    return frozenset((frame.far, bit) for frame in wrong for bit in frame.bits)
