@@ -238,6 +238,7 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
         metrics=_metrics(args) or said.metrics,
         load=args.load or said.load or ("camera" if example else ""),
         settings=ManagerSettings(prefetch_bytes=prefetch << 20),
+        scrub=said.scrub,
         queue_bytes=queue,
         firmware_dir=said.firmware_dir,
         limits=Limits.of(said.limits),

@@ -18,7 +18,7 @@ from cm.manager.access.memory_service import MemoryService
 from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_service import RegisterService
 from cm.manager.errors import ChangeBusy, NothingLoaded, UnknownRegion
-from cm.manager.execution.scan import Checked, Outcome, Scan, checked_region
+from cm.manager.execution.scan import Checked, Outcome, Pace, Scan, checked_region
 from cm.manager.execution.transaction import Tools, plan_to
 from cm.manager.execution.worker import Change, Worker
 from cm.manager.interfaces import DataPlane, Devices, Files, Observer, TimeSource
@@ -282,18 +282,24 @@ class Manager:
         """
         return checked_region(name, self._state, self._env.devices, self._env.files)
 
-    def check(self, what: Checked, on_done: Callable[[RegionCheck | Exception], None]) -> None:
-        """Compare a region; `on_done` is called at the end, from the worker's thread. Raises ChangeBusy."""
+    def check(
+        self, what: Checked, on_done: Callable[[RegionCheck | Exception], None], pace: Pace | None = None
+    ) -> None:
+        """Compare a region; `on_done` is called at the end, from the worker's thread. Raises ChangeBusy.
+
+        `pace`: pauses between slices, as of a `Scan`.
+        """
         started = self._env.time.monotonic()
 
         def done(outcome: Outcome) -> None:
             scan, error = outcome
             if error is None:
                 self._worker.note(scan)
-                self.reporter.changed()
+                if scan.wrong or pace is None:  # passes in the background that find nothing are counted, not told
+                    self.reporter.changed()
             on_done(error or scan.result(self._env.time.monotonic() - started))
 
-        self._worker.look(Scan(what, self._state, self._env.devices, done))
+        self._worker.look(Scan(what, self._state, self._env.devices, done, pace))
 
     def repair(self, request: CheckRegion, on_done: Callable[[Change], None] | None = None) -> Change:
         """Accept a change that compares a region and repairs it; `on_done` as for `submit`."""

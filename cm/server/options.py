@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import field
 from pathlib import Path
 
 from cm.device import Root
@@ -13,7 +14,7 @@ from cm.schema.model import Config
 from cm.server.publisher import BYTES
 from cm.server.reload import Reloaded
 from cm.server.rights.model import Access
-from cm.server.settings.model import USUAL, Limits
+from cm.server.settings.model import USUAL, Limits, ScrubSettings
 from cm.server.sockets import Security
 
 NO_METRICS = "they need prometheus-client: pip install 'fpga-cm[metrics]', or Debian's python3-prometheus-client"
@@ -41,4 +42,5 @@ class Options:
     reload: Callable[[], Reloaded] | None = None  # reads schemas and settings again; None: there is nothing to read
     changed: Callable[[], object] | None = None  # a value that changes when settings or keys do; read every second
     settings: Settings = Settings()
+    scrub: Mapping[str, ScrubSettings] = field(default_factory=dict)  # regions that are compared in the background
     limits: Limits = USUAL

@@ -154,6 +154,7 @@ class Server:
         try:
             metrics = self._bind()
             self._start_manager()
+            self._begin_scrubbing()
             self._loop.every(_TICK, self._tick)
             self._sockets.announce(metrics)
             self._service.ready()
@@ -202,6 +203,12 @@ class Server:
     def _start_manager(self) -> None:
         self._manager.start()  # what it finds out is logged with the status that tells it
         self._board.begin()
+
+    def _begin_scrubbing(self) -> None:
+        if self._options.scrub:
+            from cm.server.scrubbing import Scrubber
+
+            Scrubber(self._loop, self._manager, self._jobs.thread, self._options.scrub).begin()
 
     def _autoload(self) -> None:
         if self._options.load and self._manager.state.config is None:

@@ -127,11 +127,23 @@ class Reader:
             self._buffer = None
 
 
+Pace = Callable[[float, Callable[[], None]], None]  # seconds of a slice, and what goes on after a pause
+
+
 class Scan:
     """One pass over a region; `step` by step in the worker's thread. `done` gets the result, or what went wrong."""
 
-    def __init__(self, what: Checked, state: ManagerState, devices: Devices, done: Callable[[Outcome], None]) -> None:
+    def __init__(
+        self,
+        what: Checked,
+        state: ManagerState,
+        devices: Devices,
+        done: Callable[[Outcome], None],
+        pace: Pace | None = None,
+    ) -> None:
+        """`pace`: called after each slice but the last; the next comes when it says so."""
         self.what = what
+        self.pace = pace
         self.wrong: list[WrongFrame] = []
         self._state, self._devices, self._done = state, devices, done
         self._at = 0

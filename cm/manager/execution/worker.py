@@ -24,7 +24,7 @@ from cm.schema.model import ConfigType
 from cm.wire.messages.status import ChangeInfo, ErrorInfo, RegionCheck, Reply
 
 QUEUE_LENGTH = 8
-SCANS = 8  # that may wait or run
+SCANS = 16  # that may wait or run
 
 
 @dataclass(eq=False)
@@ -170,9 +170,15 @@ class Worker:
         """Read a slice of a region; the next one after the changes that wait now."""
         if self._stopping.is_set():
             scan.end(Cancelled("the configuration manager is stopping"))
-        elif not scan.step():
-            self._queue.put(scan)
-            return
+        else:
+            started = self._tools.time.monotonic()
+            if not scan.step():
+                again = functools.partial(self._queue.put, scan)
+                if scan.pace is None:
+                    again()
+                else:
+                    scan.pace(self._tools.time.monotonic() - started, again)
+                return
         with self._count:
             self._scans -= 1
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, replace
 from functools import lru_cache
@@ -24,6 +25,7 @@ from cm.server.settings.model import (
     ImportSettings,
     LimitSettings,
     PolicySettings,
+    ScrubSettings,
     Settings,
     StreamSettings,
 )
@@ -75,6 +77,7 @@ _GROUPS = {
     "policy": PolicySettings,
     "limits": LimitSettings,
 }
+_SECONDS = {"ms": 0.001, "s": 1.0, "min": 60.0, "h": 3600.0}
 _PATHS = ("keys", "signers", "runtime_dir", "state_dir", "firmware_dir")
 
 
@@ -122,11 +125,24 @@ def _settings(values: Mapping[str, Any]) -> Settings:
 def _value(name: str, value: Any) -> Any:
     if name == "access":
         return access(value)
+    if name == "scrub":
+        return {region: _scrub(said or {}) for region, said in value.items()}
     if name in _GROUPS:
         return _GROUPS[name](**{key: Path(part) if key in _PATHS else part for key, part in value.items()})
     if name in _PATHS:
         return Path(value)
     return tuple(value) if isinstance(value, list) else value
+
+
+def _scrub(said: Mapping[str, str]) -> ScrubSettings:
+    """``5s`` in seconds, ``2 %`` as a share of at most all."""
+    known: dict[str, Any] = dict(said)
+    if "every" in said:
+        number, unit = re.fullmatch(r"([\d.]+) ?(\w+)", said["every"]).groups()  # type: ignore[union-attr]
+        known["every"] = max(0.1, float(number) * _SECONDS[unit])
+    if "budget" in said:
+        known["budget"] = min(1.0, max(0.0001, float(said["budget"].rstrip("% ")) / 100))
+    return ScrubSettings(**known)
 
 
 @lru_cache(maxsize=1)

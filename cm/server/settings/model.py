@@ -30,6 +30,22 @@ class DmaSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class ScrubSettings:
+    """A region that is compared with what was loaded, `every` so many seconds, in `budget` (0 to 1) of the port's time.
+
+    `policy`: what is done where it is wrong: repair, reload, safe (a mode of that name), tell.
+    """
+
+    every: float = 10.0
+    budget: float = 0.02
+    policy: str = "repair"
+
+
+def _no_regions() -> Mapping[str, ScrubSettings]:
+    return MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
 class ImportSettings:
     """Imported bundles; `keep` earlier versions of each stay for a rollback."""
 
@@ -111,6 +127,7 @@ class Settings:
     log: str = "warning"
     streams: StreamSettings = StreamSettings()
     dma: DmaSettings = DmaSettings()
+    scrub: Mapping[str, ScrubSettings] = field(default_factory=_no_regions)
     imports: ImportSettings = ImportSettings()
     policy: PolicySettings = PolicySettings()
     limits: LimitSettings = LimitSettings()

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Regions that are compared again and again, as `scrub` of the settings says, and what is done where one is wrong.
+
+A pass goes slice by slice (`cm.manager.execution.scan`), with a pause after each that keeps it within its budget, and
+never beside a change: slices and changes have the same thread.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Protocol
+
+from cm.errors import CmError
+from cm.manager.execution.scan import Checked, Pace
+from cm.manager.execution.worker import Change
+from cm.manager.manager import Manager
+from cm.manager.state.board_state import RegionPhase
+from cm.server.settings.model import ScrubSettings
+from cm.server.sockets import Loop
+from cm.wire.messages.requests import ChangeMode, CheckRegion
+from cm.wire.messages.status import RegionCheck
+
+_LOG = logging.getLogger("cm")
+SAFE = "safe"  # the mode that the policy of this name goes to
+
+
+class Thread(Protocol):
+    """Where files are read."""
+
+    def submit(self, work: Callable[[], None], /) -> object:
+        """Do it, later."""
+
+
+class Scrubber:
+    """One per manager; the loop's thread, but for what `thread` does."""
+
+    def __init__(self, loop: Loop, manager: Manager, thread: Thread, settings: Mapping[str, ScrubSettings]) -> None:
+        self._loop, self._manager, self._thread = loop, manager, thread
+        self._settings = settings
+        self._said: dict[str, str] = {}  # the last refusal by region, which is logged once
+
+    def begin(self) -> None:
+        """From now on."""
+        known = {name for config in self._manager.configs.values() for name in config.regions}
+        for name, said in self._settings.items():
+            if name not in known:
+                _LOG.warning("settings: scrub names a region %s, which no configuration has", name)
+            self._loop.call_later(said.every, partial(self._pass, name))
+
+    def _pass(self, name: str) -> None:
+        """Begin a pass; the next follows as long after its beginning as the settings say, and after its end."""
+        self._loop.call_later(self._settings[name].every, partial(self._again, name, began := [True]))
+        held = self._manager.state.region(name)
+        if held.phase is not RegionPhase.READY or held.module is None:
+            began.clear()
+            return
+        self._thread.submit(partial(self._prepare, name, began))
+
+    def _again(self, name: str, under_way: list[bool]) -> None:
+        """The next pass, once the one before has ended."""
+        if under_way:
+            self._loop.call_later(self._settings[name].every, partial(self._again, name, under_way))
+        else:
+            self._pass(name)
+
+    def _prepare(self, name: str, under_way: list[bool]) -> None:
+        """In the thread of files: what the region holds is read once, and kept."""
+        try:
+            what: Checked | CmError | OSError = self._manager.prepared_check(name)
+        except (CmError, OSError) as error:
+            what = error
+        self._loop.call_threadsafe(partial(self._look, name, what, under_way))
+
+    def _look(self, name: str, what: Checked | CmError | OSError, under_way: list[bool]) -> None:
+        if isinstance(what, Exception):
+            self._ended(name, under_way, what)
+            return
+        ended = partial(self._ended, name, under_way)
+        try:
+            self._manager.check(what, lambda found: self._loop.call_threadsafe(partial(ended, found)), self._pace(name))
+        except CmError as error:
+            ended(error)
+
+    def _pace(self, name: str) -> Pace:
+        budget = self._settings[name].budget
+
+        def pause(seconds: float, go_on: Callable[[], None]) -> None:
+            wait = seconds * (1 / budget - 1)
+            self._loop.call_threadsafe(lambda: self._loop.call_later(wait, go_on))
+
+        return pause
+
+    def _ended(self, name: str, under_way: list[bool], found: RegionCheck | Exception) -> None:
+        if isinstance(found, Exception):
+            self._refused(name, found)
+            under_way.clear()
+            return
+        self._said.pop(name, None)
+        if found.verdict != "wrong":
+            under_way.clear()
+            return
+        policy = self._settings[name].policy
+        _LOG.warning(
+            "region %s (%s): %s bits in %s frames are wrong; policy: %s",
+            name, found.module, found.wrong_bits, found.wrong_frames, policy, extra={"cm_code": "region_wrong"},
+        )  # fmt: skip
+        if policy == "tell":
+            under_way.clear()
+            return
+        done = partial(self._loop.call_threadsafe, under_way.clear)
+        try:
+            self._act(name, policy, lambda _: done())
+        except CmError as error:
+            self._refused(name, error)
+            under_way.clear()
+
+    def _act(self, name: str, policy: str, on_done: Callable[[Change], None]) -> None:
+        if policy == SAFE:
+            self._manager.submit(ChangeMode(mode=SAFE), on_done)
+        else:
+            self._manager.repair(CheckRegion(name, repair=True, reload=policy == "reload"), on_done)
+
+    def _refused(self, name: str, error: Exception) -> None:
+        if self._said.get(name) != str(error):
+            self._said[name] = str(error)
+            _LOG.warning("region %s is not compared: %s", name, error, extra={"cm_code": getattr(error, "code", "io")})
