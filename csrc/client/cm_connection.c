@@ -138,7 +138,7 @@ void connection_close(struct connection *connection)
 	errno = error;
 }
 
-static void close_all(const struct packet *packet)
+void packet_close(const struct packet *packet)
 {
 	for (uint32_t i = 0; i < packet->fd_count; i++)
 		close(packet->fds[i]);
@@ -170,7 +170,7 @@ int connection_receive(const struct connection *connection, struct packet *packe
 	if (message.msg_flags & (MSG_CTRUNC | MSG_TRUNC)) {
 		/* descriptors that this process has no room for are gone: its slots would not be those
 		 * of the manager */
-		close_all(packet);
+		packet_close(packet);
 		errno = message.msg_flags & MSG_CTRUNC ? EMFILE : EPROTO;
 		return -1;
 	}
@@ -178,7 +178,7 @@ int connection_receive(const struct connection *connection, struct packet *packe
 	packet->bytes[got] = '\0';
 	if (packet->size >= sizeof(packet->head))
 		return 0;
-	close_all(packet);
+	packet_close(packet);
 	errno = got ? EPROTO : ECONNRESET;
 	return -1;
 }
@@ -240,13 +240,13 @@ static int add_slots(struct connection *connection, const struct packet *packet)
 	uint32_t i;
 
 	if (!connection->running) {
-		close_all(packet);
+		packet_close(packet);
 		return 0;
 	}
 	/* frames refer to slots by number: with one missing, every later number would be wrong */
 	if (packet->head.slot != memory->slots || packet->head.offset != packet->fd_count ||
 	    packet->fd_count > CM_PLANE_SLOTS_MAX - memory->slots) {
-		close_all(packet);
+		packet_close(packet);
 		errno = EPROTO;
 		return -1;
 	}
@@ -280,7 +280,7 @@ static void stop(struct connection *connection)
 int connection_take(struct connection *connection, const struct packet *packet)
 {
 	if (packet->head.kind != CM_PLANE_SLOTS)
-		close_all(packet); /* of a newer manager */
+		packet_close(packet); /* of a newer manager */
 	switch (packet->head.kind) {
 	case CM_PLANE_GEOMETRY:
 		return begin(connection, packet);

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Inside of the library: what readers and writers have in common. */
+/* Inside of the library: what readers, writers and windows have in common. */
 #ifndef CM_PLANE_PRIVATE_H
 #define CM_PLANE_PRIVATE_H
 
@@ -50,6 +50,9 @@ void connection_close(struct connection *connection);
 /* Take a waiting packet: EAGAIN if there is none, ECONNRESET at the connection's end. */
 int connection_receive(const struct connection *connection, struct packet *packet);
 
+/* Close what came with a packet. */
+void packet_close(const struct packet *packet);
+
 /* Handle geometry, slots, names, stops and refusals; ignore all else. */
 int connection_take(struct connection *connection, const struct packet *packet);
 
@@ -67,6 +70,11 @@ void connection_sweep(struct connection *connection);
 /* The caller gets a slot, or gives it up: synchronise the processor's cache. */
 int memory_begin(struct cm_memory *memory, uint32_t slot);
 int memory_end(struct cm_memory *memory, uint32_t slot);
+
+struct cm_register;
+
+/* A register, or a field of one, in a Config message, its @offset from address 0.  Errors: ENOENT, EPROTO. */
+int table_find(const char *table, size_t size, const char *name, struct cm_register *found);
 
 #pragma GCC visibility pop
 

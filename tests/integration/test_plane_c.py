@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import subprocess
@@ -12,11 +13,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from manager_process import REPOSITORY, Manager
+from manager_process import REPOSITORY, Manager, until
 
 import cm
 from cm.simulation.software import Board as SimBoard
 from cm.simulation.software.hardware import camera
+from cm.wire.encode import encode_table
+from cm.wire.messages.status import ConfigInfo, FieldInfo, RegisterInfo
 
 TOOLS = ("make", "cc", "pkg-config")
 MISSING = [tool for tool in TOOLS if shutil.which(tool) is None]
@@ -160,4 +163,151 @@ def test_functions_of_older_versions_of_the_library_are_still_exported(installed
     names = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()[2::3]
     old = {"close", "error", "fd", "geometry", "lost", "mode", "next", "open", "release"}
     assert {f"cm_reader_{name}" for name in old} <= set(names)
-    assert all(name.startswith(("cm_reader_", "cm_writer_")) for name in names)
+    assert all(name.startswith(("cm_reader_", "cm_writer_", "cm_register_", "cm_registers_")) for name in names)
+
+
+# ---- registers -----------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def registers(installed: Path) -> Path:
+    """The example that maps registers."""
+    return compiled(installed, "registers")
+
+
+@pytest.fixture
+def edge(board: cm.Board) -> cm.Board:
+    """In the mode whose module has the register `threshold`, 0 to 255."""
+    board.mode = "edge_detection"
+    return board
+
+
+def access(program: Path, manager: Manager, *words: str) -> tuple[int, str]:
+    """Status, and what the program says: MODULE REGISTER VALUE COUNT."""
+    command = [program, manager.runtime, *words]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
+    return done.returncode, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("name", ["edge", "prr0"])
+def test_registers_are_written_and_read(edge: cm.Board, manager: Manager, registers: Path, name: str) -> None:
+    status, said = access(registers, manager, name, "threshold", "41", "1000")
+    assert (status, said.partition(",")[0]) == (0, "threshold of edge is 41")
+    assert edge.registers["threshold"] == 41
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("edge", "threshold", "256", "1"), "threshold: Numerical result out of range"),
+        (("edge", "palette", "1", "1"), "palette: No such file or directory"),
+        (("colorise", "palette", "1", "1"), "colorise: module_absent: "),
+        (("nowhere", "x", "1", "1"), "nowhere: not_found: no module or region 'nowhere'; there are "),
+    ],
+)
+def test_what_registers_do_not_allow(
+    edge: cm.Board, manager: Manager, registers: Path, words: tuple[str, ...], said: str
+) -> None:
+    status, told = access(registers, manager, *words)
+    assert status == 1
+    assert told.startswith(f"registers: {said}")
+
+
+def test_a_change_takes_registers_away_from_a_program_that_never_stops(
+    edge: cm.Board, manager: Manager, registers: Path
+) -> None:
+    command = [registers, manager.runtime, "edge", "threshold", "7", str(10**15)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as program:
+        until(lambda: [window for window in edge.status.windows if window.pid == program.pid])
+        edge.mode = "colorise"
+        assert program.stderr is not None
+        assert program.stderr.read() == "registers: threshold: taken back, the board goes to colorise\n"
+    assert program.returncode == 1
+
+
+# Prints what a name leads to in a table from a file, or an errno; then the same for every beginning of the table.
+FIND = """
+#include <errno.h>
+#include <inttypes.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include "cm_private.h"
+#include "cm_registers.h"
+
+int main(int argc, char **argv)
+{
+	static char bytes[65536];
+	size_t size = fread(bytes, 1, sizeof(bytes), stdin);
+
+	for (int i = 1; i < argc; i++) {
+		struct cm_register r = { 0 };
+
+		if (table_find(bytes, size, argv[i], &r))
+			printf("%d\\n", errno);
+		else
+			printf("%" PRIu64 " %u %u %u %" PRIu64 " %" PRIu64 " %" PRIu64 " %" PRIu64 "\\n", r.offset, r.width,
+				r.access, r.lsb, r.mask, r.kept, r.minimum, r.maximum);
+		for (size_t less = 0; less < size; less++) {
+			char *part = malloc(less ? less : 1); /* of just that size, for the sanitizer */
+
+			memcpy(part, bytes, less);
+			if (table_find(part, less, argv[i], &r) && errno != ENOENT && errno != EPROTO)
+				abort();
+			free(part);
+		}
+	}
+	return 0;
+}
+"""
+READS, WRITES = 1, 2
+ALL32, ALL64 = (1 << 32) - 1, (1 << 64) - 1
+TABLE = ConfigInfo(
+    "camera",
+    "partial",
+    "edge",
+    registers=(
+        RegisterInfo("plain", 0x1000, 32, "rw", minimum=2, maximum=9, doc="a doc"),
+        RegisterInfo("wide", 0x1008, 64, "ro"),
+        RegisterInfo("clear", 0x1010, 32, "w1c", fields=(FieldInfo("done", 3, 1),)),
+        RegisterInfo(
+            "control",
+            0x1014,
+            16,
+            "rw",
+            fields=(
+                FieldInfo("speed", 4, 4),
+                FieldInfo("start", 0, 1, access="w1s"),
+                FieldInfo("is", 8, 2, access="ro"),
+            ),
+        ),
+        RegisterInfo("blind", 0x1018, 32, "wo", fields=(FieldInfo("low", 0, 8),)),
+        RegisterInfo(
+            "events", 0x101C, 32, "rw", fields=(FieldInfo("some", 0, 8), FieldInfo("gone", 8, 8, access="rc"))
+        ),
+    ),
+)
+
+
+def test_what_names_of_registers_and_fields_lead_to(installed: Path, tmp_path: Path) -> None:
+    (tmp_path / "find.c").write_text(FIND)
+    place = REPOSITORY / "csrc/client"
+    flags = ["-Wall", "-Wextra", "-Werror", "-fsanitize=address,undefined", f"-I{place}", f"-I{REPOSITORY}/csrc"]
+    command = ["cc", *flags, "-o", tmp_path / "find", tmp_path / "find.c", installed / "lib/libcm_plane.a"]
+    subprocess.run(command, check=True)
+    names = {
+        "plain": f"4096 32 {READS | WRITES} 0 {ALL32} 0 2 9",
+        "wide": f"4104 64 {READS} 0 {ALL64} 0 0 {ALL64}",
+        "clear": f"4112 32 {READS | WRITES} 0 {ALL32} 0 0 {ALL64}",
+        "clear.done": f"4112 32 {READS | WRITES} 3 1 0 0 {ALL64}",
+        "control.speed": f"4116 16 {READS | WRITES} 4 15 {0xFC0E} 0 {ALL64}",
+        "control.start": f"4116 16 {READS | WRITES} 0 1 {0xFCFE} 0 {ALL64}",
+        "control.is": f"4116 16 {READS} 8 3 {0xFCFE} 0 {ALL64}",
+        "blind.low": f"4120 32 0 0 255 0 0 {ALL64}",
+        "events.some": f"4124 32 {READS} 0 255 0 0 {ALL64}",
+        "control.": str(errno.ENOENT),
+        "contro": str(errno.ENOENT),
+        "": str(errno.ENOENT),
+    }
+    asked = subprocess.run([tmp_path / "find", *names], input=encode_table(TABLE), check=True, capture_output=True)
+    assert dict(zip(names, asked.stdout.decode().splitlines(), strict=True)) == names
