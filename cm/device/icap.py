@@ -187,11 +187,11 @@ class Icap(Device):
         Raises DeviceBusy while any file loads or reads, DeviceInvalid for parts that do not fit or overlap, and
         DeviceUnsupported where the port has no way back (`IcapInfo.readable`).
         """
-        parts = native.Parts(*_range(request), *_range(reply), *_range(closing))
+        parts = (*_range(request), *_range(reply), *_range(closing))
         try:
             native.read_back(self._handle, buffer.handle, parts, cookie)
         except (OSError, OverflowError) as error:
-            raise self._error(error, f"read {parts.reply_length} bytes through") from error
+            raise self._error(error, f"read {parts[3]} bytes through") from error
 
     def take(self) -> IcapCompletion | None:
         """Return the end of a load of this file if it came; never blocks."""

@@ -7,6 +7,7 @@ import threading
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from itertools import accumulate
 from operator import is_
 from types import MappingProxyType
@@ -180,13 +181,13 @@ class Health:
 
     def repaired(self, region: str) -> None:
         """What was wrong is right again."""
-        self._tell(region, self._of(region)._replace(repairs=self._of(region).repairs + 1))
+        self._tell(region, replace(self._of(region), repairs=self._of(region).repairs + 1))
 
     def mended(self, region: str) -> None:
         """It was loaded: what was found wrong is gone."""
         self._known.pop(region, None)
         if region in self.told and self.told[region].wrong_bits:
-            self._tell(region, self.told[region]._replace(wrong_bits=0))
+            self._tell(region, replace(self.told[region], wrong_bits=0))
 
     def _of(self, region: str) -> RegionHealth:
         return self.told.get(region, RegionHealth())

@@ -105,7 +105,7 @@ def encoded_status(s: st.Status) -> bytes:
             name=region.name, module=region.module or "", state=region.state, loader=region.loader
         )
         if region.health is not None:
-            told.health.MergeFrom(pb.RegionHealth(**region.health._asdict()))
+            told.health.CopyFrom(_health_to_pb(region.health))
     if s.progress is not None:
         message.progress.CopyFrom(_progress_to_pb(s.progress))
     if s.last_error is not None:
@@ -179,7 +179,16 @@ def status_from_pb(m: pb.Status) -> st.Status:
         progress=_progress_from_pb(m.progress) if m.HasField("progress") else None,
         sequence=m.sequence,
         last_error=error_from_pb(m.last_error) if m.HasField("last_error") else None,
-        regions=tuple(_region_from_pb(r) for r in m.regions),
+        regions=tuple(
+            st.RegionStatus(
+                r.name,
+                r.module or None,
+                r.state,
+                r.loader,
+                _health_from_pb(r.health) if r.HasField("health") else None,
+            )
+            for r in m.regions
+        ),
         streams=tuple(stream_from_pb(x) for x in m.streams),
         configs=tuple(m.configs),
         version=m.version,
@@ -197,10 +206,19 @@ def status_from_pb(m: pb.Status) -> st.Status:
     )
 
 
-def _region_from_pb(r: pb.RegionState) -> st.RegionStatus:
-    h = r.health if r.HasField("health") else None
-    health = st.RegionHealth(h.checks, h.upsets, h.repairs, h.wrong_bits, h.frames, h.unjudged) if h else None
-    return st.RegionStatus(r.name, r.module or None, r.state, r.loader, health)
+def _health_to_pb(h: st.RegionHealth) -> pb.RegionHealth:
+    return pb.RegionHealth(
+        checks=h.checks,
+        upsets=h.upsets,
+        repairs=h.repairs,
+        wrong_bits=h.wrong_bits,
+        frames=h.frames,
+        unjudged=h.unjudged,
+    )
+
+
+def _health_from_pb(m: pb.RegionHealth) -> st.RegionHealth:
+    return st.RegionHealth(m.checks, m.upsets, m.repairs, m.wrong_bits, m.frames, m.unjudged)
 
 
 def check_to_pb(c: st.RegionCheck) -> pb.RegionCheck:
@@ -213,7 +231,10 @@ def check_to_pb(c: st.RegionCheck) -> pb.RegionCheck:
         why=c.why,
         wrong_frames=c.wrong_frames,
         wrong_bits=c.wrong_bits,
-        wrong=[pb.FrameError(**frame._asdict()) for frame in c.wrong],
+        wrong=[
+            pb.FrameError(far=x.far, block_type=x.block_type, row=x.row, column=x.column, minor=x.minor, bits=x.bits)
+            for x in c.wrong
+        ],
         repaired=c.repaired,
         seconds=c.seconds,
         change=c.change,

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 from cm.device.native import buffer as native_buffer
 from cm.device.native._cm import ffi, lib
@@ -56,15 +56,8 @@ class Completion(NamedTuple):
     errors: int
 
 
-class Parts(NamedTuple):
-    """``struct cm_icap_parts``: where the parts of a read lie in its buffer, in bytes."""
-
-    request_offset: int
-    request_length: int
-    reply_offset: int
-    reply_length: int
-    closing_offset: int
-    closing_length: int
+# ``struct cm_icap_parts``: offset and length, in bytes, of request, reply and closing in a read's buffer
+Parts: TypeAlias = tuple[int, int, int, int, int, int]
 
 
 def _completion(c: Handle) -> Completion:

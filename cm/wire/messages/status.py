@@ -45,7 +45,8 @@ class Progress:
     fraction: float = 0.0
 
 
-class RegionHealth(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class RegionHealth:
     """What checks of a region have found, since the manager's start."""
 
     checks: int = 0  # that went over all of it
@@ -67,7 +68,8 @@ class RegionStatus:
     health: RegionHealth | None = None  # once it was checked
 
 
-class FrameError(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class FrameError:
     """A frame that does not hold what was loaded, by its address; `bits`: 32 times the word, and the bit in it."""
 
     far: int
