@@ -173,6 +173,12 @@ def test_a_plan_says_what_would_be_done(board: Any) -> None:
     assert board.mode == "default"
 
 
+def test_a_region_is_compared_with_what_was_loaded_and_repaired(board: Any, sim: SimBoard) -> None:
+    assert board.check_region("prr0").verdict == "good"
+    sim.control.upset("prr0")
+    assert board.check_region("prr0", repair=True).repaired == "frames"
+
+
 def test_watching_begins_with_the_present_status(board: Any) -> None:
     with board.watch(timeout=60) as watch:
         assert watch.next().config_name == "camera"

@@ -10,6 +10,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--changes", type=int, default=200, help="changes of mode to make")
     parser.addoption("--rounds", type=int, default=4, help="rounds of KILL and STOP")
     parser.addoption("--kills", type=int, default=6, help="managers killed while registers are written")
+    parser.addoption("--upsets", type=int, default=300, help="bits of configuration memory that turn over")
     parser.addoption("--stress", type=float, default=5.0, help="seconds for which readers are killed")
 
 

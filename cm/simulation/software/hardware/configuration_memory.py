@@ -97,6 +97,7 @@ class ConfigMemory:
         held = self.frames.held(_columns(region.spec))
         if not held or (far is not None and far not in held):
             raise KeyError(name)
+        held = [one for one in held if decode_far(one, self.frames.device.family).block_type == 0]
         hits = []
         for _ in range(bits):
             chosen = self.frames.pick(held) if far is None else far
@@ -123,11 +124,11 @@ class ConfigMemory:
 
 
 def _columns(region: RegionSpec) -> Iterable[tuple[int, int, int]]:
-    """The columns of logic and routing."""
+    """Its columns of logic and routing, and of block RAM's contents."""
     for frames in region.footprint:
-        if frames.block_type == 0:
+        if frames.block_type < _SHARED:
             for column in range(frames.column_first, frames.column_last + 1):
-                yield 0, frames.row, column
+                yield frames.block_type, frames.row, column
 
 
 def _stream(device: Device, far: int, frame: bytes) -> bytes:
