@@ -263,8 +263,35 @@ static long ioctl_load(struct cm_icap_file *self, void __user *arg)
 	request.buffer = cm_buffer_table_get(&self->table, args.handle);
 	if (!request.buffer)
 		return -ENOENT;
-	request.offset = args.offset;
-	request.length = args.length;
+	request.words.offset = args.offset;
+	request.words.length = args.length;
+	request.cookie = args.cookie;
+	ret = start(self, &request);
+	cm_buffer_put(request.buffer);
+	return ret;
+}
+
+static long ioctl_read(struct cm_icap_file *self, void __user *arg)
+{
+	struct cm_icap_request request = { .done = file_done, .context = self };
+	struct cm_icap_read args;
+	long ret = cm_args_get(&args, sizeof(args), CM_ICAP_READ_SIZE_VER0, arg);
+
+	if (ret)
+		return ret;
+	if (args.flags || args.reserved)
+		return -EINVAL;
+	if (!self->icap->back)
+		return -EOPNOTSUPP;
+	/* without one it would be a load */
+	if (!args.reply_length)
+		return -EINVAL;
+	request.buffer = cm_buffer_table_get(&self->table, args.handle);
+	if (!request.buffer)
+		return -ENOENT;
+	request.words = (struct cm_icap_part){ args.request_offset, args.request_length };
+	request.reply = (struct cm_icap_part){ args.reply_offset, args.reply_length };
+	request.closing = (struct cm_icap_part){ args.closing_offset, args.closing_length };
 	request.cookie = args.cookie;
 	ret = start(self, &request);
 	cm_buffer_put(request.buffer);
@@ -297,11 +324,15 @@ static long cm_icap_ioctl(struct file *file, unsigned int command, unsigned long
 	case _IOC_NR(CM_ICAP_IOC_IMPORT):
 		return mapped_for(self, cm_buffer_ioctl_import(&self->table,
 							       self->icap->channel->dma_dev,
+							       self->icap->back ?
+							       DMA_BIDIRECTIONAL :
 							       DMA_TO_DEVICE, arg));
 	case _IOC_NR(CM_ICAP_IOC_FREE):
 		return cm_buffer_ioctl_free(&self->table, arg);
 	case _IOC_NR(CM_ICAP_IOC_LOAD):
 		return ioctl_load(self, arg);
+	case _IOC_NR(CM_ICAP_IOC_READ):
+		return ioctl_read(self, arg);
 	case _IOC_NR(CM_ICAP_IOC_STATUS):
 		return ioctl_status(self->icap, arg);
 	default:

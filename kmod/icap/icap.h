@@ -20,10 +20,21 @@ struct device_node;
 struct fpga_manager;
 
 /**
- * struct cm_icap_request - one load
- * @buffer: words, as the port takes them; referenced while it runs
+ * struct cm_icap_part - a range of a buffer
  * @offset: first byte
  * @length: bytes
+ */
+struct cm_icap_part {
+	u64 offset;
+	u64 length;
+};
+
+/**
+ * struct cm_icap_request - one load, or one read
+ * @buffer: words, as the port takes them; referenced while it runs
+ * @words: what is written to the port
+ * @reply: of a read: what comes from it then; a load has none
+ * @closing: of a read: what is written at the end
  * @cookie: for the completion
  * @own_bridges: the bridges of the port's own node are disabled meanwhile
  * @done: called once at the end, in process context
@@ -31,8 +42,9 @@ struct fpga_manager;
  */
 struct cm_icap_request {
 	struct cm_buffer *buffer;
-	u64 offset;
-	u64 length;
+	struct cm_icap_part words;
+	struct cm_icap_part reply;
+	struct cm_icap_part closing;
 	u64 cookie;
 	bool own_bridges;
 	void (*done)(void *context, const struct cm_icap_completion *completion);
@@ -59,6 +71,7 @@ enum cm_icap_select {
  * @id: N
  * @name: of the node
  * @channel: MM2S channel, claimed for as long as the device is there
+ * @back: S2MM channel, claimed as long, or NULL
  * @info: what user space is told
  * @status_register: or NULL
  * @port: status without a register
@@ -87,6 +100,8 @@ enum cm_icap_select {
  * @dma_lock: protects @dma_left and @dma_error
  * @dma_left: descriptors under way
  * @dma_error: first error of one
+ * @received: the reply has ended, with @reply
+ * @reply: how
  * @idle: woken at the end of each load
  */
 struct cm_icap {
@@ -96,6 +111,7 @@ struct cm_icap {
 	int id;
 	char name[16];
 	struct cm_channel *channel;
+	struct cm_channel *back;
 	struct cm_icap_info info;
 	void __iomem *status_register;
 	struct cm_icap_platform_data port;
@@ -124,6 +140,8 @@ struct cm_icap {
 	spinlock_t dma_lock; /* protects dma_left and dma_error */
 	u32 dma_left;
 	int dma_error;
+	struct completion received;
+	struct cm_result reply;
 	wait_queue_head_t idle;
 };
 
@@ -133,6 +151,16 @@ void cm_icap_put(struct cm_icap *icap);
 int cm_icap_start(struct cm_icap *icap, const struct cm_icap_request *request);
 void cm_icap_work(struct work_struct *work);
 bool cm_icap_has_status(const struct cm_icap *icap);
+int cm_icap_part_check(struct cm_icap *icap, const struct cm_icap_request *request,
+		       const struct cm_icap_part *part);
+int cm_icap_send(struct cm_icap *icap, const struct cm_icap_part *part);
+u32 cm_icap_await_sent(struct cm_icap *icap);
+u32 cm_icap_port_errors(struct cm_icap *icap);
+
+/* read.c */
+int cm_icap_read_check(struct cm_icap *icap, const struct cm_icap_request *request);
+int cm_icap_read_begin(struct cm_icap *icap);
+u32 cm_icap_read_end(struct cm_icap *icap);
 
 /* select.c */
 int cm_icap_select_init(struct cm_icap *icap);

@@ -38,7 +38,13 @@ static u32 read_status(struct cm_icap *icap)
 	return readl(icap->status_register);
 }
 
-static u32 port_errors(struct cm_icap *icap)
+/**
+ * cm_icap_port_errors() - wait for the port's own end
+ * @icap: port
+ *
+ * Return: CM_ICAP_ERR_* bits.
+ */
+u32 cm_icap_port_errors(struct cm_icap *icap)
 {
 	u32 word;
 	int ret;
@@ -80,8 +86,13 @@ static int dma_error(struct cm_icap *icap)
 	return error;
 }
 
-/* how the transfer ended, and then the port */
-static u32 await_end(struct cm_icap *icap)
+/**
+ * cm_icap_await_sent() - wait for the end of cm_icap_send()
+ * @icap: port
+ *
+ * Return: CM_ICAP_ERR_* bits.
+ */
+u32 cm_icap_await_sent(struct cm_icap *icap)
 {
 	int error;
 
@@ -90,7 +101,18 @@ static u32 await_end(struct cm_icap *icap)
 	error = dma_error(icap);
 	if (error == -ECANCELED)
 		return CM_ICAP_ERR_TIMEOUT;
-	return error ? CM_ICAP_ERR_DMA : port_errors(icap);
+	return error ? CM_ICAP_ERR_DMA : 0;
+}
+
+/* how the transfer ended, and then the port */
+static u32 await_end(struct cm_icap *icap)
+{
+	u32 errors;
+
+	if (icap->request.reply.length)
+		return cm_icap_read_end(icap);
+	errors = cm_icap_await_sent(icap);
+	return errors ?: cm_icap_port_errors(icap);
 }
 
 static void finish(struct cm_icap *icap, u32 errors)
@@ -103,8 +125,10 @@ static void finish(struct cm_icap *icap, u32 errors)
 		.status = cm_icap_verdict(errors),
 	};
 
-	if (!(errors & (CM_ICAP_ERR_DMA | CM_ICAP_ERR_TIMEOUT)))
-		completion.length = request.length;
+	if (request.reply.length)
+		completion.length = icap->reply.length;
+	else if (!(errors & (CM_ICAP_ERR_DMA | CM_ICAP_ERR_TIMEOUT)))
+		completion.length = request.words.length;
 	cm_icap_deselect_port(icap);
 	/* a region whose load failed stays decoupled */
 	if (request.own_bridges && !completion.status)
@@ -122,31 +146,39 @@ static void finish(struct cm_icap *icap, u32 errors)
 }
 
 /* all of it before the first word is sent */
-static void arm(struct cm_icap *icap)
+static void arm(struct cm_icap *icap, u64 length)
 {
 	u64 most = round_down(icap->channel->info.max_length, 4);
 
 	reinit_completion(&icap->sent);
 	spin_lock_bh(&icap->dma_lock);
-	icap->dma_left = DIV64_U64_ROUND_UP(icap->request.length, most);
+	icap->dma_left = DIV64_U64_ROUND_UP(length, most);
 	icap->dma_error = 0;
 	spin_unlock_bh(&icap->dma_lock);
-	icap->started_ns = ktime_get_ns();
 }
 
-/* the port sees one stream, however many descriptors it is cut into */
-static int send(struct cm_icap *icap)
+/**
+ * cm_icap_send() - write words to the port
+ * @icap: port
+ * @part: of the buffer of the request under way
+ *
+ * The port sees one stream, however many descriptors it is cut into.
+ *
+ * Return: 0 and cm_icap_await_sent() is to be called, or a negative errno.
+ */
+int cm_icap_send(struct cm_icap *icap, const struct cm_icap_part *part)
 {
 	u64 most = round_down(icap->channel->info.max_length, 4);
-	u64 left = icap->request.length;
+	u64 left = part->length;
 	struct cm_request request = {
 		.buffer = icap->request.buffer,
-		.offset = icap->request.offset,
+		.offset = part->offset,
 		.done = dma_done,
 		.context = icap,
 	};
 	int ret = 0;
 
+	arm(icap, part->length);
 	for (; left && !ret; left -= request.length, request.offset += request.length) {
 		request.length = min(left, most);
 		ret = cm_channel_submit(icap->channel, &request);
@@ -156,15 +188,31 @@ static int send(struct cm_icap *icap)
 	return ret;
 }
 
-static int check(struct cm_icap *icap, const struct cm_icap_request *request)
+/**
+ * cm_icap_part_check() - whether a range is one of words in the buffer
+ * @icap: port
+ * @request: with its buffer
+ * @part: range
+ *
+ * Return: 0, -EINVAL, or -EMSGSIZE above the longest load.
+ */
+int cm_icap_part_check(struct cm_icap *icap, const struct cm_icap_request *request,
+		       const struct cm_icap_part *part)
 {
 	dma_addr_t address;
 
-	if ((request->offset | request->length) & 3)
+	if ((part->offset | part->length) & 3)
 		return -EINVAL;
-	if (cm_buffer_address(request->buffer, request->offset, request->length, &address))
+	if (cm_buffer_address(request->buffer, part->offset, part->length, &address))
 		return -EINVAL;
-	return request->length > icap->info.max_length ? -EMSGSIZE : 0;
+	return part->length > icap->info.max_length ? -EMSGSIZE : 0;
+}
+
+static int check(struct cm_icap *icap, const struct cm_icap_request *request)
+{
+	int ret = cm_icap_part_check(icap, request, &request->words);
+
+	return ret || !request->reply.length ? ret : cm_icap_read_check(icap, request);
 }
 
 static int begin(struct cm_icap *icap, const struct cm_icap_request *request, u32 *before)
@@ -181,7 +229,7 @@ static int begin(struct cm_icap *icap, const struct cm_icap_request *request, u3
 		icap->status.state = CM_ICAP_STATE_LOADING;
 		icap->status.errors = 0;
 		icap->status.bytes_done = 0;
-		icap->status.bytes_total = request->length;
+		icap->status.bytes_total = request->reply.length ?: request->words.length;
 	}
 	mutex_unlock(&icap->lock);
 	return ret;
@@ -219,7 +267,7 @@ static void send_back(struct cm_icap *icap)
 }
 
 /**
- * cm_icap_work() - one load, from its start to its end
+ * cm_icap_work() - one load or read, from its start to its end
  * @work: of a port
  */
 void cm_icap_work(struct work_struct *work)
@@ -229,8 +277,9 @@ void cm_icap_work(struct work_struct *work)
 	int ret = prepare(icap);
 
 	if (!ret) {
-		arm(icap);
-		ret = send(icap);
+		icap->started_ns = ktime_get_ns();
+		ret = icap->request.reply.length ? cm_icap_read_begin(icap) :
+						   cm_icap_send(icap, &icap->request.words);
 		if (ret) {
 			send_back(icap);
 			otherwise = CM_ICAP_STATE_ERROR;
@@ -247,7 +296,7 @@ void cm_icap_work(struct work_struct *work)
 }
 
 /**
- * cm_icap_start() - start a load
+ * cm_icap_start() - start a load or a read
  * @icap: port
  * @request: copied; the port takes its own reference to the buffer
  *

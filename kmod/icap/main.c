@@ -27,6 +27,8 @@ static void icap_free(struct kref *ref)
 
 	if (icap->channel)
 		cm_channel_put(icap->channel);
+	if (icap->back)
+		cm_channel_put(icap->back);
 	ida_free(&cm_icap_ids, icap->id);
 	mutex_destroy(&icap->lock);
 	mutex_destroy(&icap->start_lock);
@@ -65,25 +67,25 @@ static struct cm_icap *icap_new(struct device *dev)
 	mutex_init(&icap->start_lock);
 	init_completion(&icap->started);
 	init_completion(&icap->sent);
+	init_completion(&icap->received);
 	INIT_WORK(&icap->work, cm_icap_work);
 	icap->dev = dev;
 	snprintf(icap->name, sizeof(icap->name), "cm_icap%d", icap->id);
 	return icap;
 }
 
-static void remove_channel(void *data)
+static void remove_channel(void *channel)
 {
-	struct cm_icap *icap = data;
-
-	cm_channel_release(icap->channel);
-	cm_channel_remove(icap->channel);
+	cm_channel_release(channel);
+	cm_channel_remove(channel);
 }
 
-static int add_channel(struct cm_icap *icap)
+static int add_channel(struct cm_icap *icap, const char *name, u32 direction,
+		       struct cm_channel **where)
 {
 	struct cm_channel_config config = {
-		.name = "icap",
-		.direction = CM_DMA_MM2S,
+		.name = name,
+		.direction = direction,
 		.type = CM_DMA_TYPE_AXIDMA,
 		.queue_depth = 1,
 	};
@@ -91,11 +93,25 @@ static int add_channel(struct cm_icap *icap)
 	int ret;
 
 	if (IS_ERR(channel))
-		return dev_err_probe(icap->dev, PTR_ERR(channel), "no DMA channel \"icap\"\n");
+		return dev_err_probe(icap->dev, PTR_ERR(channel), "no DMA channel \"%s\"\n",
+				     name);
 	/* one reference for open files, which outlive the device */
-	icap->channel = cm_channel_get(channel);
-	ret = devm_add_action_or_reset(icap->dev, remove_channel, icap);
+	*where = cm_channel_get(channel);
+	ret = devm_add_action_or_reset(icap->dev, remove_channel, channel);
 	return ret ?: cm_channel_claim(channel);
+}
+
+/* a port may have a way back, by which it can be read */
+static int add_channels(struct cm_icap *icap)
+{
+	int ret = add_channel(icap, "icap", CM_DMA_MM2S, &icap->channel);
+
+	if (ret || device_property_match_string(icap->dev, "dma-names", "rx") < 0)
+		return ret;
+	ret = add_channel(icap, "rx", CM_DMA_S2MM, &icap->back);
+	if (!ret)
+		icap->info.caps |= CM_ICAP_CAP_READ;
+	return ret;
 }
 
 /* bounded by the port's own timeout */
@@ -207,7 +223,7 @@ static int cm_icap_probe(struct platform_device *pdev)
 	if (!ret)
 		ret = cm_icap_bridges_init(icap);
 	if (!ret)
-		ret = add_channel(icap);
+		ret = add_channels(icap);
 	if (!ret)
 		ret = add_queue(icap);
 	if (!ret)

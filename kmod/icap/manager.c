@@ -58,7 +58,7 @@ static int manager_load(struct cm_icap *icap, struct cm_buffer *buffer, size_t l
 	struct manager_wait wait;
 	struct cm_icap_request request = {
 		.buffer = buffer,
-		.length = length,
+		.words.length = length,
 		.done = manager_done,
 		.context = &wait,
 	};

@@ -121,7 +121,7 @@ static int add_client(struct plsim_board *board)
 	int count = 0;
 
 	list_for_each_entry(channel, &board->channels, siblings) {
-		if (!strcmp(channel->kind, "icap"))
+		if (!strcmp(channel->kind, "icap") || !strcmp(channel->kind, "readback"))
 			continue;
 		names[count] = config_item_name(&channel->item);
 		directions[count] = channel->direction;
@@ -145,8 +145,21 @@ static int add_client(struct plsim_board *board)
 	return 0;
 }
 
+static bool has_kind(struct plsim_board *board, const char *kind)
+{
+	struct plsim_channel_item *channel;
+
+	list_for_each_entry(channel, &board->channels, siblings) {
+		if (!strcmp(channel->kind, kind))
+			return true;
+	}
+	return false;
+}
+
 static int add_icap(struct plsim_board *board)
 {
+	static const char * const names[] = { "icap", "rx" };
+	int count = has_kind(board, "readback") ? 2 : 1;
 	struct cm_icap_platform_data data;
 	struct plsim_channel_item *channel;
 	struct platform_device *device;
@@ -161,7 +174,7 @@ static int add_icap(struct plsim_board *board)
 		plsim_icap_platform_data(&board->port, &data);
 		device = add_device("cm_icap", board->id, NULL,
 				    (struct property_entry[]){
-					PROPERTY_ENTRY_STRING("dma-names", "icap"),
+					PROPERTY_ENTRY_STRING_ARRAY_LEN("dma-names", names, count),
 					PROPERTY_ENTRY_U32("fpga-cm,idcode", channel->idcode),
 					PROPERTY_ENTRY_U32("fpga-cm,timeout-ms",
 							   channel->timeout_ms),

@@ -58,8 +58,8 @@ struct plsim_board {
  * @board: board
  * @siblings: in the board's list
  * @number: assigned when the board becomes live
- * @kind: "loopback", "source", "sink" or "icap"
- * @peer: loopback: name of the other channel
+ * @kind: "loopback", "source", "sink", "icap" or "readback"
+ * @peer: loopback: name of the other channel; readback: of the port's
  * @direction: CM_DMA_*; fixed by @kind but for loopback
  * @video: the client is told that this is a VDMA
  * @frame_length: source: bytes

@@ -96,7 +96,8 @@ static ssize_t channel_kind_show(struct config_item *item, char *page)
 
 static ssize_t channel_kind_store(struct config_item *item, const char *page, size_t count)
 {
-	static const char * const kinds[] = { "loopback", "source", "sink", "icap" };
+	static const char * const kinds[] = { "loopback", "source", "sink", "icap",
+					     "readback" };
 	struct plsim_channel_item *channel = to_channel(item);
 	int kind = sysfs_match_string(kinds, page);
 	int ret;
@@ -106,7 +107,7 @@ static ssize_t channel_kind_store(struct config_item *item, const char *page, si
 	ret = store_name(channel->board, channel->kind, page, count);
 	if (ret)
 		return ret;
-	if (!strcmp(channel->kind, "source"))
+	if (!strcmp(channel->kind, "source") || !strcmp(channel->kind, "readback"))
 		channel->direction = CM_DMA_S2MM;
 	else if (strcmp(channel->kind, "loopback"))
 		channel->direction = CM_DMA_MM2S;

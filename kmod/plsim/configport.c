@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: GPL-2.0-only
 /*
  * The packet processor of a configuration port, as far as a load can fail in
- * it: sync word, packets, CRC and IDCODE (UG470, chapter 5).
+ * it: sync word, packets, CRC and IDCODE (UG470, chapter 5), and as far as frames
+ * are written and read back (chapter 6).
  */
 #include <linux/bitfield.h>
 #include <linux/bits.h>
@@ -18,13 +19,22 @@
 #define PACKET_REGISTER GENMASK(17, 13)
 #define PACKET_COUNT1 GENMASK(10, 0)
 #define PACKET_COUNT2 GENMASK(26, 0)
+#define OP_NOP 0
+#define OP_READ 1
 #define OP_WRITE 2
 
 #define REG_CRC 0
+#define REG_FAR 1
 #define REG_FDRI 2
+#define REG_FDRO 3
 #define REG_CMD 4
+#define REG_STAT 7
+#define REG_MFWR 10
 #define REG_IDCODE 12
+#define CMD_RCFG 4
 #define CMD_RCRC 7
+/* of a device that runs (table 5-28) */
+#define STAT_RUNNING 0x000078FC
 #define CMD_DESYNC 13
 
 /* the top nibble is the silicon's revision */
@@ -49,13 +59,15 @@ u32 cm_configport_crc(u32 crc, u32 address, u32 data)
 }
 
 /**
- * cm_configport_begin() - a load starts
+ * cm_configport_begin() - a load starts, or what closes a read
  * @port: port; what an aborted load left is forgotten
  */
 void cm_configport_begin(struct cm_configport *port)
 {
-	port->synced = false;
-	port->seen_sync = false;
+	/* behind a read the port is still in sync */
+	port->synced = port->synced && port->asked;
+	port->seen_sync = port->synced;
+	port->asked = 0;
 	port->remaining = 0;
 	port->crc = 0;
 	port->words = 0;
@@ -72,8 +84,66 @@ static void check_crc(struct cm_configport *port, u32 word)
 	port->crc = 0;
 }
 
+static u32 current_far(struct cm_configport *port)
+{
+	return cm_frames_at(port->frames, port->far, port->place, port->number);
+}
+
+static void start_frames(struct cm_configport *port, u32 far)
+{
+	port->far = far;
+	port->number = 0;
+	port->column = 0;
+	port->full = false;
+	if (port->frames)
+		port->place = cm_frames_place(port->frames, far);
+}
+
+/* the last frame of a run stays in the buffer: the one behind it would push it out */
+static void frame_word(struct cm_configport *port, u32 word)
+{
+	struct cm_frames *frames = port->frames;
+
+	frames->arriving[port->column++] = word;
+	if (port->column < CM_FRAME_WORDS)
+		return;
+	port->column = 0;
+	if (port->full) {
+		cm_frames_store(frames, current_far(port), frames->buffer);
+		port->number++;
+	}
+	memcpy(frames->buffer, frames->arriving, sizeof(frames->buffer));
+	port->full = true;
+}
+
+/* the frame in the buffer once more (compressed bitstreams) */
+static void frame_again(struct cm_configport *port)
+{
+	if (port->remaining)
+		return;
+	cm_frames_store(port->frames, current_far(port), port->frames->buffer);
+	port->number++;
+}
+
+/* the first frame that is read is what was in the buffer */
+static u32 read_frame_word(struct cm_configport *port)
+{
+	struct cm_frames *frames = port->frames;
+	u32 word = frames->buffer[port->column];
+
+	if (!port->column)
+		cm_frames_fetch(frames, current_far(port), frames->arriving);
+	frames->buffer[port->column] = frames->arriving[port->column];
+	if (++port->column == CM_FRAME_WORDS) {
+		port->column = 0;
+		port->number++;
+	}
+	return word;
+}
+
 static void command(struct cm_configport *port, u32 word)
 {
+	port->command = word;
 	if (word == CMD_RCRC)
 		port->crc = 0;
 	else if (word == CMD_DESYNC)
@@ -97,12 +167,24 @@ static void write_register(struct cm_configport *port, u32 word)
 		command(port, word);
 	else if (port->address == REG_IDCODE)
 		check_idcode(port, word);
+	else if (port->address == REG_FAR)
+		start_frames(port, word);
 	else if (port->address == REG_FDRI)
 		port->frame_words++;
+	if (!port->frames)
+		return;
+	if (port->address == REG_FDRI)
+		frame_word(port, word);
+	else if (port->address == REG_MFWR)
+		frame_again(port);
 }
 
 static void header(struct cm_configport *port, u32 word)
 {
+	u32 operation = FIELD_GET(PACKET_OP, word);
+
+	if (operation == OP_NOP)
+		return;
 	switch (FIELD_GET(PACKET_TYPE, word)) {
 	case 1:
 		port->address = FIELD_GET(PACKET_REGISTER, word);
@@ -114,10 +196,31 @@ static void header(struct cm_configport *port, u32 word)
 	default:
 		return;
 	}
-	port->writing = FIELD_GET(PACKET_OP, word) == OP_WRITE;
+	port->writing = operation == OP_WRITE;
 	/* words that are read come out of the port, not in */
+	port->asked = operation == OP_READ ? port->remaining : 0;
 	if (!port->writing)
 		port->remaining = 0;
+}
+
+/**
+ * cm_configport_answer() - a word is read from the port
+ * @port: port, in sync, with words that were asked for
+ *
+ * Return: word, as the packets define it.
+ */
+u32 cm_configport_answer(struct cm_configport *port)
+{
+	switch (port->address) {
+	case REG_FDRO:
+		return port->frames && port->command == CMD_RCFG ? read_frame_word(port) : 0;
+	case REG_STAT:
+		return STAT_RUNNING;
+	case REG_IDCODE:
+		return port->idcode;
+	default:
+		return 0;
+	}
 }
 
 /**

@@ -1,8 +1,15 @@
 // SPDX-License-Identifier: GPL-2.0-only
 /* Faults to inject, and what the simulated logic saw. */
 #include <linux/debugfs.h>
+#include <linux/fs.h>
+#include <linux/module.h>
+#include <linux/sizes.h>
+#include <linux/slab.h>
+#include <linux/uaccess.h>
 
 #include "plsim.h"
+
+#define ORDER_MAX SZ_1M
 
 struct dentry *plsim_debugfs_root;
 
@@ -23,6 +30,58 @@ static int hang_set(void *data, u64 value)
 	return 0;
 }
 DEFINE_DEBUGFS_ATTRIBUTE(hang_fops, hang_get, hang_set, "%llu\n");
+
+/* "FRAME BIT": 32 times the word, and the bit in it */
+static ssize_t upset_write(struct file *file, const char __user *from, size_t count,
+			   loff_t *position)
+{
+	struct plsim_chan *chan = file->private_data;
+	char text[32] = {};
+	u32 far, bit;
+	int ret;
+
+	if (count >= sizeof(text))
+		return -EINVAL;
+	if (copy_from_user(text, from, count))
+		return -EFAULT;
+	if (sscanf(text, "%i %u", &far, &bit) != 2)
+		return -EINVAL;
+	ret = cm_frames_upset(chan->port.frames, far, bit);
+	return ret ?: count;
+}
+
+static const struct file_operations upset_fops = {
+	.owner = THIS_MODULE,
+	.open = simple_open,
+	.write = upset_write,
+};
+
+/* the device's order of frames in one write: 32-bit words, all ones for a frame of no column */
+static ssize_t order_write(struct file *file, const char __user *from, size_t count,
+			   loff_t *position)
+{
+	struct plsim_chan *chan = file->private_data;
+	struct cm_frames *frames = chan->port.frames;
+	u32 *order;
+
+	if (!count || count % sizeof(*order) || count > ORDER_MAX)
+		return -EINVAL;
+	order = vmemdup_user(from, count);
+	if (IS_ERR(order))
+		return PTR_ERR(order);
+	mutex_lock(&frames->lock);
+	swap(order, frames->order);
+	frames->order_count = count / sizeof(*order);
+	mutex_unlock(&frames->lock);
+	kvfree(order);
+	return count;
+}
+
+static const struct file_operations order_fops = {
+	.owner = THIS_MODULE,
+	.open = simple_open,
+	.write = order_write,
+};
 
 static void channel_debugfs(struct plsim_chan *chan, struct dentry *parent)
 {
@@ -48,6 +107,10 @@ static void channel_debugfs(struct plsim_chan *chan, struct dentry *parent)
 		debugfs_create_u32("crc_checks", 0444, folder, &chan->port.crc_checks);
 		debugfs_create_bool("synced", 0444, folder, &chan->port.synced);
 		debugfs_create_x32("inject_errors", 0644, folder, &chan->inject_errors);
+		debugfs_create_u64("reads", 0444, folder, &chan->reads);
+		debugfs_create_u32("frames", 0444, folder, &chan->port.frames->count);
+		debugfs_create_file("upset", 0200, folder, chan, &upset_fops);
+		debugfs_create_file("frame_order", 0200, folder, chan, &order_fops);
 	}
 }
 

@@ -202,6 +202,7 @@ static int read_kind(struct fwnode_handle *node, struct plsim_chan *chan)
 		[PLSIM_SOURCE] = "source",
 		[PLSIM_SINK] = "sink",
 		[PLSIM_ICAP] = "icap",
+		[PLSIM_READBACK] = "readback",
 	};
 	const char *kind;
 	int ret = fwnode_property_read_string(node, "fpga-cm,kind", &kind);
@@ -212,6 +213,17 @@ static int read_kind(struct fwnode_handle *node, struct plsim_chan *chan)
 	if (ret < 0)
 		return ret;
 	chan->kind = ret;
+	return 0;
+}
+
+static int add_frames(struct plsim_dma *dma, struct plsim_chan *chan)
+{
+	struct cm_frames *frames = devm_kzalloc(dma->dev, sizeof(*frames), GFP_KERNEL);
+
+	if (!frames)
+		return -ENOMEM;
+	cm_frames_init(frames);
+	chan->port.frames = frames;
 	return 0;
 }
 
@@ -233,7 +245,8 @@ static int read_channel(struct plsim_dma *dma, struct fwnode_handle *node)
 	ret = fwnode_property_read_string(node, "label", &chan->label);
 	if (ret)
 		return ret;
-	chan->direction = chan->kind == PLSIM_SOURCE ? CM_DMA_S2MM : CM_DMA_MM2S;
+	chan->direction = chan->kind == PLSIM_SOURCE || chan->kind == PLSIM_READBACK ?
+		CM_DMA_S2MM : CM_DMA_MM2S;
 	chan->fifo = PLSIM_FIFO;
 	chan->frame_length = PAGE_SIZE;
 	fwnode_property_read_u32(node, "fpga-cm,direction", &chan->direction);
@@ -243,7 +256,7 @@ static int read_channel(struct plsim_dma *dma, struct fwnode_handle *node)
 	fwnode_property_read_u32(node, "fpga-cm,idcode", &chan->port.idcode);
 	if (!fwnode_property_read_u32(node, "fpga-cm,peer", &peer) && peer < PLSIM_CHANNELS_MAX)
 		chan->peer = &dma->channels[peer];
-	return 0;
+	return chan->kind == PLSIM_ICAP ? add_frames(dma, chan) : 0;
 }
 
 static bool channel_valid(const struct plsim_chan *chan)
@@ -256,6 +269,9 @@ static bool channel_valid(const struct plsim_chan *chan)
 		       chan->peer->direction + chan->direction == CM_DMA_MM2S + CM_DMA_S2MM;
 	case PLSIM_SOURCE:
 		return chan->direction == CM_DMA_S2MM;
+	case PLSIM_READBACK:
+		return chan->direction == CM_DMA_S2MM && chan->peer &&
+		       chan->peer->kind == PLSIM_ICAP && chan->peer->peer == chan;
 	default:
 		return chan->direction == CM_DMA_MM2S;
 	}
@@ -274,6 +290,13 @@ static int read_channels(struct plsim_dma *dma)
 					     "no kind, no label, or another's number\n");
 		}
 		dma->count++;
+	}
+	/* only the way back names the port */
+	for (i = 0; i < dma->count; i++) {
+		struct plsim_chan *chan = &dma->channels[i];
+
+		if (chan->kind == PLSIM_READBACK && chan->peer)
+			chan->peer->peer = chan;
 	}
 	for (i = 0; i < dma->count; i++) {
 		if (!channel_valid(&dma->channels[i]))
@@ -336,9 +359,10 @@ static int init_maps(struct plsim_dma *dma)
 		return -ENOMEM;
 	for (i = 0; i < dma->count; i++) {
 		struct plsim_chan *chan = &dma->channels[i];
-		const char *name = chan->kind == PLSIM_ICAP ? "icap" : chan->label;
+		bool back = chan->kind == PLSIM_READBACK;
+		const char *name = chan->kind == PLSIM_ICAP ? "icap" : back ? "rx" : chan->label;
 
-		dma->maps[i].devname = chan->kind == PLSIM_ICAP ?
+		dma->maps[i].devname = chan->kind == PLSIM_ICAP || back ?
 			devm_kasprintf(dma->dev, GFP_KERNEL, "cm_icap.%s", client) :
 			devm_kasprintf(dma->dev, GFP_KERNEL, "cm_dma.%s", client);
 		dma->maps[i].slave = name;
@@ -359,8 +383,11 @@ static void destroy_queue(void *data)
 	int i;
 
 	destroy_workqueue(dma->queue);
-	for (i = 0; i < dma->count; i++)
+	for (i = 0; i < dma->count; i++) {
 		plsim_drop_packets(&dma->channels[i]);
+		if (dma->channels[i].port.frames)
+			cm_frames_destroy(dma->channels[i].port.frames);
+	}
 }
 
 static void unregister_engine(void *device)

@@ -202,7 +202,12 @@ static bool peer_has_room(struct plsim_chan *peer, size_t length)
 	return room;
 }
 
-static void give_to_peer(struct plsim_chan *peer, struct plsim_packet *packet)
+/**
+ * plsim_give() - data on its way to an S2MM channel
+ * @peer: channel
+ * @packet: becomes the channel's
+ */
+void plsim_give(struct plsim_chan *peer, struct plsim_packet *packet)
 {
 	u32 limit = xchg(&peer->faults.short_next, 0);
 	unsigned long flags;
@@ -220,7 +225,7 @@ static void consume(struct plsim_chan *chan, struct plsim_packet *packet)
 {
 	switch (chan->kind) {
 	case PLSIM_LOOPBACK:
-		give_to_peer(chan->peer, packet);
+		plsim_give(chan->peer, packet);
 		return;
 	case PLSIM_ICAP:
 		plsim_icap_take(chan, packet->data, packet->length);
@@ -262,7 +267,7 @@ static struct plsim_packet *first_packet(struct plsim_chan *chan)
 		return packet;
 	packet = plsim_source_frame(chan);
 	if (packet)
-		give_to_peer(chan, packet);
+		plsim_give(chan, packet);
 	return packet;
 }
 

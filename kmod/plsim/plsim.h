@@ -27,12 +27,14 @@ struct plsim_dma;
  * @PLSIM_SOURCE: S2MM: frames of a pattern
  * @PLSIM_SINK: MM2S: takes all and counts
  * @PLSIM_ICAP: MM2S: a configuration port
+ * @PLSIM_READBACK: S2MM: what comes back from it
  */
 enum plsim_kind {
 	PLSIM_LOOPBACK,
 	PLSIM_SOURCE,
 	PLSIM_SINK,
 	PLSIM_ICAP,
+	PLSIM_READBACK,
 };
 
 /**
@@ -94,7 +96,7 @@ struct plsim_desc {
  * @label: name
  * @kind: what is behind it
  * @direction: CM_DMA_MM2S or CM_DMA_S2MM
- * @peer: loopback: the other end
+ * @peer: loopback: the other end; ICAP, readback: each other
  * @frame_length: source: bytes of a frame
  * @interval_us: source, cyclic: time between frames; 0 on demand
  * @fifo: loopback: bytes that wait at most between the ends
@@ -114,6 +116,7 @@ struct plsim_desc {
  * @crc32: of the data of the last transfer (sink, ICAP)
  * @port: ICAP: the port
  * @loads: ICAP: loads taken
+ * @reads: ICAP: answers given
  * @load_errors: ICAP: CM_ICAP_ERR_* of the last load
  * @load_words: ICAP: words of the last load
  * @inject_errors: ICAP: CM_ICAP_ERR_* that the next load ends with
@@ -144,6 +147,7 @@ struct plsim_chan {
 	u32 crc32;
 	struct cm_configport port;
 	u64 loads;
+	u64 reads;
 	u32 load_errors;
 	u32 load_words;
 	u32 inject_errors;
@@ -188,13 +192,15 @@ static inline struct plsim_chan *to_plsim_chan(struct dma_chan *chan)
 
 static inline bool plsim_receives(const struct plsim_chan *chan)
 {
-	return chan->kind == PLSIM_SOURCE || (chan->kind == PLSIM_LOOPBACK && chan->direction == 2);
+	return chan->kind == PLSIM_SOURCE || chan->kind == PLSIM_READBACK ||
+	       (chan->kind == PLSIM_LOOPBACK && chan->direction == 2);
 }
 
 /* move.c */
 void plsim_work(struct work_struct *work);
 void plsim_kick(struct plsim_chan *chan);
 void plsim_drop_packets(struct plsim_chan *chan);
+void plsim_give(struct plsim_chan *chan, struct plsim_packet *packet);
 
 /* source.c */
 struct plsim_packet *plsim_packet_new(size_t length);

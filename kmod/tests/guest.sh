@@ -10,7 +10,7 @@ mount -t configfs configfs /sys/kernel/config
 root=/sys/kernel/config/cm_plsim
 board=$root/board
 mkdir $board
-for name in to_pl from_pl camera display icap vcam; do mkdir $board/dma/$name; done
+for name in to_pl from_pl camera display icap icap_read vcam; do mkdir $board/dma/$name; done
 echo loopback >$board/dma/to_pl/kind
 echo mm2s >$board/dma/to_pl/direction
 echo from_pl >$board/dma/to_pl/peer
@@ -21,6 +21,8 @@ echo 1 >$board/dma/vcam/video
 echo 2000 >$board/dma/vcam/interval_us
 echo sink >$board/dma/display/kind
 echo icap >$board/dma/icap/kind
+echo readback >$board/dma/icap_read/kind
+echo icap >$board/dma/icap_read/peer
 echo 0x03727093 >$board/dma/icap/idcode
 mkdir $board/uio/camera
 echo 0x43c00000 >$board/uio/camera/address
@@ -55,7 +57,7 @@ for i in 1 2 3 4 5 6 7 8 9 10; do
 	test ! -e /dev/cm_dma/camera
 done
 echo 1 >$board/live
-for name in to_pl from_pl camera display icap vcam; do rmdir $board/dma/$name; done
+for name in to_pl from_pl camera display icap icap_read vcam; do rmdir $board/dma/$name; done
 rmdir $board/uio/camera $board
 for module in cm_axidma_compat cm_plsim cm_icap cm_window cm_dma; do
 	if grep -q "^$module " /proc/modules; then rmmod $module; fi

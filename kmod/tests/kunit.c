@@ -7,6 +7,7 @@
 #include "../core/queue.c"
 #include "../icap/verdict.c"
 #include "../plsim/configport.c"
+#include "../plsim/frames.c"
 #include "../plsim/source.c"
 
 #define DEPTH 4

@@ -169,20 +169,93 @@ static void undo_load(int port, void *args)
 		CHECK(finished(port, &completion) == -EIO);
 }
 
+/* the port's status register, by words behind those of a load */
+#define REQUEST 15000
+#define REPLY 15100
+#define CLOSING 15200
+#define STATUS_WORD 0x000078FC
+
+static uint32_t *memory;
+
+static void prepare_read(int port, void *args)
+{
+	static const uint32_t request[] = { 0xAA995566, 0x20000000, 0x2800E001, 0x20000000 };
+	static const uint32_t closing[] = { 0x30008001, 13 };
+	struct cm_icap_read *read = args;
+
+	memcpy(memory + REQUEST, request, sizeof(request));
+	memcpy(memory + CLOSING, closing, sizeof(closing));
+	memory[REPLY] = 0;
+	read->handle = loaded;
+	read->request_offset = 4 * REQUEST;
+	read->request_length = sizeof(request);
+	read->reply_offset = 4 * REPLY;
+	read->reply_length = 4;
+	read->closing_offset = 4 * CLOSING;
+	read->closing_length = sizeof(closing);
+	loads_before = status_of(port).loads;
+}
+
+static void undo_read(int port, void *args)
+{
+	struct cm_icap_completion completion;
+
+	while (status_of(port).state == CM_ICAP_STATE_LOADING)
+		usleep(1000);
+	if (status_of(port).loads == loads_before)
+		return;
+	CHECK(finished(port, &completion) == 0 && completion.length == 4);
+	CHECK(memory[REPLY] == STATUS_WORD);
+}
+
+static int try_read(int port, __u64 reply_offset, __u64 reply_length)
+{
+	struct cm_icap_read args = { .size = sizeof(args) };
+
+	prepare_read(port, &args);
+	args.size = sizeof(args);
+	args.reply_offset = reply_offset;
+	args.reply_length = reply_length;
+	return ioctl(port, CM_ICAP_IOC_READ, &args);
+}
+
+static void test_read(int port)
+{
+	struct cm_icap_completion completion;
+
+	CHECK(try_read(port, 4 * REPLY, 4) == 0 && finished(port, &completion) == 0);
+	CHECK(memory[REPLY] == STATUS_WORD);
+	CHECK(try_read(port, 4 * REQUEST, 4) == -1 && errno == EINVAL);
+	CHECK(try_read(port, 4 * CLOSING + 4, 4) == -1 && errno == EINVAL);
+	CHECK(try_read(port, 4 * REPLY, 0) == -1 && errno == EINVAL);
+	CHECK(try_read(port, 4 * REPLY + 2, 4) == -1 && errno == EINVAL);
+	CHECK(try_read(port, 1 << 16, 4) == -1 && errno == EINVAL);
+	CHECK(try_read(port, 4 * REPLY, ~3ULL) == -1 && errno == EINVAL);
+	CHECK(try_read(port, 4 * REPLY, 8) == 0);
+	CHECK(finished(port, &completion) == -ETIMEDOUT && completion.length == 4);
+	fault("icap_read", "fail_next", 1);
+	CHECK(try_read(port, 4 * REPLY, 4) == 0);
+	CHECK(finished(port, &completion) == -EIO && completion.errors == CM_ICAP_ERR_DMA);
+	CHECK(try_read(port, 4 * REPLY, 4) == 0 && finished(port, &completion) == 0);
+}
+
 static void test_sizes(int port, __u32 handle)
 {
+	static const __u32 read[] = { CM_ICAP_READ_SIZE_VER0, 0 };
 	static const __u32 info[] = { CM_ICAP_INFO_SIZE_VER0, 0 };
 	static const __u32 load[] = { CM_ICAP_LOAD_SIZE_VER0, 0 };
 	static const __u32 status[] = { CM_ICAP_STATUS_SIZE_VER0, 0 };
 
 	_Static_assert(sizeof(struct cm_icap_info) == CM_ICAP_INFO_SIZE_VER0, "info");
 	_Static_assert(sizeof(struct cm_icap_load) == CM_ICAP_LOAD_SIZE_VER0, "load");
+	_Static_assert(sizeof(struct cm_icap_read) == CM_ICAP_READ_SIZE_VER0, "read");
 	_Static_assert(sizeof(struct cm_icap_status) == CM_ICAP_STATUS_SIZE_VER0, "status");
 	loaded = handle;
 	check_buffer_sizes(port, 0x20);
 	check_sizes(port, 0x20, info, nothing, nothing);
 	check_sizes(port, 0x24, load, prepare_load, undo_load);
 	check_sizes(port, 0x25, status, nothing, nothing);
+	check_sizes(port, 0x26, read, prepare_read, undo_read);
 }
 
 int main(int argc, char **argv)
@@ -204,11 +277,12 @@ int main(int argc, char **argv)
 	port = open("/dev/cm_icap0", O_RDWR);
 	CHECK(port >= 0);
 	CHECK(ioctl(port, CM_ICAP_IOC_INFO, &info) == 0 && info.word_bits == 32);
-	CHECK(info.idcode == IDCODE && info.caps == CM_ICAP_CAP_STATUS);
+	CHECK(info.idcode == IDCODE && info.caps == (CM_ICAP_CAP_STATUS | CM_ICAP_CAP_READ));
 	CHECK(ioctl(port, CM_ICAP_IOC_ALLOC, &args) == 0);
 	CHECK(args.address && args.address % 4096 == 0);
 	words = mmap(NULL, args.length, PROT_READ | PROT_WRITE, MAP_SHARED, args.fd, 0);
 	CHECK(words != MAP_FAILED);
+	memory = words;
 	length = assemble(words, IDCODE);
 
 	CHECK(load(port, args.handle, length, 5) == 0);
@@ -256,6 +330,8 @@ int main(int argc, char **argv)
 
 	test_unread(port, args.handle, length);
 	test_sizes(port, args.handle);
+	memory[REPLY] = 0;
+	test_read(port);
 
 	/* closing waits for the end of the load */
 	loads = counter("icap", "loads");

@@ -159,7 +159,7 @@ def test_wrong_properties_are_reported(built: Path, tmp_path: Path) -> None:
     text = run("dtc", "-q", "-I", "dtb", "-O", "dts", merged(built, "qemu-virt/static"))
     changes = {
         "<0x02 0x01 0x02>": "<0x02 0x01 0x03>",  # a direction that does not exist
-        'dma-names = "icap"': 'dma-names = "port"',
+        'dma-names = "icap': 'dma-names = "port',
         "fpga-cm,kind = ": "fpga-cm,sort = ",
     }
     for was, becomes in changes.items():

@@ -24,6 +24,7 @@ CHANNELS: dict[str, plsim.Attributes] = {
     "display": {"kind": "sink"},
     "vcam": {"video": 1, "interval_us": 2000},
     "icap": {"kind": "icap", "idcode": "0x03727093", "timeout_ms": 600_000},
+    "icap_read": {"kind": "readback", "peer": "icap"},
 }
 WINDOWS: dict[str, plsim.Attributes] = {"camera": {"address": "0x43c00000", "size": 8192, "doorbell": "0x1000"}}
 

@@ -57,7 +57,10 @@ board_configfs() {
 	channel to_pl loopback direction mm2s peer from_pl fifo 4194304
 	channel from_pl loopback direction s2mm peer to_pl fifo 4194304
 	# the host may give QEMU no processor time for long, and no load is to fail by that
-	if [ -d /sys/module/cm_icap ]; then channel icap icap idcode 0x03727093 timeout_ms 600000; fi
+	if [ -d /sys/module/cm_icap ]; then
+		channel icap icap idcode 0x03727093 timeout_ms 600000
+		channel icap_read readback peer icap
+	fi
 	window static 0x58001000 0x1000
 	window events 0x59001000 0x1000 0x30
 	window camera 0x58002000 0x2000
