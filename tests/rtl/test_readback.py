@@ -20,6 +20,8 @@ from conftest import HERE, needs
 from simulation import simulate
 from test_lint import lint
 
+from cm.design.generate.tree import Design
+
 READ = HERE.parent.parent / "cm/design/rtl/readback/cm_icap_read.v"
 MODELS = sorted((HERE / "models").glob("*.v"))
 
@@ -42,12 +44,27 @@ def test_the_feeder_is_clean(ultrascale: int) -> None:
     lint("--top-module", "cm_icap_read", f"-GULTRASCALE={ultrascale}", "-y", HERE / "models", READ)
 
 
+@pytest.fixture(scope="module")
+def camera(tmp_path_factory: pytest.TempPathFactory) -> tuple[Design, Path]:
+    """The camera example with a port that can be read, 16 pixels a line."""
+    folder = copy_examples(tmp_path_factory.mktemp("camera"))
+    schema = folder / "camera/build.yaml"
+    text = schema.read_text().replace("    top: camera_edge\n", "    top: camera_edge\n    parameters: {LINE: 16}\n")
+    schema.write_text(f"{text}static: {{readback: true}}\n")
+    return generated(folder, "camera")
+
+
+def test_a_static_part_reads_its_port_while_pictures_pass(camera: tuple[Design, Path], tmp_path: Path) -> None:
+    design, out = camera
+    one = design.system.implementation("edge", "prr0")
+    sources = [out / "hdl/cm_static.v", *sorted((out / "hdl/lib").glob("*.v")), *MODELS, *one.module.sources]
+    sources.append(out / "wrappers/edge/cm_region_prr0.v")
+    assert simulate("cm_static", sources, "cocotb_readback_system", tmp_path, only="the_port", CM_MODULE="edge")
+
+
 @needs("verilator")
-def test_a_static_part_with_it_is_clean(tmp_path: Path) -> None:
-    folder = copy_examples(tmp_path)
-    with (folder / "camera/build.yaml").open("a") as schema:
-        schema.write("static: {readback: true}\n")
-    hdl = generated(folder, "camera")[1] / "hdl"
+def test_a_static_part_with_it_is_clean(camera: tuple[Design, Path]) -> None:
+    hdl = camera[1] / "hdl"
     lint("--top-module", "cm_static", "-y", hdl, "-y", hdl / "lib", "-y", HERE / "models", hdl / "cm_static.v")
 
 
