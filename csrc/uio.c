@@ -155,16 +155,29 @@ static int load(const struct cm_uio *uio, unsigned int map, uint64_t offset, uns
 	return cm_bus_read(cm_uio_at(uio, map, offset), width, value) ? -1 : 1;
 }
 
-int cm_uio_read(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned int width,
+int cm_uio_load(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned int width,
 		uint64_t *value)
 {
-	struct cm_node_reg reg = { .map = map, .width = width, .offset = offset };
 	int loaded;
 
 	if (check_access(uio, map, offset, width) || cm_node_enter(uio->node))
 		return -1;
 	loaded = load(uio, map, offset, width, value);
 	cm_node_leave(uio->node);
+	return loaded;
+}
+
+bool cm_uio_loads(const struct cm_uio *uio, unsigned int map)
+{
+	return !cm_node_simulated(uio->node) || (map == 0 && uio->mirror.values);
+}
+
+int cm_uio_read(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned int width,
+		uint64_t *value)
+{
+	struct cm_node_reg reg = { .map = map, .width = width, .offset = offset };
+	int loaded = cm_uio_load(uio, map, offset, width, value);
+
 	if (loaded)
 		return loaded < 0 ? -1 : 0;
 	if (cm_node_request(uio->node, CM_NODE_OP_REG_READ, &reg, sizeof(reg), NULL,

@@ -8,6 +8,7 @@
 #ifndef CM_SHIM_UIO_H
 #define CM_SHIM_UIO_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -55,6 +56,13 @@ int cm_uio_read(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned 
 		uint64_t *value);
 int cm_uio_write(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned int width,
 		 uint64_t value);
+
+/* cm_uio_read() where it is a load, which never waits for another process: 1, or 0 if the node has to be asked. */
+int cm_uio_load(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned int width,
+		uint64_t *value);
+
+/* Whether registers of a window are read by loads at all. */
+bool cm_uio_loads(const struct cm_uio *uio, unsigned int map);
 
 /* cm_uio_read() of at most 32 bits, which returns the value, or -1. */
 int64_t cm_uio_read32(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned int width);

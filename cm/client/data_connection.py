@@ -3,14 +3,11 @@
 
 from __future__ import annotations
 
-import array
 import errno
 import math
 import os
 import select
 import socket
-import struct
-import sys
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
@@ -18,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
-from cm.client.errors import ConnectionLost, LateRelease, NotAdmitted, request_error
+from cm.client.data_socket import LIMITS_ARE_KNOWN, connect, descriptors, limit
+from cm.client.errors import ConnectionLost, LateRelease, request_error
 from cm.client.forks import not_for_children
 from cm.client.frame import Frame, in_rgb
 from cm.client.mapping import LocalFrame, SlotMappings, lend
-from cm.errors import NotFound
 from cm.wire import plane_packets as packets
 from cm.wire.messages.status import ErrorInfo
 from cm.wire.plane_packets import DESCRIPTOR, FDS_MAX, PACKET_MAX, Descriptor, Geometry, Open
@@ -33,8 +30,6 @@ _SEQUENCES = 1 << 64
 _CLOEXEC = int(socket.MSG_CMSG_CLOEXEC)
 _NOSIGNAL = int(socket.MSG_NOSIGNAL)
 _DONTWAIT = int(socket.MSG_DONTWAIT)
-_TIMEVAL = struct.Struct("@ll")
-_TIMEVAL_IS_KNOWN = sys.maxsize > 1 << 32
 
 
 class DataConnection:
@@ -103,16 +98,15 @@ class DataConnection:
     def set_timeout(self, seconds: float | None) -> None:
         """How long `receive` waits: None for ever.
 
-        By SO_RCVTIMEO, which costs nothing where it stays the same. Its argument differs between 32-bit systems with
-        old and new time, and 0 would mean for ever: these poll.
+        By SO_RCVTIMEO, which costs nothing where it stays the same, but takes 0 for ever: that polls, as do systems
+        where it is not known.
         """
         if seconds == self._timeout:
             return
         self._timeout = seconds
-        self._polls = seconds is not None and (seconds <= 0 or not _TIMEVAL_IS_KNOWN)
-        if _TIMEVAL_IS_KNOWN:
-            micro = 0 if seconds is None or self._polls else max(1, math.ceil(seconds * 1e6))
-            self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIMEVAL.pack(*divmod(micro, 1_000_000)))
+        self._polls = seconds is not None and (seconds <= 0 or not LIMITS_ARE_KNOWN)
+        if LIMITS_ARE_KNOWN:
+            limit(self.socket, None if self._polls else seconds)
 
     def receive(self, flags: int = 0) -> Frame | None:
         """Handle one packet; the frame if it was one. Raises BlockingIOError at the time-out, ConnectionLost, …"""
@@ -263,28 +257,6 @@ class DataConnection:
             f"frame {head.sequence} of {self.names[0]!r} was given back, but slot {head.slot} is not ours: "
             "its content was not ours either"
         )
-
-
-def connect(sock: socket.socket, folder: Path) -> None:
-    """Connect by a short name: socket paths hold 107 bytes."""
-    try:
-        place = os.open(folder, os.O_PATH | os.O_DIRECTORY | os.O_CLOEXEC)
-        try:
-            sock.connect(f"/proc/self/fd/{place}/{packets.SOCKET}")
-        finally:
-            os.close(place)
-    except PermissionError as error:
-        raise NotAdmitted(f"this user may not use the data socket in {folder}") from error
-    except (FileNotFoundError, ConnectionRefusedError) as error:
-        raise NotFound(f"no configuration manager serves the data socket in {folder}") from error
-
-
-def descriptors(ancillary: list[tuple[int, int, bytes]]) -> list[int]:
-    found = array.array("i")
-    for level, kind, data in ancillary:
-        if level == socket.SOL_SOCKET and kind == socket.SCM_RIGHTS:
-            found.frombytes(data[: len(data) - len(data) % found.itemsize])
-    return list(found)
 
 
 def _close(fds: list[int]) -> None:

@@ -14,6 +14,7 @@ from zmq import zmq_poll
 from cm.client.core.calls import Call
 from cm.client.core.effects import DEFAULT, AskBeside, Flow, Limit, Pause, Receive, seconds
 from cm.client.core.requests import Requests, result
+from cm.client.errors import ConnectionLost, NotAdmitted
 from cm.client.sockets import Socket, Sockets, not_subscribed
 from cm.wire import multipart
 
@@ -87,6 +88,7 @@ class Link:
         self.timeout = timeout  # seconds, for requests without a time-out of their own
         self._sockets = sockets
         self._requests = Requests(sockets.endpoints.req, guest)
+        self.unanswered: set[bytes] = set()  # requests that were given up, and may still take effect
         self._turn = sockets.turn()
         self._socket: Socket
         self._open()
@@ -94,6 +96,7 @@ class Link:
     def _open(self) -> None:
         self._socket, self._monitor, self._handshake = self._sockets.requests()
         self._sources: list[tuple[Any, int]] = [(self._socket, _POLLIN), (self._monitor, _POLLIN)]
+        self.unanswered.clear()
 
     def ask(self, call: Call[_T], timeout: float | None, beside: AskBeside | None = None) -> _T:
         """Make a request and wait for its reply; meanwhile messages of the subscription `beside` are handled.
@@ -115,9 +118,16 @@ class Link:
     def _exchange(self, call: Call[Any], timeout: float | None, beside: AskBeside | None) -> list[bytes | memoryview]:
         number, frames = self._requests.begin(call)
         self._look()
-        self._handshake.lost = False  # that was before
+        if self._handshake.lost:  # that was before
+            self._handshake.lost = False
+            self.unanswered.clear()
         self._send(frames)
-        return self._wait(number, timeout, beside)
+        try:
+            return self._wait(number, timeout, beside)
+        except BaseException as error:
+            if not isinstance(error, (ConnectionLost, NotAdmitted)):
+                self.unanswered.add(number)
+            raise
 
     def run(self, flow: Flow[_T]) -> _T:
         """Run a flow to its end. Raises what it raises."""
@@ -155,9 +165,10 @@ class Link:
                 beside.take(other.recv_multipart())
             if self._socket in ready:
                 frames = multipart.receive(self._socket)
-                if frames[0] == number:  # other replies are to requests that timed out
+                if frames[0] == number:
                     body = self._requests.body(frames)
                     return [*map(bytes, body[:2]), *body[2:]]  # payloads stay where libzmq put them
+                self.unanswered.discard(bytes(frames[0]))  # it timed out
             elif self._monitor in ready:
                 self._look()
                 if self._handshake.lost:

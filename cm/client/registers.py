@@ -26,9 +26,16 @@ _T = TypeVar("_T")
 class Registers(MutableMapping[str, int]):
     """Registers (``"focus"``) and fields (``"control.enable"``) of the current mode by name."""
 
-    def __init__(self, board: Caller, open_window: Callable[[Open, Limit], RegisterWindow]) -> None:
+    def __init__(
+        self,
+        board: Caller,
+        open_window: Callable[[Open, Limit], RegisterWindow],
+        locally: Callable[[str], int | None],
+    ) -> None:
+        """`locally`: the value of a register that needs no request; None for one that does."""
         self._board = board
         self._open_window = open_window
+        self._locally = locally
 
     def window(
         self,
@@ -54,7 +61,8 @@ class Registers(MutableMapping[str, int]):
         )
 
     def __getitem__(self, name: str) -> int:
-        return self._board.ask(calls.read_registers((name,))).values[0].value
+        value = self._locally(name)
+        return self._board.ask(calls.read_registers((name,))).values[0].value if value is None else value
 
     def __setitem__(self, name: str, value: int | str) -> None:
         self.write({name: value})
@@ -95,6 +103,8 @@ class Registers(MutableMapping[str, int]):
 
     def read(self, *names: str) -> dict[str, int]:
         """Values of several registers at once; by default of all that can be read."""
+        if len(names) == 1:
+            return {names[0]: self[names[0]]}
         return registers.values(self._board.ask(calls.read_registers(names)))
 
     def write(self, values: Mapping[str, int | str] | Iterable[tuple[str, int | str]], lease: str = "") -> Written:

@@ -19,7 +19,7 @@ from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, TypeVar
 
-from cm.client import data_connection
+from cm.client.data_socket import connect, descriptors
 from cm.client.errors import BoardClosed, ConnectionLost, RequestInvalid, RequestNotFound, WindowRevoked, request_error
 from cm.client.forks import not_for_children
 from cm.device.errors import device_error
@@ -57,7 +57,7 @@ class _Loan:
         self._process = os.getpid()
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
-            data_connection.connect(self.socket, folder)
+            connect(self.socket, folder)
             self.socket.send(packets.encode_open(wanted))
         except BaseException:
             self.socket.close()
@@ -87,7 +87,7 @@ class _Loan:
             raise ConnectionLost("the configuration manager hung up on the data socket")
         if Descriptor._make(DESCRIPTOR.unpack_from(packet)).kind == packets.REFUSED:
             raise request_error(ErrorInfo(*packets.decode_refused(packet)))
-        return packet, data_connection.descriptors(ancillary)
+        return packet, descriptors(ancillary)
 
     def fate(self) -> tuple[int, str, str]:
         """Why the pages were taken back, and the configuration and mode that the board goes to."""

@@ -136,6 +136,11 @@ class Uio(Device):
         """The windows, by index."""
         return self.info.maps
 
+    @property
+    def shim_handle(self) -> Handle:
+        """The handle that `cm.device.register_reads` passes to C; valid as long as this object."""
+        return self._handle
+
     def read(self, offset: int, width: int = 32, map: int = 0) -> int:  # noqa: A002
         """Read the register of ``width`` bits (8, 16, 32, 64) at ``offset``: one bus access.
 

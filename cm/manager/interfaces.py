@@ -57,6 +57,16 @@ class Window:
     offset: int
 
 
+class RegisterTable(Protocol):
+    """Registers that clients on this machine read by themselves, as long as each name leads where it did."""
+
+    def offer(self, name: str, uio: Any, place: tuple[int, int, int], bits: tuple[int, int]) -> None:
+        """Put one in: a device of `Devices.window`; map, offset and width; lowest bit and mask. Raises DeviceError."""
+
+    def withdraw(self) -> None:
+        """Take all out: no read is under way when it returns."""
+
+
 class GrantedPages(Protocol):
     """Pages on loan: a number by which they are taken back, and a descriptor to be given away."""
 

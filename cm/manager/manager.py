@@ -21,7 +21,7 @@ from cm.manager.errors import ChangeBusy, NothingLoaded, UnknownRegion
 from cm.manager.execution.scan import Checked, Outcome, Pace, Scan, checked_region
 from cm.manager.execution.transaction import Tools, plan_to
 from cm.manager.execution.worker import Change, Worker
-from cm.manager.interfaces import DataPlane, Devices, Files, Observer, TimeSource
+from cm.manager.interfaces import DataPlane, Devices, Files, Observer, RegisterTable, TimeSource
 from cm.manager.loaders import Loaders
 from cm.manager.planner import Goal
 from cm.manager.recovery import destination, is_whole, repair, take_stock, undo, way_back
@@ -104,6 +104,10 @@ class Manager:
     def mapped(self) -> tuple[WindowStatus, ...]:
         """Who has which registers mapped."""
         return self._windows.told() if self._windows is not None else ()
+
+    def publish_to(self, table: RegisterTable) -> None:
+        """From now on withdraw what `registers.offer` puts there, wherever a name may lead elsewhere."""
+        self._state.moved = self._bus.closing = table.withdraw
 
     def _take_back(self, config: str, mode: str) -> None:
         if self._windows is not None:

@@ -25,7 +25,7 @@ from cm.errors import Forbidden
 from cm.manager.manager import Manager
 from cm.manager.planner import target
 from cm.server.rights.gate import Gate
-from cm.server.rights.model import Access
+from cm.server.rights.model import Access, Role
 from cm.server.rights.needs import Scene, mapping, opening
 from cm.server.rights.principal import DATA, IPC, Principal, of_process
 from cm.server.shares import place_of
@@ -180,6 +180,10 @@ class Sessions:
     def check_open(self, connection: socket.socket, wanted: Open) -> None:
         """Raise Forbidden if a connection to the data socket requests something that it has no right to."""
         who, writes, scene = self.whose(connection), wanted.write or wanted.allocate, self.scene()
+        if wanted.registers:  # nobody looks at each read: it takes a right to all of them
+            if self.gate.everywhere(who) < Role.OBSERVE:
+                raise Forbidden("reading registers over the data socket takes the right to observe everything")
+            return
         need = mapping(wanted.name, scene) if wanted.window else opening(wanted.name, writes, scene)
         try:
             self.gate.check(who, need)

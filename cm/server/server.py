@@ -46,6 +46,7 @@ from cm.wire.messages.status import ErrorInfo
 if TYPE_CHECKING:
     import socket
 
+    from cm.server.local_reads import LocalReads
     from cm.server.metrics import Metrics  # imports an HTTP server
     from cm.server.streams.peer import Peer
     from cm.server.windows import OpenWindows
@@ -88,7 +89,8 @@ class Server:
         self._manager = Manager(configs, self._environment(), leases)
         self._sessions = Sessions(gate, options.runtime_dir, self._sockets.tcp, self._manager)
         self._windows: OpenWindows | None = None
-        local = self._streams.open_local, *self._streams.memories, self._open_window, self._sessions
+        self._reads: LocalReads | None = None
+        local = self._streams.open_local, *self._streams.memories, self._open_registers, self._sessions
         taken = self._steps, options.group
         self._data_socket = DataSocket(self._loop, options.runtime_dir, *local, *taken)
         self._interrupts = InterruptWatch(
@@ -228,6 +230,16 @@ class Server:
     def _note_error(self, error: ErrorInfo) -> None:
         self._manager.note_error(error)
 
+    def _open_registers(self, connection: socket.socket, wanted: Open, peer: Peer) -> None:
+        if wanted.window:
+            self._open_window(connection, wanted, peer)
+            return
+        if self._reads is None:
+            from cm.server.local_reads import LocalReads
+
+            self._reads = LocalReads(self._loop, self._manager, self._steps)
+        self._reads.open(connection, peer)
+
     def _open_window(self, connection: socket.socket, wanted: Open, peer: Peer) -> None:
         """Lend registers to a client of the data socket; nothing of it is there before one asks."""
         if self._windows is None:
@@ -240,6 +252,8 @@ class Server:
     def _close_windows(self) -> None:
         if self._windows is not None:
             self._windows.close()
+        if self._reads is not None:
+            self._reads.close()
 
     # ---- regular work ---------------------------------------------------------------------
 

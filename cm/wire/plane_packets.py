@@ -14,11 +14,12 @@ PACKET_MAX = 4096
 SLOTS_MAX = 256
 FDS_MAX = 64
 
-OPEN, RELEASE, SUBMIT, PING, LEAVE = 1, 2, 3, 4, 5
+NAME_MAX = 256  # bytes of a register's name, with its field
+OPEN, RELEASE, SUBMIT, PING, LEAVE, READ = 1, 2, 3, 4, 5, 6
 GEOMETRY, SLOTS, FRAME, GRANT, DONE, PONG, STOPPED, LATE, LABEL, REFUSED, GENERATION, ADDRESS = range(16, 28)
-WINDOW, REVOKED = 28, 29
-OPEN_WRITE, OPEN_ECHO, OPEN_ALLOCATE, OPEN_WINDOW, OPEN_EXCLUSIVE, OPEN_WAIT = 1, 2, 4, 8, 16, 32
-_OPEN_FLAGS = OPEN_WRITE | OPEN_ECHO | OPEN_ALLOCATE | OPEN_WINDOW | OPEN_EXCLUSIVE | OPEN_WAIT
+WINDOW, REVOKED, REGISTERS, VALUE, ELSEWHERE = 28, 29, 30, 31, 32
+OPEN_WRITE, OPEN_ECHO, OPEN_ALLOCATE, OPEN_WINDOW, OPEN_EXCLUSIVE, OPEN_WAIT, OPEN_REGISTERS = 1, 2, 4, 8, 16, 32, 64
+_OPEN_FLAGS = OPEN_WRITE | OPEN_ECHO | OPEN_ALLOCATE | OPEN_WINDOW | OPEN_EXCLUSIVE | OPEN_WAIT | OPEN_REGISTERS
 COHERENT, WRITABLE, CYCLIC = 1, 2, 4
 
 DESCRIPTOR = struct.Struct("=HBBIQQQ")
@@ -45,7 +46,8 @@ class Descriptor(NamedTuple):
 @dataclass(frozen=True, slots=True)
 class Open:
     """What a client wants: a stream to read or write, memory that comes back at once (`echo`), memory for masters
-    in the PL (`allocate`), or the registers of a module or region, mapped (`window`).
+    in the PL (`allocate`), the registers of a module or region, mapped (`window`), or registers read by name
+    (`registers`).
 
     A window is `exclusive` where others may not write beside it; with `wait` it comes when the module is there.
     `raw`, which is not sent: pixels as they lie in memory, whatever the stream's format.
@@ -62,6 +64,7 @@ class Open:
     window: bool = False
     exclusive: bool = False
     wait: bool = False
+    registers: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +91,7 @@ def encode_open(wanted: Open) -> bytes:
     flags = (OPEN_WRITE if wanted.write else 0) | (OPEN_ECHO if wanted.echo else 0)
     flags |= (OPEN_ALLOCATE if wanted.allocate else 0) | (OPEN_WINDOW if wanted.window else 0)
     flags |= (OPEN_EXCLUSIVE if wanted.exclusive else 0) | (OPEN_WAIT if wanted.wait else 0)
+    flags |= OPEN_REGISTERS if wanted.registers else 0
     text = f"{wanted.name}\0{wanted.lease}" if wanted.lease else wanted.name
     try:
         return Descriptor(wanted.depth, OPEN, flags, length=wanted.length).pack() + text.encode()
@@ -110,7 +114,8 @@ def decode_open(packet: bytes) -> Open:
     window, exclusive, wait = (bool(head.flags & flag) for flag in (OPEN_WINDOW, OPEN_EXCLUSIVE, OPEN_WAIT))
     if (exclusive or wait) and not window:
         raise InvalidRequest("only a window can be exclusive, or be waited for")
-    return Open(name, write, head.slot, echo, head.length, lease, allocate, False, window, exclusive, wait)
+    registers = bool(head.flags & OPEN_REGISTERS)
+    return Open(name, write, head.slot, echo, head.length, lease, allocate, False, window, exclusive, wait, registers)
 
 
 def encode_geometry(geometry: Geometry) -> bytes:

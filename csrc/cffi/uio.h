@@ -31,6 +31,7 @@ int cm_uio_event_fd(struct cm_uio *uio);
 void cm_uio_release(struct cm_uio *uio);
 int cm_uio_read(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned int width,
 		uint64_t *value);
+bool cm_uio_loads(const struct cm_uio *uio, unsigned int map);
 int64_t cm_uio_read32(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned int width);
 int cm_uio_write(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned int width,
 		 uint64_t value);

@@ -15,6 +15,7 @@
 #define CM_PLANE_DIMENSIONS 8	 /* of a frame */
 #define CM_PLANE_FDS_MAX 64	 /* descriptors in one packet */
 #define CM_PLANE_PACKET_MAX 4096 /* bytes of any packet */
+#define CM_PLANE_NAME_MAX 256	 /* bytes of a register's name, with its field */
 
 /* from the client */
 #define CM_PLANE_OPEN 1	   /* first packet; the stream's name follows */
@@ -22,6 +23,7 @@
 #define CM_PLANE_SUBMIT 3  /* writer: send @length bytes at @offset of one of my slots */
 #define CM_PLANE_PING 4	   /* comes back as PONG */
 #define CM_PLANE_LEAVE 5   /* reader: no more frames; RELEASEs of those that are held follow */
+#define CM_PLANE_READ 6	   /* a register, whose name follows (as in cm_read_reg) */
 
 /* from the manager */
 #define CM_PLANE_GEOMETRY 16 /* struct cm_plane_geometry and names follow: what comes now */
@@ -48,6 +50,12 @@
 /* They were taken back; @flags: why (CM_WINDOW_REVOKED_*).  Configuration and mode follow; the connection ends. */
 #define CM_PLANE_REVOKED 29
 
+#define CM_PLANE_REGISTERS 30 /* registers can be READ from now on */
+/* of the READ with the same @sequence: @length is what the register or field holds */
+#define CM_PLANE_VALUE 31
+/* that READ has to be made by a request (cm_read_reg); the next one perhaps not */
+#define CM_PLANE_ELSEWHERE 32
+
 /* flags of OPEN; those of other packets are the low bits of the epoch, which change with GEOMETRY */
 #define CM_PLANE_OPEN_WRITE 1
 #define CM_PLANE_OPEN_ECHO \
@@ -60,6 +68,7 @@
 #define CM_PLANE_OPEN_WINDOW 8
 #define CM_PLANE_OPEN_EXCLUSIVE 16 /* a window: with a lease on its region */
 #define CM_PLANE_OPEN_WAIT 32	   /* a window: not refused while the module is not there */
+#define CM_PLANE_OPEN_REGISTERS 64 /* no stream: READs of registers by name */
 
 /**
  * struct cm_plane_descriptor - 32 bytes

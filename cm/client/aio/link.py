@@ -16,7 +16,7 @@ from cm.client.aio.waiting import wake
 from cm.client.core.calls import Call
 from cm.client.core.effects import DEFAULT, Ask, AskBeside, Flow, Limit, Pause, Receive, seconds
 from cm.client.core.handshake import Handshake
-from cm.client.core.requests import Requests, result
+from cm.client.core.requests import LOOKS, Requests, result
 from cm.client.sockets import Sockets, not_subscribed
 
 _T = TypeVar("_T")
@@ -91,6 +91,7 @@ class Link:
         self._sockets = sockets
         self._requests = Requests(sockets.endpoints.req, guest)
         self._pending: dict[bytes, asyncio.Future[list[bytes]]] = {}
+        self.unanswered: set[bytes] = set()  # requests that may still take effect
         self._socket: zmq.asyncio.Socket | None = None
         self._monitor: zmq.asyncio.Socket | None = None
         self._handshake: Handshake | None = None
@@ -119,6 +120,7 @@ class Link:
         assert self._socket is not None
         while True:
             frames = await self._socket.recv_multipart()
+            self.unanswered.discard(frames[0])
             waiting = self._pending.pop(frames[0], None)
             if waiting is not None and not waiting.done():
                 waiting.set_result(list(self._requests.body(frames)))
@@ -145,6 +147,7 @@ class Link:
             self._sockets.hang_up(self._socket, self._monitor)
 
     def _fail(self, problem: Callable[[], Exception]) -> None:
+        self.unanswered.clear()
         pending, self._pending = self._pending, {}
         for waiting in pending.values():
             if not waiting.done():
@@ -161,6 +164,8 @@ class Link:
         number, frames = self._requests.begin(call)
         waiting: asyncio.Future[list[bytes]] = asyncio.get_running_loop().create_future()
         self._pending[number] = waiting
+        if not isinstance(call.request, LOOKS):
+            self.unanswered.add(number)
         sending = asyncio.ensure_future(self._socket.send_multipart(frames))  # would never end if we are not admitted
         sending.add_done_callback(partial(_hand_on, waiting))
         try:

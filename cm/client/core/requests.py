@@ -11,8 +11,13 @@ from cm.client.core.calls import Call
 from cm.client.errors import ConnectionLost, NoAnswer
 from cm.wire.encode import decode_reply, encode_request
 from cm.wire.envelope import GUEST
+from cm.wire.messages import requests as rq
 
 _T = TypeVar("_T")
+LOOKS = (  # change nothing
+    *(rq.ReadReg, rq.ReadStatus, rq.ReadConfig, rq.ListConfigs, rq.PlanChange, rq.ReadIrq, rq.DescribeData),
+    rq.ReadData,
+)
 
 
 class Requests:

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 
-from cm.manager.access.register_view import in_range
+from cm.manager.access.register_view import Place, in_range
 from cm.manager.errors import AccessDenied, VerifyFailed
-from cm.manager.interfaces import Devices, Window
+from cm.manager.interfaces import Devices, RegisterTable, Window
 from cm.schema.model import Access, Decoupler, GpioLine, IsolationStep, Memory, Register
 
 _WO = Access.WO
@@ -22,10 +23,12 @@ class RegisterBus:
         self._devices = devices
         self._lock = threading.Lock()
         self._windows: dict[tuple[int, int], Window] = {}  # by address and width, until devices are closed
+        self.closing: Callable[[], None] = lambda: None  # devices are about to be closed
 
     def forget(self, lost: bool = False) -> None:
         """Close register windows, which may have come or gone; with `lost` all devices."""
         with self._lock:
+            self.closing()
             self._windows.clear()
             if lost:
                 self._devices.lost()
@@ -43,6 +46,13 @@ class RegisterBus:
         with self._lock:
             window = self._windows.get((address, width)) or self._find(address, width)
             return window.device.read(window.offset, width, window.map)
+
+    def offer(self, name: str, place: Place, table: RegisterTable) -> None:
+        """Let clients on this machine read a register or field by themselves. Raises DeviceError."""
+        with self._lock:
+            window = self._window(place.address, place.width)
+            bits = (place.lsb, place.mask) if place.field else (0, (1 << 64) - 1)
+            table.offer(name, window.device, (window.map, window.offset, place.width), bits)
 
     def write_address(self, address: int, width: int, value: int) -> None:
         """Write to a physical address. Raises DeviceError."""

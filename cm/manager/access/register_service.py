@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
 from time import monotonic_ns
 
@@ -24,6 +24,7 @@ from cm.manager.access.register_view import (
     split_name,
 )
 from cm.manager.errors import AccessDenied, NothingLoaded, RegionBusy
+from cm.manager.interfaces import RegisterTable
 from cm.manager.state.record import ManagerState
 from cm.schema.model import Access, Config, FieldAccess, Register
 from cm.wire.messages.requests import RegWrite
@@ -170,6 +171,26 @@ class RegisterService:
         """The names of all registers that can be read now."""
         with self._lock:
             return tuple([place.register.name for place in self._readable(self._look())])
+
+    def offer(self, registers: Iterable[str], table: RegisterTable) -> None:
+        """Let clients on this machine read registers and their fields by themselves, those that `read` would read now.
+
+        Left out are those that reading changes: who wants that asks for it. Raises NothingLoaded, DeviceTimeout.
+        """
+        with self._lock:  # a change that begins meanwhile waits, and withdraws them
+            view = self._look()
+            for register in filter(None, map(view.registers.get, registers)):
+                if register.region not in view.free or register.access is _WO or register.clears:
+                    continue
+                fields = [field for field in register.fields.values() if field.access is not _FIELD_WO]
+                for field in (None, *fields):
+                    name = register.name if field is None else f"{register.name}.{field.name}"
+                    try:
+                        self._bus.offer(name, place_of(register, field), table)
+                    except TimeoutError:  # a read hangs
+                        raise
+                    except CmError:  # whoever asks for it is told why
+                        break
 
     def write(self, writes: tuple[RegWrite, ...], lease: str) -> RegValues:
         """Check all, then write in order; returns what the registers then hold."""

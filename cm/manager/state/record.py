@@ -429,6 +429,8 @@ class ManagerState:
         self.pending: Pending | None = None  # the change under way
         self.way_back: WayBack | None = None  # of the last change, where its requester wanted it kept
         self.locked = LockedRegions()
+        # From now on names may lead elsewhere; called under the lock, or from the thread of requests.
+        self.moved: Callable[[], None] = lambda: None
         self.runtime_memories: Mapping[str, Memory] = MappingProxyType(
             {}
         )  # defined at run time, for this configuration
@@ -489,10 +491,12 @@ class ManagerState:
         self.configs = MappingProxyType({**self.configs, config.name: config})
         if config.name == self.latest.config:
             self.runtime_memories = MappingProxyType({})
+        self.moved()
 
     def forget_config(self, name: str) -> None:
         """Make a configuration unknown."""
         self.configs = MappingProxyType({known: config for known, config in self.configs.items() if known != name})
+        self.moved()
 
     def choose(self, config: str, choices: Mapping[str, Choice]) -> None:
         """Keep which ports load the regions of a configuration whose schema leaves that open."""
@@ -508,14 +512,17 @@ class ManagerState:
         """Replace the state in one piece; both threads do."""
         with self.lock:
             before = self.board
-            self.latest = change(before)
-            if self.latest.config != before.config:
+            after = self.latest = change(before)
+            if after.config != before.config:
                 self.runtime_memories = MappingProxyType({})
+            if after.regions is not before.regions or after.mode != before.mode or after.config != before.config:
+                self.moved()
 
     def lock_regions(self, regions: frozenset[str], whole: bool = False) -> None:
         """Lock these regions' registers, or all, against requests; waits for an access under way."""
         with self.lock:
             self.locked = LockedRegions(regions, whole)
+            self.moved()
 
     def release_regions(self) -> None:
         """Requests may access what they could before."""
@@ -546,6 +553,7 @@ class ManagerState:
     def adopt(self, record: Record | None, board: BoardState, boot_id: str) -> None:
         """Begin with what was found at start: what the board holds, and what the record says beside it."""
         self.latest, self._written, self._boot_id = board, {}, boot_id
+        self.moved()
         self.way_back = record.way_back if record is not None and record.boot_id == boot_id else None
         self.runtime_memories = MappingProxyType({})
         if record is not None:

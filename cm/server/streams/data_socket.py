@@ -143,7 +143,7 @@ class DataSocket:
         enter: Callable[[socket.socket, Open], Iterator[None]],
         echoes: Echoes,
         allocations: Allocations,
-        windows: Callable[[socket.socket, Open, Peer], None],
+        registers: Callable[[socket.socket, Open, Peer], None],
         sessions: ConnectionRights,
         steps: Steps,
         group: int | None = None,
@@ -154,7 +154,7 @@ class DataSocket:
         self._enter = enter
         self._echoes = echoes
         self._allocations = allocations
-        self._windows = windows
+        self._registers = registers
         self._sessions = sessions
         self._steps = steps
         self._group = group
@@ -214,8 +214,8 @@ class DataSocket:
             yield from self._echoes.open(connection, wanted, Peer.of(connection))
         elif wanted.allocate:
             self._allocations.open(connection, wanted, Peer.of(connection))
-        elif wanted.window:
-            self._windows(connection, wanted, Peer.of(connection))
+        elif wanted.window or wanted.registers:
+            self._registers(connection, wanted, Peer.of(connection))
         else:
             yield from self._enter(connection, wanted)
 

@@ -13,6 +13,7 @@ import socket
 from pieces import join, split
 
 from cm.device.native import plane as native
+from cm.device.native import reads
 from cm.wire import plane_packets as wire
 from cm.wire.plane_packets import Descriptor, Geometry
 
@@ -20,6 +21,7 @@ PACKAGES = ("cm.wire.plane_packets",)
 MAX_LENGTH = 4096
 
 _PLANE = native.new()
+_READS = reads.new()
 _LENGTH = mmap.PAGESIZE
 _SETUP = native.Setup(True, False, False, 2, _LENGTH, 0, 0, 0, 0)
 _GEOMETRY = wire.encode_geometry(Geometry(_LENGTH, _LENGTH, writable=True, depth=2, shape=(_LENGTH,), stream="echo"))
@@ -33,14 +35,33 @@ def seeds() -> list[bytes]:
         join([Descriptor(0, wire.RELEASE).pack(), Descriptor(0, wire.PING, sequence=9).pack()]),
         join([*submit, Descriptor(0, wire.LEAVE).pack()]),
         join([wire.encode_open(wire.Open("camera"))]),
+        join(
+            [
+                Descriptor(kind=wire.READ, sequence=3).pack() + name
+                for name in (b"led", b"", b"led.blink", b"\xff" * 257)
+            ]
+        ),
     ]
 
 
 def one(data: bytes) -> None:
+    _read(split(data))
     _talk(split(data))
     good = _talk([Descriptor(0, wire.PING, sequence=5).pack()], until=wire.PONG)
     assert good is not None
     assert Descriptor(*wire.DESCRIPTOR.unpack_from(good)).sequence == 5
+
+
+def _read(packets: list[bytes]) -> None:
+    """A client that reads registers, of which there are none; the next one is told so."""
+    for sent in (packets, [Descriptor(kind=wire.READ, sequence=5).pack() + b"led"]):
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        ours.settimeout(_HUNG)
+        with ours:
+            reads.adopt(_READS, theirs.detach(), os.getpid())
+            _send(ours, sent)
+            if sent is not packets:
+                assert Descriptor(*wire.DESCRIPTOR.unpack_from(_until(ours, wire.ELSEWHERE))).sequence == 5
 
 
 def _talk(packets: list[bytes], until: int | None = None) -> bytes | None:

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Registers read over the manager's data socket, which its C thread answers: no ZeroMQ, and no turn of its loop.
+
+A read that cannot be made this way, for whatever reason, is made by a request, which also says what is wrong. So
+nothing here raises, and whoever uses it needs to know nothing of it.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import struct
+import threading
+import time
+import weakref
+from collections.abc import Sized
+from contextlib import suppress
+from itertools import count
+from pathlib import Path
+
+from cm.client.data_socket import LIMITS_ARE_KNOWN, connect, limit
+from cm.client.errors import BoardClosed
+from cm.client.forks import not_for_children
+from cm.errors import CmError
+from cm.wire.plane_packets import DESCRIPTOR, NAME_MAX, PACKET_MAX, READ, REGISTERS, VALUE, Open, encode_open
+
+_SHORTEST, _LONGEST = 0.01, 30.0  # seconds until the next attempt after one that failed, twice as many each time
+_SKIPPED = 63  # reads of a name, at most, that are not tried after some that led elsewhere
+_NAMES = 1024  # of which that is remembered
+# as plain numbers: operators of the enumerations they come from cost more than the system call
+_FLAGS = int(socket.MSG_DONTWAIT) | int(socket.MSG_NOSIGNAL)
+_DONTWAIT = int(socket.MSG_DONTWAIT)
+_pack, _unpack = DESCRIPTOR.pack, DESCRIPTOR.unpack_from
+
+
+class LocalReads:
+    """One connection; threads take turns."""
+
+    def __init__(self, folder: Path, unanswered: Sized, patience: float) -> None:
+        """`unanswered`: requests of this client that may still take effect, behind which a read would have to wait.
+
+        `patience`: seconds that a read may take until it is made by a request instead.
+        """
+        self._folder, self._unanswered, self._patience = folder, unanswered, patience
+        self._process = os.getpid()
+        self._turn = threading.RLock()  # again for a signal handler in a thread that has it
+        self._numbers = count(1)
+        self._socket: socket.socket | None = None
+        self._ready: socket.socket | None = None  # the same, while it can be used
+        self._admitted = self._over = False
+        self._pause, self._until = _SHORTEST, 0.0  # nothing is tried before that time
+        self._missed: dict[str, tuple[int, int]] = {}  # names that led elsewhere: reads to skip, left and in all
+        not_for_children(self)
+
+    def read(self, name: str) -> int | None:
+        """What a register or field holds; None if it has to be asked for."""
+        sock = self._ready or self._begin()
+        if sock is None or self._unanswered or (name in self._missed and self._skips(name)):
+            return None
+        try:
+            text = name.encode()
+            if len(text) > NAME_MAX:
+                return None
+            with self._turn:
+                number = next(self._numbers)
+                sock.send(_pack(0, READ, 0, 0, 0, number, 0) + text, _FLAGS)
+                while True:
+                    _, kind, _, _, value, answered, _ = _unpack(sock.recv(PACKET_MAX))
+                    if answered == number:  # others came too late
+                        break
+        except BlockingIOError:
+            self._late()
+            return None
+        except (OSError, struct.error):  # hung up on, or closed by another thread
+            self._hang_up()
+            return None
+        except (AttributeError, UnicodeEncodeError):  # no name at all
+            return None
+        if kind != VALUE:
+            self._miss(name)
+            return None
+        found: int = value
+        return found
+
+    def _skips(self, name: str) -> bool:
+        left, most = self._missed[name]
+        if left:
+            self._missed[name] = left - 1, most
+        return left > 0
+
+    def _miss(self, name: str) -> None:
+        """It led elsewhere, for now or always: it is tried more seldom each time."""
+        most = self._missed.get(name, (0, 0))[1]
+        if len(self._missed) >= _NAMES:
+            self._missed.clear()
+        self._missed[name] = (min(2 * most + 1, _SKIPPED),) * 2
+
+    # ---- the connection ------------------------------------------------------------------------
+
+    def _begin(self) -> socket.socket | None:
+        """Take the next step towards a connection that can be used; never waits."""
+        if self._over or time.monotonic() < self._until:
+            return None
+        with self._turn:
+            try:
+                if self._socket is None:
+                    self._open()
+                elif self._admitted or self._is_admitted(self._socket):
+                    self._ready = self._socket
+            except BlockingIOError:  # not yet
+                pass
+            except (CmError, OSError, struct.error):
+                self._hang_up()
+        return self._ready
+
+    def _open(self) -> None:
+        sock = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
+        try:
+            connect(sock, self._folder)
+            sock.send(encode_open(Open("", registers=True)), _FLAGS)
+        except BlockingIOError:  # others connect without end
+            sock.close()
+            self._rest()
+            return
+        except BaseException:
+            sock.close()
+            raise
+        weakref.finalize(self, sock.close)
+        self._socket = sock
+        if self._over:  # meanwhile
+            self._hang_up()
+
+    def _is_admitted(self, sock: socket.socket) -> bool:
+        """Raises BlockingIOError as long as there is no answer."""
+        _, kind, *_ = _unpack(sock.recv(PACKET_MAX, _DONTWAIT))
+        if kind != REGISTERS:
+            raise OSError("refused, as by a manager that has no such reads")
+        sock.settimeout(None if LIMITS_ARE_KNOWN else self._patience)
+        if LIMITS_ARE_KNOWN:
+            limit(sock, self._patience)
+        self._admitted = True
+        return True
+
+    def _late(self) -> None:
+        """No answer in time: a bus that hangs, or a machine that is too busy."""
+        self._ready = None
+        self._rest()
+
+    def _hang_up(self) -> None:
+        sock, self._socket, self._ready = self._socket, None, None
+        self._admitted = False
+        self._missed.clear()
+        if sock is not None:
+            sock.close()
+        self._rest()
+
+    def _rest(self) -> None:
+        now = time.monotonic()
+        soon = now - self._until < 10 * self._pause  # after the attempt before
+        self._pause = min(2 * self._pause, _LONGEST) if soon else _SHORTEST
+        self._until = now + self._pause
+
+    # ---- its end -------------------------------------------------------------------------------
+
+    def end(self, _: BoardClosed) -> None:
+        """Hang up for good; a thread that waits for an answer makes a request, which says why."""
+        self._over = True
+        sock = self._socket
+        if sock is not None and os.getpid() == self._process:
+            with suppress(OSError):
+                sock.shutdown(socket.SHUT_RDWR)
+        self._hang_up()
+
+    def disown(self) -> None:
+        """This process was forked: the connection is its parent's, and its board says so."""
+        self._over = True
+        self._hang_up()
