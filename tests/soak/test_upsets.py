@@ -32,6 +32,7 @@ REGIONS = ("left", "right")
 SHARE = 16  # one of so many is repaired by loading, the others by writing frames
 
 
+pytestmark = pytest.mark.timeout(7200)  # ten thousand take a quarter of an hour
 Alive = list[tuple[int, int]]  # frame address and bit of what the fabric changes by itself
 
 

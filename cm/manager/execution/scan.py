@@ -6,9 +6,11 @@ A slice takes the port for a millisecond at most: between two of them a change g
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from collections.abc import Callable, Sequence
 
+from cm.errors import Busy
 from cm.frozen import dataclass
 from cm.manager.errors import NoReadback, RegionBusy, StepTimeout, UnknownRegion
 from cm.manager.interfaces import ConfigPort, Devices, Files, Image, LoadedFrames, PortBuffer, WrongFrame
@@ -121,10 +123,11 @@ class Reader:
             raise NoReadback(f"the port gave {completion.length} of {length} bytes: {completion.reason or 'too few'}")
 
     def close(self) -> None:
-        """Give the buffer back."""
-        if self._buffer is not None:
-            self._buffer.close()
-            self._buffer = None
+        """Give the buffer back; one that a hung read still holds goes with the port's file."""
+        buffer, self._buffer = self._buffer, None
+        if buffer is not None:
+            with contextlib.suppress(Busy):
+                buffer.close()
 
 
 Pace = Callable[[float, Callable[[], None]], None]  # seconds of a slice, and what goes on after a pause

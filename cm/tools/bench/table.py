@@ -32,6 +32,7 @@ CASES = (
     Case("control", ("control_vs_zmq",)),
     Case("registers", ("register_window", "register_request")),
     Case("reconfigure", ("reconfigure",)),
+    Case("readback", ("readback_pass", "readback_scrub")),
     Case("fanout", ("fanout",)),
     Case("footprint", ("footprint",)),
     Case("scraping", ("scraping",)),

@@ -223,6 +223,13 @@ def test_what_cannot_be_compared_says_why(
         check(made, region)
 
 
+def test_a_port_that_does_not_answer_is_told_and_can_be_asked_again(made: Rig, sim: SimBoard) -> None:
+    sim.control.inject("icap_hang")
+    with pytest.raises(NoReadback, match="the port gave 0 of"):
+        check(made)
+    assert check(made).verdict == "good"
+
+
 def test_before_anything_is_loaded_there_is_nothing_to_compare(
     sim: SimBoard, configs: dict[str, Config], tmp_path: Path
 ) -> None:

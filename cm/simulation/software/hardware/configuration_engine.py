@@ -84,18 +84,21 @@ class ConfigurationEngine:
         self._reading = True
         seconds = (len(request) + len(reply) + len(closing)) / self.rate if self.rate > 0 else 0.0
 
-        def end() -> None:
+        def begin() -> None:
+            """The work is done while the words are on their way."""
+            end(self._answer(request, reply, closing))
+
+        def end(status: int) -> None:
             left = asked_ns / 1e9 + seconds - time.monotonic()
-            if left >= _STEP:  # the loop's clock is too coarse for the last step
-                self._loop.call_later(left - _STEP / 2, end)
+            if left >= 2 * _STEP:  # the loop's clock is too coarse for the last step
+                self._loop.call_later(left - 1.5 * _STEP, lambda: end(status))
                 return
             time.sleep(max(left, 0.0))
-            status = self._answer(request, reply, closing)
             self._reading = False
             self._ended(status, protocol.ERR_TIMEOUT if status else 0)
             finished(LoadResult(self.done, asked_ns, time.monotonic_ns(), status, self.errors))
 
-        self._loop.call_soon(end)
+        self._loop.call_soon(begin)
 
     def _answer(self, request: memoryview, reply: memoryview, closing: memoryview) -> int:
         """What the port does for a read; 0, or an errno's negative."""

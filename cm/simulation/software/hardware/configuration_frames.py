@@ -55,13 +55,11 @@ class Frames:
         """What the port gives for a read of FDRO: words ahead, a frame of padding, then frames from `far` on."""
         there = self._sorted()
         count = max(0, (words - _PIPELINE[self.device.family]) // (self._size // 4) - 1)
-        data = bytearray(count * self._size)
-        if self._order is not None and far in self._order.place:
-            for number, address in self._order.run(far):
-                if number >= count:
-                    break
-                data[number * self._size : (number + 1) * self._size] = there.get(address, bytes(self._size))
-        return bytes(4 * words - len(data)) + bytes(data)
+        empty, begin = bytes(self._size), None if self._order is None else self._order.place.get(far)
+        places = [] if begin is None or self._order is None else self._order.order[begin : begin + count]
+        data = [empty if place is None else there.get(place, empty) for place in places]
+        data += [empty] * (count - len(data))
+        return b"".join([bytes(4 * words - count * self._size), *data])
 
     def held(self, columns: Iterable[tuple[int, int, int]]) -> list[int]:
         """The frames of some columns (block type, row, column) that were written, in order."""

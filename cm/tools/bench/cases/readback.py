@@ -8,7 +8,7 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
-from cm.device import Icap, Root
+from cm.device import Icap, IcapCompletion, Root
 from cm.formats.bitstream.container import open_image
 from cm.formats.bitstream.devices import device_by_name
 from cm.formats.bitstream.geometry import geometry_of
@@ -29,7 +29,8 @@ BUDGET = 2.0  # percent
 PASS, SCRUB = Goal(1.2), Goal(2.5)
 RAN = (
     "a pass over 1,000 frames of the simulated board with an ICAP of 400 MB/s: requests, transfer, and comparison, in "
-    "the slices that the manager reads; ratio: to the port's time for as many bytes"
+    "the slices that the manager reads; ratio: of the port's time for as many bytes with what software adds to it, to "
+    "that time. What the simulated port takes longer than its clock says is not counted (port_ms has it)"
 )
 RAN_SCRUB = (
     "processor time of the process of cm serve while it compares a region all the time with a budget of 2 %, less what "
@@ -64,28 +65,48 @@ def _last_column() -> int:
     return next(column for column in range(2, row.columns) if row.starts[column + 1] - row.starts[2] >= FRAMES)
 
 
+class _Port(Icap):
+    """The port, with what it took by its own clock (ms)."""
+
+    took: float = 0.0
+
+    def wait(self, timeout: float | None = None) -> IcapCompletion:
+        done = super().wait(timeout)
+        self.took += (done.finished_ns - done.started_ns) / 1e6
+        return done
+
+
 def _pass(bench: Run, folder: Path) -> Result:
     device = device_by_name(_DEVICE)
     assert device is not None
     frames = LoadedFrames(device, open_image(folder / "one.bit"), Mask(lambda _: {}, "none"))
     with ExitStack() as stack:
         board = stack.enter_context(Board([folder / "bench.yaml"], arguments=["--icap-rate", str(RATE)]))
-        port = stack.enter_context(Icap.open(root=Root.of(board.root)))
+        port = stack.enter_context(_Port.open(root=Root.of(board.root)))
+        assert isinstance(port, _Port)
         _load(port, (folder / "one.bit"))
         reader = Reader(port)
         slices = frames.slices(reader.most_frames(frames.frame_bytes))
-        took = []
+        took, at_port = [], []
         for _ in range(5 if bench.quick else 500):
-            started = time.monotonic()
+            started, port.took = time.monotonic(), 0.0
             wrong = [reader.read(part.request, part.reply_length, part.closing, part.judge) for part in slices]
             took.append(1e3 * (time.monotonic() - started))
+            at_port.append(port.took)
             if any(wrong):
                 raise Unavailable("the simulated board does not hold what was loaded")
         reader.close()
     transfer = 1e3 * frames.judged * FRAME / RATE
     value = statistics.median(took)
-    details = {"frames": frames.judged, "slices": len(slices), "p99_ms": sorted(took)[len(took) * 99 // 100]}
-    return Result("readback_pass", value, "ms", RAN, transfer, value / transfer, PASS, details=details)
+    added = statistics.median(whole - port for whole, port in zip(took, at_port, strict=True))
+    details = {
+        "frames": frames.judged,
+        "slices": len(slices),
+        "port_ms": statistics.median(at_port),
+        "software_ms": added,
+        "p99_ms": sorted(took)[len(took) * 99 // 100],
+    }
+    return Result("readback_pass", value, "ms", RAN, transfer, (transfer + added) / transfer, PASS, details=details)
 
 
 def _load(port: Icap, bitstream: Path) -> None:
