@@ -15,8 +15,9 @@ if TYPE_CHECKING:
 _KEY: pytest.StashKey[Any] = pytest.StashKey()  # dict: managers that run, by what they serve
 
 
-def pytest_addoption(parser: pytest.Parser) -> None:
+def pytest_addoption(parser: pytest.Parser, pluginmanager: pytest.PytestPluginManager) -> None:
     """Settings of pytest.ini or pyproject.toml."""
+    _spare_rewriting(pluginmanager)
     parser.addini("cm_config", "runtime schemas, or folders of them, for `board`, a line each", default="")
     parser.addini("cm_build", "build schema whose RTL `rtl_board` runs (default: the shipped camera)", default="")
     parser.getgroup("fpga-cm").addoption(
@@ -25,6 +26,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         help="count the lines of HDL that tests with `rtl_board` run; coverage.info goes there",
     )
     parser.addini("cm_load", "CONFIG[/MODE] that each test begins in (default: the only configuration)", default="")
+
+
+def _spare_rewriting(pluginmanager: pytest.PytestPluginManager) -> None:
+    """Leave the byte code of `cm` as it is: pytest takes the package of a plugin for test code, and would compile each
+    of its modules anew, with other asserts, in each process of a first run. There is no public way to say so."""
+    hook = pluginmanager.rewrite_hook
+    marked: set[str] = getattr(hook, "_must_rewrite", set())
+    marked.discard("cm")
 
 
 def pytest_configure(config: pytest.Config) -> None:
