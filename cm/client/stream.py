@@ -173,11 +173,11 @@ class LocalStream(Stream):
         try:
             while (frame := connection.receive()) is None:
                 connection.set_timeout(deadline.left)
+            return self._latest(connection, frame) if self._newest else frame
         except BlockingIOError:
             raise Timeout(self.nothing(limit)) from None
         except ConnectionLost as error:
             raise self._ended or error from None  # the board was closed by another thread
-        return self._latest(connection, frame) if self._newest else frame
 
     def poll(self) -> Frame | None:
         """The next frame if there is one already; never waits."""
@@ -185,9 +185,11 @@ class LocalStream(Stream):
         try:
             while (frame := connection.take()) is None:
                 pass
+            return self._latest(connection, frame) if self._newest else frame
         except BlockingIOError:
             return None
-        return self._latest(connection, frame) if self._newest else frame
+        except ConnectionLost as error:
+            raise self._ended or error from None
 
     def _latest(self, connection: DataConnection, frame: Frame) -> Frame:
         while True:

@@ -117,6 +117,31 @@ def test_closing_a_board_frees_the_thread_that_waits_for_a_frame(silent: Silent)
     assert type(ended()) is BoardClosed
 
 
+@pytest.mark.parametrize("newest", [False, True])
+def test_a_board_that_is_closed_just_before_its_stream_looks_for_a_frame_is_closed(
+    silent: Silent, newest: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As by another thread, between two steps of this one."""
+    board = Board(runtime_dir=silent.folder)
+    stream = board.stream("camera", timeout=None, newest=newest)
+    opening = _begun(stream.open)
+    silent.asked().send(packets.Descriptor(kind=packets.STOPPED).pack())
+    assert opening() is None
+    take, receive = DataConnection.take, DataConnection.receive
+
+    def close_then(self: DataConnection) -> Any:
+        board.close()
+        return take(self)
+
+    monkeypatch.setattr(DataConnection, "take", close_then)
+    if newest:  # behind the frame that read() was given
+        monkeypatch.setattr(
+            DataConnection, "receive", lambda self, flags=0: receive(self, flags) if flags else object()
+        )
+    with pytest.raises(BoardClosed):
+        stream.read() if newest else stream.poll()
+
+
 @pytest.mark.parametrize("what", OPENED_ASYNC)
 def test_closing_a_board_of_an_event_loop_frees_the_task_that_waits_for_the_managers_answer(
     silent: Silent, what: str

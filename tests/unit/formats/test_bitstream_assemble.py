@@ -13,6 +13,7 @@ from bitstream_support import HERE, compressed, frames, small, two_sections
 
 from cm.formats.bitstream import FrameRun, assemble, assemble_module, default_footprint, inspect
 from cm.formats.bitstream.assemble import assemble_stream
+from cm.formats.bitstream.module import ModuleIdentity, identify_bytes
 from cm.formats.bitstream.verify import expect_static
 from cm.schema import load
 
@@ -71,3 +72,12 @@ def test_a_static_image_must_match_its_schema() -> None:
     expect = expect_static(config)
     assert (expect.device, expect.sha256, expect.idcode) == ("xc7z020", "0" * 64, 0x123)
     assert (expect.partial, expect.allow_encrypted) == (False, True)
+
+
+def test_a_frame_names_its_module_unless_one_byte_of_either_name_is_another() -> None:
+    frame = assemble_module("edge", model="sobel", size=1)
+    begin, name, model = frame.index(b"CM-RM"), frame.rindex(b"edge"), frame.rindex(b"sobel")
+    assert identify_bytes(frame[begin:]) == ModuleIdentity("edge", "sobel")
+    for at in (name, model):
+        damaged = frame[:at] + bytes([frame[at] ^ 1]) + frame[at + 1 :]
+        assert identify_bytes(damaged[begin:]) is None

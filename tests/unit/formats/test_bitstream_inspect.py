@@ -45,6 +45,7 @@ def test_json_has_the_documented_keys() -> None:
     assert found["sections"] == 1
     assert found["frames"] == 1
     assert found["crc"] == "ok"
+    assert (found["container"], found["compressed"], found["problems"]) == ("bit", False, [])
     assert found["footprint"] == [{"block_type": 0, "row": 0, "column": 26, "frames": 1, "last_column": 26}]
 
 

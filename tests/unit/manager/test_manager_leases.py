@@ -37,6 +37,14 @@ def take(leases: Leases, scope: str, exclusive: bool = True, seconds: float = 10
     return leases.request(TakeLease(scope=scope, exclusive=exclusive, seconds=seconds, holder=holder))
 
 
+def test_all_may_see_whose_process_holds_a_lease(leases: Leases) -> None:
+    leases.request(TakeLease("registers:led", True, 10.0, "anna", pid=77), "peer")
+    (told,) = leases.told()
+    assert (told.scope, told.exclusive, told.holder, told.client, told.pid) == (
+        "registers:led", True, "anna", "peer", 77
+    )  # fmt: skip
+
+
 def kept_off(call: Callable[[], object]) -> bool:
     try:
         call()

@@ -10,6 +10,7 @@ import pytest
 import cm.schema
 from cm.errors import NotFound
 from cm.schema import Problem, SchemaError
+from cm.schema.values import name_form
 
 
 def problems(text: str) -> list[Problem]:
@@ -312,3 +313,9 @@ def test_a_file_that_does_not_exist_is_not_found(tmp_path: Path) -> None:
 def test_a_folder_in_place_of_a_file_is_refused(tmp_path: Path) -> None:
     (problem,) = cm.schema.check(tmp_path)
     assert problem.code == "unreadable"
+
+
+def test_each_sign_that_a_name_may_have_is_named_once() -> None:
+    assert name_form("^[A-Za-z_][A-Za-z0-9_/-]{0,63}$") == (
+        "letters, digits, _, / and -, beginning with a letter or _, at most 64 characters"
+    )
