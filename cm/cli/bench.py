@@ -39,6 +39,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         metavar="DIR",
         help="this tree and another (a checkout with its .venv) in turns, instead",
     )
+    parser.add_argument("--boards", type=int, default=0, metavar="N", help="size of the fleet (50; --quick: 3)")
+    parser.add_argument("--store", choices=("keeper", "etcd"), default="keeper", help="store of the fleet (keeper)")
+    parser.add_argument(
+        "--dir", type=Path, metavar="DIR", help="where everything lies that is measured (/tmp; a tmpfs: /dev/shm)"
+    )
     parser.add_argument("--quick", action="store_true", help="measure little: shows that it works, not how fast it is")
     parser.set_defaults(run=run)
 
@@ -56,8 +61,8 @@ def run(args: argparse.Namespace) -> int:
     if args.plots:
         plots.require()
     found = machine.describe()
-    with tempfile.TemporaryDirectory(prefix="cmb", dir=_short()) as folder, machine.pinned() as cpu:
-        bench = _bench(Path(folder), args.quick, cpu)
+    with tempfile.TemporaryDirectory(prefix="cmb", dir=args.dir or _short()) as folder, machine.pinned() as cpu:
+        bench = _bench(args, Path(folder), cpu)
         found.update(pinned_to_cpu=cpu, quick=args.quick)
         results: list[Result] = []
         for case in cases:
@@ -84,10 +89,11 @@ def _compare(args: argparse.Namespace) -> int:
     return 0
 
 
-def _bench(folder: Path, quick: bool, cpu: int | None) -> Run:
+def _bench(args: argparse.Namespace, folder: Path, cpu: int | None) -> Run:
     from cm.tools.bench.run import Run
 
-    return Run(folder, quick, cpu, frozenset(range(os.cpu_count() or 1)))
+    cpus = frozenset(range(os.cpu_count() or 1))
+    return Run(folder, args.quick, cpu, cpus, tuple(args.names), args.boards, args.store)
 
 
 def _measure(case: object, bench: Run, names: list[str]) -> list[Result]:

@@ -139,14 +139,16 @@ class Coordinator:
             there = await self._there()
         except BaseException:  # cancelled, before anything was decided: the boards need not wait for the lease's end
             keeping.cancel()
-            with contextlib.suppress(StoreAway):
-                await self.store.revoke(lease)
+            await self._revoke(lease)
             raise
         try:
             await self._decide(lease, there)
         finally:
             keeping.cancel()
-        await self._reconcile()
+        if self.course.decision is Decision.KEEP:  # claims that are decided hold nobody up
+            await asyncio.gather(self._revoke(lease), self._reconcile())
+        else:
+            await self._reconcile()
         return self.course
 
     # ---- opening ----------------------------------------------------------------------------
@@ -261,10 +263,13 @@ class Coordinator:
             self.course.decision = Decision.REVERT  # nobody else could decide, and we never will
             if self._lost:
                 self.course.causes.setdefault("the store", ErrorInfo("lease", "the coordinator's lease has ended"))
-        if self.course.decision is not None:
-            with contextlib.suppress(StoreAway):  # it runs out by itself
-                await self.store.revoke(lease)
+        if self.course.decision is Decision.REVERT:
+            await self._revoke(lease)
         self.course.legs.append(Leg("decide", self.clock() - begun))
+
+    async def _revoke(self, lease: str) -> None:
+        with contextlib.suppress(StoreAway):  # it runs out by itself
+            await self.store.revoke(lease)
 
     async def _kept(self) -> Decision | None:
         """The transaction; one whose answer is lost is asked for again, and cannot be done twice."""

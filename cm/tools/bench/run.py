@@ -19,14 +19,17 @@ IMAGES = (8_294_400, IMAGE, 2_073_600)  # 7.91, 3.96 and 1.98 MiB
 class Run:
     """One run of the bench.
 
-    `quick`: only as much as shows that everything works. `root` is a board to use instead of a simulated one, `cpus`
-    are the CPUs for cases that need more than one.
+    `quick`: only as much as shows that everything works. `cpus` are the CPUs for cases that need more than one. `names`
+    are the results that are wanted, all if there is none; `boards` and `store` are a fleet's.
     """
 
     folder: Path
     quick: bool = False
     cpu: int | None = None
     cpus: frozenset[int] = frozenset()
+    names: tuple[str, ...] = ()
+    boards: int = 0
+    store: str = "keeper"
 
     @property
     def bytecode(self) -> Path:

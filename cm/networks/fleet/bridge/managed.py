@@ -6,7 +6,6 @@ from __future__ import annotations
 import contextlib
 import json
 import time
-from dataclasses import asdict
 from pathlib import Path
 
 from cm.client.aio.relay import Relay
@@ -125,7 +124,7 @@ class NotesFile:
 
 def packed(notes: Notes) -> bytes:
     """As they lie on the disk."""
-    return json.dumps(asdict(notes)).encode()
+    return json.dumps(notes, default=lambda each: {name: getattr(each, name) for name in each.__slots__}).encode()
 
 
 def unpacked(data: bytes) -> Notes:

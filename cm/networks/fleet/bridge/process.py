@@ -35,7 +35,7 @@ from cm.wire.messages.status import ErrorInfo
 
 _LOG = logging.getLogger("cm.fleet")
 _RECONNECT = 1.0  # seconds between two tries to reach a manager
-_TOGETHER = 0.05  # seconds in which what comes is looked at together: whoever changes the fleet asks anyway
+_TOGETHER = 0.25  # seconds in which whoever changes the fleet asks anyway: then nothing is left to be looked at
 _CLOCK = 10.0  # seconds between two checks of how well the clock is set
 
 
@@ -65,7 +65,6 @@ class Bridge:
     options: Options
     ready: Callable[[str], None]
     _status: bytes = b""
-    _wake: asyncio.Event = field(default_factory=asyncio.Event)
     _clock: ClockSync = field(default_factory=ClockSync)
 
     async def run(self) -> None:
@@ -117,6 +116,7 @@ class Bridge:
         self._board = Board(board, store, managed, NotesFile(folder), time.monotonic, self.options.follow)
         bundles = Bundles(network, folder / "bundles", self.options.site, self.options.take, relay, managed)
         commands = Commands(relay, self._board, managed, bundles.fetch)
+        self._wake = commands.wake
         reader = Reader(board, relay, lambda: self._status_now(relay))
         publications = Publications(board, network, relay, self._with_extras)
         queries = Queries(board, network, reader, commands)
@@ -208,9 +208,10 @@ class Bridge:
     async def _reconcile(self, publications: Publications, commands: Commands) -> None:
         said = ""
         while True:
-            await self._wake.wait()
+            await commands.wake.wait()
             await asyncio.sleep(_TOGETHER)
-            self._wake.clear()
+            if not commands.wake.is_set():
+                continue
             before = self._board.state
             problem = await commands.look()
             if problem and problem != said:

@@ -124,6 +124,7 @@ class Commands:
     """Of one board."""
 
     def __init__(self, relay: Relay, board: Board, managed: ManagedBoard, bundles: FetchAndImport) -> None:
+        self.wake = asyncio.Event()  # set: the board has to be looked at, if no command does that meanwhile
         self._relay = relay
         self._board = board
         self._managed = managed
@@ -160,15 +161,17 @@ class Commands:
 
     async def _step(self, verb: str, step: FleetStep, caller: str) -> FleetState:
         async with self._one:
-            if verb == "prepare":
-                return await self._board.prepare(step, caller)
             if verb == "apply":
                 return await self._board.apply(step)
+            self.wake.clear()
+            if verb == "prepare":
+                return await self._board.prepare(step, caller)
             return await self._board.look(again=step.id == keys.AGAIN)
 
     async def look(self) -> str:
         """Do what is wanted of the board now; returns why that is not possible yet, empty if all is done."""
         async with self._one:
+            self.wake.clear()
             try:
                 return (await self._board.look()).store_error
             except (CmError, OSError) as error:

@@ -8,19 +8,23 @@ import os
 import statistics
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from typing import Any
 
+import cm
 from cm.tools.bench import fleet_model, fleet_store
 from cm.tools.bench.machine import unpinned
 from cm.tools.bench.result import Goal, Result, unavailable
 from cm.tools.bench.run import Run
 from cm.tools.bench.serving import cpu_seconds, resident_mib
-from cm.tools.demo.boards import LocalFleet
+from cm.tools.demo.boards import LocalFleet, local_etcd
 
 BOARDS = 50
 NAMES = ("fleet_discovery", "fleet_status", "fleet_change", "fleet_model")
 _PATIENCE = 300.0
+_REST = 0.5  # seconds after a change, in which bridges say and see what has changed
 _DISCOVERY, _FAN_IN = Goal(2.0), Goal(10.0)
 _RAN = {
     "fleet_discovery": "a client that connects to the router of {n} boards, until it knows all of them (median)",
@@ -37,9 +41,15 @@ def run(bench: Run) -> list[Result]:
     except ImportError:
         why = "not available: pip install 'fpga-cm[zenoh]'"
         return [unavailable(name, "s", _RAN[name], why) for name in NAMES]
-    count = 3 if bench.quick else BOARDS
+    count = bench.boards or (3 if bench.quick else BOARDS)
     with unpinned(set(bench.cpus) or {0}), _fleet(bench, count) as (local, fleet):
-        found = [_discovery(local, bench, count), _status(local, fleet, bench, count), _change(fleet, bench, count)]
+        if set(bench.names) & set(NAMES) == {"fleet_change"}:
+            return [_change(local, fleet, bench, count)]
+        found = [
+            _discovery(local, bench, count),
+            _status(local, fleet, bench, count),
+            _change(local, fleet, bench, count),
+        ]
     return [*found, _model(found, count, bench)]
 
 
@@ -51,8 +61,10 @@ def _result(name: str, value: float, unit: str, count: int, goal: Goal | None, d
 def _fleet(bench: Run, count: int) -> Iterator[tuple[LocalFleet, Any]]:
     from cm.networks.fleet import connect
 
-    local = LocalFleet([f"b{n:03}" for n in range(count)], bench.place("f"))
-    with local, connect(local.router, caller="bench", timeout=60.0) as fleet:
+    with ExitStack() as stack:
+        etcd = stack.enter_context(local_etcd(bench.place("etcd"))) if bench.store == "etcd" else ""
+        local = stack.enter_context(LocalFleet([f"b{n:03}" for n in range(count)], bench.place("f"), store=etcd))
+        fleet = stack.enter_context(connect(local.router, caller="bench", timeout=60.0, store=etcd or "keeper"))
         _until(lambda: len(fleet.boards()) == count and all(_ready(each) for each in fleet.status().values()))
         yield local, fleet
 
@@ -124,28 +136,47 @@ def _bytes_of_a_status(local: LocalFleet) -> int:
         return len(bytes(reply.ok.payload))
 
 
-def _change(fleet: Any, bench: Run, count: int) -> Result:
-    """Change back and forth; the critical path is that of the median change."""
-    courses, used = [], []
-    for number in range(2 if bench.quick else 10):
-        before = time.process_time()
-        begun = time.monotonic()
-        course = fleet.mode(("edge_detection", "default")[number % 2], timeout=120.0)
+def _change(local: LocalFleet, fleet: Any, bench: Run, count: int) -> Result:
+    """Change back and forth; in turns, all boards load the same without a fleet, each asked by itself at one time.
+
+    The critical path is that of the median change.
+    """
+    courses, used, alone = [], [], []
+
+    def together(mode: str) -> None:
+        before, begun = time.process_time(), time.monotonic()
+        course = fleet.mode(mode, timeout=120.0)
         courses.append((time.monotonic() - begun, course))
         used.append(time.process_time() - before)
+
+    with ExitStack() as stack, ThreadPoolExecutor(count) as threads:
+        boards = [stack.enter_context(cm.connect(runtime_dir=each.runtime_dir)) for each in local.boards.values()]
+
+        def apart(mode: str) -> None:
+            begun = time.monotonic()
+            list(threads.map(lambda board: board.load(mode=mode, timeout=120.0), boards))
+            alone.append(time.monotonic() - begun)
+
+        for _ in range(1 if bench.quick else 6):  # each way goes to both modes as often as the other
+            for change, mode in (
+                (together, "edge_detection"), (apart, "default"), (apart, "edge_detection"), (together, "default"),
+            ):  # fmt: skip
+                change(mode)
+                time.sleep(_REST)
     courses.sort(key=lambda each: each[0])
     seconds, course = courses[len(courses) // 2]
-    path = {leg.phase: {"ms": leg.seconds * 1000, "last": leg.slowest} for leg in course.legs}
-    path["read"] = {"ms": (seconds - course.seconds) * 1000, "last": ""}
     loads = sorted(state.seconds for state in course.figures.values())
     details = {
-        "critical_path": path,
+        "store": bench.store,
+        "beyond_the_loads_ms": (statistics.median(s for s, _ in courses) - statistics.median(alone)) * 1000,
+        "critical_path": {leg.phase: {"ms": leg.seconds * 1000, "last": leg.slowest} for leg in course.legs},
         "load_of_the_median_board_ms": loads[len(loads) // 2] * 1000,
         "load_of_the_slowest_board_ms": loads[-1] * 1000,
         "client_cpu_ms": statistics.median(used) * 1000,
         "slowest_change_ms": courses[-1][0] * 1000,
     }
-    return _result("fleet_change", seconds * 1000, "ms", count, None, details)
+    found = _result("fleet_change", seconds * 1000, "ms", count, None, details)
+    return replace(found, baseline=statistics.median(alone) * 1000)
 
 
 def _model(found: list[Result], count: int, bench: Run) -> Result:
