@@ -514,17 +514,27 @@ class Handlers:
             self._begin(partial(manager.repair, request), respond, began, connection)
             return
 
+        client = self._s.clients.of(connection)
+        if client.changes >= CHANGES_EACH:
+            raise Busy(
+                f"{client.changes} changes and checks of {client.name} wait or run; try again when one has ended"
+            )
+
+        def answer(reply: Reply) -> None:
+            client.changes -= 1
+            respond(reply)
+
         def ended(result: RegionCheck | Exception) -> None:
             if isinstance(result, Exception):
-                self._failed(result, respond)
+                self._failed(result, answer)
             else:
-                respond(Reply(result))
+                answer(Reply(result))
 
         def prepared(what: Checked) -> None:
             manager.check(what, lambda result: self._s.loop.call_threadsafe(partial(ended, result)))
 
-        client = self._s.clients.of(connection)
-        self._run_job(client, partial(manager.prepared_check, request.name), prepared, respond)
+        self._run_job(client, partial(manager.prepared_check, request.name), prepared, answer)
+        client.changes += 1
 
     def _cancel_change(self, _: rq.CancelChange, respond: Respond) -> None:
         self._s.manager.cancel()

@@ -134,6 +134,30 @@ async def checked(runtime: Path) -> str:
         return (await board.check_region("right")).verdict
 
 
+def test_checks_of_one_client_are_bounded_and_all_that_were_taken_are_answered(two: Two) -> None:
+    import threading
+
+    _, _, manager = two
+    said: list[str] = []
+
+    def ask() -> None:
+        with manager.connected() as board:
+            try:
+                said.append(board.check_region("left", timeout=60).verdict)
+            except RequestBusy as error:
+                said.append(error.code)
+
+    threads = [threading.Thread(target=ask) for _ in range(12)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert set(said) <= {"good", "busy"}
+    assert said.count("good") >= 7
+    with manager.connected() as board:  # what was counted is given back
+        assert [board.check_region("left").verdict for _ in range(8)] == ["good"] * 8
+
+
 def test_the_asyncio_client_asks_the_same(two: Two) -> None:
     import asyncio
 

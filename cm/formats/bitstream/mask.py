@@ -16,8 +16,10 @@ from pathlib import Path
 
 from cm.errors import CmError
 from cm.formats.bitstream.container import open_image
-from cm.formats.bitstream.devices import Device, Family
+from cm.formats.bitstream.devices import REVISION_MASK, Device, Family
+from cm.formats.bitstream.errors import WrongDevice
 from cm.formats.bitstream.geometry import decode_far, frame_order
+from cm.formats.bitstream.inspect import inspect
 from cm.formats.bitstream.memory import frames_of
 from cm.frozen import dataclass
 
@@ -37,7 +39,7 @@ class Mask:
 def mask_for(bitstream: Path, device: Device) -> Mask:
     """The mask of a bitstream: of the file beside it, of the database, or what is known of every design.
 
-    Raises the refusals of `cm.formats.bitstream` for a damaged ``.msk``.
+    Raises the refusals of `cm.formats.bitstream` for a ``.msk`` that is damaged, or of another device.
     """
     beside = bitstream.with_name(bitstream.name.split(".")[0] + ".msk")
     if beside.is_file():
@@ -57,6 +59,11 @@ def _without_contents(frames: Iterable[int], device: Device) -> Masks:
 
 
 def _of_file(path: Path, device: Device) -> Mask:
+    report = inspect(path)
+    if report.idcode is None or (report.idcode ^ device.idcode) & REVISION_MASK:
+        raise WrongDevice(
+            f"{path}: a mask for {report.device or 'another device'}, beside a bitstream for {device.name}"
+        )
     order = frame_order(device.name, device.family)
     found = frames_of(open_image(path), order) if order is not None else {}
 

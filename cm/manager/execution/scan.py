@@ -7,13 +7,23 @@ A slice takes the port for a millisecond at most: between two of them a change g
 from __future__ import annotations
 
 import contextlib
+import functools
 import itertools
 from collections.abc import Callable, Sequence
 
 from cm.errors import Busy
 from cm.frozen import dataclass
 from cm.manager.errors import NoReadback, RegionBusy, StepTimeout, UnknownRegion
-from cm.manager.interfaces import ConfigPort, Devices, Files, Image, LoadedFrames, PortBuffer, WrongFrame
+from cm.manager.interfaces import (
+    ConfigPort,
+    Devices,
+    Files,
+    FrameSlice,
+    Image,
+    LoadedFrames,
+    PortBuffer,
+    WrongFrame,
+)
 from cm.manager.loaders import resolved
 from cm.manager.planner import hint
 from cm.manager.state.board_state import BoardState, RegionPhase
@@ -76,40 +86,47 @@ def _module(name: str, board: BoardState, config: Config) -> Module:
 
 
 class Reader:
-    """A buffer of a port, for reads one after the other."""
+    """Two buffers of a port, for slices one after the other: one is compared while the port fills the other."""
 
     def __init__(self, port: ConfigPort) -> None:
         self._port = port
-        self._buffer: PortBuffer | None = None
+        self._buffers: list[PortBuffer] = []  # that which is filled next comes first
+        self._last: Callable[[], Sequence[WrongFrame]] = tuple  # compares the slice that was read last
 
     def most_frames(self, frame_bytes: int) -> int:
         """As many as take the port a slice's time, with what goes before and after them."""
         rate = 4.0 * self._port.info.clock_hz or _SLOWEST
         return max(1, int(SLICE_SECONDS * rate) // frame_bytes - 3)
 
-    def read(self, request: bytes, length: int, closing: bytes, judge: Callable[[memoryview], object]) -> object:
-        """What `judge` makes of the reply. Raises DeviceError, StepTimeout."""
-        begin, end = len(request), len(request) + length
-        buffer = self._room(end + len(closing))
+    def read(self, part: FrameSlice) -> Sequence[WrongFrame]:
+        """Read a slice; returns what is wrong in the one before it. Raises DeviceError, StepTimeout, NoReadback."""
+        begin, end = len(part.request), len(part.request) + part.reply_length
+        buffer = self._room(end + len(part.closing))
         view = buffer.memoryview()
         buffer.sync_begin(write=True)
-        view[:begin] = request
-        view[end : end + len(closing)] = closing
+        view[:begin] = part.request
+        view[end : end + len(part.closing)] = part.closing
         buffer.sync_end(write=True)
-        cookie = next(_cookies)
-        self._port.read(buffer, slice(0, begin), slice(begin, end), slice(end, end + len(closing)), cookie=cookie)
-        self._await(cookie, length)
-        buffer.sync_begin(write=False)
-        try:
-            return judge(view[begin:end])
-        finally:
-            buffer.sync_end(write=False)
+        cookie, parts = next(_cookies), (slice(0, begin), slice(begin, end), slice(end, end + len(part.closing)))
+        self._port.read(buffer, *parts, cookie=cookie)
+        wrong = self.rest()
+        self._await(cookie, part.reply_length)
+        self._last = functools.partial(_judged, part, buffer, view[begin:end])
+        return wrong
+
+    def rest(self) -> Sequence[WrongFrame]:
+        """What is wrong in the slice that was read last."""
+        last, self._last = self._last, tuple
+        return last()
 
     def _room(self, length: int) -> PortBuffer:
-        if self._buffer is None or self._buffer.length < length:
-            self.close()
-            self._buffer = self._port.allocate(length)
-        return self._buffer
+        if len(self._buffers) == 2:
+            self._buffers.reverse()
+        if len(self._buffers) < 2 or self._buffers[0].length < length:
+            for buffer in self._buffers[:1] if len(self._buffers) == 2 else ():
+                buffer.close()
+            self._buffers = [self._port.allocate(length), *self._buffers[-1:]]
+        return self._buffers[0]
 
     def _await(self, cookie: int, length: int) -> None:
         while True:
@@ -123,11 +140,19 @@ class Reader:
             raise NoReadback(f"the port gave {completion.length} of {length} bytes: {completion.reason or 'too few'}")
 
     def close(self) -> None:
-        """Give the buffer back; one that a hung read still holds goes with the port's file."""
-        buffer, self._buffer = self._buffer, None
-        if buffer is not None:
+        """Give the buffers back; one that a hung read still holds goes with the port's file."""
+        buffers, self._buffers, self._last = self._buffers, [], tuple
+        for buffer in buffers:
             with contextlib.suppress(Busy):
                 buffer.close()
+
+
+def _judged(part: FrameSlice, buffer: PortBuffer, reply: memoryview) -> Sequence[WrongFrame]:
+    buffer.sync_begin(write=False)
+    try:
+        return part.judge(reply)
+    finally:
+        buffer.sync_end(write=False)
 
 
 Pace = Callable[[float, Callable[[], None]], None]  # seconds of a slice, and what goes on after a pause
@@ -185,12 +210,12 @@ class Scan:
             self._reader = Reader(self._devices.icap(what.region.loader_name))
         slices = what.frames.slices(self._reader.most_frames(what.frames.frame_bytes))
         if self._at < len(slices):
-            part = slices[self._at]
-            found = self._reader.read(part.request, part.reply_length, part.closing, part.judge)
-            assert isinstance(found, tuple)
-            self.wrong.extend(found)
+            self.wrong.extend(self._reader.read(slices[self._at]))
             self._at += 1
-        return self._at >= len(slices)
+        if self._at < len(slices):
+            return False
+        self.wrong.extend(self._reader.rest())
+        return True
 
     def _close(self) -> None:
         if self._reader is not None:

@@ -90,7 +90,7 @@ def _pass(bench: Run, folder: Path) -> Result:
         took, at_port = [], []
         for _ in range(5 if bench.quick else 500):
             started, port.took = time.monotonic(), 0.0
-            wrong = [reader.read(part.request, part.reply_length, part.closing, part.judge) for part in slices]
+            wrong = [*(reader.read(part) for part in slices), reader.rest()]
             took.append(1e3 * (time.monotonic() - started))
             at_port.append(port.took)
             if any(wrong):

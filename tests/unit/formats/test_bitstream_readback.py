@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The words that ask for frames, what is compared with what comes, and what is left out."""
+
+from __future__ import annotations
+
+import struct
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from cm.device.native.bitstream import swap
+from cm.formats.bitstream import FrameRun, assemble, assemble_module, inspect, open_image
+from cm.formats.bitstream.devices import Device, Family, device_by_name
+from cm.formats.bitstream.errors import BitstreamError, WrongDevice
+from cm.formats.bitstream.geometry import FrameAddress, encode_far, frame_order
+from cm.formats.bitstream.mask import Mask, mask_for
+from cm.formats.bitstream.readback import LoadedFrames, closing_words, repair_words, reply_words, request_words
+
+LOGIC, CONTENTS = FrameAddress(0, 0, 2), FrameAddress(1, 0, 0)
+EVERYTHING = Mask(lambda _: {}, "none")
+
+
+def known(name: str) -> Device:
+    found = device_by_name(name)
+    assert found is not None
+    return found
+
+
+ZYNQ = known("xc7z020")
+FRAME = 4 * ZYNQ.family.frame_words
+
+
+@pytest.fixture
+def bitstream(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Two frames of logic and two of what is in block RAM; no database is installed."""
+    monkeypatch.setenv("CM_XRAY_DATABASE", str(tmp_path / "none"))
+    path = tmp_path / "plain.bit"
+    runs = [FrameRun(at, b"\1\2\3\4" * (3 * FRAME // 4)) for at in (LOGIC, CONTENTS)]
+    path.write_bytes(assemble(ZYNQ, runs))
+    return path
+
+
+def loaded(path: Path, device: Device = ZYNQ) -> LoadedFrames:
+    return LoadedFrames(device, open_image(path), mask_for(path, device))
+
+
+def words(data: bytes) -> list[str]:
+    return [f"{word:08x}" for word in struct.unpack(f">{len(data) // 4}I", data)]
+
+
+def test_a_request_has_the_steps_of_the_configuration_guides() -> None:
+    asked = words(request_words(Family.SERIES7, 0x00020480, 3))
+    assert asked[4:6] == ["aa995566", "20000000"]
+    assert asked[6:8] == ["30008001", "00000007"]  # RCRC
+    assert [word for word in asked if word != "20000000"][7:] == [
+        "30008001", "00000004", "30002001", "00020480", "28006000", f"48{4 * 101:06x}",
+    ]  # fmt: skip
+    assert "0000000b" not in asked  # no SHUTDOWN: the design runs on
+    assert words(closing_words())[-18:-16] == ["30008001", "0000000d"]
+
+
+def test_a_reply_begins_with_a_frame_of_padding_and_on_ultrascale_with_the_pipelines_words() -> None:
+    assert reply_words(Family.SERIES7, 1) == 2 * 101
+    assert reply_words(Family.ULTRASCALE_PLUS, 1) == 2 * 93 + 25
+
+
+def test_a_repair_is_a_sound_bitstream_that_starts_nothing() -> None:
+    stream = repair_words(ZYNQ, [(encode_far(LOGIC, ZYNQ.family), [bytes(FRAME)])])
+    report = inspect(swap(stream))
+    assert report.problems == ()
+    assert (report.idcode, report.frames) == (ZYNQ.idcode, 2)
+    written = words(stream)
+    assert not {"0000000a", "00000005"} & {b for a, b in pairwise(written) if a == "30008001"}
+
+
+def test_without_a_mask_what_is_in_block_ram_is_not_judged_and_the_answer_says_so(bitstream: Path) -> None:
+    frames = loaded(bitstream)
+    assert (frames.judged, len(frames.unjudged)) == (2, 2)
+    assert {place.block_type for place in frames.unjudged} == {1}
+    assert "contents of block RAM are not compared" in frames.why
+    assert "no plain.msk" in frames.why
+
+
+def test_a_mask_beside_the_bitstream_says_what_is_compared(bitstream: Path) -> None:
+    mask = [FrameRun(at, b"\0\0\0\1" * (3 * FRAME // 4)) for at in (LOGIC, CONTENTS)]
+    bitstream.with_suffix(".msk").write_bytes(assemble(ZYNQ, mask))
+    frames = loaded(bitstream)
+    assert (frames.judged, frames.unjudged, frames.why) == (4, (), "plain.msk says what is not compared")
+    part = frames.slices(2)[0]
+    good = bytearray(part.reply_length - 2 * FRAME) + swap(b"\1\2\3\4" * (2 * FRAME // 4))
+    alive, wrong = bytearray(good), bytearray(good)
+    alive[-4] ^= 1  # bit 0 of the last word, as memory has it
+    wrong[-4] ^= 2
+    assert part.judge(alive) == ()
+    (found,) = part.judge(wrong)
+    assert (found.address, found.bits, found.volatile) == (FrameAddress(0, 0, 2, 1), (32 * 100 + 1,), True)
+    assert frames.repair([found]) is None
+
+
+@pytest.mark.parametrize("data", [b"", b"no bitstream", None], ids=["empty", "text", "another device"])
+def test_a_mask_that_is_none_of_this_bitstream_is_refused(bitstream: Path, data: bytes | None) -> None:
+    other = assemble("xc7z010", [FrameRun(LOGIC, bytes(2 * FRAME))])
+    bitstream.with_suffix(".msk").write_bytes(other if data is None else data)
+    with pytest.raises(WrongDevice if data is None else BitstreamError, match=r"plain\.msk|xc7z010|sync|empty|"):
+        loaded(bitstream)
+
+
+def test_frames_of_a_device_whose_columns_are_not_public_cannot_be_judged(tmp_path: Path) -> None:
+    path = tmp_path / "kria.bit"
+    path.write_bytes(assemble("xck26", [FrameRun(LOGIC, bytes(2 * 93 * 4))]))
+    frames = loaded(path, known("xck26"))
+    assert (frames.judged, frames.slices(10)) == (0, ())
+    assert "xck26's columns are not public" in frames.why
+
+
+def test_slices_hold_frames_that_follow_each_other_and_no_more_than_asked_for(tmp_path: Path) -> None:
+    path = tmp_path / "ours.bit"
+    path.write_bytes(assemble_module("ours", size=60 * FRAME))
+    frames = LoadedFrames(ZYNQ, open_image(path), EVERYTHING)
+    sizes = [(part.reply_length // FRAME) - 1 for part in frames.slices(25)]
+    assert sum(sizes) == frames.judged == 60
+    assert max(sizes) <= 25
+
+
+def test_a_run_goes_over_the_end_of_a_row_on_7_series_and_ends_there_on_ultrascale() -> None:
+    for name, goes_on in (("xc7z020", True), ("xczu3eg", False)):
+        device = known(name)
+        order = frame_order(device.name, device.family)
+        assert order is not None
+        gap = order.order.index(None)
+        run = dict(order.run(order.order[gap - 1] or 0))
+        assert (0 in run, 1 in run, 3 in run) == (True, False, goes_on)
