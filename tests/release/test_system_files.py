@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 from configparser import ConfigParser
 from pathlib import Path
 
@@ -151,3 +152,30 @@ def test_the_unit_is_a_file_that_its_readers_take() -> None:
     parser.read(UNIT)
     assert parser["Service"]["Type"] == "notify"
     assert parser["Service"]["WatchdogSec"]
+
+
+def client_files() -> list[str]:
+    """What debian/rules puts into the client's package, below cm/."""
+    rules = (ROOT / "debian/rules").read_text()
+    return ",".join(re.findall(r"^CLIENT := (?:\$\(CLIENT\),)?(\S+)$", rules, re.MULTILINE)).split(",")
+
+
+def test_the_clients_debian_package_needs_no_other_for_a_client_and_for_ros_nodes(tmp_path: Path) -> None:
+    for name in client_files():
+        (tmp_path / "cm" / name).parent.mkdir(parents=True, exist_ok=True)
+        if (ROOT / "cm" / name).is_dir():
+            shutil.copytree(ROOT / "cm" / name, tmp_path / "cm" / name, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            shutil.copy(ROOT / "cm" / name, tmp_path / "cm" / name)
+    assert not list(tmp_path.rglob("*.so"))
+    program = """
+import importlib, pkgutil, cm, cm.aio
+assert cm.connect and cm.aio.connect and cm.errors.CmError
+names = [m.name for m in pkgutil.walk_packages(cm.__path__, "cm.") if m.name != "cm.client.window"]
+for name in names:
+    importlib.import_module(name)
+print(cm.__file__, len(names))
+"""
+    where, count = run("env", f"PYTHONPATH={tmp_path}", sys.executable, "-c", program).split()
+    assert Path(where).is_relative_to(tmp_path)
+    assert int(count) > 90

@@ -9,9 +9,15 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import pytest
 import yaml
+
+from cm.networks.bridge.records import Caller
+from cm.networks.ros.node import BoardNode, NodeName
+from cm.networks.ros.streams import ReadableStream, WritableStream
+from cm.networks.ros.transport import FRAMES
 
 ROOT = Path(__file__).resolve().parents[3]
 ROS2 = ROOT / "ros2"
@@ -77,6 +83,45 @@ def test_the_package_of_the_node_names_the_client_and_rosdep_finds_it() -> None:
     sources = "".join(path.read_text() for path in (ROS2 / "cm_ros2" / "cm_ros2").iterdir() if path.suffix == ".py")
     imported = set(re.findall(r"^(?:from|import) (\w+)", sources, re.MULTILINE)) - sys.stdlib_module_names
     assert imported == {"cm", "cm_ros2", "numpy", "rclpy"}
+
+
+def _of(enclave: str, kind: str, what: str) -> set[str]:
+    """Names that SROS 2's policy lets an enclave, ``~`` being the node."""
+    root = ET.parse(ROS2 / "cm_ros2/config/sros2_policy.xml").getroot()
+    found = root.iterfind(f"enclaves/enclave[@path='{enclave}']/profiles/profile/{kind}s[@{what}='ALLOW']/{kind}")
+    return {(name.text or "").replace("~", "/cm") for name in found}
+
+
+def test_sros2_lets_the_node_publish_and_answer_what_it_does_and_nothing_else() -> None:
+    transport = MagicMock()
+    BoardNode(transport, NodeName(), MagicMock())
+    for encoding in ("rgb8", ""):  # a stream of pictures, and one of other frames, both ways
+        stream = MagicMock(encoding=encoding)
+        ReadableStream(transport, "/cm/*", stream, MagicMock(), FRAMES)
+        WritableStream(transport, "/cm/*", stream, MagicMock(), Caller(""), FRAMES)
+    topics = {call.args[0] for call in transport.publisher.call_args_list if "/_action/" not in call.args[0]}
+    services = {call.args[0] for call in transport.service.call_args_list if "/_action/" not in call.args[0]}
+    lifecycle = (
+        "change_state",
+        "get_available_states",
+        "get_available_transitions",
+        "get_state",
+        "get_transition_graph",
+    )
+    assert _of("/cm", "topic", "publish") == topics | {"/cm/transition_event", "/rosout"}
+    assert _of("/cm", "topic", "subscribe") - {"/clock", "/parameter_events"} == {
+        call.args[0] for call in transport.frames.call_args_list
+    }
+    assert _of("/cm", "service", "reply") == services | {f"/cm/{name}" for name in lifecycle}
+    assert _of("/cm", "action", "execute") == {"/cm/change_mode"} == _of("/operator", "action", "call")
+
+
+def test_sros2_lets_a_viewer_ask_for_nothing_that_changes_the_board() -> None:
+    asked = _of("/viewer", "service", "request")
+    assert asked <= _of("/operator", "service", "request") == _of("/cm", "service", "reply")
+    assert not [name for name in asked if re.search("set|write|load|change", name)]
+    assert not _of("/viewer", "action", "call")
+    assert _of("/viewer", "topic", "publish").isdisjoint(_of("/cm", "topic", "subscribe") - {"/parameter_events"})
 
 
 def test_parameters_of_the_example_are_those_that_the_node_declares() -> None:

@@ -38,11 +38,11 @@ def artefacts(arch: Arch) -> list[Path]:
     """Packages and wheel of this tree for an architecture; built where they are older than a source."""
     found = _found(arch)
     newest = max(path.stat().st_mtime for name in SOURCES for path in source_files(REPOSITORY / name))
-    if len(found) < 5 or min(path.stat().st_mtime for path in found) < newest:
+    if len(found) < 6 or min(path.stat().st_mtime for path in found) < newest:
         say(f"building packages for {arch.debian}")
         run(["make", "-C", REPOSITORY, "deb", f"ARCHES={arch.debian}", f"PYTHON={sys.executable}"])
         found = _found(arch)
-    if len(found) < 5:
+    if len(found) < 6:
         raise MissingError(
             f"packages for {arch.debian} could not be built here; `make deb ARCHES={arch.debian}` says why"
         )
@@ -50,7 +50,7 @@ def artefacts(arch: Arch) -> list[Path]:
 
 
 def _found(arch: Arch) -> list[Path]:
-    patterns = (f"fpga-cm_*_{arch.debian}.deb", "fpga-cm-[dsb]*_all.deb", f"*_{WHEELS[arch.debian]}.whl")
+    patterns = (f"fpga-cm_*_{arch.debian}.deb", "*fpga-cm-[dsbc]*_all.deb", f"*_{WHEELS[arch.debian]}.whl")
     return sorted(path for pattern in patterns for path in RELEASE.glob(pattern))
 
 
