@@ -313,6 +313,10 @@ class PortInfo(Protocol):
         """Whether words can be read from it."""
 
     @property
+    def max_length(self) -> int:
+        """Bytes of a load, or of one part of a read, at most."""
+
+    @property
     def clock_hz(self) -> int:
         """Its clock; 0 where the driver does not know it."""
 

@@ -349,3 +349,20 @@ def test_coherent_memory_is_never_synchronised(library: Path, tmp_path: Path) ->
         )
         assert sim.control.state()["syncs"] == {}
     assert not log.exists(), f"{log.read_text().count(os.linesep)} needless calls"
+
+
+def test_a_region_is_compared_through_memory_that_is_synchronised(apart: Setup) -> None:
+    """Old bytes would be a frame of noise, or all frames wrong: the buffers are used again and again."""
+    before = apart.counts("icap")
+    told = apart.run(
+        """
+        board.load("camera", "default", force=True)
+        found = [board.check_region("prr0") for _ in range(3)]
+        tell(verdicts=[one.verdict for one in found], frames=min(one.frames for one in found))
+        """
+    )
+    assert told["verdicts"] == ["good"] * 3
+    assert told["frames"] > 600
+    added = apart.added("icap", before)
+    assert added["read_starts"] == added["read_ends"] >= 3
+    assert "early" not in added

@@ -33,6 +33,7 @@ from cm.wire.messages.status import FrameError, RegionCheck
 
 SLICE_SECONDS = 0.001  # that a slice may keep the port from a change
 _SLOWEST = 100e6  # bytes per second of a port whose clock the driver does not know: a Zynq's PCAP has 145e6
+_LINE = 64  # bytes of a cache line, or a multiple of them
 _PATIENCE = 2.0  # seconds until a read counts as hung
 _LISTED, _BITS = 256, 64  # of a result: frames, and bits of each
 _cookies = itertools.count(1 << 32)  # apart from those of loads
@@ -95,23 +96,25 @@ class Reader:
 
     def most_frames(self, frame_bytes: int) -> int:
         """As many as take the port a slice's time, with what goes before and after them."""
-        rate = 4.0 * self._port.info.clock_hz or _SLOWEST
-        return max(1, int(SLICE_SECONDS * rate) // frame_bytes - 3)
+        info = self._port.info
+        rate = 4.0 * info.clock_hz or _SLOWEST
+        return max(1, min(int(SLICE_SECONDS * rate), info.max_length) // frame_bytes - 3)
 
     def read(self, part: FrameSlice) -> Sequence[WrongFrame]:
         """Read a slice; returns what is wrong in the one before it. Raises DeviceError, StepTimeout, NoReadback."""
-        begin, end = len(part.request), len(part.request) + part.reply_length
-        buffer = self._room(end + len(part.closing))
+        asking, reply = len(part.request), _line(len(part.request))
+        closing = _line(reply + part.reply_length)
+        end = closing + len(part.closing)
+        buffer = self._room(end)
         view = buffer.memoryview()
         buffer.sync_begin(write=True)
-        view[:begin] = part.request
-        view[end : end + len(part.closing)] = part.closing
+        view[:asking], view[closing:end] = part.request, part.closing
         buffer.sync_end(write=True)
-        cookie, parts = next(_cookies), (slice(0, begin), slice(begin, end), slice(end, end + len(part.closing)))
+        cookie, parts = next(_cookies), (slice(0, asking), slice(reply, reply + part.reply_length), slice(closing, end))
         self._port.read(buffer, *parts, cookie=cookie)
         wrong = self.rest()
         self._await(cookie, part.reply_length)
-        self._last = functools.partial(_judged, part, buffer, view[begin:end])
+        self._last = functools.partial(_judged, part, buffer, view[reply : reply + part.reply_length])
         return wrong
 
     def rest(self) -> Sequence[WrongFrame]:
@@ -145,6 +148,11 @@ class Reader:
         for buffer in buffers:
             with contextlib.suppress(Busy):
                 buffer.close()
+
+
+def _line(length: int) -> int:
+    """The next place on a cache line of its own, as memory wants it that has to be synchronised."""
+    return -(-length // _LINE) * _LINE
 
 
 def _judged(part: FrameSlice, buffer: PortBuffer, reply: memoryview) -> Sequence[WrongFrame]:
