@@ -10,7 +10,7 @@ import sys
 from cm.cli.colours import painted
 from cm.cli.common import add_connection_options, add_json_option, natural, print_json, print_table, seconds
 from cm.cli.connection import awaited, connected, followed, plain, settled
-from cm.wire.messages.status import Status, WindowStatus
+from cm.wire.messages.status import RegionHealth, Status, WindowStatus
 
 _NOTICES = ("reconciled", "slept")  # what the manager found out, where nothing failed
 _COLOURS = {"idle": "green", "partial": "yellow", "full": "yellow", "error": "red"}
@@ -85,6 +85,12 @@ def _mebibytes(count: int) -> str:
     return f"{count / (1 << 20):.1f}" if count else "0"
 
 
+def _upsets(region: str, health: RegionHealth) -> str:
+    """What checks have found wrong, in a sentence."""
+    now = painted(f"; {health.wrong_bits} bits are wrong", "red", sys.stdout) if health.wrong_bits else ""
+    return f"{region}: {health.upsets} upsets found, {health.repairs} repairs{now}"
+
+
 def show(status: Status) -> None:
     """Print a status for people."""
     loaded = f"{status.config_name}/{status.mode}" if status.config_name else "nothing loaded"
@@ -98,6 +104,9 @@ def show(status: Status) -> None:
         print()
         regions = [(r.name, r.module or "-", r.state) for r in status.regions]
         print_table(regions, ("REGION", "MODULE", "STATE"), _REGION_COLOURS)
+        for region in status.regions:
+            if region.health is not None and region.health.upsets:
+                print(_upsets(region.name, region.health))
     if status.windows:
         print()
         mapped = [(f"{x.address:#x}", x.region, x.module or "-", _how(x), x.client) for x in status.windows]

@@ -170,7 +170,10 @@ def test_the_command_says_what_it_found_and_its_exit_status_too(two: Two, capsys
     assert main(["region", "check", "left", *place]) == 0
     ((far, bit),) = sim.control.upset("left")
     assert main(["region", "check", "left", *place]) == 1
+    assert main(["status", *place]) == 0
     shown = capsys.readouterr().out
+    assert "upsets found" in shown
+    assert "; 1 bits are wrong" in shown
     assert "left (near): 1 bit in 1 frame wrong" in shown
     assert f"0x{far:08x}" in shown
     assert f"{bit // 32}.{bit % 32}" in shown
