@@ -23,7 +23,7 @@ READMES = ("clients/node", "clients/go", "yocto/meta-cm")  # which belong into t
 
 project = "fpga-cm"
 author = "fpga-cm maintainers"
-release = re.findall(r'"(.+)"', (REPOSITORY / "cm/_version.py").read_text())[0]
+release = re.findall(r'__version__ = "(.+)"', (REPOSITORY / "cm/_version.py").read_text())[0]
 version = release
 extensions = ["myst_parser", "sphinx.ext.graphviz"]
 exclude_patterns = ["examples", "boards/loop", "notebooks/*.ipynb"]
@@ -36,9 +36,11 @@ html_static_path = ["_site"]
 html_css_files = ["site.css"]
 html_js_files = ["versions.js"]
 html_show_sphinx = False
+html_show_copyright = False  # the licence is in the sources
 html_copy_source = False
 html_theme_options = {"navigation_with_keys": True, "top_of_page_buttons": []}
 graphviz_output_format = "svg"
+_ALSO = ("region", "static part", "footprint")  # of what users describe
 _ARROW = re.compile(r"^\s*(\S+) --> ([^\s:]+)(?:: (.*))?$", re.MULTILINE)
 _OUTSIDE = re.compile(r"\[((?:`[^`]*`|[^\[\]`\n])*)\]\(((?:\.\./)+[^)#\s]+)(#[^)\s]*)?\)")
 _LINK = re.compile(r"\[((?:`[^`]*`|[^\[\]`\n])*)\]\((?!\w+:)([^)#\s]+)(#[^)\s]*)?\)")
@@ -51,6 +53,62 @@ def drawn(mermaid: str) -> str:
         f'"{start}" -> "{end}" [label="{label}"];'.replace("[*]", " ") for start, end, label in _ARROW.findall(mermaid)
     )
     return f"digraph {{ bgcolor=transparent; {style} {' '.join(arrows)} }}"
+
+
+def terms(glossary: str) -> dict[str, str]:
+    """Words of the glossary that pages link where they first stand, and their anchors: those of hardware."""
+    rows = re.findall(
+        r"^\| ([^|*]+?) \|", glossary.partition("**hardware and kernel**")[2].partition("| **")[0], re.MULTILINE
+    )
+    return {word.strip(): f"term-{nodes.make_id(row)}" for row in [*rows, *_ALSO] for word in row.split(",")}
+
+
+class Words(SphinxTransform):
+    """Link words of the glossary where they first stand on a page for newcomers, and make the rows to link to."""
+
+    default_priority = 900  # after references are known: a word within a link stays
+
+    def apply(self, **_kwargs: Any) -> None:
+        page = self.env.docname
+        wanted = terms((HERE / "glossary.md").read_text("utf-8"))
+        if page == "glossary":
+            rows = {f"term-{nodes.make_id(row[0].astext())}": row for row in self.document.findall(nodes.row)}
+            for anchor in wanted.values():
+                rows[anchor]["ids"] = [anchor]
+        elif page.startswith(("tutorial/", "boards/")) or page in self.doors():
+            for word, anchor in wanted.items():
+                self.link(word, anchor)
+
+    def doors(self) -> set[str]:
+        """The pages behind *Do*."""
+        return set(re.findall(r"\(([\w/-]+)\.md\)", (HERE / "how-to.md").read_text("utf-8")))
+
+    def link(self, word: str, anchor: str) -> None:
+        """The first that stands in text, or is a literal of its own, and not in a heading, a block or a link."""
+        found = re.compile(rf"(?<![\w/.-]){re.escape(word)}s?(?![\w/-])")
+        for text in self.document.findall(nodes.Text):
+            at = found.search(text.astext())
+            if at is None or _within(text, (nodes.title, nodes.reference, nodes.literal_block, nodes.pending)):
+                continue
+            literal = isinstance(text.parent, nodes.literal)
+            if literal and found.fullmatch(text.astext()) is None:
+                continue
+            place = text.parent if literal else text
+            uri = f"{os.path.relpath(HERE / 'glossary', (HERE / self.env.docname).parent)}.html#{anchor}"
+            link = nodes.reference("", "", refuri=uri, classes=["term"], internal=True)
+            link += place.deepcopy() if literal else nodes.Text(at[0])
+            before, after = ("", "") if literal else (text[: at.start()], text[at.end() :])
+            place.parent.replace(
+                place, [*map(nodes.Text, filter(None, [before])), link, *map(nodes.Text, filter(None, [after]))]
+            )
+            return
+
+
+def _within(node: nodes.Node, kinds: tuple[type[nodes.Node], ...]) -> bool:
+    while (node := node.parent) is not None:
+        if isinstance(node, kinds):
+            return True
+    return False
 
 
 class Diagrams(SphinxTransform):
@@ -107,5 +165,6 @@ def outside(_app: Sphinx, docname: str, source: list[str]) -> None:
 
 def setup(app: Sphinx) -> None:
     app.add_transform(Diagrams)
+    app.add_transform(Words)
     app.connect("builder-inited", make_pages)
     app.connect("source-read", outside)

@@ -40,7 +40,7 @@ def from_elsewhere(folder: Path) -> list[str]:
 
 def main(arguments: list[str]) -> int:
     root = Path(arguments[0]) if arguments else DOCS.parent / "build" / "site"
-    version = re.findall(r'"(.+)"', (DOCS.parent / "cm/_version.py").read_text("utf-8"))[0]
+    version = re.findall(r'__version__ = "(.+)"', (DOCS.parent / "cm/_version.py").read_text("utf-8"))[0]
     out = root / version
     cache = str(root.parent / "site-cache")
     options = ["-b", "html", "-q", "-W", "--keep-going", "-j", "auto", "-d", cache]

@@ -37,7 +37,8 @@ def _columns() -> int:
 
 
 DESCRIPTION = "Configuration manager for FPGA systems that reconfigure themselves while they run."
-EPILOG = "`cm COMMAND --help` says more. Exit status: 0 done, 1 refused or failed, 2 wrong usage."
+EPILOG = """No board? `cm serve --sim` simulates one. `cm COMMAND --help` says more.
+Exit status: 0 done, 1 refused or failed, 2 wrong usage."""
 
 
 class Parser(argparse.ArgumentParser):

@@ -21,6 +21,7 @@ from cm.errors import CmError, InvalidRequest, Timeout
 if TYPE_CHECKING:
     import numpy as np
 
+    from cm.client.board import Board
     from cm.client.stream import Stream
 else:
     from cm.wire.lazy_numpy import np
@@ -243,7 +244,10 @@ def run_capture(args: argparse.Namespace) -> int:
     capture = _Capture(to)
     try:
         with connected(args) as board, board.stream(args.stream, lease=args.lease) as stream, _Interrupt() as interrupt:
-            interrupted = capture.take(stream, args.count, interrupt)
+            try:
+                interrupted = capture.take(stream, args.count, interrupt)
+            except Timeout as error:
+                raise Timeout(f"{error}{_cause(board, args.stream)}") from None
     except (OSError, Timeout) as error:
         if isinstance(error, BrokenPipeError) or not capture.sequences:
             raise
@@ -252,6 +256,12 @@ def run_capture(args: argparse.Namespace) -> int:
         to.close()
     capture.tell(args.json, sys.stderr if args.file == "-" else sys.stdout)
     return EXIT_INTERRUPTED if interrupted else 0
+
+
+def _cause(board: Board, name: str) -> str:
+    """Why no frame comes, if the manager knows: a shape that is not that of the packets shows as a failed transfer."""
+    failed = (stream.last_error for stream in board.status.streams if stream.name == name)
+    return "".join(f": {error.message}" for error in failed if error)
 
 
 class _Capture:

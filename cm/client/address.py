@@ -94,7 +94,8 @@ def resolve(endpoint: str | os.PathLike[str] | None, runtime_dir: str | os.PathL
     if serves is False:
         other = f"; a manager on another machine is tcp://{endpoint}" if endpoint and os.sep not in endpoint else ""
         raise NotFound(
-            f"no configuration manager serves {folder}: start one ('cm serve'), or name its --runtime-dir{other}"
+            f"no configuration manager serves {folder}: start one ('cm serve', without a board 'cm serve --sim'), "
+            f"or name its --runtime-dir{other}"
         )
     if serves is None or not os.access(folder / "req", os.W_OK):
         raise NotAdmitted(_not_for_us(folder))

@@ -78,6 +78,18 @@ def test_a_change_of_mode_within_loses_no_frame(
     assert told["remarks"] == ["frames of (480, 640, 3) uint8 go on in another file"]
 
 
+def test_where_packets_are_not_of_the_streams_shape_the_sentence_says_so(
+    board: cm.Board, manager: Manager, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    board.set_mode("colorise")  # whose frames are three times as long
+    board.configure_stream("camera", shape=[480, 640])
+    with board.stream("camera"):
+        until(lambda: any(stream.last_error for stream in board.status.streams))
+    line = ["stream", "capture", "camera", str(tmp_path / "x.npy"), "--runtime-dir", str(manager.runtime)]
+    assert main(line) == 1
+    assert "no frame within 5 s: a transfer of 307200 bytes failed" in capsys.readouterr().err
+
+
 def test_ctrl_c_keeps_every_frame_that_came(board: cm.Board, manager: Manager, tmp_path: Path) -> None:
     out = tmp_path / "x.npy"
     signal.signal(

@@ -384,6 +384,12 @@ class PlanInfo:
     seconds: float
     clocks: tuple[ClockStatus, ...] = ()  # that would be set
 
+    def __str__(self) -> str:
+        """A line for each step."""
+        steps = [f"{i:2} {s.text}{f' ({s.bytes} bytes)' if s.bytes else ''}" for i, s in enumerate(self.steps, 1)]
+        total = f"{self.bytes} bytes to load, about {self.seconds * 1000:.1f} ms" if steps else "nothing to do"
+        return "\n".join([*steps, f"{self.config_name}/{self.mode}: {total}"])
+
     def _repr_html_(self) -> str:
         from cm.wire.messages import html
 

@@ -145,6 +145,10 @@ def test_a_plan_is_shown_with_what_it_costs() -> None:
     assert shown.rows[1] == ["load edge into prr0", "100", "1.50"]
     assert "100 bytes to load, about 1.5 ms" in shown.text
     assert "nothing to do" in Cells(PlanInfo("camera", "edge", (), 0, 0.0)._repr_html_()).text
+    assert str(plan).splitlines() == [
+        " 1 load edge into prr0 (100 bytes)",
+        "camera/edge: 100 bytes to load, about 1.5 ms",
+    ]
 
 
 def test_registers_are_shown_with_their_fields_and_names_of_values() -> None:
