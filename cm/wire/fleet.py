@@ -14,6 +14,7 @@ from cm.wire.messages import fleet as fl
 from cm.wire.messages.status import ErrorInfo
 
 _M = TypeVar("_M", bound=Message)
+_D = TypeVar("_D")
 
 
 def parsed(kind: type[_M], data: bytes) -> _M:
@@ -26,8 +27,7 @@ def parsed(kind: type[_M], data: bytes) -> _M:
 
 def encode_step(step: fl.FleetStep) -> bytes:
     """As it is the payload of a command under ``do/``."""
-    plain = {name: getattr(step, name) for name in fl.FleetStep.__slots__}
-    return pb.FleetStep(**plain).SerializeToString()
+    return _to_pb(pb.FleetStep, step).SerializeToString()
 
 
 def decode_step(data: bytes) -> fl.FleetStep:
@@ -35,7 +35,7 @@ def decode_step(data: bytes) -> fl.FleetStep:
     m = parsed(pb.FleetStep, data)
     if not m.id or not m.id.isascii() or not m.id.isprintable() or len(m.id) > 64 or "/" in m.id:
         raise InvalidRequest(f"a change of a fleet has an id of 1 to 64 printable characters without /, not {m.id!r}")
-    return fl.FleetStep(m.id, m.config_name, m.mode, m.generation)
+    return _from_pb(fl.FleetStep, m)
 
 
 def policy(said: fl.Policy | str) -> fl.Policy:
@@ -46,29 +46,35 @@ def policy(said: fl.Policy | str) -> fl.Policy:
         raise InvalidRequest(str(unknown)) from None
 
 
-def _state_to_pb(state: fl.FleetState) -> pb.FleetState:
-    plain = {name: getattr(state, name) for name in fl.FleetState.__slots__ if name != "error"}
-    message = pb.FleetState(**plain)
-    if state.error is not None:
-        message.error.CopyFrom(bodies.error_to_pb(state.error))
-    return message
+def _to_pb(kind: type[_M], value: Any) -> _M:
+    """Frozen data → the message whose fields have the same names."""
+    plain = {name: getattr(value, name) for name in value.__slots__}
+    if plain.get("error") is not None:
+        plain["error"] = bodies.error_to_pb(plain["error"])
+    return kind(**plain)
 
 
-def _state_from_pb(m: pb.FleetState) -> fl.FleetState:
-    error = bodies.error_from_pb(m.error) if m.HasField("error") else None
-    return fl.FleetState(**{n: getattr(m, n) for n in fl.FleetState.__slots__ if n != "error"}, error=error)
+def _from_pb(kind: type[_D], message: Any, **other: Any) -> _D:
+    """The inverse; `other` are fields that a message has in another form."""
+    plain = {name: getattr(message, name) for name in kind.__slots__ if name not in other}  # type: ignore[attr-defined]
+    if "error" in plain:
+        plain["error"] = bodies.error_from_pb(message.error) if message.HasField("error") else None
+    return kind(**plain, **other)
 
 
 def extras(labels: tuple[str, ...], clock: fl.ClockSync, state: fl.FleetState) -> bytes:
     """What is appended to a serialised Status: protobuf reads messages that follow each other as one."""
-    return pb.Status(labels=labels, clock=_clock_to_pb(clock), fleet=_state_to_pb(state)).SerializeToString()
+    return pb.Status(
+        labels=labels, clock=_to_pb(pb.ClockSync, clock), fleet=_to_pb(pb.FleetState, state)
+    ).SerializeToString()
 
 
 def board_status(data: bytes) -> fl.BoardStatus:
     """A Status with what a bridge added. Raises InvalidRequest."""
     message = parsed(pb.Status, data)
-    state = _state_from_pb(message.fleet) if message.HasField("fleet") else None
-    return fl.BoardStatus(bodies.status_from_pb(message), tuple(message.labels), _clock_from_pb(message.clock), state)
+    state = _from_pb(fl.FleetState, message.fleet) if message.HasField("fleet") else None
+    clock = _from_pb(fl.ClockSync, message.clock)
+    return fl.BoardStatus(bodies.status_from_pb(message), tuple(message.labels), clock, state)
 
 
 def body(reply: bytes) -> tuple[str, bytes] | ErrorInfo:
@@ -112,26 +118,9 @@ def glance(status: bytes) -> tuple[tuple[str, ...], tuple[str, str] | None]:
     return streams, None if message.fpga_busy else (message.config_name, message.mode)
 
 
-def _clock_to_pb(clock: fl.ClockSync) -> pb.ClockSync:
-    return pb.ClockSync(
-        source=clock.source,
-        synchronised=clock.synchronised,
-        error_ns=clock.error_ns,
-        reference=clock.reference,
-        now_ns=clock.now_ns,
-    )
-
-
-def _clock_from_pb(m: pb.ClockSync) -> fl.ClockSync:
-    return fl.ClockSync(m.source, m.synchronised, m.error_ns, m.reference, m.now_ns)
-
-
 def encode_fetch(fetch: fl.FetchBundle) -> bytes:
     """As it is the payload of ``do/bundle``."""
-    message = pb.FetchBundle(
-        sha256=fetch.sha256, length=fetch.length, parts=fetch.parts, part_length=fetch.part_length, name=fetch.name
-    )
-    return message.SerializeToString()
+    return _to_pb(pb.FetchBundle, fetch).SerializeToString()
 
 
 def decode_fetch(data: bytes) -> fl.FetchBundle:
@@ -139,28 +128,17 @@ def decode_fetch(data: bytes) -> fl.FetchBundle:
     m = parsed(pb.FetchBundle, data)
     wanted = -(-m.length // m.part_length) if m.part_length else 0
     hashes = (m.sha256, *m.parts)
-    if not m.length or len(m.parts) != wanted or not all(_is_sha256(text) for text in hashes):
+    if not m.length or len(m.parts) != wanted or not all(map(is_sha256, hashes)):
         raise InvalidRequest(
             f"a bundle of {m.length} bytes in parts of {m.part_length} has {wanted} parts, each with its sha256 "
             f"(64 hexadecimal digits); {len(m.parts)} are named"
         )
-    return fl.FetchBundle(m.sha256, m.length, tuple(m.parts), m.part_length, m.name)
+    return _from_pb(fl.FetchBundle, m, parts=tuple(m.parts))
 
 
-def _is_sha256(text: str) -> bool:
-    return len(text) == 64 and all(c in "0123456789abcdef" for c in text)
-
-
-def _bundle_to_pb(b: fl.BundleState) -> pb.BundleState:
-    message = pb.BundleState(sha256=b.sha256, length=b.length, have=b.have, config_name=b.config_name, signer=b.signer)
-    if b.error is not None:
-        message.error.CopyFrom(bodies.error_to_pb(b.error))
-    return message
-
-
-def _bundle_from_pb(m: pb.BundleState) -> fl.BundleState:
-    error = bodies.error_from_pb(m.error) if m.HasField("error") else None
-    return fl.BundleState(m.sha256, m.length, m.have, m.config_name, m.signer, error)
+def is_sha256(text: str) -> bool:
+    """Whether a text can be one: it becomes a file's name."""
+    return len(text) == 64 and set(text) <= set("0123456789abcdef")
 
 
 def encode_answer(body: fl.FleetState | fl.BundleState | ErrorInfo) -> bytes:
@@ -168,9 +146,9 @@ def encode_answer(body: fl.FleetState | fl.BundleState | ErrorInfo) -> bytes:
     if isinstance(body, ErrorInfo):
         message = pb.Reply(ok=False, error=bodies.error_to_pb(body))
     elif isinstance(body, fl.FleetState):
-        message = pb.Reply(ok=True, fleet=_state_to_pb(body))
+        message = pb.Reply(ok=True, fleet=_to_pb(pb.FleetState, body))
     else:
-        message = pb.Reply(ok=True, bundle=_bundle_to_pb(body))
+        message = pb.Reply(ok=True, bundle=_to_pb(pb.BundleState, body))
     return message.SerializeToString()
 
 
@@ -180,7 +158,7 @@ def decode_answer(data: bytes) -> fl.FleetState | fl.BundleState | ErrorInfo:
     if not reply.ok:
         return bodies.error_from_pb(reply.error)
     if reply.HasField("fleet"):
-        return _state_from_pb(reply.fleet)
+        return _from_pb(fl.FleetState, reply.fleet)
     if reply.HasField("bundle"):
-        return _bundle_from_pb(reply.bundle)
+        return _from_pb(fl.BundleState, reply.bundle)
     raise InvalidRequest(f"the bridge answered with {reply.WhichOneof('body')}, not with a state or a bundle")

@@ -248,12 +248,15 @@ class Fleet:
         return dict(sorted({**found, **left}.items()))
 
     async def _each_by_name(self, rest: str, boards: tuple[str, ...], limit: float) -> dict[str, Answer]:
-        found = await asyncio.gather(*(queries.get(self.session, keys.key(n, rest), timeout=limit) for n in boards))
-        there = await self.boards() if not all(found) else boards
-        return {
-            name: answers[0] if answers else Answer(name, "", b"", error=absent(name in there))
-            for name, answers in zip(boards, found, strict=True)
-        }
+        found = await asyncio.gather(*(self._one(name, keys.key(name, rest), timeout=limit) for name in boards))
+        return dict(zip(boards, found, strict=True))
+
+    async def _one(
+        self, board: str, where: str, payload: bytes = b"", beside: bytes | None = None, *, timeout: float
+    ) -> Answer:
+        """A board's answer, or an error that says why there is none."""
+        found = await queries.get(self.session, where, payload, beside, timeout)
+        return found[0] if found else Answer(board, "", b"", error=absent(board in await self.boards()))
 
     # ---- the inventory --------------------------------------------------------------------------
 
@@ -331,8 +334,7 @@ class Fleet:
         """
         where = keys.command_key(keys.check(board, "board"), verb, self.caller)
         payload, attachment = (message, None) if data is None else (data, message)
-        found = await queries.get(self.session, where, payload, attachment, timeout or self.timeout)
-        return found[0] if found else Answer(board, where, b"", error=absent(board in await self.boards()))
+        return await self._one(board, where, payload, attachment, timeout=timeout or self.timeout)
 
     async def write(
         self, values: Mapping[str, int | str], boards: Iterable[str] = ALL
@@ -348,8 +350,7 @@ class Fleet:
 
     async def frame(self, board: str, stream: str) -> Frame:
         """The next frame of a stream of one board, as an array of the stream's shape. Raises RequestFailed."""
-        found = await queries.get(self.session, keys.key(board, "frames", stream), timeout=self.timeout)
-        answer = found[0] if found else Answer(board, "", b"", error=absent(board in await self.boards()))
+        answer = await self._one(board, keys.key(board, "frames", stream), timeout=self.timeout)
         if answer.error is not None:
             raise request_error(_named(board, answer.error))
         info = decode_event([topics.READ_DATA, answer.attachment])

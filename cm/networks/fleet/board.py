@@ -187,15 +187,15 @@ class Board:
             raise NotNow(f"{self._name} has not prepared change {step.id}, or has gone back already")
         if part.phase != "prepared":
             return self.state
-        self._part(replace(part, phase="changing"))
+        self._write(part=replace(part, phase="changing"))
         try:
             seconds = await self._manager.load(part.goal, part.caller, part.change)
         except Unsettled:
             raise
         except CmError as error:
-            self._part(replace(part, phase="failing", error=ErrorInfo(error.code, str(error))))
+            self._write(part=replace(part, phase="failing", error=ErrorInfo(error.code, str(error))))
         else:
-            self._part(replace(part, phase="changed", seconds=seconds))
+            self._write(part=replace(part, phase="changed", seconds=seconds))
         return self.state
 
     # ---- what it does by itself -----------------------------------------------------------------
@@ -322,9 +322,6 @@ class Board:
             self._going = False
 
     # ---- the disk -------------------------------------------------------------------------------
-
-    def _part(self, part: Part) -> None:
-        self._write(part=part)
 
     def _write(self, **changes: object) -> None:
         notes = replace(self._notes, **changes)  # type: ignore[arg-type]

@@ -17,6 +17,7 @@ from typing import Any
 
 from cm.errors import CmError, NotFound
 from cm.networks.fleet import keys
+from cm.wire.fleet import is_sha256
 from cm.wire.messages.fleet import FetchBundle
 
 PART = 1 << 20  # bytes
@@ -126,11 +127,6 @@ class Cache:
         with self._guard:
             self._locks.pop(part, None)
         return data
-
-
-def is_sha256(text: str) -> bool:
-    """Whether a text can be one: it becomes a file's name."""
-    return len(text) == 64 and set(text) <= set("0123456789abcdef")
 
 
 def asked(session: Any, key: str, sha256: str) -> bytes | None:

@@ -17,8 +17,7 @@ import asyncio
 import contextlib
 import time
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 from cm.errors import Busy
 from cm.networks.fleet.store import (
@@ -201,14 +200,14 @@ class Coordinator:
     async def _there(self) -> list[str]:
         """Have the boards prepare, and go there; those that did."""
         asked = [name for name in self.members if name not in self.away]
-        answers = await self._leg("prepare", asked, FleetStep(self.change, self.config, self.mode, self._generation))
+        answers = await self._step("prepare", asked, FleetStep(self.change, self.config, self.mode, self._generation))
         ready = [name for name, state in answers.items() if state.state == "prepared"]
         self._goals = {name: (answers[name].config_name, answers[name].mode) for name in ready}
         self._goals |= {name: self._unasked(name) for name in self.members if name not in ready}
         if not ready or not self._enough(ready):
             return []
         self.course.touched = True
-        answers = await self._leg("apply", ready, FleetStep(self.change, generation=self._generation))
+        answers = await self._step("apply", ready, FleetStep(self.change, generation=self._generation))
         return [name for name, state in answers.items() if state.state == "changed"]
 
     def _unasked(self, name: str) -> tuple[str, str]:
@@ -226,32 +225,29 @@ class Coordinator:
     def _generation(self) -> int:
         return self.course.generation
 
-    async def _leg(self, phase: str, boards: Iterable[str], step: FleetStep) -> dict[str, FleetState]:
-        """Ask all at once; the states of those that answered with one."""
+    async def _leg(self, phase: str, boards: Iterable[str], step: FleetStep) -> dict[str, FleetState | ErrorInfo]:
+        """Ask all at once."""
         begun, last = self.clock(), Leg(phase, 0.0)
-        found: dict[str, FleetState] = {}
+        found: dict[str, FleetState | ErrorInfo] = {}
 
         async def one(board: str) -> None:
             nonlocal last
-            answer = await self.ask(board, phase, step)
+            answer = found[board] = await self.ask(board, phase, step)
             last = Leg(phase, 0.0, board, self.clock() - begun)
             self.tell(phase, board, answer)
-            if isinstance(answer, FleetState):
-                found[board] = answer
-            self._note(phase, board, answer)
 
         await asyncio.gather(*map(one, boards))
-        self.course.legs.append(Leg(phase, self.clock() - begun, last.slowest, last.slowest_seconds))
+        self.course.legs.append(replace(last, seconds=self.clock() - begun))
         return found
 
-    def _note(self, phase: str, board: str, answer: FleetState | ErrorInfo) -> None:
-        course, error = self.course, answer if isinstance(answer, ErrorInfo) else answer.error
-        if phase == "reconcile":
-            return
-        if isinstance(answer, FleetState):
-            course.figures[board] = answer
-        if error is not None:
-            course.causes[board] = error
+    async def _step(self, phase: str, boards: Iterable[str], step: FleetStep) -> dict[str, FleetState]:
+        """A leg before the decision: the states of the boards that answered with one; what went wrong is a cause."""
+        answers = await self._leg(phase, boards, step)
+        errors = {n: answer if isinstance(answer, ErrorInfo) else answer.error for n, answer in answers.items()}
+        self.course.causes |= {name: error for name, error in errors.items() if error is not None}
+        states = {name: answer for name, answer in answers.items() if isinstance(answer, FleetState)}
+        self.course.figures |= states
+        return states
 
     # ---- the decision -------------------------------------------------------------------------
 
@@ -302,15 +298,6 @@ class Coordinator:
 
     async def _reconcile(self) -> None:
         """Have all boards that can be asked look at what is wanted of them now."""
-        asked = [n for n in self.members if n not in self.away]
-        answers: dict[str, Any] = {}
-        tell = self.tell
-
-        def kept(phase: str, board: str, answer: FleetState | ErrorInfo) -> None:
-            answers[board] = answer
-            tell(phase, board, answer)
-
-        self.tell = kept
-        states = await self._leg("reconcile", asked, FleetStep(self.change))
-        self.course.states = states
-        self.course.silent |= {n: a for n, a in answers.items() if isinstance(a, ErrorInfo)}
+        answers = await self._leg("reconcile", [n for n in self.members if n not in self.away], FleetStep(self.change))
+        self.course.states = {name: answer for name, answer in answers.items() if isinstance(answer, FleetState)}
+        self.course.silent |= {name: answer for name, answer in answers.items() if isinstance(answer, ErrorInfo)}
