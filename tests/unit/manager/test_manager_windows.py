@@ -100,6 +100,25 @@ def test_a_change_takes_windows_back_before_it_cuts_the_region_off(made: Rig) ->
     assert told == [(1, "camera", "default")]
 
 
+def test_what_a_window_wrote_is_there_after_a_failed_change_however_busy_the_machine_is(
+    made: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cm.manager.access.windows._READING", -1.0)
+    threshold = next(r for r in lend(made).place.registers if r.name == "threshold")
+    window = made.devices.window(threshold.address, threshold.width)
+    window.device.write(window.offset, 99, threshold.width, window.map)
+    loads: list[str] = []
+
+    def watch(name: str) -> None:
+        loads.extend([name] if name == "icap.load" else [])
+        _fail(name == "icap.load" and len(loads) == 1)
+
+    made.fault.watch = watch
+    assert made.go("default") is not None
+    assert len(loads) > 1  # the way back
+    assert made.manager.registers.read(("threshold",)).values[0].value == 99
+
+
 def test_a_change_ends_where_windows_cannot_be_taken_back(made: Rig) -> None:
     """They are lent still, and the next change takes them."""
     told: list[tuple[int, str, str]] = []
