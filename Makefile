@@ -84,7 +84,8 @@ demo-open: $(VENV)/.installed-build ## Verilog to partial bitstreams without a v
 	@$(BIN)/python examples/open_camera.py $(OUT)/open_camera/build.yaml
 
 # The slow files first, so that no worker is left with one at the end.
-RUN_TESTS = $(PYTEST) $(if $(STRICT),--no-skips) -n $(JOBS) --dist loadfile --no-loadscope-reorder
+SHARE := loadfile --no-loadscope-reorder
+RUN_TESTS = $(PYTEST) $(if $(STRICT),--no-skips) -n $(JOBS) --dist $(SHARE)
 test: $(VENV)/.installed-test test-c ## all tests that need no board and no further tools (SANITIZE=1: the C tests with sanitizers)
 	$(RUN_TESTS) $(SUITES) --board=sim --suite=plain $(PYTEST_ARGS)
 	@echo "What needs further tools: $(FURTHER:%=make test-%), make test-rtl test-open test-node test-go test-bench test-vm"
@@ -95,6 +96,7 @@ test-web: ### those of the page (apt: chromium)
 test-programs: ### those of C clients, shells, terminals, notebooks and type checkers (apt: the lines of .ci/run; some as root)
 test-release: ### those of packages, wheels and the layer
 test-soak: ### loads and attacks, in short (make soak: in long)
+test-soak strangers: SHARE := load --maxschedchunk=1  # few tests, each long and with a manager of its own
 test-programs: $(LINT_STAMP)
 $(FURTHER:%=test-%): test-%: $(VENV)/.installed-test-%
 	$(RUN_TESTS) $(SUITES) --board=sim --suite=$* $(PYTEST_ARGS)
