@@ -58,7 +58,6 @@ def add_fleet_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser
     parser.add_argument(
         "--keeper", action="store_true", help="keep the fleet's wanted state here; on one board, and without etcd"
     )
-    parser.add_argument("--site", default="", help="the site whose cache it fetches bundles from")
     parser.add_argument(
         "--state-dir", type=Path, metavar="DIR", help="folder for what it has to remember (default: /var/lib/cm/fleet)"
     )
@@ -127,7 +126,6 @@ def _options(args: argparse.Namespace) -> Options:
         args.keys,
         _name(args.name, network.config),
         tuple(args.label),
-        keys.check(args.site, "site") if args.site else "",
         args.own_name,
         _importer(args.import_to, args.settings, args.after_import) if args.import_to else None,
         args.follow,

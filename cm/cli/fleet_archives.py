@@ -1,30 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm fleet push`` and ``cm fleet cache``: archives for many boards, sent once to each site."""
+"""``cm fleet push``: an archive for many boards."""
 
 from __future__ import annotations
 
 import argparse
-import signal
-import sys
-import threading
 from pathlib import Path
 
 from cm.cli.common import add_json_option, print_json, print_table
-from cm.cli.fleet_options import add_fleet_options, connected_fleet, network_of
+from cm.cli.fleet_options import add_fleet_options, connected_fleet
 
 
 def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the actions."""
+    """Add the action."""
     push = actions.add_parser("push", help="send an archive of `cm build collect` to boards, which import it")
     push.add_argument("archive", type=Path, metavar="FILE.tar.gz")
     add_fleet_options(push)
     add_json_option(push)
     push.set_defaults(run=run_push)
-    cache = actions.add_parser("cache", help="keep archives for the boards of a site, beside its router")
-    cache.add_argument("site", metavar="SITE")
-    cache.add_argument("--folder", type=Path, required=True, metavar="DIR", help="folder for the parts of archives")
-    add_fleet_options(cache, boards=False)
-    cache.set_defaults(run=run_cache)
 
 
 def run_push(args: argparse.Namespace) -> int:
@@ -53,26 +45,3 @@ def run_push(args: argparse.Namespace) -> int:
             )
     print_table(rows, ("BOARD", "BYTES", "SIGNED BY", "CONFIGURATION"))
     return int(failed)
-
-
-def run_cache(args: argparse.Namespace) -> int:
-    """Serve until interrupted; the exit status."""
-    from cm.networks.fleet import keys
-    from cm.networks.fleet.bundles import Cache
-    from cm.networks.fleet.network import awaited
-
-    over = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: over.set())
-    network = awaited(
-        network_of(args), over, lambda text: print(f"cm fleet cache: {text}", file=sys.stderr, flush=True)
-    )
-    if network is None:
-        return 0
-    with network:
-        cache = Cache(network, keys.check(args.site, "site"), args.folder)
-        print(f"cm fleet cache: ready for {args.site}", file=sys.stderr, flush=True)
-        over.wait()
-        cache.close()
-    print(f"cm fleet cache: {cache.fetched} bytes fetched, {cache.handed} handed out", file=sys.stderr)
-    return 0

@@ -32,11 +32,10 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     client = kinds.add_parser("client", help="make a file for a user of the fleet")
     client.add_argument("--role", default="observe", help="observe, operate or provision (observe)")
     client.add_argument("--boards", action="append", default=[], metavar="NAME", help="only these (default: all)")
-    cache = kinds.add_parser("cache", help="make a file for a site's cache of bundles; it has the site's name")
     remove = kinds.add_parser("remove", help="remove a member and its rights")
-    for parser in (board, client, cache, remove):
+    for parser in (board, client, remove):
         parser.add_argument("name", metavar="NAME")
-    for parser in (router, board, client, cache):
+    for parser in (router, board, client):
         parser.add_argument(
             "--days", type=int, default=825, metavar="N", help="days for which the certificate is valid (825)"
         )
@@ -100,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
         args.name, args.kind, args.role if client else "observe", boards, args.kind == "board" and args.keeper
     )
     path = keys.add(member, args.days)
-    option = "cm bridge fleet" if args.kind == "board" else "cm fleet cache" if args.kind == "cache" else "cm fleet …"
+    option = "cm bridge fleet" if args.kind == "board" else "cm fleet …"
     print(f"{path}: for `{option} --zenoh-config {path.name}`; whoever has this file is {args.name}")
     if client and args.role != "observe":
         print(f'cm.yaml of the boards: access.guests: {{"zenoh:{args.name}": {args.role}}}')

@@ -128,7 +128,7 @@ def decode_fetch(data: bytes) -> fl.FetchBundle:
     m = parsed(pb.FetchBundle, data)
     wanted = -(-m.length // m.part_length) if m.part_length else 0
     hashes = (m.sha256, *m.parts)
-    if not m.length or len(m.parts) != wanted or not all(map(is_sha256, hashes)):
+    if not m.length or len(m.parts) != wanted or not all(map(_is_sha256, hashes)):
         raise InvalidRequest(
             f"a bundle of {m.length} bytes in parts of {m.part_length} has {wanted} parts, each with its sha256 "
             f"(64 hexadecimal digits); {len(m.parts)} are named"
@@ -136,8 +136,7 @@ def decode_fetch(data: bytes) -> fl.FetchBundle:
     return _from_pb(fl.FetchBundle, m, parts=tuple(m.parts))
 
 
-def is_sha256(text: str) -> bool:
-    """Whether a text can be one: it becomes a file's name."""
+def _is_sha256(text: str) -> bool:
     return len(text) == 64 and set(text) <= set("0123456789abcdef")
 
 

@@ -9,9 +9,8 @@ from typing import Any
 
 import pytest
 from fleet_support import VISION, Router
-from manager_process import until
 
-from cm.networks.fleet.bundles import Cache, PartMissing, Parts, described, fetched, offered, part_key
+from cm.networks.fleet.bundles import PartMissing, Parts, described, fetched, offered
 from cm.networks.fleet.network import Network, session
 
 pytestmark = pytest.mark.networks
@@ -43,7 +42,7 @@ def test_parts_that_have_arrived_are_not_fetched_again(router: Router, packed: P
             for part in bundle.parts[:3]:  # as if it had been cut off there
                 parts.put(part, packed.read_bytes()[20_000 * bundle.parts.index(part) :][:20_000])
             (parts.folder / bundle.parts[1]).write_bytes(b"torn")
-            fetched(theirs, "", bundle, parts)
+            fetched(theirs, bundle, parts)
             assert sent() == bundle.length - 2 * 20_000
         parts.joined(bundle, tmp_path / "whole")
         assert (tmp_path / "whole").read_bytes() == packed.read_bytes()
@@ -56,23 +55,4 @@ def test_a_part_with_a_wrong_hash_is_not_accepted(router: Router, packed: Path, 
     parts = Parts(tmp_path / "parts")
     refused = pytest.raises(PartMissing, match=r"nobody offers part .* \(20000 bytes are here\)")
     with joined(router) as ours, joined(router) as theirs, offered(ours, changed, bundle), refused:
-        fetched(theirs, "", bundle, parts, patience=0.3)
-
-
-def test_a_sites_cache_gets_one_copy_for_all_its_boards(router: Router, packed: Path, tmp_path: Path) -> None:
-    bundle = described(packed, 20_000)
-    with joined(router) as ours, joined(router) as near, joined(router) as board, offered(ours, packed, bundle) as sent:
-        cache = Cache(near, "lab", tmp_path / "cache")
-        querier = board.declare_querier(part_key("lab", "*", "*"))
-        until(lambda: querier.matching_status.matching)  # a board that has not discovered it yet asks the sender
-        for number in range(3):
-            fetched(board, "lab", bundle, Parts(tmp_path / f"board{number}"))
-        cache.close()  # the last answer is counted after it has come
-        assert (sent(), cache.fetched, cache.handed) == (bundle.length, bundle.length, 3 * bundle.length)
-
-
-def test_without_a_cache_boards_of_a_site_ask_the_sender(router: Router, packed: Path, tmp_path: Path) -> None:
-    bundle = described(packed)
-    with joined(router) as ours, joined(router) as board, offered(ours, packed, bundle) as sent:
-        fetched(board, "lab", bundle, Parts(tmp_path / "board"))
-        assert sent() == bundle.length
+        fetched(theirs, bundle, parts, patience=0.3)

@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Archives in parts, each under its hash: offered by their sender, kept by a site's cache, fetched by boards."""
+"""Archives in parts, each under its hash: offered by their sender, fetched by boards."""
 
 from __future__ import annotations
 
 import hashlib
 import os
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,15 +15,12 @@ from typing import Any
 
 from cm.errors import CmError, NotFound
 from cm.networks.fleet import keys
-from cm.wire.fleet import is_sha256
 from cm.wire.messages.fleet import FetchBundle
 
 PART = 1 << 20  # bytes
 _TIMEOUT = 20.0  # seconds for a part
 PATIENCE = 10.0  # seconds until all routers know a sender
 _BETWEEN_TRIES = 0.1  # seconds
-_ORIGIN = "origin"
-_AT_ONCE = 8  # parts that a cache fetches or hands out at once
 
 
 class PartMissing(CmError):
@@ -47,9 +42,9 @@ def described(archive: Path, part_length: int = PART) -> FetchBundle:
     return FetchBundle(whole.hexdigest(), length, tuple(parts), part_length, archive.name)
 
 
-def part_key(place: str, sha256: str, part: str) -> str:
-    """`place`: "origin", or a site. Parts are named by their own hash, so that anyone may serve them."""
-    return f"{keys.BUNDLES}/{place}/{sha256}/{part}"
+def part_key(sha256: str, part: str) -> str:
+    """Parts are named by their own hash, so that anyone may serve them."""
+    return f"{keys.BUNDLES}/origin/{sha256}/{part}"
 
 
 @contextmanager
@@ -68,65 +63,11 @@ def offered(session: Any, archive: Path, bundle: FetchBundle) -> Iterator[Callab
                 sent[0] += len(data)
                 query.reply(str(query.key_expr), data)
 
-    queryable = session.declare_queryable(part_key(_ORIGIN, bundle.sha256, "*"), answer, complete=True)
+    queryable = session.declare_queryable(part_key(bundle.sha256, "*"), answer, complete=True)
     try:
         yield lambda: sent[0]
     finally:
         queryable.undeclare()
-
-
-class Cache:
-    """A site's copy of archives: each part is fetched once, however many of its boards ask.
-
-    `fetched` and `handed` count bytes.
-    """
-
-    def __init__(self, session: Any, site: str, folder: Path) -> None:
-        self._session = session
-        self._folder = folder
-        self._threads = ThreadPoolExecutor(_AT_ONCE, "cm-cache")
-        self._locks: dict[str, threading.Lock] = {}
-        self._guard = threading.Lock()
-        self.fetched = 0
-        self.handed = 0
-        self._queryable = session.declare_queryable(part_key(site, "*", "*"), self._came, complete=True)
-
-    def close(self) -> None:
-        """Hand out nothing more."""
-        self._queryable.undeclare()
-        self._threads.shutdown(cancel_futures=True)
-
-    def _came(self, query: Any) -> None:
-        """In zenoh's thread, which must not wait for another query."""
-        self._threads.submit(self._answer, query)
-
-    def _answer(self, query: Any) -> None:
-        with query:
-            sha256, part = str(query.key_expr).split("/")[-2:]
-            if not (is_sha256(sha256) and is_sha256(part)):
-                return
-            data = self._part(sha256, part)
-            if data is not None:
-                query.reply(str(query.key_expr), data)
-                with self._guard:
-                    self.handed += len(data)
-
-    def _part(self, sha256: str, part: str) -> bytes | None:
-        """A query for a part that is being fetched already waits for it."""
-        parts = Parts(self._folder / sha256)
-        with self._guard:
-            lock = self._locks.setdefault(part, threading.Lock())
-        with lock:
-            data = parts.get(part)
-            if data is None:
-                data = asked(self._session, part_key(_ORIGIN, sha256, part), part)
-                if data is not None:
-                    parts.put(part, data)
-                    with self._guard:
-                        self.fetched += len(data)
-        with self._guard:
-            self._locks.pop(part, None)
-        return data
 
 
 def asked(session: Any, key: str, sha256: str) -> bytes | None:
@@ -188,29 +129,20 @@ class Parts:
             raise PartMissing(f"{bundle.name}: its parts do not make the archive that was announced (sha256)")
 
 
-def fetched(session: Any, site: str, bundle: FetchBundle, parts: Parts, patience: float = PATIENCE) -> None:
-    """Get what is not there yet: from the site's cache if there is one, else from the sender.
+def fetched(session: Any, bundle: FetchBundle, parts: Parts, patience: float = PATIENCE) -> None:
+    """Get from the sender what is not there yet.
 
     The sender has only just begun, and routers learn of it one after the other: an unanswered query is repeated for
     `patience` seconds. Raises PartMissing; parts that have come are kept, and not fetched again.
     """
-    places = [site, _ORIGIN] if site else [_ORIGIN]
     for part in bundle.parts:
-        if parts.get(part) is not None:
-            continue
-        data = _from_one_of(session, [part_key(place, bundle.sha256, part) for place in places], part, patience)
-        if data is None:
-            raise PartMissing(f"{bundle.name}: nobody offers part {part[:12]} ({parts.have(bundle)} bytes are here)")
-        parts.put(part, data)
-
-
-def _from_one_of(session: Any, keys: list[str], part: str, patience: float) -> bytes | None:
-    end = time.monotonic() + patience
-    while True:
-        for key in keys:
-            data = asked(session, key, part)
+        end = time.monotonic() + patience
+        while parts.get(part) is None:
+            data = asked(session, part_key(bundle.sha256, part), part)
             if data is not None:
-                return data
-        if time.monotonic() >= end:
-            return None
-        time.sleep(_BETWEEN_TRIES)
+                parts.put(part, data)
+            elif time.monotonic() < end:
+                time.sleep(_BETWEEN_TRIES)
+            else:
+                here = parts.have(bundle)
+                raise PartMissing(f"{bundle.name}: nobody offers part {part[:12]} ({here} bytes are here)")

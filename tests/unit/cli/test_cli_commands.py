@@ -23,7 +23,7 @@ from cm.cli.parser import build_full_parser
 CODE = re.compile(r" \[[a-z_]+\]$")
 # What runs until it is ended, asks a person, or prints text that is its only purpose.
 WITHOUT_JSON = {
-    "serve", "sim", "view", "web", "demo", "completion", "help", "build configure", "fleet cache", "fleet router",
+    "serve", "sim", "view", "web", "demo", "completion", "help", "build configure", "fleet router",
     "fleet settle", "fleet keys", "bridge",
 }  # fmt: skip
 

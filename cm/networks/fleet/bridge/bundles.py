@@ -36,7 +36,6 @@ class Bundles:
 
     session: Any
     folder: Path
-    site: str
     take: Import | None
     relay: Relay
     managed: ManagedBoard
@@ -51,7 +50,7 @@ class Bundles:
         await self._may(caller)
         parts = Parts(self.folder / bundle.sha256)
         try:
-            await asyncio.to_thread(fetched, self.session, self.site, bundle, parts)
+            await asyncio.to_thread(fetched, self.session, bundle, parts)
             config, signer = await asyncio.to_thread(self._put_in_force, bundle, parts)
         except CmError as error:
             problem = ErrorInfo(error.code, str(error))

@@ -50,7 +50,6 @@ class Options:
     keys: Path | None = None
     name: str = ""  # of the board; empty: the manager's name for it
     labels: tuple[str, ...] = ()
-    site: str = ""  # the site whose cache it fetches bundles from
     own_name: bool = False  # make all requests in the bridge's own name
     take: Import | None = None  # puts an archive in force; None: none are taken
     follow: str = "fleet"  # or "local": told what is wanted, and staying where it is
@@ -114,7 +113,7 @@ class Bridge:
         store = opened_store(self.options.network, network, board)
         managed = ManagedBoard(relay, folder, self.options.own_name)
         self._board = Board(board, store, managed, NotesFile(folder), time.monotonic, self.options.follow)
-        bundles = Bundles(network, folder / "bundles", self.options.site, self.options.take, relay, managed)
+        bundles = Bundles(network, folder / "bundles", self.options.take, relay, managed)
         commands = Commands(relay, self._board, managed, bundles.fetch)
         self._wake = commands.wake
         reader = Reader(board, relay, lambda: self._status_now(relay))

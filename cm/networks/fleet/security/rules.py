@@ -24,9 +24,9 @@ ALL_BOARDS = ("*",)
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """The holder of a certificate: `kind` is board, client, cache or router.
+    """The holder of a certificate: `kind` is board, client or router.
 
-    `role` and `boards` are a client's; a cache has the name of its site.
+    `role` and `boards` are a client's.
     """
 
     name: str
@@ -51,7 +51,7 @@ def access_control(members: Iterable[Member]) -> dict[str, Any]:
     subjects: list[dict[str, Any]] = []
     policies: list[dict[str, Any]] = []
     for member in members:
-        if member.kind == "router":
+        if member.kind not in _RULES:  # the router; a cache, of which earlier versions had some
             continue
         made = _RULES[member.kind](member)
         for number, rule in enumerate(made):
@@ -137,14 +137,4 @@ def _client(member: Member) -> list[dict[str, Any]]:
     return found
 
 
-def _cache(member: Member) -> list[dict[str, Any]]:
-    own = f"{BUNDLES}/{member.name}/**"
-    return [
-        _rule("ingress", ("declare_queryable", "reply"), [own]),
-        _rule("ingress", ("query",), [f"{BUNDLES}/origin/**"]),
-        _rule("egress", ("query",), [f"{BUNDLES}/**"]),
-        _rule("egress", ("reply", "declare_queryable"), [f"{BUNDLES}/**"]),
-    ]
-
-
-_RULES = {"board": _board, "client": _client, "cache": _cache}
+_RULES = {"board": _board, "client": _client}
