@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm bitstream inspect|verify|convert``."""
+"""``cm bitstream inspect|verify|convert|relocate``."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+from cm.cli.bitstream_relocate import add_relocate
 from cm.cli.common import add_json_option, print_json, print_table
 from cm.errors import CmError, InvalidRequest, NotFound
 from cm.formats.bitstream import (
@@ -150,11 +151,12 @@ _FORMS = {form.value: form for form in (Container.BIT, Container.BIN_SWAPPED, Co
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command."""
-    parser = subparsers.add_parser("bitstream", help="inspect, verify and convert bitstreams")
+    parser = subparsers.add_parser("bitstream", help="inspect, verify, convert and move bitstreams")
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     _add_inspect(actions)
     add_verify(actions)
     _add_convert(actions)
+    add_relocate(actions)
 
 
 def _add_inspect(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

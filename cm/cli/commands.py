@@ -72,7 +72,7 @@ COMMANDS = (
         linux=True,
     ),
     Command("region", "cm.cli.region", "compare a region with what was loaded, repair it, draw it", "designs"),
-    Command("bitstream", "cm.cli.bitstream", "inspect, verify and convert bitstreams", "designs", linux=True),
+    Command("bitstream", "cm.cli.bitstream", "inspect, verify, convert and move bitstreams", "designs", linux=True),
     Command("build", "cm.cli.build", "make bitstreams, overlays and runtime schemas from HDL", "designs", linux=True),
     Command("web", "cm.cli.web", "serve a page that shows a board in a browser", "networks"),
     Command("fleet", "cm.cli.fleet", "watch many boards, and change them together", "networks"),

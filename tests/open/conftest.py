@@ -70,6 +70,12 @@ def open_pair(tools: Tools) -> Path:
     return _finished(HERE / "pair")
 
 
+@pytest.fixture(scope="session")
+def open_moved(tools: Tools) -> Path:
+    """The same of moved/: two regions of one shape."""
+    return _finished(HERE / "moved")
+
+
 def _finished(source: Path) -> Path:
     """A project built with the open tools. It is kept in the user's cache, and only what changed is run again."""
     place = default_folder().parent / "open-flow"

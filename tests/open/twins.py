@@ -100,11 +100,14 @@ class Built:
 
     def twin(self, name: str, *others: str) -> Twin:
         """A module as its bitstream leaves it on the device, after the full one and those of other modules."""
-        for stream in (*self._whole, *(self._partial[one] for one in (*others, name))):
+        return self.twin_in(self.regions[name], name, *(self._partial[one] for one in (*others, name)))
+
+    def twin_in(self, region: str, name: str, *streams: bytes) -> Twin:
+        """A module as these bitstreams leave it in a region, after the full one."""
+        for stream in (*self._whole, *streams):
             self._memory.load(stream)
-        region = self.regions[name]
         place = self._places[region]
-        sources = self.design.modules[region, name].sources
+        sources = self.design.modules[self.regions[name], name].sources
         features = decode(self._database, self._memory.frames).features
         netlist = extract(self._database, self._wires, features, place.boundary)
         return Twin(name, netlist, place, tuple(map(Path, sources)), self._tied(features, place))

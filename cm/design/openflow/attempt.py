@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from cm.design.errors import BuildError
-from cm.design.openflow.job import Job, labels, module_job, pins_xdc, static_job, with_cells
+from cm.design.openflow.job import Job, elsewhere, labels, module_job, pins_xdc, static_job, with_cells, without
 from cm.design.openflow.layout import Layout
 from cm.design.openflow.merge import CLOCK, Side, left_out, module_features, static_features, strays
 from cm.design.openflow.place import SCRIPTS, Files, cells_of, place_and_route, read_side, slacks, timing
@@ -84,8 +84,20 @@ class Attempt:
         _complete("the static part", left_out(one.database, static, features, one.database.tiles))
         with ThreadPoolExecutor(self._settings.jobs) as pool:
             every = one.system.implementations
-            runs = {each.name: pool.submit(self._module, each, jobs[each.region.name], features) for each in every}
+            moved = {each.name: self._taken_elsewhere(each, static) for each in every if each.module.relocatable}
+            runs = {
+                each.name: pool.submit(
+                    self._module, each, without(jobs[each.region.name], moved.get(each.name, set())), features
+                )
+                for each in every
+            }
         return features, {name: run.result() for name, run in _hopeless_first(runs)}
+
+    def _taken_elsewhere(self, each: Implementation, static: Side) -> set[str]:
+        one = self._context
+        own = one.layouts[each.region.name]
+        others = [layout for layout in one.layouts.values() if layout is not own]
+        return elsewhere(one.database, one.wires, own, others, static.routed)
 
     def _files(self, name: str) -> Files:
         source = self._context.netlists / f"{name}.json"

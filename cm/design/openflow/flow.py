@@ -15,7 +15,6 @@ from cm.design.generate.netlist import Netlist
 from cm.design.openflow import images
 from cm.design.openflow.attempt import Attempt, Context, Settings, Unroutable
 from cm.design.openflow.layout import layouts
-from cm.design.openflow.merge import two_drivers
 from cm.design.openflow.netlists import MODULE_TOP, TOP, module_side, open_system, open_top, static_side
 from cm.design.openflow.rules import refuse_open
 from cm.design.openflow.steps import Steps, Tell, key_of, write_whole
@@ -23,7 +22,7 @@ from cm.design.openflow.synth import ROUTER, Sources, resolved, script, synthesi
 from cm.design.openflow.tools import Tools
 from cm.design.plan.system import Implementation, System
 from cm.design.render import Renderer
-from cm.formats.xray import Database, Feature, Wires
+from cm.formats.xray import Database, Feature, Wires, two_drivers
 
 Features = frozenset[Feature]
 OWN_RTL = tuple(sorted((Path(__file__).parent / "rtl").glob("*.v")))
@@ -129,6 +128,7 @@ class OpenFlow:
     def _bitstreams(self, static: frozenset[Feature], modules: dict[str, frozenset[Feature]]) -> None:
         system, name = self.system, self.system.full
         outputs = {one: self.out / f"bitstreams/{one}.bit" for one in (name, *modules)}
+        outputs["blank"] = self.folder / "blank.bit"
         found = {one: sorted(features) for one, features in modules.items()}
         key = key_of(sorted(static), found, Path(images.__file__))
         self.steps.step("bitstreams", "frames and bitstreams", key, list(outputs.values()),
@@ -141,6 +141,7 @@ class OpenFlow:
         device, part, name = self.system.device, self.system.project.part, self.system.full
         base = images.frames_of(self.database, static | self.database.required, "the static part")
         number = images.user_id(base)
+        write_whole(outputs["blank"], images.full_image(device, part, "blank", base, number))
         first = self.system.runs[0]
         whole = static | self.database.required | {f for one in first.values() for f in modules[one]}
         for one in self.system.implementations:

@@ -49,6 +49,11 @@ def with_cells(job: Job, cells: Mapping[str, Cell], database: Database, what: st
     return {**job, "areas": {**job["areas"], **kept.areas}, "own_areas": kept.cells}
 
 
+def without(job: Job, wires: set[str]) -> Job:
+    """A job that must leave further wires alone."""
+    return {**job, "blocked": sorted({*job["blocked"], *wires})} if wires else job
+
+
 def fence(database: Database, wires: Wires, layout: Layout) -> set[str]:
     """Wires that begin in a region and can be tapped outside it; blocking them confines routes to the region."""
     found = set()
@@ -81,6 +86,31 @@ def passing(database: Database, wires: Wires, layout: Layout, static: Routed) ->
         if any(there in layout.tiles for there, _ in wires.node(tile, name)):
             found.add(wire)
     return found
+
+
+def elsewhere(database: Database, wires: Wires, layout: Layout, others: Iterable[Layout], static: Routed) -> set[str]:
+    """Wires that the static part takes in other regions of the same shape, as they are called in this one."""
+    found = set()
+    for other in others:
+        if _shape(other) != _shape(layout):
+            continue
+        (left, top), (x, y) = _corner(other), _corner(layout)
+        for wire in passing(database, wires, other, static):
+            place, _, name = wire.partition("/")
+            across, down = map(int, place[1:].split("Y"))
+            one, its = (database.tile_at.get(at) for at in ((across, down), (across - left + x, down - top + y)))
+            if one and its and one.kind == its.kind:
+                found.add(f"{_at(its)}/{name}")
+    return found
+
+
+def _corner(layout: Layout) -> tuple[int, int]:
+    return min(tile.x for tile in layout.tiles.values()), min(tile.y for tile in layout.tiles.values())
+
+
+def _shape(layout: Layout) -> set[tuple[str, int, int]]:
+    x, y = _corner(layout)
+    return {(tile.kind, tile.x - x, tile.y - y) for tile in layout.tiles.values()}
 
 
 def other_lanes(database: Database, wires: Wires, layout: Layout, static: Iterable[Feature]) -> set[str]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from cm.design.openflow.layout import Anchor, Layout, site_kind
 from cm.design.openflow.routed import PASSED, Routed, feature_of, tile_of
-from cm.formats.xray import Database, Feature, Wires
+from cm.formats.xray import Database, Feature
 
 CLOCK = "cm_clock_buffer"
 _PASSING = ("INT_", "HCLK_")
@@ -85,22 +85,6 @@ def left_out(database: Database, side: Side, features: frozenset[Feature], tiles
         one for one in kept - features if one.tile in tiles and one in side.features and _has_bits(database, one)
     )
     return [f"{one} is needed, and is left out of the bitstream" for one in missing]
-
-
-def two_drivers(database: Database, features: Iterable[Feature]) -> list[str]:
-    """Sentences about wires that are driven by two pips."""
-    wires = Wires(database)
-    drivers: dict[tuple[str, str], Feature] = {}
-    found = []
-    for feature in sorted(features):
-        if not feature.tile.startswith("INT_"):
-            continue
-        wire = feature.name.partition(".")[0]
-        node = min(wires.node(feature.tile, wire))
-        other = drivers.setdefault(node, feature)
-        if other != feature:
-            found.append(f"{feature.tile}.{wire} has two drivers: {other} and {feature}")
-    return found
 
 
 def _has_bits(database: Database, feature: Feature) -> bool:

@@ -360,6 +360,7 @@ class _Builder:
             resets={key: (one.get("clock"), one.get("polarity")) for key, one in (spec.get("resets") or {}).items()},
             streams=tuple(spec["streams"]) if "streams" in spec else None,
             resources=Resources(**spec.get("resources") or {}),
+            relocatable=spec.get("relocatable", False),
             doc=spec.get("doc", ""),
             **many,
         )

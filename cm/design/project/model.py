@@ -171,6 +171,7 @@ class ModuleSpec:
         None  # which of those with valid, data and acknowledge are streams; None: not said
     )
     resources: Resources = Resources()
+    relocatable: bool = False  # routed so that it can be moved to the other regions of its region's shape
     doc: str = ""
 
     @property

@@ -54,6 +54,12 @@ class FramesIncomplete(BitstreamError):
     code = "frames_incomplete"
 
 
+class CannotRelocate(BitstreamError):
+    """The other region is not the same in columns or static part; the sentence names the first difference."""
+
+    code = "cannot_relocate"
+
+
 class UnknownDevice(BitstreamError):
     """No IDCODE, or one of a device whose frames are not known."""
 

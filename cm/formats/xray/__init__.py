@@ -32,3 +32,4 @@ from cm.formats.xray.volatile import volatile_bits as volatile_bits
 from cm.formats.xray.wires import Pip as Pip
 from cm.formats.xray.wires import SitePins as SitePins
 from cm.formats.xray.wires import Wires as Wires
+from cm.formats.xray.wires import two_drivers as two_drivers

@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from typing import NamedTuple
 
 from cm.formats.xray.database import Database
+from cm.formats.xray.features import Feature
 from cm.formats.xray.tiles import Tile
 from cm.frozen import dataclass
 
@@ -123,3 +124,19 @@ class Wires:
                     beside = joints.setdefault((here, wire), {}).setdefault(delta, {})
                     beside.setdefault(kind, []).append(other)
         return joints
+
+
+def two_drivers(database: Database, features: Iterable[Feature]) -> list[str]:
+    """Sentences about wires that are driven by two pips."""
+    wires = Wires(database)
+    drivers: dict[tuple[str, str], Feature] = {}
+    found = []
+    for feature in sorted(features):
+        if not feature.tile.startswith("INT_"):
+            continue
+        wire = feature.name.partition(".")[0]
+        node = min(wires.node(feature.tile, wire))
+        other = drivers.setdefault(node, feature)
+        if other != feature:
+            found.append(f"{feature.tile}.{wire} has two drivers: {other} and {feature}")
+    return found

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bitstreams: inspected, or refused with a BitstreamError; what can be converted comes back byte for byte.
 
-The simulated port takes them in any pieces.
+One that is good can be moved, and back. The simulated port takes them in any pieces.
 """
 
 from __future__ import annotations
@@ -17,12 +17,15 @@ from cm.formats.bitstream import (
     inspect,
     open_image,
 )
+from cm.formats.bitstream.memory import frames_in
+from cm.formats.bitstream.relocate import readdressed
 from cm.simulation.software.hardware.configuration_port import ConfigPort
 
 PACKAGES = ("cm.formats.bitstream", "cm.simulation.software.hardware")
 MAX_LENGTH = 8192
 
 _DEVICE = device_by_name("xc7z020")
+_HALF = 1 << 22  # of a frame address: a column of the other half
 
 
 def seeds() -> list[bytes]:
@@ -47,3 +50,10 @@ def one(data: bytes) -> None:
         return
     if image.container is Container.BIT:
         assert convert(other, Container.BIT, image.header) == data
+    try:
+        columns = {address & ~0x7F for address in frames_in(data)[1]}
+        moves = {column: column ^ _HALF for column in columns}
+        there = readdressed(data, moves)
+    except BitstreamError:
+        return
+    assert readdressed(there, {there: here for here, there in moves.items()}) == data
