@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cm.cli.common import add_json_option, completes, print_json, print_table
+from cm.cli.common import add_connection_options, add_json_option, completes, print_json, print_table
 from cm.cli.connection import plain
 from cm.errors import InvalidRequest, NotFound
 from cm.frozen import dataclass
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from cm.formats.bitstream.drawing import Wrong
     from cm.formats.bitstream.fabric import FabricColumn
     from cm.schema.model import Config, Module
+    from cm.wire.messages.status import RegionMap
 
 
 def add_map(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -26,77 +27,101 @@ def add_map(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> Non
     parser = actions.add_parser(
         "map",
         help="draw a region's frames: its columns, and what is configured where",
-        description="Draw the frames of a region of a 7-series device: its columns, and how much of them a module "
+        description="Draw the frames of a region of a 7-series device: its columns, and how much of them its module "
         "configures. Kinds of columns and names of tiles are those of Project X-Ray's database, where it is "
         "installed (cm build tools --fetch).",
     )
     completes(parser.add_argument("name", metavar="NAME", help="the region"), "<region>")
-    parser.add_argument("--config", type=Path, metavar="SCHEMA", required=True, help="the runtime schema that has it")
-    parser.add_argument("--module", metavar="NAME", help="what is in it (default: the module of the first mode)")
-    parser.add_argument("--check", type=Path, metavar="FILE", help="what `cm region check --json` said: shown red")
+    parser.add_argument(
+        "--check",
+        nargs="?",
+        const=Path("-"),
+        type=Path,
+        metavar="FILE",
+        help="compare the region first, and show what is wrong red; FILE: what `cm region check --json` said",
+    )
     parser.add_argument("--svg", type=Path, metavar="FILE", help="write the picture there (- for stdout)")
+    parser.add_argument("--config", type=Path, metavar="SCHEMA", help="ask no manager: the runtime schema that has it")
+    parser.add_argument(
+        "--module", metavar="NAME", help="with --config: what is in it (default: that of the first mode)"
+    )
+    add_connection_options(parser)
     add_json_option(parser)
     parser.set_defaults(run=run_map)
 
 
 def run_map(args: argparse.Namespace) -> int:
     """Print the columns, and write the picture; the exit status."""
-    from cm.formats.bitstream.fabric import fabric  # a completed name needs none of this
-    from cm.formats.bitstream.memory import frames_in
-    from cm.schema import load
-    from cm.schema.files import bitstream_path
-
-    config = load(args.config)
-    module = _module(config, args.name, args.module)
-    device, frames = frames_in(bitstream_path(config, module))
-    database = _database(device.name)
-    title = f"Region {args.name} of {config.name}: {module.name}"
-    found = _Map(title, device.name, fabric(frames, database), _wrong(args.check), database is not None)
+    if args.module and not args.config:
+        raise InvalidRequest("--module goes with --config: a manager knows what is in the region")
+    found = _of_files(args) if args.config else _of_manager(args)
     if args.svg:
         _write(args.svg, found.picture())
     if args.json:
-        print_json({"region": args.name, "module": module.name, **found.plain()})
+        print_json(found.plain())
     elif args.svg != Path("-"):
         found.show()
     return 0
 
 
+def _of_files(args: argparse.Namespace) -> _Map:
+    from cm.formats.bitstream.fabric import fabric  # a completed name needs none of this
+    from cm.formats.bitstream.memory import frames_in
+    from cm.schema import load
+    from cm.schema.files import bitstream_path
+    from cm.wire.messages.status import RegionMap
+
+    if args.check == Path("-"):
+        raise InvalidRequest("--config asks no manager: --check needs the FILE that cm region check --json wrote")
+    config = load(args.config)
+    module = _module(config, args.name, args.module)
+    device, frames = frames_in(bitstream_path(config, module))
+    found = RegionMap(args.name, module.name, device.name, config.name)
+    return _map(found, fabric(frames), _said(args.check))
+
+
+def _of_manager(args: argparse.Namespace) -> _Map:
+    from cm.cli.connection import connected
+    from cm.formats.bitstream.drawing import columns_of, wrong_words
+
+    with connected(args) as board:
+        found = board.map_region(args.name)
+        wrong = board.check_region(args.name).wrong if args.check == Path("-") else None
+    red = _said(args.check) if wrong is None else wrong_words((one.far, one.bits) for one in wrong)
+    return _map(found, columns_of(found), red)
+
+
+def _map(found: RegionMap, columns: Sequence[FabricColumn], wrong: Wrong) -> _Map:
+    from cm.formats.bitstream.drawing import with_names
+
+    known = with_names(found.device, columns)
+    return _Map(found, known or columns, wrong, known is not None)
+
+
 @dataclass(frozen=True, slots=True)
 class _Map:
-    title: str
-    device: str
+    of: RegionMap
     columns: Sequence[FabricColumn]
     wrong: Wrong
     named: bool
 
-    @property
-    def summary(self) -> str:
-        bits = [sum(column.bits) for column in self.columns]
-        frames = sum(len(column.bits) for column in self.columns)
-        bad = f"{len(self.wrong)} of them wrong" if self.wrong else "none known to be wrong"
-        return f"{self.device}, {frames} frames with {sum(bits)} bits set, {bad}"
-
-    @property
-    def remark(self) -> str:
-        from cm.formats.bitstream.drawing import WITHOUT_DATABASE
-
-        return "" if self.named else WITHOUT_DATABASE
-
     def picture(self) -> str:
-        from cm.formats.bitstream.drawing import svg
+        from cm.formats.bitstream.drawing import region_picture
 
-        return svg(self.columns, self.title, self.wrong, self.remark, [self.summary])
+        return region_picture(self.of, self.columns, self.wrong, self.named)
 
     def plain(self) -> dict[str, Any]:
         columns = [plain(column) for column in self.columns]
-        return {"device": self.device, "columns": columns, "wrong": sorted(self.wrong), "remark": self.remark}
+        return {**plain(self.of), "columns": columns, "wrong": sorted(self.wrong), "named": self.named}
 
     def show(self) -> None:
-        print(f"{self.title}; {self.summary}")
+        from cm.formats.bitstream.drawing import WITHOUT_DATABASE, summary, title
+
+        print(f"{title(self.of)}; {summary(self.of, self.columns, self.wrong)}")
         rows = [(f"{c.address:08X}", c.kind, len(c.bits), sum(c.bits), _bad(c, self.wrong)) for c in self.columns]
         print_table(rows, ("COLUMN", "KIND", "FRAMES", "BITS", "WRONG"))
-        if self.remark:
-            print(self.remark)
+        if not self.named:
+            print(WITHOUT_DATABASE)
 
 
 def _module(config: Config, region: str, name: str | None) -> Module:
@@ -113,22 +138,15 @@ def _module(config: Config, region: str, name: str | None) -> Module:
     return own[name]
 
 
-def _database(device: str) -> Any:
-    from cm.formats.xray import Database, DatabaseMissing
-
-    try:
-        return Database.open(device)
-    except DatabaseMissing:
-        return None
-
-
-def _wrong(path: Path | None) -> Wrong:
+def _said(path: Path | None) -> Wrong:
     """Frames that a check has found wrong, with their words."""
+    from cm.formats.bitstream.drawing import wrong_words
+
     if path is None:
         return {}
     try:
         said = json.loads(path.read_text("utf-8"))
-        return {int(str(frame["address"]), 0): tuple(map(int, frame["words"])) for frame in said["frames"]}
+        return wrong_words((int(frame["far"]), map(int, frame["bits"])) for frame in said["wrong"])
     except (ValueError, KeyError, TypeError) as error:
         raise InvalidRequest(f"{path} is not what cm region check --json writes: {error!r}") from error
 

@@ -43,6 +43,7 @@ from cm.wire.messages.status import (
     LeaseInfo,
     PlanInfo,
     RegionCheck,
+    RegionMap,
     Status,
     StreamStatus,
 )
@@ -275,6 +276,13 @@ class Board(Guarded):
         """
         limit = at_least(self.timeout, 60.0) if timeout is DEFAULT else timeout
         return self.ask(calls.check_region(name, repair, reload, lease), timeout=limit)
+
+    def map_region(self, name: str) -> RegionMap:
+        """What was loaded into a region of a 7-series device: set bits by frame and by row of tiles (`cm region map`).
+
+        Raises RequestFailed with the code unknown_device where the device's columns are not known.
+        """
+        return self.ask(calls.map_region(name), timeout=at_least(self.timeout, 30.0))
 
     def provision(self, schema: str | os.PathLike[str], *files: str | os.PathLike[str], lease: str = "") -> ConfigInfo:
         """Send a schema file with the bitstreams and overlays that belong to it; it can then be loaded."""

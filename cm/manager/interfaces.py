@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 from cm.frozen import dataclass
 from cm.schema.model import Config, Module, Overlay
-from cm.wire.messages.status import RegValues
+from cm.wire.messages.status import RegionColumn, RegValues
 
 
 class AddressRange(Protocol):
@@ -425,6 +425,12 @@ class Files(Protocol):
         """What the image leaves in the device, and how much of it can be compared with what is read back.
 
         Raises Sha256Mismatch where the file is another one now.
+        """
+
+    def columns(self, image: Image) -> tuple[str, list[RegionColumn]]:
+        """The image's device, and the bits that it sets in each column of frames.
+
+        Raises Sha256Mismatch, and UnknownDevice where the device's columns are not known.
         """
 
     def firmware_name(self, image: Image) -> str:

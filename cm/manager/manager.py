@@ -18,7 +18,7 @@ from cm.manager.access.memory_service import MemoryService
 from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_service import RegisterService
 from cm.manager.errors import ChangeBusy, NothingLoaded, UnknownRegion
-from cm.manager.execution.scan import Checked, Outcome, Pace, Scan, checked_region
+from cm.manager.execution.scan import Checked, Outcome, Pace, Scan, checked_region, loaded_map
 from cm.manager.execution.transaction import Tools, plan_to
 from cm.manager.execution.worker import Change, Worker
 from cm.manager.interfaces import DataPlane, Devices, Files, Observer, RegisterTable, TimeSource
@@ -30,7 +30,16 @@ from cm.manager.state.board_state import BoardState, slept
 from cm.manager.state.record import Journal, ManagerState, Pending
 from cm.schema.model import Config
 from cm.wire.messages.requests import ChangeMode, CheckRegion, RegWrite
-from cm.wire.messages.status import ConfigInfo, ErrorInfo, PlanInfo, RegionCheck, RegValues, Status, WindowStatus
+from cm.wire.messages.status import (
+    ConfigInfo,
+    ErrorInfo,
+    PlanInfo,
+    RegionCheck,
+    RegionMap,
+    RegValues,
+    Status,
+    WindowStatus,
+)
 
 if TYPE_CHECKING:
     from cm.manager.access.windows import Windows
@@ -285,6 +294,13 @@ class Manager:
         Raises NotFound, RegionBusy, NoReadback, and what is wrong with the file.
         """
         return checked_region(name, self._state, self._env.devices, self._env.files)
+
+    def region_map(self, name: str) -> RegionMap:
+        """What was loaded into a region, counted; reads its bitstream. Any thread.
+
+        Raises NotFound, RegionBusy where nothing is known of what it holds, and what is wrong with the file.
+        """
+        return loaded_map(name, self._state, self._env.files)
 
     def check(
         self, what: Checked, on_done: Callable[[RegionCheck | Exception], None], pace: Pace | None = None

@@ -44,6 +44,7 @@ from cm.manager.interfaces import Image, LoadedFrames
 from cm.schema.files import bitstream_path, find_file, overlay_path
 from cm.schema.model import Config, FrameRange, Module, Overlay, Region
 from cm.server.folders import own_folder
+from cm.wire.messages.status import RegionColumn
 
 MAX_BYTES = 512 << 20  # more than the largest device of the supported families needs
 
@@ -665,6 +666,14 @@ class BoardFiles:
     def port_bytes(self, image: Image) -> bytes:
         """Words in the order a DMA-fed port takes them. Raises Sha256Mismatch if the file changed since."""
         return to_dma_words(self._reader.read(image))
+
+    def columns(self, image: Image) -> tuple[str, list[RegionColumn]]:
+        """For whoever wants to see them: no start waits for these modules."""
+        from cm.formats.bitstream.fabric import fabric
+        from cm.formats.bitstream.memory import frames_in
+
+        device, frames = frames_in(self._reader.read(image))
+        return device.name, [RegionColumn(c.address, c.bits, c.switches, c.logic, c.clock) for c in fabric(frames)]
 
     def loaded_frames(self, image: Image) -> LoadedFrames:
         """What an image leaves in the device. Those of the last few are kept: scrubbing asks again and again."""

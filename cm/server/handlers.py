@@ -343,7 +343,17 @@ CHANGES_EACH = QUEUE_LENGTH - 1  # of one client, beside the one that runs: the 
 
 _LEASES = (rq.TakeLease, rq.RenewLease, rq.ReleaseLease, rq.BreakLease)
 _OF_CLIENTS = frozenset(
-    {rq.ReadReg, rq.WriteReg, rq.ReadData, rq.WriteData, rq.Upload, rq.PlanChange, rq.ReadConfig, *_LEASES}
+    {
+        rq.ReadReg,
+        rq.WriteReg,
+        rq.ReadData,
+        rq.WriteData,
+        rq.Upload,
+        rq.PlanChange,
+        rq.MapRegion,
+        rq.ReadConfig,
+        *_LEASES,
+    }
 )  # done by turns
 _STORES = frozenset({rq.Provision, rq.RemoveConfig})
 _UPLOADED = frozenset({rq.Provision, rq.WriteData})  # their data may have been uploaded before
@@ -388,6 +398,7 @@ class Handlers:
             rq.RemoveConfig: self._remove_config,
             rq.Upload: self._upload,
             rq.CheckRegion: self._check_region,
+            rq.MapRegion: self._map_region,
             rq.ReadIrq: self._read_irq,
             rq.TakeLease: self._lease,
             rq.RenewLease: self._lease,
@@ -535,6 +546,11 @@ class Handlers:
 
         self._run_job(client, partial(manager.prepared_check, request.name), prepared, answer)
         client.changes += 1
+
+    def _map_region(self, request: rq.MapRegion, respond: Respond, client: Client) -> None:
+        self._run_job(
+            client, lambda: self._s.manager.region_map(request.name), lambda found: respond(Reply(found)), respond
+        )
 
     def _cancel_change(self, _: rq.CancelChange, respond: Respond) -> None:
         self._s.manager.cancel()

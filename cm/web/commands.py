@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
@@ -35,6 +36,7 @@ class Commands:
         self._looks: dict[str, Callable[[Board, Words], Awaitable[Any]]] = {
             "plan": self._plan,
             "read": self._read,
+            "map": self._map,
         }
         self._changes: dict[str, Callable[[Board, Words], Awaitable[Any]]] = {
             "mode": self._mode,
@@ -61,6 +63,20 @@ class Commands:
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             raise InvalidRequest("names: a list of registers is wanted")
         await self._hub.read_registers(board, tuple(names))
+
+    async def _map(self, board: Board, words: Words) -> str:
+        """A region's frames as SVG; with `check`, what is wrong is red."""
+        from cm.formats.bitstream.drawing import columns_of, region_picture, with_names, wrong_words
+
+        region, check = _text(words, "region"), words.get("check") is True
+        if check and not self._control:
+            raise NotAllowed("this page may only look: it was started without --control")
+        found = await board.map_region(region)
+        wrong = (await board.check_region(region)).wrong if check else ()
+        columns = columns_of(found)
+        known = await asyncio.to_thread(with_names, found.device, columns)  # half a second for the first
+        red = wrong_words((one.far, one.bits) for one in wrong)
+        return region_picture(found, known or columns, red, known is not None)
 
     async def _mode(self, board: Board, words: Words) -> float:
         return await board.load(_text(words, "config"), _text(words, "mode"), queue=False)

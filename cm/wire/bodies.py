@@ -251,6 +251,16 @@ def check_from_pb(m: pb.RegionCheck) -> st.RegionCheck:
     )
 
 
+def map_to_pb(m: st.RegionMap) -> pb.RegionMap:
+    columns = [pb.RegionColumn(**column._asdict()) for column in m.columns]
+    return pb.RegionMap(region=m.region, module=m.module, device=m.device, config_name=m.config_name, columns=columns)
+
+
+def map_from_pb(m: pb.RegionMap) -> st.RegionMap:
+    columns = [st.RegionColumn(c.far, tuple(c.bits), tuple(c.switches), tuple(c.logic), c.clock) for c in m.columns]
+    return st.RegionMap(m.region, m.module, m.device, m.config_name, tuple(columns))
+
+
 def _clocks_to_pb(clocks: Iterable[st.ClockStatus]) -> list[pb.ClockState]:
     return [pb.ClockState(name=c.name, wanted=c.wanted, rate=c.rate) for c in clocks]
 

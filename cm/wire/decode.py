@@ -186,6 +186,10 @@ def _region(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     m = parse.parse(pb.Region, "cm_region", message)
     if m.reload and not m.repair:
         raise InvalidRequest("cm_region: reload says how to repair; it goes with repair")
+    if m.map and m.repair:
+        raise InvalidRequest("cm_region: map compares nothing, and does not go with repair")
+    if m.map:
+        return rq.MapRegion(m.name)
     return rq.CheckRegion(m.name, m.repair, m.reload, m.lease)
 
 

@@ -194,6 +194,7 @@ _REQUESTS: dict[type, Callable[[Any], list[Frame]]] = {
         topics.REGION,
         pb.Region(name=r.name, repair=r.repair, reload=r.reload, lease=r.lease).SerializeToString(),
     ],
+    rq.MapRegion: lambda r: [topics.REGION, pb.Region(name=r.name, map=True).SerializeToString()],
     rq.ReadIrq: lambda r: [topics.IRQ, pb.ReadIrq(name=r.name).SerializeToString()],
     rq.TakeLease: _take_lease,
     rq.RenewLease: lambda r: _lease(pb.Lease(id=r.id, seconds=r.seconds, pid=r.pid)),
@@ -217,6 +218,7 @@ _BODIES: dict[type, tuple[str, Callable[[Any], Any], Callable[[Any], Any]]] = {
         lambda m: st.UploadInfo(m.id, m.length, m.offset),
     ),
     st.RegionCheck: ("region", bodies.check_to_pb, bodies.check_from_pb),
+    st.RegionMap: ("region_map", bodies.map_to_pb, bodies.map_from_pb),
     st.MemoryInfo: ("memory", bodies.memory_to_pb, bodies.memory_from_pb),
     st.StreamStatus: (
         "stream",

@@ -179,6 +179,13 @@ def test_a_region_is_compared_with_what_was_loaded_and_repaired(board: Any, sim:
     assert board.check_region("prr0", repair=True).repaired == "frames"
 
 
+def test_what_was_loaded_into_a_region_is_counted(board: Any) -> None:
+    found = board.map_region("prr0")
+    assert (found.region, found.config_name, found.device) == ("prr0", "camera", "xc7z020")
+    assert found.columns
+    assert all(sum(c.switches) + sum(c.logic) + c.clock == sum(c.bits) > 0 for c in found.columns)
+
+
 def test_watching_begins_with_the_present_status(board: Any) -> None:
     with board.watch(timeout=60) as watch:
         assert watch.next().config_name == "camera"

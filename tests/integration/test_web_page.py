@@ -116,6 +116,8 @@ def test_the_page_fits_a_phone(width: int, server: WebServer, browser: Any, page
     with page_of(browser, server, width=width, height=844, color_scheme="light", has_touch=True) as small:
         watch(small)
         small.wait_for_selector("[data-register=zoom]")
+        small.click("[data-map=prr0] summary")
+        small.wait_for_selector("[data-map=prr0] svg")
         assert small.evaluate("document.documentElement.scrollWidth") <= width
         assert small.evaluate("document.querySelector('header').offsetHeight") <= 56
         assert small.evaluate(SMALL_TEXT) == []
@@ -141,8 +143,23 @@ def test_axe_finds_nothing(scheme: str, server: WebServer, browser: Any, page: A
     with page_of(browser, server, color_scheme=scheme) as shown:
         watch(shown)
         shown.wait_for_selector("[data-register=zoom]")
+        shown.click("[data-map=prr0] summary")
+        shown.wait_for_selector("[data-map=prr0] svg")
         found = axe.Axe().run(shown).response["violations"]
     assert [(one["id"], [node["html"] for node in one["nodes"]]) for one in found] == []
+
+
+def test_a_regions_frames_are_drawn_and_what_is_wrong_is_red(page: Any, camera: tuple[Manager, SimBoard]) -> None:
+    page.click("[data-map=prr0] summary")
+    page.wait_for_selector("[data-map=prr0] svg")
+    drawn = "[...document.querySelectorAll('[data-map=prr0] svg title')].map((node) => node.textContent)"
+    assert page.evaluate(drawn)[0] == "Region prr0 of camera: default"
+    ((far, _),) = camera[1].control.upset("prr0", 1)
+    page.click("[data-map=prr0] button")
+    seen(page, f"{drawn}.some((text) => text.startsWith('frame {far:08X}') && text.endsWith('wrong'))")
+    shoot(page, "map")
+    change(page, "edge_detection")
+    seen(page, f"{drawn}[0].endsWith('edge')")
 
 
 def test_what_fails_is_told_beside_what_was_tapped(page: Any, camera: tuple[Manager, SimBoard]) -> None:

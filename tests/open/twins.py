@@ -6,7 +6,7 @@ from __future__ import annotations
 import re
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -106,7 +106,7 @@ class Built:
         """A module as these bitstreams leave it in a region, after the full one."""
         for stream in (*self._whole, *streams):
             self._memory.load(stream)
-        place = self._places[region]
+        place = replace(self._places[region], module=self._places[self.regions[name]].module)  # as its Verilog has it
         sources = self.design.modules[self.regions[name], name].sources
         features = decode(self._database, self._memory.frames).features
         netlist = extract(self._database, self._wires, features, place.boundary)

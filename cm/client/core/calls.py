@@ -24,6 +24,7 @@ from cm.wire.messages.status import (
     MemoryInfo,
     PlanInfo,
     RegionCheck,
+    RegionMap,
     RegValues,
     Reply,
     Status,
@@ -205,6 +206,11 @@ def write_memory(name: str, offset: int, data: memoryview, lease: str) -> Call[F
 def check_region(name: str, repair: bool, reload: bool, lease: str) -> Call[RegionCheck]:
     """Compare a region's frames with what was loaded."""
     return Call(rq.CheckRegion(name, repair or reload, reload, lease), lambda r: _body(r, RegionCheck))
+
+
+def map_region(name: str) -> Call[RegionMap]:
+    """Count what was loaded into a region."""
+    return Call(rq.MapRegion(name), lambda r: _body(r, RegionMap))
 
 
 def interrupt(name: str) -> Call[Irq]:

@@ -7,7 +7,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TypeAlias
 from xml.sax.saxutils import escape, quoteattr
 
-from cm.formats.bitstream.fabric import ROWS, SWITCHES, FabricColumn, row_of
+from cm.formats.bitstream.fabric import ROWS, SWITCHES, FabricColumn, kind_by_frames, named, row_of
+from cm.formats.xray import Database, DatabaseMissing
+from cm.wire.messages.status import RegionMap
 
 WITHOUT_DATABASE = (
     "Project X-Ray's database is not here (cm build tools --fetch brings it): columns are told by their number of "
@@ -16,7 +18,7 @@ WITHOUT_DATABASE = (
 _MARGIN, _GAP = 16, 10
 _CELL, _CLOCK = 5, 4  # heights of a row of tiles and of the clock row
 _BAR = 30  # of the strip of frames
-_HEAD = 44  # above the tiles of a column: its kind, in two lines, and its number
+_HEAD = 52  # above the tiles of a column: its kind, in two lines, and its number
 _SWITCHES, _LOGIC, _CLOCKS, _WRONG, _INK, _PALE = "#1b62a5", "#22803a", "#8a5a00", "#d4001a", "#1d2430", "#f2f4f7"
 _COLOURS = {
     _SWITCHES: "switches",
@@ -29,6 +31,44 @@ _COLOURS = {
 Wrong: TypeAlias = Mapping[
     int, Iterable[int]
 ]  # frame address → words that are wrong, empty where only the frame is known
+
+
+def region_picture(found: RegionMap, columns: Sequence[FabricColumn], wrong: Wrong, is_named: bool) -> str:
+    """Return an SVG document of a region; `is_named`: whether the database's kinds and names are in `columns`."""
+    return svg(columns, title(found), wrong, "" if is_named else WITHOUT_DATABASE, [summary(found, columns, wrong)])
+
+
+def title(found: RegionMap) -> str:
+    """What is drawn."""
+    return f"Region {found.region} of {found.config_name}: {found.module}"
+
+
+def summary(found: RegionMap, columns: Sequence[FabricColumn], wrong: Wrong) -> str:
+    """Device and counts, in a line."""
+    frames, bits = sum(len(one.bits) for one in columns), sum(sum(one.bits) for one in columns)
+    bad = f"{len(wrong)} of them wrong" if wrong else "none known to be wrong"
+    return f"{found.device}, {frames} frames with {bits} bits set, {bad}"
+
+
+def wrong_words(frames: Iterable[tuple[int, Iterable[int]]]) -> Wrong:
+    """What is to be red, from frame addresses and bits that differ (32 times the word, and the bit in it)."""
+    return {far: sorted({bit // 32 for bit in bits}) for far, bits in frames}
+
+
+def columns_of(found: RegionMap) -> tuple[FabricColumn, ...]:
+    """What a manager told of a region's columns, to be drawn."""
+    return tuple(
+        FabricColumn(one.far, kind_by_frames(one.far, len(one.bits)), one.bits, one.switches, one.logic, one.clock)
+        for one in found.columns
+    )
+
+
+def with_names(device: str, columns: Sequence[FabricColumn]) -> Sequence[FabricColumn] | None:
+    """Columns with what the database says of them; None where it is not installed, or does not have the device."""
+    try:
+        return named(columns, Database.open(device))
+    except DatabaseMissing:
+        return None
 
 
 def svg(
@@ -44,14 +84,14 @@ def svg(
     height = top + sum(_band_height() for _ in bands) + 44 + (16 if remark else 0)
     width = max([460, *(_band_width(band) for _, band in bands)]) + 2 * _MARGIN
     parts = [_text(_MARGIN, 24, title, 15, "600")]
-    parts += [_text(_MARGIN, 42 + 16 * number, line, 12) for number, line in enumerate(lines)]
+    parts += [_text(_MARGIN, 42 + 16 * number, line) for number, line in enumerate(lines)]
     for label, band in bands:
         parts += _band(label, band, top, bad)
         top += _band_height()
     parts += _legend(top + 8)
     if remark:
         parts += _wrapped(remark, top + 44, width)
-    more = 14 * (len(_split(remark, width)) - 1) if remark else 0
+    more = 15 * (len(_split(remark, width)) - 1) if remark else 0
     start = f'<svg xmlns="http://www.w3.org/2000/svg" role="img" width="{width:g}" height="{height + more}"'
     start += f' viewBox="0 0 {width:g} {height + more}" font-family="sans-serif">'
     paper = _rect(0, 0, width, height + more, "#ffffff")
@@ -81,7 +121,7 @@ def _band_height() -> int:
 
 
 def _band(label: str, band: Sequence[FabricColumn], top: int, wrong: Mapping[int, tuple[int, ...]]) -> Iterator[str]:
-    yield _text(_MARGIN, top + 14, label, 12, "600")
+    yield _text(_MARGIN, top + 14, label, weight="600")
     most = {
         "switches": max((max(column.switches) for column in band), default=0),
         "logic": max((max(column.logic) for column in band), default=0),
@@ -100,8 +140,8 @@ def _column(
     width, tiles = len(column.bits) * scale, top + _HEAD
     split = 0.0 if column.block_type else min(SWITCHES, len(column.bits)) * scale
     for number, words in enumerate(_two_lines(column.kind)):
-        yield _text(left, top + 12 + 12 * number, words, 10)
-    yield _text(left, top + 38, f"column {column.number}", 9)
+        yield _text(left, top + 12 + 14 * number, words)
+    yield _text(left, top + 44, f"column {column.number}")
     yield _rect(left, tiles, width, ROWS * _CELL + _CLOCK, _PALE)
     bad_rows = _wrong_rows(column, wrong)
     for row in range(ROWS):
@@ -136,7 +176,7 @@ def _strip(
             colour = _WRONG if bad else _INK
             told = f"frame {column.address + minor:08X}: {bits} bits{', wrong' if bad else ''}"
             yield _rect(left + minor * scale, top + _BAR - high, scale * 0.8, high, colour, title=told)
-    yield _text(left, top + _BAR + 12, f"{len(column.bits)} frames", 9)
+    yield _text(left, top + _BAR + 14, f"{len(column.bits)} frames")
 
 
 def _wrong_rows(column: FabricColumn, wrong: Mapping[int, tuple[int, ...]]) -> Mapping[int, list[str]]:
@@ -154,8 +194,8 @@ def _legend(top: int) -> Iterator[str]:
     left = float(_MARGIN)
     for colour, words in _COLOURS.items():
         yield _rect(left, top, 12, 12, colour)
-        yield _text(left + 17, top + 10, words, 11)
-        left += 34 + 6.4 * len(words)
+        yield _text(left + 17, top + 11, words)
+        left += 36 + 7 * len(words)
 
 
 def _share(bits: int, most: int) -> float:
@@ -172,7 +212,7 @@ def _two_lines(words: str) -> Sequence[str]:
 def _split(words: str, width: float) -> Sequence[str]:
     lines = [""]
     for word in words.split():
-        if len(lines[-1]) + len(word) > (width - 2 * _MARGIN) / 6:
+        if len(lines[-1]) + len(word) > (width - 2 * _MARGIN) / 6.5:
             lines.append("")
         lines[-1] = f"{lines[-1]} {word}".strip()
     return lines
@@ -180,10 +220,10 @@ def _split(words: str, width: float) -> Sequence[str]:
 
 def _wrapped(words: str, top: float, width: float) -> Iterator[str]:
     for number, line in enumerate(_split(words, width)):
-        yield _text(_MARGIN, top + 14 * number, line, 11)
+        yield _text(_MARGIN, top + 15 * number, line)
 
 
-def _text(x: float, y: float, words: str, size: int, weight: str = "400") -> str:
+def _text(x: float, y: float, words: str, size: int = 12, weight: str = "400") -> str:
     place = f'x="{x:g}" y="{y:g}" font-size="{size}" font-weight="{weight}" fill="{_INK}"'
     return f"<text {place}>{escape(words)}</text>"
 

@@ -8,7 +8,8 @@ follows the tiles beside them (masks of Project X-Ray's database).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import groupby
 
 from cm.formats.xray.database import Database
@@ -68,11 +69,21 @@ class FabricColumn:
         return self.address >> 7 & 0x3FF
 
 
-def fabric(frames: Frames, database: Database | None = None) -> tuple[FabricColumn, ...]:
-    """Return the columns that frames lie in, by address. Without a database, a kind is told by the number of frames."""
-    columns = [(first << 7, list(own)) for first, own in groupby(sorted(frames), lambda address: address >> 7)]
-    tiles = _tiles(database, {first for first, _ in columns}) if database else {}
-    return tuple(_column(first, addresses, frames, tiles.get(first, {})) for first, addresses in columns)
+def fabric(frames: Frames) -> tuple[FabricColumn, ...]:
+    """Return the columns that frames lie in, by address; their kinds as far as the number of frames tells them."""
+    columns = groupby(sorted(frames), lambda address: address >> 7)
+    return tuple(_column(first << 7, list(addresses), frames) for first, addresses in columns)
+
+
+def kind_by_frames(address: int, frames: int) -> str:
+    """What a column may be that has so many frames."""
+    return "contents" if address >> 23 & 7 == CONTENTS else _BY_FRAMES.get(frames, f"{frames} frames")
+
+
+def named(columns: Sequence[FabricColumn], database: Database) -> tuple[FabricColumn, ...]:
+    """Return columns with the kinds and the names of tiles that the database knows."""
+    tiles = _tiles(database, {column.address for column in columns})
+    return tuple(_named(column, tiles.get(column.address, {})) for column in columns)
 
 
 def row_of(word: int) -> int | None:
@@ -80,7 +91,16 @@ def row_of(word: int) -> int | None:
     return None if word == ECC_WORD else (word - (word > ECC_WORD)) // 2
 
 
-def _column(first: int, addresses: list[int], frames: Frames, tiles: Mapping[int, list[str]]) -> FabricColumn:
+def _named(column: FabricColumn, tiles: Mapping[int, list[str]]) -> FabricColumn:
+    if not tiles:
+        return column
+    kinds = {name.partition("_X")[0] for names in tiles.values() for name in names}
+    found = (kind for start, kind in _BY_TILES.items() if any(one.startswith(start) for one in kinds))
+    kind = column.kind if column.block_type == CONTENTS else next(found, "wires only")
+    return replace(column, kind=kind, names=tuple(", ".join(tiles.get(row, ())) for row in range(ROWS)))
+
+
+def _column(first: int, addresses: list[int], frames: Frames) -> FabricColumn:
     kept = [(address - first, frames[address] & ~ECC_MASK) for address in addresses]
     contents = first >> 23 & 7 == CONTENTS
     switches, logic, clock = [0] * ROWS, [0] * ROWS, 0
@@ -89,24 +109,14 @@ def _column(first: int, addresses: list[int], frames: Frames, tiles: Mapping[int
         for row, at in enumerate(_offsets()):
             into[row] += (frame >> at & _PAIR).bit_count()
         clock += (frame >> 32 * ECC_WORD & 0xFFFFFFFF).bit_count()
-    kind = "contents" if contents else _kind(tiles, len(addresses))
-    names = tuple(", ".join(tiles.get(row, ())) for row in range(ROWS)) if tiles else ()
     bits = tuple(frame.bit_count() for _, frame in kept)
-    return FabricColumn(first, kind, bits, tuple(switches), tuple(logic), clock, names)
+    return FabricColumn(first, kind_by_frames(first, len(bits)), bits, tuple(switches), tuple(logic), clock)
 
 
 def _offsets() -> Iterator[int]:
     """The first bit of the two words of each row of tiles."""
     for row in range(ROWS):
         yield 64 * row + (32 if row >= ROWS // 2 else 0)
-
-
-def _kind(tiles: Mapping[int, list[str]], frames: int) -> str:
-    kinds = {name.partition("_X")[0] for names in tiles.values() for name in names}
-    for start, kind in _BY_TILES.items():
-        if any(one.startswith(start) for one in kinds):
-            return kind
-    return "wires only" if kinds else _BY_FRAMES.get(frames, f"{frames} frames")
 
 
 def _tiles(database: Database, columns: set[int]) -> Mapping[int, Mapping[int, list[str]]]:

@@ -76,9 +76,9 @@ def _behind(database: Database, wires: Wires, tile: str, wire: str) -> set[Wire]
         node = wires.node(*todo.pop())
         found |= node
         for there, name in node:
-            for pip in database.ppips(database.tiles[there].kind):
+            for pip, when in database.ppips(database.tiles[there].kind).items() if there.startswith(_SWITCHES) else ():
                 into, _, source = pip.partition(".")
-                if into == name and (there, source) not in found:
+                if into == name and when == "always" and (there, source) not in found:
                     todo.append((there, source))
     return found
 

@@ -29,7 +29,7 @@ from cm.manager.planner import hint
 from cm.manager.state.board_state import BoardState, RegionPhase
 from cm.manager.state.record import ManagerState
 from cm.schema.model import Config, LoaderKind, Module, Region
-from cm.wire.messages.status import FrameError, RegionCheck
+from cm.wire.messages.status import FrameError, RegionCheck, RegionMap
 
 SLICE_SECONDS = 0.001  # that a slice may keep the port from a change
 _SLOWEST = 100e6  # bytes per second of a port whose clock the driver does not know: a Zynq's PCAP has 145e6
@@ -57,11 +57,7 @@ def checked_region(name: str, state: ManagerState, devices: Devices, files: File
     Raises NotFound, RegionBusy where nothing is known of its content, NoReadback where its port cannot be read, and
     what is wrong with the file.
     """
-    board, config = state.board, state.loaded_config()
-    if config is None or board.mode is None:
-        raise RegionBusy(f"region {name!r}: nothing is loaded that could be compared")
-    if name not in config.regions:
-        raise UnknownRegion(f"configuration {config.name!r} has no region {name!r}{hint(name, config.regions)}")
+    board, (config, mode) = state.board, _loaded(name, state)
     config = resolved(config, (), devices)[0]
     module = _module(name, board, config)
     region = config.regions[name]
@@ -72,10 +68,35 @@ def checked_region(name: str, state: ManagerState, devices: Devices, files: File
             f"region {name}: its configuration port can be written but not read (no CM_ICAP_CAP_READ): the design's "
             "port, its second DMA channel or this driver has no way back"
         )
+    image = _image(config, module, board, files)
+    return Checked(config, mode, region, module, image, files.loaded_frames(image))
+
+
+def loaded_map(name: str, state: ManagerState, files: Files) -> RegionMap:
+    """What was loaded into a region, counted. Raises as `checked_region` does, but needs no port that can be read."""
+    config, _ = _loaded(name, state)
+    module = _module(name, state.board, config)
+    device, columns = files.columns(_image(config, module, state.board, files))
+    return RegionMap(name, module.name, device, config.name, tuple(columns))
+
+
+def _loaded(name: str, state: ManagerState) -> tuple[Config, str]:
+    """The loaded configuration, which has the region, and its mode."""
+    config, mode = state.loaded_config(), state.board.mode
+    if config is None or mode is None:
+        raise RegionBusy(f"region {name!r}: nothing is loaded that could be compared")
+    if name not in config.regions:
+        raise UnknownRegion(f"configuration {config.name!r} has no region {name!r}{hint(name, config.regions)}")
+    return config, mode
+
+
+def _image(config: Config, module: Module, board: BoardState, files: Files) -> Image:
     image = files.image(config, module)
-    if image.sha256 != board.region(name).sha256:
-        raise NoReadback(f"region {name}: {image.path} is not what was loaded any more; load it, or restore the file")
-    return Checked(config, board.mode, region, module, image, files.loaded_frames(image))
+    if image.sha256 != board.region(module.region).sha256:
+        raise NoReadback(
+            f"region {module.region}: {image.path} is not what was loaded any more; load it, or restore the file"
+        )
+    return image
 
 
 def _module(name: str, board: BoardState, config: Config) -> Module:

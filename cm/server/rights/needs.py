@@ -71,7 +71,7 @@ def _change(base: Need, request: rq.ChangeMode, scene: Scene) -> Iterator[Need]:
         yield replace(base, config=config.name, region=region)
 
 
-def _region(base: Need, request: rq.CheckRegion, scene: Scene) -> Iterator[Need]:
+def _region(base: Need, request: rq.CheckRegion | rq.MapRegion, scene: Scene) -> Iterator[Need]:
     """Comparing takes the port for a while, and repairing writes to the region."""
     known = scene.loaded is not None and request.name in scene.loaded.regions
     yield replace(base, config=_loaded(scene), region=request.name if known else "*")
@@ -182,6 +182,7 @@ _KINDS: dict[type, _Kind] = {
     rq.WriteData: _Kind(Role.OPERATE, "cm_write_data", _data),
     rq.Upload: _Kind(Role.OPERATE, "cm_upload"),
     rq.CheckRegion: _Kind(Role.OPERATE, "cm_region", _region),
+    rq.MapRegion: _Kind(Role.OBSERVE, "cm_region", _region),
     rq.ReadIrq: _Kind(Role.OBSERVE, "cm_irq"),
     rq.TakeLease: _Kind(Role.OPERATE, "cm_lease", _take),
     rq.RenewLease: _Kind(Role.OPERATE, "cm_lease"),

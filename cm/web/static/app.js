@@ -5,6 +5,7 @@ import { byId, text } from "./dom.js";
 import { Link } from "./link.js";
 import { Streams } from "./streams.js";
 import { Device } from "./device.js";
+import { Maps } from "./maps.js";
 import { Changes } from "./changes.js";
 import { Registers } from "./registers.js";
 import { Beside } from "./beside.js";
@@ -37,6 +38,7 @@ const control = () => state.link.control && state.link.up && state.server === "u
 const ask = (what, words) => link.ask(what, words).then((value) => (banner(""), value));
 const streams = new Streams(byId("streams"), link);
 const device = new Device({ ask, failed, control });
+const maps = new Maps({ ask: (what, words) => link.ask(what, words), control });
 const changes = new Changes({ ask, failed, control });
 const registers = new Registers(byId("registers"), { ask, failed, control });
 const beside = new Beside();
@@ -46,12 +48,14 @@ const fleet = new Fleet();
 const handlers = {
   link() {
     device.show(state);
+    maps.show(state);
     registers.show(state);
     changes.show(state);
   },
   status() {
     streams.show(state);
     device.show(state);
+    maps.show(state);
     changes.show(state);
     beside.leases(state.status);
   },

@@ -223,6 +223,13 @@ class CheckRegion:
 
 
 @dataclass(frozen=True, slots=True)
+class MapRegion:
+    """What was loaded into a region, column by column."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
 class ReadIrq:
     """An interrupt's count and last time."""
 
@@ -281,6 +288,7 @@ Request = (
     | WriteData
     | Upload
     | CheckRegion
+    | MapRegion
     | ReadIrq
     | TakeLease
     | RenewLease

@@ -106,6 +106,30 @@ class RegionCheck:
     mode: str = ""
 
 
+class RegionColumn(NamedTuple):
+    """Set bits of a column of frames, without checksums: of each frame, of each row of tiles, of the clock row.
+
+    `far`: the address of the first frame. `switches` and `logic`: of 50 rows from the bottom up.
+    """
+
+    far: int
+    bits: tuple[int, ...]
+    switches: tuple[int, ...]
+    logic: tuple[int, ...]
+    clock: int
+
+
+@dataclass(frozen=True, slots=True)
+class RegionMap:
+    """What was loaded into a region of a 7-series device, counted."""
+
+    region: str
+    module: str
+    device: str
+    config_name: str
+    columns: tuple[RegionColumn, ...] = ()
+
+
 @dataclass(frozen=True, slots=True)
 class ClockStatus:
     """A clock: the rate that the configuration wants and the one it has or will have (0: not known), in Hz."""
@@ -470,6 +494,7 @@ Body = (
     | Irq
     | MemoryInfo
     | RegionCheck
+    | RegionMap
     | None
 )
 

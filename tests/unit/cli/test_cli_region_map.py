@@ -47,7 +47,7 @@ def test_frames_that_a_check_found_wrong_are_counted_and_red(
     schema: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     said = tmp_path / "said.json"
-    said.write_text(json.dumps({"frames": [{"address": "0x00000d00", "words": [4]}]}))
+    said.write_text(json.dumps({"wrong": [{"far": 0xD00, "bits": [130]}]}))
     words = ["region", "map", "prr0", "--config", schema, "--module", "edge", "--check", str(said)]
     assert main([*words, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
@@ -64,6 +64,7 @@ def test_frames_that_a_check_found_wrong_are_counted_and_red(
         (["prr1"], "region prr1 has no module"),
         (["prr0", "--module", "blur"], "region prr0 has no module blur; it has edge, zoom"),
         (["prr0", "--check", "/dev/null"], "is not what cm region check --json writes"),
+        (["prr0", "--check"], "--check needs the FILE that cm region check --json wrote"),
     ],
 )
 def test_what_there_is_not_is_told_with_what_there_is(

@@ -18,7 +18,7 @@ from xray_oracle import DATABASE, frames_read, part, read_bits, run
 from cm.design.packages import PackagesUnavailable, PackageTree, fetch
 from cm.formats.bitstream import FrameRun, assemble
 from cm.formats.bitstream.devices import Family
-from cm.formats.bitstream.fabric import fabric
+from cm.formats.bitstream.fabric import fabric, named
 from cm.formats.bitstream.geometry import decode_far
 from cm.formats.xray import (
     Database,
@@ -199,7 +199,7 @@ def test_frames_that_the_database_does_not_know_cannot_be_judged(tree: PackageTr
 def test_the_database_knows_kinds_of_columns_and_the_tiles_of_each_row(tree: PackageTree) -> None:
     database = Database.open("xc7z010", tree.path(DATABASE))
     starts = (0xC80, 0x1380, 0x1400, 0x1480, 0x1500, 0x1B80)
-    columns = {column.address: column for column in fabric(dict.fromkeys(starts, 0), database)}
+    columns = {column.address: column for column in named(fabric(dict.fromkeys(starts, 0)), database)}
     kinds = ["DSP", "clock spine", "CLB", "CLB with memory", "block RAM", "I/O"]
     assert [columns[start].kind for start in starts] == kinds
     names = columns[0x1480].names

@@ -46,6 +46,7 @@ ALL: list[Any] = [
     rq.Upload("a", discard=True),
     rq.WriteData("s", upload="a"),
     rq.CheckRegion("prr0"),
+    rq.MapRegion("prr0"),
     rq.CheckRegion("prr0", repair=True, reload=True, lease="l"),
     rq.ReadIrq("done"),
     rq.TakeLease("region:prr0", False, 5.0, "anna", 7),

@@ -1,0 +1,46 @@
+// SPDX-License-Identifier: Apache-2.0
+// What was loaded into each region, frame by frame: drawn by the page's server, asked for when it is opened.
+
+import { byId, h, keyed, set, tell } from "./dom.js";
+
+export class Maps {
+  constructor({ ask, control }) {
+    Object.assign(this, { ask, control, node: byId("maps") });
+  }
+
+  show({ status }) {
+    if (!status) return;
+    keyed(this.node, status.regions, (region) => region.name, (region) => this.made(region.name), (row, region) => {
+      set(row.node, "data-module", region.module ?? "");
+      row.compare.hidden = !this.control();
+      const holds = `${region.state} ${region.module ?? ""}`;
+      if (row.holds !== holds && row.node.open) this.draw(row, false);
+      row.holds = holds;
+    });
+  }
+
+  made(name) {
+    const picture = h("div", { class: "map", tabindex: 0, role: "group", "aria-label": `Frames of ${name}` });
+    const note = h("p", { class: "error small", role: "alert", hidden: true });
+    const compare = h("button", { type: "button", class: "quiet small", text: "Compare with what was loaded", hidden: true });
+    const node = h("details", { "data-map": name }, h("summary", { text: `Frames of ${name}` }), compare, note, picture);
+    const row = { node, name, picture, note, compare, holds: "" };
+    node.addEventListener("toggle", () => node.open && this.draw(row, false));
+    compare.addEventListener("click", () => this.draw(row, true));
+    return row;
+  }
+
+  async draw(row, check) {
+    row.compare.disabled = true;
+    try {
+      const drawing = await this.ask("map", { region: row.name, check });
+      row.picture.replaceChildren(document.importNode(new DOMParser().parseFromString(drawing, "image/svg+xml").documentElement, true));
+      row.note.hidden = true;
+    } catch (error) {
+      row.picture.replaceChildren();
+      tell(row.note, error);
+    } finally {
+      row.compare.disabled = false;
+    }
+  }
+}
