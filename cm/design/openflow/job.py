@@ -89,13 +89,16 @@ def passing(database: Database, wires: Wires, layout: Layout, static: Routed) ->
 
 
 def elsewhere(database: Database, wires: Wires, layout: Layout, others: Iterable[Layout], static: Routed) -> set[str]:
-    """Wires that the static part takes in other regions of the same shape, as they are called in this one."""
+    """Wires not to be used in other regions of the same shape, as they are called in this one.
+
+    The static part takes them there, or they lead out of the region: at the edge of the device they turn back.
+    """
     found = set()
     for other in others:
         if _shape(other) != _shape(layout):
             continue
         (left, top), (x, y) = _corner(other), _corner(layout)
-        for wire in passing(database, wires, other, static):
+        for wire in passing(database, wires, other, static) | fence(database, wires, other):
             place, _, name = wire.partition("/")
             across, down = map(int, place[1:].split("Y"))
             one, its = (database.tile_at.get(at) for at in ((across, down), (across - left + x, down - top + y)))

@@ -51,6 +51,35 @@ def merge(database: Database, module: Frames, before: Frames, blank: Frames) -> 
     return merged
 
 
+def check_wires(database: Database, module: Frames, moves: Moves) -> None:
+    """Raise CannotRelocate at the first wire of a module that has other ends in its new region, or leads out of it.
+
+    At the edge of the device, wires that would lead out turn back. `module` is at its new addresses.
+    """
+    wires, columns = Wires(database), set(moves.values())
+    back = {other: one for one, other in moves.items()}
+    inside = {tile.name: tile for tile in database.tiles.values() if any(s.base in columns for s in tile.segments)}
+    places = {(s.base, s.offset, tile.kind): name for name, tile in database.tiles.items() for s in tile.segments}
+    before = {
+        name: places[back[s.base], s.offset, tile.kind]
+        for name, tile in inside.items()
+        for s in tile.segments
+        if s.base in back
+    }
+    region = set(before.values())
+    for tile, name in sorted(decode(database, module).features):
+        wire = name.partition(".")[0]
+        if not tile.startswith("INT_") or wire not in wires.kind(database.tiles[tile].kind).wires:
+            continue
+        there = wires.node(tile, wire)
+        out = sorted(at for at, _ in there if at not in inside and at.startswith("INT_"))
+        if out:
+            raise CannotRelocate(f"wire {wire} of {tile}, which the module uses, leads out of the region: to {out[0]}")
+        ends = {(before[at], end) for at, end in there if at in inside}
+        if ends != {(at, end) for at, end in wires.node(before[tile], wire) if at in region}:
+            raise CannotRelocate(f"wire {wire} of {tile}, which the module uses, has other ends there")
+
+
 def _missed(database: Database, module: frozenset[Feature], gone: frozenset[Feature]) -> list[str]:
     """Sentences about what only the old static part switched on, and a pip of the module comes from: clock leaves."""
     wires = Wires(database)

@@ -22,6 +22,7 @@ from cm.formats.bitstream.merge import (
     Moves,
     check_clocks,
     check_kinds,
+    check_wires,
     merge,
     module_of,
 )
@@ -79,6 +80,7 @@ def relocate(source: Source, moves: Moves, blank: Frames, database: Database) ->
     check_kinds(database, moves)
     here, there = ({at: blank.get(at, 0) for at in addresses} for addresses in (frames, wanted))
     module = moved(module_of(frames, here), moves)
+    check_wires(database, module, moves)
     merged = merge(database, module, moved(here, moves), there)
     check_clocks(database, blank, module, moves)
     same = all((frame ^ wanted[address]) & ~ECC_MASK == 0 for address, frame in merged.items())

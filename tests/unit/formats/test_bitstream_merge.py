@@ -73,9 +73,15 @@ def test_what_the_static_part_has_there_stays_and_what_it_had_here_does_not_come
 
 
 def test_a_wire_that_both_drive_is_named(database: Database) -> None:
-    blank = frames_of(database, [("INT_L_X16Y10", "NE6BEG2.NE6END2")])
-    module = partial(frames_of(database, [("INT_L_X16Y60", SWITCH)]))
-    assert "INT_L_X16Y10.NE6BEG2 has two drivers" in told(database, module, blank, {UPPER: LOWER})
+    blank = frames_of(database, [("INT_L_X16Y10", "SS2BEG0.SL1END0")])
+    module = partial(frames_of(database, [("INT_L_X16Y60", "SS2BEG0.LOGIC_OUTS_L12")]))
+    assert "INT_L_X16Y10.SS2BEG0 has two drivers" in told(database, module, blank, {UPPER: LOWER})
+
+
+def test_a_wire_that_turns_back_at_the_edge_of_the_device_leads_out_of_another_region(database: Database) -> None:
+    module = partial(frames_of(database, [("INT_L_X16Y99", "NN2BEG0.LOGIC_OUTS_L0")]))
+    refused = told(database, module, {}, {UPPER: LOWER})
+    assert "wire NN2BEG0 of INT_L_X16Y49, which the module uses, leads out of the region: to INT_L_X16Y5" in refused
 
 
 def test_columns_of_other_kinds_are_refused_even_with_as_many_frames(database: Database) -> None:
