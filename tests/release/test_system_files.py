@@ -176,6 +176,6 @@ for name in names:
     importlib.import_module(name)
 print(cm.__file__, len(names))
 """
-    where, count = run("env", f"PYTHONPATH={tmp_path}", sys.executable, "-c", program).split()
+    where, count = run("env", "-C", str(tmp_path), f"PYTHONPATH={tmp_path}", sys.executable, "-c", program).split()
     assert Path(where).is_relative_to(tmp_path)
     assert int(count) > 90
