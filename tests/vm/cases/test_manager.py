@@ -10,11 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from boardfile import write_bitstreams
+from boardfile import LENT, write_bitstreams
 from served import OVERLAYS, PATIENCE, Manager, driver, loads, pl, until
 
 import cm
 from cm import device
+from cm.client.errors import WindowRevoked
 from cm.errors import CmError
 
 pytestmark = pytest.mark.needs("cm", "dma", "plsim")
@@ -77,6 +78,23 @@ def test_a_memory_holds_an_array_and_registers_see_its_words(board: cm.Board) ->
         assert uio.read(0x800 + 2 * 64) == 0x0007_0007
     board.registers["scratch"] = 5
     assert board.configure_memory("static", 0x58001000, 0x20, access="ro").read().tolist()[5] == 5
+
+
+def test_mapped_registers_are_taken_back_when_their_region_is_loaded(board: cm.Board) -> None:
+    there = {place.address for info in device.list_uio("/") for place in info.maps}
+    mode, module, name = (
+        ("loopback", "loopback", "gain") if LENT[0] in there else ("edge_detection", "edge", "threshold")
+    )
+    board.mode = mode
+    with board.registers.window(module, write=True, timeout=PATIENCE) as window:
+        window[name] = 5
+        assert (window[name], board.registers[name]) == (5, 5)
+        assert [held.module for held in until(lambda: board.status.windows)] == [module]
+        board.load("camera", mode, force=True)
+        with pytest.raises(WindowRevoked) as taken:
+            window[name]
+    assert taken.value.mode == mode
+    until(lambda: not board.status.windows)
 
 
 def test_a_memory_is_refused_while_no_module_answers_for_it(board: cm.Board) -> None:
