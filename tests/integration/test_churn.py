@@ -90,15 +90,15 @@ def change(number: int) -> rq.ChangeMode:
 def test_a_client_that_fills_the_queue_of_changes_leaves_places_to_others(
     served: Daemon, hostile: Client, other: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    began, goes_on, ended, turn = threading.Event(), threading.Event(), [], Worker._turn
+    began, goes_on, ended, outcome = threading.Event(), threading.Event(), [], Worker._outcome
 
-    def held(worker: Worker, change: Change) -> None:
+    def held(worker: Worker, change: Change) -> Any:
         began.set()
         assert goes_on.wait(60)
-        turn(worker, change)
         ended.append(change.number)
+        return outcome(worker, change)
 
-    monkeypatch.setattr(Worker, "_turn", held)
+    monkeypatch.setattr(Worker, "_outcome", held)
     hostile.ask(*[change(i) for i in range(40)])
     codes = hostile.codes(40)
     assert codes == ["ok"] * 7 + ["busy"] * 33
