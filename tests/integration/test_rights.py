@@ -17,9 +17,10 @@ from manager_process import CAMERA, REPOSITORY, Manager, environment, short_fold
 import cm
 from cm.errors import CmError
 from cm.simulation.software import Board as SimBoard
+from cm.wire import plane_packets as packets
 
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to be several users")
-GROUP, ALICE, BOB, CARL, DORA, ERIN, MALLORY, FRED = range(47110, 47118)
+GROUP, ALICE, BOB, CARL, DORA, ERIN, MALLORY, FRED, GINA, HUGO = range(47110, 47120)
 
 
 PLAY = """
@@ -69,9 +70,13 @@ def manager() -> Iterator[Manager]:
         folder.chmod(0o755)
         settings = folder / "cm.yaml"
         users = (
-            f"{ALICE}: operate, {BOB}: observe, {CARL}: provision, {DORA}: provision, {ERIN}: [operate], {FRED}: [map]"
+            f"{ALICE}: operate, {BOB}: observe, {CARL}: provision, {DORA}: provision, {ERIN}: [operate], "
+            f"{FRED}: [map], {GINA}: [observe], {HUGO}: lamp"
         )
-        settings.write_text(f"state_dir: {folder}/state\naccess: {{group: '{GROUP}', local: [], users: {{{users}}}}}\n")
+        roles = "{lamp: {role: observe, registers: [led]}}"
+        settings.write_text(
+            f"state_dir: {folder}/state\naccess: {{group: '{GROUP}', local: [], users: {{{users}}}, roles: {roles}}}\n"
+        )
         arguments = ("--settings", str(settings), "--config", str(CAMERA), "--root", str(sim.root))
         manager = Manager(folder / "run", *arguments, service=True)
         manager.start()
@@ -209,6 +214,52 @@ def test_registers_are_mapped_by_the_role_for_it_and_for_as_long_as_it_is_held(m
         assert held.stdout.read() == "WindowRevoked\n"
     with manager.connected() as board:
         assert board.status.windows == ()
+
+
+# Reads over a connection of its own: what it is told first, and for as long as it is answered.
+READ = """
+import json, os, socket, sys
+from cm.wire import plane_packets as p
+
+uid, gid, runtime = json.loads(sys.argv[1])
+os.setgroups([gid]); os.setgid(uid); os.setuid(uid)
+connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+connection.connect(runtime + "/data")
+connection.send(p.encode_open(p.Open("", registers=True)))
+print(connection.recv(4096)[2], flush=True)
+answered = True
+while answered:
+    try:
+        connection.send(p.Descriptor(kind=p.READ).pack() + b"led")
+        answered = connection.recv(4096)
+    except OSError:
+        answered = False
+print("over", flush=True)
+"""
+
+
+@pytest.mark.programs
+@needs_root
+def test_registers_are_read_by_name_by_who_may_observe_all_and_for_as_long_as_that_is_so(manager: Manager) -> None:
+    settings = manager.runtime.parent / "cm.yaml"
+    command = [sys.executable, "-c", READ, json.dumps([GINA, GROUP, str(manager.runtime)])]
+    with subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE, text=True, cwd=REPOSITORY) as held:
+        assert held.stdout is not None
+        assert held.stdout.readline() == f"{packets.REGISTERS}\n"
+        settings.write_text(settings.read_text().replace("[observe]", "[]"))
+        assert held.stdout.read() == "over\n"
+
+
+@pytest.mark.programs
+@needs_root
+def test_who_may_read_some_registers_reads_these_by_requests(manager: Manager) -> None:
+    command = [sys.executable, "-c", READ, json.dumps([HUGO, GROUP, str(manager.runtime)])]
+    done = subprocess.run(command, env=environment(), capture_output=True, text=True, cwd=REPOSITORY, check=True)
+    assert done.stdout == f"{packets.REFUSED}\nover\n"
+    many = "{board.registers['led'] for _ in range(50)}"
+    told = outcome(manager, HUGO, many, "board.registers['focus']")
+    assert told[many] == "{0}"
+    assert told["board.registers['focus']"].startswith("RequestForbidden: ")
 
 
 @pytest.mark.programs

@@ -28,6 +28,7 @@ from cm.wire.plane_packets import (
     LEAVE,
     PACKET_MAX,
     PING,
+    READ,
     RELEASE,
     SOCKET,
     SUBMIT,
@@ -44,6 +45,7 @@ _TOPICS = 900
 _UNREAD = 4
 _KINDS = (RELEASE, SUBMIT, PING, LEAVE)  # packets of the data socket; OPEN is said once on a connection
 _PACKETS = 500
+_READERS = 8
 _TEXTS = (b"{" * 60_000, b"{'a':" + b"9" * 60_000 + b"}", b"\xff" * 100_000, b"{" + b"'a':1," * 10_000 + b"}")
 _PATIENCE = 60_000  # milliseconds until an answer counts as missing
 
@@ -70,6 +72,7 @@ class Flood:
         self._greedy = stack.enter_context(self._board.stream("camera", depth=255))
         self.packets = 0
         self._planes = {kind: self._echo() for kind in _KINDS}
+        self._reads = [self._reader() for _ in range(_READERS)]
 
     def _socket(self, kind: int, name: str) -> Any:
         made = self._stack.enter_context(self._context.socket(kind))
@@ -108,6 +111,13 @@ class Flood:
         made.setblocking(False)
         return made, epoch
 
+    def _reader(self) -> socket.socket:
+        """One that reads registers by name."""
+        made = self._plane(Open("", registers=True))
+        made.recv(PACKET_MAX)
+        made.setblocking(False)
+        return made
+
     def begin(self) -> None:
         """Begin with the requests that are made once, whose answers are not read."""
         for dealer in self._unread:
@@ -126,6 +136,8 @@ class Flood:
                 dealer.send_multipart(status)
         for kind in _KINDS:
             self._packets(kind)
+        for number in range(_READERS):
+            self._read_names(number)
         for _ in range(4):  # who opens what there is not, and hangs up
             self._plane(Open("none")).close()
         with suppress(CmError):
@@ -150,6 +162,22 @@ class Flood:
         except OSError:  # hung up on, because it did not read as fast as it sent
             plane.close()
             self._planes[kind] = self._echo()
+
+    def _read_names(self, number: int) -> None:
+        """Names that there are, and that there are not, again and again."""
+        reader = self._reads[number]
+        try:
+            for name in (b"led", b"none") * (_PACKETS // 2):
+                reader.send(Descriptor(kind=READ).pack() + name)
+                self.packets += 1
+                with suppress(BlockingIOError):
+                    while reader.recv(PACKET_MAX):
+                        pass
+        except BlockingIOError:
+            pass
+        except OSError:
+            reader.close()
+            self._reads[number] = self._reader()
 
     def _leases(self) -> list[Any]:
         return [encode_request(rq.TakeLease("registers:zoom", exclusive=False, seconds=1.0)) for _ in range(40)]

@@ -6,6 +6,7 @@ from __future__ import annotations
 from contextlib import ExitStack
 from pathlib import Path
 
+from cm.client.core.calls import read_registers
 from cm.tools.bench.peer import Peer
 from cm.tools.bench.peers import zmq_board, zmq_reply
 from cm.tools.bench.result import Goal, Result
@@ -30,6 +31,7 @@ def run(bench: Run) -> list[Result]:
         settle(board)
         read = asking(stack, served, ReadReg((REGISTER,)))
         status = asking(stack, served, ReadStatus())
+        question = read_registers((REGISTER,))
         register = next(r for r in board.config().registers if r.name == REGISTER)
         place = same_bytes(bench, read)
         zmq_board.put_register(place, served.runtime_dir / "board", register.address, register.width)
@@ -39,7 +41,7 @@ def run(bench: Run) -> list[Result]:
             "bare_status": timed(stack.enter_context(Peer("zmq_reply", same_bytes(bench, status), 0)).trip),
             "cm_read_reg": timed(read.trip),
             "cm_status": timed(status.trip),
-            "client": timed(lambda: board.registers[REGISTER]),
+            "client": timed(lambda: board.ask(question)),
         }
         return [_result(interleave(contestants, bench.plan(200)))]
 

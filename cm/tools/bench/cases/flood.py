@@ -4,29 +4,37 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from cm import child
+from cm.client.board import Board
+from cm.client.core import calls
 from cm.tools.bench.machine import unpinned
 from cm.tools.bench.result import Goal, Result
-from cm.tools.bench.rounds import Samples, timed
+from cm.tools.bench.rounds import Samples, interleave, timed
 from cm.tools.bench.run import Run
 from cm.tools.bench.serving import Served, environment, resident_mib, serve, settle
 
 REGISTER = "focus"
-RAN = (
-    "cm_read_reg of one register through the Python client, while another process has answers that it does not read, "
+BESIDE = (
+    ", while another process has answers that it does not read, "
     "uploads, 64 slots, 900 subscriptions, 32 leases and 207 connections, over 100 of which it asks for the status, "
     "1024 writes, all registers and text of 64 KiB, "
-    "and repeats each kind of packet on the data socket (cm/tools/bench/flooding.py); baseline: the same, alone"
+    "and repeats each kind of packet on the data socket, reads of registers on 8 of its connections "
+    "(cm/tools/bench/flooding.py); baseline: the same, alone"
 )
+RAN = {
+    "flood": "board.registers[name] as a program uses it: over the data socket, by a request where that has no answer",
+    "flood_requests": "the same read as a request over ZeroMQ (cm_read_reg), Python client",
+}
 
 
 def run(bench: Run) -> list[Result]:
-    """Measure `flood` and `flood_vs_quiet`."""
+    """Measure `flood` and `flood_requests`, and each beside being alone."""
     plan = bench.plan(200)
     with ExitStack() as stack:
         if bench.cpus:  # on a single CPU the flood's own work would be measured
@@ -34,24 +42,36 @@ def run(bench: Run) -> list[Result]:
         served = stack.enter_context(serve(bench))
         board = stack.enter_context(served.connect())
         settle(board)
-        batch = timed(lambda: board.registers[REGISTER])
+        read = calls.read_registers((REGISTER,))
+        ways = {"flood": timed(lambda: board.registers[REGISTER]), "flood_requests": timed(lambda: board.ask(read))}
         for _ in range(plan.warm):
-            batch(plan.trips)
+            for batch in ways.values():
+                batch(plan.trips)
         before = resident_mib(served.pid)
-        quiet = Samples(tuple(batch(plan.trips) for _ in range(plan.rounds)))
+        quiet = interleave(ways, plan)
+        asked = _requests(board)
         with _flooding(bench, served) as told:
-            beside = Samples(tuple(batch(plan.trips) for _ in range(plan.rounds)))
+            beside = interleave(ways, plan)
             most = resident_mib(served.pid)
-    details = {
-        "samples": {"quiet": _plain(quiet), "flood": _plain(beside)},
-        "memory_mib": {"idle": before, "flood": most},
-        "flood": told,
-    }
-    slow, alone = beside.p99, quiet.p99
+            asked = _requests(board) - asked - 1
+    own = (plan.trips + plan.warm) * plan.rounds
+    details = {"memory_mib": {"idle": before, "flood": most}, "by_request": (asked - own) / own, "flood": told}
+    return [result for name in ways for result in _results(name, quiet[name], beside[name], details)]
+
+
+def _results(name: str, quiet: Samples, beside: Samples, details: dict[str, Any]) -> list[Result]:
+    """`details` say how large a part of the reads over the data socket became requests."""
+    slow, alone, ran = beside.p99, quiet.p99, RAN[name] + BESIDE
+    details = {"samples": {"quiet": _plain(quiet), "flood": _plain(beside)}, **details}
     return [
-        Result("flood", slow / 1000, "ms", RAN + "; 99 of 100 answers", goal=Goal(50.0), details=details),
-        Result("flood_vs_quiet", slow, "µs", RAN, baseline=alone, ratio=slow / alone, goal=Goal(3.0)),
+        Result(name, slow / 1000, "ms", ran + "; 99 of 100 answers", goal=Goal(50.0), details=details),
+        Result(f"{name}_vs_quiet", slow, "µs", ran, baseline=alone, ratio=slow / alone, goal=Goal(3.0)),
     ]
+
+
+def _requests(board: Board) -> int:
+    """How many this process has made so far."""
+    return sum(client.requests for client in board.clients() if f"pid {os.getpid()}" in client.name)
 
 
 def _plain(samples: Samples) -> dict[str, float | int]:
