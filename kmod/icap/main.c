@@ -109,9 +109,13 @@ static int add_channels(struct cm_icap *icap)
 	if (ret || device_property_match_string(icap->dev, "dma-names", "rx") < 0)
 		return ret;
 	ret = add_channel(icap, "rx", CM_DMA_S2MM, &icap->back);
-	if (!ret)
-		icap->info.caps |= CM_ICAP_CAP_READ;
-	return ret;
+	if (ret)
+		return ret;
+	/* buffers have addresses for one device */
+	if (icap->back->dma_dev != icap->channel->dma_dev)
+		return dev_err_probe(icap->dev, -EINVAL, "\"rx\" is not of \"icap\"'s engine\n");
+	icap->info.caps |= CM_ICAP_CAP_READ;
+	return 0;
 }
 
 /* bounded by the port's own timeout */

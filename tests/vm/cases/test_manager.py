@@ -10,13 +10,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from boardfile import LENT, write_bitstreams
+from boardfile import FIRMWARE, LENT, write_bitstreams
 from served import OVERLAYS, PATIENCE, Manager, driver, loads, pl, until
 
 import cm
 from cm import device
 from cm.client.errors import WindowRevoked
 from cm.errors import CmError
+from cm.formats.bitstream import device_by_name, open_image
+from cm.formats.bitstream.geometry import frame_order
+from cm.formats.bitstream.memory import frames_of
 
 pytestmark = pytest.mark.needs("cm", "dma", "plsim")
 CHANGES = int(os.environ.get("CM_VM_CHANGES", "100"))
@@ -137,6 +140,39 @@ def test_a_failed_load_goes_back_to_the_mode_before(board: cm.Board) -> None:
         board.mode = "edge_detection"
     assert (board.mode, board.status.fpga_busy) == ("default", False)
     board.mode = "edge_detection"
+
+
+@pytest.fixture
+def frames() -> list[int]:
+    """The frames of the module that the default mode loads, where the port can be read."""
+    if not pl("icap", "loads").with_name("upset").exists():
+        pytest.skip("this board's port has no way back")
+    part = device_by_name("xc7z020")
+    assert part is not None
+    order = frame_order(part.name, part.family)
+    assert order is not None
+    # the simulated port counts frames as the device does
+    table = b"".join((0xFFFFFFFF if far is None else far).to_bytes(4, "little") for far in order.order)
+    pl("icap", "frame_order").write_bytes(table)
+    return list(frames_of(open_image((FIRMWARE / "default.bit").read_bytes()), order))
+
+
+def test_bits_that_turn_over_under_a_region_are_found_and_mended(board: cm.Board, frames: list[int]) -> None:
+    assert board.check_region("prr0").verdict == "good"
+    for far in (frames[0], frames[-1]):
+        pl("icap", "upset").write_text(f"{far:#x} 37")
+    found = board.check_region("prr0")
+    assert (found.verdict, [(one.far, list(one.bits)) for one in found.wrong]) == (
+        "wrong",
+        [(frames[0], [37]), (frames[-1], [37])],
+    )
+    with board.stream("camera", timeout=PATIENCE) as stream:
+        board.configure_stream("camera", enable=True)
+        stream.read()
+        mended = board.check_region("prr0", repair=True)
+        assert (mended.verdict, mended.wrong_bits) == ("good", 2)
+        stream.read()
+    assert board.check_region("prr0").verdict == "good"
 
 
 def test_a_dma_error_is_reported_and_the_stream_goes_on(board: cm.Board) -> None:
