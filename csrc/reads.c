@@ -10,7 +10,9 @@
 #include <string.h>
 #include <sys/epoll.h>
 #include <sys/eventfd.h>
+#include <sys/resource.h>
 #include <sys/socket.h>
+#include <sys/syscall.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -18,6 +20,7 @@
 
 #define EVENTS_AT_ONCE 16
 #define BUCKETS 1024
+#define TURN_NS 100000	      /* the shortest that Linux gives */
 #define PATIENCE_NS 100000000 /* of cm_reads_offer(), for a read under way */
 
 struct entry {
@@ -202,12 +205,34 @@ static void drop(struct cm_reads *reads, struct reader *reader)
 	free(reader);
 }
 
+/*
+ * An answer takes some µs, so this thread needs no longer turns: with short ones it gets them at once beside
+ * threads that compute (Linux 6.12; before, the request changes nothing).
+ */
+static void take_short_turns(void)
+{
+	struct {
+		uint32_t size, policy;
+		uint64_t flags;
+		int32_t nice;
+		uint32_t priority;
+		uint64_t runtime, deadline, period;
+	} wanted = { .size = sizeof(wanted),
+		     .runtime = TURN_NS }; /* struct sched_attr, SCHED_OTHER */
+
+	errno = 0;
+	wanted.nice = getpriority(PRIO_PROCESS, 0); /* of this thread, on Linux */
+	if (!errno)
+		(void)!syscall(SYS_sched_setattr, 0, &wanted, 0);
+}
+
 /* One packet of each client in turn, however many one of them has sent. */
 static void *run(void *argument)
 {
 	struct cm_reads *reads = argument;
 	struct epoll_event events[EVENTS_AT_ONCE];
 
+	take_short_turns();
 	while (!atomic_load(&reads->stopping)) {
 		int ready = epoll_wait(reads->epoll_fd, events, EVENTS_AT_ONCE, -1);
 
