@@ -26,7 +26,7 @@ ROUNDS ?= 8
 STOPPED ?= 4
 
 .DEFAULT_GOAL := help
-.PHONY: help help-all setup docs web-picture demo demo-authors demo-open demo-ros demo-fleet device-suite test test-bare $(FURTHER:%=test-%) test-c test-node test-go test-rtl test-open test-bench test-ros test-fleet etcd test-vm vm strangers soak fuzz mutation bench bench-compare bench-counts lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
+.PHONY: help help-all setup docs web-picture demo demo-authors demo-open demo-scrub demo-ros demo-fleet device-suite test test-bare $(FURTHER:%=test-%) test-c test-node test-go test-rtl test-open test-bench test-ros test-fleet etcd test-vm vm strangers soak fuzz mutation bench bench-compare bench-counts lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
 
 help: ## the targets that most people need
 	@awk -F':[^#]*## ' '/^[a-z-]+:[^#]*## /{printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -82,6 +82,10 @@ demo-open: $(VENV)/.installed-build ## Verilog to partial bitstreams without a v
 	@$(BIN)/cm build run --flow open -j$(JOBS) $(OUT)/open_camera/build.yaml
 	@$(BIN)/cm build collect --schema $(OUT)/open_camera/build.yaml --target $(OUT)/open_camera/target
 	@$(BIN)/python examples/open_camera.py $(OUT)/open_camera/build.yaml
+
+demo-scrub: $(VENV)/.installed-build ## a bit of a running module's configuration turns over, the picture goes wrong and comes back (OUT=DIR; as demo-open, which it builds)
+	@$(MAKE) --no-print-directory demo-open OUT=$(OUT)
+	@$(BIN)/cm demo --scrub $(OUT)/open_camera/build.yaml --out $(OUT)
 
 # The slow files first, so that no worker is left with one at the end.
 SHARE := loadfile --no-loadscope-reorder

@@ -29,6 +29,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--store", choices=("keeper", "etcd"), default="keeper", help="with --fleet: where the wanted state is (keeper)"
     )
+    parser.add_argument("--scrub", type=Path, metavar="FILE",
+        help="a bit of the configuration turns over, and is put right: schema of the example open_camera")  # fmt: skip
     parser.add_argument("--bits", type=Path, metavar="FILE",
         help="run what the bits configure: modules of a build schema that the open flow has built")  # fmt: skip
     parser.set_defaults(run=run)
@@ -45,6 +47,11 @@ def run(args: argparse.Namespace) -> int:
         from cm.tools.demo.fleet import run_fleet_demo
 
         print(f"wrote     {run_fleet_demo(args.out, args.store)} after {time.monotonic() - started:.1f} s")
+        return 0
+    if args.scrub:
+        from cm.tools.demo.scrub import run_scrub_demo
+
+        print(f"wrote     {run_scrub_demo(args.scrub, args.out)} after {time.monotonic() - started:.1f} s")
         return 0
     if args.bits:
         from cm.tools.demo.bits import run_bits_demo

@@ -13,6 +13,7 @@ from cm.client.board import Board, connect
 from cm.simulation.software.hardware.camera import shipped_photos
 from cm.simulation.software.hardware.models import Colorise, edge
 from cm.tools.demo.bits import run_bits_demo, through_modules
+from cm.tools.demo.scrub import run_scrub_demo
 from cm.tools.testing.served import Served
 
 pytestmark = pytest.mark.timeout(900)
@@ -75,3 +76,10 @@ def test_the_demonstration_writes_its_sheet(open_project: Path, tmp_path: Path) 
     said: list[str] = []
     assert run_bits_demo(open_project / "build.yaml", tmp_path, said.append).stat().st_size > 10_000
     assert [line.partition(":")[0] for line in said] == ["colorise", "default", "edge"]
+
+
+def test_a_bit_that_turns_over_is_seen_in_the_picture_found_and_put_right(open_project: Path, tmp_path: Path) -> None:
+    said: list[str] = []
+    assert run_scrub_demo(open_project / "build.yaml", tmp_path, said.append).stat().st_size > 10_000
+    assert "pixels wrong; the check found 1 bit wrong" in said[-2]
+    assert ", wrong</title>" in (tmp_path / "scrub.svg").read_text("utf-8")

@@ -13,6 +13,7 @@ from cm.simulation.software.errors import SimError
 from cm.simulation.software.faults import KINDS
 from cm.simulation.software.transport import protocol
 
+_COMPILED = 300.0  # seconds: where modules run by their bits, those with a bit turned over are compiled
 _TIMEOUT = 10.0
 
 
@@ -64,7 +65,7 @@ class Control:
 
         Returns frame address, and 32 times the word and the bit in it, of each. Raises SimError.
         """
-        self._order("upset", region=region, bits=bits, frame=frame, bit=bit)
+        self._order("upset", patience=_COMPILED, region=region, bits=bits, frame=frame, bit=bit)
         return [(far, at) for far, at in self.state()["upsets"]]
 
     def trace(self, folder: Path | str | None) -> None:
@@ -97,11 +98,12 @@ class Control:
         state: dict[str, Any] = json.loads(self._call(protocol.OP_ATTR_READ, b""))
         return state
 
-    def _order(self, do: str, **parts: object) -> None:
-        self._call(protocol.OP_ATTR_WRITE, json.dumps({"do": do, **parts}).encode())
+    def _order(self, do: str, *, patience: float = _TIMEOUT, **parts: object) -> None:
+        self._call(protocol.OP_ATTR_WRITE, json.dumps({"do": do, **parts}).encode(), patience)
 
-    def _call(self, op: int, payload: bytes) -> bytes:
+    def _call(self, op: int, payload: bytes, patience: float = _TIMEOUT) -> bytes:
         with self._connect() as sock:
+            sock.settimeout(patience)
             try:
                 _receive(sock)
                 sock.send(protocol.REQUEST.pack(op, len(payload)) + payload)
