@@ -76,10 +76,17 @@ class ConfigurationEngine:
         self._loop.call_soon(self._step)
 
     def read(
-        self, request: memoryview, reply: memoryview, closing: memoryview, finished: Callable[[LoadResult], None]
+        self,
+        request: memoryview,
+        reply: memoryview,
+        closing: memoryview,
+        finished: Callable[[LoadResult], None],
+        asked_ns: int,
     ) -> None:
-        """Write words, read words into `reply`, and write words; `finished` is called at the end (EBUSY)."""
-        asked_ns = time.monotonic_ns()
+        """Write words, read words into `reply`, and write words; `finished` is called at the end (EBUSY).
+
+        `asked_ns` as for `start`.
+        """
         self._begin(len(reply))
         self._reading = True
         seconds = (len(request) + len(reply) + len(closing)) / self.rate if self.rate > 0 else 0.0

@@ -104,6 +104,7 @@ class IcapSession:
         return payload
 
     def _read(self, payload: bytes) -> bytes:
+        asked_ns = time.monotonic_ns()
         flags, handle, reserved, *places, cookie = protocol.unpack(protocol.ICAP_READ, payload)
         protocol.require_zero(flags, reserved)
         if not self._node.readable:
@@ -112,7 +113,7 @@ class IcapSession:
         request, reply, closing = self._parts(buffer, places)
         if not (buffer.allocated and buffer.writable):
             raise NodeError(errno.EINVAL, "what is read goes into memory that was allocated here")
-        self._node.engine.read(request, reply, closing, lambda result: self._finished(buffer, cookie, result))
+        self._node.engine.read(request, reply, closing, lambda result: self._finished(buffer, cookie, result), asked_ns)
         buffer.inflight += 1
         return payload
 
