@@ -5,7 +5,7 @@
 
 It imports nothing of its own tree: `cm` is that of the Python that runs it, used as its users do, so that trees of
 different ages can be compared (`cm bench --compare DIR`). What it found is a JSON object on standard output: for each
-route (start, read, write, status, frame, mode) and figure a number per trip.
+route (start, read, request, write, status, frame, mode) and figure a number per trip.
 
 Times depend on the machine, counts do not:
 
@@ -151,6 +151,7 @@ def trips_of(board: Any, echo: Any) -> dict[str, Trip]:
 
     return {
         "read": lambda: registers["led"],
+        "request": lambda: registers.read("led", "scratch"),  # of one register it may need none
         "write": write,
         "status": lambda: board.status,
         "frame": frame,
