@@ -26,7 +26,7 @@ ROUNDS ?= 8
 STOPPED ?= 4
 
 .DEFAULT_GOAL := help
-.PHONY: help help-all setup docs web-picture demo demo-authors demo-open demo-scrub demo-ros demo-fleet device-suite test test-bare $(FURTHER:%=test-%) test-c test-node test-go test-rtl test-open test-bench test-ros test-fleet etcd test-vm vm strangers soak fuzz mutation bench bench-compare bench-counts lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
+.PHONY: help help-all setup docs web-picture notebooks demo demo-authors demo-open demo-scrub demo-ros demo-fleet device-suite test test-bare $(FURTHER:%=test-%) test-c test-node test-go test-rtl test-open test-bench test-ros test-fleet etcd test-vm vm strangers soak fuzz mutation bench bench-compare bench-counts lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
 
 help: ## the targets that most people need
 	@awk -F':[^#]*## ' '/^[a-z-]+:[^#]*## /{printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -158,6 +158,9 @@ endif
 
 vm: $(VENV)/.installed-build ## a shell on that board, with a manager running and its ports forwarded
 	@$(MAKE) --no-print-directory -C tests/vm vm PYTHON="$(abspath $(BIN)/python)" TIERS="$(TIERS)"
+
+notebooks: $(VENV)/.installed-test-programs ### run the notebooks of docs on a simulated board, and keep what they show
+	$(BIN)/python docs/notebook_outputs.py
 
 web-picture: $(VENV)/.installed-test-web ### the picture of the page in docs/images, taken by chromium
 	$(BIN)/python docs/web_picture.py
