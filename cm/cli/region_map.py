@@ -16,8 +16,8 @@ from cm.errors import InvalidRequest, NotFound
 from cm.frozen import dataclass
 
 if TYPE_CHECKING:
-    from cm.formats.bitstream.drawing import Wrong
-    from cm.formats.bitstream.fabric import FabricColumn
+    from cm.formats.xray.drawing import Wrong
+    from cm.formats.xray.fabric import FabricColumn
     from cm.schema.model import Config, Module
     from cm.wire.messages.status import RegionMap
 
@@ -65,8 +65,8 @@ def run_map(args: argparse.Namespace) -> int:
 
 
 def _of_files(args: argparse.Namespace) -> _Map:
-    from cm.formats.bitstream.fabric import fabric  # a completed name needs none of this
     from cm.formats.bitstream.memory import frames_in
+    from cm.formats.xray.fabric import fabric  # a completed name needs none of this
     from cm.schema import load
     from cm.schema.files import bitstream_path
     from cm.wire.messages.status import RegionMap
@@ -82,7 +82,7 @@ def _of_files(args: argparse.Namespace) -> _Map:
 
 def _of_manager(args: argparse.Namespace) -> _Map:
     from cm.cli.connection import connected
-    from cm.formats.bitstream.drawing import columns_of, wrong_words
+    from cm.formats.xray.drawing import columns_of, wrong_words
 
     with connected(args) as board:
         found = board.map_region(args.name)
@@ -92,7 +92,7 @@ def _of_manager(args: argparse.Namespace) -> _Map:
 
 
 def _map(found: RegionMap, columns: Sequence[FabricColumn], wrong: Wrong) -> _Map:
-    from cm.formats.bitstream.drawing import with_names
+    from cm.formats.xray.drawing import with_names
 
     known = with_names(found.device, columns)
     return _Map(found, known or columns, wrong, known is not None)
@@ -106,7 +106,7 @@ class _Map:
     named: bool
 
     def picture(self) -> str:
-        from cm.formats.bitstream.drawing import region_picture
+        from cm.formats.xray.drawing import region_picture
 
         return region_picture(self.of, self.columns, self.wrong, self.named)
 
@@ -115,7 +115,7 @@ class _Map:
         return {**plain(self.of), "columns": columns, "wrong": sorted(self.wrong), "named": self.named}
 
     def show(self) -> None:
-        from cm.formats.bitstream.drawing import WITHOUT_DATABASE, summary, title
+        from cm.formats.xray.drawing import WITHOUT_DATABASE, summary, title
 
         print(f"{title(self.of)}; {summary(self.of, self.columns, self.wrong)}")
         rows = [(f"{c.address:08X}", c.kind, len(c.bits), sum(c.bits), _bad(c, self.wrong)) for c in self.columns]
@@ -140,7 +140,7 @@ def _module(config: Config, region: str, name: str | None) -> Module:
 
 def _said(path: Path | None) -> Wrong:
     """Frames that a check has found wrong, with their words."""
-    from cm.formats.bitstream.drawing import wrong_words
+    from cm.formats.xray.drawing import wrong_words
 
     if path is None:
         return {}

@@ -669,8 +669,8 @@ class BoardFiles:
 
     def columns(self, image: Image) -> tuple[str, list[RegionColumn]]:
         """For whoever wants to see them: no start waits for these modules."""
-        from cm.formats.bitstream.fabric import fabric
         from cm.formats.bitstream.memory import frames_in
+        from cm.formats.xray.fabric import fabric
 
         device, frames = frames_in(self._reader.read(image))
         return device.name, [RegionColumn(c.address, c.bits, c.switches, c.logic, c.clock) for c in fabric(frames)]

@@ -66,7 +66,7 @@ class Commands:
 
     async def _map(self, board: Board, words: Words) -> str:
         """A region's frames as SVG; with `check`, what is wrong is red."""
-        from cm.formats.bitstream.drawing import columns_of, region_picture, with_names, wrong_words
+        from cm.formats.xray.drawing import columns_of, region_picture, with_names, wrong_words
 
         region, check = _text(words, "region"), words.get("check") is True
         if check and not self._control:

@@ -12,10 +12,10 @@ import numpy as np
 
 from cm.client.board import Board, connect
 from cm.errors import CmError, Timeout
-from cm.formats.bitstream.drawing import columns_of, region_picture, with_names, wrong_words
-from cm.formats.bitstream.fabric import row_of
 from cm.formats.bitstream.memory import frames_in
 from cm.formats.xray import set_bits
+from cm.formats.xray.drawing import columns_of, region_picture, with_names, wrong_words
+from cm.formats.xray.fabric import row_of
 from cm.simulation.bits.main import collected
 from cm.simulation.software.hardware.camera import shipped_photos
 from cm.simulation.software.transport.scratch import Scratch, temporary

@@ -9,10 +9,10 @@ import pytest
 from bitstream_support import frames
 
 from cm.formats.bitstream import FrameAddress, FrameRun, assemble
-from cm.formats.bitstream.drawing import svg
 from cm.formats.bitstream.errors import BadPacket, CrcMismatch, UnknownDevice
-from cm.formats.bitstream.fabric import ROWS, fabric, row_of
 from cm.formats.bitstream.memory import frames_in
+from cm.formats.xray.drawing import svg
+from cm.formats.xray.fabric import ROWS, fabric, row_of
 from cm.formats.xray.frames import ECC_MASK, from_bytes
 
 COLUMN = 0x1480  # of an XC7Z020: a column of slices

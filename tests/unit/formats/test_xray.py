@@ -18,7 +18,6 @@ from xray_oracle import DATABASE, frames_read, part, read_bits, run
 from cm.design.packages import PackagesUnavailable, PackageTree, fetch
 from cm.formats.bitstream import FrameRun, assemble
 from cm.formats.bitstream.devices import Family
-from cm.formats.bitstream.fabric import fabric, named
 from cm.formats.bitstream.geometry import decode_far
 from cm.formats.xray import (
     Database,
@@ -38,6 +37,7 @@ from cm.formats.xray import (
     volatile_bits,
     with_ecc,
 )
+from cm.formats.xray.fabric import fabric, named
 
 pytestmark = pytest.mark.open
 

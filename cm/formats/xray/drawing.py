@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TypeAlias
 from xml.sax.saxutils import escape, quoteattr
 
-from cm.formats.bitstream.fabric import ROWS, SWITCHES, FabricColumn, kind_by_frames, named, row_of
 from cm.formats.xray import Database, DatabaseMissing
+from cm.formats.xray.fabric import ROWS, SWITCHES, FabricColumn, kind_by_frames, named, row_of
 from cm.wire.messages.status import RegionMap
 
 WITHOUT_DATABASE = (
