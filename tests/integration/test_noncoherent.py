@@ -301,10 +301,17 @@ def test_asyncio_synchronises_the_same(apart: Setup) -> None:
     assert (to_pl, from_pl) == ({"write_starts": 3, "write_ends": 3}, {"read_starts": 3, "read_ends": 3})
 
 
+def with_the_c_library(name: str, folder: Path) -> Path:
+    """An example of the pages, linked with what `make -C csrc/client` makes."""
+    client, library, program = REPOSITORY / "csrc/client", folder / "libcm_plane.a", folder / name
+    subprocess.run(["make", "-s", "-C", client, library, f"BUILD={folder}"], check=True, capture_output=True)
+    source = REPOSITORY / f"docs/examples/{name}.c"
+    subprocess.run(["cc", f"-I{client}", "-o", program, source, library], check=True)
+    return program
+
+
 def test_the_c_library_synchronises_what_it_takes(apart: Setup, tmp_path: Path) -> None:
-    client, program = REPOSITORY / "csrc" / "client", tmp_path / "reader"
-    sources = [REPOSITORY / "docs" / "examples" / "reader.c", *client.glob("*.c")]
-    subprocess.run(["cc", "-D_GNU_SOURCE", "-std=gnu11", f"-I{client}", "-o", program, *sources], check=True)
+    program = with_the_c_library("reader", tmp_path)
     before = apart.counts("camera")
     command = [program, apart.manager.runtime, "camera", "7"]
     done = subprocess.run(command, check=False, capture_output=True, text=True, env=apart.env, timeout=60)
@@ -315,9 +322,7 @@ def test_the_c_library_synchronises_what_it_takes(apart: Setup, tmp_path: Path) 
 
 
 def test_the_c_librarys_writer_synchronises_what_it_fills(apart: Setup, tmp_path: Path) -> None:
-    client, program = REPOSITORY / "csrc" / "client", tmp_path / "writer"
-    sources = [REPOSITORY / "docs" / "examples" / "writer.c", *client.glob("*.c")]
-    subprocess.run(["cc", "-D_GNU_SOURCE", "-std=gnu11", f"-I{client}", "-o", program, *sources], check=True)
+    program = with_the_c_library("writer", tmp_path)
     told, to_pl, from_pl = loop(
         apart,
         f"""
