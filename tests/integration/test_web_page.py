@@ -157,6 +157,8 @@ def test_a_regions_frames_are_drawn_and_what_is_wrong_is_red(page: Any, camera: 
     ((far, _),) = camera[1].control.upset("prr0", 1)
     page.click("[data-map=prr0] button")
     seen(page, f"{drawn}.some((text) => text.startsWith('frame {far:08X}') && text.endsWith('wrong'))")
+    summary = "document.querySelector('[data-map=prr0] summary').textContent"
+    seen(page, f"{summary}.includes('1 upsets, 0 repairs, 1 bits are wrong')")
     shoot(page, "map")
     change(page, "edge_detection")
     seen(page, f"{drawn}[0].endsWith('edge')")

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 from cm.networks.bridge.records import (
@@ -15,7 +16,7 @@ from cm.networks.bridge.records import (
     StreamFormat,
 )
 from cm.networks.ros.transport import Values
-from cm.wire.messages.status import PlanInfo, RegValues, Status, StreamStatus
+from cm.wire.messages.status import PlanInfo, RegionHealth, RegValues, Status, StreamStatus
 
 _BILLION = 10**9
 _OK, _WARN, _ERROR, _STALE = b"\0", b"\1", b"\2", b"\3"
@@ -144,9 +145,13 @@ def plan(info: PlanInfo) -> dict[str, Any]:
 
 
 def diagnostics(node: str, board: Identity, now: Status | None, problem: str, stamp_ns: int) -> Values:
-    """diagnostic_msgs/DiagnosticArray: the board, and each stream that runs. `problem`: why there is no manager."""
+    """diagnostic_msgs/DiagnosticArray: the board, each region that was checked, each stream that runs.
+
+    `problem`: why there is no manager.
+    """
     rows = [_diagnosed_board(node, board, now, problem)]
     if now is not None and not problem:
+        rows += [_diagnosed_region(node, board, r.name, r.health) for r in now.regions if r.health is not None]
         rows += [_diagnosed_stream(node, board, stream) for stream in now.streams if stream.open]
     return {"header": header(stamp_ns), "status": rows}
 
@@ -161,6 +166,13 @@ def _diagnosed_board(node: str, board: Identity, now: Status | None, problem: st
     values |= {f"region {r.name}": f"{r.module or '-'} ({r.state})" for r in now.regions}
     values |= {f"{s.device} {s.name} ({s.quantity})": f"{s.value:g}" for s in now.sensors}
     return _row(level, f"{node}: board", text, board, values)
+
+
+def _diagnosed_region(node: str, board: Identity, region: str, health: RegionHealth) -> Values:
+    level, text = _OK, f"{health.upsets} upsets found, {health.repairs} repairs"
+    if health.wrong_bits:
+        level, text = _WARN, f"{health.wrong_bits} bits are wrong"
+    return _row(level, f"{node}: region {region}", text, board, asdict(health))
 
 
 def _diagnosed_stream(node: str, board: Identity, stream: StreamStatus) -> Values:

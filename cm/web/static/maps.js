@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What was loaded into each region, frame by frame: drawn by the page's server, asked for when it is opened.
 
-import { byId, h, keyed, set, tell } from "./dom.js";
+import { byId, h, keyed, set, tell, text } from "./dom.js";
 
 export class Maps {
   constructor({ ask, control }) {
@@ -13,6 +13,7 @@ export class Maps {
     keyed(this.node, status.regions, (region) => region.name, (region) => this.made(region.name), (row, region) => {
       set(row.node, "data-module", region.module ?? "");
       row.compare.hidden = !this.control();
+      text(row.health, found(region.health));
       const holds = `${region.state} ${region.module ?? ""}`;
       if (row.holds !== holds && row.node.open) this.draw(row, false);
       row.holds = holds;
@@ -23,8 +24,9 @@ export class Maps {
     const picture = h("div", { class: "map", tabindex: 0, role: "group", "aria-label": `Frames of ${name}` });
     const note = h("p", { class: "error small", role: "alert", hidden: true });
     const compare = h("button", { type: "button", class: "quiet small", text: "Compare with what was loaded", hidden: true });
-    const node = h("details", { "data-map": name }, h("summary", { text: `Frames of ${name}` }), compare, note, picture);
-    const row = { node, name, picture, note, compare, holds: "" };
+    const health = h("span");
+    const node = h("details", { "data-map": name }, h("summary", { text: `Frames of ${name}` }, health), compare, note, picture);
+    const row = { node, name, picture, note, compare, health, holds: "" };
     node.addEventListener("toggle", () => node.open && this.draw(row, false));
     compare.addEventListener("click", () => this.draw(row, true));
     return row;
@@ -43,4 +45,10 @@ export class Maps {
       row.compare.disabled = false;
     }
   }
+}
+
+function found(health) {
+  if (!health?.checks) return "";
+  const now = health.wrong_bits ? `, ${health.wrong_bits} bits are wrong` : "";
+  return ` · compared ${health.checks} times, ${health.upsets} upsets, ${health.repairs} repairs${now}`;
 }

@@ -10,10 +10,19 @@ import numpy as np
 import pytest
 
 import cm.schema
-from cm.networks.bridge.records import config_record, encoding_of, frame_record, stream_format
+from cm.networks.bridge.records import Identity, config_record, encoding_of, frame_record, stream_format
+from cm.networks.ros.messages import diagnostics
 from cm.schema.model import Direction, Stream
 from cm.schema.pictures import CameraInfo, camera_file, camera_info, pixel_bytes
-from cm.wire.messages.status import ConfigInfo, FrameInfo, RegionStatus, RegisterInfo, Status, StreamStatus
+from cm.wire.messages.status import (
+    ConfigInfo,
+    FrameInfo,
+    RegionHealth,
+    RegionStatus,
+    RegisterInfo,
+    Status,
+    StreamStatus,
+)
 
 CALIBRATION = """\
 image_width: 640
@@ -159,3 +168,22 @@ def test_the_core_knows_no_network_but_the_managers() -> None:
         "from cm.networks.bridge import commands, follower, frames, records"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_diagnostics_tell_what_checks_of_a_region_have_found() -> None:
+    repaired, wrong = RegionHealth(checks=3, upsets=2, repairs=1), RegionHealth(checks=1, upsets=4, wrong_bits=4)
+    regions = (
+        RegionStatus("a", "edge", "ready", health=repaired),
+        RegionStatus("b", "edge", "ready", health=wrong),
+        RegionStatus("c", None, "unknown"),
+    )
+    told = diagnostics("/cm", Identity("kria"), Status("camera", "edge", regions=regions), "", 1)["status"]
+    rows = {row["name"]: (row["level"], row["message"]) for row in told}
+    assert rows == {
+        "/cm: board": (0, "camera/edge"),
+        "/cm: region a": (0, "2 upsets found, 1 repairs"),
+        "/cm: region b": (1, "4 bits are wrong"),
+    }
+    values = {pair["key"]: pair["value"] for pair in told[1]["values"]}
+    assert values == {"checks": "3", "upsets": "2", "repairs": "1", "wrong_bits": "0", "frames": "0", "unjudged": "0"}
+    assert [row["level"] for row in diagnostics("/cm", Identity("kria"), None, "no manager", 1)["status"]] == [3]
