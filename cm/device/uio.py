@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import errno
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from cm.device import advice
 from cm.device.base import AnyRoot, Device, Shim
@@ -137,7 +137,7 @@ class Uio(Device):
         return self.info.maps
 
     @property
-    def shim_handle(self) -> Handle:
+    def shim_handle(self) -> Any:
         """The handle that `cm.device.register_reads` passes to C; valid as long as this object."""
         return self._handle
 

@@ -210,7 +210,7 @@ def test_told_to_end_manager_and_board_have_little_left_to_do(runtime) -> None: 
     assert boards
     before, used = _reaped(), sum(map(_used, (manager.pid, *boards)))
     assert manager.stop() == 0
-    assert (_reaped() - before - used) * 10 < used  # which is what it took to start
+    assert (_reaped() - before - used) * 4 < used  # which is what it took to start; the clock ticks 100 times a second
 
 
 def test_a_manager_that_is_stopped_while_its_board_starts_stops_the_board_too(runtime) -> None:  # type: ignore[no-untyped-def]
