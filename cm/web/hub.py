@@ -88,12 +88,13 @@ class Hub:
             while True:
                 frames = await subscription.receive(None)
                 if frames is not None:
-                    self._take(decode_event(frames))
+                    self.take(decode_event(frames))
         finally:
             with suppress(CmError):
                 subscription.close()
 
-    def _take(self, event: Any) -> None:
+    def take(self, event: Any) -> None:
+        """What the manager has told."""
         if isinstance(event, Status):
             self._status(event)
         elif isinstance(event, RegValues):
@@ -102,7 +103,10 @@ class Hub:
             self._interrupt(event)
 
     def _status(self, status: Status) -> None:
-        before, self.status = self.status, status
+        before = self.status
+        if before is not None and before.started_ns == status.started_ns and before.sequence > status.sequence:
+            return  # a reply that a later status has overtaken
+        self.status = status
         if status.started_ns != self._started_ns:
             self._started_ns = status.started_ns
             self._changes.forget()

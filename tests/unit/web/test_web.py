@@ -6,6 +6,7 @@ from __future__ import annotations
 import io
 import json
 import struct
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from cm.web.changes import KEPT, ChangeLog
 from cm.web.gate import Gate, is_loopback
 from cm.web.history import KEPT as SECONDS
 from cm.web.history import History
+from cm.web.hub import Hub
 from cm.web.topics import Topics
 from cm.wire.messages.status import ErrorInfo, PrMode, Progress, SensorStatus, Status, StreamStatus
 
@@ -194,6 +196,16 @@ def test_a_change_that_was_not_seen_running_is_listed_without_steps() -> None:
     log.take(Status("camera", "default", last_change=1))
     log.take(Status("camera", "edge", last_change=2, last_change_seconds=0.1))
     assert [(c["number"], c["state"], c["steps"]) for c in log.changes] == [(2, "done", [])]
+
+
+def test_a_status_that_a_later_one_has_overtaken_begins_no_change_again() -> None:
+    hub = Hub(lambda: None, control=False)  # type: ignore[arg-type,return-value]
+    before, after = (Status("camera", "default", sequence=n, last_change=m, started_ns=1) for n, m in ((6, 3), (8, 4)))
+    begun = replace(running("load", 4), sequence=7, last_change=3, started_ns=1)
+    for status in (before, begun, after, begun, after):
+        hub.take(status)
+    assert hub.status == after
+    assert [change["number"] for change in json.loads(hub.topics.message(["changes"]))["changes"]] == [4]
 
 
 def test_a_manager_that_died_in_a_change_has_lost_it() -> None:
