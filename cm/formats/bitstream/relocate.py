@@ -16,7 +16,7 @@ from cm.formats.bitstream.container import Container, Source, open_image
 from cm.formats.bitstream.convert import convert
 from cm.formats.bitstream.devices import Device, Family
 from cm.formats.bitstream.errors import CannotRelocate
-from cm.formats.bitstream.geometry import FrameAddress, decode_far, encode_far, geometry_of
+from cm.formats.bitstream.geometry import FrameAddress, Geometry, decode_far, encode_far, geometry_of
 from cm.formats.bitstream.memory import frames_in
 from cm.formats.bitstream.merge import (
     Moves,
@@ -89,24 +89,29 @@ def relocate(source: Source, moves: Moves, blank: Frames, database: Database) ->
 
 def _assembled(device: Device, source: Source, frames: Frames) -> bytes:
     """A partial bitstream of these frames with the header of another."""
-    image = open_image(source)
+    image, geometry = open_image(source), geometry_of(device.name)
+    assert geometry is not None  # `column_moves` knew it
     runs = []
-    for far, count in _neighbours(sorted(frames)):
-        order = (frames[far + minor] for minor in range(count))
-        address = decode_far(far, device.family)
-        runs.append(FrameRun(address, b"".join(map(to_bytes, order)) + bytes(BYTES)))
+    for far, order in _in_runs(sorted(frames), geometry, device.family):
+        data = b"".join(to_bytes(frames[address]) for address in order)
+        runs.append(FrameRun(decode_far(far, device.family), data + bytes(BYTES)))
     made = assemble(device, runs, design="moved")
     return convert(made, image.container, image.header)
 
 
-def _neighbours(addresses: Sequence[int]) -> list[tuple[int, int]]:
-    """Frames of a column that follow each other: the first, and how many."""
-    found: list[tuple[int, int]] = []
+def _in_runs(addresses: Sequence[int], geometry: Geometry, family: Family) -> list[tuple[int, list[int]]]:
+    """Frames that follow each other, also from column to column, as the port counts: the first, and all."""
+    found: list[tuple[int, list[int]]] = []
+    after = -1
     for address in addresses:
-        if found and found[-1][0] + found[-1][1] == address:
-            found[-1] = (found[-1][0], found[-1][1] + 1)
+        if address == after:
+            found[-1][1].append(address)
         else:
-            found.append((address, 1))
+            found.append((address, [address]))
+        at = decode_far(address, family)
+        row = geometry.row(at.block_type, at.row)
+        last = row is not None and at.minor + 1 == row.frames(at.column)
+        after = encode_far(FrameAddress(at.block_type, at.row, at.column + 1), family) if last else address + 1
     return found
 
 
