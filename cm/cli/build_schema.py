@@ -127,6 +127,10 @@ def run_check(args: argparse.Namespace) -> int:
     found = check_system(system) if system is not None else []
     if system is not None and args.flow == "open":
         found += check_open(system)
+        if not any(finding.error for finding in found):
+            from cm.design.openflow.moved import check_moved  # takes the database's modules along
+
+            found += check_moved(system)
     if args.json:
         told = [{"rule": f.rule, "error": f.error, "message": f.text(project.source)} for f in found]
         print_json(as_dict(project, analysis, system) | {"findings": told})

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,7 +11,6 @@ from xray_oracle import read_bits
 
 from cm.cli.main import main
 from cm.design.openflow.tools import fetched
-from cm.formats.bitstream import to_dma_words
 from cm.formats.bitstream.memory import frames_in
 from cm.formats.xray.frames import ECC_WORD
 
@@ -56,13 +54,28 @@ def test_bitread_finds_the_modules_bits_in_the_other_region_with_the_static_part
     assert static - upper  # the static part is not the same there
 
 
+def test_the_build_makes_it_once_and_moves_it_as_the_command_does(open_moved: Path, moved: Path) -> None:
+    made = open_moved / "build/bitstreams/edge_lower.bit"
+    assert made.read_bytes() == moved.read_bytes()
+    steps = {path.stem for path in (open_moved / "build/open").glob("*.key")}
+    assert {"synth_edge_upper", "place_edge_upper"} <= steps
+    assert not {"synth_edge_lower", "place_edge_lower"} & steps
+
+
+def test_the_first_run_holds_it_in_both_regions(open_moved: Path) -> None:
+    folder = open_moved / "build/bitstreams"
+    whole = frames_in(folder / "moved_full.bit")[1]
+    for name in ("edge_upper", "edge_lower"):
+        own = frames_in(folder / f"{name}.bit")[1]
+        assert own == {address: whole[address] for address in own}
+
+
 def test_its_bits_do_in_each_region_what_its_verilog_does_for_a_hundred_thousand_cycles(
-    open_moved: Path, moved: Path, tmp_path: Path
+    open_moved: Path, tmp_path: Path
 ) -> None:
     built = Built(open_moved, tmp_path)
-    places = {"upper": open_moved / f"build/bitstreams/{MODULE}.bit", "lower": moved}
-    twins = [replace(built.twin_in(region, MODULE, to_dma_words(path)), name=region) for region, path in places.items()]
+    twins = [built.twin("edge_upper"), built.twin("edge_lower")]
     assert not any(twin.netlist.notes for twin in twins)
     results = compare(tmp_path, twins, CYCLES, RESET)
-    assert {region: one.wrong for region, one in results.items()} == {"upper": 0, "lower": 0}
+    assert {name: one.wrong for name, one in results.items()} == {"edge_upper": 0, "edge_lower": 0}
     assert all(one.changes > CYCLES // 4 for one in results.values()), results

@@ -83,7 +83,7 @@ class Attempt:
         }
         _complete("the static part", left_out(one.database, static, features, one.database.tiles))
         with ThreadPoolExecutor(self._settings.jobs) as pool:
-            every = one.system.implementations
+            every = one.system.placed
             moved = {each.name: self._taken_elsewhere(each, static) for each in every if each.module.relocatable}
             runs = {
                 each.name: pool.submit(

@@ -15,6 +15,7 @@ from cm.design.generate.netlist import Netlist
 from cm.design.openflow import images
 from cm.design.openflow.attempt import Attempt, Context, Settings, Unroutable
 from cm.design.openflow.layout import layouts
+from cm.design.openflow.moved import MOVERS, moved_image, moves_of
 from cm.design.openflow.netlists import MODULE_TOP, TOP, module_side, open_system, open_top, static_side
 from cm.design.openflow.rules import refuse_open
 from cm.design.openflow.steps import Steps, Tell, key_of, write_whole
@@ -22,6 +23,7 @@ from cm.design.openflow.synth import ROUTER, Sources, resolved, script, synthesi
 from cm.design.openflow.tools import Tools
 from cm.design.plan.system import Implementation, System
 from cm.design.render import Renderer
+from cm.formats.bitstream.memory import frames_in
 from cm.formats.xray import Database, Feature, Wires, two_drivers
 
 Features = frozenset[Feature]
@@ -42,6 +44,7 @@ class OpenFlow:
         self.database = Database.open(system.project.part, tools.database)
         self.wires = Wires(self.database)
         self.layouts = layouts(system, self.database)
+        self.moves = moves_of(system, self.layouts, self.database)
         self.steps = Steps(self.folder, tell)
         (clock,) = {region.spec.clock for region in system.regions}
         self.rate = system.project.clocks[clock].rate
@@ -95,7 +98,7 @@ class OpenFlow:
         verilog = resolved([*made, self.out / "hdl/cm_static.v", *library, *plain])
         later = tuple(path for path in spec.sources if path.suffix == ".sv")
         found = {"static": Sources(TOP, verilog, later, include_dirs=spec.include_dirs, pads=True)}
-        for one in self.system.implementations:
+        for one in self.system.placed:
             top = self._written(renderer, f"module_{one.region.name}", module_side(one.region))
             files = module_files(one, self.out)
             found[one.name] = Sources(
@@ -127,13 +130,15 @@ class OpenFlow:
 
     def _bitstreams(self, static: frozenset[Feature], modules: dict[str, frozenset[Feature]]) -> None:
         system, name = self.system, self.system.full
-        outputs = {one: self.out / f"bitstreams/{one}.bit" for one in (name, *modules)}
+        names = [one.name for one in system.implementations]
+        outputs = {one: self.out / f"bitstreams/{one}.bit" for one in (name, *names)}
         outputs["blank"] = self.folder / "blank.bit"
         found = {one: sorted(features) for one, features in modules.items()}
-        key = key_of(sorted(static), found, Path(images.__file__))
+        moves = {one: sorted(columns.items()) for one, columns in self.moves.items()}
+        key = key_of(sorted(static), found, moves, *map(Path, (images.__file__, *MOVERS)))
         self.steps.step("bitstreams", "frames and bitstreams", key, list(outputs.values()),
                         partial(self._write, static, modules, outputs))  # fmt: skip
-        self.tell(f"{system.project.name}: {len(modules)} partial bitstreams in {self.out / 'bitstreams'}")
+        self.tell(f"{system.project.name}: {len(names)} partial bitstreams in {self.out / 'bitstreams'}")
 
     def _write(
         self, static: frozenset[Feature], modules: dict[str, frozenset[Feature]], outputs: dict[str, Path]
@@ -142,18 +147,25 @@ class OpenFlow:
         base = images.frames_of(self.database, static | self.database.required, "the static part")
         number = images.user_id(base)
         write_whole(outputs["blank"], images.full_image(device, part, "blank", base, number))
-        first = self.system.runs[0]
-        whole = static | self.database.required | {f for one in first.values() for f in modules[one]}
-        for one in self.system.implementations:
+        made: dict[str, bytes] = {}
+        for one in self.system.placed:
             self._checked(one, static | modules[one.name])
             columns = self.layouts[one.region.name].columns
             frames = images.frames_of(self.database, static | self.database.required | modules[one.name], one.name)
             beyond = images.outside(columns, base, frames)
             if beyond:
                 raise BuildError(f"module {one.name} changes frame {beyond[0]:08X}, which is not of its region")
-            data = images.partial_image(device, part, one.name, frames, columns, number)
-            write_whole(outputs[one.name], data)
+            made[one.name] = images.partial_image(device, part, one.name, frames, columns, number)
+        for origin, one in self.system.moved:
+            made[one.name] = moved_image(origin, one, made[origin.name], self.moves[one.name], base, self.database)
+        for module, data in made.items():
+            write_whole(outputs[module], data)
+        first = self.system.runs[0].values()
+        whole = static | self.database.required | {f for module in first for f in modules.get(module, ())}
         frames = images.frames_of(self.database, whole, name)
+        for module in first:
+            if module not in modules:
+                frames |= frames_in(made[module])[1]
         write_whole(outputs[name], images.full_image(device, part, name, frames, number))
 
     def _checked(self, one: Implementation, features: Iterable[Feature]) -> None:

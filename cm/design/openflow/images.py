@@ -62,7 +62,7 @@ def partial_image(
     """Make a partial bitstream: every frame of the columns, in runs of neighbours, each followed by a padding frame."""
     geometry = _geometry(device)
     runs: list[FrameRun] = []
-    for first, many in _neighbours(sorted(columns)):
+    for first, many in neighbours(sorted(columns)):
         address = decode_far(first << _MINOR_BITS, Family.SERIES7)
         row = geometry.row(address.block_type, address.row)
         if row is None:
@@ -78,7 +78,7 @@ def _column(frames: Mapping[int, int], address: FrameAddress, count: int) -> byt
     return b"".join(to_bytes(with_ecc(frames.get(first + minor, 0))) for minor in range(count))
 
 
-def _neighbours(columns: list[int]) -> list[tuple[int, int]]:
+def neighbours(columns: list[int]) -> list[tuple[int, int]]:
     """Runs of consecutive columns: the first, and how many."""
     found: list[tuple[int, int]] = []
     for column in columns:

@@ -95,7 +95,7 @@ def elsewhere(database: Database, wires: Wires, layout: Layout, others: Iterable
     """
     found = set()
     for other in others:
-        if _shape(other) != _shape(layout):
+        if shape(other) != shape(layout):
             continue
         (left, top), (x, y) = _corner(other), _corner(layout)
         for wire in passing(database, wires, other, static) | fence(database, wires, other):
@@ -111,7 +111,8 @@ def _corner(layout: Layout) -> tuple[int, int]:
     return min(tile.x for tile in layout.tiles.values()), min(tile.y for tile in layout.tiles.values())
 
 
-def _shape(layout: Layout) -> set[tuple[str, int, int]]:
+def shape(layout: Layout) -> set[tuple[str, int, int]]:
+    """The kinds of a region's tiles, and where they lie in it."""
     x, y = _corner(layout)
     return {(tile.kind, tile.x - x, tile.y - y) for tile in layout.tiles.values()}
 

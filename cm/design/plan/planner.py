@@ -140,7 +140,8 @@ class _Planner:
     def _implementations(self, regions: tuple[RegionPlan, ...]) -> Iterator[Implementation]:
         for region in regions:
             for module in self._project.modules_of(region.name):
-                yield Implementation(module, region, identity_of(self._project.name, region.name, module.name))
+                home = module.home(region.name)  # what is moved answers as where it comes from
+                yield Implementation(module, region, identity_of(self._project.name, home, module.name))
 
     def _names(self, run: Mapping[str, str]) -> dict[str, str]:
         """Region → name of the implementation."""

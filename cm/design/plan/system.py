@@ -160,7 +160,10 @@ class Domain:
 
 @dataclass(frozen=True, slots=True)
 class Implementation:
-    """A module in a region: one wrapper, one synthesis, one partial bitstream."""
+    """A module in a region: one wrapper, one synthesis, one partial bitstream.
+
+    Of a relocatable module the open flow makes the first region's, and moves its bitstream to the others.
+    """
 
     module: ModuleSpec
     region: RegionPlan
@@ -170,6 +173,11 @@ class Implementation:
     def name(self) -> str:
         """The module's name, with the region's if it may go to several."""
         return self.module.name if len(self.module.regions) == 1 else f"{self.module.name}_{self.region.name}"
+
+    @property
+    def moved(self) -> bool:
+        """Whether the open flow makes it of another region's bitstream."""
+        return self.module.home(self.region.name) != self.region.name
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,6 +238,17 @@ class System:
     def implementation(self, module: str, region: str) -> Implementation:
         """The implementation of a module in a region."""
         return next(i for i in self.implementations if i.module.name == module and i.region.name == region)
+
+    @property
+    def placed(self) -> tuple[Implementation, ...]:
+        """The implementations that the open flow places and routes."""
+        return tuple(one for one in self.implementations if not one.moved)
+
+    @property
+    def moved(self) -> tuple[tuple[Implementation, Implementation], ...]:
+        """Those that it moves, each after the one that it is made of."""
+        moved = (one for one in self.implementations if one.moved)
+        return tuple((self.implementation(one.module.name, one.module.regions[0]), one) for one in moved)
 
 
 def used_clocks(system: System) -> list[str]:

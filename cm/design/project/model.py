@@ -171,8 +171,12 @@ class ModuleSpec:
         None  # which of those with valid, data and acknowledge are streams; None: not said
     )
     resources: Resources = Resources()
-    relocatable: bool = False  # routed so that it can be moved to the other regions of its region's shape
+    relocatable: bool = False  # open flow: made for the first region, and moved to the others
     doc: str = ""
+
+    def home(self, region: str) -> str:
+        """The region whose implementation goes to `region`, in the open flow."""
+        return self.regions[0] if self.relocatable else region
 
     @property
     def readable(self) -> tuple[Path, ...]:

@@ -90,6 +90,8 @@ CASES = [
      "mmio: [{base_address: 0, registers: {r: {offset: 0, fields: {§f: {width: 4}}}}}]"),
     ("name of a value that does not fit", "value_range", "mmio[0].registers.r.fields.f.values.on", "at most 0x1",
      "mmio: [{base_address: 0, registers: {r: {offset: 0, fields: {f: {bits: 4, values: {§on: 2}}}}}}]"),
+    ("what belongs to the build schema", "unknown_key", "modules.a.relocatable", "of the build schema",
+     "modules: {a: {bitstream: a.bin, §relocatable: true}}"),
     ("unknown region of a module", "unknown_region", "modules.a.region", "did you mean left?",
      "regions: [left, right]\nmodules: {a: {§region: letf}}"),
     ("unknown region of a register", "unknown_region", "mmio[0].registers.r.region", "there is no region x",
