@@ -10,6 +10,9 @@ from cm.cli.common import add_connection_options, add_json_option, add_lease_opt
 from cm.cli.region_map import add_map
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from cm.client.board import Board
     from cm.wire.messages.status import RegionCheck
 
 _CHECK = """Read the region's configuration back and compare it with the bitstream that was loaded. Exit status: 0 where
@@ -38,22 +41,41 @@ def run_check(args: argparse.Namespace) -> int:
 
     with connected(args) as board:
         found = board.check_region(args.name, repair=args.repair, reload=args.reload, lease=args.lease)
+        places = _places(board, found) if found.wrong else {}
     if args.json:
-        print_json(plain(found))
+        told = plain(found)
+        for frame, known in zip(told["wrong"], found.wrong, strict=True):
+            frame["places"] = [places.get((known.far, bit), "") for bit in known.bits]
+        print_json(told)
     else:
-        _show(found)
+        _show(found, places)
     return 0 if found.verdict == "good" else 1
 
 
-def _show(found: RegionCheck) -> None:
+def _places(board: Board, found: RegionCheck) -> Mapping[tuple[int, int], str]:
+    """What the wrong bits belong to, where Project X-Ray's database is here and has the device."""
+    from cm.client.errors import RequestFailed
+    from cm.formats.xray import Database, DatabaseMissing, describe_bits
+
+    try:
+        database = Database.open(board.map_region(found.region).device)
+    except (DatabaseMissing, RequestFailed):
+        return {}
+    return describe_bits(database, [(frame.far, bit) for frame in found.wrong for bit in frame.bits])
+
+
+def _show(found: RegionCheck, places: Mapping[tuple[int, int], str]) -> None:
     took = f"{1000 * found.seconds:.1f} ms"
     print(f"{found.region} ({found.module}): {_verdict(found)}; {found.frames} frames compared in {took}")
     rows = [
-        (f"0x{w.far:08x}", w.row, w.column, w.minor, ", ".join(f"{bit // 32}.{bit % 32}" for bit in w.bits))
+        (
+            *(f"0x{w.far:08x}", w.row, w.column, w.minor, ", ".join(f"{bit // 32}.{bit % 32}" for bit in w.bits)),
+            ", ".join(dict.fromkeys(filter(None, (places.get((w.far, bit), "") for bit in w.bits)))),
+        )
         for w in found.wrong[:_SHOWN]
     ]
     if rows:
-        print_table(rows, ("FRAME", "ROW", "COLUMN", "MINOR", "WORD.BIT"))
+        print_table(rows, ("FRAME", "ROW", "COLUMN", "MINOR", "WORD.BIT", "PART OF" if places else ""))
     if found.wrong_frames > len(rows):
         print(f"and {found.wrong_frames - len(rows)} more frames")
     if found.unjudged:

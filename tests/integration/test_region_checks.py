@@ -164,6 +164,25 @@ def test_the_asyncio_client_asks_the_same(two: Two) -> None:
     assert asyncio.run(checked(two[2].runtime)) == "good"
 
 
+def test_the_command_says_what_wrong_bits_are_part_of_where_a_database_knows(
+    two: Two, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, sim, manager = two
+    monkeypatch.setattr("cm.formats.xray.Database.open", lambda part: part)
+    monkeypatch.setattr("cm.formats.xray.describe_bits", lambda part, bits: dict.fromkeys(bits, f"INT of {part}"))
+    place = ["--runtime-dir", str(manager.runtime)]
+    sim.control.upset("left", 2)
+    assert main(["region", "check", "left", *place]) == 1
+    shown = capsys.readouterr().out.splitlines()
+    assert shown[1].endswith("PART OF")
+    rows = [line for line in shown if line.startswith("0x")]
+    assert rows
+    assert all(row.endswith("INT of xc7z020") for row in rows)
+    assert main(["region", "check", "left", "--repair", "--json", *place]) == 0
+    wrong = json.loads(capsys.readouterr().out)["wrong"]
+    assert [frame["places"] for frame in wrong] == [["INT of xc7z020"] * len(frame["bits"]) for frame in wrong]
+
+
 def test_the_command_says_what_it_found_and_its_exit_status_too(two: Two, capsys: pytest.CaptureFixture[str]) -> None:
     _, sim, manager = two
     place = ["--runtime-dir", str(manager.runtime)]

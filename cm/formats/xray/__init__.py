@@ -8,6 +8,7 @@ from cm.formats.xray.database import Database as Database
 from cm.formats.xray.database import find_database as find_database
 from cm.formats.xray.decode import Decoded as Decoded
 from cm.formats.xray.decode import decode as decode
+from cm.formats.xray.decode import describe_bits as describe_bits
 from cm.formats.xray.decode import tiles_with_bits as tiles_with_bits
 from cm.formats.xray.encode import Clash as Clash
 from cm.formats.xray.encode import Encoded as Encoded

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import takewhile
 
 from cm.formats.xray.database import Database
 from cm.formats.xray.features import Feature
@@ -46,6 +47,36 @@ def tiles_with_bits(database: Database, addresses: Iterable[int]) -> Iterator[Ti
     for tile in database.tiles.values():
         if any(not wanted.isdisjoint(range(segment.base, segment.base + segment.frames)) for segment in tile.segments):
             yield tile
+
+
+def describe_bits(database: Database, bits: Iterable[tuple[int, int]]) -> Mapping[tuple[int, int], str]:
+    """Say what each bit (frame address, position) belongs to: its tile, and the beginning of its features' names.
+
+    A bit of a tile for which no feature is known has the tile alone; one that no tile has is left out.
+    """
+    frames: dict[int, list[int]] = {}
+    for address, position in bits:
+        frames.setdefault(address, []).append(position)
+    found: dict[tuple[int, int], str] = {}
+    for tile in database.tiles.values():
+        for segment in tile.segments:
+            for address in frames.keys() & set(range(segment.base, segment.base + segment.frames)):
+                for position in frames[address]:
+                    if segment.offset <= position // 32 < segment.offset + segment.words:
+                        what = _common(database, segment, (address - segment.base, position - segment.shift))
+                        place = f"{tile.name} {what}".rstrip()
+                        found[address, position] = max(found.get((address, position), ""), place, key=len)
+    return found
+
+
+def _common(database: Database, segment: Segment, place: tuple[int, int]) -> str:
+    """What all features of a bit begin with, in whole words: ``SLICEL_X0.BLUT.INIT[3]``, or the wire of a switch."""
+    names = [
+        segment.from_kind(name).split(".")
+        for name, bits in database.segbits(segment.kind, segment.block).features.items()
+        if any((bit.frame, bit.position) == place for bit in bits)
+    ]
+    return ".".join(parts[0] for parts in takewhile(lambda parts: len(set(parts)) == 1, zip(*names, strict=False)))
 
 
 def _matches(database: Database, frames: Frames, segment: Segment) -> Iterator[tuple[str, list[tuple[int, int]]]]:

@@ -27,6 +27,7 @@ from cm.formats.xray import (
     Wires,
     XrayError,
     decode,
+    describe_bits,
     encode,
     fasm,
     find_database,
@@ -88,6 +89,17 @@ def test_features_come_back_from_their_frames(database: Database) -> None:
     decoded = decode(database, encoded.frames)
     assert decoded.features == given
     assert not decoded.unexplained
+
+
+def test_what_a_bit_belongs_to(database: Database) -> None:
+    """Of a table it is the feature itself, of a switch the wire that it drives, which all its features begin with."""
+    wanted = {}
+    for kind, name, what in (("CLBLL_L", "SLICEL_X0.BLUT.INIT[3]", ""), ("INT_L", "BYP_ALT0.GFAN0", "BYP_ALT0")):
+        tile = next(tile for tile in database.tiles.values() if tile.kind == kind and tile.segments)
+        (segment,) = tile.segments
+        bit = database.segbits(segment.kind, segment.block).features[name][0]
+        wanted[segment.base + bit.frame, bit.position + segment.shift] = f"{tile.name} {what or name}"
+    assert describe_bits(database, [*wanted, (0x7FFFFF, 0)]) == wanted
 
 
 def test_bitread_finds_the_bits_of_the_features(database: Database, tree: PackageTree, tmp_path: Path) -> None:
