@@ -83,7 +83,7 @@ demo-open: $(VENV)/.installed-build ## Verilog to partial bitstreams without a v
 	@$(BIN)/cm build collect --schema $(OUT)/open_camera/build.yaml --target $(OUT)/open_camera/target
 	@$(BIN)/python examples/open_camera.py $(OUT)/open_camera/build.yaml
 
-demo-scrub: $(VENV)/.installed-build ## a bit of a running module's configuration turns over, the picture goes wrong and comes back (OUT=DIR; as demo-open, which it builds)
+demo-scrub: $(VENV)/.installed-build ### a bit of a running module's configuration turns over, the picture goes wrong and comes back (OUT=DIR; as demo-open, which it builds)
 	@$(MAKE) --no-print-directory demo-open OUT=$(OUT)
 	@$(BIN)/cm demo --scrub $(OUT)/open_camera/build.yaml --out $(OUT)
 
@@ -244,7 +244,7 @@ sdist: $(VENV)/.installed-release ### the archive of the sources, into build/rel
 		{ cat $(RELEASE)/sdist.log; exit 1; }
 	@rm -f $(RELEASE)/sdist.log
 
-wheel: sdist ## wheels for ARCHES (amd64 arm64 armhf) and one for any system, into build/release
+wheel: sdist ### wheels for ARCHES (amd64 arm64 armhf) and one for any system, into build/release
 	@rm -f $(RELEASE)/*.whl
 	@python3 release/wheels.py $(ARCHES:%=--arch %) --pure --out $(RELEASE) $(SDIST)
 

@@ -60,7 +60,7 @@ def web_server(runtime: Path | None, *arguments: str) -> Iterator[WebServer]:
         yield server
     finally:
         status, said = server.stop()
-    assert (status, said) == (0, "")
+    assert (status, said) == (0, ""), f"cm web ended with {status} and said: {said}"
 
 
 @contextlib.contextmanager
