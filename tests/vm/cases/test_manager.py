@@ -84,10 +84,9 @@ def test_a_memory_holds_an_array_and_registers_see_its_words(board: cm.Board) ->
 
 
 def test_mapped_registers_are_taken_back_when_their_region_is_loaded(board: cm.Board) -> None:
-    there = {place.address for info in device.list_uio("/") for place in info.maps}
-    mode, module, name = (
-        ("loopback", "loopback", "gain") if LENT[0] in there else ("edge_detection", "edge", "threshold")
-    )
+    if LENT[0] in {place.address for info in device.list_uio("/") for place in info.maps}:
+        pytest.skip("what a device tree lends here are no registers of a mode")
+    mode, module, name = "edge_detection", "edge", "threshold"
     board.mode = mode
     with board.registers.window(module, write=True, timeout=PATIENCE) as window:
         window[name] = 5

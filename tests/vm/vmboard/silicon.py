@@ -52,7 +52,8 @@ def modules(cache: Cache, kernel: Kernel, other: Source | None) -> Path | None:
         return None
     drivers = {"xilinx_dma.c": driver} | ({"xilinx_dma_other.c": other.driver(cache)} if other else {})
     ours = REPOSITORY / "kmod"
-    parts = [ours / "plsim/configport.c", ours / "plsim/configport.h", ours / "uapi", ours / "include"]
+    port = [ours / "plsim" / f"{name}.{kind}" for name in ("configport", "frames") for kind in "ch"]
+    parts = [*port, ours / "uapi", ours / "include"]
     inputs = [kernel.release, str(kernel.build), MODEL, *drivers, *drivers.values(), *parts]
 
     def build(place: Path) -> None:
