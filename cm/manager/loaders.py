@@ -189,14 +189,15 @@ class IcapLoader:
         held, kept = self._cache.get(job, icap, self._files.port_bytes)
         try:
             self._await_idle(icap, job.image, timeout)
-            yield lambda on_bytes: self._load(icap, held, job, timeout, on_bytes)
+            yield lambda on_bytes: self._load(icap, held, job.image, timeout, on_bytes, whole=job.region is None)
         finally:
             if not kept:
                 self._dispose(held)
 
-    def _load(self, icap: ConfigPort, held: Held, job: Job, timeout: float, on_bytes: OnBytes) -> None:
-        image, cookie = job.image, next(self._cookies)
-        whole = job.region is None
+    def _load(
+        self, icap: ConfigPort, held: Held, image: Image, timeout: float, on_bytes: OnBytes, whole: bool = False
+    ) -> None:
+        cookie = next(self._cookies)
         icap.load(held.buffer, held.length, cookie=cookie, full=whole, encrypted=image.encrypted)
         _raise_failed(self._wait(icap, cookie, image, timeout, on_bytes), image)
 
@@ -206,9 +207,7 @@ class IcapLoader:
         held = _filled(icap, words)
         try:
             self._await_idle(icap, image, timeout)
-            cookie = next(self._cookies)
-            icap.load(held.buffer, held.length, cookie=cookie)
-            _raise_failed(self._wait(icap, cookie, image, timeout, lambda _: None), image)
+            self._load(icap, held, image, timeout, lambda _: None)
         finally:
             self._dispose(held)
 

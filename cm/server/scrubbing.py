@@ -40,6 +40,7 @@ class Scrubber:
         self._loop, self._manager, self._thread = loop, manager, thread
         self._settings = settings
         self._said: dict[str, str] = {}  # the last refusal by region, which is logged once
+        self._under_way: set[str] = set()  # regions whose pass, or what it led to, has not ended
 
     def begin(self) -> None:
         """From now on."""
@@ -51,33 +52,33 @@ class Scrubber:
 
     def _pass(self, name: str) -> None:
         """Begin a pass; the next follows as long after its beginning as the settings say, and after its end."""
-        self._loop.call_later(self._settings[name].every, partial(self._again, name, began := [True]))
+        self._loop.call_later(self._settings[name].every, partial(self._again, name))
         held = self._manager.state.region(name)
         if held.phase is not RegionPhase.READY or held.module is None:
-            began.clear()
             return
-        self._thread.submit(partial(self._prepare, name, began))
+        self._under_way.add(name)
+        self._thread.submit(partial(self._prepare, name))
 
-    def _again(self, name: str, under_way: list[bool]) -> None:
+    def _again(self, name: str) -> None:
         """The next pass, once the one before has ended."""
-        if under_way:
-            self._loop.call_later(self._settings[name].every, partial(self._again, name, under_way))
+        if name in self._under_way:
+            self._loop.call_later(self._settings[name].every, partial(self._again, name))
         else:
             self._pass(name)
 
-    def _prepare(self, name: str, under_way: list[bool]) -> None:
+    def _prepare(self, name: str) -> None:
         """In the thread of files: what the region holds is read once, and kept."""
         try:
             what: Checked | CmError | OSError = self._manager.prepared_check(name)
         except (CmError, OSError) as error:
             what = error
-        self._loop.call_threadsafe(partial(self._look, name, what, under_way))
+        self._loop.call_threadsafe(partial(self._look, name, what))
 
-    def _look(self, name: str, what: Checked | CmError | OSError, under_way: list[bool]) -> None:
+    def _look(self, name: str, what: Checked | CmError | OSError) -> None:
         if isinstance(what, Exception):
-            self._ended(name, under_way, what)
+            self._ended(name, what)
             return
-        ended = partial(self._ended, name, under_way)
+        ended = partial(self._ended, name)
         try:
             self._manager.check(what, lambda found: self._loop.call_threadsafe(partial(ended, found)), self._pace(name))
         except CmError as error:
@@ -92,14 +93,14 @@ class Scrubber:
 
         return pause
 
-    def _ended(self, name: str, under_way: list[bool], found: RegionCheck | Exception) -> None:
+    def _ended(self, name: str, found: RegionCheck | Exception) -> None:
         if isinstance(found, Exception):
             self._refused(name, found)
-            under_way.clear()
+            self._under_way.discard(name)
             return
         self._said.pop(name, None)
         if found.verdict != "wrong":
-            under_way.clear()
+            self._under_way.discard(name)
             return
         policy = self._settings[name].policy
         _LOG.warning(
@@ -107,14 +108,14 @@ class Scrubber:
             name, found.module, found.wrong_bits, found.wrong_frames, policy, extra={"cm_code": "region_wrong"},
         )  # fmt: skip
         if policy == "tell":
-            under_way.clear()
+            self._under_way.discard(name)
             return
-        done = partial(self._loop.call_threadsafe, under_way.clear)
+        done = partial(self._loop.call_threadsafe, partial(self._under_way.discard, name))
         try:
             self._act(name, policy, lambda _: done())
         except CmError as error:
             self._refused(name, error)
-            under_way.clear()
+            self._under_way.discard(name)
 
     def _act(self, name: str, policy: str, on_done: Callable[[Change], None]) -> None:
         if policy == SAFE:
