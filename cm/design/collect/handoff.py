@@ -13,7 +13,6 @@ from pathlib import Path
 from cm.design.collect.foreign_dma import stream_names
 from cm.design.errors import BuildError
 from cm.design.hdl.register_maps import identifier, register_of
-from cm.design.project.model import RegisterSpec
 from cm.formats import hwh
 from cm.schema.model import Clock, Direction, Register, Stream
 
@@ -104,13 +103,11 @@ def _registers(instance: hwh.ModuleInstance, window: hwh.MemoryRange, region: st
     specs = [spec for info in blocks if (spec := register_of(info)).offset + spec.width // 8 <= window.size]
     for spec, others in _without_aliases(specs):
         also = f" Same address: {', '.join(others)}." if others else ""
-        yield Register(
+        yield replace(
+            spec,
             name=f"{prefix}_{spec.name}",
             base_address=window.base,
-            offset=spec.offset,
-            width=spec.width,
-            access=spec.access,
-            reset=spec.reset,
+            fields={},
             region=region,
             # the hardware may change it, so it is never verified after a write
             volatile=True,
@@ -118,12 +115,12 @@ def _registers(instance: hwh.ModuleInstance, window: hwh.MemoryRange, region: st
         )
 
 
-def _without_aliases(specs: Iterable[RegisterSpec]) -> Iterator[tuple[RegisterSpec, list[str]]]:
+def _without_aliases(specs: Iterable[Register]) -> Iterator[tuple[Register, list[str]]]:
     """Yield each register with the names of others at the same address (a bit in a UART selects between them).
 
     The first in the file keeps the place, since a schema has one register at each.
     """
-    groups: list[tuple[RegisterSpec, list[str]]] = []
+    groups: list[tuple[Register, list[str]]] = []
     for spec in specs:
         there = next((group for group in groups if _overlap(group[0], spec)), None)
         if there is None:
@@ -133,7 +130,7 @@ def _without_aliases(specs: Iterable[RegisterSpec]) -> Iterator[tuple[RegisterSp
     yield from groups
 
 
-def _overlap(one: RegisterSpec, other: RegisterSpec) -> bool:
+def _overlap(one: Register, other: Register) -> bool:
     return one.offset < other.offset + other.width // 8 and other.offset < one.offset + one.width // 8
 
 

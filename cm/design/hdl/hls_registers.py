@@ -14,8 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from cm.design.errors import BuildError
-from cm.design.project.model import FieldSpec, MemorySpec, RegisterSpec
-from cm.schema.model import Access, FieldAccess
+from cm.schema.model import Access, BitField, FieldAccess, Memory, Register
 
 HDL = re.compile(r".+_s_axi\.(?:v|sv|vhdl?)$", re.IGNORECASE)
 HEADER = re.compile(r"x?\w+_hw\.h$", re.IGNORECASE)
@@ -51,7 +50,7 @@ def is_hls(path: Path) -> bool:
     return bool(HDL.match(path.name) or HEADER.match(path.name))
 
 
-def hls_registers(path: Path) -> dict[str, RegisterSpec]:
+def hls_registers(path: Path) -> dict[str, Register]:
     """Read the registers of one file; empty if it has none. Arguments of more than 32 bits have a register a word.
 
     Raises BuildError where the comment and the constants of the file disagree.
@@ -68,25 +67,25 @@ def hls_registers(path: Path) -> dict[str, RegisterSpec]:
         raise BuildError(f"{path}: {'; '.join(wrong)}")
     if listed:
         return listed
-    return {name: RegisterSpec(name, offset, volatile=name in _VOLATILE) for name, offset in stated.items()}
+    return {name: Register(name, 0, offset, volatile=name in _VOLATILE) for name, offset in stated.items()}
 
 
-def hls_memories(path: Path) -> dict[str, MemorySpec]:
+def hls_memories(path: Path) -> dict[str, Memory]:
     """Read the arrays on the bus of one file, as HLS packs elements into words; those beyond 64 bits are left out."""
     text = path.read_text(encoding="utf-8", errors="replace")
     listed = [(name.lower(), int(at, 16), int(n), int(bits)) for at, name, n, bits in _ARRAY.findall(text)]
     return {name: _memory(name, *numbers) for name, *numbers in listed if numbers[2] <= 64}
 
 
-def _memory(name: str, offset: int, count: int, bits: int) -> MemorySpec:
+def _memory(name: str, offset: int, count: int, bits: int) -> Memory:
     item = next(size for size in (8, 16, 32, 64) if bits <= size)
     length = count * item // 8
     shape = (count,) if length % 4 == 0 else None
     doc = "" if bits == item else f"elements of {bits} bits"
-    return MemorySpec(name, offset, -(-length // 4) * 4, dtype=f"uint{item}", shape=shape, doc=doc)
+    return Memory(name, 0, -(-length // 4) * 4, offset, dtype=f"uint{item}", shape=shape, doc=doc)
 
 
-def differences(ours: Mapping[str, RegisterSpec], theirs: Mapping[str, RegisterSpec]) -> list[str]:
+def differences(ours: Mapping[str, Register], theirs: Mapping[str, Register]) -> list[str]:
     """What two descriptions of a module's registers say differently of a register that both have."""
     return [
         f"{name} is at {ours[name].offset:#x} and at {theirs[name].offset:#x}"
@@ -95,7 +94,7 @@ def differences(ours: Mapping[str, RegisterSpec], theirs: Mapping[str, RegisterS
     ]
 
 
-def _listed(text: str) -> Iterator[tuple[str, RegisterSpec]]:
+def _listed(text: str) -> Iterator[tuple[str, Register]]:
     """The registers of the comment; reserved words and memories are none."""
     found: list[tuple[int, str, list[re.Match[str]]]] = []
     for line in text.splitlines():
@@ -126,7 +125,7 @@ def _name(title: str, parts: list[re.Match[str]], counts: Mapping[str, int]) -> 
     return (f"{of[1]}_{word}" if counts[of[1]] > 1 else of[1]).lower()
 
 
-def _register(name: str, offset: int, title: str, parts: list[re.Match[str]]) -> RegisterSpec:
+def _register(name: str, offset: int, title: str, parts: list[re.Match[str]]) -> Register:
     whole = re.search(r"\(([^()]*)\)\s*$", title)
     said = [_said(part[4] or (whole[1] if whole else "")) for part in parts] or [_said(whole[1] if whole else "")]
     readable, writable = any(one[0] for one in said), any(one[1] for one in said)
@@ -136,7 +135,7 @@ def _register(name: str, offset: int, title: str, parts: list[re.Match[str]]) ->
     fields = {} if single else dict(_fields(parts, whole[1] if whole else ""))
     plain = "" if _OF.match(title) else re.sub(r"\s*\([^()]*\)\s*$", "", title)
     doc = "; ".join(filter(None, (plain, _said(whole[1])[2] if whole else "")))
-    return RegisterSpec(name, offset, access=access, volatile=changing, fields=fields, doc=doc)
+    return Register(name, 0, offset, access=access, volatile=changing, fields=fields, doc=doc)
 
 
 def _said(words: str) -> tuple[bool, bool, str]:
@@ -148,7 +147,7 @@ def _said(words: str) -> tuple[bool, bool, str]:
     return "READ" in parts or "R" in parts or not known, writes or not known, more
 
 
-def _fields(parts: Iterable[re.Match[str]], whole: str) -> Iterator[tuple[str, FieldSpec]]:
+def _fields(parts: Iterable[re.Match[str]], whole: str) -> Iterator[tuple[str, BitField]]:
     """The named bits; `whole`: what the comment says of all of them."""
     for part in parts:
         high, low, what = int(part[1]), int(part[2] or part[1]), part[3]
@@ -160,7 +159,7 @@ def _fields(parts: Iterable[re.Match[str]], whole: str) -> Iterator[tuple[str, F
         name = "enable" if what.lower().startswith("global") else name
         readable, writable, more = _said(part[4] or "")
         access = _access(part[4] or whole, readable, writable)
-        yield name, FieldSpec(name, min(high, low), abs(high - low) + 1, doc=more, access=access)
+        yield name, BitField(name, min(high, low), abs(high - low) + 1, doc=more, access=access)
 
 
 def _access(words: str, readable: bool, writable: bool) -> FieldAccess | None:

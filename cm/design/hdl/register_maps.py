@@ -13,10 +13,9 @@ from xml.etree import ElementTree
 from cm.design.errors import BuildError, MissingTool
 from cm.design.hdl.hls_registers import hls_registers, is_hls
 from cm.design.hdl.ipxact import component_root, descendants, text_of
-from cm.design.project.model import FieldSpec, RegisterSpec
-from cm.schema.model import Access
+from cm.schema.model import Access, BitField, Register
 
-Registers = dict[str, RegisterSpec]
+Registers = dict[str, Register]
 
 
 def read_register_map(path: Path, module: str) -> Registers:
@@ -54,7 +53,7 @@ def _hls_config(path: Path, module: str) -> Registers:
     for name, offset, size in arguments:
         for at in range(0, size if size <= 8 else 0, 4):  # what is longer is an array, which *_s_axi.v describes
             word = identifier(name) if size <= 4 else f"{identifier(name)}_{at // 4}"
-            found[word] = RegisterSpec(word, offset + at)
+            found[word] = Register(word, 0, offset + at)
     return found
 
 
@@ -90,16 +89,17 @@ def _ipxact(path: Path, module: str) -> Registers:
     return found
 
 
-def _ipxact_register(node: ElementTree.Element, base: int) -> RegisterSpec:
+def _ipxact_register(node: ElementTree.Element, base: int) -> Register:
     fields = {}
     clearing = False
     for part in descendants(node, "field"):
         name = identifier(text_of(part, "name"))
-        fields[name] = FieldSpec(name, _number(text_of(part, "bitOffset")), _number(text_of(part, "bitWidth")) or 1)
+        fields[name] = BitField(name, _number(text_of(part, "bitOffset")), _number(text_of(part, "bitWidth")) or 1)
         clearing = clearing or text_of(part, "modifiedWriteValue") == "oneToClear"
     reset = next((text_of(entry, "value") for entry in descendants(node, "reset")), "")
-    return RegisterSpec(
+    return Register(
         name=identifier(text_of(node, "name")),
+        base_address=0,
         offset=base + _number(text_of(node, "addressOffset")),
         width=_width(_number(text_of(node, "size")) or 32),
         access=access_of(text_of(node, "access"), clearing),
@@ -146,10 +146,10 @@ def _hwh(path: Path, module: str) -> Registers:
     }
 
 
-def register_of(register: Any) -> RegisterSpec:
+def register_of(register: Any) -> Register:
     """A `cm.formats.hwh.RegisterInfo` as a register of a module."""
     fields = {
-        name: FieldSpec(name, part.lsb, part.width, doc=part.doc)
+        name: BitField(name, part.lsb, part.width, doc=part.doc)
         for part in register.fields
         for name in [identifier(part.name)]
     }
@@ -157,7 +157,7 @@ def register_of(register: Any) -> RegisterSpec:
     # Vivado states the bits in use; the AXI peripherals that it describes are accessed by words
     name, width = identifier(register.name), _width(register.size if register.offset % 4 else max(register.size, 32))
     access = access_of(register.access, clearing)
-    return RegisterSpec(name, register.offset, width, access, None, register.reset, fields=fields, doc=register.doc)
+    return Register(name, 0, register.offset, width, access, None, register.reset, fields=fields, doc=register.doc)
 
 
 # SystemRDL -----------------------------------------------------------------------------------
@@ -196,12 +196,12 @@ def _maps(compiler: Any) -> list[str]:
     return list(compiler.root.comp_defs) if getattr(compiler, "root", None) else []
 
 
-def _rdl_register(node: Any, top: Any) -> RegisterSpec:
+def _rdl_register(node: Any, top: Any) -> Register:
     fields = {}
     reset, writable, readable, clearing = 0, False, False, False
     for part in node.fields():
         name = identifier(part.inst_name)
-        fields[name] = FieldSpec(name, part.low, part.width, doc=part.get_property("desc") or "")
+        fields[name] = BitField(name, part.low, part.width, doc=part.get_property("desc") or "")
         value = part.get_property("reset")
         reset |= (value if isinstance(value, int) else 0) << part.low
         writable, readable = writable or part.is_sw_writable, readable or part.is_sw_readable
@@ -210,4 +210,4 @@ def _rdl_register(node: Any, top: Any) -> RegisterSpec:
     name = identifier(node.get_rel_path(top, array_suffix="_{index:d}", hier_separator="_"))
     offset, width = node.absolute_address - top.absolute_address, _width(node.get_property("regwidth"))
     doc = node.get_property("desc") or ""
-    return RegisterSpec(name, offset, width, access, None, reset, fields=fields, doc=doc)
+    return Register(name, 0, offset, width, access, None, reset, fields=fields, doc=doc)

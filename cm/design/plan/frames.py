@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -12,16 +11,11 @@ from cm.design.plan.dma_engines import Dma, EngineKind
 from cm.design.plan.system import RegionPlan, StreamBus, SwitchPlan
 from cm.design.project.model import Project
 from cm.design.project.source_position import fault
+from cm.schema.model import ITEM_BYTES
 from cm.schema.pictures import format_misfit, pixel_shape
 from cm.schema.problems import KeyPath
 
 MAX_LINES, MAX_LINE = (1 << 13) - 1, (1 << 16) - 1  # a VDMA's VSIZE, HSIZE (xaxivdma_hw.h of Xilinx/embeddedsw)
-
-
-def item_bytes(dtype: str) -> int:
-    """Bytes of an element: ``uint16`` has 2, ``complex64`` 8, ``bool`` 1."""
-    bits = re.search(r"\d+$", dtype)
-    return int(bits[0]) // 8 if bits else 1
 
 
 Frame = tuple[Sequence[int] | None, str | None]
@@ -88,7 +82,7 @@ def frame_problem(bus: StreamBus, shape: Sequence[int] | None, dtype: str | None
         return None
     if bus.dma.kind is EngineKind.VDMA:
         return _video_problem(bus.dma, shape, dtype or bus.spec.dtype)
-    size = math.prod(shape) * item_bytes(dtype or bus.spec.dtype)
+    size = math.prod(shape) * ITEM_BYTES.get(dtype or bus.spec.dtype, 1)
     text = f"a frame of {'×'.join(map(str, shape))} {dtype or bus.spec.dtype} has {size:_} bytes"
     limit = bus.spec.max_length or (1 << bus.dma.length_bits) - 1
     if size > limit:
@@ -103,7 +97,7 @@ def frame_problem(bus: StreamBus, shape: Sequence[int] | None, dtype: str | None
 
 def _video_problem(dma: Dma, shape: Sequence[int], dtype: str) -> tuple[str, str] | None:
     """What a VDMA cannot do: without realignment, lines must be whole words of its memory port (AR 54934)."""
-    lines, line = shape[0], math.prod(shape[1:]) * item_bytes(dtype)
+    lines, line = shape[0], math.prod(shape[1:]) * ITEM_BYTES.get(dtype, 1)
     beat, word = dma.width // 8, dma.memory_width // 8
     if len(shape) < 2:
         return "a VDMA's frames have lines and columns", "write shape: [lines, columns], with dtype"

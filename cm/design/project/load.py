@@ -24,19 +24,16 @@ from cm.design.project.model import (
     BitstreamSpec,
     ClockSpec,
     ConnectionSpec,
-    FieldSpec,
-    MemorySpec,
     ModeSpec,
     ModeStreamSpec,
     ModuleSpec,
     Project,
     RegionSpec,
-    RegisterSpec,
     Resources,
     StaticSpec,
     SwitchSpec,
 )
-from cm.schema.model import Access, FieldAccess, LoaderKind
+from cm.schema.model import Access, BitField, FieldAccess, LoaderKind, Memory, Register
 from cm.schema.pictures import pixel_shape
 from cm.schema.problems import KeyPath, Problem, SchemaError, key_path
 from cm.schema.reader import Refused, read
@@ -70,36 +67,30 @@ def mode_stream(spec: dict[str, Any]) -> ModeStreamSpec:
     return ModeStreamSpec(tuple(shape) if shape else None, spec.get("dtype"))
 
 
-def registers(spec: dict[str, Any]) -> dict[str, RegisterSpec]:
-    """Registers by name."""
+def registers(spec: dict[str, Any]) -> dict[str, Register]:
+    """Registers by name; `base_address` is 0, as long as no window is planned."""
     return {name: _register(name, value) for name, value in (spec.get("registers") or {}).items()}
 
 
-def _register(name: str, spec: dict[str, Any]) -> RegisterSpec:
+def _register(name: str, spec: dict[str, Any]) -> Register:
     fields = {key: _field(key, value) for key, value in (spec.get("fields") or {}).items()}
-    rest = {key: value for key, value in spec.items() if key not in ("access", "fields", "min", "max")}
-    access = Access(spec.get("access", "rw"))
-    return RegisterSpec(name, access=access, fields=fields, minimum=spec.get("min"), maximum=spec.get("max"), **rest)
+    rest = {{"min": "minimum", "max": "maximum"}.get(key, key): value for key, value in spec.items()}
+    return Register(name, 0, **{**rest, "access": Access(spec.get("access", "rw")), "fields": fields})
 
 
-def _field(name: str, spec: dict[str, Any]) -> FieldSpec:
+def _field(name: str, spec: dict[str, Any]) -> BitField:
     access = FieldAccess(spec["access"]) if "access" in spec else None
-    return FieldSpec(name, **{**spec, "access": access})
+    return BitField(name, **{"width": 1, **spec, "access": access})
 
 
-def memories(spec: dict[str, Any]) -> dict[str, MemorySpec]:
-    """Memories by name."""
-    return {
-        name: MemorySpec(
-            name,
-            **{
-                **values,
-                "access": Access(values.get("access", "rw")),
-                "shape": tuple(values["shape"]) if "shape" in values else None,
-            },
-        )
-        for name, values in (spec.get("memories") or {}).items()
-    }
+def memories(spec: dict[str, Any]) -> dict[str, Memory]:
+    """Memories by name, as `registers`."""
+    return {name: _memory(name, values) for name, values in (spec.get("memories") or {}).items()}
+
+
+def _memory(name: str, spec: dict[str, Any]) -> Memory:
+    shape = tuple(spec["shape"]) if "shape" in spec else None
+    return Memory(name, 0, **{**spec, "access": Access(spec.get("access", "rw")), "shape": shape})
 
 
 def macro(value: object) -> str:

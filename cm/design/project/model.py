@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import Any
 
 from cm.design.boards import BoardDefinition
-from cm.schema.model import Access, FieldAccess, LoaderKind
+from cm.schema.model import LoaderKind, Memory, Register
 
 
 def empty() -> Mapping[Any, Any]:
@@ -42,55 +42,6 @@ class Resources:
 
     def __bool__(self) -> bool:
         return any(self.values())
-
-
-@dataclass(frozen=True, slots=True)
-class FieldSpec:
-    """A named run of bits in a register."""
-
-    name: str
-    lsb: int
-    width: int = 1
-    values: Mapping[str, int] = field(default_factory=empty)
-    doc: str = ""
-    access: FieldAccess | None = None  # None: as the register
-
-
-@dataclass(frozen=True, slots=True)
-class MemorySpec:
-    """A memory of a module: `offset` in bytes from the start of the module's window, as a register's."""
-
-    name: str
-    offset: int
-    size: int
-    access: Access = Access.RW
-    dtype: str = "uint32"
-    shape: tuple[int, ...] | None = None
-    doc: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class RegisterSpec:
-    """A register of a module: `offset` in bytes from the start of the module's window."""
-
-    name: str
-    offset: int
-    width: int = 32
-    access: Access = Access.RW
-    default: int | None = None
-    reset: int | None = None
-    minimum: int | None = None
-    maximum: int | None = None
-    volatile: bool = False
-    fields: Mapping[str, FieldSpec] = field(default_factory=empty)
-    doc: str = ""
-
-
-# of a frame's elements, as in a runtime schema
-DTYPES = (
-    *("bool", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64"),
-    *("float16", "float32", "float64", "complex64", "complex128"),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +93,10 @@ def in_libraries(libraries: Mapping[str, tuple[Path, ...]]) -> tuple[Path, ...]:
 
 @dataclass(frozen=True, slots=True)
 class ModuleSpec:
-    """A module: HDL with `top`, and the regions it may go to."""
+    """A module: HDL with `top`, and the regions it may go to.
+
+    Registers and memories have `offset` in bytes from the start of its window, which has no address yet.
+    """
 
     name: str
     top: str
@@ -161,8 +115,8 @@ class ModuleSpec:
     constraints: tuple[Path, ...] = ()
     sim_sources: tuple[Path, ...] = ()
     model: str | None = None
-    registers: Mapping[str, RegisterSpec] = field(default_factory=empty)
-    memories: Mapping[str, MemorySpec] = field(default_factory=empty)
+    registers: Mapping[str, Register] = field(default_factory=empty)
+    memories: Mapping[str, Memory] = field(default_factory=empty)
     register_map: Path | None = None
     interface: str | None = None
     clocks: Mapping[str, tuple[str, ...]] = field(default_factory=empty)  # port → interfaces on it
@@ -225,7 +179,7 @@ class StaticSpec:
     include_dirs: tuple[Path, ...] = ()
     block_design: tuple[Path, ...] = ()
     constraints: tuple[Path, ...] = ()
-    registers: Mapping[str, RegisterSpec] = field(default_factory=empty)
+    registers: Mapping[str, Register] = field(default_factory=empty)
     coherent: bool = False
     readback: bool = False  # the configuration port can be read too
     revision: str = ""  # part of the identity

@@ -10,7 +10,8 @@ from pathlib import Path
 
 from cm.design.errors import BuildError
 from cm.design.platforms import PARTS, device_of, platform_of
-from cm.design.project.model import ModeSpec, ModuleSpec, Project, RegionSpec, RegisterSpec, Resources
+from cm.design.project.model import ModeSpec, ModuleSpec, Project, RegionSpec, Resources
+from cm.schema.model import Register
 from cm.schema.problems import KeyPath, did_you_mean
 
 _SITE = re.compile(r"([A-Z0-9_]+)_X(\d+)Y(\d+)")
@@ -141,7 +142,7 @@ def _overlaps(module: ModuleSpec, key: KeyPath, report: Report) -> None:
             report((*key, "registers", other.name), "overlapping_registers", message, hint)
 
 
-def _register(register: RegisterSpec, key: KeyPath, report: Report) -> None:
+def _register(register: Register, key: KeyPath, report: Report) -> None:
     if register.offset % (register.width // 8):
         message = f"offset {register.offset:#x} is not a multiple of {register.width // 8} bytes"
         report((*key, "offset"), "bad_alignment", message, "registers are aligned to their width")

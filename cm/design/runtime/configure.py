@@ -12,9 +12,9 @@ import yaml
 
 from cm.design.errors import BuildError
 from cm.design.plan.system import System
-from cm.design.project.model import DTYPES
 from cm.design.runtime.answers import Answers, at_key, parse_answers
 from cm.design.runtime.schema import runtime_config
+from cm.schema.model import ITEM_BYTES
 from cm.schema.problems import did_you_mean
 
 Ask = Callable[[str], str]
@@ -135,7 +135,7 @@ def problem(question: Question, value: Any) -> str:
 
 
 def _dtype_problem(value: Any) -> str:
-    return "" if value in DTYPES else f"{value!r} is not a numpy dtype of frames ({', '.join(DTYPES)})"
+    return "" if value in list(ITEM_BYTES) else f"{value!r} is not a numpy dtype of frames ({', '.join(ITEM_BYTES)})"
 
 
 def _shown(default: Any) -> str:

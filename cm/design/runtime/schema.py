@@ -16,13 +16,12 @@ from cm.design.plan.addresses import Window
 from cm.design.plan.frames import frame_problem
 from cm.design.plan.switch import COMMIT, CONTROL, MUX, NONE, UPDATE, chain_of, register_name, route_values
 from cm.design.plan.system import RegionPlan, RegisterBus, SwitchPlan, System
-from cm.design.project.model import FieldSpec, ModeSpec, ModeStreamSpec, ModuleSpec, RegisterSpec
+from cm.design.project.model import ModeSpec, ModeStreamSpec, ModuleSpec
 from cm.design.project.source_position import fault
 from cm.design.runtime.answers import Answers
 from cm.schema import dump
 from cm.schema.model import (
     Access,
-    BitField,
     Clock,
     Config,
     ConfigType,
@@ -123,7 +122,7 @@ def _module(source: Path, target: tuple[str, ModuleSpec, RegionPlan, int], answe
                 message = f"{key} ends at {spec.offset + spec.width // 8:#x}, its window has {window.size:#x} bytes"
                 place = ("modules", module.name, "registers", key, "offset")
                 raise fault(source, place, message, "window: of the region says how many")
-            registers[key] = _register(spec, window.base, region.name, answers.registers.get((name, key)))
+            registers[key] = _placed(spec, window.base, region.name, answers.registers.get((name, key)))
         memories = {m.name: m for m in _memories(source, module, window, region.name, registers)}
     file = Path(f"{name}.bin")
     model = module.model or (module.name if module.name != name else None)
@@ -160,26 +159,10 @@ def bare_name(implementation: str, bus: RegisterBus) -> str:
     return f"{implementation}_{bus.interface.name}"[:64]
 
 
-def _register(spec: RegisterSpec, base: int, region: str | None, default: int | None = None) -> Register:
-    return Register(
-        name=spec.name,
-        base_address=base,
-        offset=spec.offset,
-        width=spec.width,
-        access=spec.access,
-        default=spec.default if default is None else default,
-        reset=spec.reset,
-        minimum=spec.minimum,
-        maximum=spec.maximum,
-        fields={key: _field(value) for key, value in spec.fields.items()},
-        region=region,
-        volatile=spec.volatile,
-        doc=spec.doc,
-    )
-
-
-def _field(spec: FieldSpec) -> BitField:
-    return BitField(spec.name, spec.lsb, spec.width, spec.doc, spec.values, spec.access)
+def _placed(spec: Register, base: int, region: str, default: int | None = None) -> Register:
+    """A register of the build schema in its window; `default` in place of its own."""
+    default = spec.default if default is None else default
+    return replace(spec, base_address=base, region=region, default=default)
 
 
 def _memories(
@@ -192,15 +175,13 @@ def _memories(
             place = ("modules", module.name, "memories", key, "offset")
             raise fault(source, place, message, "window: of the region says how many")
         name = f"{key}_memory" if key in registers else key
-        yield Memory(
-            name, window.base, spec.size, spec.offset, spec.access, spec.dtype, spec.shape, region, doc=spec.doc
-        )
+        yield replace(spec, name=name, base_address=window.base, region=region)
 
 
 def _mode(system: System, mode: ModeSpec, streams: Mapping[str, Stream]) -> Mode:
     chosen = [system.implementation(module, region) for region, module in mode.modules.items()]
     source, static = system.project.source, system.project.static.registers
-    registers = {key: _register(static[key], 0, None, value) for key, value in mode.registers.items() if key in static}
+    registers = {key: replace(static[key], default=value) for key, value in mode.registers.items() if key in static}
     for key in registers:
         _in_range(source, mode.name, static[key], mode.registers[key])
     for one in chosen:
@@ -208,7 +189,7 @@ def _mode(system: System, mode: ModeSpec, streams: Mapping[str, Stream]) -> Mode
             if key in one.module.registers:
                 base = register_base(source, one.region, one.module)
                 _in_range(source, mode.name, one.module.registers[key], value)
-                registers[key] = _register(one.module.registers[key], base, one.region.name, value)
+                registers[key] = _placed(one.module.registers[key], base, one.region.name, value)
     registers |= _routes(system, mode)
     overlays = tuple(Overlay(f"module_{one.name}") for one in chosen if one.region.registers)
     return Mode(
@@ -222,7 +203,7 @@ def _mode(system: System, mode: ModeSpec, streams: Mapping[str, Stream]) -> Mode
     )
 
 
-def _in_range(source: Path, mode: str, register: RegisterSpec, value: int) -> None:
+def _in_range(source: Path, mode: str, register: Register, value: int) -> None:
     """Raise a fault for a value that a mode gives a register beyond its limits."""
     low = register.minimum or 0
     high = (1 << register.width) - 1 if register.maximum is None else register.maximum
@@ -290,9 +271,7 @@ def _static_registers(system: System) -> dict[str, Register]:
         found |= _interrupt_bank(base, bank, min(32, len(system.lines) - 32 * bank))
     if system.switch:
         found |= _switch_registers(system.switch)
-    for name, spec in system.project.static.registers.items():
-        found[name] = _register(spec, 0, None)
-    return found
+    return found | dict(system.project.static.registers)
 
 
 def _interrupt_bank(base: int, bank: int, lines: int) -> dict[str, Register]:
