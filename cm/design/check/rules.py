@@ -21,7 +21,9 @@ from cm.design.plan.flow import clashes
 from cm.design.plan.pins import placements
 from cm.design.plan.system import RegionPlan, System, used_clocks
 from cm.design.project.source_position import Finding
-from cm.design.runtime.schema import bare_name, bare_windows
+from cm.design.runtime.answers import Answers
+from cm.design.runtime.schema import bare_name, bare_windows, runtime_config
+from cm.schema import SchemaError, dump, loads
 from cm.schema.clock_rates import PLL, hertz, rate_problem, rounded
 from cm.schema.model import Clock
 
@@ -110,6 +112,22 @@ def check_windows(system: System) -> Iterator[Finding]:
             yield Finding("registers", ("modules", one.module.name), message, hint, error=False)
 
 
+def check_runtime(system: System) -> Iterator[Finding]:
+    """A finding for all that the manager would refuse in the runtime schema, such as two registers of one name."""
+    try:
+        loads(dump(runtime_config(system, Answers())))
+    except SchemaError as error:
+        modules = {one.name: one.module.name for one in system.implementations}
+        for problem in error.problems:
+            key = [part for part in problem.key.split(".")[1:] if not part.startswith("mmio[")]
+            hint = problem.hint
+            if key[:1] == ["modules"]:
+                key[1:2] = [modules.get(name, name) for name in key[1:2]]
+            if problem.code == "name_clash":
+                hint += "; in two regions at once, a module is written twice, with register names of its own"
+            yield Finding("schema", tuple(key), problem.message, hint)
+
+
 def check_sidebands(system: System) -> Iterator[Finding]:
     """A note for each stream into a region whose TUSER a DMA engine cannot drive: no picture ever begins."""
     for region in system.regions:
@@ -128,6 +146,7 @@ def check_system(system: System) -> list[Finding]:
         *check_clocks(system),
         *check_rates(system),
         *check_windows(system),
+        *check_runtime(system),
         *check_handshakes(system),
         *check_sidebands(system),
         *design,

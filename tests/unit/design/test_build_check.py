@@ -346,6 +346,33 @@ def test_a_value_that_cannot_be_is_refused_at_its_line(
     assert said in capsys.readouterr().err
 
 
+TWICE = """\
+project: {name: small, part: xc7z020clg400-1}
+regions: {left: {}, right: {}}
+modules:
+  one:
+    sources: [one.v]
+    regions: [left, right]
+    registers: {gain: {offset: 0}}
+modes:
+  left: {modules: {left: one}}
+"""
+
+
+def test_one_register_name_in_two_regions_of_a_mode_is_refused_at_its_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    path = project(tmp_path, TWICE, one=AXIL_MODULE)
+    assert main(["build", "check", str(path)]) == 0
+    path.write_text(f"{TWICE}  both: {{modules: {{left: one, right: one}}}}\n")
+    for action in ("check", "generate"):
+        capsys.readouterr()
+        assert main(["build", action, str(path)]) == 1
+        said = "".join(capsys.readouterr())
+        assert "build.yaml:7:17: modules.one.registers.gain: register gain is elsewhere too" in said
+        assert "a module is written twice, with register names of its own" in said
+
+
 def test_paths_are_told_without_detours(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     (tmp_path / "sub").mkdir()
     project(tmp_path / "sub", MINIMAL.replace("[one.v]", "[.././sub/../one.v]"))
