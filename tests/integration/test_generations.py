@@ -13,7 +13,6 @@ from manager_process import Manager, served
 import cm
 from cm.client.frame import Frame
 from cm.client.stream import Stream
-from cm.wire.messages.status import RegValues
 
 
 @pytest.fixture(scope="module")
@@ -70,13 +69,6 @@ def test_a_reader_that_joins_learns_the_generation_that_others_know(board: cm.Bo
         before.after(written)
         with board.stream("camera", timeout=30) as stream:
             assert stream.read().generation == written.generation
-
-
-def test_writes_by_others_are_reported_with_their_generation(board: cm.Board) -> None:
-    with board.registers.events("focus", timeout=30) as events:
-        written = board.registers.write({"focus": 4})
-        heard: RegValues = events.next()
-        assert heard.generation == written.generation
 
 
 def test_a_copy_of_a_frame_that_was_given_back_is_no_frame_of_a_generation(board: cm.Board) -> None:

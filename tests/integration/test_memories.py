@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memories from clients: the daemon, the blocking and the asyncio client, the command, the wire."""
+"""Memories as arrays of a client and on the command line; what the manager makes of them is in tests/unit/manager."""
 
 from __future__ import annotations
 
@@ -12,16 +12,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-import zmq
-from manager_process import Manager, served, stalled, until
+from manager_process import Manager, served, until
 
 import cm
 from cm.cli.main import main
 from cm.client import aio
-from cm.client.errors import RequestBusy, RequestFailed, RequestInvalid, RequestNotFound
+from cm.client.errors import RequestBusy, RequestFailed, RequestNotFound
 from cm.errors import InvalidRequest
 from cm.simulation.software import Board as SimBoard
-from cm.wire import cm_pb2 as pb
 
 SCHEMA = """
 config:
@@ -181,16 +179,10 @@ def test_memories_can_be_listed(board: cm.Board) -> None:
     ("use", "kind", "code", "words"),
     [
         (lambda b: b.memories["tabs"].read(), RequestNotFound, "unknown_stream", "memories are big, floats"),
-        (lambda b: b.memories["tabs"].read(0, 4), RequestNotFound, "unknown_memory", "did you mean 'taps'"),
         (lambda b: b.memories["samples"].read(), InvalidRequest, "invalid_request", "is a stream"),
-        (lambda b: b.memories["log"].write(b"1234"), RequestInvalid, "access", "read-only"),
-        (lambda b: b.memories["taps"].read(0xFFC, 8), RequestInvalid, "out_of_range", "it has 4096"),
         (lambda b: b.memories["taps"].read(0x1000), InvalidRequest, "invalid_request", "0 bytes"),
-        (lambda b: b.memories["taps"].read(2, 4), RequestInvalid, "invalid_request", "multiples of 4"),
         (lambda b: b.memories["taps"].read(-4, 4), InvalidRequest, "invalid_request", "64 bits"),
         (lambda b: b.memories["taps"].write(b""), InvalidRequest, "invalid_request", "no bytes"),
-        (lambda b: b.configure_stream("taps", slots=4), RequestInvalid, "invalid_request", "is not a stream"),
-        (lambda b: b.configure_memory("taps", 0x60100, 64), RequestInvalid, "invalid_request", "another name"),
         (lambda b: b.configure_memory("x", 0x7000, 64), RequestFailed, "device_not_found", "windows in"),
     ],
 )
@@ -200,75 +192,12 @@ def test_what_is_wrong_gets_a_clear_error(board: cm.Board, use: Any, kind: type,
     assert refused.value.code == code
 
 
-def test_a_block_is_defined_at_run_time_and_forgotten_with_its_configuration(board: cm.Board) -> None:
-    block = board.configure_memory("block", 0x60100, 64, dtype="float32", shape=(4, 4))
-    block.write(np.eye(4, dtype="float32"))
-    assert np.array_equal(block.read(), np.eye(4))
-    assert board.memories.info["block"].defined
-    assert board.configure_memory("block", 0x60100, 64, access="ro").read().dtype == np.uint32
-    board.load("plain")
-    board.load("filter")
-    assert "block" not in board.memories
-    with pytest.raises(RequestNotFound):
-        block.read()
-
-
 def test_a_channel_of_the_board_that_is_called_as_a_memory_is_no_stream(board: cm.Board) -> None:
     assert {stream.name for stream in board.status.streams} == {"samples"}
     board.load("plain")  # names no streams, so the board's channels are streams, except that one
     assert {stream.name for stream in board.status.streams} == {"camera", "to_pl", "from_pl"}
     board.memories["samples"].write([1, 2, 3, 4])
     assert board.memories["samples"].read().tolist() == [1, 2, 3, 4]
-
-
-def test_a_lease_keeps_others_from_writing(board: cm.Board) -> None:
-    with board.lease("memories:taps", holder="anna") as lease:
-        with pytest.raises(RequestBusy, match="anna") as refused:
-            board.memories["taps"].write(b"1234")
-        assert refused.value.code == "held_by"
-        board.memories["taps"].write(b"5678", lease=lease.id)
-    assert board.memories["taps"].read(0, 4).tobytes() == b"5678"
-
-
-def test_a_memory_is_refused_while_its_region_is_loaded(
-    board: cm.Board, manager: Manager, both: tuple[Manager, SimBoard]
-) -> None:
-    taps = board.memories["taps"]
-    taps.write(b"1234")
-    board.memories["scratch"].write(b"kept")
-    with manager.connected() as other:  # writes of the client that asked for the change wait for it
-        with stalled(both[1]):
-            change = other.load_async("filter", "default", force=True)
-            until(lambda: (p := board.status.progress) is not None and p.step == "load")
-            with pytest.raises(RequestBusy, match="region left, which is being reconfigured") as refused:
-                taps.read(0, 4)
-            assert refused.value.code == "region_busy"
-            with pytest.raises(RequestBusy, match="being reconfigured"):
-                taps.write(b"1234")
-            assert board.memories["scratch"].read(0, 4).tobytes() == b"kept"
-        change.wait(60)
-    assert taps.read(0, 4).tobytes() == bytes(4)
-
-
-def test_the_asyncio_client_does_the_same(manager: Manager, board: cm.Board) -> None:
-    values = noise(0x1000, "int16").reshape(32, 64)
-
-    async def run() -> None:
-        async with aio.connect(runtime_dir=manager.runtime, timeout=60) as peer:
-            taps = peer.memories["taps"]
-            assert await taps.write(values) == 0x1000
-            assert np.array_equal(await taps.read(), values)
-            await taps.put(3, 5)
-            assert (await taps.get(slice(3, 5)))[0].tolist() == [5] * 64
-            assert (await taps.info()).shape == (32, 64)
-            assert "scratch" in await peer.memories.info()
-            block = await peer.configure_memory("async", 0x60200, 16)
-            await block.write([1, 2, 3, 4])
-            assert (await block.read()).tolist() == [1, 2, 3, 4]
-            parts = await asyncio.gather(*(taps.read(offset, 256) for offset in range(0, 0x1000, 256)))
-            assert np.array_equal(np.concatenate(parts).reshape(32, 64), await taps.read())
-
-    asyncio.run(run())
 
 
 def test_transfers_beyond_the_limit_are_asked_to_try_again(manager: Manager, board: cm.Board) -> None:
@@ -284,42 +213,6 @@ def test_transfers_beyond_the_limit_are_asked_to_try_again(manager: Manager, boa
     assert {type(one) for one in refused} == {RequestBusy}
     assert "16 transfers" in str(refused[0])
     assert all(len(one) == MIB for one in found if not isinstance(one, Exception))
-
-
-# ---- the wire ------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def req(manager: Manager, board: cm.Board) -> Iterator[zmq.Socket[bytes]]:
-    with zmq.Context() as context, context.socket(zmq.REQ) as socket:
-        socket.connect(f"ipc://{manager.runtime}/req")
-        yield socket
-
-
-def test_bytes_travel_beside_the_message(req: zmq.Socket[bytes]) -> None:
-    req.send_multipart([b"cm_write_data", pb.WriteData(stream="taps", offset=8).SerializeToString(), b"\1\0\2\0"])
-    topic, message = req.recv_multipart()
-    reply = pb.Reply.FromString(message)
-    assert (topic, reply.ok, reply.frame.length, reply.frame.offset) == (b"cm_write_data", True, 4, 8)
-    req.send_multipart([b"cm_read_data", pb.ReadData(stream="taps", offset=8, length=4).SerializeToString()])
-    topic, message, payload = req.recv_multipart()
-    frame = pb.Reply.FromString(message).frame
-    assert payload == b"\1\0\2\0"
-    assert (frame.stream, frame.dtype, list(frame.shape), frame.mode) == ("taps", "int16", [2], "default")
-    req.send_multipart([b"cm_data_config", pb.DataConfig(stream="taps").SerializeToString()])
-    memory = pb.Reply.FromString(req.recv_multipart()[1]).memory
-    assert (memory.name, memory.size, list(memory.shape)) == ("taps", 0x1000, [32, 64])
-
-
-def test_a_command_without_a_reply_writes_too(manager: Manager, board: cm.Board) -> None:
-    with zmq.Context() as context, context.socket(zmq.PUB) as socket:
-        socket.connect(f"ipc://{manager.runtime}/sub")
-
-        def written() -> bool:
-            socket.send_multipart([b"cm_write_data", pb.WriteData(stream="scratch").SerializeToString(), b"pub!"])
-            return board.memories["scratch"].read(0, 4).tobytes() == b"pub!"
-
-        until(written)
 
 
 # ---- the command ---------------------------------------------------------------------------
@@ -402,13 +295,3 @@ def test_the_command_says_what_it_cannot_read_or_write(mem: Command, tmp_path: P
         assert status == 1
         assert words in mem.err
     assert mem.ended("write", "scratch")[0] == 2
-
-
-def test_a_board_that_dies_ends_the_request(tmp_path: Path) -> None:
-    (tmp_path / "filter.yaml").write_text(SCHEMA)
-    with served(("--icap-rate", "0"), schemas=tmp_path) as (manager, sim), manager.connected() as board:
-        board.load("filter")
-        sim.kill()
-        with pytest.raises(RequestFailed) as failed:
-            board.memories["scratch"].read(0, 4)
-        assert failed.value.code == "device_gone"

@@ -6,8 +6,7 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Iterator
-from dataclasses import replace
-from itertools import islice, pairwise
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -96,18 +95,6 @@ def test_rows_land_at_the_stride_and_nothing_lands_between(board_of: str, reques
             del frame, memory
 
 
-def test_lines_that_lie_apart_come_without_the_space_over_zeromq(video: cm.Board, vdma: tuple[Manager, Any]) -> None:
-    small(video, stride=STRIDE)
-    with vdma[0].connected() as far:
-        far._place = replace(far._place, data=None)
-        with far.stream("from_pl", timeout=60) as stream:
-            until(lambda: state(video, "from_pl").open)
-            video.write("to_pl", PICTURE)
-            frame = stream.read()
-            assert frame.strides == (COLUMNS, 1)
-            assert (frame == PICTURE).all()
-
-
 def test_the_frame_stores_of_a_vdma_are_the_slots(video: cm.Board, vdma: tuple[Manager, SimBoard]) -> None:
     small(video)
     before = vdma[1].control.state()["buffers"]
@@ -187,46 +174,28 @@ def test_a_running_cycle_ends_when_it_is_switched_off_by_force(loop: cm.Board) -
 
 WRONG: list[tuple[dict[str, Any], str]] = [
     ({"direction": "mm2s"}, "s2mm, not 'mm2s'"),
-    ({"direction": "sideways"}, "s2mm"),
-    ({"dtype": "float77"}, "float77"),
-    ({"dtype": "object"}, "object"),
-    ({"dtype": "S3"}, "S3"),
-    ({"dtype": "i4,i4"}, "i4,i4"),
     ({"dtype": "{'a'"}, "dtype"),
-    ({"shape": (0,)}, "extents"),
     ({"shape": (480, 0)}, "extents"),
-    ({"shape": (1,) * 9}, "1 to 8"),
-    ({"shape": (1 << 15, 1 << 15, 2)}, "1 GiB"),
     ({"shape": (1 << 26,)}, "67108864 bytes"),  # one more than the DMA's length register holds
     ({"shape": (-1,)}, "out of its range"),
     ({"slots": 257}, "1 to 256"),
     ({"slots": -1}, "out of its range"),
-    ({"rate": -1.0}, "positive"),
     ({"rate": float("nan")}, "positive"),
     ({"stride": 639}, "640"),
-    ({"stride": 1 << 31}, "2 GiB"),
-    ({"shape": (4096,), "stride": 4096}, "lines and columns"),
     ({"cyclic": True}, "written"),
     ({"compression": "zip"}, "zip"),
 ]
 
 
-@pytest.mark.parametrize(("wrong", "why"), WRONG)
-def test_impossible_settings_are_refused_and_change_nothing(board: cm.Board, wrong: dict[str, Any], why: str) -> None:
-    before = settings(board, "camera")
-    with pytest.raises(InvalidRequest, match=why):
-        board.configure_stream("camera", enable=True, **{"slots": 9, "backpressure": True, **wrong})
-    assert settings(board, "camera") == before
-    assert state(board, "camera").slots == 8
-
-
-def test_a_reader_does_not_notice_what_was_refused(board: cm.Board) -> None:
+def test_impossible_settings_change_nothing_and_no_reader_notices(board: cm.Board) -> None:
     with board.stream("camera", timeout=60) as stream:
         assert isinstance(stream, LocalStream)
         first = stream.read().sequence
+        before = settings(board, "camera")
         for wrong, why in WRONG:
             with pytest.raises(InvalidRequest, match=why):
-                board.configure_stream("camera", force=True, **wrong)
+                board.configure_stream("camera", force=True, **{"backpressure": True, "rate": 9.0, **wrong})
+            assert settings(board, "camera") == before
         assert stream._connection is not None
         assert stream._connection.stopped == 0
         assert stream.read().sequence > first
@@ -250,21 +219,6 @@ def test_a_stream_in_use_is_changed_by_force_only_but_any_client_may_set_the_sam
 # ---- what is kept --------------------------------------------------------------------------
 
 
-def test_settings_add_up_and_outlive_a_reload_of_the_mode_but_not_a_change(loop: cm.Board) -> None:
-    loop.configure_stream("from_pl", shape=(LINES, COLUMNS), stride=STRIDE)
-    loop.configure_stream("from_pl", rate=12.5)
-    loop.configure_stream("from_pl", backpressure=True)
-    loop.configure_stream("from_pl", slots=5)
-    wanted = ((LINES, COLUMNS), "uint8", False, True, STRIDE, 12.5, False)
-    assert settings(loop, "from_pl") == wanted
-    loop.load("camera", "loopback", force=True)
-    assert settings(loop, "from_pl") == wanted
-    assert state(loop, "from_pl").slots == 5
-    loop.load("camera", "default")
-    loop.load("camera", "loopback")
-    assert settings(loop, "from_pl") == ((480, 640), "uint8", False, False, 0, 0.0, False)
-
-
 def test_backpressure_is_switched_on_and_off(loop: cm.Board) -> None:
     for name in ("from_pl", "to_pl"):
         loop.configure_stream(name, shape=(4096,))
@@ -280,15 +234,6 @@ def test_backpressure_is_switched_on_and_off(loop: cm.Board) -> None:
             assert (sent == 60) is not switched, "only with backpressure does the hardware wait"
             assert [int(slow.read()[0]) for _ in range(2)] == [0, 1]
             assert slow.lost == 0
-
-
-def test_a_limit_is_set_and_lifted(board: cm.Board) -> None:
-    assert board.configure_stream("camera", rate=10).limit == 10
-    assert board.configure_stream("camera", dtype="int8").limit == 10
-    assert board.configure_stream("camera", rate=float("inf")).limit == 0
-    with board.stream("camera", timeout=60) as stream:
-        times = pairwise(frame.timestamp_ns for frame in stream)  # with the limit, 0.1 s are between any two
-        assert next(later - earlier for earlier, later in times if later - earlier < 0.07e9)
 
 
 def test_a_stream_is_run_stopped_and_left_to_its_users_again(board: cm.Board, manager: Manager) -> None:
@@ -333,18 +278,6 @@ def test_raw_messages_switch_on_and_off(loop: cm.Board, manager: Manager) -> Non
         assert (refused.ok, refused.error.code) == (False, "invalid_request")
         assert ask(pb.DataConfig(stream="to_pl")).stream.state.dtype == "uint8"
         assert ask(pb.DataConfig(stream="nix")).error.code == "unknown_stream"
-
-
-def test_settings_go_without_an_answer_too(loop: cm.Board, manager: Manager) -> None:
-    with zmq.Context() as context, context.socket(zmq.PUB) as socket:
-        socket.connect(f"ipc://{manager.runtime}/sub")
-        message = pb.DataConfig(stream="to_pl", backpressure=True, slots=9).SerializeToString()
-
-        def told() -> bool:
-            socket.send_multipart([b"cm_data_config", message])
-            return state(loop, "to_pl").slots == 9
-
-        until(told)
 
 
 def test_the_command_sets_what_its_options_say_and_nothing_else(

@@ -46,14 +46,18 @@ class Peer:
         assert frames[0].startswith(topic)
         return pb.Reply.FromString(message)
 
+    def published(self, topic: bytes) -> list[bytes]:
+        """The next message of a topic that is subscribed to."""
+        while True:
+            frames = self.sub.recv_multipart()
+            if frames[0] == topic:
+                return frames
+
     def status_until(self, accepts) -> pb.Status:  # type: ignore[no-untyped-def]
         self.sub.setsockopt(zmq.SUBSCRIBE, b"cm_status")
-        while True:
-            topic, message = self.sub.recv_multipart()[:2]
-            if topic == b"cm_status":
-                status = pb.Status.FromString(message)
-                if accepts(status):
-                    return status
+        while not accepts(status := pb.Status.FromString(self.published(b"cm_status")[1])):
+            pass
+        return status
 
     def close(self) -> None:
         for socket in self.others:
@@ -68,48 +72,16 @@ def peer(board: cm.Board, manager: Manager) -> Iterator[Peer]:
     made.close()
 
 
-def test_listing_2_changes_modes_in_plain_text(peer: Peer) -> None:
+def test_listing_2_of_the_paper_works_as_it_is_printed(peer: Peer, board: cm.Board) -> None:
+    for topic in (b"cm_read_reg", b"cm_data_read"):
+        peer.sub.setsockopt(zmq.SUBSCRIBE, topic)
     peer.status_until(lambda s: s.mode == "default")
+    assert [len(part) for part in peer.published(b"cm_data_read")[2:]] == [480 * 640]
+    peer.pub.send_multipart([b"cm_write_reg", b"{ 'focus':0x2}"])
+    values = pb.RegValues.FromString(peer.published(b"cm_read_reg")[1])
+    assert [(v.name, v.value) for v in values.values] == [("focus", 2)]
     peer.pub.send_multipart([b"cm_config", b"edge"])
     assert peer.status_until(lambda s: s.mode == "edge_detection" and not s.fpga_busy).pr_mode == pb.PR_MODE_IDLE
-
-
-def test_listing_2_works_as_one_frame_too(peer: Peer) -> None:
-    peer.status_until(lambda s: s.mode == "default")
-    peer.pub.send(b"cm_config colorise")
-    peer.status_until(lambda s: s.mode == "colorise")
-
-
-def test_listing_2_writes_registers_in_plain_text(peer: Peer, board: cm.Board) -> None:
-    peer.sub.setsockopt(zmq.SUBSCRIBE, b"cm_read_reg")
-    peer.status_until(lambda s: s.mode == "default")
-    peer.pub.send_multipart([b"cm_write_reg", b"{ 'focus':0x2}"])
-    topic, message = peer.sub.recv_multipart()
-    while topic != b"cm_read_reg":
-        topic, message = peer.sub.recv_multipart()
-    values = pb.RegValues.FromString(message)
-    assert [(v.name, v.value) for v in values.values] == [("focus", 2)]
-    assert board.registers["focus"] == 2
-
-
-def test_listing_2_receives_frames_on_cm_data_read(peer: Peer) -> None:
-    peer.sub.setsockopt(zmq.SUBSCRIBE, b"cm_data_read")
-    topic, message, payload = peer.sub.recv_multipart()
-    frame = pb.Frame.FromString(message)
-    assert (topic, frame.stream, len(payload)) == (b"cm_data_read", "camera", 480 * 640)
-
-
-def test_a_dealer_may_leave_the_delimiter_out(peer: Peer, manager: Manager) -> None:
-    with peer.connect(zmq.DEALER, manager, "req") as dealer:
-        dealer.send_multipart([b"cm_status", b""])
-        _, message = dealer.recv_multipart()
-    assert pb.Reply.FromString(message).status.mode == "default"
-
-
-def test_replies_to_a_dealer_carry_its_own_frames_back(peer: Peer, manager: Manager) -> None:
-    with peer.connect(zmq.DEALER, manager, "req") as dealer:
-        dealer.send_multipart([b"my-17", b"", b"cm_status", b""])
-        assert dealer.recv_multipart()[:3] == [b"my-17", b"", b"cm_status"]
 
 
 @pytest.mark.parametrize(
@@ -118,20 +90,12 @@ def test_replies_to_a_dealer_carry_its_own_frames_back(peer: Peer, manager: Mana
         ([b"cm_nonsense", b""], "invalid_request", "unknown topic"),
         ([b"cm_write_reg", b"\xff\xff\xff"], "invalid_request", "not a WriteReg message"),
         ([b"cm_write_reg", b"{ 'focus': 'two' }"], "invalid_request", "not an integer"),
-        ([b"cm_write_reg", b"{ 'focus': 0x10 }"], "out_of_range", "0 to 15"),
-        ([b"cm_write_reg", b"{ 'nix': 1 }"], "unknown_register", "nix"),
         ([b"cm_write_reg", b""], "invalid_request", "at least one"),
         ([b"cm_config", b"no such mode!"], "invalid_request", "plain text"),
-        ([b"cm_config", b"sharpen"], "unknown_mode", "sharpen"),
         ([b"cm_config", b""], "invalid_request", "plain text"),
-        ([b"cm_status", b"", b"payload"], "invalid_request", "payload"),
         ([b"cm_write_data", pb.WriteData(stream="to_pl").SerializeToString()], "invalid_request", "payload"),
-        ([b"cm_write_data", pb.WriteData(stream="to_pl").SerializeToString(), b"abc"], "invalid_request", "bytes"),
-        ([b"cm_write_data", pb.WriteData(stream="camera").SerializeToString(), b"abc"], "invalid_request", "s2mm"),
-        ([b"cm_data_config", pb.DataConfig(stream="camera", dtype="float7").SerializeToString()], "invalid_request", "dtype"),  # noqa: E501
-        ([b"cm_data_config", pb.DataConfig(stream="camera", slots=4000).SerializeToString()], "invalid_request", "slots"),  # noqa: E501
-        ([b"cm_irq", pb.ReadIrq(name="nix").SerializeToString()], "unknown_interrupt", "nix"),
         ([b"cm_lease", pb.Lease(scope="moon").SerializeToString()], "invalid_request", "scope"),
+        ([b"cm_lease", b""], "invalid_request", "scope"),
         ([b"cm_write_config", pb.WriteConfig(schema="config: 7").SerializeToString()], None, "config"),
     ],
 )  # fmt: skip
@@ -143,13 +107,6 @@ def test_what_is_wrong_gets_a_clear_error(peer: Peer, frames: list[bytes], code:
     assert code is None or reply.error.code == code
     after = peer.ask(b"cm_status", b"").status
     assert (after.config_name, after.mode) == (before.config_name, before.mode)
-
-
-def test_an_error_of_fire_and_forget_shows_on_the_status(peer: Peer) -> None:
-    peer.status_until(lambda s: s.mode == "default")
-    peer.pub.send_multipart([b"cm_config", b"sharpen"])
-    status = peer.status_until(lambda s: s.last_error.code == "unknown_mode")
-    assert status.mode == "default"
 
 
 def test_an_error_is_logged_once(own: tuple[Manager, SimBoard]) -> None:
@@ -223,21 +180,6 @@ def test_payload_frames_may_begin_like_a_topic(peer: Peer, manager: Manager, env
         assert answer[: len(before)] == before
         assert answer[len(before)] == command[0]
         assert pb.Reply.FromString(answer[len(before) + 1]).ok
-
-
-def test_an_unknown_topic_with_an_empty_message_is_named(peer: Peer, manager: Manager) -> None:
-    dealer = peer.dealer(manager)
-    dealer.send_multipart([b"cm_stauts", b""])
-    _, message = dealer.recv_multipart()
-    assert "cm_stauts" in pb.Reply.FromString(message).error.message
-
-
-def test_the_list_of_configurations_has_their_modes(peer: Peer) -> None:
-    config = peer.ask(b"cm_read_config", pb.ReadConfig(list=True).SerializeToString()).config
-    assert [entry.name for entry in config.entries] == list(config.names)
-    [camera] = [entry for entry in config.entries if entry.name == "camera"]
-    assert (camera.type, camera.default_mode) == ("partial", "default")
-    assert "edge_detection" in camera.modes
 
 
 def test_while_a_change_runs_the_mode_is_the_previous_one(peer: Peer, board: cm.Board) -> None:

@@ -7,11 +7,12 @@ from typing import Any
 
 import pytest
 
-from cm.client.core import calls
+from cm.client.core import calls, uploads
 from cm.client.core.change import loading
 from cm.client.core.effects import AskBeside, Receive
+from cm.client.errors import RequestInvalid
 from cm.wire.encode import encode_status
-from cm.wire.messages.status import ChangeInfo, Progress, Status
+from cm.wire.messages.status import ChangeInfo, ErrorInfo, Progress, Status
 
 CALL = calls.load("camera", "edge", wait=True, queue=True, force=False, lease="")
 UNDER_WAY = Status("camera", "", fpga_busy=True, progress=Progress(7, "camera", "edge", "load", "prr0", 1, 2, 0.5))
@@ -41,3 +42,11 @@ def test_a_load_with_progress_waits_for_what_is_missing_and_for_nothing_more(ove
         flow.send(answer)
     assert end.value.value == 0.25
     assert [progress.step for progress in told] == ["load"]
+
+
+def test_a_manager_without_uploads_gets_everything_in_one_message() -> None:
+    flow = uploads.upload(bytes(10 << 20))
+    next(flow)
+    with pytest.raises(StopIteration) as ended:
+        flow.throw(RequestInvalid(ErrorInfo("invalid_request", "unknown topic 'cm_upload'; topics are cm_status")))
+    assert ended.value.value == ""

@@ -153,7 +153,9 @@ def send_config(daemon: Daemon) -> bytes:
     daemon.done(Upload("image", len(image), 0, image))
     file = File("given.bit", image).uploaded("image")
     assert (file.data, file.sha256) == (b"", hashlib.sha256(image).hexdigest())
+    assert daemon.refused(rq.Provision("config: [", (file,)))[0] == "schema_invalid"  # the upload is still there
     daemon.done(rq.Provision(SENT, (file,)))
+    assert daemon.refused(rq.Provision(SENT, (file,)))[0] == "unknown_upload"
     return image
 
 

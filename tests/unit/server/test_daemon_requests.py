@@ -65,7 +65,10 @@ def test_a_configuration_is_described_and_all_are_listed(camera: Daemon) -> None
     assert described.name == "camera"
     assert {"focus", "zoom"} <= {register.name for register in described.registers}
     assert camera.done(rq.ReadConfig("camera")) == described
-    assert "camera" in camera.done(rq.ListConfigs()).names
+    listed = camera.done(rq.ListConfigs())
+    assert [entry.name for entry in listed.entries] == list(listed.names)
+    (entry,) = [entry for entry in listed.entries if entry.name == "camera"]
+    assert (entry.type, entry.default_mode, "edge_detection" in entry.modes) == ("partial", "default", True)
     code, message = camera.refused(rq.ReadConfig("camra"))
     assert code == "unknown_config"
     assert "did you mean 'camera'?" in message
@@ -104,10 +107,16 @@ def test_a_change_that_is_not_waited_for_is_answered_at_once(camera: Daemon) -> 
     seen.close()
 
 
-def test_a_change_to_an_unknown_mode_is_refused(camera: Daemon) -> None:
-    code, message = camera.refused(ChangeMode("camera", "edges_detection"))
-    assert code == "unknown_mode"
-    assert "edge_detection" in message
+@pytest.mark.parametrize(
+    ("mode", "words"),
+    [
+        ("edges_detection", "did you mean 'edge_detection'?"),
+        ("edge", "no mode 'edge'; mode 'edge_detection' has that module alone"),
+    ],
+)
+def test_a_change_to_an_unknown_mode_is_refused(camera: Daemon, mode: str, words: str) -> None:
+    code, message = camera.refused(ChangeMode("camera", mode))
+    assert (code, words in message) == ("unknown_mode", True), message
     assert camera.status.mode == "default"
 
 
@@ -117,7 +126,7 @@ def test_a_plan_says_what_would_be_loaded_and_loads_nothing(camera: Daemon) -> N
     assert plan.bytes > 0
     assert any(step.kind == "load" for step in plan.steps)
     assert camera.status.mode == "default"
-    assert not [step for step in camera.done(rq.PlanChange("camera", "default")).steps if step.kind == "load"]
+    assert camera.done(rq.PlanChange("camera", "default")).steps == ()
 
 
 def test_a_change_that_fails_is_answered_with_its_error_and_undone(camera: Daemon) -> None:
@@ -219,6 +228,7 @@ def test_a_repeated_read_after_a_change_of_mode_is_of_the_new_mode(camera: Daemo
     [
         (ReadReg(("focsu",)), "unknown_register", "did you mean 'focus'?"),
         (written("focsu", 1), "unknown_register", "did you mean 'focus'?"),
+        (ReadReg(("threshold",)), "unknown_register", "modes edge_detection have it"),
         (ReadReg(("led.zzz",)), "unknown_register", "'led' has no field 'zzz'; there are blink, pattern"),
         (ReadReg(("zoom.zzz",)), "unknown_register", "'zoom' has no field 'zzz'; there are none"),
         (written("focus", 1, mask=1 << 32), "out_of_range", "mask 0x100000000 does not fit 32 bits"),
