@@ -84,8 +84,8 @@ class SimStore:
     async def revoke(self, lease: str) -> None:
         await self._asked(lambda ledger: ledger.revoke(lease))
 
-    async def watch(self, prefix: str) -> AsyncIterator[None]:
-        yield
+    async def watch(self, prefix: str) -> AsyncIterator[dict[str, Entry]]:
+        yield {}
 
     async def close(self) -> None: ...
 
@@ -113,6 +113,11 @@ class SimBoard:
         self.tasks.add(task)
         task.add_done_callback(self.tasks.discard)
         return task
+
+    async def hear(self, changes: Mapping[str, Entry]) -> None:
+        await self.world.turn()
+        if self.board.told(changes):
+            await self.commands.look()
 
     def kill(self) -> None:
         """The bridge; it is there again at once."""
@@ -208,7 +213,7 @@ class World:
         self.waiting: list[asyncio.Future[None]] = []
         self.sleeping: list[tuple[float, asyncio.Future[None]]] = []
         self.again: list[Callable[[Ledger], Any]] = []
-        self.ledger = Ledger(":memory:", lambda _: None, lambda: self.now)
+        self.ledger = Ledger(":memory:", self.tell, lambda: self.now)
         weakref.finalize(self, self.ledger.close)
         self.history: dict[tuple[int, str], Place] = {}  # what was wanted, by generation and board
         self.told: list[Course] = []
@@ -243,6 +248,13 @@ class World:
         future: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self.sleeping.append((self.now + seconds, future))
         await future
+
+    def tell(self, changes: Mapping[str, Entry]) -> None:
+        """The store's watches: late, in any order, or not at all."""
+        for name, board in self.boards.items():
+            own = {k: entry for k, entry in changes.items() if k.startswith(f"boards/{name}/")}
+            if own and not board.gone and not self.lost():
+                board.start(board.hear(own))
 
     def lost(self) -> bool:
         return self.lossy and self.chance.random() < 0.02

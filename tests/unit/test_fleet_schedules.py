@@ -83,7 +83,7 @@ def test_whatever_dies_or_is_lost_every_board_ends_where_it_is_wanted(part: int)
 
 async def cut(step: int, policy: Policy = Policy.ALL) -> tuple[World, bool]:
     """A change of three boards whose coordinator dies at a step; also whether it was still at work."""
-    world = World(step, 3)
+    world = World(1, 3)
     world.lossy = False
     client = asyncio.create_task(world.change("anna", ("camera", "edge"), sorted(world.boards), policy))
     await asyncio.sleep(0)

@@ -8,12 +8,12 @@ its manager, its disk) are ports, so that a death at every point can be tested.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from cm.errors import Busy, CmError
-from cm.networks.fleet.store import BOARDS, Store, StoreAway, StoreRefused, View, views
+from cm.errors import Busy, CmError, InvalidRequest
+from cm.networks.fleet.store import BOARDS, Entry, Store, StoreAway, StoreRefused, View, views
 from cm.wire.messages.fleet import FleetState, FleetStep
 from cm.wire.messages.status import ErrorInfo
 
@@ -114,6 +114,7 @@ class Board:
         self._name, self._store, self._manager, self._disk, self._now = name, store, manager, disk, now
         self._follow = follow
         self._notes = disk.read()
+        self._entries: dict[str, Entry] = {}
         self._view = View()
         self._store_error = "it was not read yet"
         self._error: ErrorInfo | None = None  # of going to what is wanted
@@ -161,7 +162,7 @@ class Board:
 
         Raises NotNow if the store has no such change open here, Busy, and the manager's refusals.
         """
-        await self.look()
+        await self.look(step=step)
         known = self._notes.part
         if known is not None and known.change != step.id:
             raise Busy(f"change {known.change} of {known.caller} is {known.phase} here, and not ended yet")
@@ -200,22 +201,50 @@ class Board:
 
     # ---- what it does by itself -----------------------------------------------------------------
 
-    async def look(self, again: bool = False) -> FleetState:
+    async def look(self, again: bool = False, step: FleetStep | None = None) -> FleetState:
         """Read what is wanted, and do it. `again`: also what failed before, or was changed by hand. Raises Unsettled.
 
+        `step`: what a coordinator asks for; if the store has told of that already, it is not read.
         If the store cannot be read, nothing is done: what is open stays open, and the manager's lock on the board runs
         out, so that its local users are free.
         """
-        try:
-            found = views(await self._store.get(f"{BOARDS}{self._name}/"))
-        except (StoreAway, StoreRefused) as error:
-            self._store_error = str(error)
-            return self.state
-        self._view, self._store_error = found.get(self._name, View()), ""
+        if step is None or not self._told_of(step):
+            try:
+                self._know(await self._store.get(f"{BOARDS}{self._name}/"))
+            except (StoreAway, StoreRefused) as error:
+                self._store_error = str(error)
+                return self.state
+            self._store_error = ""
         if again:
             self._again = 0.0
         await self._reconcile(again)
         return self.state
+
+    def told(self, changes: Mapping[str, Entry]) -> bool:
+        """Take what the store's watch says has changed; whether there is something to look at then."""
+        known = self._entries
+        newer = {k: entry for k, entry in changes.items() if k not in known or entry.revision > known[k].revision}
+        try:
+            self._know({k: entry for k, entry in {**known, **newer}.items() if entry.value})
+        except InvalidRequest:  # who looks is told
+            return True
+        return not changes or self.unsettled
+
+    def _know(self, entries: dict[str, Entry]) -> None:
+        self._entries, self._view = entries, views(entries).get(self._name, View())
+
+    def _told_of(self, step: FleetStep) -> bool:
+        """Whether it is known that this change is open here, or that it was decided: what was told may be old."""
+        part, claim, wanted = self._notes.part, self._view.open, self._view.wanted
+        if self._store_error:
+            return False
+        if part is None:
+            return (
+                not self.unsettled
+                and claim is not None
+                and (claim.change, claim.generation) == (step.id, step.generation)
+            )
+        return wanted is not None and wanted.change == part.change == step.id
 
     @property
     def listed(self) -> bool:

@@ -15,7 +15,7 @@ import socket
 import ssl
 import threading
 import time
-from collections.abc import AsyncIterator, Iterator, Mapping
+from collections.abc import AsyncIterator, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -97,10 +97,7 @@ class Etcd:
     async def get(self, prefix: str) -> dict[str, Entry]:
         """As Store has it."""
         found = await self._ask("kv/range", _range(prefix), 0.0 if prefix.endswith("/") and prefix != BOARDS else _MANY)
-        return {
-            _text(kv["key"])[len(PREFIX) :]: Entry(_text(kv.get("value", "")), int(kv["mod_revision"]))
-            for kv in found.get("kvs", ())
-        }
+        return _entries(found.get("kvs", ()))
 
     async def txn(self, expect: Mapping[str, int], puts: Mapping[str, Put | None]) -> int:
         """As Store has it. A repetition after a lost answer fails if the compares name a key that it puts."""
@@ -136,15 +133,13 @@ class Etcd:
         while self._idle:
             self._idle.pop()[1].close()
 
-    async def watch(self, prefix: str) -> AsyncIterator[None]:
+    async def watch(self, prefix: str) -> AsyncIterator[dict[str, Entry]]:
         """As Store has it."""
         stream = _Stream(self, prefix, asyncio.get_running_loop())
         self._streams.add(stream)
         try:
             while not self._over.is_set():
-                await stream.changed.wait()
-                stream.changed.clear()
-                yield
+                yield await stream.changes.get()
         finally:
             stream.end()
             self._streams.discard(stream)
@@ -234,10 +229,10 @@ class _Gone(StoreRefused):
 
 
 class _Stream:
-    """A watch in a thread of its own: sets `changed` in the loop."""
+    """A watch in a thread of its own: puts what it is told into `changes`, in the loop."""
 
     def __init__(self, etcd: Etcd, prefix: str, loop: asyncio.AbstractEventLoop) -> None:
-        self.changed = asyncio.Event()
+        self.changes: asyncio.Queue[dict[str, Entry]] = asyncio.Queue()
         self._etcd, self._prefix, self._loop = etcd, prefix, loop
         self._over = threading.Event()
         self._connection: http.client.HTTPConnection | None = None
@@ -251,9 +246,9 @@ class _Stream:
             with contextlib.suppress(OSError):
                 self._connection.sock.shutdown(socket.SHUT_RDWR)
 
-    def _tell(self) -> None:
+    def _tell(self, changes: dict[str, Entry]) -> None:
         with contextlib.suppress(RuntimeError):  # the loop has ended
-            self._loop.call_soon_threadsafe(self.changed.set)
+            self._loop.call_soon_threadsafe(self.changes.put_nowait, changes)
 
     def _run(self) -> None:
         revision, number = 0, self._etcd._first
@@ -264,11 +259,11 @@ class _Stream:
                         revision = 0
                         break
                     if found.get("events") or not revision:
-                        self._tell()
+                        self._tell(_entries(event["kv"] for event in found["events"]) if revision else {})
                     revision = int(found["header"]["revision"])
             except (OSError, http.client.HTTPException, ValueError, KeyError, StoreRefused, _Failed) as error:
                 if not isinstance(error, TimeoutError):
-                    self._tell()
+                    self._tell({})
                     self._over.wait(0.5)
             number += 1
 
@@ -319,6 +314,10 @@ def _key(text: str) -> str:
 
 def _text(coded: str) -> str:
     return base64.b64decode(coded).decode()
+
+
+def _entries(kvs: Iterable[Mapping[str, Any]]) -> dict[str, Entry]:
+    return {_text(kv["key"])[len(PREFIX) :]: Entry(_text(kv.get("value", "")), int(kv["mod_revision"])) for kv in kvs}
 
 
 def _range(prefix: str) -> dict[str, Any]:

@@ -14,7 +14,7 @@ import secrets
 import sqlite3
 import threading
 import time
-from collections.abc import AsyncIterator, Callable, Iterable, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -39,10 +39,11 @@ class Ledger:
     """The store itself, on one file. For one thread at a time."""
 
     def __init__(
-        self, path: Path | str, changed: Callable[[Iterable[str]], None], now: Callable[[], float] = time.monotonic
+        self, path: Path | str, changed: Callable[[dict[str, Entry]], None], now: Callable[[], float] = time.monotonic
     ) -> None:
-        """`changed` is told the keys of each transaction. Raises StoreRefused if the file is no such store."""
+        """`changed` is told of each transaction as `Store.watch` does. Raises StoreRefused if the file is no store."""
         self._changed, self._now = changed, now
+        self._put_now: dict[str, Entry] = {}
         try:
             self._file = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
         except sqlite3.Error as error:
@@ -89,7 +90,7 @@ class Ledger:
             else:
                 row = (name, put.value, revision, put.lease)
                 self._file.execute("INSERT OR REPLACE INTO entries VALUES (?, ?, ?, ?)", row)
-        self._changed(puts)
+        self._put_now = {name: Entry(put.value if put else "", revision) for name, put in puts.items()}
         return revision
 
     def grant(self, seconds: float) -> str:
@@ -130,6 +131,8 @@ class Ledger:
             self._file.execute("ROLLBACK")
             raise
         self._file.execute("COMMIT")
+        put, self._put_now = self._put_now, {}
+        self._changed(put)
 
 
 class Keeper:
@@ -140,9 +143,9 @@ class Keeper:
             raise Busy("this fleet has a keeper already: one only keeps the wanted state")
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         self._session = session
-        self._told: list[str] = []
+        self._told: dict[str, Entry] = {}
         self._lock, self._over = threading.Lock(), threading.Event()
-        self._ledger = Ledger(path, self._told.extend)
+        self._ledger = Ledger(path, self._told.update)
         self._queryable = session.declare_queryable(f"{STORE}/*/*", self._came, complete=True)
         self._thread = threading.Thread(target=self._tick, name="cm-keeper", daemon=True)
         self._thread.start()
@@ -164,8 +167,8 @@ class Keeper:
                 self._tell()
 
     def _tell(self) -> None:
-        for name in self._told:
-            self._session.put(f"{_CHANGED}/{name}", b"")
+        for name, entry in self._told.items():
+            self._session.put(f"{_CHANGED}/{name}", json.dumps([entry.value, entry.revision]).encode())
         self._told.clear()
 
     def _came(self, query: Any) -> None:
@@ -244,22 +247,25 @@ class KeeperStore:
     async def close(self) -> None:
         """The session is not ours."""
 
-    async def watch(self, prefix: str) -> AsyncIterator[None]:
+    async def watch(self, prefix: str) -> AsyncIterator[dict[str, Entry]]:
         """As Store has it; the keeper's coming back is a gap, too."""
-        changed, loop = asyncio.Event(), asyncio.get_running_loop()
+        changes: asyncio.Queue[dict[str, Entry]] = asyncio.Queue()
+        loop = asyncio.get_running_loop()
 
-        def came(_: Any) -> None:
+        def tell(told: dict[str, Entry]) -> None:
             with contextlib.suppress(RuntimeError):  # the loop has ended
-                loop.call_soon_threadsafe(changed.set)
+                loop.call_soon_threadsafe(changes.put_nowait, told)
 
-        changed.set()
+        def came(sample: Any) -> None:
+            entry = json.loads(bytes(sample.payload) or b"null")  # earlier keepers said only that there is something
+            tell({str(sample.key_expr)[len(_CHANGED) + 1 :]: Entry(*entry)} if entry else {})
+
+        tell({})
         subscriber = self._session.declare_subscriber(f"{_CHANGED}/{prefix.rstrip('/')}/**", came)
-        keeper = self._session.liveliness().declare_subscriber(_ALIVE, came)
+        keeper = self._session.liveliness().declare_subscriber(_ALIVE, lambda _: tell({}))
         try:
             while True:
-                await changed.wait()
-                changed.clear()
-                yield
+                yield await changes.get()
         finally:
             subscriber.undeclare()
             keeper.undeclare()

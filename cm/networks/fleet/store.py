@@ -36,7 +36,7 @@ class StoreRefused(CmError):
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A value, and the revision of the transaction that put it."""
+    """A value, and the revision of the transaction that put it; where changes are told, "" is one that was deleted."""
 
     value: str
     revision: int
@@ -71,8 +71,8 @@ class Store(Protocol):
     async def revoke(self, lease: str) -> None:
         """End it, and with it the keys under it."""
 
-    def watch(self, prefix: str) -> AsyncIterator[None]:
-        """Says that something under a prefix may have changed: at the beginning, after every gap, and when it has."""
+    def watch(self, prefix: str) -> AsyncIterator[dict[str, Entry]]:
+        """What has changed under a prefix; nothing at the beginning and after every gap: then it is to be read."""
 
     async def close(self) -> None:
         """Disconnect."""

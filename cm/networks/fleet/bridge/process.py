@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -122,8 +123,9 @@ class Bridge:
         self._clock = await asyncio.to_thread(clock.read)
         token = network.liveliness().declare_token(keys.key(board, "alive"))  # last: who sees it may ask
         self.ready(board)
+        told = relay.subscribe(topics.STATUS, topics.READ_REG, topics.IRQ, take=partial(self._told, publications))
         work = (
-            self._listen(relay, publications), self._beat(publications), self._look_at_clock(),
+            relay.refused(), self._beat(publications), self._look_at_clock(),
             self._reconcile(publications, commands), self._follow_store(board, store),
         )  # fmt: skip
         tasks = [asyncio.create_task(each) for each in work]
@@ -134,6 +136,7 @@ class Bridge:
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
+            told.close()
             publications.end()
             queries.end()
             await store.close()
@@ -158,18 +161,8 @@ class Bridge:
 
     # ---- what goes on by itself -------------------------------------------------------------
 
-    async def _listen(self, relay: Relay, publications: Publications) -> None:
-        subscription = relay.subscribe(topics.STATUS, topics.READ_REG, topics.IRQ)
-        try:
-            while True:
-                frames = await subscription.receive(None)
-                if frames is not None and len(frames) > 1:
-                    self._told(frames, publications)
-        finally:
-            subscription.close()
-
-    def _told(self, frames: list[bytes], publications: Publications) -> None:
-        topic, message = frames[:2]
+    def _told(self, publications: Publications, frames: list[bytes]) -> None:
+        topic, message, *_ = frames
         if topic == topics.STATUS:
             self._status = message
             streams, place = wire.glance(message)
@@ -193,8 +186,9 @@ class Bridge:
     async def _follow_store(self, board: str, store: Store) -> None:
         """Look whenever something of this board changes in the store; be in its inventory first."""
         own, said = Settings(self.options.labels, self.options.follow), False
-        async for _ in store.watch(f"{BOARDS}{board}/"):
-            self._wake.set()
+        async for changes in store.watch(f"{BOARDS}{board}/"):
+            if self._board.told(changes):
+                self._wake.set()
             if said and self._board.listed:
                 continue
             with suppress(StoreAway, StoreRefused):

@@ -10,8 +10,7 @@ from contextlib import suppress
 from functools import partial
 from typing import Any
 
-from cm.client.aio.relay import Relay
-from cm.errors import CmError
+from cm.client.aio.relay import Relay, Subscribed
 from cm.networks.fleet import keys
 from cm.wire import fleet as wire
 from cm.wire import topics
@@ -85,7 +84,7 @@ class Stream:
         self._topic = topics.STREAM_PREFIX + name.encode()
         self._publisher = publisher
         self._relay = relay
-        self._task: asyncio.Task[None] | None = None
+        self._subscribed: Subscribed | None = None
         self._loop = asyncio.get_running_loop()
         self._listener = publisher.declare_matching_listener(self._matching)
         self._follow(publisher.matching_status.matching)
@@ -96,24 +95,16 @@ class Stream:
             self._loop.call_soon_threadsafe(self._follow, status.matching)
 
     def _follow(self, wanted: bool) -> None:
-        if wanted and self._task is None:
-            self._task = self._loop.create_task(self._run())
-        elif not wanted and self._task is not None:
-            self._task.cancel()
-            self._task = None
+        if wanted and self._subscribed is None:
+            self._subscribed = self._relay.subscribe(self._topic, take=self._came, depth=_WAITING)
+        elif not wanted and self._subscribed is not None:
+            self._subscribed.close()
+            self._subscribed = None
 
-    async def _run(self) -> None:
-        subscription = self._relay.subscribe(self._topic, depth=_WAITING)
-        try:
-            while True:
-                frames = await subscription.receive(None)
-                if frames is not None and frames[0] == self._topic:  # ZeroMQ matches by prefix
-                    payload = frames[2] if len(frames) > 2 else b""
-                    self._publisher.put(payload, encoding="zenoh/bytes", attachment=frames[1])
-        except CmError:
-            pass  # the relay was closed
-        finally:
-            subscription.close()
+    def _came(self, frames: list[bytes]) -> None:
+        if frames[0] == self._topic:  # ZeroMQ matches by prefix
+            payload = frames[2] if len(frames) > 2 else b""
+            self._publisher.put(payload, encoding="zenoh/bytes", attachment=frames[1])
 
     def end(self) -> None:
         """Stop, whoever listens."""

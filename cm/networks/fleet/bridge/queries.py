@@ -166,7 +166,7 @@ class Commands:
             self.wake.clear()
             if verb == "prepare":
                 return await self._board.prepare(step, caller)
-            return await self._board.look(again=step.id == keys.AGAIN)
+            return await self._board.look(step.id == keys.AGAIN, step)
 
     async def look(self) -> str:
         """Do what is wanted of the board now; returns why that is not possible yet, empty if all is done."""

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Certificates of a fleet: an authority of its own, and a certificate for each member, by whose name it is known."""
+"""Certificates of a fleet: an authority of its own, and a certificate for each member, by whose name it is known.
+
+Raises NotInstalled where it is imported without cryptography.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +10,16 @@ import datetime
 import ipaddress
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 from cm.errors import NotInstalled
 
-if TYPE_CHECKING:
-    from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
-    from cryptography.x509 import CertificateBuilder, Name
+try:
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+    from cryptography.x509.oid import ExtendedKeyUsageOID
+except ImportError as error:
+    raise NotInstalled(f"certificates need cryptography: pip install 'fpga-cm[zenoh]' ({error})") from None
 
 _FROM = datetime.datetime(1970, 1, 1, tzinfo=datetime.timezone.utc)  # boards without a battery begin there
 AUTHORITY_DAYS = 3653
@@ -27,99 +33,58 @@ class Identity:
     key: bytes
 
 
-def _parts() -> Any:
-    try:
-        from cryptography import x509
-        from cryptography.hazmat.primitives import hashes, serialization
-        from cryptography.hazmat.primitives.asymmetric import ec
-    except ImportError as error:
-        raise NotInstalled(f"certificates need cryptography: pip install 'fpga-cm[zenoh]' ({error})") from None
-    return x509, hashes, serialization, ec
-
-
 def authority(name: str) -> Identity:
     """A new authority, signed by itself."""
-    x509, *_ = _parts()
-    key = _new_key()
-    subject = _named(name)
-    builder = _builder(subject, subject, key.public_key(), AUTHORITY_DAYS)
-    builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
-    builder = builder.add_extension(_usage(sign_certificates=True), critical=True)
-    builder = builder.add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
+    key = ec.generate_private_key(ec.SECP256R1())
+    builder = _builder(name, _named(name), key, AUTHORITY_DAYS, is_authority=True)
     return _signed(builder, key, key)
 
 
 def issued(by: Identity, name: str, days: int, hosts: Iterable[str] = ()) -> Identity:
     """A certificate for `name`, for both ends of a connection; `hosts`: the names by which others reach it."""
-    x509, _, serialization, _ = _parts()
     ca_key = serialization.load_pem_private_key(by.key, None)
-    ca = x509.load_pem_x509_certificate(by.certificate)
-    key = _new_key()
-    builder = _builder(_named(name), ca.subject, key.public_key(), days)
-    builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-    builder = builder.add_extension(_usage(sign_certificates=False), critical=True)
-    both = [x509.ExtendedKeyUsageOID.SERVER_AUTH, x509.ExtendedKeyUsageOID.CLIENT_AUTH]
+    assert isinstance(ca_key, ec.EllipticCurvePrivateKey)  # as `authority` makes it
+    key = ec.generate_private_key(ec.SECP256R1())
+    both = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
+    builder = _builder(name, x509.load_pem_x509_certificate(by.certificate).subject, key, days, is_authority=False)
     builder = builder.add_extension(x509.ExtendedKeyUsage(both), critical=False)
     by_whom = x509.AuthorityKeyIdentifier.from_issuer_public_key(ca_key.public_key())
     builder = builder.add_extension(by_whom, critical=False)
-    builder = builder.add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
     alternatives = x509.SubjectAlternativeName([_host(host) for host in (*hosts, name)])
     return _signed(builder.add_extension(alternatives, critical=False), key, ca_key)
 
 
-def _new_key() -> EllipticCurvePrivateKey:
-    *_, ec = _parts()
-    key: EllipticCurvePrivateKey = ec.generate_private_key(ec.SECP256R1())
-    return key
+def _named(name: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, name)])
 
 
-def _named(name: str) -> Name:
-    x509, *_ = _parts()
-    named: Name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, name)])
-    return named
-
-
-def _host(text: str) -> Any:
-    x509, *_ = _parts()
+def _host(text: str) -> x509.GeneralName:
     try:
         return x509.IPAddress(ipaddress.ip_address(text))
     except ValueError:
         return x509.DNSName(text)
 
 
-def _builder(subject: Name, issuer: Name, public: Any, days: int) -> CertificateBuilder:
-    x509, *_ = _parts()
-    now = datetime.datetime.now(datetime.timezone.utc)
-    builder: CertificateBuilder = (
-        x509.CertificateBuilder()
-        .subject_name(subject)
-        .issuer_name(issuer)
-        .public_key(public)
-        .serial_number(x509.random_serial_number())
-        .not_valid_before(_FROM)
-        .not_valid_after(now + datetime.timedelta(days=days))
-    )
-    return builder
-
-
-def _usage(sign_certificates: bool) -> Any:
-    x509, *_ = _parts()
-    return x509.KeyUsage(
-        digital_signature=not sign_certificates,
-        key_cert_sign=sign_certificates,
-        crl_sign=sign_certificates,
-        content_commitment=False,
-        key_encipherment=False,
-        data_encipherment=False,
-        key_agreement=False,
-        encipher_only=False,
-        decipher_only=False,
+def _builder(
+    name: str, issuer: x509.Name, key: ec.EllipticCurvePrivateKey, days: int, is_authority: bool
+) -> x509.CertificateBuilder:
+    usage = x509.KeyUsage(
+        digital_signature=not is_authority, key_cert_sign=is_authority, crl_sign=is_authority,
+        content_commitment=False, key_encipherment=False, data_encipherment=False, key_agreement=False,
+        encipher_only=False, decipher_only=False,
+    )  # fmt: skip
+    until = datetime.datetime.now(datetime.timezone.utc) + datetime.timedelta(days=days)
+    return (
+        x509.CertificateBuilder(issuer, _named(name), key.public_key(), x509.random_serial_number(), _FROM, until)
+        .add_extension(x509.BasicConstraints(is_authority, 0 if is_authority else None), critical=True)
+        .add_extension(usage, critical=True)
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
     )
 
 
-def _signed(builder: Any, key: Any, by: Any) -> Identity:
-    _, hashes, serialization, _ = _parts()
-    certificate = builder.sign(by, hashes.SHA256())
+def _signed(
+    builder: x509.CertificateBuilder, key: ec.EllipticCurvePrivateKey, by: ec.EllipticCurvePrivateKey
+) -> Identity:
     pem = serialization.Encoding.PEM
     private = key.private_bytes(pem, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
-    return Identity(certificate.public_bytes(pem), private)
+    return Identity(builder.sign(by, hashes.SHA256()).public_bytes(pem), private)
