@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from fleet_support import VISION, Router
 
-from cm.networks.fleet.bundles import PartMissing, Parts, described, fetched, offered
+from cm.networks.fleet.bundles import PartMissing, described, fetched, offered
 from cm.networks.fleet.network import Network, session
 
 pytestmark = pytest.mark.networks
@@ -35,24 +35,22 @@ def joined(router: Router) -> Any:
 
 
 def test_parts_that_have_arrived_are_not_fetched_again(router: Router, packed: Path, tmp_path: Path) -> None:
-    bundle = described(packed, 20_000)
-    parts = Parts(tmp_path / "parts")
-    with joined(router) as ours, joined(router) as theirs:
-        with offered(ours, packed, bundle) as sent:
-            for part in bundle.parts[:3]:  # as if it had been cut off there
-                parts.put(part, packed.read_bytes()[20_000 * bundle.parts.index(part) :][:20_000])
-            (parts.folder / bundle.parts[1]).write_bytes(b"torn")
-            fetched(theirs, bundle, parts)
-            assert sent() == bundle.length - 2 * 20_000
-        parts.joined(bundle, tmp_path / "whole")
-        assert (tmp_path / "whole").read_bytes() == packed.read_bytes()
+    bundle, here = described(packed, 20_000), tmp_path / "here"
+    here.write_bytes(packed.read_bytes()[:45_000])  # cut off within the third
+    with joined(router) as ours, joined(router) as theirs, offered(ours, packed, bundle) as sent:
+        fetched(theirs, bundle, here)
+        assert sent() == bundle.length - 2 * 20_000
+        assert here.read_bytes() == packed.read_bytes()
+        here.write_bytes(b"torn" + packed.read_bytes()[4:])
+        with pytest.raises(PartMissing, match="do not make the archive that was announced"):
+            fetched(theirs, bundle, here)
+        fetched(theirs, bundle, here)  # from the beginning
+    assert here.read_bytes() == packed.read_bytes()
 
 
 def test_a_part_with_a_wrong_hash_is_not_accepted(router: Router, packed: Path, tmp_path: Path) -> None:
-    bundle = described(packed, 20_000)
-    changed = tmp_path / "changed"
+    bundle, changed = described(packed, 20_000), tmp_path / "changed"
     changed.write_bytes(packed.read_bytes()[:30_000] + b"x" + packed.read_bytes()[30_001:])
-    parts = Parts(tmp_path / "parts")
     refused = pytest.raises(PartMissing, match=r"nobody offers part .* \(20000 bytes are here\)")
     with joined(router) as ours, joined(router) as theirs, offered(ours, changed, bundle), refused:
-        fetched(theirs, bundle, parts, patience=0.3)
+        fetched(theirs, bundle, tmp_path / "here", patience=0.3)

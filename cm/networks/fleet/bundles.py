@@ -5,11 +5,9 @@ from __future__ import annotations
 
 import hashlib
 import os
-import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +22,7 @@ _BETWEEN_TRIES = 0.1  # seconds
 
 
 class PartMissing(CmError):
-    """A part of an archive is offered by nobody, or does not match its hash."""
+    """A part of an archive is offered by nobody, or the parts do not make it."""
 
     code = "part_missing"
 
@@ -70,79 +68,35 @@ def offered(session: Any, archive: Path, bundle: FetchBundle) -> Iterator[Callab
         queryable.undeclare()
 
 
-def asked(session: Any, key: str, sha256: str) -> bytes | None:
-    """A part from anyone who has it; None if nobody answers with one that matches the hash."""
-    for reply in session.get(key, timeout=_TIMEOUT):
-        data = bytes(reply.ok.payload) if reply.ok is not None else b""
-        if hashlib.sha256(data).hexdigest() == sha256:
-            return data
-    return None
-
-
-@dataclass(frozen=True, slots=True)
-class Parts:
-    """Parts on disk, each checked before it gets its name, so that existing ones are right even after a crash."""
-
-    folder: Path
-
-    def get(self, part: str) -> bytes | None:
-        """A part, if it exists and still matches its name."""
-        with suppress(FileNotFoundError):
-            data = (self.folder / part).read_bytes()
-            if hashlib.sha256(data).hexdigest() == part:
-                return data
-        return None
-
-    def put(self, part: str, data: bytes) -> None:
-        """Keep a part. Raises OSError."""
-        self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        handle, path = tempfile.mkstemp(prefix=".new-", dir=self.folder)
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            Path(path).rename(self.folder / part)
-        except BaseException:
-            Path(path).unlink(missing_ok=True)
-            raise
-
-    def have(self, bundle: FetchBundle) -> int:
-        """How many bytes of an archive are there."""
-        sizes = []
-        for part in bundle.parts:
-            with suppress(FileNotFoundError):
-                sizes.append((self.folder / part).stat().st_size)
-        return sum(sizes)
-
-    def joined(self, bundle: FetchBundle, path: Path) -> None:
-        """The archive as one file, after checking its hash. Raises PartMissing, OSError."""
-        whole = hashlib.sha256()
-        with path.open("wb") as file:
-            for part in bundle.parts:
-                data = self.get(part)
-                if data is None:
-                    raise PartMissing(f"{bundle.name}: part {part[:12]} is gone, or was changed on the disk")
-                whole.update(data)
-                file.write(data)
-        if whole.hexdigest() != bundle.sha256:
-            raise PartMissing(f"{bundle.name}: its parts do not make the archive that was announced (sha256)")
-
-
-def fetched(session: Any, bundle: FetchBundle, parts: Parts, patience: float = PATIENCE) -> None:
-    """Get from the sender what is not there yet.
+def fetched(session: Any, bundle: FetchBundle, path: Path, patience: float = PATIENCE) -> None:
+    """Append to a file what it has not of an archive, part by part as they come, and check the whole.
 
     The sender has only just begun, and routers learn of it one after the other: an unanswered query is repeated for
-    `patience` seconds. Raises PartMissing; parts that have come are kept, and not fetched again.
+    `patience` seconds. Raises PartMissing, OSError; parts that have come are kept, and not fetched again.
     """
-    for part in bundle.parts:
-        end = time.monotonic() + patience
-        while parts.get(part) is None:
-            data = asked(session, part_key(bundle.sha256, part), part)
-            if data is not None:
-                parts.put(part, data)
-            elif time.monotonic() < end:
+    with path.open("ab") as file:
+        file.truncate(file.tell() // bundle.part_length * bundle.part_length)  # one was cut short
+        file.seek(0, os.SEEK_END)
+        for part in bundle.parts[file.tell() // bundle.part_length :]:
+            end = time.monotonic() + patience
+            while (data := _asked(session, bundle, part)) is None:
+                if time.monotonic() > end:
+                    raise PartMissing(f"{bundle.name}: nobody offers part {part[:12]} ({file.tell()} bytes are here)")
                 time.sleep(_BETWEEN_TRIES)
-            else:
-                here = parts.have(bundle)
-                raise PartMissing(f"{bundle.name}: nobody offers part {part[:12]} ({here} bytes are here)")
+            file.write(data)
+    with path.open("rb") as file:
+        whole = hashlib.sha256()
+        while block := file.read(PART):
+            whole.update(block)
+    if whole.hexdigest() != bundle.sha256:
+        path.unlink()
+        raise PartMissing(f"{bundle.name}: its parts do not make the archive that was announced (sha256)")
+
+
+def _asked(session: Any, bundle: FetchBundle, part: str) -> bytes | None:
+    """A part from anyone who has it; None if nobody answers with one that matches the hash."""
+    for reply in session.get(part_key(bundle.sha256, part), timeout=_TIMEOUT):
+        data = bytes(reply.ok.payload) if reply.ok is not None else b""
+        if hashlib.sha256(data).hexdigest() == part:
+            return data
+    return None

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ from cm.client.core import calls
 from cm.client.errors import RequestNotFound
 from cm.errors import CmError
 from cm.networks.fleet.bridge.managed import ManagedBoard
-from cm.networks.fleet.bundles import Parts, fetched
+from cm.networks.fleet.bundles import fetched
 from cm.wire.messages.fleet import BundleState, FetchBundle
 from cm.wire.messages.status import ErrorInfo
 
@@ -48,13 +47,14 @@ class Bundles:
         if self.take is None:
             raise NoBundles("this board's bridge takes no archives: start it with --import-to DIR")
         await self._may(caller)
-        parts = Parts(self.folder / bundle.sha256)
+        self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        archive = self.folder / f"{bundle.sha256}.tar"
         try:
-            await asyncio.to_thread(fetched, self.session, bundle, parts)
-            config, signer = await asyncio.to_thread(self._put_in_force, bundle, parts)
+            await asyncio.to_thread(fetched, self.session, bundle, archive)
+            config, signer = await asyncio.to_thread(self._put_in_force, self.take, archive)
         except CmError as error:
-            problem = ErrorInfo(error.code, str(error))
-            return BundleState(bundle.sha256, bundle.length, parts.have(bundle), error=problem)
+            have = archive.stat().st_size if archive.exists() else 0
+            return BundleState(bundle.sha256, bundle.length, have, error=ErrorInfo(error.code, str(error)))
         return BundleState(bundle.sha256, bundle.length, bundle.length, config, signer)
 
     async def _may(self, caller: str) -> None:
@@ -62,11 +62,9 @@ class Bundles:
         with contextlib.suppress(RequestNotFound):
             await self.relay.ask(calls.remove_config(_NO_CONFIG, ""), self.managed.guest(caller))
 
-    def _put_in_force(self, bundle: FetchBundle, parts: Parts) -> tuple[str, str]:
-        assert self.take is not None
-        archive = parts.folder / f"{bundle.sha256}.tar"
+    @staticmethod
+    def _put_in_force(take: Import, archive: Path) -> tuple[str, str]:
         try:
-            parts.joined(bundle, archive)
-            return self.take(archive)
+            return take(archive)
         finally:
-            shutil.rmtree(parts.folder, ignore_errors=True)
+            archive.unlink()
