@@ -32,6 +32,12 @@ config:
   modes:
     contours: {{modules: [edge]}}
 """
+CLOCK = """
+import os, time
+_ahead, _time, _time_ns = float(os.environ.get("CM_TEST_AHEAD", "0")), time.time, time.time_ns
+time.time = lambda: _time() + _ahead
+time.time_ns = lambda: _time_ns() + int(_ahead * 1e9)
+"""  # a sitecustomize.py, for a machine whose clock is so many seconds ahead
 VISION = archive("vision", {"vision.yaml": _SCHEMA.encode(), "edge.bin": EDGE})  # an archive, not signed
 
 

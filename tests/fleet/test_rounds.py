@@ -28,7 +28,7 @@ from typing import Any
 import pytest
 from fleet_etcd import EtcdCluster, Member
 from fleet_history import Recording, linearizable, read
-from fleet_support import FleetBoard, Router, fleet_board
+from fleet_support import CLOCK, FleetBoard, Router, fleet_board
 from manager_process import REPOSITORY, environment, until
 
 import cm.fleet
@@ -42,12 +42,6 @@ MODES = ("default", "edge_detection", "colorise")
 ENDS = LEASE + 5.0
 BUSY = 60.0  # further seconds on a machine that others keep busy
 CLOCKS = {"b2": "-86400", "b4": "86400"}
-_SITE = """
-import os, time
-_ahead, _time, _time_ns = float(os.environ.get("CM_TEST_AHEAD", "0")), time.time, time.time_ns
-time.time = lambda: _time() + _ahead
-time.time_ns = lambda: _time_ns() + int(_ahead * 1e9)
-"""
 COORDINATOR = """
 import asyncio, json, sys
 import cm.fleet
@@ -174,7 +168,7 @@ class Rounds:
         )  # fmt: skip
         self.router = Router(host=self.networks.host)
         self.stack.callback(self.router.kill)
-        (self.folder / "sitecustomize.py").write_text(_SITE)
+        (self.folder / "sitecustomize.py").write_text(CLOCK)
         where = ("--router", self.router.endpoint, "--store", self.cluster.urls, "--join", "--lease", "3")
         contexts = {
             name: fleet_board(

@@ -11,7 +11,6 @@ import runpy
 import select
 import signal
 import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -29,7 +28,6 @@ from cm.cli.main import main
 from cm.networks.fleet.blocking import Fleet
 from cm.networks.fleet.errors import ChangeFailed, FleetRefused, NoSuchBoard
 from cm.networks.fleet.network import Network, session
-from cm.networks.fleet.store import StoreAway
 from cm.tools.demo.boards import free_ports
 from cm.wire import cm_pb2 as pb
 from cm.wire.messages.fleet import BoardStatus, BundleState, Decision
@@ -305,32 +303,6 @@ def test_a_bridge_killed_during_a_change_comes_back_to_the_fleets_mode(boards: B
     until(lambda: modes(boards) == {"edge_detection"}, 60.0)
 
 
-CLIENT = """
-import sys, time, cm.networks.fleet
-
-def tell(phase, *_):
-    print(phase, flush=True)
-    if phase == sys.argv[2]:
-        time.sleep(3600)
-
-cm.networks.fleet.connect(sys.argv[1], caller="anna").mode("edge_detection", tell=tell)
-"""
-
-
-@pytest.mark.parametrize(("phase", "mode"), [("apply", "default"), ("reconcile", "edge_detection")])
-def test_a_client_killed_before_the_decision_leaves_the_old_mode_and_after_it_the_new(
-    boards: Boards, three: tuple[Router, Boards, Fleet], phase: str, mode: str
-) -> None:
-    command = [sys.executable, "-c", CLIENT, three[0].endpoint, phase]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment(), cwd="/") as client:
-        assert client.stdout is not None
-        while client.stdout.readline().decode().strip() != phase:
-            pass
-        client.kill()
-    until(lambda: all(_is_free(status) for status in three[2].status().values()), 60.0)
-    assert modes(boards) == {mode}
-
-
 @pytest.mark.parametrize(("who", "phase"), [("manager", "prepare"), ("manager", "apply"), ("bridge", "apply")])
 def test_whichever_process_is_killed_on_one_board_all_end_in_one_mode(
     boards: Boards, fleet: Fleet, who: str, phase: str
@@ -357,26 +329,6 @@ def test_whichever_process_is_killed_on_one_board_all_end_in_one_mode(
 
 def _is_free(status: BoardStatus | ErrorInfo) -> bool:
     return isinstance(status, BoardStatus) and status.fleet is not None and status.fleet.state == "there"
-
-
-def test_all_boards_end_in_one_mode_if_the_router_is_killed_during_a_change(
-    boards: Boards, three: tuple[Router, Boards, Fleet], fleet: Fleet
-) -> None:
-    router, asked = three[0], []
-
-    def tell(phase: str, board: str, answer: object) -> None:
-        asked.append((phase, board, answer))
-        if phase == "prepare" and board == "b2":
-            router.kill()
-            router.start()
-
-    with contextlib.suppress(ChangeFailed, FleetRefused, StoreAway):
-        fleet.mode("edge_detection", timeout=5.0, tell=tell)
-    until(lambda: set(fleet.boards()) == set(boards), 60.0)
-    until(lambda: all(_is_free(status) for status in fleet.status().values()), 60.0)
-    wanted = {view.wanted.mode for view in fleet.inventory().values() if view.wanted}
-    assert modes(boards) == wanted, (asked, fleet.status())
-    assert len(wanted) == 1
 
 
 def test_a_bridge_waits_for_its_router_and_ends_when_it_is_told_to(boards: Boards, tmp_path: Path) -> None:
