@@ -116,6 +116,7 @@ class BoardProcesses:
     folder: Path
     router: str
     bridge_options: tuple[str, ...] = ()
+    manager_options: tuple[str, ...] = ()
     manager: subprocess.Popen[bytes] | None = None
     bridge: subprocess.Popen[bytes] | None = None
 
@@ -132,7 +133,7 @@ class BoardProcesses:
         run, state = str(self.runtime_dir), str(self.folder / "state")
         self.manager = started(
             b"ready at", "serve", "--sim", "--runtime-dir", run, "--state-dir", state, "--name", self.name,
-            "--settings", str(settings),
+            "--settings", str(settings), *self.manager_options,
         )  # fmt: skip
         self.bridge = started(
             b"ready as", "bridge", "fleet", "--runtime-dir", run, "--router", self.router,
@@ -156,13 +157,19 @@ class BoardProcesses:
 class LocalFleet:
     """A router and boards, as a context manager; the first board keeps the store, if it is not elsewhere."""
 
-    def __init__(self, names: Iterable[str], folder: Path, at_once: int = 4, store: str = "") -> None:
+    def __init__(
+        self, names: Iterable[str], folder: Path, at_once: int = 4, store: str = "", manager: tuple[str, ...] = ()
+    ) -> None:
+        """`manager`: further options of each board's manager."""
         self.router = f"tcp/127.0.0.1:{free_ports()}"
+        self.store = store
         named = tuple(names)
         where = ("--store", store or "keeper")
         keeper = () if store else ("--keeper",)
         self.boards = {
-            name: BoardProcesses(name, folder / name, self.router, where + (keeper if name == named[0] else ()))
+            name: BoardProcesses(
+                name, folder / name, self.router, where + (keeper if name == named[0] else ()), manager
+            )
             for name in named
         }
         self._at_once = at_once
