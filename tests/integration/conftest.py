@@ -35,9 +35,9 @@ def shared() -> Iterator[tuple[Manager, SimBoard]]:
         yield both
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def own() -> Iterator[tuple[Manager, SimBoard]]:
-    """A manager with nothing loaded, for a test that kills it or its board."""
+    """A manager for a module's tests that kill it or its board, and start again what they have killed."""
     with served() as both:
         yield both
 

@@ -25,7 +25,7 @@ from cm.wire.encode import decode_reply, encode_request
 from cm.wire.messages.requests import Upload
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def served() -> Iterator[KeyedManager]:
     with served_with_keys() as made:
         yield made
@@ -63,12 +63,14 @@ def test_1500_idle_connections_leave_room_for_a_client_and_are_closed_if_they_sa
 
 
 def test_a_process_that_takes_up_the_descriptors_loses_its_connections(served: KeyedManager) -> None:
-    resource.prlimit(served.pid, resource.RLIMIT_NOFILE, (1024, 1024))
+    was = resource.prlimit(served.pid, resource.RLIMIT_NOFILE)
+    resource.prlimit(served.pid, resource.RLIMIT_NOFILE, (1024, was[1]))
     before = descriptors(served.pid)
     with idle_connections(served.manager.runtime / "req", 700, 1):
         until(lambda: descriptors(served.pid) < before + 200, 9)  # before silent ones are closed anyway
         with served.manager.connected() as board:
             assert works(board)
+    resource.prlimit(served.pid, resource.RLIMIT_NOFILE, was)
 
 
 def frame(flags: int, body: bytes = b"", length: int | None = None) -> bytes:

@@ -51,6 +51,12 @@ class Setup:
         told: dict[str, Any] = json.loads(done.stdout) if done.stdout else {}
         return told
 
+    def load(self, *modes: str) -> None:
+        """Enter modes, one after the other."""
+        with self.manager.connected() as board:
+            for mode in modes:
+                board.load("camera", mode)
+
     def counts(self, channel: str) -> dict[str, int]:
         """The board's counts, once nobody uses the streams any more."""
         until(lambda: not any(c["open"] for c in self.sim.control.state()["channels"].values()))
@@ -79,13 +85,13 @@ def apart(library: Path) -> Iterator[Setup]:
     env = {**environment(), "LD_PRELOAD": str(library)}
     with served(["--non-coherent", "--rate", "100"], env=env) as (manager, sim):
         setup = Setup(manager, sim, env)
-        setup.run("board.load('camera', 'default')")
+        setup.load("default")
         yield setup
 
 
 def loop(setup: Setup, body: str) -> tuple[dict[str, Any], dict[str, int], dict[str, int]]:
     """The output of a client that runs `body` on the loop, and the increase of both channels' counts."""
-    setup.run("board.load('camera', 'loopback')")
+    setup.load("loopback")
     before = setup.counts("to_pl"), setup.counts("from_pl")
     told = setup.run(body)
     added = setup.added("to_pl", before[0]), setup.added("from_pl", before[1])
@@ -276,7 +282,7 @@ def test_a_writer_whose_stream_stops_ends_the_access_that_it_began(apart: Setup)
 
 def test_bitstreams_reach_the_port(apart: Setup) -> None:
     before = apart.counts("icap")
-    apart.run("board.load('camera', 'colorise'); board.load('camera', 'default')")
+    apart.load("colorise", "default")
     added = apart.added("icap", before)
     assert added.get("write_starts", 0) == added.get("write_ends", 0)
     assert not added.keys() - {"write_starts", "write_ends"}
@@ -301,19 +307,21 @@ def test_asyncio_synchronises_the_same(apart: Setup) -> None:
     assert (to_pl, from_pl) == ({"write_starts": 3, "write_ends": 3}, {"read_starts": 3, "read_ends": 3})
 
 
-def with_the_c_library(name: str, folder: Path) -> Path:
-    """An example of the pages, linked with what `make -C csrc/client` makes."""
-    client, library, program = REPOSITORY / "csrc/client", folder / "libcm_plane.a", folder / name
-    subprocess.run(["make", "-s", "-C", client, library, f"BUILD={folder}"], check=True, capture_output=True)
-    source = REPOSITORY / f"docs/examples/{name}.c"
-    subprocess.run(["cc", f"-I{client}", "-o", program, source, library], check=True)
-    return program
+@pytest.fixture(scope="module")
+def examples(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with examples of the pages, linked with what `make -C csrc/client` makes."""
+    client, folder = REPOSITORY / "csrc/client", tmp_path_factory.mktemp("examples")
+    library = folder / "libcm_plane.a"
+    subprocess.run(["make", "-s", "-j2", "-C", client, library, f"BUILD={folder}"], check=True, capture_output=True)
+    for name in ("reader", "writer"):
+        source = REPOSITORY / f"docs/examples/{name}.c"
+        subprocess.run(["cc", f"-I{client}", "-o", folder / name, source, library], check=True)
+    return folder
 
 
-def test_the_c_library_synchronises_what_it_takes(apart: Setup, tmp_path: Path) -> None:
-    program = with_the_c_library("reader", tmp_path)
+def test_the_c_library_synchronises_what_it_takes(apart: Setup, examples: Path) -> None:
     before = apart.counts("camera")
-    command = [program, apart.manager.runtime, "camera", "7"]
+    command = [examples / "reader", apart.manager.runtime, "camera", "7"]
     done = subprocess.run(command, check=False, capture_output=True, text=True, env=apart.env, timeout=60)
     assert done.returncode == 0, done.stderr
     means = [float(line.rpartition(" ")[2]) for line in done.stdout.splitlines()[:7]]
@@ -321,8 +329,8 @@ def test_the_c_library_synchronises_what_it_takes(apart: Setup, tmp_path: Path) 
     assert apart.added("camera", before) == {"read_starts": 7, "read_ends": 7}
 
 
-def test_the_c_librarys_writer_synchronises_what_it_fills(apart: Setup, tmp_path: Path) -> None:
-    program = with_the_c_library("writer", tmp_path)
+def test_the_c_librarys_writer_synchronises_what_it_fills(apart: Setup, examples: Path) -> None:
+    program = examples / "writer"
     told, to_pl, from_pl = loop(
         apart,
         f"""
@@ -359,15 +367,11 @@ def test_coherent_memory_is_never_synchronised(library: Path, tmp_path: Path) ->
 def test_a_region_is_compared_through_memory_that_is_synchronised(apart: Setup) -> None:
     """Old bytes would be a frame of noise, or all frames wrong: the buffers are used again and again."""
     before = apart.counts("icap")
-    told = apart.run(
-        """
+    with apart.manager.connected() as board:
         board.load("camera", "default", force=True)
         found = [board.check_region("prr0") for _ in range(3)]
-        tell(verdicts=[one.verdict for one in found], frames=min(one.frames for one in found))
-        """
-    )
-    assert told["verdicts"] == ["good"] * 3
-    assert told["frames"] > 600
+    assert [one.verdict for one in found] == ["good"] * 3
+    assert min(one.frames for one in found) > 600
     added = apart.added("icap", before)
     assert added["read_starts"] == added["read_ends"] >= 3
     assert "early" not in added

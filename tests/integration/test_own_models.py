@@ -171,8 +171,10 @@ def test_one_stream_in_is_two_streams_out(kernel: cm.Board) -> None:
     ("schema", "says"),
     [
         ("fir: {model: fri}", "no model is called 'fri', did you mean 'fir'?"),
-        ("fir: {model: fir}", None),
-        ("fir: {}, turn_prr0: {model: turn}", None),  # as `cm build` writes a module for each of several regions
+        (
+            "fir: {model: fir}, turn_prr0: {model: turn}",
+            None,
+        ),  # as `cm build` names one of several regions
     ],
 )
 def test_an_unknown_model_is_an_error_that_lists_the_known_ones(tmp_path: Path, schema: str, says: str | None) -> None:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -114,10 +113,9 @@ def test_what_waits_for_a_stopped_subscriber_is_bounded_in_bytes(context: zmq.Co
         assert sequences == sorted(sequences), "in order"  # with gaps, if the kernel took more of them meanwhile
 
 
-@pytest.mark.parametrize(("mebibytes", "fewest", "most"), [("0", 2, 9), ("16", 16, 28)])
-def test_how_much_may_wait_is_a_setting(context: zmq.Context, mebibytes: str, fewest: int, most: int) -> None:
+def test_how_much_may_wait_is_a_setting(context: zmq.Context) -> None:
     """Frames of 4 MiB; libzmq applies the high-water mark at both ends, and the kernel holds some, too."""
-    with listening(more=("--stream-queue", mebibytes)) as (manager, address), manager.connected() as board:
+    with listening(more=("--stream-queue", "0")) as (manager, address), manager.connected() as board:
         board.load("camera", "loopback")
         for name in ("to_pl", "from_pl"):
             board.configure_stream(name, shape=(LARGE,))
@@ -134,10 +132,10 @@ def test_how_much_may_wait_is_a_setting(context: zmq.Context, mebibytes: str, fe
                     break
         assert overruns(board, "from_pl") > 0
         got = 0
-        while stuck.poll(1000 if got >= fewest else 60_000):
+        while stuck.poll(1000 if got >= 2 else 60_000):
             stuck.recv_multipart()
             got += 1
-    assert fewest <= got <= most
+    assert 2 <= got <= 9
 
 
 def test_how_much_may_wait_at_the_client_is_the_streams_depth(far: cm.Board) -> None:
@@ -221,24 +219,6 @@ def test_nothing_newer_is_a_timeout_and_an_unknown_stream_an_error(far: cm.Board
         stream.read()
     with pytest.raises(NotFound, match="camra"):
         far.stream("camra", newest=True, timeout=60).open()
-
-
-def test_asyncio_has_the_same_over_zeromq(board: cm.Board, manager: Manager) -> None:
-    async def main() -> list[int]:
-        async with cm.aio.connect(runtime_dir=manager.runtime, timeout=60) as twin:
-            twin._place = replace(twin._place, data=None)
-            async with (
-                twin.stream("camera", timeout=60) as every,
-                twin.stream("camera", newest=True, timeout=60) as newest,
-            ):
-                sequences = [(await every.read()).sequence for _ in range(10)]
-                assert (await newest.read()).sequence > sequences[-1] - 2
-            async with twin.stream("camera", compression="lz4", timeout=60) as packed:
-                assert (await packed.read()).shape == (480, 640)
-            return sequences
-
-    sequences = asyncio.run(main())
-    assert sequences == sorted(set(sequences))  # a busy machine loses some of them, but repeats none
 
 
 # ---- compression ---------------------------------------------------------------------------

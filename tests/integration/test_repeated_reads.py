@@ -38,53 +38,10 @@ def asking(stack: ExitStack, manager: Manager) -> Ask:
     return ask
 
 
-@pytest.fixture
-def ask(board: cm.Board, manager: Manager, stack: ExitStack) -> Ask:
-    """Reads registers over a socket of its own, with the manager in the example's default mode."""
-    return asking(stack, manager)
-
-
-@pytest.mark.parametrize(
-    "names",
-    [
-        ("focus",),
-        ("led",),
-        ("led.blink", "zoom", "focus"),
-        ("focus", "focus"),
-    ],
-)
-def test_the_same_question_gets_the_same_answer(ask: Ask, board: cm.Board, names: tuple[str, ...]) -> None:
-    board.registers["led"] = 0x2A
-    replies = [ask(*names) for _ in range(TIMES)]
-    assert replies[0].ok
-    assert all(reply.registers == replies[0].registers for reply in replies)
-    if "led" in names:
-        assert dict(replies[-1].registers.values[0].fields) == {"pattern": 0xA, "blink": 2}
-
-
-def test_every_answer_holds_the_value_of_its_time(ask: Ask, board: cm.Board) -> None:
-    for value in (3, 1, 7, 2):
-        board.registers["focus"] = value
-        assert [v.value for v in ask("focus").registers.values] == [value]
-
-
-@pytest.mark.parametrize(
-    ("names", "code"), [(("threshold",), "unknown_register"), (("focus", "no_such"), "unknown_register")]
-)
-def test_a_refusal_stays_one(ask: Ask, names: tuple[str, ...], code: str) -> None:
-    assert [ask(*names).error.code for _ in range(TIMES)] == [code] * TIMES
-
-
-def test_what_a_name_means_changes_with_the_mode(ask: Ask, board: cm.Board) -> None:
-    for _ in range(TIMES):
-        assert ask("threshold").error.code == "unknown_register"
-        board.mode = "edge_detection"
-        replies = [ask("threshold") for _ in range(TIMES)]
-        assert [(r.ok, r.registers.mode) for r in replies] == [(True, "edge_detection")] * TIMES
-        board.mode = "default"
-
-
-def test_no_answer_comes_from_a_region_that_is_being_loaded(ask: Ask, board: cm.Board) -> None:
+def test_no_answer_comes_from_a_region_that_is_being_loaded(
+    board: cm.Board, manager: Manager, stack: ExitStack
+) -> None:
+    ask = asking(stack, manager)
     assert [ask("focus").ok for _ in range(TIMES)] == [True] * TIMES
     for mode in ("edge_detection", "default") * 5:
         codes = set()

@@ -14,7 +14,6 @@ from manager_process import Manager, served, until
 from scraping import address, scrape
 
 from cm.cli.main import main
-from cm.client.errors import RequestFailed
 from cm.simulation.software import Board as SimBoard
 
 FRAME = 480 * 640
@@ -57,33 +56,6 @@ def test_frames_and_bytes_are_those_of_the_status_and_outlive_the_stream(scraped
     after = scrape(manager.runtime)
     assert after.value("cm_stream_frames", stream="camera") == 0
     assert after.value("cm_stream_frames_total", stream="camera") >= before + least
-
-
-def test_refusals_and_leases_are_counted(scraped: tuple[Manager, SimBoard]) -> None:
-    manager = scraped[0]
-    with manager.connected() as board:
-        before = scrape(manager.runtime)
-        with pytest.raises(RequestFailed), board.lease("region:prr0"):
-            board.load(mode="nowhere")
-        with board.lease("region:prr0"), board.lease("registers:led", exclusive=False):
-            page = scrape(manager.runtime)
-        assert (page.value("cm_leases"), page.value("cm_leases_by_scope", scope="region", how="alone")) == (2, 1)
-        assert page.value("cm_request_errors_total", code="unknown_mode") == 1
-        assert page.value("cm_requests_total") > before.value("cm_requests_total")
-        assert scrape(manager.runtime).value("cm_leases") == 0
-
-
-def test_a_change_that_fails_is_counted_with_its_code(scraped: tuple[Manager, SimBoard]) -> None:
-    manager, sim = scraped
-    with manager.connected() as board:
-        before = scrape(manager.runtime).by("cm_changes_total", "outcome")
-        sim.control.inject("icap_crc", count=1)
-        with pytest.raises(RequestFailed) as failed:
-            board.load(mode="edge_detection")
-        board.load(mode="default")
-    page = scrape(manager.runtime)
-    assert page.by("cm_changes_total", "outcome")["failed"] == before["failed"] + 1
-    assert page.value("cm_change_failures_total", code=failed.value.code) == 1
 
 
 def test_what_the_sensors_say_is_in_status_metrics_and_the_command(

@@ -139,20 +139,6 @@ def test_a_writer_gets_an_error_and_writes_again(board: cm.Board, own: Own) -> N
         assert (reader.read() == 9).all()
 
 
-def test_a_client_of_a_stopped_board_is_refused_and_keeps_no_others_waiting(board: cm.Board, own: Own) -> None:
-    with stopped(own[1]):
-
-        def read() -> None:
-            with pytest.raises(CmError) as caught:
-                board.read("camera")
-            assert caught.value.code == "timeout"
-
-        read()
-        at_once(read)
-        at_once(lambda: answers(board))
-    again(lambda: board.read("camera"))
-
-
 def test_a_change_of_mode_ends_too(board: cm.Board, own: Own) -> None:
     board.registers["focus"] = 2
     with stopped(own[1]):

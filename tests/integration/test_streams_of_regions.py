@@ -94,27 +94,26 @@ def test_a_stream_of_the_static_part_passes_the_region_by(one_region: cm.Board) 
 
 
 def test_the_list_tells_how_many_transfers_failed_and_why(
-    own: tuple[Manager, SimBoard], capsys: pytest.CaptureFixture[str]
+    board: cm.Board, shared: tuple[Manager, SimBoard], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    manager, sim = own
+    manager, sim = shared
     place = ["--runtime-dir", str(manager.runtime)]
-    with manager.connected() as board:
-        board.load("camera", "default")
-        with board.stream("camera", timeout=30) as stream:
-            stream.read()
-            sim.control.inject("dma_error", "camera", count=2)
-            until(lambda: _camera(board).errors == 2)
-            stream.read()
-            assert main(["stream", "list", *place]) == 0
-            told = capsys.readouterr().out
-        assert "ERRORS" in told
-        assert "a transfer of 307200 bytes failed: Input/output error" in told
-        until(lambda: not _camera(board).open)
-        assert main(["stream", "list", "--json", *place]) == 0
-        [camera] = [s for s in json.loads(capsys.readouterr().out) if s["name"] == "camera"]
-        assert camera["last_error"]["code"] == "transfer_failed", "it stays known when the stream is closed"
-        board.load("camera", "default", force=True)
-        assert _camera(board).last_error is None
+    with board.stream("camera", timeout=30) as stream:
+        stream.read()
+        before = _camera(board).errors
+        sim.control.inject("dma_error", "camera", count=2)
+        until(lambda: _camera(board).errors == before + 2)
+        stream.read()
+        assert main(["stream", "list", *place]) == 0
+        told = capsys.readouterr().out
+    assert "ERRORS" in told
+    assert "a transfer of 307200 bytes failed: Input/output error" in told
+    until(lambda: not _camera(board).open)
+    assert main(["stream", "list", "--json", *place]) == 0
+    [camera] = [s for s in json.loads(capsys.readouterr().out) if s["name"] == "camera"]
+    assert camera["last_error"]["code"] == "transfer_failed", "it stays known when the stream is closed"
+    board.load("camera", "default", force=True)
+    assert _camera(board).last_error is None
 
 
 def _camera(board: cm.Board) -> cm.wire.messages.status.StreamStatus:

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import json
-import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -202,7 +200,9 @@ def test_fields_are_reported_beside_the_value(camera: Daemon) -> None:
     (led,) = camera.done(ReadReg(("led",))).values
     assert dict(led.fields) == {"pattern": 0xA, "blink": 2}
     camera.done(written("led.blink", 1))
-    assert values(camera, "led") == [0x1A]
+    camera.done(written("zoom", 2))
+    for _ in range(3):  # the first answer takes the slow path
+        assert values(camera, "led", "led.blink", "zoom", "led") == [0x1A, 1, 2, 0x1A]
 
 
 def test_a_repeated_read_gets_the_current_value(camera: Daemon) -> None:
@@ -220,7 +220,7 @@ def test_a_repeated_read_after_a_change_of_mode_is_of_the_new_mode(camera: Daemo
     camera.done(written("threshold", 9))
     assert values(camera, "threshold") == [9]
     camera.load("default")
-    assert camera.refused(ReadReg(("threshold",)))[0] == "unknown_register"
+    assert {camera.refused(ReadReg(("threshold",)))[0] for _ in range(3)} == {"unknown_register"}
 
 
 @pytest.mark.parametrize(
@@ -377,19 +377,3 @@ def test_the_status_says_that_nothing_is_loaded(tmp_path: Path) -> None:
         assert fresh.status.config_name == ""
         assert fresh.refused(ReadReg(("focus",)))[0] == "nothing_loaded"
         assert fresh.refused(rq.ReadData("camera"))[0] == "nothing_loaded"
-
-
-def test_the_page_of_metrics_counts_what_was_asked_and_changed() -> None:
-    with daemon(metrics="0") as made:
-        made.load("default")
-        made.load("edge_detection")
-        assert made.refused(ReadReg(("nothing",)))[0] == "unknown_register"
-        address = json.loads((made.folder / "run" / "endpoints.json").read_text())["metrics"]
-        with urllib.request.urlopen(address if "://" in address else f"http://{address}/metrics", timeout=60) as page:
-            text = page.read().decode()
-    lines = dict(line.rpartition(" ")[::2] for line in text.splitlines() if not line.startswith("#"))
-    assert float(lines["cm_requests_total"]) >= 3
-    assert lines['cm_request_errors_total{code="unknown_register"}'] == "1.0"
-    assert (lines["cm_busy"], lines["cm_failed"], lines["cm_last_change"]) == ("0.0", "0.0", "2.0")
-    changes = {name: value for name, value in lines.items() if name.startswith("cm_changes_total")}
-    assert sum(map(float, changes.values())) == 2, changes

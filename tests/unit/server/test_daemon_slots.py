@@ -252,7 +252,7 @@ def test_a_board_that_goes_half_way_is_reported(
 def test_a_board_that_does_not_answer_half_way_is_taken_up_again(
     slots: Allocator, monkeypatch: pytest.MonkeyPatch, client: Callable[..., Client]
 ) -> None:
-    monkeypatch.setenv("CM_SIM_TIMEOUT", "6")
+    monkeypatch.setenv("CM_SIM_TIMEOUT", "3")
     with daemon(["--rate", "200"]) as made:
         made.load("default")
         slots.hold(20)

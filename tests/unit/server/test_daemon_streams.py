@@ -379,7 +379,7 @@ def failure(status: Status) -> ErrorInfo | None:
 def test_a_board_that_stops_answering_is_reported_and_taken_up_again(
     client: Callable[..., Client], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("CM_SIM_TIMEOUT", "6")  # for every node: an interrupt's register is waited for as well
+    monkeypatch.setenv("CM_SIM_TIMEOUT", "3")  # for every node: an interrupt's register is waited for as well
     with daemon(["--rate", "200"]) as made:
         made.load("default")
         reader = client(made, Open("camera", depth=2))
