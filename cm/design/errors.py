@@ -14,6 +14,12 @@ class BuildError(CmError):
     code: ClassVar[str] = "build_failed"
 
 
+class StepFailed(BuildError):
+    """A step of the flow, or a program that it runs, failed; the sentence contains an excerpt of its log."""
+
+    code: ClassVar[str] = "step_failed"
+
+
 class MissingTool(BuildError):
     """A program or an optional package is not installed; the sentence says how to get it."""
 

@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 from conftest import EXAMPLES
 
+from cm.design.errors import StepFailed
 from cm.design.generate.tree import generate, load_design, output_folder
 from cm.design.openflow.attempt import Settings, Unroutable
 from cm.design.openflow.flow import OpenFlow
-from cm.design.openflow.steps import OpenStepFailed
 from cm.design.openflow.tools import Tool, Tools
 
 ARC = "Failed to route arc 0 of net 'x', from X1Y1/A to X2Y2/B."
@@ -77,6 +77,6 @@ def test_after_three_static_parts_the_flow_ends_with_what_was_wrong(run: Run, pr
 
 
 def test_another_static_part_is_not_tried_for_errors_that_it_cannot_cure(run: Run) -> None:
-    with pytest.raises(OpenStepFailed, match="no BELs remaining") as told:
+    with pytest.raises(StepFailed, match="no BELs remaining") as told:
         run(edge=[([1, 2, 3, 4], PLACE)], colorise=[([1, 2, 3, 4], ARC)])
     assert not isinstance(told.value, Unroutable)

@@ -8,11 +8,9 @@ Overlay sources → .dtbo, by dtc if it is installed.
 
 from __future__ import annotations
 
-import gzip
 import io
 import shutil
 import subprocess
-import tarfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +18,10 @@ from pathlib import Path
 from cm.design.collect.handoff import Handoff
 from cm.design.collect.images import Image
 from cm.design.errors import BuildError
+from cm.design.run.archive import write_tar
 from cm.schema.model import Config
+
+HEAD = "# SPDX-License-Identifier: Apache-2.0\n# Written by cm build collect.\n"
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,16 +62,8 @@ def write_folder(folder: Path, files: Mapping[str, bytes]) -> None:
 
 def archive(name: str, files: Mapping[str, bytes]) -> bytes:
     """A .tar.gz with ``<name>/…``: sorted, without times and owners."""
-    plain = io.BytesIO()
-    with tarfile.open(fileobj=plain, mode="w", format=tarfile.USTAR_FORMAT) as tar:
-        for path, data in sorted(files.items()):
-            info = tarfile.TarInfo(f"{name}/{path}")
-            info.size = len(data)
-            info.mode = 0o644
-            tar.addfile(info, io.BytesIO(data))
     packed = io.BytesIO()
-    with gzip.GzipFile(fileobj=packed, mode="wb", mtime=0, filename="") as stream:
-        stream.write(plain.getvalue())
+    write_tar(packed, {f"{name}/{path}": data for path, data in files.items()})
     return packed.getvalue()
 
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from cm.design.collect import handoff
-from cm.design.collect.collected import Collected, Inputs, archive, compile_overlays, write_folder
+from cm.design.collect.collected import HEAD, Collected, Inputs, archive, compile_overlays, write_folder
 from cm.design.collect.foreign import their_config
 from cm.design.collect.images import (
     Image,
@@ -30,8 +30,6 @@ from cm.design.runtime.schema import runtime_config, runtime_text
 from cm.formats import hwh
 from cm.schema import loads
 from cm.schema.model import Config
-
-_HEAD = "# SPDX-License-Identifier: Apache-2.0\n# Written by cm build collect.\n"
 
 
 def gather(paths: Iterable[Path], work: Path) -> Inputs:
@@ -104,7 +102,7 @@ def _our_config(inputs: Inputs, system: System, answers: Answers, generated: Pat
     sources = {path.stem: path.read_text(encoding="utf-8") for path in sorted((generated / "dts").glob("*.dtso"))}
     overlays, more = compile_overlays(sources)
     files |= overlays
-    files[f"{config.name}.yaml"] = (_HEAD + runtime_text(system, config) + "\n").encode()
+    files[f"{config.name}.yaml"] = (HEAD + runtime_text(system, config) + "\n").encode()
     return Collected(config, files, (*notes, *said, *more))
 
 

@@ -66,14 +66,9 @@ def _clock_of(module: hwh.ModuleInstance) -> str | None:
     return next((PS_CLOCKS[name] for name in ends if name in PS_CLOCKS), None)
 
 
-def _number(name: str) -> str:
-    return name[-1]
-
-
 def _phandle(name: str) -> str:
     """The phandle of a clock by its name in the runtime schema, fclk0 or pl0."""
-    pin = f"FCLK_CLK{_number(name)}" if name.startswith("fclk") else f"pl_clk{_number(name)}"
-    return f"<{PS_CLOCKS[pin]}>"
+    return f"<{PS_CLOCKS[('FCLK_CLK' if name.startswith('fclk') else 'pl_clk') + name[-1]]}>"
 
 
 def _windows(design: hwh.Hwh, lines: ForeignInterrupts) -> Iterator[dict[str, Any]]:

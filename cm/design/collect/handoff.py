@@ -6,14 +6,16 @@ from __future__ import annotations
 import lzma
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cm.design.collect.foreign_dma import stream_names
 from cm.design.errors import BuildError
-from cm.design.hdl.register_maps import identifier, register_of
+from cm.design.hdl.register_maps import identifier
 from cm.formats import hwh
+from cm.formats.importers.registers import RegisterBank
+from cm.formats.importers.result import Names
 from cm.schema.model import Clock, Direction, Register, Stream
 
 ARCHIVES = (".xsa", ".hdf", ".zip")
@@ -33,16 +35,13 @@ class Handoff:
     @property
     def partial(self) -> bool:
         """The description of a module, not of the whole design."""
-        return not any(m.type in _PROCESSORS for m in self.design.modules.values())
+        return hwh.processor(self.design) is None
 
     @property
     def device(self) -> str:
         """The device as a runtime schema names it: ``xc7z020``."""
         name = self.design.device.lower()
         return name if name.startswith("x") else f"xc{name}"
-
-
-_PROCESSORS = ("processing_system7", "zynq_ultra_ps_e", "versal_cips")
 
 
 def unpack(path: Path, folder: Path) -> list[Path]:
@@ -79,77 +78,25 @@ def read_handoff(path: Path, source: str = "") -> Handoff:
     return Handoff(path.stem, hwh.read(path, source))
 
 
-def static_registers(design: hwh.Hwh, regions: frozenset[str]) -> dict[str, Register]:
-    """Registers of every window outside of regions, called ``<instance>_<register>``.
+def registers(design: hwh.Hwh, notes: list[str], base: int = 0, region: str | None = None) -> dict[str, Register]:
+    """Registers of every window, called ``<instance>_<register>``; `notes` gets what no schema can have.
 
-    Those of DMA engines belong to the kernel's drivers: no UIO device shows them.
+    Of a whole design, those of regions and of DMA engines, which belong to the kernel's drivers, are left out. Of the
+    module in a `region`, addresses below `base` are relative, and moved there.
     """
-    found: dict[str, Register] = {}
-    driven = {channel.instance for channel in hwh.dma_channels(design)}
+    driven = set() if region else {channel.instance for channel in hwh.dma_channels(design)}
+    bank = RegisterBank(Names(), notes)
     for window in hwh.windows(design):
         instance = design.modules.get(window.instance)
-        if instance is None or window.instance in regions | driven or instance.region:
+        if instance is None or instance.region or window.instance in driven:
             continue
-        for register in _registers(instance, window):
-            found.setdefault(register.name, register)
-    return found
-
-
-def _registers(instance: hwh.ModuleInstance, window: hwh.MemoryRange, region: str | None = None) -> Iterator[Register]:
-    blocks = hwh.registers(instance, window.interface) or (
-        next(iter(instance.registers.values())) if len(instance.registers) == 1 else ()
-    )
-    prefix = identifier(instance.name)
-    specs = [spec for info in blocks if (spec := register_of(info)).offset + spec.width // 8 <= window.size]
-    for spec, others in _without_aliases(specs):
-        also = f" Same address: {', '.join(others)}." if others else ""
-        yield replace(
-            spec,
-            name=f"{prefix}_{spec.name}",
-            base_address=window.base,
-            fields={},
-            region=region,
-            # the hardware may change it, so it is never verified after a write
-            volatile=True,
-            doc=f"{spec.doc[:200]}{also}".strip(),
-        )
-
-
-def _without_aliases(specs: Iterable[Register]) -> Iterator[tuple[Register, list[str]]]:
-    """Yield each register with the names of others at the same address (a bit in a UART selects between them).
-
-    The first in the file keeps the place, since a schema has one register at each.
-    """
-    groups: list[tuple[Register, list[str]]] = []
-    for spec in specs:
-        there = next((group for group in groups if _overlap(group[0], spec)), None)
-        if there is None:
-            groups.append((spec, []))
-        else:
-            there[1].append(spec.name)
-    yield from groups
-
-
-def _overlap(one: Register, other: Register) -> bool:
-    return one.offset < other.offset + other.width // 8 and other.offset < one.offset + one.width // 8
-
-
-def module_registers(design: hwh.Hwh, base: int, region: str) -> dict[str, Register]:
-    """Read a module's registers from its own .hwh; addresses below `base` are relative, and moved there."""
-    found: dict[str, Register] = {}
-    for window in hwh.windows(design):
-        instance = design.modules.get(window.instance)
-        if instance is None:
-            continue
-        for register in _registers(instance, window, region):
-            found.setdefault(register.name, _moved(register, base))
-    return found
-
-
-def _moved(register: Register, base: int) -> Register:
-    if register.base_address >= base:
-        return register
-    return replace(register, base_address=base + register.base_address)
+        blocks = hwh.registers(instance, window.interface)
+        if not blocks and len(instance.registers) == 1:
+            (blocks,) = instance.registers.values()
+        place = window.base if window.base >= base else base + window.base
+        bank.add(identifier(instance.name), place, window.size, blocks, region)
+    # the hardware may change them, so they are never verified after a write
+    return {name: replace(register, volatile=True) for name, register in bank.registers.items()}
 
 
 def streams(design: hwh.Hwh) -> dict[str, Stream]:

@@ -18,7 +18,6 @@ from cm.formats.bitstream import Container, Report, convert, footprint_of, inspe
 from cm.formats.bitstream.verify import Expectation, refusals
 from cm.schema.model import FrameRange
 
-SUFFIXES = (".bit", ".bin")
 ALIKE = 0.5  # the smallest share of columns that two modules of one region have in common
 
 

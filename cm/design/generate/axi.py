@@ -8,10 +8,13 @@ Signals of a clock's AXI4-Lite interconnect, and which of them each window's sla
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cm.design.errors import BuildError
+from cm.design.generate.netlist import concat
 from cm.design.hdl.model import Interface, PortDirection
+from cm.design.plan.addresses import Window
 from cm.design.plan.system import Domain
 
 ADDRESS = ("ADDR", "SIZE", "BURST", "LOCK", "CACHE", "PROT", "QOS", "REGION")
@@ -85,3 +88,13 @@ def slave_port(domain: Domain, window: str, signal: str) -> str:
     if len(domain.windows) == 1:
         return name
     return f"{name}[{index}]" if width == 1 else f"{name}[{index * width}+:{width}]"
+
+
+def decoded(windows: Sequence[Window]) -> dict[str, object]:
+    """The parameters of an interconnect that has these windows behind it."""
+    return {
+        "COUNT": len(windows),
+        "ADDR_WIDTH": 32,
+        "BASE": concat(f"32'h{window.base:08X}" for window in reversed(windows)),
+        "MASK": concat(f"32'h{0xFFFF_FFFF & ~(window.size - 1):08X}" for window in reversed(windows)),
+    }

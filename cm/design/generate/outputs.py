@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -116,10 +115,8 @@ def _tcl(system: System, out: Path) -> Iterator[Output]:
     if project.static.abstract_shells:
         yield from _shells(system)
     steps = flow.steps(system)
-    needed = {name for step in steps for name in step.after}
-    last = [step for step in steps if step.name not in needed]
-    yield Output("Makefile", "Makefile.j2", {"steps": steps, "last": last})
-    yield Output("steps.json", "json.j2", {"text": _steps_json(steps)})
+    yield Output("Makefile", "Makefile.j2", {"steps": steps, "last": flow.ends(steps)})
+    yield Output("steps.json", "json.j2", {"text": flow.steps_json(steps)})
 
 
 def _shells(system: System) -> Iterator[Output]:
@@ -130,11 +127,6 @@ def _shells(system: System) -> Iterator[Output]:
     for one in flow.shelled(system):
         module = {"name": one.name, "region": one.region, "properties": _properties(system)}
         yield Output(f"tcl/step_module_{one.name}.tcl", "step_module.tcl.j2", module)
-
-
-def _steps_json(steps: tuple[flow.Step, ...]) -> str:
-    listed = [{"name": s.name, "title": s.title, "after": s.after, "outputs": s.outputs} for s in steps]
-    return json.dumps({"version": 1, "steps": listed}, indent=2)
 
 
 def _repositories(system: System) -> list[Path]:

@@ -44,10 +44,10 @@ def nodes(system: System) -> list[Node]:
     """The nodes for the ports that a system uses."""
     ports = [port for port, _ in memory_ports(system)]
     if system.platform.ultrascale:
-        pairs = [(2 * port.afi + channel, 0) for port in ports for channel in (0, 1)]
+        pairs = [(2 * port.number + channel, 0) for port in ports for channel in (0, 1)]
         listed = ", ".join(f"<{register} {value:#x}>" for register, value in [*pairs, (_AFI_FS, _AFI_FS_128)])
         return [Node("cm-afi", ('compatible = "xlnx,afi-fpga";', f"config-afi = {listed};"))]
-    return [_zynq(port.afi) for port in ports]
+    return [_zynq(port.number) for port in ports]
 
 
 def _zynq(index: int) -> Node:

@@ -113,10 +113,6 @@ def _absent_slaves(region: RegionPlan, adaptation: Adaptation) -> list[Interface
 
 def _refuse(net: Netlist, region: RegionPlan, interface: Interface) -> None:
     """Answer every access to `interface` with SLVERR."""
-
-    def pin(logical: str, missing: str | None) -> str | None:
-        return interface.ports.get(logical, missing)
-
     clock, reset = interface.clock, interface.reset
     if clock is None or reset is None:
         raise BuildError(f"{region.name}.{interface.name} has no clock or reset at the boundary")
@@ -124,15 +120,12 @@ def _refuse(net: Netlist, region: RegionPlan, interface: Interface) -> None:
     ids = max((interface.widths.get(name) or 1 for name in ("AWID", "ARID")), default=1)
     pins: dict[str, str | None] = {"clk": clock, "resetn": reset, "decouple": "1'b1", "clear": "1'b0"}
     pins |= {"decoupled": None, "stuck": None}
-    for name, missing in (("AWVALID", "1'b0"), ("AWLEN", zeros(8)), ("AWID", zeros(ids)), ("WVALID", "1'b0")):
-        pins[f"s_{name.lower()}"] = pin(name, missing)
-    for name, missing in (("WLAST", "1'b1"), ("BREADY", "1'b1"), ("ARVALID", "1'b0"), ("ARLEN", zeros(8))):
-        pins[f"s_{name.lower()}"] = pin(name, missing)
-    for name, missing in (("ARID", zeros(ids)), ("RREADY", "1'b1")):
-        pins[f"s_{name.lower()}"] = pin(name, missing)
+    given = {"AWVALID": "1'b0", "AWLEN": zeros(8), "AWID": zeros(ids), "WVALID": "1'b0", "WLAST": "1'b1"}
+    given |= {"BREADY": "1'b1", "ARVALID": "1'b0", "ARLEN": zeros(8), "ARID": zeros(ids), "RREADY": "1'b1"}
+    pins |= {f"s_{name.lower()}": interface.ports.get(name, missing) for name, missing in given.items()}
     for name in ("AWREADY", "WREADY", "BVALID", "BRESP", "BID", "ARREADY", "RVALID", "RRESP", "RLAST", "RID"):
-        pins[f"s_{name.lower()}"] = pin(name, None)
-    pins["s_rpayload"] = pin("RDATA", None)
+        pins[f"s_{name.lower()}"] = interface.ports.get(name)
+    pins["s_rpayload"] = interface.ports.get("RDATA")
     for channel in ("aw", "w", "ar"):
         pins[f"s_{channel}payload"] = "1'b0"
         pins[f"m_{channel}payload"] = None

@@ -41,7 +41,7 @@ from cm.design.hdl.model import (
     Reset,
 )
 from cm.design.hdl.protocols import UserProtocol
-from cm.formats.hwh.markup import root_of
+from cm.formats.hwh.reader import root_of
 
 
 def component_root(data: bytes) -> ElementTree.Element:

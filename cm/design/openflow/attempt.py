@@ -10,12 +10,12 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from cm.design.errors import BuildError
+from cm.design.errors import BuildError, StepFailed
 from cm.design.openflow.job import Job, elsewhere, labels, module_job, pins_xdc, static_job, with_cells, without
 from cm.design.openflow.layout import Layout
 from cm.design.openflow.merge import CLOCK, Side, left_out, module_features, static_features, strays
 from cm.design.openflow.place import SCRIPTS, Files, cells_of, place_and_route, read_side, slacks, timing
-from cm.design.openflow.steps import OpenStepEndless, OpenStepFailed, Steps, Tell, key_of
+from cm.design.openflow.steps import OpenStepEndless, Steps, Tell, key_of
 from cm.design.openflow.tools import Tools
 from cm.design.plan.pins import placements
 from cm.design.plan.system import Implementation, System
@@ -30,7 +30,7 @@ _ROUTING = re.compile(r"ERROR: .*\brout(e|ing|able)\b", re.IGNORECASE)
 _TOO_NARROW = "give its region more columns, or the module less logic"
 
 
-class Unroutable(OpenStepFailed):
+class Unroutable(StepFailed):
     """A module could not be routed with any seed; it may be possible against another static part."""
 
 
@@ -72,7 +72,7 @@ class Attempt:
         self._steps = Steps(self._folder, context.tell, ran)
 
     def run(self) -> tuple[Features, dict[str, Features]]:
-        """Return features of the static part, and of modules by name. Raises Unroutable, OpenStepFailed, BuildError."""
+        """Return features of the static part, and of modules by name. Raises Unroutable, StepFailed, BuildError."""
         one = self._context
         static = self._static()
         features = static_features(one.database, one.layouts.values(), static)
@@ -114,13 +114,16 @@ class Attempt:
         xdc = pins_xdc(placements(one.system)[0])
 
         def judge() -> list[str]:
-            read, told = timing(files), read_side(one.database, files, inputs, static=True).routed.lost()[:3]
+            read, told = (
+                timing(files),
+                read_side(one.database, files, inputs, static=True).routed.lost()[:3],
+            )
             return told if read.inside <= 1e9 / one.rate else [*told, f"its longest path takes {read.inside:.2f} ns"]
 
         try:
             self._placed(files, job, xdc, judge, "the static part")
         except Unroutable as problem:  # with another seed it would be another static part
-            raise OpenStepFailed(str(problem)) from None
+            raise StepFailed(str(problem)) from None
         return read_side(one.database, files, inputs, static=True)
 
     def _module(self, module: Implementation, job: Job, features: Features) -> Features:
@@ -158,8 +161,8 @@ class Attempt:
                     told = judge()
                     elsewhere |= bool(told)
                 except OpenStepEndless as problem:
-                    raise OpenStepFailed(f"{what}: {problem}; {_TOO_NARROW}") from None
-                except OpenStepFailed as problem:
+                    raise StepFailed(f"{what}: {problem}; {_TOO_NARROW}") from None
+                except StepFailed as problem:
                     told = [str(problem)]
                     elsewhere |= bool(_ROUTING.search(told[0]))
                 if not told:
@@ -169,7 +172,7 @@ class Attempt:
                     one.tell(f"{files.name}: another seed, because of {told[0].splitlines()[-1].strip()}")
             text = f"{what} could not be placed and routed:\n  " + "\n  ".join(wrong)
             if not elsewhere:
-                raise OpenStepFailed(text)
+                raise StepFailed(text)
             one.failed.add(key)
             raise Unroutable(text)
 

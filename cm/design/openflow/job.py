@@ -15,6 +15,7 @@ from cm.formats.xray import Database, Feature, Tile, Wires
 
 Job = dict[str, Any]
 _INTO_SLICES = ("BYP", "FAN", "IMUX", "CTRL", "CLK", "GFAN")
+_ROUTING = ("INT_L", "INT_R")
 _LEAF = "HCLK_LEAF_CLK_"
 _STATIC, _MODULE = "static", "module"  # areas
 
@@ -62,7 +63,7 @@ def fence(database: Database, wires: Wires, layout: Layout) -> set[str]:
             continue
         for wire in {pip.destination for pip in wires.kind(tile.kind).pips.values()}:
             node = wires.node(tile.name, wire)
-            if any(name not in layout.tiles and _taps(database, name) for name, _ in node):
+            if any(name not in layout.tiles and database.tiles[name].kind in _ROUTING for name, _ in node):
                 found.add(f"{_at(tile)}/{wire}")
     return found
 
@@ -175,10 +176,6 @@ def _free_places(layout: Layout, passed: set[str]) -> list[str]:
         if f"X{tile.x + (1 if tile.kind.endswith('_L') else -1)}Y{tile.y}" not in taken
     ]
     return free if 4 * len(free) >= len(layout.anchor_tiles) else _harness_places(layout)
-
-
-def _taps(database: Database, tile: str) -> bool:
-    return database.tiles[tile].kind in ("INT_L", "INT_R")
 
 
 def _at(tile: Tile) -> str:

@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from cm.design.generate.axi import LITE, PER_SLAVE, SHARED
+from cm.design.generate.axi import LITE, PER_SLAVE, SHARED, decoded
 from cm.design.generate.netlist import Netlist, concat, ones, zeros
 from cm.design.generate.static_part.module import static_part
 from cm.design.generate.wrapper import black_box
@@ -151,13 +151,7 @@ def _registers(net: Netlist, domain: Domain, prefix: str, engines: tuple[Engine,
         mine = f"registers_{signal}" if signal in SHARED else f"registers_{signal}[{width - 1}:0]"
         given = direction.value == "in"
         net.assign(f"{prefix}{signal}", mine) if given else net.assign(mine, f"{prefix}{signal}")
-    parameters = {
-        "COUNT": len(windows),
-        "ADDR_WIDTH": 32,
-        "BASE": concat(f"32'h{window.base:08X}" for window in reversed(windows)),
-        "MASK": concat(f"32'h{0xFFFF_FFFF & ~(window.size - 1):08X}" for window in reversed(windows)),
-    }
-    net.instance("cm_axil_interconnect", "registers", connections, parameters, "Static part and DMA engines")
+    net.instance("cm_axil_interconnect", "registers", connections, decoded(windows), "Static part and DMA engines")
 
 
 def _engine(net: Netlist, system: System, engine: Engine, slave: int, ports: Mapping[str, int]) -> None:

@@ -101,7 +101,7 @@ class Files:
 def place_and_route(
     nextpnr: Tool, part: str, files: Files, job: Mapping[str, Any], xdc: str, megahertz: float, seed: int
 ) -> None:
-    """Run nextpnr on ``<name>.json``. Raises OpenStepFailed, OpenStepEndless. The caller judges the timing."""
+    """Run nextpnr on ``<name>.json``. Raises StepFailed, OpenStepEndless. The caller judges the timing."""
     told = {**job, "result": str(files.file("route.json"))}
     files.file("job.json").write_text(json.dumps(told), encoding="utf-8")
     files.file("xdc").write_text(xdc or "\n", encoding="utf-8")

@@ -73,7 +73,7 @@ def unchain(netlist: dict[str, Any], top: str) -> int:
     input, always read at its last bit, gives the same signal. Returns how many were added.
     """
     cells = netlist["modules"][top]["cells"]
-    used = {wire for cell in cells.values() for wire in _inputs(cell)}
+    used = {wire for cell in cells.values() for wire in wires_of(cell, "input")}
     used |= {wire for port in netlist["modules"][top]["ports"].values() for wire in port["bits"]}
     long = {
         name: cell
@@ -99,13 +99,11 @@ def _read_at_its_end(cell: Cell) -> Cell:
     return {**cell, "connections": connections, "port_directions": directions}
 
 
-def _inputs(cell: Cell) -> list[object]:
-    return [
-        wire
-        for pin, wires in cell["connections"].items()
-        if cell["port_directions"].get(pin) == "input"
-        for wire in wires
-    ]
+def wires_of(cell: Cell, way: str) -> Iterator[object]:
+    """The wires at a cell's pins of one direction."""
+    for pin, wires in cell["connections"].items():
+        if cell["port_directions"].get(pin) == way:
+            yield from wires
 
 
 def with_contents(

@@ -28,16 +28,16 @@ class Routed:
     nets: Mapping[str, Mapping[str, Any]]
     inputs: frozenset[str]
 
-    def place(self, last: str) -> str:
-        """The place of the cell whose name ends in `last`."""
-        return next(place for name, (_, place) in self.cells.items() if _last(name) == last)
+    def place(self, own: str) -> str:
+        """The place of the cell whose own name is `own`."""
+        return next(place for name, (_, place) in self.cells.items() if last(name) == own)
 
     def own(self, cell: str) -> bool:
         """Whether a route to this cell belongs to the design."""
-        last = _last(cell)
-        if last.startswith(HARNESS):
+        own = last(cell)
+        if own.startswith(HARNESS):
             return False
-        return not last.startswith(ANCHOR) or last.removeprefix(ANCHOR) in self.inputs
+        return not own.startswith(ANCHOR) or own.removeprefix(ANCHOR) in self.inputs
 
     def pips(self) -> tuple[frozenset[Pip], frozenset[Pip]]:
         """The pips that the design needs, and those that only the harness needs."""
@@ -57,13 +57,13 @@ class Routed:
         return [
             f"net {name} does not reach pin {port} of {cell}"
             for name, net in self.nets.items()
-            if net["driver"] and name != _ONES and not _last(net["driver"]).startswith(HARNESS) and net["wires"]
+            if net["driver"] and name != _ONES and not last(net["driver"]).startswith(HARNESS) and net["wires"]
             for cell, port, sink in net["users"]
             if self.own(cell) and sink and _routed_to(net["wires"], sink) not in net["wires"]
         ]
 
     def _needed(self, net: Mapping[str, Any]) -> set[Pip]:
-        if _last(net["driver"]).startswith(HARNESS):
+        if last(net["driver"]).startswith(HARNESS):
             return set()
         wires = net["wires"]
         return {pip for cell, _, sink in net["users"] if self.own(cell) for pip in _way(wires, _routed_to(wires, sink))}
@@ -109,5 +109,6 @@ def _way(wires: Mapping[str, Any], sink: str) -> Iterator[Pip]:
         sink = way[1]
 
 
-def _last(name: str) -> str:
+def last(name: str) -> str:
+    """The own name of a cell, without the hierarchy above it."""
     return name.rpartition(".")[2]

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import ClassVar
 
-from cm.design.errors import BuildError
+from cm.design.errors import StepFailed
 from cm.design.openflow.tools import Tool
 
 Tell = Callable[[str], None]
@@ -23,13 +23,7 @@ _LINES = 6
 _OUT_OF_TIME = (-signal.SIGXCPU, -signal.SIGKILL)  # at the soft and the hard limit, which are equal
 
 
-class OpenStepFailed(BuildError):
-    """A program of the open flow ended with an error; the sentence contains its output, and names its log."""
-
-    code: ClassVar[str] = "step_failed"
-
-
-class OpenStepEndless(OpenStepFailed):
+class OpenStepEndless(StepFailed):
     """A program of the open flow used all the processor time that it was allowed."""
 
     code: ClassVar[str] = "step_endless"
@@ -93,7 +87,7 @@ def run_tool(
 ) -> None:
     """Run a program for at most `seconds` of processor time, with its output in `log`.
 
-    Raises OpenStepFailed with its errors, or its last lines; OpenStepEndless.
+    Raises StepFailed with its errors, or its last lines; OpenStepEndless.
     """
     surroundings = {**os.environ, **dict(tool.environment), **environment, "LC_ALL": "C"}
     with log.open("wb") as file:
@@ -120,4 +114,4 @@ def run_tool(
     errors = [line for line in said if "ERROR" in line or "what():" in line or "Error:" in line]
     if status or any(line.startswith("ERROR") for line in errors):
         told = errors[:_LINES] or [line for line in said if line.strip()][-_LINES:]
-        raise OpenStepFailed(f"{what}: {tool.name} failed; {log} says:\n" + "\n".join(f"    {line}" for line in told))
+        raise StepFailed(f"{what}: {tool.name} failed; {log} says:\n" + "\n".join(f"    {line}" for line in told))

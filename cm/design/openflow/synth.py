@@ -19,12 +19,12 @@ from typing import Any
 from cm.design.errors import BuildError
 from cm.design.openflow.merge import CLOCK
 from cm.design.openflow.netlists import ANCHOR, HARNESS
-from cm.design.openflow.rewrites import packable, separate, unchain
+from cm.design.openflow.rewrites import Cell, packable, separate, unchain, wires_of
+from cm.design.openflow.routed import last
 from cm.design.openflow.rules import check_cells
 from cm.design.openflow.steps import run_tool, write_whole
 from cm.design.openflow.tools import Tool
 
-Cell = dict[str, Any]
 _PINS = {"FD": ("C",), "SRL": ("CLK",), "RAMB": ("CLKARDCLK", "CLKBWRCLK"), "RAM": ("WCLK",), "DSP": ("CLK",)}
 _CONSTANTS = frozenset("01xz")
 
@@ -45,30 +45,20 @@ def check_clocks(netlist: dict[str, Any], top: str, what: str) -> None:
 
 def _wrong(cells: Mapping[str, Cell], names: Mapping[object, str]) -> Iterator[tuple[str, str, str]]:
     """Names of cells, by a wire that they drive where the source has a name for it; their kinds; what is wrong."""
-    drivers = {wire: name for name, cell in cells.items() for wire in _outputs(cell)}
+    drivers = {wire: name for name, cell in cells.items() for wire in wires_of(cell, "output")}
     for name, cell in sorted(cells.items()):
         pins = next((pins for kind, pins in _PINS.items() if cell["type"].startswith(kind)), ())
-        if _last(name).startswith(HARNESS):
+        if last(name).startswith(HARNESS):
             continue
-        shown = next((names[wire] for wire in _outputs(cell) if wire in names), name)
+        shown = next((names[wire] for wire in wires_of(cell, "output") if wire in names), name)
         if cell["type"].endswith("_1") or any("1" in cell["parameters"].get(f"IS_{pin}_INVERTED", "") for pin in pins):
             yield shown, cell["type"], "works at the falling edge"
             continue
         wires = {wire for pin in pins for wire in cell["connections"].get(pin, ())} - _CONSTANTS
-        other = sorted((wire for wire in wires if _last(drivers.get(wire, "")) != CLOCK), key=str)
+        other = sorted((wire for wire in wires if last(drivers.get(wire, "")) != CLOCK), key=str)
         if other:
             by = names.get(other[0]) or drivers.get(other[0], "a port")
             yield shown, cell["type"], f"is clocked by {by}"
-
-
-def _outputs(cell: Cell) -> Iterator[object]:
-    for pin, wires in cell["connections"].items():
-        if cell["port_directions"].get(pin) == "output":
-            yield from wires
-
-
-def _last(name: str) -> str:
-    return name.rpartition(".")[2]
 
 
 # Read by nextpnr. The processing system has pins up to 50 tiles from where nextpnr thinks it is, outside the box in
@@ -138,7 +128,7 @@ def _synthesis(sources: Sources) -> list[str]:
 
 
 def synthesise(yosys: Tool, sources: Sources, out: Path, folder: Path, what: str) -> None:
-    """Write the netlist; yosys runs in `folder`. Raises OpenStepFailed, and BuildError for cells not tried yet."""
+    """Write the netlist; yosys runs in `folder`. Raises StepFailed, and BuildError for cells not tried yet."""
     raw, commands = out.with_suffix(".raw.json"), out.with_suffix(".ys")
     commands.write_text(script(sources, raw, folder), encoding="utf-8")
     run_tool(yosys, ["-q", "-s", str(commands)], out.with_suffix(".yosys.log"), {}, what, folder)

@@ -85,15 +85,10 @@ def fetched(folder: Path | None = None) -> PackageTree | None:
 
 def _of_tree(tree: PackageTree) -> Tools:
     loader = _own_loader(tree)
-    libraries = ":".join(map(str, tree.libraries()))
-
-    def tool(name: str) -> Tool:
-        program = tree.path(f"usr/bin/{name}")
-        environment = (("PYTHONHOME", str(tree.root / "usr")),)
-        return Tool(name, (str(loader), "--library-path", libraries, str(program)), environment)
-
+    environment = (("PYTHONHOME", str(tree.root / "usr")),)
+    yosys, nextpnr = (Tool(name, tuple(tree.command(name, loader=loader)), environment) for name in (YOSYS, NEXTPNR))
     database = tree.path("usr/share/prjxray/database")
-    return Tools(tool(YOSYS), tool(NEXTPNR), database, tuple(sorted(tree.versions.items())))
+    return Tools(yosys, nextpnr, database, tuple(sorted(tree.versions.items())))
 
 
 def _own_loader(tree: PackageTree) -> Path:

@@ -46,31 +46,27 @@ class PackageTree:
             raise FileNotFoundError(f"{inside} is not in the packages below {self.root}")
         return found
 
-    def command(self, program: str, *arguments: str) -> list[str]:
+    def command(self, program: str, *arguments: str, loader: Path | None = None) -> list[str]:
         """Return the command line that runs a program of the tree with the tree's own libraries.
 
         It runs through the tree's dynamic loader, so that the machine's C library may be older. Programs that
-        it starts, and files that it looks for under /usr/share, are not redirected to the tree.
+        it starts, and files that it looks for under /usr/share, are not redirected to the tree. `loader`: a copy of it.
         Raises FileNotFoundError if the tree has no such program.
         """
         found = next((path for folder in _PROGRAMS if (path := self.root / folder / program).is_file()), None)
         if found is None:
             raise FileNotFoundError(f"program {program} is not in the packages below {self.root}")
-        loader = self.loader()
+        loader = loader or self.loader()
         if loader is None:
             return [str(found), *arguments]
-        libraries = ":".join(map(str, self.libraries()))
-        return [str(loader), "--library-path", libraries, str(found), *arguments]
+        folders = [self.root / folder for folder in _LIBRARIES]  # those of the architecture first
+        folders = [*(path for folder in folders for path in sorted(folder.glob("*-linux-gnu*"))), *folders]
+        return [str(loader), "--library-path", ":".join(map(str, folders)), str(found), *arguments]
 
     def loader(self) -> Path | None:
         """Return the dynamic loader of the tree's C library; None for a tree without one."""
         found = sorted(path for folder in _LIBRARIES for path in (self.root / folder).glob("*/ld-linux*.so.*"))
         return found[0] if found else None
-
-    def libraries(self) -> list[Path]:
-        """Return the folders of shared libraries: those of the architecture first."""
-        folders = [self.root / folder for folder in _LIBRARIES]
-        return [*(path for folder in folders for path in sorted(folder.glob("*-linux-gnu*"))), *folders]
 
 
 _NAME = re.compile(r"[a-z0-9][a-z0-9+.-]*(?:=[A-Za-z0-9.+:~-]+)?")

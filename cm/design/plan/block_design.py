@@ -23,21 +23,20 @@ WIDTH = {False: 64, True: 128}  # bits of a memory port; the key: UltraScale+ or
 
 @dataclass(frozen=True, slots=True)
 class MemoryPort:
-    """A slave port of the processing system; `setting`: its number in parameters; `afi`: the number of its AFI.
+    """A slave port of the processing system; `number`: that of its parameters and of its AFI.
 
     `prefix`: how the names of its pins begin, needed for coherent ports only.
     """
 
     slave: str
     clock: str
-    setting: int
-    afi: int
+    number: int
     coherent: bool = False
 
     @property
     def prefix(self) -> str:
         """The beginning of its signals' names: ``saxigp0``."""
-        return f"saxigp{self.setting}"
+        return f"saxigp{self.number}"
 
 
 def memory_ports(system: System) -> list[tuple[MemoryPort, int]]:
@@ -60,7 +59,7 @@ def memory_ports(system: System) -> list[tuple[MemoryPort, int]]:
         message = f"{masters} masters to memory are more than the processing system's {kind} can take"
         raise BuildError(f"{message}: let streams share an engine (engine: NAME under the region's interfaces)")
     used = [*enumerate(counts), *([(len(slaves) - 1, apart)] if apart else [])]
-    return [(MemoryPort(slaves[i], clocks[i], first + i, first + i, coherent), count) for i, count in used]
+    return [(MemoryPort(slaves[i], clocks[i], first + i, coherent), count) for i, count in used]
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,8 +164,8 @@ def _ps_settings(
     if system.platform.name == "zynq7000":
         yield "PCW_USE_M_AXI_GP0", 1
         for memory in memories:
-            yield f"PCW_USE_S_AXI_HP{memory.port.setting}", 1
-            yield f"PCW_S_AXI_HP{memory.port.setting}_DATA_WIDTH", WIDTH[False]
+            yield f"PCW_USE_S_AXI_HP{memory.port.number}", 1
+            yield f"PCW_S_AXI_HP{memory.port.number}_DATA_WIDTH", WIDTH[False]
         yield "PCW_USE_FABRIC_INTERRUPT", 1
         yield "PCW_IRQ_F2P_INTR", 1
         for clock in clocks:
@@ -179,8 +178,8 @@ def _ps_settings(
     yield "PSU__USE__M_AXI_GP2", 0
     yield "PSU__MAXIGP0__DATA_WIDTH", HPM_WIDTH
     for memory in memories:
-        yield f"PSU__USE__S_AXI_GP{memory.port.setting}", 1
-        yield f"PSU__SAXIGP{memory.port.setting}__DATA_WIDTH", WIDTH[True]
+        yield f"PSU__USE__S_AXI_GP{memory.port.number}", 1
+        yield f"PSU__SAXIGP{memory.port.number}__DATA_WIDTH", WIDTH[True]
     yield "PSU__USE__IRQ0", 1
     yield "PSU__USE__IRQ1", int(groups > 8)
     for clock in clocks:

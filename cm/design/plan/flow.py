@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
 
 from cm.design.plan.system import Implementation, System
 
@@ -72,6 +73,17 @@ def needed(steps: tuple[Step, ...], wanted: Iterable[str]) -> set[str]:
             found.add(name)
             left.extend(by_name[name].after)
     return found
+
+
+def ends(steps: Sequence[Step]) -> list[Step]:
+    """The steps that no other one needs."""
+    before = {name for step in steps for name in step.after}
+    return [step for step in steps if step.name not in before]
+
+
+def steps_json(steps: Iterable[Step]) -> str:
+    """The steps as ``steps.json`` has them, which `cm.design.run.steps.Flow` reads."""
+    return json.dumps({"version": 1, "steps": [asdict(step) for step in steps]}, indent=2)
 
 
 def steps(system: System) -> tuple[Step, ...]:

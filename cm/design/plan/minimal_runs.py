@@ -17,6 +17,7 @@ module; comparing it with a full design fails ("Verifying Configurations").
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -152,12 +153,10 @@ def _fewest(
 ) -> tuple[list[State], bool]:
     """The fewest states that cover `possible`; the one that fits `first` best comes first."""
     holders = {pair: [state for state in states if state[pair[0]] == pair[1]] for pair in possible}
-    search = _Search(holders)
-    start = min(_greedy(possible, states), known, key=len)
-    found = search.run(possible, start)
+    found, searched = _search(possible, holders, min(_greedy(possible, states), known, key=len))
     wanted = {(names.index(region), module) for region, module in first.items() if region in names}
     found.sort(key=lambda state: (-len(_pairs(state) & wanted), states.index(state) if state in states else -1))
-    return found, search.complete
+    return found, searched
 
 
 def _greedy(possible: set[Pair], states: list[State]) -> list[State]:
@@ -169,35 +168,26 @@ def _greedy(possible: set[Pair], states: list[State]) -> list[State]:
     return chosen
 
 
-class _Search:
-    def __init__(self, holders: dict[Pair, list[State]]) -> None:
-        self._holders = holders
-        self._best: list[State] = []
-        self._steps = 0
-        self.complete = True
+def _search(possible: set[Pair], holders: dict[Pair, list[State]], start: list[State]) -> tuple[list[State], bool]:
+    """The fewest states that cover `possible`, if they are fewer than `start`; also whether all were tried."""
+    best, steps = start, 0
 
-    def run(self, possible: set[Pair], start: list[State]) -> list[State]:
-        self._best = start
-        self._branch(frozenset(possible), [])
-        return list(self._best)
-
-    def _branch(self, left: frozenset[Pair], chosen: list[State]) -> None:
-        self._steps += 1
-        if self._steps > MAX_STEPS:
-            self.complete = False
+    def branch(left: set[Pair], chosen: list[State]) -> None:
+        nonlocal best, steps
+        steps += 1
+        if steps > MAX_STEPS:
             return
         if not left:
-            self._best = list(chosen)
+            best = chosen
             return
-        per_region: dict[int, int] = {}
-        for index, _ in left:
-            per_region[index] = per_region.get(index, 0) + 1
-        if len(chosen) + max(per_region.values()) >= len(self._best):
+        if len(chosen) + max(Counter(index for index, _ in left).values()) >= len(best):
             return
-        hardest = min(left, key=lambda pair: (len(self._holders[pair]), pair))
-        candidates = sorted(self._holders[hardest], key=lambda state: -len(_pairs(state) & left))
-        for state in candidates:
-            self._branch(left - _pairs(state), [*chosen, state])
+        hardest = min(left, key=lambda pair: (len(holders[pair]), pair))
+        for state in sorted(holders[hardest], key=lambda state: -len(_pairs(state) & left)):
+            branch(left - _pairs(state), [*chosen, state])
+
+    branch(possible, [])
+    return list(best), steps <= MAX_STEPS
 
 
 OLDEST = "2020.2"  # the first version of UG835 that has write_abstract_shell

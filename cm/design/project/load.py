@@ -237,8 +237,8 @@ class _Builder:
         head = data["project"]
         self._kit = self._board(head)
         clocks = self._clocks()
-        regions = {name: self._region(name, spec or {}, next(iter(clocks))) for name, spec in data["regions"].items()}
-        modules = {name: self._module(name, spec or {}, tuple(regions)) for name, spec in data["modules"].items()}
+        regions = {name: self._region(name, spec, next(iter(clocks))) for name, spec in data["regions"].items()}
+        modules = {name: self._module(name, spec, tuple(regions)) for name, spec in data["modules"].items()}
         modes = self._modes(modules)
         return Project(
             name=head["name"],
@@ -279,40 +279,29 @@ class _Builder:
         return {name: ClockSpec(name, **spec) for name, spec in given.items()}
 
     def _static(self) -> StaticSpec:
-        spec = self._data.get("static") or {}
+        spec = _said(self._data.get("static"))
         files = {
             key: self._files.many(spec.get(key), ("static", key))
             for key in ("sources", "include_dirs", "block_design", "constraints")
         }
         files["sources"] = compile_order(files["sources"])
-        return StaticSpec(
-            **files,
-            libraries=self._libraries(spec, ("static",)),
-            registers=registers(spec),
-            coherent=bool(spec.get("coherent")),
-            readback=bool(spec.get("readback")),
-            revision=str(spec.get("revision", "")),
-            abstract_shells=bool(spec.get("abstract_shells")),
-        )
+        own = {"libraries": self._libraries(spec, ("static",)), "registers": registers(spec)}
+        return StaticSpec(**{**spec, **files, **own, "revision": str(spec.get("revision", ""))})
 
     def _libraries(self, spec: dict[str, Any], where: KeyPath) -> dict[str, tuple[Path, ...]]:
         given = spec.get("libraries") or {}
         return {name: self._files.many(paths, (*where, "libraries", name)) for name, paths in given.items()}
 
-    def _region(self, name: str, spec: dict[str, Any], clock: str) -> RegionSpec:
+    def _region(self, name: str, given: dict[str, Any] | None, clock: str) -> RegionSpec:
+        spec = _said(given)
         pblock = tuple(self._ranges(name, spec.get("pblock", ())))
-        return RegionSpec(
-            name=name,
-            clock=spec.get("clock", clock),
-            clocks=spec.get("clocks") or {},
-            pblock=() if pblock == ("auto",) else pblock,
-            resources=Resources(**spec.get("resources") or {}),
-            decoupling=spec.get("decoupling", True),
-            loader=LoaderKind(spec.get("loader", "auto")),
-            window=spec.get("window", 0x10000),
-            interfaces={key: connection(value or {}) for key, value in (spec.get("interfaces") or {}).items()},
-            doc=spec.get("doc", ""),
-        )
+        own = {
+            "pblock": () if pblock == ("auto",) else pblock,
+            "resources": Resources(**spec.get("resources", {})),
+            "loader": LoaderKind(spec.get("loader", "auto")),
+            "interfaces": {key: connection(value or {}) for key, value in spec.get("interfaces", {}).items()},
+        }
+        return RegionSpec(name, **{"clock": clock, **spec, **own})
 
     def _ranges(self, region: str, given: Iterable[str]) -> Iterator[str]:
         """Yield ranges; names of the board library are replaced by their ranges."""
@@ -327,34 +316,26 @@ class _Builder:
                 key = ("regions", region, "pblock", index)
                 references.unknown(self._report.key, key, "pblock of the board", name, known)
 
-    def _module(self, name: str, spec: dict[str, Any], regions: tuple[str, ...]) -> ModuleSpec:
-        where: KeyPath = ("modules", name)
-        many: dict[str, Any] = {
+    def _module(self, name: str, given: dict[str, Any] | None, regions: tuple[str, ...]) -> ModuleSpec:
+        where, spec = ("modules", name), _said(given)
+        own: dict[str, Any] = {
             key: self._files.many(spec.get(key), (*where, key))
             for key in ("sources", "include_dirs", "ip", "ip_repositories", "tcl", "constraints", "sim_sources")
         }
-        module = ModuleSpec(
-            name=name,
-            top=spec.get("top", name),
-            libraries=self._libraries(spec, where),
-            regions=tuple(spec.get("regions", regions if len(regions) == 1 else ())),
-            defines={key: macro(value) for key, value in (spec.get("defines") or {}).items()},
-            parameters=spec.get("parameters") or {},
-            interface_parameters=spec.get("interface_parameters") or {},
-            component=self._files.one(spec.get("component"), (*where, "component")),
-            model=spec.get("model"),
-            registers=registers(spec),
-            memories=memories(spec),
-            register_map=self._files.one(spec.get("register_map"), (*where, "register_map")),
-            interface=spec.get("interface"),
-            clocks={key: tuple((one or {}).get("interfaces", ())) for key, one in (spec.get("clocks") or {}).items()},
-            resets={key: (one.get("clock"), one.get("polarity")) for key, one in (spec.get("resets") or {}).items()},
-            streams=tuple(spec["streams"]) if "streams" in spec else None,
-            resources=Resources(**spec.get("resources") or {}),
-            relocatable=spec.get("relocatable", False),
-            doc=spec.get("doc", ""),
-            **many,
-        )
+        own |= {key: self._files.one(spec.get(key), (*where, key)) for key in ("component", "register_map")}
+        own |= {
+            "libraries": self._libraries(spec, where),
+            "regions": tuple(spec.get("regions", regions if len(regions) == 1 else ())),
+            "defines": {key: macro(value) for key, value in spec.get("defines", {}).items()},
+            "registers": registers(spec),
+            "memories": memories(spec),
+            "clocks": {key: tuple((one or {}).get("interfaces", ())) for key, one in spec.get("clocks", {}).items()},
+            "resets": {key: (one.get("clock"), one.get("polarity")) for key, one in spec.get("resets", {}).items()},
+            "streams": tuple(spec["streams"]) if "streams" in spec else None,
+            "resources": Resources(**spec.get("resources", {})),
+        }
+        plain = {key: value for key, value in spec.items() if not key.startswith("core")}
+        module = ModuleSpec(name, **{"top": name, **plain, **own})
         core = self._files.one(spec.get("core"), (*where, "core"))
         if core is None or not core.is_file():
             return _ordered(module)
@@ -395,6 +376,11 @@ class _Builder:
             self._report.key(("modes", mode, "modules"), "ambiguous", message, f"write region: {module}")
             return None
         return regions[0]
+
+
+def _said(spec: dict[str, Any] | None) -> dict[str, Any]:
+    """The keys that have a value: a key with none, or a part that is empty, says nothing."""
+    return {key: value for key, value in (spec or {}).items() if value is not None}
 
 
 def _ordered(module: ModuleSpec) -> ModuleSpec:

@@ -12,19 +12,12 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
 
-from cm.design.errors import BuildError, MissingTool
+from cm.design.errors import MissingTool, StepFailed
 from cm.design.run.steps import Flow, Planned, State
 from cm.design.run.vivado import Vivado, excerpt
 
 Tell = Callable[[str], None]
-
-
-class StepFailed(BuildError):
-    """A step of the flow failed; the sentence contains an excerpt of its log."""
-
-    code: ClassVar[str] = "step_failed"
 
 
 @dataclass(slots=True)

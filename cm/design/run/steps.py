@@ -99,10 +99,12 @@ class Flow:
     def checksums(self, step: Step) -> str:
         """The output of ``sha256sum`` for the step's inputs; a missing file is shown as missing."""
         names = (self.folder / f"inputs/{step.name}.list").read_text(encoding="utf-8").splitlines()
-        return "".join(f"{self._digest(name)}  {name}\n" for name in names)
+        return "".join(f"{digest(self.folder / name) or 'missing'}  {name}\n" for name in names)
 
-    def _digest(self, name: str) -> str:
-        try:
-            return hashlib.sha256((self.folder / name).read_bytes()).hexdigest()
-        except OSError:
-            return "missing"
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file; empty if it cannot be read."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        return ""

@@ -25,5 +25,6 @@ from cm.formats.hwh.trace import decouplers as decouplers
 from cm.formats.hwh.trace import dma_channels as dma_channels
 from cm.formats.hwh.trace import interrupts as interrupts
 from cm.formats.hwh.trace import memories as memories
+from cm.formats.hwh.trace import processor as processor
 from cm.formats.hwh.trace import registers as registers
 from cm.formats.hwh.trace import windows as windows

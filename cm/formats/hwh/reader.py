@@ -10,7 +10,6 @@ from types import MappingProxyType
 from xml.etree import ElementTree
 
 from cm.errors import CmError
-from cm.formats.hwh.markup import root_of
 from cm.formats.hwh.model import (
     BusInterface,
     ConnectedPort,
@@ -29,6 +28,14 @@ class HwhError(CmError, ValueError):
     """A file that is not a hardware handoff."""
 
     code = "hwh"
+
+
+def root_of(data: bytes) -> ElementTree.Element:
+    """The root of any tool's XML. Raises ValueError with what is wrong, whichever part of the parser found it."""
+    try:
+        return ElementTree.fromstring(data)
+    except (ElementTree.ParseError, LookupError) as error:  # LookupError: an unknown encoding
+        raise ValueError(str(error)) from error
 
 
 def read(path: Path, name: str = "") -> Hwh:

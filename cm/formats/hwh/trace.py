@@ -7,7 +7,7 @@ Registers of common IPs whose instances do not always describe them in the `.hwh
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from cm.formats.hwh.model import ConnectedPort, Hwh, MemoryRange, ModuleInstance, RegisterInfo
 from cm.frozen import dataclass
@@ -108,17 +108,17 @@ def processor(hwh: Hwh) -> ModuleInstance | None:
 def windows(hwh: Hwh) -> tuple[MemoryRange, ...]:
     """Register windows in the PL as the processor sees them, by address; in a partial's file, relative ones."""
     ps = processor(hwh)
-    found = ps.ranges if ps else hwh.external_ranges
-    own = ps.instance if ps else ""
-    kept = {(x.base, x.instance): x for x in found if x.kind == "REGISTER" and x.instance != own}
-    return tuple(kept[key] for key in sorted(kept))
+    return _seen(hwh, lambda item: item.kind == "REGISTER" and (ps is None or item.instance != ps.instance))
 
 
 def memories(hwh: Hwh) -> tuple[MemoryRange, ...]:
     """Block RAM behind AXI BRAM controllers (PG078), as `windows`, whatever kind the file gives the range."""
+    return _seen(hwh, lambda item: _is_memory(hwh, item))
+
+
+def _seen(hwh: Hwh, wanted: Callable[[MemoryRange], bool]) -> tuple[MemoryRange, ...]:
     ps = processor(hwh)
-    found = ps.ranges if ps else hwh.external_ranges
-    kept = {(x.base, x.instance): x for x in found if _is_memory(hwh, x)}
+    kept = {(x.base, x.instance): x for x in (ps.ranges if ps else hwh.external_ranges) if wanted(x)}
     return tuple(kept[key] for key in sorted(kept))
 
 

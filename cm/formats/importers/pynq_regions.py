@@ -15,7 +15,7 @@ from pathlib import Path
 from cm.formats import hwh as handoff
 from cm.formats.bitstream import BitstreamError, Report, footprint_of, inspect, outside
 from cm.formats.hwh import DecouplerInfo, Hwh, HwhError
-from cm.formats.importers.registers import RegisterBank, memories, within
+from cm.formats.importers.registers import RegisterBank, decoupler_of, memories, within
 from cm.formats.importers.result import Names, frozen, static_of, to_name
 from cm.frozen import dataclass
 from cm.schema.model import (
@@ -23,7 +23,6 @@ from cm.schema.model import (
     ConfigType,
     Decoupler,
     FrameRange,
-    GpioLine,
     LoaderKind,
     Memory,
     Mode,
@@ -66,7 +65,14 @@ def import_regions(bit: Path, report: Report, hwh: Hwh, static: str, notes: list
         name=f"{static}_regions",
         type=ConfigType.PARTIAL,
         device=report.device,
-        regions=frozen({slot.name: _region(slot, hwh, notes) for slot in used}),
+        regions=frozen(
+            {
+                slot.name: Region(
+                    slot.name, LoaderKind.FPGA_MANAGER, None, _decoupler(slot, hwh, notes), slot.footprint
+                )
+                for slot in used
+            }
+        ),
         modules=frozen(modules),
         modes=frozen({name: Mode(name, modules=(name,)) for name in modules}),
         doc=f"Partial bitstreams of the PYNQ overlay {bit.name}; runs while configuration {static} is loaded",
@@ -134,30 +140,19 @@ def _holds(text: str, word: str) -> bool:
     return re.search(rf"(?<![A-Za-z0-9]){re.escape(word)}(?![A-Za-z0-9])", text) is not None
 
 
-def _region(slot: Slot, hwh: Hwh, notes: list[str]) -> Region:
-    return Region(
-        name=slot.name,
-        loader=LoaderKind.FPGA_MANAGER,
-        decoupler=_decoupler(slot, hwh, notes),
-        footprint=slot.footprint,
-    )
-
-
 def _decoupler(slot: Slot, hwh: Hwh, notes: list[str]) -> Decoupler | None:
     found = [item for item in handoff.decouplers(hwh) if _guards(item, slot)]
     if not found:
         notes.append(f"region {slot.name}: no decoupler found; it is loaded without being cut off")
         return None
     first = found[0]
-    if first.chip:
-        return Decoupler(gpio=GpioLine(first.chip, first.line))
-    if first.base is None:
+    decoupler = decoupler_of(first)
+    if decoupler is None:
         notes.append(
             f"region {slot.name}: decoupler {first.instance} is driven by {first.driver or 'something else'}, not by a"
             " register in the PL; it is loaded without being cut off"
         )
-        return None
-    return Decoupler(base_address=first.base, offset=first.offset, bit=first.bit)
+    return decoupler
 
 
 def _guards(item: DecouplerInfo, slot: Slot) -> bool:

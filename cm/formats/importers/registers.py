@@ -1,29 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Registers of a `.hwh` as registers of the runtime schema.
-
-Block RAM of a `.hwh` as memories of the runtime schema.
-"""
+"""What a `.hwh` has, as the runtime schema has it: registers, block RAM as memories, decouplers."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from cm.formats import hwh as handoff
-from cm.formats.hwh import Hwh, MemoryRange, RegisterField, RegisterInfo
+from cm.formats.hwh import DecouplerInfo, Hwh, MemoryRange, RegisterField, RegisterInfo
 from cm.formats.importers.result import Names, frozen
-from cm.schema.model import Access, BitField, Memory, Register, Stream
+from cm.schema.model import Access, BitField, Decoupler, GpioLine, Memory, Register, Stream
 
 _ACCESS = {"read-only": Access.RO, "write-only": Access.WO, "read-write": Access.RW}
 _WIDTHS = (8, 16, 32, 64)
+_ALSO = "Same address:"
 
 
 class RegisterBank:
-    """Collects registers; what the schema cannot express as one is left out and noted."""
+    """Collects registers; what the schema cannot express as one is left out and noted.
+
+    Of several at one address (a bit in a UART selects between them) the first is kept, and its `doc` names the others.
+    """
 
     def __init__(self, names: Names, notes: list[str]) -> None:
         self._names = names
         self._notes = notes
-        self._taken: list[tuple[int, int]] = []
+        self._taken: dict[tuple[int, int], str] = {}
         self.registers: dict[str, Register] = {}
 
     def add(self, prefix: str, base: int, size: int, infos: Sequence[RegisterInfo], region: str | None = None) -> None:
@@ -36,15 +38,17 @@ class RegisterBank:
     def _add(self, prefix: str, base: int, size: int, info: RegisterInfo, region: str | None) -> bool:
         begin = base + info.offset
         width = _access_width(info.size, begin)
-        if width is None or info.offset + width // 8 > size:
-            return False
         # What Vitis HLS calls Memory_… is an array; its size is not that of a register.
-        if info.name.startswith("Memory_") or any(
-            begin < end and start < begin + width // 8 for start, end in self._taken
-        ):
+        if width is None or info.offset + width // 8 > size or info.name.startswith("Memory_"):
             return False
-        self._taken.append((begin, begin + width // 8))
-        name = self._names.take(f"{prefix}_{info.name}".lower())
+        end = begin + width // 8
+        there = next((name for (first, last), name in self._taken.items() if begin < last and first < end), None)
+        if there is not None:
+            found = self.registers[there]
+            more = f"{found.doc.removesuffix('.')}," if _ALSO in found.doc else f"{found.doc} {_ALSO}"
+            self.registers[there] = replace(found, doc=f"{more} {info.name.lower()}.".strip())
+            return False
+        name = self._taken[begin, end] = self._names.take(f"{prefix}_{info.name}".lower())
         self.registers[name] = _register(name, base, width, info, region)
         return True
 
@@ -131,3 +135,10 @@ def within(address: int, base: int, size: int) -> int | None:
 
 def _where(item: MemoryRange) -> str:
     return f"{item.instance} at 0x{item.base:x}, {item.size} bytes"
+
+
+def decoupler_of(info: DecouplerInfo) -> Decoupler | None:
+    """The register bit or the processor's line that decouples; None where something else does."""
+    if info.chip:
+        return Decoupler(gpio=GpioLine(info.chip, info.line))
+    return None if info.base is None else Decoupler(info.base, info.offset, info.bit)

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from cm.cli.main import main
-from cm.design.errors import BuildError, MissingTool
+from cm.design.errors import BuildError, MissingTool, StepFailed
 from cm.design.generate.tree import load_design
 from cm.design.openflow.images import outside, user_id
 from cm.design.openflow.netlists import bits_of_region, module_side, open_system, open_top, static_side
@@ -21,7 +21,7 @@ from cm.design.openflow.place import Timing, read_timing, slacks
 from cm.design.openflow.rewrites import packable, separate, unchain, with_contents
 from cm.design.openflow.routed import read_routed
 from cm.design.openflow.rules import check_cells, check_open
-from cm.design.openflow.steps import OpenStepEndless, OpenStepFailed, Steps, key_of, run_tool
+from cm.design.openflow.steps import OpenStepEndless, Steps, key_of, run_tool
 from cm.design.openflow.synth import Sources, script
 from cm.design.openflow.tools import Tool, find_tools
 from cm.design.plan.dma_engines import EngineKind
@@ -276,11 +276,11 @@ def test_a_step_is_left_out_where_its_input_is_the_same_and_its_output_there(tmp
 
 def test_a_step_that_fails_is_begun_anew(tmp_path: Path) -> None:
     def fail() -> None:
-        raise OpenStepFailed("no")
+        raise StepFailed("no")
 
     steps = Steps(tmp_path, lambda _: None)
     steps.step("one", "a step", "key", [], lambda: None)
-    with pytest.raises(OpenStepFailed):
+    with pytest.raises(StepFailed):
         steps.step("one", "a step", "other", [], fail)
     assert not steps.fresh("one", "key", [])
 
@@ -288,7 +288,7 @@ def test_a_step_that_fails_is_begun_anew(tmp_path: Path) -> None:
 def test_a_program_that_fails_is_reported_with_its_errors_and_its_log(tmp_path: Path) -> None:
     shell = Tool("nextpnr", ("/bin/sh", "-c"))
     words = ["echo fine; echo 'ERROR: no place for cell x'; exit 3"]
-    with pytest.raises(OpenStepFailed, match=r"module m: nextpnr failed; .*log says:\n    ERROR: no place for cell x"):
+    with pytest.raises(StepFailed, match=r"module m: nextpnr failed; .*log says:\n    ERROR: no place for cell x"):
         run_tool(shell, words, tmp_path / "log", {}, "module m")
 
 

@@ -12,7 +12,8 @@ import pytest
 from build_support import copy_examples, generated, needs
 
 from cm.cli.main import main
-from cm.design.run.make import StepFailed, run_flow
+from cm.design.errors import StepFailed
+from cm.design.run.make import run_flow
 from cm.design.run.steps import Flow, State
 from cm.design.run.vivado import Vivado
 

@@ -3,12 +3,11 @@
 
 from __future__ import annotations
 
-from cm.design.generate.axi import LITE, PER_SLAVE, SHARED, slave_port
-from cm.design.generate.netlist import Netlist, concat, zeros
+from cm.design.generate.axi import LITE, PER_SLAVE, SHARED, decoded, slave_port
+from cm.design.generate.netlist import Netlist, zeros
 from cm.design.generate.static_part.region import add_region
 from cm.design.generate.static_part.shared import add_shared
 from cm.design.hdl.model import PortDirection
-from cm.design.plan.addresses import Window
 from cm.design.plan.system import Domain, System, used_clocks
 
 IN, OUT = PortDirection.IN, PortDirection.OUT
@@ -39,20 +38,9 @@ def _interconnect(net: Netlist, domain: Domain) -> None:
         connections[f"s_{signal}"] = net.port(f"s_axi_{name}_{signal}", direction, width)
         per_slave = width if signal in SHARED else count * PER_SLAVE.get(signal, 1)
         connections[f"m_{signal}"] = net.wire(f"{name}_{signal}", per_slave)
-    parameters = {
-        "COUNT": count,
-        "ADDR_WIDTH": 32,
-        "BASE": concat(f"32'h{window.base:08X}" for window in reversed(domain.windows)),
-        "MASK": concat(f"32'h{_mask(window):08X}" for window in reversed(domain.windows)),
-    }
     listed = ", ".join(f"{window.name} {window.base:#010x}" for window in domain.windows)
-    net.instance(
-        "cm_axil_interconnect", f"interconnect_{name}", connections, parameters, f"Registers on {name}: {listed}"
-    )
-
-
-def _mask(window: Window) -> int:
-    return 0xFFFF_FFFF & ~(window.size - 1)
+    comment = f"Registers on {name}: {listed}"
+    net.instance("cm_axil_interconnect", f"interconnect_{name}", connections, decoded(domain.windows), comment)
 
 
 def _control(net: Netlist, system: System) -> None:

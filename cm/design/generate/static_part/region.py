@@ -87,9 +87,8 @@ def _clocks(site: Site, reset: str) -> None:
 
 def _interrupts(site: Site) -> None:
     """Pass on interrupts: masked while the region is cut off, and long enough for the control registers' clock."""
-    by_port: dict[str, int] = {line.port: 0 for line in site.region.lines}
     cycles = _stretch(site)
-    for port in by_port:
+    for port in dict.fromkeys(line.port for line in site.region.lines):
         width = next(p.width for p in site.region.boundary.ports if p.name == port)
         gated = site.net.wire(f"{site.name}_{port}_gated", width)
         site.net.assign(gated, f"{site.wire(port)} & {{{width}{{!{site.cut}}}}}")
@@ -97,15 +96,9 @@ def _interrupts(site: Site) -> None:
         source = gated
         if cycles:
             source = site.net.wire(f"{site.name}_{port}_long", width)
-            connections: dict[str, str | None] = {
-                "clk": site.clock,
-                "resetn": site.reset,
-                "d": gated,
-                "q": source,
-            }
-            site.net.instance(
-                "cm_stretch", f"{site.name}_{port}_stretch", connections, {"WIDTH": width, "CYCLES": cycles}
-            )
+            connections: dict[str, str | None] = {"clk": site.clock, "resetn": site.reset, "d": gated, "q": source}
+            parameters = {"WIDTH": width, "CYCLES": cycles}
+            site.net.instance("cm_stretch", f"{site.name}_{port}_stretch", connections, parameters)
         for line in site.region.lines:
             if line.port == port:
                 site.net.assign(f"irq_lines[{line.bit}]", source if width == 1 else f"{source}[{line.index}]")

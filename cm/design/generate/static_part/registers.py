@@ -26,7 +26,9 @@ def add_registers(site: Site, bus: RegisterBus) -> None:
         lane = channel.lower()
         inside = concat(site.take(field) for field in packed) if packed else None
         parameters[f"{channel}_WIDTH"] = sum(field.width for field in packed) or 1
-        connections[f"s_{lane}payload"] = concat(outside.into(field) for field in packed) if packed else "1'b0"
+        connections[f"s_{lane}payload"] = (
+            concat(outside.signal(f.logical, f.width) for f in packed) if packed else "1'b0"
+        )
         connections[f"m_{lane}payload"] = inside
     width = axi.width_of(interface, "RDATA") if interface.reads else 1
     parameters["R_WIDTH"] = width
@@ -69,10 +71,6 @@ class _Outside:
         if have is None:  # AWCACHE and the like, which some AXI4-Lite slaves have against the specification
             return zeros(width)
         return low_bits(slave_port(domain, self._bus.window.name, signal), have, width)
-
-    def into(self, field: axi.Field) -> str:
-        """A payload's signal on its way to the region."""
-        return self.signal(field.logical, field.width)
 
     def handshakes(self, id_width: object) -> dict[str, str | None]:
         """Static side of the handshakes."""

@@ -70,7 +70,6 @@ def _memory_handshakes(site: Site, interface: Interface, data: int) -> dict[str,
     return pins
 
 
-IN, OUT = PortDirection.IN, PortDirection.OUT
 TDEST = 4  # bits of an MCDMA's
 
 

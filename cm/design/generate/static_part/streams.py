@@ -8,7 +8,7 @@ side of its decoupler, so that memory holds exactly the bytes of the stream.
 from __future__ import annotations
 
 from cm.design.generate import axi
-from cm.design.generate.netlist import concat, low_bits, ones, zeros
+from cm.design.generate.netlist import Netlist, concat, low_bits, ones, zeros
 from cm.design.generate.static_part.site import Site
 from cm.design.hdl.model import PortDirection
 from cm.design.plan.dma_engines import EngineKind
@@ -59,6 +59,17 @@ def _end(site: Site, bus: StreamBus, signal: str, direction: PortDirection, widt
     return site.net.port(name, direction, width)
 
 
+def _low_bits(net: Netlist, name: str, width: int, field: axi.Field, sends: bool) -> str:
+    """The bits of a signal of the static side that the region has; those above are zero (of TKEEP one)."""
+    if width > field.width:
+        rest = f"{name}[{width - 1}:{field.width}]"
+        if sends:
+            net.assign(rest, (ones if field.logical == "TKEEP" else zeros)(width - field.width))
+        else:
+            net.unused.append(rest)
+    return low_bits(name, width, field.width)
+
+
 class _Ports:
     """The static part's ports of a stream; a DMA's are as wide as its data, the bits above are zero."""
 
@@ -77,24 +88,12 @@ class _Ports:
         if outside:
             width = {"TDATA": outside, "TKEEP": outside // 8}.get(field.logical, 1)
         name = _end(self._site, self._bus, field.logical.lower(), OUT if self._sends else IN, width)
-        if width < field.width:  # a VDMA's TUSER is one bit
-            return self._low(name, width, field)
-        if width > field.width:
-            rest = f"{name}[{width - 1}:{field.width}]"
-            if self._sends:
-                fill = ones if field.logical == "TKEEP" else zeros
-                self._site.net.assign(rest, fill(width - field.width))
-            else:
-                self._site.net.unused.append(rest)
-        return low_bits(name, width, field.width)
-
-    def _low(self, name: str, width: int, field: axi.Field) -> str:
-        if not self._sends:
-            return low_bits(name, width, field.width)
-        wide = self._site.net.wire(f"{name}_of_region", field.width)
-        self._site.net.assign(name, low_bits(wide, field.width, width))
-        self._site.net.unused.append(f"{wide}[{field.width - 1}:{width}]")
-        return wide
+        if width < field.width and self._sends:  # a VDMA's TUSER is one bit
+            wide = self._site.net.wire(f"{name}_of_region", field.width)
+            self._site.net.assign(name, low_bits(wide, field.width, width))
+            self._site.net.unused.append(f"{wide}[{field.width - 1}:{width}]")
+            return wide
+        return _low_bits(self._site.net, name, width, field, self._sends)
 
     def finish(self) -> None:
         """Do nothing: there is no converter to add."""
@@ -122,13 +121,7 @@ class _Converted:
         """The wire of TDATA or TKEEP; the last byte of TDATA may have fewer than eight bits."""
         name, net = f"{self._name}_{field.logical.lower()}", self._site.net
         width = 8 * self._bus.bytes if field.logical == "TDATA" else self._bus.bytes
-        if field.width < width:
-            rest = f"{name}[{width - 1}:{field.width}]"
-            if self._sends:
-                net.assign(rest, (ones if field.logical == "TKEEP" else zeros)(width - field.width))
-            else:
-                net.unused.append(rest)
-        return low_bits(name, width, field.width)
+        return _low_bits(net, name, width, field, self._sends)
 
     def finish(self) -> None:
         """Add the converter."""
