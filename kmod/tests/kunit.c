@@ -262,12 +262,71 @@ static void port_goes_on_after_desync(struct kunit *test)
 	KUNIT_EXPECT_EQ(test, port.frame_words, 1ULL);
 }
 
+static void put_frames(struct cm_configport *port, u32 far, u32 first, u32 count)
+{
+	const u32 head[] = { SYNC_WORD, 0x30002001, far, 0x30004000,
+			     0x50000000 | count * CM_FRAME_WORDS };
+	u32 i;
+
+	feed(port, head, ARRAY_SIZE(head));
+	for (i = 0; i < count * CM_FRAME_WORDS; i++)
+		cm_configport_word(port, first + i / CM_FRAME_WORDS);
+	cm_configport_word(port, 0x30008001);
+	cm_configport_word(port, CMD_DESYNC);
+}
+
+/* the first word of a frame, behind the frame of padding */
+static u32 get_frame(struct cm_configport *port, u32 far)
+{
+	const u32 ask[] = { SYNC_WORD, 0x30008001, CMD_RCFG, 0x30002001, far, 0x28006000,
+			    0x48000000 | 2 * CM_FRAME_WORDS, 0x20000000 };
+	static const u32 closing[] = { 0x30008001, CMD_DESYNC };
+	u32 word = 0;
+	u32 i;
+
+	feed(port, ask, ARRAY_SIZE(ask));
+	for (i = 0; i <= CM_FRAME_WORDS; i++)
+		word = cm_configport_answer(port);
+	feed(port, closing, ARRAY_SIZE(closing));
+	return word;
+}
+
+static void port_keeps_frames(struct kunit *test)
+{
+	static const u32 order[] = { 4, 5, CM_NO_FRAME, 9 };
+	struct cm_frames *frames = kunit_kzalloc(test, sizeof(*frames), GFP_KERNEL);
+	struct cm_configport port = { .frames = frames };
+
+	KUNIT_ASSERT_NOT_ERR_OR_NULL(test, frames);
+	cm_frames_init(frames);
+	put_frames(&port, 4, 100, 4);
+	KUNIT_EXPECT_EQ(test, get_frame(&port, 4), 100U);
+	KUNIT_EXPECT_EQ(test, get_frame(&port, 6), 102U);
+	/* the last one stayed in the buffer */
+	KUNIT_EXPECT_EQ(test, get_frame(&port, 7), 0U);
+	KUNIT_EXPECT_EQ(test, cm_configport_end(&port), 0U);
+	KUNIT_EXPECT_FALSE(test, port.synced);
+	KUNIT_EXPECT_EQ(test, cm_frames_upset(frames, 6, 3), 0);
+	KUNIT_EXPECT_EQ(test, get_frame(&port, 6), 102U ^ 8);
+	KUNIT_EXPECT_EQ(test, cm_frames_upset(frames, 7, 3), -ENOENT);
+	KUNIT_EXPECT_EQ(test, cm_frames_upset(frames, 6, 32 * CM_FRAME_WORDS), -EINVAL);
+	frames->order = kmemdup(order, sizeof(order), GFP_KERNEL);
+	KUNIT_ASSERT_NOT_ERR_OR_NULL(test, frames->order);
+	frames->order_count = ARRAY_SIZE(order);
+	put_frames(&port, 4, 200, 5);
+	KUNIT_EXPECT_EQ(test, get_frame(&port, 5), 201U);
+	KUNIT_EXPECT_EQ(test, get_frame(&port, 9), 203U);
+	KUNIT_EXPECT_EQ(test, frames->count, 4U);
+	cm_frames_destroy(frames);
+}
+
 static struct kunit_case port_cases[] = {
 	KUNIT_CASE(port_needs_a_sync_word),
 	KUNIT_CASE(port_compares_the_idcode_without_revision),
 	KUNIT_CASE(port_compares_the_crc),
 	KUNIT_CASE(port_waits_for_the_rest_of_a_packet),
 	KUNIT_CASE(port_goes_on_after_desync),
+	KUNIT_CASE(port_keeps_frames),
 	{}
 };
 
