@@ -100,15 +100,35 @@ def _find(root: Root, name: str | int) -> UioInfo:
         raise device_error(number, "find UIO device", f"{name!r} in {path}") from error
 
 
+class _Folder:
+    """A device's folder in sysfs, as it was when this was made; no two devices have the same, one after the other."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._first = self._now()
+
+    @property
+    def stands(self) -> bool:
+        return self._first is not None and self._now() == self._first
+
+    def _now(self) -> tuple[int, int] | None:
+        try:
+            found = self._path.stat()
+        except OSError:
+            return None
+        return found.st_dev, found.st_ino
+
+
 class Uio(Device):
     """Registers and the interrupt of one UIO device.  Offsets are bytes, values unsigned."""
 
     _shim: ClassVar[Shim] = native
 
-    def __init__(self, handle: Handle, path: Path, info: UioInfo) -> None:
-        """Take over an open handle; use `open`."""
+    def __init__(self, handle: Handle, path: Path, info: UioInfo, folder: _Folder) -> None:
+        """Take over an open handle; use `open`. `folder` is that of sysfs."""
         super().__init__(handle, path)
         self.info = info
+        self._folder = folder
 
     @classmethod
     def open(cls, name: str | int, root: AnyRoot = None) -> Uio:
@@ -119,12 +139,13 @@ class Uio(Device):
         base = Root.of(root)
         info = _find(base, name)
         path = base.join("dev", info.node)
+        folder = _Folder(base.join("sys/class/uio", info.node))  # before it is opened: one that comes later is another
         try:
             handle = native.open_number(base.prefix, info.number)
         except OSError as error:
             nodes = [node for node in advice.names(base.join("dev")) if node.startswith("uio")]
             raise device_error(error, "open", str(path), advice.unopened(error, base, path, nodes)) from error
-        return cls(handle, path, info)
+        return cls(handle, path, info, folder)
 
     @property
     def name(self) -> str:
@@ -135,6 +156,11 @@ class Uio(Device):
     def maps(self) -> tuple[UioMap, ...]:
         """The windows, by index."""
         return self.info.maps
+
+    @property
+    def present(self) -> bool:
+        """Whether the device that was opened is still there: overlays take some, and numbers are used again."""
+        return self._folder.stands
 
     @property
     def shim_handle(self) -> Any:

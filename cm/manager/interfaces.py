@@ -35,6 +35,10 @@ class RegisterDevice(Protocol):
     def maps(self) -> Sequence[AddressRange]:
         """What is mapped, in order."""
 
+    @property
+    def present(self) -> bool:
+        """Whether it is still there, and not another one in its place."""
+
     def read(self, offset: int, width: int = 32, map: int = 0) -> int:  # noqa: A002 (as in `cm.device.Uio`)
         """The value at an offset (bytes) of a map; `width` in bits."""
 
@@ -189,7 +193,7 @@ class Devices(Protocol):
         """Ask the board for something that changes nothing. Raises DeviceError where it does not answer."""
 
     def forget(self) -> None:
-        """Close register windows: UIO devices may have come or gone with an overlay."""
+        """Close register devices that have gone, as with an overlay."""
 
     def lost(self) -> None:
         """Close everything: the board is gone, or is another one now."""

@@ -12,6 +12,7 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Protocol
+from weakref import WeakKeyDictionary
 
 from cm.errors import Busy, CmError
 from cm.frozen import dataclass
@@ -25,6 +26,7 @@ from cm.manager.interfaces import (
     OverlayFolder,
     PortBuffer,
     PortCompletion,
+    PortInfo,
     TimeSource,
 )
 from cm.manager.state.board_state import loading_overlay
@@ -154,6 +156,7 @@ class IcapLoader:
         self._files = files
         self._time = time
         self._cache = BufferCache(budget, self._dispose)
+        self._told: WeakKeyDictionary[ConfigPort, PortInfo] = WeakKeyDictionary()  # by open ports, each asked once
         self._in_use: list[Held] = []
         self._cookies = itertools.count(1)
 
@@ -169,8 +172,9 @@ class IcapLoader:
                     self._dispose(held)
 
     def check(self, job: Job) -> None:
-        """The port is asked: whether it may be used, and for its device, so that no other's bitstream reaches it."""
-        info = self._devices.icap(job.port).info
+        """The port is asked, once: whether it may be used, and for its device: no other's bitstream reaches it."""
+        port = self._devices.icap(job.port)
+        info = self._told.get(port) or self._told.setdefault(port, port.info)
         if info.denied:
             raise LoadFailed(
                 f"{job.image.path.name}: the platform's firmware does not let the ICAP be selected; build it with "

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cm.device import (
     AxiDma,
@@ -211,19 +211,16 @@ class BoardDevices:
             Uio.open(info.node, self._root).close()
 
     def forget(self) -> None:
-        """Close UIO handles; the next use opens them anew."""
+        """Close UIO devices that have gone, or are others now; the next use opens them anew."""
         with self._lock:
-            for handle in self._uios.values():
-                handle.close()
-            self._uios.clear()
+            for name in [name for name, uio in self._uios.items() if not uio.present]:
+                self._uios.pop(name).close()
 
     def lost(self) -> None:
         """Close everything; the next use opens it anew."""
-        self.forget()
         with self._lock:
-            for handle in self._icaps.values():
-                handle.close()
-            self._icaps.clear()
-            for line in self._lines.values():
-                line.close()
-            self._lines.clear()
+            kept: tuple[dict[Any, Any], ...] = self._uios, self._icaps, self._lines
+            for handles in kept:
+                for handle in handles.values():
+                    handle.close()
+                handles.clear()

@@ -26,14 +26,15 @@ class RegisterBus:
         self.closing: Callable[[], None] = lambda: None  # devices are about to be closed
 
     def forget(self, lost: bool = False) -> None:
-        """Close register windows, which may have come or gone; with `lost` all devices."""
+        """Close register windows that have gone; with `lost` all devices."""
         with self._lock:
             self.closing()
-            self._windows.clear()
             if lost:
                 self._devices.lost()
+                self._windows.clear()
             else:
                 self._devices.forget()
+                self._windows = {where: window for where, window in self._windows.items() if window.device.present}
 
     def read(self, register: Register) -> int:
         """The register's value. Raises AccessDenied for a write-only one, DeviceError."""

@@ -70,6 +70,8 @@ class StepContext:
     cancelled: Callable[[], bool]
     best_effort: bool = False
     at: int = -1  # index of the step that is being taken
+    loaded: int = 0  # bytes of the images of steps before it
+    whole: int = 0  # and of all that go through a port
     port_seconds: float = 0.0  # that a port took for that step's image
     written: dict[str, int] = field(default_factory=dict)  # registers, by name
     found: dict[s.Place, int] = field(default_factory=dict)  # what registers held before, for the way back
@@ -116,15 +118,9 @@ class StepContext:
     def tell(self, done: int) -> None:
         """Publish the step under way; `done` bytes of its image have gone through the port."""
         step, goal = self.plan.steps[self.at], self.plan.goal
-        fraction = min(self._fraction(done), 1.0)
-        length = image_bytes(step)
-        self.tools.reporter.progress(
-            Progress(self.number, goal.config.name, goal.mode, step.kind, step.subject, done, length, fraction)
-        )
-
-    def _fraction(self, done: int) -> float:
-        before, whole = self.plan.steps[: self.at], self.plan.bytes
-        return (sum(map(image_bytes, before)) + done) / whole if whole else self.at / len(self.plan.steps)
+        fraction = (self.loaded + done) / self.whole if self.whole else self.at / len(self.plan.steps)
+        subject = step.subject, done, image_bytes(step), min(fraction, 1.0)
+        self.tools.reporter.progress(Progress(self.number, goal.config.name, goal.mode, step.kind, *subject))
 
 
 def plan_to(goal: Goal, tools: Tools) -> Plan:
@@ -163,9 +159,11 @@ def take_steps(run: StepContext, goal: Goal) -> None:
 
 
 def _take_all(run: StepContext) -> None:
+    run.loaded, run.whole = 0, run.plan.bytes
     for at, step in enumerate(run.plan.steps):
         run.at = at
         _take(run, step, ACTIONS[type(step)])
+        run.loaded += image_bytes(step)
 
 
 def _take(run: StepContext, step: Step, action: Callable[[StepContext, Any], None]) -> None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 import pytest
 from manager_support import Rig, make_rig
 
-from cm.device import DeviceNotFound
+from cm.device import DeviceClosed, DeviceNotFound
 from cm.formats import fdt
 from cm.schema import load
 from cm.schema.model import Config
@@ -140,3 +141,22 @@ def test_if_the_port_does_not_appear_the_change_fails_and_says_so(made: Rig, mon
     error = made.go("default", config="one")
     assert error is not None
     assert error.code == "no_port"
+
+
+def test_register_devices_that_an_overlay_leaves_alone_stay_open(made: Rig) -> None:
+    made.go("default", config="one")
+    before = made.devices.uio("uio0")
+    assert made.go("other", config="one") is None  # takes the mode's overlay off
+    assert made.devices.uio("uio0") is before
+
+
+def test_a_device_that_has_come_in_place_of_another_is_opened_anew(made: Rig, sim: SimBoard) -> None:
+    made.go("default", config="one")
+    before, folder = made.devices.uio("uio0"), sim.root / "sys/class/uio/uio0"
+    shutil.copytree(folder, folder.with_name("newer"))
+    shutil.rmtree(folder)
+    folder.with_name("newer").rename(folder)
+    assert made.go("other", config="one") is None
+    assert made.devices.uio("uio0") is not before
+    with pytest.raises(DeviceClosed):
+        before.read(0)
