@@ -119,19 +119,6 @@ def test_a_user_outside_the_group_learns_the_reason_at_once(manager: Manager) ->
     assert f"members of {GROUP}" in told or "members of its group" in told
 
 
-def test_one_user_needs_no_setting_at_all(tmp_path: Path) -> None:
-    with short_folder() as folder, SimBoard([CAMERA], root=folder / "board") as sim:
-        arguments = ("--config", str(CAMERA), "--root", str(sim.root), "--state-dir", str(tmp_path / "state"))
-        manager = Manager(folder / "run", *arguments).start()
-        try:
-            with manager.connected() as board:
-                board.load("camera", "edge_detection")
-                board.registers["focus"] = 3
-                assert board.registers["focus"] == 3
-        finally:
-            manager.stop()
-
-
 HOLD = """
 import json, os, sys, time
 import cm, cm.client.board, cm.client.data_connection, cm.client.stream, numpy.linalg, encodings.idna, hashlib

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from manager_process import CAMERA, Manager, environment, short_folder, until
+from manager_process import CAMERA, Manager, environment, short_folder
 
 import cm
 from cm.errors import CmError
@@ -94,13 +94,8 @@ def service() -> Iterator[Service]:
         service.inbox.close()
 
 
-def test_the_service_manager_hears_keepalives_and_the_stop(service: Service) -> None:
+def test_a_reload_takes_new_schemas_and_leaves_what_runs_and_what_is_damaged(service: Service) -> None:
     assert service.told(b"WATCHDOG=1")
-    assert service.manager.stop() == 0
-    service.told(b"STOPPING=1")
-
-
-def test_a_reload_takes_new_schemas_and_leaves_what_runs(service: Service) -> None:
     with service.manager.connected() as board:
         board.load("camera", mode="default")
         sequence = board.status.last_change
@@ -112,31 +107,12 @@ def test_a_reload_takes_new_schemas_and_leaves_what_runs(service: Service) -> No
         assert set(board.configs) == {"camera"}
         assert (board.status.config_name, board.status.mode) == ("camera", "default")
         assert board.status.last_change == sequence
-
-
-def test_the_loaded_configuration_keeps_its_schema_until_another_is_loaded(service: Service) -> None:
-    firmware = service.board / "lib/firmware/cm"
-    shutil.copytree(firmware / "camera", firmware / "vision")
-    text = (service.configs / "camera.yaml").read_text()
-    (service.configs / "vision.yaml").write_text(text.replace("name: camera", "name: vision", 1))
-    service.reload()
-    with service.manager.connected() as board:
-        board.load("camera", mode="default")
-        changed = text.replace("edge_detection:", "contours:")
-        assert changed != text
-        (service.configs / "camera.yaml").write_text(changed)
+        (service.configs / "bad.yaml").write_text("config: {name: [\n")
+        (service.folder / "cm.yaml").write_text("listen: 3\n")
         service.reload()
-        assert "edge_detection" in [mode.name for mode in board.config().modes]
-        board.load("vision", mode="default")
-        until(lambda: "contours" in [mode.name for mode in board.config("camera").modes])
-
-
-def test_a_reload_that_finds_damage_leaves_it_out_and_serves_on(service: Service) -> None:
-    (service.configs / "bad.yaml").write_text("config: {name: [\n")
-    (service.folder / "cm.yaml").write_text("listen: 3\n")
-    service.reload()
-    with service.manager.connected() as board:
         assert set(board.configs) == {"camera"}
+    assert service.manager.stop() == 0
+    service.told(b"STOPPING=1")
 
 
 def test_keys_count_and_end_once_they_are_changed_without_a_signal(service: Service) -> None:
