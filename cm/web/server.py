@@ -175,7 +175,10 @@ class PageServer:
         if refused:
             return web.Response(status=403, text=f"{refused}\n")
         socket = web.WebSocketResponse(heartbeat=20.0, max_msg_size=_MESSAGE, compress=False)
-        await socket.prepare(request)
+        try:
+            await socket.prepare(request)
+        except ConnectionError:  # its user has gone, or it was one of too many: nobody reads an answer
+            return web.Response()
         near = request.remote is not None and is_loopback(request.remote)
         session = Session(socket, self._hub, self._watching, self._commands, near)
         if not await session.is_known(self._options.gate):

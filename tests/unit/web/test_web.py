@@ -3,27 +3,32 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 import json
 import struct
 from dataclasses import replace
 from typing import Any
 
+import aiohttp
 import numpy as np
 import pytest
+from aiohttp import web
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from PIL import Image
 
 from cm.cli.web import _address
-from cm.errors import InvalidRequest
+from cm.client.aio.board import Board
+from cm.errors import InvalidRequest, NotFound
 from cm.web import pictures
 from cm.web.changes import KEPT, ChangeLog
 from cm.web.gate import Gate, is_loopback
 from cm.web.history import KEPT as SECONDS
 from cm.web.history import History
 from cm.web.hub import Hub
+from cm.web.server import Options, PageServer
 from cm.web.topics import Topics
 from cm.wire.messages.status import ErrorInfo, PrMode, Progress, SensorStatus, Status, StreamStatus
 
@@ -74,6 +79,32 @@ def test_a_token_that_can_be_guessed_is_refused_and_fresh_ones_differ() -> None:
     with pytest.raises(InvalidRequest, match="16 at least"):
         Gate.of("short", [])
     assert Gate.of("", []).token != Gate.of("", []).token
+
+
+def test_a_page_that_has_gone_before_its_socket_opens_is_no_error(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Whoever opens many connections could have written tracebacks into the log."""
+
+    async def gone(*_: object) -> None:
+        raise ConnectionResetError("Connection lost")
+
+    def nobody() -> Board:
+        raise NotFound("no configuration manager")
+
+    async def scenario() -> None:
+        address: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+        serving = asyncio.create_task(PageServer(Options(nobody, GATE, port=0)).serve(address.set_result))
+        origin = (await address).partition("/#")[0]
+        async with aiohttp.ClientSession() as client:
+            with pytest.raises(aiohttp.WSServerHandshakeError):
+                await client.ws_connect(f"{origin}/ws")
+        serving.cancel()
+        await asyncio.gather(serving, return_exceptions=True)
+
+    monkeypatch.setattr(web.WebSocketResponse, "prepare", gone)
+    asyncio.run(scenario())
+    assert caplog.records == []
 
 
 def test_loopback_is_known_by_its_address() -> None:
