@@ -204,26 +204,26 @@ _REQUESTS: dict[type, Callable[[Any], list[Frame]]] = {
 
 # body type → field of Reply, and the pair of functions of cm.wire.bodies
 _BODIES: dict[type, tuple[str, Callable[[Any], Any], Callable[[Any], Any]]] = {
-    st.Status: ("status", bodies.status_to_pb, bodies.status_from_pb),
-    st.ConfigInfo: ("config", bodies.config_to_pb, bodies.config_from_pb),
+    st.Status: ("status", bodies.STATUS.to_pb, bodies.STATUS.from_pb),
+    st.ConfigInfo: ("config", bodies.CONFIG.to_pb, bodies.CONFIG.from_pb),
     st.RegValues: ("registers", bodies.registers_to_pb, bodies.registers_from_pb),
-    st.FrameInfo: ("frame", bodies.frame_to_pb, bodies.frame_from_pb),
-    st.PlanInfo: ("plan", bodies.plan_to_pb, bodies.plan_from_pb),
-    st.LeaseInfo: ("lease", bodies.lease_to_pb, bodies.lease_from_pb),
-    st.ChangeInfo: ("change", bodies.change_to_pb, bodies.change_from_pb),
-    st.Irq: ("irq", bodies.irq_to_pb, bodies.irq_from_pb),
+    st.FrameInfo: ("frame", bodies.FRAME.to_pb, bodies.FRAME.from_pb),
+    st.PlanInfo: ("plan", bodies.PLAN.to_pb, bodies.PLAN.from_pb),
+    st.LeaseInfo: ("lease", bodies.LEASE.to_pb, bodies.LEASE.from_pb),
+    st.ChangeInfo: ("change", bodies.CHANGE.to_pb, bodies.CHANGE.from_pb),
+    st.Irq: ("irq", bodies.IRQ.to_pb, bodies.IRQ.from_pb),
     st.UploadInfo: (
         "upload",
         lambda x: pb.Upload(id=x.id, length=x.length, offset=x.got),
         lambda m: st.UploadInfo(m.id, m.length, m.offset),
     ),
-    st.RegionCheck: ("region", bodies.check_to_pb, bodies.check_from_pb),
-    st.RegionMap: ("region_map", bodies.map_to_pb, bodies.map_from_pb),
-    st.MemoryInfo: ("memory", bodies.memory_to_pb, bodies.memory_from_pb),
+    st.RegionCheck: ("region", bodies.CHECK.to_pb, bodies.CHECK.from_pb),
+    st.RegionMap: ("region_map", bodies.MAP.to_pb, bodies.MAP.from_pb),
+    st.MemoryInfo: ("memory", bodies.MEMORY.to_pb, bodies.MEMORY.from_pb),
     st.StreamStatus: (
         "stream",
-        lambda s: pb.Stream(state=bodies.stream_to_pb(s)),
-        lambda m: bodies.stream_from_pb(m.state),
+        lambda s: pb.Stream(state=bodies.STREAM.to_pb(s)),
+        lambda m: bodies.STREAM.from_pb(m.state),
     ),
 }
 _FROM_FIELD = {field: decode for field, _, decode in _BODIES.values()}
@@ -236,11 +236,11 @@ def encode_reply(topic: bytes, reply: st.Reply, sequence: int | None = None) -> 
     message.ok = error is None
     message.sequence = reply.sequence if sequence is None else sequence
     if error is not None:
-        message.error.CopyFrom(bodies.error_to_pb(error))
+        message.error.CopyFrom(bodies.ERROR.to_pb(error))
     if isinstance(body, st.RegValues):
         bodies.registers_into(message.registers, body)
     elif isinstance(body, st.Status):
-        message.status.MergeFromString(bodies.encoded_status(body))
+        message.status.MergeFromString(bodies.STATUS.encoded(body))
     elif body is not None:
         field, to_pb, _ = _BODIES[type(body)]
         getattr(message, field).CopyFrom(to_pb(body))
@@ -249,18 +249,18 @@ def encode_reply(topic: bytes, reply: st.Reply, sequence: int | None = None) -> 
 
 def encode_config(info: st.ConfigInfo) -> bytes:
     """As `st.Reply.encoded`: a long one takes more time than a request may in one go."""
-    return pb.Reply(config=bodies.config_to_pb(info)).SerializeToString()
+    return pb.Reply(config=bodies.CONFIG.to_pb(info)).SerializeToString()
 
 
 def encode_table(info: st.ConfigInfo) -> bytes:
     """A `Config` message by itself: the registers of a window."""
-    return bodies.config_to_pb(info).SerializeToString()
+    return bodies.CONFIG.to_pb(info).SerializeToString()
 
 
 def decode_table(data: bytes) -> st.ConfigInfo:
     """The inverse of `encode_table`. Raises InvalidRequest."""
     try:
-        return bodies.config_from_pb(pb.Config.FromString(data))
+        return bodies.CONFIG.from_pb(pb.Config.FromString(data))
     except DecodeError as error:
         raise InvalidRequest(f"the registers of a window: {error}") from error
 
@@ -306,7 +306,7 @@ def decode_reply(frames: Sequence[Frame]) -> st.Reply:
     field = message.WhichOneof("body")
     return st.Reply(
         body=_FROM_FIELD[field](getattr(message, field)) if field else None,
-        error=None if message.ok else bodies.error_from_pb(message.error),
+        error=None if message.ok else bodies.ERROR.from_pb(message.error),
         sequence=message.sequence,
         payload=tuple(frames[2:]),
     )
@@ -314,7 +314,7 @@ def decode_reply(frames: Sequence[Frame]) -> st.Reply:
 
 def encode_status(status: st.Status) -> list[Frame]:
     """A status → the frames published on ``cm_status``."""
-    return [topics.STATUS, bodies.encoded_status(status)]
+    return [topics.STATUS, bodies.STATUS.encoded(status)]
 
 
 def encode_registers(values: st.RegValues) -> list[Frame]:
@@ -324,17 +324,17 @@ def encode_registers(values: st.RegValues) -> list[Frame]:
 
 def encode_irq(irq: st.Irq) -> list[Frame]:
     """An interrupt → the frames published on ``cm_irq``."""
-    return [topics.IRQ, bodies.irq_to_pb(irq).SerializeToString()]
+    return [topics.IRQ, bodies.IRQ.to_pb(irq).SerializeToString()]
 
 
 def encode_frame_info(info: st.FrameInfo) -> bytes:
     """The message beside a frame's payload."""
-    return bytes(bodies.frame_to_pb(info).SerializeToString())
+    return bytes(bodies.FRAME.to_pb(info).SerializeToString())
 
 
 def decode_plan(data: bytes) -> st.PlanInfo:
     """A Plan message. Raises InvalidRequest."""
-    return bodies.plan_from_pb(_message(pb.Plan, data))
+    return bodies.PLAN.from_pb(_message(pb.Plan, data))
 
 
 def decode_registers(data: bytes) -> st.RegValues:
@@ -371,10 +371,10 @@ def decode_event(frames: Sequence[Frame]) -> Event:
 
 
 _EVENTS: dict[bytes, tuple[Callable[[], Any], Callable[[Any], Any]]] = {
-    topics.STATUS: (pb.Status, bodies.status_from_pb),
+    topics.STATUS: (pb.Status, bodies.STATUS.from_pb),
     topics.READ_REG: (pb.RegValues, bodies.registers_from_pb),
-    topics.IRQ: (pb.Irq, bodies.irq_from_pb),
-    topics.READ_DATA: (pb.Frame, bodies.frame_from_pb),
-    topics.DATA_READ: (pb.Frame, bodies.frame_from_pb),
-    b"cm_stream": (pb.Frame, bodies.frame_from_pb),
+    topics.IRQ: (pb.Irq, bodies.IRQ.from_pb),
+    topics.READ_DATA: (pb.Frame, bodies.FRAME.from_pb),
+    topics.DATA_READ: (pb.Frame, bodies.FRAME.from_pb),
+    b"cm_stream": (pb.Frame, bodies.FRAME.from_pb),
 }

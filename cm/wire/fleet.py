@@ -14,7 +14,6 @@ from cm.wire.messages import fleet as fl
 from cm.wire.messages.status import ErrorInfo
 
 _M = TypeVar("_M", bound=Message)
-_D = TypeVar("_D")
 
 
 def parsed(kind: type[_M], data: bytes) -> _M:
@@ -27,7 +26,7 @@ def parsed(kind: type[_M], data: bytes) -> _M:
 
 def encode_step(step: fl.FleetStep) -> bytes:
     """As it is the payload of a command under ``do/``."""
-    return _to_pb(pb.FleetStep, step).SerializeToString()
+    return _STEP.to_pb(step).SerializeToString()
 
 
 def decode_step(data: bytes) -> fl.FleetStep:
@@ -35,7 +34,7 @@ def decode_step(data: bytes) -> fl.FleetStep:
     m = parsed(pb.FleetStep, data)
     if not m.id or not m.id.isascii() or not m.id.isprintable() or len(m.id) > 64 or "/" in m.id:
         raise InvalidRequest(f"a change of a fleet has an id of 1 to 64 printable characters without /, not {m.id!r}")
-    return _from_pb(fl.FleetStep, m)
+    return _STEP.from_pb(m)
 
 
 def policy(said: fl.Policy | str) -> fl.Policy:
@@ -46,42 +45,31 @@ def policy(said: fl.Policy | str) -> fl.Policy:
         raise InvalidRequest(str(unknown)) from None
 
 
-def _to_pb(kind: type[_M], value: Any) -> _M:
-    """Frozen data → the message whose fields have the same names."""
-    plain = {name: getattr(value, name) for name in value.__slots__}
-    if plain.get("error") is not None:
-        plain["error"] = bodies.error_to_pb(plain["error"])
-    return kind(**plain)
-
-
-def _from_pb(kind: type[_D], message: Any, **other: Any) -> _D:
-    """The inverse; `other` are fields that a message has in another form."""
-    plain = {name: getattr(message, name) for name in kind.__slots__ if name not in other}  # type: ignore[attr-defined]
-    if "error" in plain:
-        plain["error"] = bodies.error_from_pb(message.error) if message.HasField("error") else None
-    return kind(**plain, **other)
+_CLOCK = bodies.Twin(fl.ClockSync, pb.ClockSync)
+_STEP = bodies.Twin(fl.FleetStep, pb.FleetStep)
+_STATE = bodies.Twin(fl.FleetState, pb.FleetState, error=bodies.ERROR)
+_FETCH = bodies.Twin(fl.FetchBundle, pb.FetchBundle)
+_BUNDLE = bodies.Twin(fl.BundleState, pb.BundleState, error=bodies.ERROR)
 
 
 def extras(labels: tuple[str, ...], clock: fl.ClockSync, state: fl.FleetState) -> bytes:
     """What is appended to a serialised Status: protobuf reads messages that follow each other as one."""
-    return pb.Status(
-        labels=labels, clock=_to_pb(pb.ClockSync, clock), fleet=_to_pb(pb.FleetState, state)
-    ).SerializeToString()
+    return pb.Status(labels=labels, clock=_CLOCK.to_pb(clock), fleet=_STATE.to_pb(state)).SerializeToString()
 
 
 def board_status(data: bytes) -> fl.BoardStatus:
     """A Status with what a bridge added. Raises InvalidRequest."""
     message = parsed(pb.Status, data)
-    state = _from_pb(fl.FleetState, message.fleet) if message.HasField("fleet") else None
-    clock = _from_pb(fl.ClockSync, message.clock)
-    return fl.BoardStatus(bodies.status_from_pb(message), tuple(message.labels), clock, state)
+    state = _STATE.from_pb(message.fleet) if message.HasField("fleet") else None
+    clock = _CLOCK.from_pb(message.clock)
+    return fl.BoardStatus(bodies.STATUS.from_pb(message), tuple(message.labels), clock, state)
 
 
 def body(reply: bytes) -> tuple[str, bytes] | ErrorInfo:
     """The content of a Reply: the name of its message and its bytes, or the error. Raises InvalidRequest."""
     message: Any = parsed(pb.Reply, reply)
     if not message.ok:
-        return bodies.error_from_pb(message.error)
+        return bodies.ERROR.from_pb(message.error)
     field = message.WhichOneof("body")
     if not field:
         return "Reply", reply
@@ -120,7 +108,7 @@ def glance(status: bytes) -> tuple[tuple[str, ...], tuple[str, str] | None]:
 
 def encode_fetch(fetch: fl.FetchBundle) -> bytes:
     """As it is the payload of ``do/bundle``."""
-    return _to_pb(pb.FetchBundle, fetch).SerializeToString()
+    return _FETCH.to_pb(fetch).SerializeToString()
 
 
 def decode_fetch(data: bytes) -> fl.FetchBundle:
@@ -133,7 +121,7 @@ def decode_fetch(data: bytes) -> fl.FetchBundle:
             f"a bundle of {m.length} bytes in parts of {m.part_length} has {wanted} parts, each with its sha256 "
             f"(64 hexadecimal digits); {len(m.parts)} are named"
         )
-    return _from_pb(fl.FetchBundle, m, parts=tuple(m.parts))
+    return _FETCH.from_pb(m)
 
 
 def _is_sha256(text: str) -> bool:
@@ -143,11 +131,11 @@ def _is_sha256(text: str) -> bool:
 def encode_answer(body: fl.FleetState | fl.BundleState | ErrorInfo) -> bytes:
     """A Reply of the bridge itself, in the form of a manager's."""
     if isinstance(body, ErrorInfo):
-        message = pb.Reply(ok=False, error=bodies.error_to_pb(body))
+        message = pb.Reply(ok=False, error=bodies.ERROR.to_pb(body))
     elif isinstance(body, fl.FleetState):
-        message = pb.Reply(ok=True, fleet=_to_pb(pb.FleetState, body))
+        message = pb.Reply(ok=True, fleet=_STATE.to_pb(body))
     else:
-        message = pb.Reply(ok=True, bundle=_to_pb(pb.BundleState, body))
+        message = pb.Reply(ok=True, bundle=_BUNDLE.to_pb(body))
     return message.SerializeToString()
 
 
@@ -155,9 +143,9 @@ def decode_answer(data: bytes) -> fl.FleetState | fl.BundleState | ErrorInfo:
     """The inverse of `encode_answer`. Raises InvalidRequest for a Reply with another body."""
     reply: Any = parsed(pb.Reply, data)
     if not reply.ok:
-        return bodies.error_from_pb(reply.error)
+        return bodies.ERROR.from_pb(reply.error)
     if reply.HasField("fleet"):
-        return _from_pb(fl.FleetState, reply.fleet)
+        return _STATE.from_pb(reply.fleet)
     if reply.HasField("bundle"):
-        return _from_pb(fl.BundleState, reply.bundle)
+        return _BUNDLE.from_pb(reply.bundle)
     raise InvalidRequest(f"the bridge answered with {reply.WhichOneof('body')}, not with a state or a bundle")
