@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm bitstream inspect|verify|convert|relocate``."""
+"""``cm bitstream inspect|verify|convert|relocate``: files, and what they fit."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-from cm.cli.bitstream_relocate import add_relocate
-from cm.cli.common import add_json_option, print_json, print_table
+from cm.cli.common import add_json_option, answer, print_json, print_table
+from cm.cli.region import check_region
 from cm.errors import CmError, InvalidRequest, NotFound
 from cm.formats.bitstream import (
     BitHeader,
@@ -23,6 +23,7 @@ from cm.formats.bitstream import (
     footprint_of,
     inspect,
     open_image,
+    outside,
     refusals,
 )
 from cm.schema import load
@@ -74,21 +75,12 @@ def run_verify(args: argparse.Namespace) -> int:
     report, expect = inspect(args.file), _expectation(args)
     found = refusals(report, expect)
     blind = _NO_FOOTPRINT if args.region and not expect.footprint else ""
-    if args.json:
-        reasons = [{"code": item.code, "message": item.message} for item in found]
-        print_json(
-            {
-                "path": str(args.file),
-                "good": not found,
-                "refusals": reasons,
-                "not_compared": ["footprint"] * bool(blind),
-            }
-        )
-    elif found:
-        for item in found:
-            print(f"{args.file}: {item.code}: {item.message}")
-    else:
-        print(f"{args.file}: {f'sound, but {blind.format(args.region)}' if blind else 'good'}")
+    reasons = [{"code": item.code, "message": item.message} for item in found]
+    blinded = ["footprint"] * bool(blind)
+    verdict = [f"{item.code}: {item.message}" for item in found]
+    verdict = verdict or [f"sound, but {blind.format(args.region)}" if blind else "good"]
+    told = {"path": str(args.file), "good": not found, "refusals": reasons, "not_compared": blinded}
+    answer(args, told, "\n".join(f"{args.file}: {each}" for each in verdict))
     return 1 if found else 0
 
 
@@ -113,8 +105,7 @@ def _from_schema(path: Path, config: Config, region: str | None) -> Expectation:
         if config.type is ConfigType.FULL:
             return expect_static(config)
         raise InvalidRequest(f"--config needs --region: one of {', '.join(config.regions)}")
-    if region not in config.regions:
-        raise NotFound(f"configuration {config.name} has no region {region}; it has {', '.join(config.regions)}")
+    check_region(config, region)
     files = _files_of(config, region)
     own = next((module for module, file in files if file.samefile(path)), Module(name=path.stem, region=region))
     return expect_module(config, own, _learned(path, files))
@@ -156,7 +147,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     _add_inspect(actions)
     add_verify(actions)
     _add_convert(actions)
-    add_relocate(actions)
+    _add_relocate(actions)
 
 
 def _add_inspect(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -236,11 +227,8 @@ def run_convert(args: argparse.Namespace) -> int:
     if not args.drop_header:
         _refuse_loss(args.file, args.output, form)
     _write(args.output, data)
-    if args.json:
-        print_json({"file": str(args.output), "container": form.value, "bytes": len(data)})
-    else:
-        print(f"{args.output}: {form.value}, {len(data)} bytes")
-    return 0
+    told = {"file": str(args.output), "container": form.value, "bytes": len(data)}
+    return answer(args, told, f"{args.output}: {form.value}, {len(data)} bytes")
 
 
 def _refuse_loss(source: Path, output: Path, form: Container) -> None:
@@ -284,3 +272,60 @@ def _header(path: Path | None) -> BitHeader | None:
     if header is None:
         raise InvalidRequest(f"{path}: has no .bit header to take")
     return header
+
+
+def _add_relocate(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = actions.add_parser(
+        "relocate",
+        help="move a partial bitstream to another region",
+        description="Move a partial bitstream of a 7-series device to another region that has the same columns, as far "
+        "as the static part's wires there allow it. Project X-Ray's database says so (cm build tools --fetch).",
+    )
+    parser.add_argument("file", type=Path, metavar="FILE")
+    parser.add_argument("--to", metavar="REGION", required=True, help="the region that it is moved to")
+    parser.add_argument(
+        "--config", type=Path, metavar="SCHEMA", required=True, help="the runtime schema with both regions' footprints"
+    )
+    parser.add_argument(
+        "--blank",
+        type=Path,
+        metavar="FILE",
+        required=True,
+        help="the static part's full bitstream, without modules (build/open/blank.bit of cm build run --flow open)",
+    )
+    parser.add_argument("--out", type=Path, metavar="FILE", help="the new file (default: FILE's name with the region)")
+    add_json_option(parser)
+    parser.set_defaults(run=run_relocate)
+
+
+def run_relocate(args: argparse.Namespace) -> int:
+    """Write the moved bitstream; the exit status."""
+    from cm.formats.bitstream.memory import frames_in  # these take the database's modules along
+    from cm.formats.bitstream.relocate import column_moves, relocate
+    from cm.formats.xray import Database
+
+    config, report = load(args.config), inspect(args.file)
+    check_region(config, args.to)
+    here = _region_of(config, report)
+    if here == args.to:
+        raise InvalidRequest(f"{args.file} is of region {here} already")
+    device, blank = frames_in(args.blank)
+    moves = column_moves(device, config.regions[here].footprint, config.regions[args.to].footprint)
+    data = relocate(args.file, moves, blank, Database.open(device.name))
+    out = args.out or args.file.with_name(f"{args.file.stem}_{args.to}{args.file.suffix}")
+    out.write_bytes(data)
+    told = {"file": str(out), "from": here, "to": args.to, "bytes": len(data)}
+    return answer(args, told, f"{out}: moved from {here} to {args.to}, {len(data)} bytes")
+
+
+def _region_of(config: Config, report: Report) -> str:
+    """The region whose footprint holds a bitstream. Raises NotFound, InvalidRequest."""
+    known = {name: region.footprint for name, region in config.regions.items() if region.footprint}
+    if len(known) < len(config.regions):
+        lacks = ", ".join(name for name in config.regions if name not in known)
+        raise InvalidRequest(f"the schema states no footprint of {lacks}: what lies where is not known")
+    for name, footprint in known.items():
+        if not outside(report, footprint):
+            return name
+    wrote = ", ".join(map(str, footprint_of(report))) or "nothing"
+    raise NotFound(f"the bitstream is of none of the regions {', '.join(known)}: it writes {wrote}")

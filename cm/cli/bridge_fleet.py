@@ -4,17 +4,14 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
-import contextlib
 import logging
 import shlex
-import signal
 import subprocess
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cm.cli.common import add_connection_options
+from cm.cli.common import add_connection_options, run_until_told
 from cm.cli.fleet_options import add_network_options, network_of
 from cm.errors import CmError, InvalidRequest
 
@@ -94,19 +91,10 @@ def run(args: argparse.Namespace) -> int:
     from cm.networks.fleet.network import zenoh_module
 
     zenoh_module()  # if it is missing, this is said at once
-    with contextlib.suppress(asyncio.CancelledError):
-        asyncio.run(_serve(_options(args)))
-    return 0
-
-
-async def _serve(options: Options) -> None:
     from cm.networks.fleet.bridge.process import Bridge
 
-    task = asyncio.current_task()
-    assert task is not None
-    for number in (signal.SIGINT, signal.SIGTERM):
-        asyncio.get_running_loop().add_signal_handler(number, task.cancel)
-    await Bridge(options, lambda board: logging.getLogger("cm.fleet").info("ready as %s", board)).run()
+    bridge = Bridge(_options(args), lambda board: logging.getLogger("cm.fleet").info("ready as %s", board))
+    return run_until_told(bridge.run)
 
 
 def _options(args: argparse.Namespace) -> Options:
@@ -151,23 +139,13 @@ def _importer(out: Path, settings: Path | None, after: str) -> Import:
     """What ``cm import archive`` does, under the same policy."""
 
     def take(archive: Path) -> tuple[str, str]:
-        from cm.cli.import_ import read_settings
-        from cm.cli.signatures import policy_of
-        from cm.formats.importers import unpack
-        from cm.formats.signing import judge
-        from cm.formats.signing.policy import Judgement
-
-        said, found = read_settings(settings), [Judgement()]
-        policy = policy_of(said)
-
-        def asked(folder: Path, name: str, installed: Path) -> None:
-            found.append(judge(folder, name, policy, installed))
+        from cm.cli.import_ import unpack_signed
 
         out.mkdir(parents=True, exist_ok=True)
-        done = unpack(archive, out, said.imports.keep, asked)
+        done, found = unpack_signed(archive, out, settings)
         if after:
             _run(after)
-        return done.config.name, found[-1].signer or ""
+        return done.config.name, found.signer or ""
 
     return take
 

@@ -9,7 +9,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from cm.cli.common import add_json_option, print_json
+from cm.cli.common import add_json_option, answer
 from cm.design.collect.collected import Collected
 from cm.design.collect.collection import collect, collect_ours, write
 from cm.design.errors import BuildError
@@ -60,21 +60,14 @@ def run_collect(args: argparse.Namespace) -> int:
         found = _signed(found, args.sign, args.bundle_version)
     args.target.mkdir(parents=True, exist_ok=True)
     folder, packed = write(found, args.target)
-    if args.json:
-        files = sorted(found.files)
-        print_json(
-            {"config": found.config.name, "folder": folder, "archive": packed, "files": files, "notes": found.notes}
-        )
-        return 0
-    config = found.config
+    config, files = found.config, sorted(found.files)
     counts = ((len(config.modules), "module"), (len(config.modes), "mode"), (len(found.files), "file"))
     contents = ", ".join(f"{count} {what}{'' if count == 1 else 's'}" for count, what in counts if count)
-    print(f"{folder}: configuration {config.name}, {contents}")
-    print(f"{packed}: the same as an archive")
-    for note in found.notes:
-        print(f"note: {note}")
-    print(f"without a board: cm serve --sim --config {folder}")
-    return 0
+    lines = [f"{folder}: configuration {config.name}, {contents}", f"{packed}: the same as an archive"]
+    lines += [f"note: {note}" for note in found.notes]
+    lines.append(f"without a board: cm serve --sim --config {folder}")
+    told = {"config": config.name, "folder": folder, "archive": packed, "files": files, "notes": found.notes}
+    return answer(args, told, "\n".join(lines))
 
 
 def _signed(found: Collected, keys: list[Path], version: int | None) -> Collected:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cm.cli.build_schema import add_schema_argument
-from cm.cli.common import add_json_option, print_json, print_table
+from cm.cli.common import add_json_option, digits, parsed, print_json, print_table
 from cm.design.boundary.analyse import analyse
 from cm.design.errors import BuildError
 from cm.design.generate.tree import output_folder
@@ -30,6 +30,9 @@ def add_partition_parser(actions: argparse._SubParsersAction[argparse.ArgumentPa
         "with the present assignment. Needs the modes, and the resources of each module: "
         "from `resources:` in the build schema, else from Vivado's utilisation report.",
     )
+    percent = parsed("a number above 0 and at most 100", lambda s: float(s.removesuffix("%")), lambda v: 0 < v <= 100)
+    count = parsed("a number of regions", digits, lambda value: value > 0)
+    seconds = parsed("a time in seconds", float, lambda value: 0 < value < 1e6)
     add_schema_argument(parser)
     parser.add_argument("--objective", choices=("worst", "mean"), default="worst", help="default: worst")
     parser.add_argument(
@@ -37,7 +40,7 @@ def add_partition_parser(actions: argparse._SubParsersAction[argparse.ArgumentPa
     )
     parser.add_argument(
         "--budget",
-        type=_percent,
+        type=percent,
         default=100.0,
         metavar="PERCENT",
         help="how much of the device all regions may take together (default: what the static part leaves)",
@@ -51,10 +54,10 @@ def add_partition_parser(actions: argparse._SubParsersAction[argparse.ArgumentPa
         help="folder with synth_<module>.utilization.rpt or <module>.rpt, as report_utilization writes them"
         " (default: build/reports beside the build schema)",
     )
-    parser.add_argument("--regions", type=_count, metavar="N", help="at most N regions")
+    parser.add_argument("--regions", type=count, metavar="N", help="at most N regions")
     parser.add_argument(
         "--seconds",
-        type=_seconds,
+        type=seconds,
         default=SECONDS,
         help=f"stop after this time with the best result so far (default: {SECONDS:g})",
     )
@@ -67,32 +70,6 @@ def add_partition_parser(actions: argparse._SubParsersAction[argparse.ArgumentPa
     )
     add_json_option(parser)
     parser.set_defaults(run=run_partition)
-
-
-def _count(text: str) -> int:
-    if not text.isdecimal() or not int(text):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of regions")
-    return int(text)
-
-
-def _seconds(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0 < value < 1e6:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a time in seconds")
-    return value
-
-
-def _percent(text: str) -> float:
-    try:
-        value = float(text.removesuffix("%"))
-    except ValueError:
-        value = 0.0
-    if not 0 < value <= 100:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0 and at most 100")
-    return value
 
 
 def run_partition(args: argparse.Namespace) -> int:

@@ -9,14 +9,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cm.cli.build_schema import add_out_option, add_schema_argument
-from cm.cli.common import add_json_option, print_json, print_table
+from cm.cli.common import add_json_option, answer, print_json, print_table
 from cm.design.errors import BuildError, MissingTool
 from cm.design.generate.tree import behind, load_design, output_folder
 from cm.design.hdl.errors import ParserMissing
 from cm.design.openflow.attempt import Settings
 from cm.design.openflow.flow import OpenFlow
 from cm.design.openflow.rules import refuse_open
-from cm.design.openflow.tools import Tools, fetch_tools, find_tools
+from cm.design.openflow.tools import fetch_tools, find_tools
 from cm.design.project.load import load_project
 from cm.design.project.model import Project
 from cm.design.run.archive import pack, unpack
@@ -45,22 +45,17 @@ def add_tools_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser
 def run_tools(args: argparse.Namespace) -> int:
     """Fetch if asked to, and say what is installed."""
     found = fetch_tools(args.tools, args.mirror) if args.fetch else find_tools(args.tools)
-    if args.json:
-        print_json(_dict(found))
-        return 0
-    for tool in (found.yosys, found.nextpnr):
-        print(f"{tool.name}: {tool.command[-1]}")
-    print(f"database of Project X-Ray: {found.database}")
-    return 0
+    yosys, nextpnr = found.yosys.command[-1], found.nextpnr.command[-1]
+    told = {"yosys": yosys, "nextpnr": nextpnr, "database": found.database, "packages": dict(found.versions)}
+    lines = [f"{tool.name}: {tool.command[-1]}" for tool in (found.yosys, found.nextpnr)]
+    return answer(args, told, "\n".join([*lines, f"database of Project X-Ray: {found.database}"]))
 
 
 def run_open(args: argparse.Namespace, out: Path) -> int:
     """Run the flow over what was generated in `out`."""
     design = load_design(args.schema)
     refuse_open(design.system)
-    names = behind(design, out)
-    if names:
-        raise BuildError(f"{names[0]} in {out} would be generated otherwise now: run cm build generate first")
+    refuse_stale(behind(design, out)[:1], out)
     if args.dry_run:
         raise BuildError("--dry-run is of the flow in Vivado; the open flow says what it does while it runs")
     tell = (lambda _: None) if args.json else _tell
@@ -73,17 +68,18 @@ def run_open(args: argparse.Namespace, out: Path) -> int:
     return 0
 
 
+def refuse_stale(names: Sequence[str], out: Path) -> None:
+    """Raise BuildError where some generated files are not those of the present build schema and HDL."""
+    if names:
+        raise BuildError(_otherwise(names, out))
+
+
+def _otherwise(names: Sequence[str], out: Path) -> str:
+    return f"{', '.join(names)} in {out} would be generated otherwise now: run cm build generate first"
+
+
 def _tell(sentence: str) -> None:
     print(sentence, flush=True)
-
-
-def _dict(tools: Tools) -> dict[str, object]:
-    return {
-        "yosys": tools.yosys.command[-1],
-        "nextpnr": tools.nextpnr.command[-1],
-        "database": tools.database,
-        "packages": dict(tools.versions),
-    }
 
 
 def add_run_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -138,13 +134,10 @@ def _stale(schema: Path, out: Path) -> str:
     """A sentence if the generated files are not those of the present build schema and HDL."""
     try:
         names = behind(load_design(schema), out)
-    except (
-        ParserMissing,
-        MissingTool,
-    ):  # a machine that has Vivado and not the extra `build`: nothing can be generated here
+    except (ParserMissing, MissingTool):  # with Vivado and without the extra `build`, nothing can be generated here
         return ""
-    few = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-    return f"{few} in {out} would be generated otherwise now: run cm build generate first" if names else ""
+    last = [f"{names[2]} and {len(names) - 3} more"] if len(names) > 3 else names[2:]
+    return _otherwise([*names[:2], *last], out) if names else ""
 
 
 def _print_plan(planned: Sequence[Planned], stale: str, as_json: bool) -> None:
@@ -197,20 +190,15 @@ def run_pack(args: argparse.Namespace) -> int:
     """Write the archive."""
     design = load_design(args.schema)
     project, out = design.project, output_folder(design.project, args.out)
-    stale = behind(design, out)
-    if stale:
-        raise BuildError(
-            f"{', '.join(stale[:3])} in {out} would be generated otherwise now: run cm build generate first"
-        )
+    refuse_stale(behind(design, out)[:3], out)
     archive = args.file or Path(f"{'-'.join([project.name, *args.module])}-flow.tar.gz")
     done = pack(out, project.name, _folders(project, args.module), archive.absolute(), args.module)
-    if args.json:
-        print_json({"archive": str(archive), "steps": list(done.steps), "files": done.files})
-        return 0
-    print(f"{archive}: {done.files} files, steps {', '.join(done.steps)}")
-    print("there: tar -xf it, make -j4 VIVADO=/path/to/vivado in the folder with pack.json, make back")
-    print("here: cm build unpack back.tar.gz")
-    return 0
+    text = (
+        f"{archive}: {done.files} files, steps {', '.join(done.steps)}\n"
+        "there: tar -xf it, make -j4 VIVADO=/path/to/vivado in the folder with pack.json, make back\n"
+        "here: cm build unpack back.tar.gz"
+    )
+    return answer(args, {"archive": str(archive), "steps": list(done.steps), "files": done.files}, text)
 
 
 def _folders(project: Project, modules: list[str]) -> list[Path]:
@@ -228,10 +216,7 @@ def run_unpack(args: argparse.Namespace) -> int:
     """Take back what came."""
     out = output_folder(load_project(args.schema), args.out)
     found = unpack(args.source, out)
-    if args.json:
-        print_json({"done": list(found.done), "left": list(found.left), "files": found.files})
-    else:
-        print(f"{out}: {found.files} files of {len(found.done)} steps")
-        for name in found.left:
-            print(f"note: step {name} was not run to its end there")
+    lines = [f"{out}: {found.files} files of {len(found.done)} steps"]
+    lines += [f"note: step {name} was not run to its end there" for name in found.left]
+    answer(args, {"done": found.done, "left": found.left, "files": found.files}, "\n".join(lines))
     return 1 if found.left else 0

@@ -7,7 +7,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from cm.cli.common import add_json_option, print_json
+from cm.cli.common import add_json_option, answer, print_json
 from cm.design.boundary.analyse import analyse
 from cm.design.check.rules import check_system
 from cm.design.errors import BuildError
@@ -82,13 +82,9 @@ def run_init(args: argparse.Namespace) -> int:
     if not editor.exists():
         editor.write_bytes(SCHEMA_FILE.read_bytes())
     missing = what_is_missing(output.absolute())
-    if args.json:
-        print_json({"schema": str(output), "editor": str(editor), "unknown": missing})
-        return 0
-    print(f"{output}: written; look it through, then: cm build check {output}")
-    for sentence in missing:
-        print(f"not known: {sentence}")
-    return 0
+    lines = [f"{output}: written; look it through, then: cm build check {output}"]
+    lines += [f"not known: {sentence}" for sentence in missing]
+    return answer(args, {"schema": str(output), "editor": str(editor), "unknown": missing}, "\n".join(lines))
 
 
 def add_check_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -131,14 +127,9 @@ def run_check(args: argparse.Namespace) -> int:
             from cm.design.openflow.moved import check_moved  # takes the database's modules along
 
             found += check_moved(system)
-    if args.json:
-        told = [{"rule": f.rule, "error": f.error, "message": f.text(project.source)} for f in found]
-        print_json(as_dict(project, analysis, system) | {"findings": told})
-    else:
-        for line in lines(project, analysis, system):
-            print(line)
-        for finding in found:
-            print(f"{_judge(finding)}: {finding.text(project.source)}")
+    told = [{"rule": f.rule, "error": f.error, "message": f.text(project.source)} for f in found]
+    text = [*lines(project, analysis, system), *(f"{_judge(f)}: {f.text(project.source)}" for f in found)]
+    answer(args, as_dict(project, analysis, system) | {"findings": told}, "\n".join(text))
     return 1 if analysis.refused or analysis.broken or any(finding.error for finding in found) else 0
 
 

@@ -9,15 +9,8 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from cm.cli.commands import EXIT_INTERRUPTED
-from cm.cli.common import (
-    add_connection_options,
-    add_json_option,
-    add_lease_option,
-    completes,
-    print_json,
-    print_table,
-)
-from cm.cli.connection import connected, plain
+from cm.cli.common import Run, add_board_options, add_lease_option, answer, completes, print_json, print_table
+from cm.cli.connection import connected, plain, where
 from cm.errors import CmError, Timeout
 
 if TYPE_CHECKING:
@@ -40,8 +33,7 @@ def add_load(subparsers: _Subparsers) -> None:
     target = parser.add_argument("target", metavar="CONFIG[/MODE]", help="a configuration, and its mode")
     completes(target, "<config>", "<config/mode>")
     completes(parser.add_argument("mode", nargs="?", default="", help=argparse.SUPPRESS), "<mode of target>")
-    _add_options(parser)
-    parser.set_defaults(run=run_load)
+    _add_options(parser, run_load)
 
 
 def add_mode(subparsers: _Subparsers) -> None:
@@ -51,8 +43,7 @@ def add_mode(subparsers: _Subparsers) -> None:
         "target", metavar="[CONFIG/]MODE", help="a mode, or the module that exactly one mode consists of"
     )
     completes(target, "<mode>", "<config/mode>")
-    _add_options(parser)
-    parser.set_defaults(run=run_mode)
+    _add_options(parser, run_mode)
 
 
 def add_plan(subparsers: _Subparsers) -> None:
@@ -64,9 +55,7 @@ def add_plan(subparsers: _Subparsers) -> None:
     completes(target, "<mode>", "<config/mode>")
     completes(parser.add_argument("mode", nargs="?", default="", help=argparse.SUPPRESS), "<mode of target>")
     completes(parser.add_argument("--config", default="", help=argparse.SUPPRESS), "<config>")
-    add_connection_options(parser)
-    add_json_option(parser)
-    parser.set_defaults(run=run_plan)
+    add_board_options(parser, run_plan)
 
 
 def add_cancel(subparsers: _Subparsers) -> None:
@@ -78,15 +67,12 @@ def add_cancel(subparsers: _Subparsers) -> None:
         " in the previous mode. A change that has finished its last load is not "
         "cancelled; it completes.",
     )
-    add_connection_options(parser)
-    add_json_option(parser)
-    parser.set_defaults(run=run_cancel)
+    add_board_options(parser, run_cancel)
 
 
-def _add_options(parser: argparse.ArgumentParser) -> None:
+def _add_options(parser: argparse.ArgumentParser, run: Run) -> None:
     """Add what `load` and `mode` share."""
-    add_connection_options(parser)
-    add_json_option(parser)
+    add_board_options(parser, run)
     add_lease_option(parser)
     parser.add_argument("--force", action="store_true", help="load it again even if it is loaded already")
     parser.add_argument("--no-wait", action="store_true", help="do not wait until it is done")
@@ -139,8 +125,7 @@ def _go(board: Board, args: argparse.Namespace, config: str, mode: str) -> int:
     """Ask for the mode and tell how it went."""
     if args.no_wait:
         change = board.load_async(config, mode, queue=not args.no_queue, force=args.force, lease=args.lease)
-        _tell(args, {"change": change.number, "done": False}, f"change {change.number} is under way")
-        return 0
+        return answer(args, {"change": change.number, "done": False}, f"change {change.number} is under way")
     try:
         seconds = board.load(config, mode, progress=True, queue=not args.no_queue, force=args.force, lease=args.lease)
     except KeyboardInterrupt:
@@ -149,8 +134,7 @@ def _go(board: Board, args: argparse.Namespace, config: str, mode: str) -> int:
         return EXIT_INTERRUPTED
     status = board.status
     told = {"config_name": status.config_name, "mode": status.mode, "seconds": seconds, "done": True}
-    _tell(args, told, f"{status.config_name}/{status.mode} after {seconds * 1000:.1f} ms")
-    return 0
+    return answer(args, told, f"{status.config_name}/{status.mode} after {seconds * 1000:.1f} ms")
 
 
 def _interrupted(args: argparse.Namespace, config: str, mode: str) -> None:
@@ -182,13 +166,6 @@ def _target(status: Status) -> str:
 
 def _say(sentence: str) -> None:
     print(f"cm: {sentence}", file=sys.stderr, flush=True)
-
-
-def _tell(args: argparse.Namespace, value: dict[str, object], text: str) -> None:
-    if args.json:
-        print_json(value)
-    else:
-        print(text)
 
 
 # ---- plan ------------------------------------------------------------------------
@@ -228,8 +205,7 @@ def run_cancel(args: argparse.Namespace) -> int:
         change, status = _cancelled(board)
     told = {"config_name": status.config_name, "mode": status.mode}
     cancelled = bool(change) and _was_cancelled(status)
-    _tell(args, {"change": change, "cancelled": cancelled, **told}, _told(change, status))
-    return 0
+    return answer(args, {"change": change, "cancelled": cancelled, **told}, _told(change, status))
 
 
 def _cancelled(board: Board) -> tuple[int, Status]:
@@ -260,4 +236,4 @@ def _was_cancelled(status: Status) -> bool:
 
 
 def _reached(status: Status) -> str:
-    return f"{status.config_name}/{status.mode}" if status.config_name else "nothing loaded"
+    return where(status) or "nothing loaded"

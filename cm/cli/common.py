@@ -7,14 +7,18 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import IO, Any
+from typing import IO, Any, TypeVar
 
 from cm.cli.colours import painted
 from cm.errors import InvalidRequest
+
+_T = TypeVar("_T")
+Run = Callable[[argparse.Namespace], int]  # a command; returns the exit status
 
 
 def completes(argument: argparse.Action, *words: str) -> None:
@@ -63,29 +67,46 @@ def add_lease_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def natural(text: str) -> int:
-    """A whole number, 0 or more; for argparse."""
-    if not (text.isascii() and text.isdecimal()):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, 0 or more")
-    return int(text)
+def add_board_options(parser: argparse.ArgumentParser, run: Run, lease: bool = False) -> None:
+    """Complete a command that asks a manager: ``--lease`` if `lease`, which manager, ``--json``, and what runs it."""
+    if lease:
+        add_lease_option(parser)
+    add_connection_options(parser)
+    add_json_option(parser)
+    parser.set_defaults(run=run)
 
 
-def positive(text: str) -> int:
-    """A whole number, 1 or more; for argparse."""
-    if not (text.isascii() and text.isdecimal() and text.strip("0")):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, 1 or more")
-    return int(text)
+def parsed(what: str, read: Callable[[str], _T], accepts: Callable[[_T], bool] = lambda _: True) -> Callable[[str], _T]:
+    """For argparse: a value that `read` makes of a word and `accepts` is true of; `what` stands in the error else."""
+
+    def value_of(text: str) -> _T:
+        with suppress(ValueError):
+            value = read(text)
+            if accepts(value):
+                return value
+        raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
+
+    return value_of
 
 
-def seconds(text: str) -> float:
-    """A time in seconds, 0 or more and finite; for argparse."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0 <= value < 1e9:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a time in seconds")
-    return value
+def number(text: str) -> int:
+    """An integer as people write them: 2, 0x1f, 0b101. Raises ValueError."""
+    return int(text, 0)
+
+
+def extents(text: str) -> tuple[int, ...]:
+    """A shape as people write them: 480x640. Raises ValueError."""
+    return tuple(int(extent) for extent in text.lower().replace(",", "x").split("x"))
+
+
+def digits(text: str) -> int:
+    """A number of decimal digits; -1 for any other text."""
+    return int(text) if text.isascii() and text.isdecimal() else -1
+
+
+natural = parsed("a whole number, 0 or more", digits, lambda value: value >= 0)
+positive = parsed("a whole number, 1 or more", digits, lambda value: value > 0)
+seconds = parsed("a time in seconds", float, lambda value: 0 <= value < 1e9)
 
 
 def interval(text: str) -> float:
@@ -94,6 +115,24 @@ def interval(text: str) -> float:
     if not value:
         raise argparse.ArgumentTypeError(f"{text!r}: a time of more than 0 is wanted")
     return value
+
+
+def answer(args: argparse.Namespace, value: Any, text: str, lines: bool = False) -> int:
+    """Print `value` with ``--json``, else `text`, at once if it is one of several `lines`; the exit status, 0."""
+    if args.json:
+        print_json(value, lines)
+    else:
+        print(text, flush=lines)
+    return 0
+
+
+def answer_table(args: argparse.Namespace, value: Any, rows: Iterable[Sequence[object]], headers: Sequence[str]) -> int:
+    """Print `value` with ``--json``, else a table (`print_table`); the exit status, 0."""
+    if args.json:
+        print_json(value)
+    else:
+        print_table(rows, headers)
+    return 0
 
 
 def print_json(value: Any, lines: bool = False) -> None:
@@ -141,3 +180,20 @@ def _harmless(text: str) -> str:
 
 def _is_number(text: str) -> bool:
     return text.replace(".", "", 1).lstrip("-").isdigit()
+
+
+def run_until_told(work: Callable[[], Coroutine[Any, Any, None]]) -> int:
+    """Run `work` in an event loop until SIGINT or SIGTERM; the exit status, 0."""
+    import asyncio
+    import signal
+
+    async def serve() -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        for each in (signal.SIGINT, signal.SIGTERM):
+            asyncio.get_running_loop().add_signal_handler(each, task.cancel)
+        await work()
+
+    with suppress(asyncio.CancelledError):
+        asyncio.run(serve())
+    return 0

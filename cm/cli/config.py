@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cm.cli.common import add_connection_options, add_json_option, completes, print_json, print_table
+from cm.cli.common import add_board_options, add_json_option, answer, answer_table, completes, print_json
 from cm.cli.connection import connected, plain
 
 if TYPE_CHECKING:
@@ -33,19 +33,16 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def _add_to_manager(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     listing = actions.add_parser("list", help="list the configurations and their modes")
-    listing.set_defaults(run=run_list)
+    add_board_options(listing, run_list)
     send = actions.add_parser(
         "send", help="send a schema file, and the bitstreams and overlays that belong to it, to the manager"
     )
     send.add_argument("schema", type=Path, metavar="SCHEMA")
     send.add_argument("files", nargs="*", type=Path, metavar="FILE", help="bitstreams and overlays")
-    send.set_defaults(run=run_send)
+    add_board_options(send, run_send)
     remove = actions.add_parser("remove", help="remove a configuration that a client sent")
     completes(remove.add_argument("config", metavar="CONFIG"), "<config>")
-    remove.set_defaults(run=run_remove)
-    for action in (listing, send, remove):
-        add_connection_options(action)
-        add_json_option(action)
+    add_board_options(remove, run_remove)
 
 
 def _add_check(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -85,9 +82,7 @@ def run_list(args: argparse.Namespace) -> int:
     with connected(args) as board:
         configs = [board.config(name) for name in board.configs]
         entries = {entry.name: entry for entry in board.config_entries()}
-    if args.json:
-        print_json([{**plain(c), "schema": None, **_origin(entries.get(c.name))} for c in configs])
-        return 0
+    found = [{**plain(c), "schema": None, **_origin(entries.get(c.name))} for c in configs]
     sent = any(entry.owner for entry in entries.values())
     rows = [
         (
@@ -101,8 +96,7 @@ def run_list(args: argparse.Namespace) -> int:
         for c in configs
         for m in c.modes
     ]
-    print_table(rows, ("CONFIG", "TYPE", "MODE", "MODULES", *(["SENT BY"] if sent else []), ""))
-    return 0
+    return answer_table(args, found, rows, ("CONFIG", "TYPE", "MODE", "MODULES", *(["SENT BY"] if sent else []), ""))
 
 
 def _origin(entry: ConfigEntry | None) -> dict[str, object]:
@@ -152,8 +146,6 @@ def run_rollback(args: argparse.Namespace) -> int:
     from cm.formats.importers import back
 
     done = back(args.out / args.config, args.to)
-    if args.json:
-        print_json({"config": done.config.name, "folder": str(done.folder), "files": list(done.files)})
-    else:
-        print(f"{done.folder}: an earlier version of {done.config.name} is in force, {len(done.files)} files")
-    return 0
+    told = {"config": done.config.name, "folder": str(done.folder), "files": list(done.files)}
+    text = f"{done.folder}: an earlier version of {done.config.name} is in force, {len(done.files)} files"
+    return answer(args, told, text)

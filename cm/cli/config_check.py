@@ -105,29 +105,21 @@ def _print(results: list[Checked]) -> None:
         for problem in result.problems:
             print(problem)
         if result.config is not None and not result.problems:
-            config = result.config
-            print(f"{result.path}: good: configuration {config.name}, {_count(config.modes)}")
+            name, count = result.config.name, len(result.config.modes)
+            print(f"{result.path}: good: configuration {name}, {count} mode{'s' * (count != 1)}")
         if result.settings is not None:
             print(f"{result.path}: good: settings")
 
 
-def _count(modes: Any) -> str:
-    return f"{len(modes)} mode" + ("s" if len(modes) != 1 else "")
-
-
 def _report(results: list[Checked]) -> dict[str, Any]:
+    keys = ("line", "column", "key", "code", "message", "hint")
     files = [
         {
             "path": str(result.path),
             "good": not result.problems,
             "config_name": result.config.name if result.config else None,
-            "problems": [_as_dict(problem) for problem in result.problems],
+            "problems": [{key: getattr(problem, key) for key in keys} for problem in result.problems],
         }
         for result in results
     ]
     return {"good": all(file["good"] for file in files), "files": files}
-
-
-def _as_dict(problem: Problem) -> dict[str, Any]:
-    keys = ("line", "column", "key", "code", "message", "hint")
-    return {key: getattr(problem, key) for key in keys}

@@ -16,7 +16,7 @@ from cm.errors import CmError, NotFound, Timeout
 if TYPE_CHECKING:
     from cm.client.board import Board
     from cm.client.events import EventStream
-    from cm.wire.messages.status import Status
+    from cm.wire.messages.status import Status, WindowStatus
 
 _PAUSE = 0.1  # seconds between two tries
 
@@ -57,9 +57,14 @@ def _known(value: Any) -> Any:
     return value.value if isinstance(value, Enum) else value
 
 
-def number(text: str) -> int:
-    """An integer as people write them: 2, 0x1f, 0b101. Raises ValueError."""
-    return int(text, 0)
+def where(status: Status) -> str:
+    """The mode that the board is in; empty if nothing is loaded."""
+    return f"{status.config_name}/{status.mode}" if status.config_name else ""
+
+
+def window_use(window: WindowStatus) -> str:
+    """What the holder of a window may do there."""
+    return "alone" if window.exclusive else "writes" if window.writes else "reads"
 
 
 _T = TypeVar("_T")

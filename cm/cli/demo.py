@@ -43,23 +43,24 @@ def run(args: argparse.Namespace) -> int:
     except ModuleNotFoundError:
         raise InvalidRequest("the demo writes a picture with Pillow: pip install 'fpga-cm[demo]'") from None
     started = time.monotonic()
+    print(f"wrote     {_shown(args)} after {time.monotonic() - started:.1f} s")
+    return 0
+
+
+def _shown(args: argparse.Namespace) -> Path:
+    """The picture that the chosen demonstration has made."""
     if args.fleet:
         from cm.tools.demo.fleet import run_fleet_demo
 
-        print(f"wrote     {run_fleet_demo(args.out, args.store)} after {time.monotonic() - started:.1f} s")
-        return 0
+        return run_fleet_demo(args.out, args.store)
     if args.scrub:
         from cm.tools.demo.scrub import run_scrub_demo
 
-        print(f"wrote     {run_scrub_demo(args.scrub, args.out)} after {time.monotonic() - started:.1f} s")
-        return 0
+        return run_scrub_demo(args.scrub, args.out)
     if args.bits:
         from cm.tools.demo.bits import run_bits_demo
 
-        print(f"wrote     {run_bits_demo(args.bits, args.out)} after {time.monotonic() - started:.1f} s")
-        return 0
+        return run_bits_demo(args.bits, args.out)
     from cm.tools.demo.runner import run_demo
 
-    sheet = run_demo(args.images, args.out, args.keep_frames, "rtl" if args.rtl else "models")
-    print(f"wrote     {sheet} after {time.monotonic() - started:.1f} s")
-    return 0
+    return run_demo(args.images, args.out, args.keep_frames, "rtl" if args.rtl else "models")

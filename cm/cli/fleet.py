@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 
-from cm.cli import fleet_archives, fleet_boards, fleet_change, fleet_keys, fleet_status
+from cm.cli import fleet_boards, fleet_change, fleet_keys, fleet_status
 from cm.cli.fleet_options import Intermixed
 
 
@@ -22,5 +22,5 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     fleet_status.add(actions)
     fleet_boards.add(actions)
     fleet_change.add(actions)
-    fleet_archives.add(actions)
+    fleet_boards.add_push(actions)
     fleet_keys.add(actions)

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm fleet list|add|remove|store``: the inventory of a fleet, and where its wanted state lies."""
+"""``cm fleet list|add|remove|store|push``: the inventory of a fleet, where its wanted state lies, and archives."""
 
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cm.cli.common import add_json_option, print_json, print_table
-from cm.cli.fleet_options import add_fleet_options, connected_fleet
+from cm.cli.common import answer, answer_table, print_json
+from cm.cli.fleet_options import add_fleet_options, answer_boards, connected_fleet
 from cm.errors import InvalidRequest
 
 if TYPE_CHECKING:
@@ -17,17 +18,12 @@ if TYPE_CHECKING:
 def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the actions."""
     ls = actions.add_parser("list", help="list the boards of the fleet: there, away, and not in its inventory")
-    add_fleet_options(ls)
-    add_json_option(ls)
-    ls.set_defaults(run=run_ls)
+    add_fleet_options(ls, run_ls)
     for name, run, text in (
         ("add", run_add, "put boards into the inventory (a board with a certificate does so by itself)"),
         ("remove", run_remove, "take boards out of the inventory, for good"),
     ):
-        parser = actions.add_parser(name, help=text)
-        add_fleet_options(parser)
-        add_json_option(parser)
-        parser.set_defaults(run=run)
+        add_fleet_options(actions.add_parser(name, help=text), run)
     store = actions.add_parser("store", help="show or move what the fleet wants of its boards")
     verbs = store.add_subparsers(dest="verb", metavar="ACTION", required=True)
     show = verbs.add_parser("show", help="everything that is in it, as it lies there")
@@ -39,9 +35,7 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     )
     move.add_argument("to", metavar="TO", help="keeper, etcd's https://HOST:2379,…, or a file about etcd")
     for each in (show, move):
-        add_fleet_options(each, boards=False)
-        add_json_option(each)
-        each.set_defaults(run=run_store)
+        add_fleet_options(each, run_store, boards=False)
 
 
 def run_ls(args: argparse.Namespace) -> int:
@@ -49,20 +43,16 @@ def run_ls(args: argparse.Namespace) -> int:
     with connected_fleet(args) as fleet:
         known, there = fleet.inventory(), set(fleet.boards())
         chosen = fleet.chosen(args.boards) if args.boards else sorted({*known, *there})
-    if args.json:
-        print_json([{"board": n, "there": n in there, "listed": n in known, **_plain(known.get(n))} for n in chosen])
-        return 0
     if not chosen:
-        print(NOBODY)
-        return 0
+        return answer(args, [], NOBODY)
     rows = []
     for name in chosen:
         seen = ("there" if name in there else "away") if name in known else "there, not in the inventory"
         plain = _plain(known.get(name))
         wanted = f"{plain['config']}/{plain['mode']}" if plain["generation"] else ""
         rows.append((name, seen, wanted, plain["generation"] or "", plain["follow"], " ".join(plain["labels"])))
-    print_table(rows, ("BOARD", "", "WANTED", "GENERATION", "FOLLOWS", "LABELS"))
-    return 0
+    found = [{"board": n, "there": n in there, "listed": n in known, **_plain(known.get(n))} for n in chosen]
+    return answer_table(args, found, rows, ("BOARD", "", "WANTED", "GENERATION", "FOLLOWS", "LABELS"))
 
 
 NOBODY = "no board is in the inventory, and no board's bridge is running"
@@ -85,11 +75,8 @@ def run_add(args: argparse.Namespace) -> int:
     """Add; 0 where all are in the inventory."""
     with connected_fleet(args) as fleet:
         found = fleet.add(args.boards)
-    if args.json:
-        print_json({"added": found})
-    else:
-        print(f"added: {', '.join(found)}" if found else "all of these are in the inventory already")
-    return 0
+    text = f"added: {', '.join(found)}" if found else "all of these are in the inventory already"
+    return answer(args, {"added": found}, text)
 
 
 def run_remove(args: argparse.Namespace) -> int:
@@ -98,11 +85,7 @@ def run_remove(args: argparse.Namespace) -> int:
         raise InvalidRequest("say which boards to remove; '*' for all")
     with connected_fleet(args) as fleet:
         gone = fleet.remove(args.boards)
-    if args.json:
-        print_json({"removed": gone})
-    else:
-        print(f"removed: {', '.join(gone)}")
-    return 0
+    return answer(args, {"removed": gone}, f"removed: {', '.join(gone)}")
 
 
 def run_store(args: argparse.Namespace) -> int:
@@ -110,7 +93,26 @@ def run_store(args: argparse.Namespace) -> int:
     with connected_fleet(args) as fleet:
         if args.verb == "move":
             count = fleet.move_store(args.to)
-            print_json({"to": args.to, "values": count}) if args.json else print(f"{count} values are in {args.to} now")
-        else:
-            print_json({name: entry.value for name, entry in fleet.stored().items()})
+            return answer(args, {"to": args.to, "values": count}, f"{count} values are in {args.to} now")
+        print_json({name: entry.value for name, entry in fleet.stored().items()})
     return 0
+
+
+def add_push(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the action."""
+    push = actions.add_parser("push", help="send an archive of `cm build collect` to boards, which import it")
+    push.add_argument("archive", type=Path, metavar="FILE.tar.gz")
+    add_fleet_options(push, run_push)
+
+
+def run_push(args: argparse.Namespace) -> int:
+    """Send; 0 where every board has put it in force."""
+    with connected_fleet(args) as fleet:
+        found = fleet.push(args.archive, args.boards)
+
+    def row(name: str, each: Any) -> tuple[object, ...]:
+        outcome = each.error.message if each.error else each.config_name
+        return name, f"{each.have}/{each.length}", each.signer, outcome
+
+    headers = ("BOARD", "BYTES", "SIGNED BY", "CONFIGURATION")
+    return answer_boards(args, found, headers, row, lambda each: not each.error)

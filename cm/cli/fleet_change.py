@@ -7,8 +7,8 @@ import argparse
 import sys
 from typing import TYPE_CHECKING, Any
 
-from cm.cli.common import add_json_option, print_json, print_table, seconds
-from cm.cli.fleet_options import add_fleet_options, connected_fleet
+from cm.cli.common import print_json, print_table, seconds
+from cm.cli.fleet_options import add_fleet_options, answer_boards, connected_fleet
 
 if TYPE_CHECKING:
     from cm.networks.fleet.change import Course, Leg
@@ -25,8 +25,7 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     load.add_argument("config", metavar="CONFIG")
     load.add_argument("mode", metavar="MODE", help="mode of the configuration; '' for its default mode")
     for parser in (mode, load):
-        add_fleet_options(parser)
-        add_json_option(parser)
+        add_fleet_options(parser, run)
         parser.add_argument(
             "--policy",
             type=_policy,
@@ -44,16 +43,13 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
         parser.add_argument(
             "--phase", type=seconds, default=60.0, metavar="SECONDS", help="time-out of each phase (60)"
         )
-        parser.set_defaults(run=run)
     again = actions.add_parser(
         "reconcile",
         help="have boards go where they are wanted, now",
         description="Takes back what somebody changed on a board by hand, and tries again what has failed. Exit status "
         "1 if a board is not where it is wanted then.",
     )
-    add_fleet_options(again)
-    add_json_option(again)
-    again.set_defaults(run=run_reconcile)
+    add_fleet_options(again, run_reconcile)
 
 
 def _policy(said: str) -> str:
@@ -85,24 +81,16 @@ def run(args: argparse.Namespace) -> int:
 
 def run_reconcile(args: argparse.Namespace) -> int:
     """Go where it is wanted; 0 where every board is there."""
-    from cm.cli.connection import plain
     from cm.networks.fleet.status_text import FINE, wanted
-    from cm.wire.messages.status import ErrorInfo
 
     with connected_fleet(args) as fleet:
         found = fleet.reconcile(args.boards)
-    failed = any(isinstance(each, ErrorInfo) or each.state not in FINE for each in found.values())
-    if args.json:
-        print_json({name: plain(each) for name, each in found.items()})
-        return int(failed)
-    rows = []
-    for name, each in found.items():
-        if isinstance(each, ErrorInfo):
-            rows.append((name, "?", "", each.message))
-        else:
-            rows.append((name, each.state, wanted(each), each.error.message if each.error else each.store_error))
-    print_table(rows, ("BOARD", "STATE", "WANTED", ""))
-    return int(failed)
+
+    def row(name: str, each: Any) -> tuple[object, ...]:
+        return name, each.state, wanted(each), each.error.message if each.error else each.store_error
+
+    headers = ("BOARD", "STATE", "WANTED", "")
+    return answer_boards(args, found, headers, row, lambda each: each.state in FINE, unknown="?")
 
 
 def _nothing(*_: object) -> None:

@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cm.cli.common import seconds
+from cm.cli.common import Run, add_json_option, answer_table, seconds
+from cm.cli.connection import plain
 from cm.cli.parser import Parser
 
 if TYPE_CHECKING:
@@ -68,8 +70,8 @@ def network_of(args: argparse.Namespace, **more: object) -> Network:
     return Network(connect=connect, config=args.zenoh_config, store=args.store, **more)  # type: ignore[arg-type]
 
 
-def add_fleet_options(parser: argparse.ArgumentParser, boards: bool = True) -> None:
-    """Add the boards, the options of `add_network_options`, the caller's name, and the time-out."""
+def add_fleet_options(parser: argparse.ArgumentParser, run: Run, boards: bool = True) -> None:
+    """Add the boards, the options of `add_network_options`, the caller's name, the time-out, ``--json``, and `run`."""
     if boards:
         parser.add_argument(
             "boards", nargs="*", default=[], metavar="BOARD", help="a name, a glob or @LABEL (default: all)"
@@ -86,6 +88,8 @@ def add_fleet_options(parser: argparse.ArgumentParser, boards: bool = True) -> N
     group.add_argument(
         "--timeout", type=seconds, default=10.0, metavar="SECONDS", help="how long to wait for an answer (10)"
     )
+    add_json_option(parser)
+    parser.set_defaults(run=run)
 
 
 def connected_fleet(args: argparse.Namespace) -> Fleet:
@@ -95,3 +99,26 @@ def connected_fleet(args: argparse.Namespace) -> Fleet:
 
     routers = tuple(map(endpoint, args.router))
     return connect(routers, config=args.zenoh_config, caller=args.caller, timeout=args.timeout, store=args.store)
+
+
+def answer_boards(
+    args: argparse.Namespace,
+    found: Mapping[str, Any],
+    headers: Sequence[str],
+    row: Callable[[str, Any], tuple[object, ...]],
+    fine: Callable[[Any], bool] = lambda _: True,
+    as_json: Callable[[Any], Any] = plain,
+    unknown: str = "",
+) -> int:
+    """Print what each board answered, by name, as a table of `row` or as JSON.
+
+    Returns the exit status: 1 where a board is not `fine`, or could not answer, which its last column says, behind
+    `unknown` in the second.
+    """
+    from cm.wire.messages.status import ErrorInfo
+
+    silent = {name: each for name, each in found.items() if isinstance(each, ErrorInfo)}
+    nothing = (unknown, *[""] * (len(headers) - 3))
+    rows = [(n, *nothing, silent[n].message) if n in silent else row(n, each) for n, each in found.items()]
+    answer_table(args, {name: as_json(each) for name, each in found.items()}, rows, headers)
+    return int(bool(silent) or not all(fine(each) for each in found.values()))

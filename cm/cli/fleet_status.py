@@ -7,9 +7,9 @@ import argparse
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from cm.cli.common import add_json_option, print_json, print_table
-from cm.cli.connection import number, plain
-from cm.cli.fleet_options import add_fleet_options, connected_fleet
+from cm.cli.common import number, print_json, print_table
+from cm.cli.connection import plain
+from cm.cli.fleet_options import add_fleet_options, answer_boards, connected_fleet
 
 if TYPE_CHECKING:
     from cm.wire.messages.fleet import BoardStatus
@@ -23,13 +23,11 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
         ("watch", run_watch, "follow the boards as they change, come and go"),
     ):
         parser = actions.add_parser(name, help=text)
-        add_fleet_options(parser)
-        add_json_option(parser)
+        add_fleet_options(parser, run)
         if name == "status":
             parser.add_argument(
                 "--prometheus", action="store_true", help="as metrics, for node_exporter's textfile collector"
             )
-        parser.set_defaults(run=run)
     _add_plan(actions)
     _add_reg(actions)
 
@@ -40,9 +38,7 @@ def _add_plan(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     parser.add_argument(
         "--config", default="", metavar="CONFIG", help="configuration to look at (default: the loaded one)"
     )
-    add_fleet_options(parser)
-    add_json_option(parser)
-    parser.set_defaults(run=run_plan)
+    add_fleet_options(parser, run_plan)
 
 
 def _add_reg(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -53,9 +49,7 @@ def _add_reg(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
         each.add_argument("name", metavar="NAME")
         if verb == "write":
             each.add_argument("value", metavar="VALUE", help="a number, or the name of a field's value")
-        add_fleet_options(each)
-        add_json_option(each)
-        each.set_defaults(run=run_reg)
+        add_fleet_options(each, run_reg)
 
 
 def run_status(args: argparse.Namespace) -> int:
@@ -65,7 +59,7 @@ def run_status(args: argparse.Namespace) -> int:
 
     with connected_fleet(args) as fleet:
         found = fleet.status(args.boards)
-    failed = _failed(found) or any(stands_apart(s) for s in found.values() if not isinstance(s, ErrorInfo))
+    failed = any(isinstance(status, ErrorInfo) or stands_apart(status) for status in found.values())
     if args.json:
         print_json({name: _plain(status) for name, status in found.items()})
     elif args.prometheus:
@@ -148,38 +142,27 @@ def _tell(args: argparse.Namespace, told: dict[str, tuple[object, ...]], name: s
 
 def run_plan(args: argparse.Namespace) -> int:
     """Print what each board would do; 1 where one of them cannot."""
-    from cm.wire.messages.status import ErrorInfo
-
     with connected_fleet(args) as fleet:
         found = fleet.plan(args.mode, args.config, args.boards)
-    if args.json:
-        print_json({name: _plain(plan) for name, plan in found.items()})
-        return int(_failed(found))
-    rows = [
-        (n, "", "", "", p.message)
-        if isinstance(p, ErrorInfo)
-        else (n, len(p.steps), p.bytes, f"{p.seconds * 1000:.1f}", f"{p.config_name}/{p.mode}")
-        for n, p in found.items()
-    ]
-    print_table(rows, ("BOARD", "STEPS", "BYTES", "MS", "TO"))
-    return int(_failed(found))
+
+    def row(name: str, plan: Any) -> tuple[object, ...]:
+        return name, len(plan.steps), plan.bytes, f"{plan.seconds * 1000:.1f}", f"{plan.config_name}/{plan.mode}"
+
+    return answer_boards(args, found, ("BOARD", "STEPS", "BYTES", "MS", "TO"), row, as_json=_plain)
 
 
 def run_reg(args: argparse.Namespace) -> int:
     """Read or write; 1 where a board could not."""
-    from cm.wire.messages.status import ErrorInfo
-
     with connected_fleet(args) as fleet:
         if args.verb == "read":
             found = fleet.read(args.name, args.boards)
         else:
             found = fleet.write({args.name: _value(args.value)}, args.boards)
-    if args.json:
-        print_json({name: _plain(values) for name, values in found.items()})
-        return int(_failed(found))
-    rows = [(n, "", v.message) if isinstance(v, ErrorInfo) else (n, _shown(args.name, v), "") for n, v in found.items()]
-    print_table(rows, ("BOARD", args.name, ""))
-    return int(_failed(found))
+
+    def row(name: str, values: Any) -> tuple[object, ...]:
+        return name, _shown(args.name, values), ""
+
+    return answer_boards(args, found, ("BOARD", args.name, ""), row, as_json=_plain)
 
 
 def _shown(name: str, values: Any) -> str:
@@ -193,12 +176,6 @@ def _value(text: str) -> int | str:
         return number(text)
     except ValueError:
         return text
-
-
-def _failed(found: Mapping[str, Any]) -> bool:
-    from cm.wire.messages.status import ErrorInfo
-
-    return any(isinstance(each, ErrorInfo) for each in found.values())
 
 
 def _plain(value: Any) -> Any:

@@ -6,11 +6,16 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from cm.cli.common import add_json_option, print_json
+from cm.cli.common import add_json_option, answer, digits, parsed, print_json
 from cm.formats.importers import Imported, import_dfx_mgr, import_pynq, unpack, write
 from cm.schema import dump
 from cm.server.settings.model import Settings
+
+if TYPE_CHECKING:
+    from cm.formats.importers.archive import Unpacked
+    from cm.formats.signing.policy import Judgement
 
 FIRMWARE = Path("/lib/firmware/cm")  # where the manager looks for a configuration's files
 
@@ -35,7 +40,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     packed.add_argument(
         "--out", type=Path, metavar="DIR", default=FIRMWARE, help=f"unpack below this folder ({FIRMWARE})"
     )
-    packed.add_argument("--keep", type=_count, metavar="N", help="earlier versions to keep for a rollback (default: 3)")
+    count = parsed("a number of versions", digits, lambda value: value >= 0)
+    packed.add_argument("--keep", type=count, metavar="N", help="earlier versions to keep for a rollback (default: 3)")
     packed.add_argument(
         "--settings", type=Path, metavar="FILE", help="settings whose policy of signatures applies (/etc/cm/cm.yaml)"
     )
@@ -67,36 +73,35 @@ def run(args: argparse.Namespace) -> int:
 
 def run_archive(args: argparse.Namespace) -> int:
     """Unpack; 0 unless the archive is refused."""
+    done, found = unpack_signed(args.source, args.out, args.settings, args.keep)
+    told = {key: value for key, value in (("signer", found.signer), ("warning", found.warning)) if value}
+    if not args.json and found.warning:
+        print(f"warning: {found.warning}", file=sys.stderr)
+    elif not args.json and found.signer:
+        print(f"{args.source}: signed by {found.signer}, version {found.version}")
+    counts = f"{len(done.config.modules)} modules, {len(done.config.modes)} modes, {len(done.files)} files"
+    answered = {"config": done.config.name, "folder": str(done.folder), "files": list(done.files), **told}
+    return answer(args, answered, f"{done.folder}: configuration {done.config.name}, {counts}")
+
+
+def unpack_signed(
+    archive: Path, out: Path, settings: Path | None, keep: int | None = None
+) -> tuple[Unpacked, Judgement]:
+    """Unpack an archive under the settings' policy of signatures, and keep as many earlier versions as they say.
+
+    Raises what `unpack` does, and SignatureRefused.
+    """
     from cm.cli.signatures import policy_of
     from cm.formats.signing import judge
     from cm.formats.signing.policy import Judgement
 
-    settings = read_settings(args.settings)
-    policy, found = policy_of(settings), [Judgement()]
+    said = read_settings(settings)
+    policy, found = policy_of(said), [Judgement()]
 
     def asked(folder: Path, name: str, installed: Path) -> None:
         found.append(judge(folder, name, policy, installed))
 
-    done = unpack(args.source, args.out, settings.imports.keep if args.keep is None else args.keep, asked)
-    signer, warning = found[-1].signer, found[-1].warning
-    if args.json:
-        files = list(done.files)
-        told = {key: value for key, value in (("signer", signer), ("warning", warning)) if value}
-        print_json({"config": done.config.name, "folder": str(done.folder), "files": files, **told})
-    else:
-        if warning:
-            print(f"warning: {warning}", file=sys.stderr)
-        elif signer:
-            print(f"{args.source}: signed by {signer}, version {found[-1].version}")
-        counts = f"{len(done.config.modules)} modules, {len(done.config.modes)} modes, {len(done.files)} files"
-        print(f"{done.folder}: configuration {done.config.name}, {counts}")
-    return 0
-
-
-def _count(text: str) -> int:
-    if not text.isascii() or not text.isdigit():
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of versions")
-    return int(text)
+    return unpack(archive, out, said.imports.keep if keep is None else keep, asked), found[-1]
 
 
 def read_settings(path: Path | None) -> Settings:

@@ -12,8 +12,8 @@ import time
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from cm.cli.common import add_connection_options, add_json_option, completes, print_json, print_table, seconds
-from cm.cli.connection import connected, plain
+from cm.cli.common import add_board_options, answer, answer_table, completes, seconds
+from cm.cli.connection import connected, plain, window_use
 from cm.cli.parser import Parser
 from cm.client.core import calls, leases
 from cm.errors import CmError, NotFound
@@ -22,7 +22,6 @@ from cm.wire.messages.requests import TakeLease
 if TYPE_CHECKING:
     from cm.client.board import Board
     from cm.client.lease import BoardLease
-    from cm.wire.messages.status import WindowStatus
 
 _HELD = 30.0  # seconds for which a lease is taken, and renewed three times in that time
 _VARIABLE = "CM_LEASE"
@@ -47,20 +46,19 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     taking.add_argument("--seconds", type=seconds, metavar="N", help="take it for so long, at most 3600, and end")
     taking.add_argument("--shared", action="store_true", help="others may hold it too, as shared")
     taking.add_argument("--holder", default="", metavar="NAME", help="the name that others see (default: the user's)")
-    taking.set_defaults(run=run_take, refuse=taking.error, command=[])
+    add_board_options(taking, run_take)
+    taking.set_defaults(refuse=taking.error, command=[])
     giving = actions.add_parser("give", help="give a lease back")
     giving.add_argument(
         "id", metavar="ID", nargs="?", default=os.environ.get(_VARIABLE, ""), help="its id (default: $CM_LEASE)"
     )
-    giving.set_defaults(run=run_give, refuse=giving.error)
+    add_board_options(giving, run_give)
+    giving.set_defaults(refuse=giving.error)
     listing = actions.add_parser("list", help="list the leases and windows, who holds them and for how long")
-    listing.set_defaults(run=run_list)
+    add_board_options(listing, run_list)
     breaking = actions.add_parser("break", help="end somebody else's lease (for administrators)")
     breaking.add_argument("number", metavar="NUMBER", type=int, help="number of the lease in the list")
-    breaking.set_defaults(run=run_break)
-    for action in (taking, giving, listing, breaking):
-        add_connection_options(action)
-        add_json_option(action)
+    add_board_options(breaking, run_break)
 
 
 class _Parser(Parser):
@@ -89,7 +87,8 @@ def run_take(args: argparse.Namespace) -> int:
         try:
             if args.command:
                 return _during(args.command, lease)
-            _tell(args, lease.id, _HELD, f"{lease.id} holds {args.scope} until Ctrl-C")
+            told = {"id": lease.id, "scope": args.scope, "seconds": _HELD}
+            answer(args, told, f"{lease.id} holds {args.scope} until Ctrl-C", lines=True)
             while True:
                 time.sleep(_HELD / 3)
                 lease.renew()
@@ -108,15 +107,7 @@ def _user() -> str:
 def _leave(board: Board, args: argparse.Namespace, holder: str) -> int:
     """Take it for some time; it does not end with this process."""
     taken = board.ask(calls.lease(TakeLease(args.scope, not args.shared, args.seconds, holder=holder)))
-    _tell(args, taken.id, taken.seconds, taken.id)
-    return 0
-
-
-def _tell(args: argparse.Namespace, identity: str, held: float, text: str) -> None:
-    if args.json:
-        print_json({"id": identity, "scope": args.scope, "seconds": held}, lines=True)
-    else:
-        print(text, flush=True)
+    return answer(args, {"id": taken.id, "scope": args.scope, "seconds": taken.seconds}, taken.id, lines=True)
 
 
 def _during(command: list[str], lease: BoardLease) -> int:
@@ -154,11 +145,7 @@ def run_give(args: argparse.Namespace) -> int:
         args.refuse("which lease? ID, or CM_LEASE=ID")
     with connected(args) as board:
         given = board.ask(calls.lease(leases.release(args.id)))
-    if args.json:
-        print_json(plain(given))
-    else:
-        print(f"{given.scope} is given back")
-    return 0
+    return answer(args, plain(given), f"{given.scope} is given back")
 
 
 def run_list(args: argparse.Namespace) -> int:
@@ -166,29 +153,18 @@ def run_list(args: argparse.Namespace) -> int:
     with connected(args) as board:
         status = board.status
     held, windows = status.leases, status.windows
-    if args.json:
-        mapped = [{"scope": f"window:{x.region}", **x._asdict()} for x in windows]
-        print_json([*(plain(lease) for lease in held), *mapped])
-    else:
-        rows: list[tuple[object, ...]] = [
-            (x.number, x.scope, "alone" if x.exclusive else "shared", x.holder, x.client, f"{x.seconds:.0f} s")
-            for x in held
-        ]
-        rows += [("-", f"window:{x.region}", _how(x), x.module or "-", x.client, "-") for x in windows]
-        print_table(rows, ("NUMBER", "SCOPE", "HOW", "HOLDER", "CLIENT", "LEFT"))
-    return 0
-
-
-def _how(window: WindowStatus) -> str:
-    return "alone" if window.exclusive else "writes" if window.writes else "reads"
+    mapped = [{"scope": f"window:{x.region}", **x._asdict()} for x in windows]
+    rows: list[tuple[object, ...]] = [
+        (x.number, x.scope, "alone" if x.exclusive else "shared", x.holder, x.client, f"{x.seconds:.0f} s")
+        for x in held
+    ]
+    rows += [("-", f"window:{x.region}", window_use(x), x.module or "-", x.client, "-") for x in windows]
+    headers = ("NUMBER", "SCOPE", "HOW", "HOLDER", "CLIENT", "LEFT")
+    return answer_table(args, [*map(plain, held), *mapped], rows, headers)
 
 
 def run_break(args: argparse.Namespace) -> int:
     """End a lease; the exit status."""
     with connected(args) as board:
         ended = board.break_lease(args.number)
-    if args.json:
-        print_json(plain(ended))
-    else:
-        print(f"{ended.scope} is held no more by {ended.holder}")
-    return 0
+    return answer(args, plain(ended), f"{ended.scope} is held no more by {ended.holder}")

@@ -12,15 +12,17 @@ from typing import Any
 import numpy as np
 
 from cm.cli.common import (
-    add_connection_options,
-    add_json_option,
-    add_lease_option,
+    add_board_options,
+    answer,
+    answer_table,
     binary_output,
     completes,
+    extents,
+    number,
+    parsed,
     print_json,
-    print_table,
-)
-from cm.cli.connection import connected, number, plain
+)  # fmt: skip
+from cm.cli.connection import connected, plain
 from cm.errors import InvalidRequest
 from cm.wire.messages.status import MemoryInfo
 
@@ -33,16 +35,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser("mem", help="list, read and write memories")
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     listing = actions.add_parser("list", help="the memories of the current mode")
-    listing.set_defaults(run=run_list)
+    add_board_options(listing, run_list)
     read = actions.add_parser("read", help="print bytes of a memory, or write them to a file")
     completes(read.add_argument("name", metavar="NAME"), "<memory>")
-    read.add_argument(
-        "--offset",
-        type=number,
-        default=0,
-        metavar="BYTES",
-        help="where to begin, in bytes: a multiple of 4 (default: 0)",
-    )
+    _add_offset(read)
     read.add_argument(
         "--length", type=number, metavar="BYTES", help="how many bytes, a multiple of 4 (default: the rest)"
     )
@@ -53,7 +49,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         metavar="FILE",
         help="a .npy file, or any other name for the plain bytes; - is stdout",
     )
-    read.set_defaults(run=run_read)
+    add_board_options(read, run_read)
     write = actions.add_parser("write", help="write a file or values to a memory")
     completes(write.add_argument("name", metavar="NAME"), "<memory>")
     source = write.add_mutually_exclusive_group(required=True)
@@ -61,49 +57,34 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "file", metavar="FILE", nargs="?", type=Path, help="a .npy file, or any other file of plain bytes; - is stdin"
     )
     source.add_argument("--values", metavar="VALUE", nargs="+", help="elements of the memory's type")
-    write.add_argument(
-        "--offset",
-        type=number,
-        default=0,
-        metavar="BYTES",
-        help="where to begin, in bytes: a multiple of 4 (default: 0)",
-    )
-    add_lease_option(write)
-    write.set_defaults(run=run_write)
+    _add_offset(write)
+    add_board_options(write, run_write, lease=True)
+    shape = parsed("a shape such as 256 or 16x32", extents)
     define = actions.add_parser("define", help="name a block of a UIO window, until another configuration is loaded")
     define.add_argument("name", metavar="NAME")
     define.add_argument("address", metavar="ADDRESS", type=number, help="physical address")
     define.add_argument("length", metavar="BYTES", type=number)
     define.add_argument("--dtype", default="", metavar="TYPE", help="a numpy dtype (default: uint32)")
-    define.add_argument("--shape", type=_shape, default=(), metavar="16x32", help="shape of the whole memory")
+    define.add_argument("--shape", type=shape, default=(), metavar="16x32", help="shape of the whole memory")
     define.add_argument("--access", choices=("rw", "ro", "wo"), default="rw")
     define.add_argument("--region", default="", metavar="NAME", help="the region whose module holds it, or static")
-    add_lease_option(define)
-    define.set_defaults(run=run_define)
-    for action in (listing, read, write, define):
-        add_connection_options(action)
-        add_json_option(action)
+    add_board_options(define, run_define, lease=True)
 
 
-def _shape(text: str) -> tuple[int, ...]:
-    try:
-        return tuple(int(part) for part in text.lower().split("x"))
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a shape such as 256 or 16x32") from None
+def _add_offset(parser: argparse.ArgumentParser) -> None:
+    says = "where to begin, in bytes: a multiple of 4 (default: 0)"
+    parser.add_argument("--offset", type=number, default=0, metavar="BYTES", help=says)
 
 
 def run_list(args: argparse.Namespace) -> int:
     """Print what there is to know of each memory; the exit status."""
     with connected(args) as board:
         found = list(board.memories.info.values())
-    if args.json:
-        print_json([plain(m) for m in found])
-        return 0
     rows = [
         (m.name, f"{m.address:#x}", m.size, m.access, m.dtype, _form(m), m.region or "static", m.doc) for m in found
     ]
-    print_table(rows, ("NAME", "ADDRESS", "BYTES", "ACCESS", "DTYPE", "SHAPE", "REGION", "MEANING"))
-    return 0
+    headers = ("NAME", "ADDRESS", "BYTES", "ACCESS", "DTYPE", "SHAPE", "REGION", "MEANING")
+    return answer_table(args, [plain(m) for m in found], rows, headers)
 
 
 def _form(memory: MemoryInfo) -> str:
@@ -157,11 +138,8 @@ def run_write(args: argparse.Namespace) -> int:
         memory = board.memories[args.name]
         data = _values(args.values, memory.info.dtype) if args.file is None else _loaded(args.file)
         length = memory.write(data, args.offset, args.lease)
-    if args.json:
-        print_json({"name": args.name, "offset": args.offset, "length": length})
-    else:
-        print(f"{length} bytes written to {args.name}")
-    return 0
+    told = {"name": args.name, "offset": args.offset, "length": length}
+    return answer(args, told, f"{length} bytes written to {args.name}")
 
 
 def _values(texts: list[str], dtype: str) -> np.ndarray[Any, Any]:
@@ -188,20 +166,7 @@ def _loaded(path: Path) -> Any:
 def run_define(args: argparse.Namespace) -> int:
     """Name a block, and print what it is; the exit status."""
     with connected(args) as board:
-        memory = board.configure_memory(
-            args.name,
-            args.address,
-            args.length,
-            shape=args.shape,
-            dtype=args.dtype,
-            access=args.access,
-            region=args.region,
-            lease=args.lease,
-        )
-        info = memory.info
-    if args.json:
-        print_json(plain(info))
-    else:
-        where = f"{info.size} bytes at {info.address:#x}, {info.region or 'static'}"
-        print(f"{info.name}: {where}, {info.access}, {info.dtype} {_form(info)}")
-    return 0
+        settings = {name: getattr(args, name) for name in ("shape", "dtype", "access", "region", "lease")}
+        info = board.configure_memory(args.name, args.address, args.length, **settings).info
+    where = f"{info.size} bytes at {info.address:#x}, {info.region or 'static'}"
+    return answer(args, plain(info), f"{info.name}: {where}, {info.access}, {info.dtype} {_form(info)}")

@@ -10,17 +10,8 @@ from difflib import get_close_matches
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from cm.cli.common import (
-    add_connection_options,
-    add_json_option,
-    add_lease_option,
-    completes,
-    interval,
-    natural,
-    print_json,
-    print_table,
-)
-from cm.cli.connection import connected, followed, number, plain
+from cm.cli.common import add_board_options, answer, answer_table, completes, interval, natural, number
+from cm.cli.connection import connected, followed, plain
 from cm.client.core import registers
 from cm.errors import NotFound
 from cm.wire.messages.status import RegisterInfo
@@ -34,17 +25,17 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser("reg", help="list, read, write and watch registers")
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     listing = actions.add_parser("list", help="the registers of the current mode")
-    listing.set_defaults(run=run_list)
+    add_board_options(listing, run_list)
     read = actions.add_parser("read", help="read registers or fields (NAME.FIELD); by default all")
     completes(read.add_argument("names", metavar="NAME", nargs="*"), "<register>")
-    read.set_defaults(run=run_read)
+    add_board_options(read, run_read)
     write = actions.add_parser(
         "write", help="write registers or fields, in order; all are checked before the first is written"
     )
     completes(write.add_argument("writes", metavar="NAME=VALUE", nargs="+", type=_assignment), "<assignment>")
     write.add_argument("--mask", type=number, metavar="BITS", help="change only these bits (one register)")
-    add_lease_option(write)
-    write.set_defaults(run=run_write, refuse=write.error)
+    add_board_options(write, run_write, lease=True)
+    write.set_defaults(refuse=write.error)
     watch = actions.add_parser(
         "watch",
         help="print registers as they are written",
@@ -56,10 +47,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--every", type=interval, metavar="SECONDS", help="read at this interval, and print what has changed"
     )
     watch.add_argument("--count", type=natural, default=0, metavar="N", help="stop after N lines (default: 0, never)")
-    watch.set_defaults(run=run_watch)
-    for action in (listing, read, write, watch):
-        add_connection_options(action)
-        add_json_option(action)
+    add_board_options(watch, run_watch)
 
 
 def _assignment(text: str) -> tuple[str, int | str]:
@@ -78,12 +66,9 @@ def run_list(args: argparse.Namespace) -> int:
     """Print what the schema says of each register; the exit status."""
     with connected(args) as board:
         found = list(board.registers.info.values())
-    if args.json:
-        print_json([plain(r) for r in found])
-        return 0
     rows = [row for r in found for row in _rows(r)]
-    print_table(rows, ("NAME", "ADDRESS", "WIDTH", "ACCESS", "RANGE", "REGION", "MEANING"))
-    return 0
+    headers = ("NAME", "ADDRESS", "WIDTH", "ACCESS", "RANGE", "REGION", "MEANING")
+    return answer_table(args, [plain(r) for r in found], rows, headers)
 
 
 def _rows(r: RegisterInfo) -> list[tuple[str, str, int, str, str, str, str]]:
@@ -121,10 +106,7 @@ def run_watch(args: argparse.Namespace) -> int:
     with connected(args) as board:
         values = _written(board, names) if args.every is None else _changed(board, names, args.every)
         for name, value in islice(values, args.count or None):
-            if args.json:
-                print_json({"name": name, "value": value}, lines=True)
-            else:
-                print(f"{name} {value}  {value:#x}", flush=True)
+            answer(args, {"name": name, "value": value}, f"{name} {value}  {value:#x}", lines=True)
     return 0
 
 
@@ -152,11 +134,7 @@ def _changed(board: Board, names: tuple[str, ...], every: float) -> Iterator[tup
 
 
 def _show(args: argparse.Namespace, values: dict[str, int]) -> int:
-    if args.json:
-        print_json(values)
-    else:
-        print_table([(n, v, f"{v:#x}") for n, v in values.items()], ("NAME", "VALUE", "HEX"))
-    return 0
+    return answer_table(args, values, [(n, v, f"{v:#x}") for n, v in values.items()], ("NAME", "VALUE", "HEX"))
 
 
 def _limits(r: RegisterInfo) -> str:

@@ -4,16 +4,23 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from cm.cli.common import add_connection_options, add_json_option, add_lease_option, completes, print_json, print_table
-from cm.cli.region_map import add_map
+from cm.cli.common import add_board_options, completes, print_json, print_table
+from cm.cli.connection import connected, plain
+from cm.errors import InvalidRequest, NotFound
+from cm.frozen import dataclass
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from cm.client.board import Board
-    from cm.wire.messages.status import RegionCheck
+    from cm.formats.xray.drawing import Wrong
+    from cm.formats.xray.fabric import FabricColumn
+    from cm.schema.model import Config, Module
+    from cm.wire.messages.status import RegionCheck, RegionMap
 
 _CHECK = """Read the region's configuration back and compare it with the bitstream that was loaded. Exit status: 0 where
 it is as it was loaded, or was repaired; 1 where it is not, or nothing of it can be judged."""
@@ -28,17 +35,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     completes(check.add_argument("name", metavar="NAME", help="the region"), "<region>")
     check.add_argument("--repair", action="store_true", help="write what is wrong anew, and compare again")
     check.add_argument("--reload", action="store_true", help="repair by loading the whole region again")
-    add_lease_option(check)
-    add_connection_options(check)
-    add_json_option(check)
-    check.set_defaults(run=run_check)
-    add_map(actions)
+    add_board_options(check, run_check, lease=True)
+    _add_map(actions)
 
 
 def run_check(args: argparse.Namespace) -> int:
     """Compare, and repair if asked; the exit status."""
-    from cm.cli.connection import connected, plain
-
     with connected(args) as board:
         found = board.check_region(args.name, repair=args.repair, reload=args.reload, lease=args.lease)
         places = _places(board, found) if found.wrong else {}
@@ -94,3 +96,147 @@ def _verdict(found: RegionCheck) -> str:
     if not found.repaired:
         return f"{bits} wrong"
     return f"{bits} were wrong; good again, {'written anew' if found.repaired == 'frames' else 'loaded again'}"
+
+
+# ---- map -------------------------------------------------------------------------
+
+
+def _add_map(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = actions.add_parser(
+        "map",
+        help="draw a region's frames: its columns, and what is configured where",
+        description="Draw the frames of a region of a 7-series device: its columns, and how much of them its module "
+        "configures. Kinds of columns and names of tiles are those of Project X-Ray's database, where it is "
+        "installed (cm build tools --fetch).",
+    )
+    completes(parser.add_argument("name", metavar="NAME", help="the region"), "<region>")
+    parser.add_argument(
+        "--check",
+        nargs="?",
+        const=Path("-"),
+        type=Path,
+        metavar="FILE",
+        help="compare the region first, and show what is wrong red; FILE: what `cm region check --json` said",
+    )
+    parser.add_argument("--svg", type=Path, metavar="FILE", help="write the picture there (- for stdout)")
+    parser.add_argument("--config", type=Path, metavar="SCHEMA", help="ask no manager: the runtime schema that has it")
+    parser.add_argument(
+        "--module", metavar="NAME", help="with --config: what is in it (default: that of the first mode)"
+    )
+    add_board_options(parser, run_map)
+
+
+def run_map(args: argparse.Namespace) -> int:
+    """Print the columns, and write the picture; the exit status."""
+    if args.module and not args.config:
+        raise InvalidRequest("--module goes with --config: a manager knows what is in the region")
+    found = _of_files(args) if args.config else _of_manager(args)
+    if args.svg:
+        _write(args.svg, found.picture())
+    if args.json:
+        print_json(found.plain())
+    elif args.svg != Path("-"):
+        found.show()
+    return 0
+
+
+def _of_files(args: argparse.Namespace) -> _Map:
+    from cm.formats.bitstream.memory import frames_in
+    from cm.formats.xray.fabric import fabric  # a completed name needs none of this
+    from cm.schema import load
+    from cm.schema.files import bitstream_path
+    from cm.wire.messages.status import RegionMap
+
+    if args.check == Path("-"):
+        raise InvalidRequest("--config asks no manager: --check needs the FILE that cm region check --json wrote")
+    config = load(args.config)
+    module = _module(config, args.name, args.module)
+    device, frames = frames_in(bitstream_path(config, module))
+    found = RegionMap(args.name, module.name, device.name, config.name)
+    return _map(found, fabric(frames), _said(args.check))
+
+
+def _of_manager(args: argparse.Namespace) -> _Map:
+    from cm.formats.xray.drawing import columns_of, wrong_words
+
+    with connected(args) as board:
+        found = board.map_region(args.name)
+        wrong = board.check_region(args.name).wrong if args.check == Path("-") else None
+    red = _said(args.check) if wrong is None else wrong_words((one.far, one.bits) for one in wrong)
+    return _map(found, columns_of(found), red)
+
+
+def _map(found: RegionMap, columns: Sequence[FabricColumn], wrong: Wrong) -> _Map:
+    from cm.formats.xray.drawing import with_names
+
+    known = with_names(found.device, columns)
+    return _Map(found, known or columns, wrong, known is not None)
+
+
+@dataclass(frozen=True, slots=True)
+class _Map:
+    of: RegionMap
+    columns: Sequence[FabricColumn]
+    wrong: Wrong
+    named: bool
+
+    def picture(self) -> str:
+        from cm.formats.xray.drawing import region_picture
+
+        return region_picture(self.of, self.columns, self.wrong, self.named)
+
+    def plain(self) -> dict[str, Any]:
+        columns = [plain(column) for column in self.columns]
+        return {**plain(self.of), "columns": columns, "wrong": sorted(self.wrong), "named": self.named}
+
+    def show(self) -> None:
+        from cm.formats.xray.drawing import WITHOUT_DATABASE, summary, title
+
+        print(f"{title(self.of)}; {summary(self.of, self.columns, self.wrong)}")
+        rows = [(f"{c.address:08X}", c.kind, len(c.bits), sum(c.bits), _bad(c, self.wrong)) for c in self.columns]
+        print_table(rows, ("COLUMN", "KIND", "FRAMES", "BITS", "WRONG"))
+        if not self.named:
+            print(WITHOUT_DATABASE)
+
+
+def check_region(config: Config, region: str) -> None:
+    """Raise NotFound where a configuration has no such region."""
+    if region not in config.regions:
+        raise NotFound(f"configuration {config.name} has no region {region}; it has {', '.join(config.regions)}")
+
+
+def _module(config: Config, region: str, name: str | None) -> Module:
+    check_region(config, region)
+    own = {one.name: one for one in config.modules.values() if one.region == region}
+    if name is None:
+        first = config.modes[config.first_mode()].modules
+        name = next((one for one in first if one in own), next(iter(own), None))
+    if name is None:
+        raise NotFound(f"region {region} has no module")
+    if name not in own:
+        raise NotFound(f"region {region} has no module {name}; it has {', '.join(own)}")
+    return own[name]
+
+
+def _said(path: Path | None) -> Wrong:
+    """Frames that a check has found wrong, with their words."""
+    from cm.formats.xray.drawing import wrong_words
+
+    if path is None:
+        return {}
+    try:
+        said = json.loads(path.read_text("utf-8"))
+        return wrong_words((int(frame["far"]), map(int, frame["bits"])) for frame in said["wrong"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise InvalidRequest(f"{path} is not what cm region check --json writes: {error!r}") from error
+
+
+def _bad(column: FabricColumn, wrong: Wrong) -> int | None:
+    return sum(column.address <= address < column.address + len(column.bits) for address in wrong) or None
+
+
+def _write(path: Path, text: str) -> None:
+    if path == Path("-"):
+        sys.stdout.write(text)
+    else:
+        path.write_text(text, "utf-8")

@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cm.cli.common import parsed
 from cm.cli.serve_options import (
     access_of,
     configs_of,
@@ -93,7 +94,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--prefetch", type=int, metavar="MIB", help="DMA memory for bitstreams kept ready (default: 64)"
     )
-    parser.add_argument("--stream-queue", type=_mebibytes, metavar="MIB",
+    mebibytes = parsed("a number of MiB from 0 to 1048576", float, lambda value: 0 <= value <= 1 << 20)
+    parser.add_argument("--stream-queue", type=mebibytes, metavar="MIB",
         help="memory for frames queued for each subscriber over ZeroMQ (default: 32)")  # fmt: skip
     parser.add_argument("--images", type=Path, metavar="DIR", help="with --sim: photographs for its camera")
     parser.add_argument("--models", action="append", default=[], metavar="FILE",
@@ -106,16 +108,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("-v", "--verbose", action="store_true", help="log more")
     parser.set_defaults(run=run)
-
-
-def _mebibytes(text: str) -> int:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0 <= value <= 1 << 20:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of MiB from 0 to 1048576")
-    return int(value * (1 << 20))
 
 
 def run(args: argparse.Namespace) -> int:
@@ -223,7 +215,7 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
         logging.getLogger("cm").warning("%s", sentence)
     example = args.sim and not args.config and not args.build
     said = settings or Defaults()
-    queue = args.stream_queue if args.stream_queue is not None else int(said.streams.queue_mib * (1 << 20))
+    queue = said.streams.queue_mib if args.stream_queue is None else args.stream_queue
     prefetch = args.prefetch if args.prefetch is not None else said.dma.prefetch_mib
     return Options(
         runtime_dir=runtime,
@@ -239,7 +231,7 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
         load=args.load or said.load or ("camera" if example else ""),
         settings=ManagerSettings(prefetch_bytes=prefetch << 20),
         scrub=said.scrub,
-        queue_bytes=queue,
+        queue_bytes=int(queue * (1 << 20)),
         firmware_dir=said.firmware_dir,
         limits=Limits.of(said.limits),
         example=example,

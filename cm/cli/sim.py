@@ -13,7 +13,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cm.cli.common import add_json_option, completes, natural, positive, print_json
+from cm.cli.common import add_json_option, answer, completes, natural, number, parsed, positive
 from cm.cli.parser import RawHelp
 from cm.errors import CmError, NotFound
 
@@ -37,13 +37,6 @@ _FAULTS = """faults (TARGET, VALUE):
 
 
 _UPSET = "Turn over bits of the configuration memory under a region that runs; says frame, word and bit of each."
-
-
-def _address(text: str) -> int:
-    try:
-        return int(text, 0)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not an address such as 0x00400080") from None
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -94,7 +87,8 @@ def _add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -
     )
     completes(upset.add_argument("--region", required=True, metavar="NAME"), "<region>")
     upset.add_argument("--bits", type=positive, default=1, help="how many, each in a random place (default: 1)")
-    upset.add_argument("--frame", type=_address, metavar="FAR", help="in this frame, by its address (0x00400080)")
+    address = parsed("an address such as 0x00400080", number)
+    upset.add_argument("--frame", type=address, metavar="FAR", help="in this frame, by its address (0x00400080)")
     upset.add_argument("--bit", type=natural, metavar="N", help="with --frame: this bit, 32 times the word and its bit")
     trace = actions.add_parser("trace", help="record the signals of the RTL in FST files")
     trace.add_argument("what", choices=("start", "stop"))
@@ -164,11 +158,7 @@ def _coverage(args: argparse.Namespace) -> int:
         counted = report(args.folder)
     except CmError as error:
         return _failed(args, error)
-    if args.json:
-        print_json([asdict(file) for file in counted])
-    else:
-        print(table(counted))
-    return 0
+    return answer(args, [asdict(file) for file in counted], table(counted))
 
 
 def _carry_out(control: Control, args: argparse.Namespace) -> None:
@@ -196,11 +186,9 @@ def _upset(control: Control, args: argparse.Namespace) -> None:
     if args.bit is not None and args.frame is None:
         args.refuse("upset --bit N: in which frame? add --frame FAR")
     hits = control.upset(args.region, args.bits, args.frame, args.bit)
-    if args.json:
-        print_json([{"frame": f"0x{far:08x}", "word": bit // 32, "bit": bit % 32} for far, bit in hits])
-    else:
-        for far, bit in hits:
-            print(f"{args.region}: frame 0x{far:08x}, word {bit // 32}, bit {bit % 32}")
+    told = [{"frame": f"0x{far:08x}", "word": bit // 32, "bit": bit % 32} for far, bit in hits]
+    lines = [f"{args.region}: frame {hit['frame']}, word {hit['word']}, bit {hit['bit']}" for hit in told]
+    answer(args, told, "\n".join(lines))
 
 
 def _trace(control: Control, args: argparse.Namespace) -> None:

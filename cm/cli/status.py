@@ -8,9 +8,9 @@ import os
 import sys
 
 from cm.cli.colours import painted
-from cm.cli.common import add_connection_options, add_json_option, natural, print_json, print_table, seconds
-from cm.cli.connection import awaited, connected, followed, plain, settled
-from cm.wire.messages.status import RegionHealth, Status, WindowStatus
+from cm.cli.common import add_board_options, answer_table, natural, print_json, print_table, seconds
+from cm.cli.connection import awaited, connected, followed, plain, settled, where, window_use
+from cm.wire.messages.status import RegionHealth, Status
 
 _NOTICES = ("reconciled", "slept")  # what the manager found out, where nothing failed
 _COLOURS = {"idle": "green", "partial": "yellow", "full": "yellow", "error": "red"}
@@ -23,8 +23,7 @@ _UNITS = {"temperature": "°C", "voltage": "V", "current": "A", "power": "W"}
 def add_status(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command."""
     parser = subparsers.add_parser("status", help="show what is loaded and what is going on")
-    add_connection_options(parser)
-    add_json_option(parser)
+    add_board_options(parser, run)
     parser.add_argument(
         "--wait",
         nargs="?",
@@ -36,7 +35,6 @@ def add_status(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--clients", action="store_true", help="instead, show what each client takes of the manager's resources"
     )
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -56,9 +54,6 @@ def run_clients(args: argparse.Namespace) -> int:
     """Print what each client uses; the exit status."""
     with connected(args) if args.wait is None else awaited(args, args.wait) as board:
         clients = board.clients()
-    if args.json:
-        print_json([plain(client) for client in clients])
-        return 0
     rows = [
         (
             x.name,
@@ -77,8 +72,7 @@ def run_clients(args: argparse.Namespace) -> int:
         for x in clients
     ]
     heads = ("CLIENT", "ACCOUNT", "CONNECTIONS", "LEASES", "SLOTS", "WAITING", "WAITING MIB", "UNREAD MIB", "SENT MIB")
-    print_table(rows, (*heads, "MEMORY MIB", "REQUESTS", "REFUSED"))
-    return 0
+    return answer_table(args, list(map(plain, clients)), rows, (*heads, "MEMORY MIB", "REQUESTS", "REFUSED"))
 
 
 def _mebibytes(count: int) -> str:
@@ -93,7 +87,7 @@ def _upsets(region: str, health: RegionHealth) -> str:
 
 def show(status: Status) -> None:
     """Print a status for people."""
-    loaded = f"{status.config_name}/{status.mode}" if status.config_name else "nothing loaded"
+    loaded = where(status) or "nothing loaded"
     going_on = painted(headline(status), _COLOURS[status.pr_mode.value], sys.stdout)
     print(f"{f'{status.board}: ' if status.board else ''}{loaded}   {going_on}")
     if status.last_error:
@@ -109,7 +103,7 @@ def show(status: Status) -> None:
                 print(_upsets(region.name, region.health))
     if status.windows:
         print()
-        mapped = [(f"{x.address:#x}", x.region, x.module or "-", _how(x), x.client) for x in status.windows]
+        mapped = [(f"{x.address:#x}", x.region, x.module or "-", window_use(x), x.client) for x in status.windows]
         print_table(mapped, ("WINDOW", "REGION", "MODULE", "HOW", "CLIENT"))
     if status.clocks:
         print()
@@ -140,10 +134,6 @@ def show(status: Status) -> None:
         print_table(rows, ("STREAM", "DIRECTION", "SHAPE", "DTYPE", "FLOW", "FRAMES", "DROPPED"))
 
 
-def _how(window: WindowStatus) -> str:
-    return "alone" if window.exclusive else "writes" if window.writes else "reads"
-
-
 def _megahertz(rate: int) -> str:
     return f"{rate / 1e6:.6f}".rstrip("0").rstrip(".")
 
@@ -170,10 +160,8 @@ def add_watch(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -
         help="follow the status as it changes",
         description="A live view on a terminal, otherwise one line for each status.",
     )
-    add_connection_options(parser)
-    add_json_option(parser)
+    add_board_options(parser, run_watch)
     parser.add_argument("--count", type=natural, default=0, metavar="N", help="stop after N statuses (0: never)")
-    parser.set_defaults(run=run_watch)
 
 
 def run_watch(args: argparse.Namespace) -> int:
@@ -196,6 +184,6 @@ def run_watch(args: argparse.Namespace) -> int:
 
 
 def _line(status: Status) -> str:
-    loaded = f"{status.config_name}/{status.mode}" if status.config_name else "-"
+    loaded = where(status) or "-"
     error = f"  {status.last_error.code}: {status.last_error.message}" if status.last_error else ""
     return f"{status.sequence}  {loaded}  {headline(status)}{error}"

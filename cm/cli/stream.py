@@ -10,15 +10,17 @@ from itertools import islice
 from pathlib import Path
 
 from cm.cli.common import (
-    add_connection_options,
-    add_json_option,
+    add_board_options,
     add_lease_option,
+    answer,
     completes,
+    extents,
     natural,
+    parsed,
     positive,
     print_json,
     print_table,
-)
+)  # fmt: skip
 from cm.cli.connection import connected, plain
 from cm.cli.stream_capture import add_arguments, run_capture
 from cm.errors import InvalidRequest
@@ -31,7 +33,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser("stream", help="list, set, capture and play data streams")
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     listing = actions.add_parser("list", help="the streams of the current mode")
-    listing.set_defaults(run=run_list)
+    add_board_options(listing, run_list)
     settings = actions.add_parser(
         "set",
         help="change a stream's settings",
@@ -39,23 +41,19 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "settings back.",
     )
     _add_settings(settings)
-    settings.set_defaults(run=run_set)
+    add_board_options(settings, run_set)
     capture = actions.add_parser("capture", help="write frames to files, or to standard output")
     completes(capture.add_argument("stream", metavar="STREAM"), "<stream>")
     add_arguments(capture)
-    capture.set_defaults(run=run_capture)
+    add_board_options(capture, run_capture)
     play = actions.add_parser("play", help="send the frames of a .npy file to the hardware")
     completes(play.add_argument("stream", metavar="STREAM"), "<stream>")
     play.add_argument("file", metavar="FILE.npy", type=Path, help="one frame, or frames along the first axis")
-    add_lease_option(play)
-    play.set_defaults(run=run_play)
+    add_board_options(play, run_play, lease=True)
     ping = actions.add_parser("ping", help="measure how long frames take from completion to here")
     completes(ping.add_argument("stream", metavar="STREAM"), "<stream>")
     ping.add_argument("--count", type=positive, default=20, metavar="N", help="how many frames")
-    ping.set_defaults(run=run_ping)
-    for action in (listing, settings, capture, play, ping):
-        add_connection_options(action)
-        add_json_option(action)
+    add_board_options(ping, run_ping)
 
 
 def _elements(stream: StreamStatus) -> str:
@@ -75,7 +73,7 @@ def run_list(args: argparse.Namespace) -> int:
             s.channel,
             s.direction,
             "x".join(map(str, s.shape)) or "-",
-            f"{s.dtype} {s.format}".rstrip(),
+            _elements(s),
             s.slots,
             *_flow(s),
         )
@@ -102,9 +100,9 @@ def run_list(args: argparse.Namespace) -> int:
 
 
 def _add_settings(parser: argparse.ArgumentParser) -> None:
-    add, switch = parser.add_argument, argparse.BooleanOptionalAction
+    add, switch, shape = parser.add_argument, argparse.BooleanOptionalAction, parsed("a shape such as 480x640", extents)
     completes(add("stream", metavar="STREAM"), "<stream>")
-    add("--shape", type=_shape, default=(), metavar="AxB…", help="shape of a whole frame, slowest axis first: 480x640")
+    add("--shape", type=shape, default=(), metavar="AxB…", help="shape of a whole frame, slowest axis first: 480x640")
     add("--dtype", default="", help="numpy's name of the element type, such as uint8")
     add("--slots", type=natural, default=0, metavar="N", help="number of buffers to begin with")
     add("--rate", type=float, default=0.0, metavar="FPS", help="pass on at most so many frames per second; inf: all")
@@ -123,13 +121,6 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
     add("--force", action="store_true", help="even if it is in use")
 
 
-def _shape(text: str) -> tuple[int, ...]:
-    try:
-        return tuple(int(extent) for extent in text.lower().replace(",", "x").split("x"))
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a shape such as 480x640") from None
-
-
 _SETTINGS = (
     "shape", "dtype", "slots", "rate", "stride", "direction", "cyclic", "backpressure", "enable", "automatic", "lease",
     "force",
@@ -140,12 +131,9 @@ def run_set(args: argparse.Namespace) -> int:
     """Change settings and print what they are now; the exit status."""
     with connected(args) as board:
         stream = board.configure_stream(args.stream, **{name: getattr(args, name) for name in _SETTINGS})
-    if args.json:
-        print_json(plain(stream))
-        return 0
     shape = "x".join(map(str, stream.shape)) or "any length"
-    print(f"{stream.name}: {shape} {_elements(stream)}, {stream.slots} slots, {', '.join(_switches(stream))}")
-    return 0
+    text = f"{stream.name}: {shape} {_elements(stream)}, {stream.slots} slots, {', '.join(_switches(stream))}"
+    return answer(args, plain(stream), text)
 
 
 def _switches(stream: StreamStatus) -> list[str]:
@@ -181,11 +169,7 @@ def run_play(args: argparse.Namespace) -> int:
         for frame in frames:
             board.write(args.stream, frame, lease=args.lease)
     told = {"frames": len(frames), "bytes": int(data.nbytes)}
-    if args.json:
-        print_json(told)
-    else:
-        print(f"{len(frames)} frames, {data.nbytes} bytes sent to {args.stream}")
-    return 0
+    return answer(args, told, f"{len(frames)} frames, {data.nbytes} bytes sent to {args.stream}")
 
 
 def run_ping(args: argparse.Namespace) -> int:
@@ -195,11 +179,8 @@ def run_ping(args: argparse.Namespace) -> int:
         for frame in islice(stream, args.count):
             times.append((time.monotonic_ns() - frame.timestamp_ns) / 1000)
     told = {"frames": len(times), "median_us": statistics.median(times), "max_us": max(times), "min_us": min(times)}
-    if args.json:
-        print_json(told)
-    else:
-        print(
-            f"{len(times)} frames: median {told['median_us']:.0f} us, "
-            f"min {told['min_us']:.0f} us, max {told['max_us']:.0f} us from completion to here"
-        )
-    return 0
+    text = (
+        f"{len(times)} frames: median {told['median_us']:.0f} us, "
+        f"min {told['min_us']:.0f} us, max {told['max_us']:.0f} us from completion to here"
+    )
+    return answer(args, told, text)

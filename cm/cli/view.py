@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Protocol
 
-from cm.cli.common import add_connection_options, completes, natural
+from cm.cli.common import add_connection_options, completes, extents, natural, parsed
 from cm.cli.connection import connected
-from cm.cli.view_terminal import WAYS, Screen, Size, into_file, on_terminal
+from cm.cli.view_terminal import WAYS, Screen, into_file, on_terminal
 from cm.client.board import Board
 from cm.client.frame import Frame
 from cm.errors import InvalidRequest, Timeout
@@ -35,36 +35,21 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "protocol, if the terminal has them and the extra fpga-cm[view] is installed, otherwise with half blocks. "
         "Works over ssh.",
     )
+    rate = parsed("a number of pictures per second", float, lambda value: 0 < value <= 1000)
+    size = parsed("a size such as 80x24", extents, lambda s: len(s) == 2 and all(0 < extent <= 4096 for extent in s))
     completes(parser.add_argument("stream", metavar="STREAM"), "<stream>")
     parser.add_argument("--as", dest="way", choices=("auto", *WAYS, "window"), default="auto", help="how to draw")
     parser.add_argument(
-        "--rate", type=_rate, default=15.0, metavar="FPS", help="at most so many pictures per second (15)"
+        "--rate", type=rate, default=15.0, metavar="FPS", help="at most so many pictures per second (15)"
     )
     parser.add_argument(
         "--count", type=natural, default=0, metavar="N", help="stop after N pictures; 1 stays on the screen"
     )
     parser.add_argument(
-        "--size", type=_size, metavar="COLUMNSxROWS", help="size for output that is not a terminal (80x24)"
+        "--size", type=size, metavar="COLUMNSxROWS", help="size for output that is not a terminal (80x24)"
     )
     add_connection_options(parser)
     parser.set_defaults(run=run)
-
-
-def _rate(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0 < value <= 1000:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of pictures per second")
-    return value
-
-
-def _size(text: str) -> Size:
-    columns, _, rows = text.lower().partition("x")
-    if not (columns.isdecimal() and rows.isdecimal() and 0 < int(columns) <= 4096 and 0 < int(rows) <= 4096):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a size such as 80x24")
-    return int(columns), int(rows)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -4,15 +4,13 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
-import signal
 import ssl
 import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cm.cli.common import add_connection_options
+from cm.cli.common import add_connection_options, run_until_told
 from cm.cli.fleet_options import add_network_options
 from cm.errors import CmError, InvalidRequest, NotFound
 
@@ -58,9 +56,9 @@ def run(args: argparse.Namespace) -> int:
     """Serve until interrupted; the exit status."""
     options = _options(args)
     _note_absence(args, options)
-    with suppress(asyncio.CancelledError):
-        asyncio.run(_serve(options))
-    return 0
+    from cm.web.server import PageServer
+
+    return run_until_told(lambda: PageServer(options).serve(_say))
 
 
 def _note_absence(args: argparse.Namespace, options: Options) -> None:
@@ -77,16 +75,6 @@ def _note_absence(args: argparse.Namespace, options: Options) -> None:
 
 def _say(words: str) -> None:
     print(f"cm web: {words}", file=sys.stderr, flush=True)
-
-
-async def _serve(options: Options) -> None:
-    from cm.web.server import PageServer
-
-    task = asyncio.current_task()
-    assert task is not None
-    for number in (signal.SIGINT, signal.SIGTERM):
-        asyncio.get_running_loop().add_signal_handler(number, task.cancel)
-    await PageServer(options).serve(_say)
 
 
 def _options(args: argparse.Namespace) -> Options:
