@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import select
+import signal
 import site
 import subprocess
 import sys
@@ -62,3 +63,15 @@ def said_until(process: subprocess.Popen[bytes], words: bytes, timeout: float) -
             return False, said
         said += piece
     return True, said
+
+
+def ended(process: subprocess.Popen[bytes], number: int = signal.SIGTERM, timeout: float = 60.0) -> bool:
+    """End a child by a signal, unless it has ended; whether it did within `timeout` seconds, and was not killed."""
+    process.send_signal(number)
+    try:
+        process.wait(timeout)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+        return False
+    return True

@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _compare(args: argparse.Namespace) -> int:
-    from cm.tools.bench import compare, machine
+    from cm.tools.bench import compare, machine, report
 
     if args.names or args.plots:
         raise InvalidRequest("--compare measures its own routes: it takes no NAME and no --plots")
@@ -84,7 +84,7 @@ def _compare(args: argparse.Namespace) -> int:
     with machine.pinned() as cpu:
         pairs = list(compare.compare(args.compare, args.quick))
     if args.json:
-        compare.write(args.json, pairs, {**found, "pinned_to_cpu": cpu, "quick": args.quick})
+        report.write(args.json, pairs, {**found, "pinned_to_cpu": cpu, "quick": args.quick})
     print_table([pair.row() for pair in pairs], compare.HEADERS)
     return 0
 

@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING
 
 from cm._version import __version__
 from cm.cli.colours import painted
-from cm.cli.common import add_connection_options, add_json_option, print_json
+from cm.cli.common import add_board_options, print_json
+from cm.cli.connection import plain, where
 from cm.device.checks.machine import Machine
+from cm.device.finding import Finding, State
 from cm.device.paths import Root
 
 if TYPE_CHECKING:
-    from cm.device.finding import Finding
     from cm.device.survey import Survey
 
 REQUIRED = ("cffi", "fastjsonschema", "numpy", "protobuf", "pyyaml", "pyzmq")
@@ -49,9 +50,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--all", action="store_true", help="list everything on a machine that is no board, too")
     parser.add_argument("--report", action="store_true", help="print a form to report a run on a board with, filled in")
-    add_connection_options(parser)
-    add_json_option(parser)
-    parser.set_defaults(run=run)
+    add_board_options(parser, run)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -59,14 +58,13 @@ def run(args: argparse.Namespace) -> int:
     from cm.device.survey import survey
 
     found = survey(args.root)
-    findings = [_board(found), _manager(args), *map(_plain, found.findings), *_packages(), _curve()]
+    findings = [_board(found), _manager(args), *found.findings, *_packages(), _curve()]
     verdict = _verdict(found, findings)
     if args.report:
-        from cm.cli.doctor import report
-
         print(report(args.root, findings, verdict))
     elif args.json:
-        print_json({"usable": not verdict, "problems": verdict, "simulated": found.simulated, "findings": findings})
+        told = [plain(finding) for finding in findings]
+        print_json({"usable": not verdict, "problems": verdict, "simulated": found.simulated, "findings": told})
     elif args.all or found.usable or _expected(found):
         _print(findings, verdict, found)
     else:
@@ -74,49 +72,38 @@ def run(args: argparse.Namespace) -> int:
     return 1 if verdict else 0
 
 
-def _entry(kind: str, name: str, state: str, detail: str = "", advice: str = "", path: str = "") -> dict[str, str]:
-    return {"kind": kind, "name": name, "state": state, "detail": detail, "advice": advice, "path": path}
-
-
-def _plain(finding: Finding) -> dict[str, str]:
-    return _entry(finding.kind, finding.name, finding.state.value, finding.detail, finding.advice, finding.path)
-
-
-def _board(found: Survey) -> dict[str, str]:
+def _board(found: Survey) -> Finding:
     """The machine that was looked at."""
-    from cm.device.checks.machine import Machine
-    from cm.device.paths import Root
-
     machine = Machine(Root.of(found.root))
     if found.simulated:
-        return _entry("board", "board", "ok", "a simulated board", "", found.root)
+        return Finding("board", "board", found.root, State.OK, "a simulated board")
     model = machine.text("proc/device-tree/model")
     if model:
-        return _entry("board", "board", "ok", ", ".join(filter(None, (model, machine.release))), "", found.root)
+        return Finding("board", "board", found.root, State.OK, ", ".join(filter(None, (model, machine.release))))
     advice = "'cm serve --sim' brings a simulated board; --connect reaches one elsewhere"
-    return _entry("board", "board", "missing", f"this {platform.machine()} machine is none", advice, found.root)
+    return Finding("board", "board", found.root, State.MISSING, f"this {platform.machine()} machine is none", advice)
 
 
-def _packages() -> Iterator[dict[str, str]]:
-    yield _entry("python", "python", "ok", f"{platform.python_version()} on {platform.machine()}")
+def _packages() -> Iterator[Finding]:
+    yield Finding("python", "python", "", State.OK, f"{platform.python_version()} on {platform.machine()}")
     for name in (*REQUIRED, *OPTIONAL):
         try:
-            yield _entry("package", name, "ok", metadata.version(name))
+            yield Finding("package", name, "", State.OK, metadata.version(name))
         except metadata.PackageNotFoundError:
             advice = f"optional: {OPTIONAL[name]}" if name in OPTIONAL else "reinstall fpga-cm: it needs this package"
-            yield _entry("package", name, "missing", "not installed", advice)
+            yield Finding("package", name, "", State.MISSING, "not installed", advice)
 
 
-def _curve() -> dict[str, str]:
+def _curve() -> Finding:
     import zmq
 
     if zmq.has("curve"):
-        return _entry("curve", "curve", "ok", f"libzmq {zmq.zmq_version()}")
+        return Finding("curve", "curve", "", State.OK, f"libzmq {zmq.zmq_version()}")
     advice = "connections over TCP cannot be encrypted: use a pyzmq wheel, or a libzmq built with libsodium"
-    return _entry("curve", "curve", "missing", f"libzmq {zmq.zmq_version()} without CURVE", advice)
+    return Finding("curve", "curve", "", State.MISSING, f"libzmq {zmq.zmq_version()} without CURVE", advice)
 
 
-def _manager(args: argparse.Namespace) -> dict[str, str]:
+def _manager(args: argparse.Namespace) -> Finding:
     """Whether a manager answers, and in which mode it is."""
     from cm.client.address import default_runtime_dir
     from cm.client.board import connect
@@ -127,23 +114,22 @@ def _manager(args: argparse.Namespace) -> dict[str, str]:
         with connect(args.connect, runtime_dir=args.runtime_dir, timeout=_TIMEOUT, keys=args.keys) as board:
             status = board.status
     except (CmError, OSError) as error:
-        return _entry(
-            "manager", "manager", "missing", str(error), "start one with 'cm serve' (or 'cm serve --sim')", place
-        )
-    mode = f"{status.config_name}/{status.mode}" if status.mode else "nothing loaded"
-    return _entry("manager", "manager", "ok", f"version {status.version}, {mode}", "", place)
+        advice = "start one with 'cm serve' (or 'cm serve --sim')"
+        return Finding("manager", "manager", place, State.MISSING, str(error), advice)
+    mode = where(status) if status.mode else "nothing loaded"
+    return Finding("manager", "manager", place, State.OK, f"version {status.version}, {mode}")
 
 
-def _verdict(found: Survey, findings: list[dict[str, str]]) -> list[str]:
+def _verdict(found: Survey, findings: Sequence[Finding]) -> list[str]:
     """What makes this machine unusable, in sentences; none where no hardware is expected."""
     problems = [
-        f"the package {f['name']} is not installed"
+        f"the package {f.name} is not installed"
         for f in findings
-        if f["kind"] == "package" and f["state"] == "missing" and f["name"] in REQUIRED
+        if f.kind == "package" and f.state is State.MISSING and f.name in REQUIRED
     ]
     if found.usable or not _expected(found):
         return problems
-    denied = [f"{f.name}: {f.path} may not be used ({f.advice})" for f in found.findings if f.state.value == "denied"]
+    denied = [f"{f.name}: {f.path} may not be used ({f.advice})" for f in found.findings if f.state is State.DENIED]
     return problems + (denied or ["there is no way to configure the PL: no ICAP, fpga_manager or overlays"])
 
 
@@ -153,41 +139,40 @@ def _expected(found: Survey) -> bool:
     Overlays and modules do not count, nor UIO: other machines have them too.
     """
     return found.simulated or any(
-        f.state.value != "missing" for kind in ("icap", "fpga_manager", "dma") for f in found.of(kind)
+        f.state is not State.MISSING for kind in ("icap", "fpga_manager", "dma") for f in found.of(kind)
     )
 
 
-def _print_briefly(findings: list[dict[str, str]], verdict: list[str]) -> None:
+def _print_briefly(findings: Sequence[Finding], verdict: list[str]) -> None:
     """Four lines for a PC, where whatever a board would have is missing, and nothing is wrong."""
-    by_kind: dict[str, list[dict[str, str]]] = {}
-    for finding in findings:
-        by_kind.setdefault(finding["kind"], []).append(finding)
-    (manager,), (python,), (curve,) = (by_kind[kind] for kind in ("manager", "python", "curve"))
-    lacking = [f["name"] for f in by_kind["package"] if f["state"] == "missing" and f["name"] not in REQUIRED]
+    board, manager, python, curve = (
+        next(f for f in findings if f.kind == kind) for kind in ("board", "manager", "python", "curve")
+    )
+    answers = manager.state is State.OK
+    lacking = [f.name for f in findings if f.kind == "package" and f.state is State.MISSING and f.name not in REQUIRED]
     left = f"; not installed, all optional: {', '.join(lacking)}" if lacking else ""
-    serves = manager["detail"] if manager["state"] == "ok" else "none answers here"
-    state = "missing" if verdict else "ok"
+    software = "; ".join(verdict) or f"Python {python.detail}, {curve.detail}{left}"
     rows = (
-        ("-", "board", f"{by_kind['board'][0]['detail']}: --connect reaches one elsewhere"),
-        (manager["state"] if manager["state"] == "ok" else "-", "manager", serves),
-        (state, "software", "; ".join(verdict) or f"Python {python['detail']}, {curve['detail']}{left}"),
+        ("-", "board", f"{board.detail}: --connect reaches one elsewhere"),
+        ("ok", "manager", manager.detail) if answers else ("-", "manager", "none answers here"),
+        ("missing" if verdict else "ok", "software", software),
     )
     for mark, kind, text in rows:
         print(f"{painted(f'{mark:8}', _COLOURS[mark], sys.stdout)} {kind:9} {text}")
     print("no FPGA here: 'cm serve --sim' brings a simulated board ('cm doctor --all' lists what a board would have)")
 
 
-def _print(findings: list[dict[str, str]], verdict: list[str], found: Survey) -> None:
+def _print(findings: Sequence[Finding], verdict: list[str], found: Survey) -> None:
     for finding in findings:
-        state = painted(f"{finding['state']:8}", _COLOURS.get(finding["state"], "dim"), sys.stdout)
-        print(f"{state} {finding['kind']:13} {finding['name']:18} {finding['detail']}".rstrip())
-        if finding["advice"] and finding["state"] != "ok":
-            print(f"{'':9}→ {finding['advice']}")
+        state = painted(f"{finding.state.value:8}", _COLOURS[finding.state.value], sys.stdout)
+        print(f"{state} {finding.kind:13} {finding.name:18} {finding.detail}".rstrip())
+        if finding.advice and finding.state is not State.OK:
+            print(f"{'':9}→ {finding.advice}")
     print()
     if verdict:
         print("\n".join(f"not usable: {problem}" for problem in verdict))
     elif found.usable:
-        wrong = sum(finding["state"] == "wrong" for finding in findings)
+        wrong = sum(finding.state is State.WRONG for finding in findings)
         note = f", but {wrong} of the above would stop a design that needs it" if wrong else ""
         print("usable" + (" (a simulated board)" if found.simulated else "") + note)
     else:
@@ -206,7 +191,7 @@ _QUESTIONS = (
 )
 
 
-def report(root: str | None, findings: Sequence[dict[str, str]], verdict: Sequence[str]) -> str:
+def report(root: str | None, findings: Sequence[Finding], verdict: Sequence[str]) -> str:
     """The form; nothing in it names a user, a host or an address of a network."""
     machine = Machine(Root.of(root))
     lines = ["# A run on a board", "", f"- fpga-cm {__version__}"]
@@ -228,7 +213,7 @@ def _facts(machine: Machine) -> Sequence[tuple[str, str]]:
     )
 
 
-def _row(finding: dict[str, str]) -> str:
-    advice = finding["advice"] if finding["state"] != "ok" else ""
-    cells = (finding["state"], finding["kind"], finding["name"], finding["detail"], advice)
+def _row(finding: Finding) -> str:
+    advice = finding.advice if finding.state is not State.OK else ""
+    cells = (finding.state.value, finding.kind, finding.name, finding.detail, advice)
     return "| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in cells) + " |"

@@ -78,12 +78,7 @@ class NpyFiles:
 
     def _append(self, frame: np.ndarray[Any, Any]) -> None:
         assert self._file is not None
-        end = _HEADER + self._count * frame.nbytes
-        try:
-            _write(self._file.fileno(), frame, end)
-        except OSError:
-            self._file.truncate(end)
-            raise
+        _append(self._file, frame, _HEADER + self._count * frame.nbytes)
         self._count += 1
         self._tell()
 
@@ -147,11 +142,7 @@ class Raw:
         self._end = 0
 
     def add(self, frame: np.ndarray[Any, Any]) -> str:
-        try:
-            _write(self._file.fileno(), frame, self._end)
-        except OSError:
-            self._file.truncate(self._end)
-            raise
+        _append(self._file, frame, self._end)
         self._end += frame.nbytes
         return ""
 
@@ -216,11 +207,16 @@ def png(frame: np.ndarray[Any, Any]) -> bytes:
     return data.getvalue()
 
 
-def _write(fd: int, frame: np.ndarray[Any, Any], at: int) -> None:
-    view = np.ascontiguousarray(frame).data.cast("B")
-    while len(view):
-        done = os.pwrite(fd, view, at)
-        view, at = view[done:], at + done
+def _append(file: IO[bytes], frame: np.ndarray[Any, Any], end: int) -> None:
+    """Write a frame behind the first `end` bytes. Raises OSError; then there are as many as before."""
+    view, at = np.ascontiguousarray(frame).data.cast("B"), end
+    try:
+        while len(view):
+            done = os.pwrite(file.fileno(), view, at)
+            view, at = view[done:], at + done
+    except OSError:
+        file.truncate(end)
+        raise
 
 
 _T = TypeVar("_T")

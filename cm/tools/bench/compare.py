@@ -85,9 +85,3 @@ def measured(python: Path, kind: str, quick: bool = False) -> dict[str, float]:
         )
     found: dict[str, float] = json.loads(done.stdout)
     return found
-
-
-def write(path: Path, pairs: Iterable[Pair], machine: Mapping[str, Any]) -> None:
-    """The JSON file: each figure by its name, and `machine`."""
-    found = {"machine": dict(machine), **{pair.name: pair.plain() for pair in pairs}}
-    path.write_text(json.dumps(found, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")

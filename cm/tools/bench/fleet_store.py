@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a store of a fleet ends: what a change of many boards asks of it, and boards that watch it.
+"""Where a store of a fleet ends: what a change of many boards asks of it.
 
-Measured: everything read, and the two transactions of a change, by number of boards; watches by their number. The rest
-is reckoned: what lies in it, and what boards read when a change is decided.
+Measured: everything read, and the two transactions of a change, by number of boards. The rest is reckoned: what lies
+in it, and what boards read when a change is decided.
 """
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import shutil
 import statistics
 import time
@@ -19,7 +18,6 @@ from typing import Any
 from cm.networks.fleet.etcd import Cluster, Etcd
 from cm.networks.fleet.keeper import Ledger
 from cm.networks.fleet.store import (
-    BOARDS,
     GENERATION,
     Claim,
     Put,
@@ -73,32 +71,6 @@ async def _timed(into: list[float], work: Callable[[], Awaitable[Any]]) -> Any:
     found = await work()
     into.append(time.perf_counter() - begun)
     return found
-
-
-async def woken(store: Store, watches: int) -> float:
-    """Seconds from one transaction until so many watches of as many boards have told of it."""
-    seen = asyncio.Queue[None]()
-
-    async def watch(number: int) -> None:
-        async for _ in store.watch(f"{BOARDS}b{number:05}/"):
-            seen.put_nowait(None)
-
-    tasks = [asyncio.create_task(watch(number)) for number in range(watches)]
-    try:
-        for _ in tasks:  # each says something at its beginning
-            await asyncio.wait_for(seen.get(), 120.0)
-        begun = time.perf_counter()
-        for first in range(0, watches, _PIECE):
-            names = [f"b{number:05}" for number in range(first, min(watches, first + _PIECE))]
-            await store.txn({}, {key(name, "settings"): Put(packed(Settings())) for name in names})
-        for _ in tasks:
-            await asyncio.wait_for(seen.get(), 120.0)
-        return time.perf_counter() - begun
-    finally:
-        for task in tasks:
-            task.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await asyncio.gather(*tasks, return_exceptions=True)
 
 
 def rows(folder: Path, sizes: tuple[int, ...] = SIZES) -> list[dict[str, Any]]:

@@ -149,35 +149,30 @@ class Flood:
     def _packets(self, kind: int) -> None:
         """One kind of packet again and again, as many as the manager takes; what it says to that is not looked at."""
         plane, epoch = self._planes[kind]
-        packet = Descriptor(kind=kind, slot=7, flags=epoch).pack()
-        try:
-            for _ in range(_PACKETS):
-                plane.send(packet)
-                self.packets += 1
-                with suppress(BlockingIOError):
-                    while plane.recv(PACKET_MAX):
-                        pass
-        except BlockingIOError:
-            pass
-        except OSError:  # hung up on, because it did not read as fast as it sent
-            plane.close()
+        if not self._poured(plane, [Descriptor(kind=kind, slot=7, flags=epoch).pack()] * _PACKETS):
             self._planes[kind] = self._echo()
 
     def _read_names(self, number: int) -> None:
         """Names that there are, and that there are not, again and again."""
-        reader = self._reads[number]
+        reads = [Descriptor(kind=READ).pack() + name for name in (b"led", b"none")]
+        if not self._poured(self._reads[number], reads * (_PACKETS // 2)):
+            self._reads[number] = self._reader()
+
+    def _poured(self, connection: socket.socket, packets: list[bytes]) -> bool:
+        """Send as many as the manager takes; False if it hung up, because this end did not read as fast as it sent."""
         try:
-            for name in (b"led", b"none") * (_PACKETS // 2):
-                reader.send(Descriptor(kind=READ).pack() + name)
+            for packet in packets:
+                connection.send(packet)
                 self.packets += 1
                 with suppress(BlockingIOError):
-                    while reader.recv(PACKET_MAX):
+                    while connection.recv(PACKET_MAX):
                         pass
         except BlockingIOError:
             pass
         except OSError:
-            reader.close()
-            self._reads[number] = self._reader()
+            connection.close()
+            return False
+        return True
 
     def _leases(self) -> list[Any]:
         return [encode_request(rq.TakeLease("registers:zoom", exclusive=False, seconds=1.0)) for _ in range(40)]
@@ -217,18 +212,8 @@ def main(runtime: str) -> None:
                 break
         else:
             sys.stdin.read()
-        answered = sum(flood.codes.values())
-        print(
-            json.dumps(
-                {
-                    "rounds": rounds,
-                    "asked": flood.asked,
-                    "answered": answered,
-                    "codes": flood.codes,
-                    "packets": flood.packets,
-                }
-            )
-        )
+        told = {"rounds": rounds, "asked": flood.asked, "answered": sum(flood.codes.values())}
+        print(json.dumps({**told, "codes": flood.codes, "packets": flood.packets}))
 
 
 if __name__ == "__main__":

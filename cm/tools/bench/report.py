@@ -6,9 +6,12 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cm.tools.bench.result import Result
+
+if TYPE_CHECKING:
+    from cm.tools.bench.compare import Pair
 
 HEADERS = ("measurement", "value", "baseline", "ratio", "goal", "")
 
@@ -26,7 +29,7 @@ def _row(result: Result) -> tuple[str, ...]:
     return (result.name, value, baseline, ratio, str(result.goal or "-"), verdict)
 
 
-def write(path: Path, results: Iterable[Result], machine: Mapping[str, Any]) -> None:
+def write(path: Path, results: Iterable[Result | Pair], machine: Mapping[str, Any]) -> None:
     """The JSON file: each result by its name, and `machine`."""
     found = {"machine": dict(machine), **{result.name: result.plain() for result in results}}
     path.write_text(json.dumps(found, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")

@@ -8,6 +8,8 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from cm.tools.bench.result import Goal, Result, unavailable
+
 Batch = Callable[[int], tuple[float, ...]]  # makes that many trips; returns their durations in µs
 
 
@@ -80,3 +82,14 @@ def interleave(contestants: Mapping[str, Batch], plan: Plan) -> dict[str, Sample
             batch(plan.warm)
             found[name].append(batch(plan.trips))
     return {name: Samples(tuple(rounds)) for name, rounds in found.items()}
+
+
+def beside(
+    name: str, ran: str, ours: Samples, theirs: Samples | None, goal: Goal | None = None, missing: str = ""
+) -> Result:
+    """Ours beside a baseline, as a result; without the baseline, which is `missing`, not available."""
+    if theirs is None:
+        return unavailable(name, "µs", ran, missing, goal)
+    ratio = theirs.over(ours) if goal is not None and goal.at_least else ours.over(theirs)
+    details = {"samples": {"ours": ours.plain(), "baseline": theirs.plain()}}
+    return Result(name, ours.median, "µs", ran, theirs.median, ratio, goal, details=details)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,6 +89,13 @@ def cpu_seconds(pid: int) -> float:
     for task in Path(f"/proc/{pid}/task").iterdir():
         total += int((task / "schedstat").read_text(encoding="ascii").split()[0])
     return total / 1e9
+
+
+def cpu_percent(pid: int, work: Callable[[], object]) -> float:
+    """Percent of one CPU that a process uses while `work` is done here."""
+    before, started = cpu_seconds(pid), time.monotonic()
+    work()
+    return 100 * (cpu_seconds(pid) - before) / (time.monotonic() - started)
 
 
 def resident_mib(pid: int) -> float:

@@ -10,7 +10,7 @@ import socket
 import subprocess
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -21,7 +21,6 @@ from cm import child
 from cm.errors import CmError, Timeout
 
 _PATIENCE = 120.0  # seconds, on a loaded machine
-_END = 60.0
 _SETTINGS = 'access:\n  guests: {"*": operate}\n'
 
 
@@ -29,6 +28,15 @@ class FleetFailed(CmError):
     """A process of the fleet did not start."""
 
     code = "fleet_failed"
+
+
+def until(condition: Callable[[], object], what: str, patience: float = _PATIENCE) -> None:
+    """Wait for a condition. Raises Timeout, with `what` did not come to pass."""
+    end = time.monotonic() + patience
+    while not condition():
+        if time.monotonic() > end:
+            raise Timeout(what)
+        time.sleep(0.02)
 
 
 def free_ports(count: int = 1) -> int:
@@ -68,15 +76,8 @@ def _drain(process: subprocess.Popen[bytes]) -> None:
 
 def ended(process: subprocess.Popen[bytes] | None, number: int = signal.SIGTERM) -> None:
     """End a process; none is fine. A simulated board may outlive its manager for a while."""
-    if process is None:
-        return
-    process.send_signal(number)
-    try:
-        process.wait(timeout=_END)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-        raise Timeout(f"process {process.pid} did not end") from None
+    if process is not None and not child.ended(process, number):
+        raise Timeout(f"process {process.pid} did not end")
 
 
 @contextlib.contextmanager

@@ -7,19 +7,18 @@ import shutil
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 import cm
-from cm.errors import NotInstalled, Timeout
+from cm.errors import NotInstalled
 from cm.networks.fleet.blocking import Fleet, connect
 from cm.networks.fleet.errors import ChangeFailed
-from cm.tools.demo.boards import LocalFleet, local_etcd
+from cm.tools.demo.boards import LocalFleet, local_etcd, until
 from cm.tools.demo.timeline import Course, Picture
 from cm.wire.messages.fleet import BoardStatus, Decision
 
@@ -162,9 +161,5 @@ def _mode(fleet: Fleet, board: str) -> str:
     return status.status.mode if isinstance(status, BoardStatus) and not status.status.fpga_busy else ""
 
 
-def _until(condition: Any) -> None:
-    end = time.monotonic() + _PATIENCE
-    while not condition():
-        if time.monotonic() > end:
-            raise Timeout("the demonstration did not go on")
-        time.sleep(0.02)
+def _until(condition: Callable[[], object]) -> None:
+    until(condition, "the demonstration did not go on")

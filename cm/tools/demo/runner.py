@@ -17,7 +17,6 @@ from cm.errors import CmError, Timeout
 
 _HOLD = 10  # frames for which the camera looks at one photograph
 _START_TIMEOUT = 120.0  # the first time, its HDL is compiled
-_STOP_TIMEOUT = 60.0
 # What `cm build generate` makes of the example beside it.
 _SCHEMA = Path(__file__).parents[2] / "data" / "examples" / "camera" / "config" / "camera.yaml"
 SHEET = "contact-sheet.png"
@@ -116,17 +115,11 @@ def _application(runtime: Path, frames: Path) -> None:
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    if process.poll() is None:
-        process.terminate()
-    try:
-        process.wait(_STOP_TIMEOUT)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-        raise Timeout(f"{' '.join(process.args)} did not end and was killed") from None  # type: ignore[arg-type]
-    finally:
-        if process.stderr is not None:
-            process.stderr.close()
+    in_time = child.ended(process)
+    if process.stderr is not None:
+        process.stderr.close()
+    if not in_time:
+        raise Timeout(f"{' '.join(process.args)} did not end and was killed")  # type: ignore[arg-type]
 
 
 def _rows(frames: Path) -> dict[str, list[np.ndarray]]:

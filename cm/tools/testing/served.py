@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import shutil
-import signal
 import subprocess
 import tempfile
 from pathlib import Path
@@ -15,7 +14,6 @@ from cm.errors import CmError
 from cm.simulation.software import Control
 
 START_TIMEOUT = 300.0  # seconds: HDL may have to be compiled
-STOP_TIMEOUT = 60.0
 PATIENCE = "60"  # seconds for an answer of the simulated board: a machine that runs tests may be busy
 
 
@@ -67,13 +65,7 @@ class Served:
 
     def stop(self) -> None:
         """End it; twice is fine."""
-        if self.alive:
-            self._process.send_signal(signal.SIGTERM)
-            try:
-                self._process.wait(STOP_TIMEOUT)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
+        child.ended(self._process)
         if self._process.stderr is not None:
             self._process.stderr.close()
         shutil.rmtree(self._folder, ignore_errors=True)

@@ -20,7 +20,7 @@ from cm.tools.bench.machine import unpinned
 from cm.tools.bench.result import Goal, Result, unavailable
 from cm.tools.bench.run import Run
 from cm.tools.bench.serving import cpu_seconds, resident_mib
-from cm.tools.demo.boards import LocalFleet, local_etcd
+from cm.tools.demo.boards import LocalFleet, local_etcd, until
 
 BOARDS = 50
 NAMES = ("fleet_discovery", "fleet_status", "fleet_change", "fleet_model")
@@ -68,21 +68,16 @@ def _fleet(bench: Run, count: int) -> Iterator[tuple[LocalFleet, Any]]:
         names, slow = [f"b{n:03}" for n in range(count)], ("--sim-icap-rate", str(_PORT))
         local = stack.enter_context(LocalFleet(names, bench.place("f"), store=etcd, manager=slow))
         fleet = stack.enter_context(connect(local.router, caller="bench", timeout=60.0, store=etcd or "keeper"))
-        _until(lambda: len(fleet.boards()) == count and all(_ready(each) for each in fleet.status().values()))
+        until(
+            lambda: len(fleet.boards()) == count and all(map(_ready, fleet.status().values())),
+            "the fleet did not come up", _PATIENCE,
+        )  # fmt: skip
         yield local, fleet
 
 
 def _ready(status: Any) -> bool:
     own = getattr(status, "status", None)
     return own is not None and bool(own.mode) and not own.fpga_busy
-
-
-def _until(condition: Any) -> None:
-    end = time.monotonic() + _PATIENCE
-    while not condition():
-        if time.monotonic() > end:
-            raise TimeoutError("the fleet did not come up")
-        time.sleep(0.2)
 
 
 def _discovery(local: LocalFleet, bench: Run, count: int) -> Result:

@@ -13,7 +13,7 @@ from cm.simulation.software import Board
 from cm.tools.bench.machine import unpinned
 from cm.tools.bench.result import Goal, Result
 from cm.tools.bench.run import Run
-from cm.tools.bench.serving import cpu_seconds, resident_mib, serve, settle
+from cm.tools.bench.serving import cpu_percent, resident_mib, serve, settle
 
 SECONDS = Goal(0.5)
 MEMORY = Goal(48)
@@ -37,7 +37,9 @@ def run(bench: Run) -> list[Result]:
             cpu.append(served.cpu)
             with served.connect() as board:
                 settle(board)
-            idle, memory = _idle(served.pid, 1.0 if bench.quick else 5.0), resident_mib(served.pid)
+            time.sleep(0.5)  # what follows a change of mode (images are read ahead) is over before this counts
+            idle = cpu_percent(served.pid, lambda: time.sleep(1.0 if bench.quick else 5.0))
+            memory = resident_mib(served.pid)
         with _board(bench) as simulated, serve(bench, "--root", str(simulated.root), sim=False) as alone:
             board_starts.append(alone.seconds)
     details = {
@@ -57,11 +59,3 @@ def run(bench: Run) -> list[Result]:
 def _board(bench: Run) -> Board:
     """The camera example's board, with no manager on it."""
     return Board([Path(str(resources.files("cm").joinpath("data/camera")))], root=bench.place("b") / "board")
-
-
-def _idle(pid: int, seconds: float) -> float:
-    """Percent of one CPU that a process uses while it has nothing to do."""
-    time.sleep(0.5)  # work that follows the change of mode (images are read ahead) should be over before this counts
-    before, started = cpu_seconds(pid), time.monotonic()
-    time.sleep(seconds)
-    return 100 * (cpu_seconds(pid) - before) / (time.monotonic() - started)

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 
-from cm.tools.bench.result import Goal, Result, unavailable
-from cm.tools.bench.rounds import Samples, interleave, timed
+from cm.tools.bench.result import Goal, Result
+from cm.tools.bench.rounds import beside, interleave, timed
 from cm.tools.bench.run import IMAGE, Baselines, Run
 from cm.tools.bench.serving import PATIENCE, serve
 
@@ -40,13 +40,8 @@ def run(bench: Run) -> list[Result]:
         "frame_local_vs_64b": (fast["image"], fast["64b"]),
         "frame_local_vs_iceoryx2": (fast["image"], fast.get("iceoryx2")),
     }
-    return [_result(name, *pair, baselines.missing) for name, pair in samples.items()]
-
-
-def _result(name: str, ours: Samples, theirs: Samples | None, missing: dict[str, str]) -> Result:
-    goal, ran = GOALS[name], f"{RAN}; baseline: {BASELINES[name]}"
-    if theirs is None:
-        return unavailable(name, "µs", ran, "; ".join(missing.values()), goal)
-    ratio = theirs.over(ours) if goal.at_least else ours.over(theirs)
-    details = {"samples": {"ours": ours.plain(), "baseline": theirs.plain()}}
-    return Result(name, ours.median, "µs", ran, theirs.median, ratio, goal, details=details)
+    missing = "; ".join(baselines.missing.values())
+    return [
+        beside(name, f"{RAN}; baseline: {BASELINES[name]}", ours, theirs, GOALS[name], missing)
+        for name, (ours, theirs) in samples.items()
+    ]

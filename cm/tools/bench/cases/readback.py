@@ -21,7 +21,7 @@ from cm.simulation.software.process.child import Board
 from cm.tools.bench.peer import Unavailable
 from cm.tools.bench.result import Goal, Result
 from cm.tools.bench.run import Run
-from cm.tools.bench.serving import Served, cpu_seconds, serve, settle
+from cm.tools.bench.serving import cpu_percent, serve, settle
 
 RATE = 400e6  # bytes per second: 32 bits at 100 MHz
 FRAMES, FRAME = 1000, 404
@@ -129,15 +129,8 @@ def _scrub(bench: Run, folder: Path) -> Result:
     for name, more in (("quiet", ()), ("scrubbed", ("--settings", str(settings)))):
         with serve(bench, *where, *more) as served, served.connect() as board:
             settle(board)
-            shares[name] = _percent(served, seconds)
+            shares[name] = cpu_percent(served.pid, lambda: time.sleep(seconds))
             health = board.status.regions[0].health
     details = {**{f"percent_{name}": share for name, share in shares.items()}, "passes": health.checks if health else 0}
     value = shares["scrubbed"] - shares["quiet"]
     return Result("readback_scrub", value, "% of a CPU", RAN_SCRUB, goal=SCRUB, details=details)
-
-
-def _percent(served: Served, seconds: float) -> float:
-    """Of one CPU that the manager uses."""
-    before, started = cpu_seconds(served.pid), time.monotonic()
-    time.sleep(seconds)
-    return 100 * (cpu_seconds(served.pid) - before) / (time.monotonic() - started)

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from cm.tools.bench.result import Goal, Result
 from cm.tools.bench.run import Run
-from cm.tools.bench.serving import PATIENCE, Served, cpu_seconds, serve, settle
+from cm.tools.bench.serving import PATIENCE, cpu_percent, serve, settle
 
 EVERY = 0.1  # seconds; Prometheus' own default is 60
 GOAL = Goal(2.0)
@@ -36,8 +36,8 @@ def run(bench: Run) -> list[Result]:
         scrape()
         quiet, scraped = [], []
         for _ in range(rounds):
-            quiet.append(_percent(served, seconds, lambda: None))
-            scraped.append(_percent(served, seconds, scrape))
+            quiet.append(cpu_percent(served.pid, lambda: _ten_times_a_second(seconds, lambda: None)))
+            scraped.append(cpu_percent(served.pid, lambda: _ten_times_a_second(seconds, scrape)))
     details = {
         "percent_while_scraped": statistics.median(scraped),
         "percent_without": statistics.median(quiet),
@@ -48,10 +48,8 @@ def run(bench: Run) -> list[Result]:
     return [Result("scraping", value, "% of a CPU", RAN, goal=GOAL, details=details)]
 
 
-def _percent(served: Served, seconds: float, do: Callable[[], None]) -> float:
-    """Of one CPU that the manager uses, while something is done ten times a second."""
-    before, started = cpu_seconds(served.pid), time.monotonic()
+def _ten_times_a_second(seconds: float, do: Callable[[], None]) -> None:
+    started = time.monotonic()
     while (due := EVERY - (time.monotonic() - started) % EVERY) and time.monotonic() < started + seconds:
         time.sleep(due)
         do()
-    return 100 * (cpu_seconds(served.pid) - before) / (time.monotonic() - started)

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 
 from cm.device import AxiDma, DeviceError, Direction, DmaBuffer, list_dma
 from cm.tools.bench.result import Result, unavailable
-from cm.tools.bench.rounds import interleave, timed
+from cm.tools.bench.rounds import beside, interleave, timed
 from cm.tools.bench.run import IMAGE, Run
 
 NAME = "frame_sync"
@@ -31,9 +31,7 @@ def run(bench: Run) -> list[Result]:
         samples = interleave(
             {"image": timed(lambda: _read(image)), "small": timed(lambda: _read(small))}, bench.plan(100)
         )
-    ours, theirs = samples["image"], samples["small"]
-    details = {"samples": {"ours": ours.plain(), "baseline": theirs.plain()}}
-    return [Result(NAME, ours.median, "µs", RAN, theirs.median, ours.over(theirs), details=details)]
+    return [beside(NAME, RAN, samples["image"], samples["small"])]
 
 
 def _channel(stack: ExitStack) -> AxiDma | None:
