@@ -127,14 +127,3 @@ def test_the_page_has_every_bound() -> None:
     assert "| seconds that a request waits for a frame | 86,400;" in page
     assert bounds.WAIT_SECONDS == 86_400
     assert told["bytes of a text mapping"] == f"{bounds.TEXT_BYTES >> 10} KiB"
-
-
-def test_every_figure_that_was_tried_names_a_test_that_is_there() -> None:
-    root, page = PAGE.parents[1], PAGE.read_text("utf-8")
-    rows = page.split("## What was tried")[1].split("\n## ")[0].splitlines()
-    held = [row.rsplit("|", 2)[1].strip() for row in rows if row.startswith("| ") and not row.startswith("| attack")]
-    assert len(held) > 12
-    for cell in held:
-        named = re.findall(r"`((?:tests|csrc)/[\w/]+\.(?:py|c))`", cell)
-        assert named or cell == "the same", cell
-        assert [name for name in named if not (root / name).is_file()] == []
