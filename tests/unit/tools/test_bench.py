@@ -10,7 +10,7 @@ import pytest
 
 from cm.cli.main import main
 from cm.tools.bench import peer, report
-from cm.tools.bench.floor import build
+from cm.tools.bench.c_programs import build
 from cm.tools.bench.peer import Peer, Unavailable
 from cm.tools.bench.result import Goal, Result, unavailable
 from cm.tools.bench.rounds import Plan, Samples, interleave

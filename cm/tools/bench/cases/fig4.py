@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 
-from cm.tools.bench.floor import Copies
+from cm.tools.bench.c_programs import Copies
 from cm.tools.bench.peer import Unavailable
 from cm.tools.bench.pl_loop import looped
 from cm.tools.bench.result import Result

@@ -23,7 +23,7 @@ from cm.schema.model import Config, FrameRange
 from cm.server.devices import BoardDevices
 from cm.server.files import BoardFiles
 from cm.simulation.software.process.child import Board
-from cm.tools.bench.floor import TimedPort
+from cm.tools.bench.c_programs import TimedPort
 from cm.tools.bench.peer import Unavailable
 from cm.tools.bench.result import Goal, Result
 from cm.tools.bench.run import Run
