@@ -14,8 +14,8 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from cm.client.colours import AS_IT_IS, KNOWN, to_rgb
 from cm.client.picture import has_rows, png
+from cm.client.pixel_formats import AS_IT_IS, KNOWN, to_rgb
 from cm.errors import InvalidRequest
 from cm.wire.messages.status import FrameInfo
 

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cm.client.colours import AS_IT_IS
 from cm.client.errors import FrameReleased
 from cm.client.frame import NO_INFO, Frame, checked
+from cm.client.pixel_formats import AS_IT_IS
 from cm.errors import InvalidRequest
 from cm.wire.messages.status import FrameInfo
 from cm.wire.plane_packets import Descriptor, Geometry

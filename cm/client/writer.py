@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cm.client.colours import AS_IT_IS, from_rgb, is_rgb
 from cm.client.core.effects import DEFAULT, Limit, seconds, time_limit
 from cm.client.data_connection import DataConnection
 from cm.client.errors import BoardClosed, ConnectionLost, TransferFailed
+from cm.client.pixel_formats import AS_IT_IS, from_rgb, is_rgb
 from cm.errors import CmError, InvalidRequest, Timeout
 from cm.wire import plane_packets as packets
 from cm.wire.plane_packets import Descriptor, Geometry, Open

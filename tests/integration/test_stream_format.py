@@ -15,7 +15,7 @@ from manager_process import Manager
 
 import cm
 import cm.aio
-from cm.client.colours import from_rgb, to_rgb
+from cm.client.pixel_formats import from_rgb, to_rgb
 from cm.errors import InvalidRequest
 from cm.schema import SchemaError, dump, loads
 

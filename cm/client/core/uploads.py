@@ -47,7 +47,7 @@ def recoded(refused: RequestFailed, stream: str, data: Any, lease: str) -> Flow[
     """A picture in RGB again, as the stream's format has it. Raises `refused` if that was not what it was about."""
     if refused.code != PIXEL_FORMAT:
         raise refused
-    from cm.client.colours import from_rgb  # imported here: it needs numpy
+    from cm.client.pixel_formats import from_rgb  # imported here: it needs numpy
 
     status = yield calls.describe_stream(stream)
     return (yield from write_data(stream, from_rgb(data, status.format).reshape(-1), lease))
