@@ -24,7 +24,7 @@ from cm.simulation.bits.verilog import Port, verilog
 from cm.simulation.rtl.compile import Unit, Watched, compile_units
 from cm.simulation.rtl.running_design import Library
 from cm.simulation.rtl.tools import Tools
-from cm.simulation.software.hardware.cells import Region
+from cm.simulation.software.hardware.register_windows import Region
 
 _log = logging.getLogger(__name__)
 _NOTES = 3  # at most are reported one by one

@@ -11,8 +11,8 @@ from cm.simulation.rtl.running_design import SLOT, RunningDesign
 from cm.simulation.software.errors import NodeError
 from cm.simulation.software.faults import Faults
 from cm.simulation.software.hardware.bus import check_access, check_block
-from cm.simulation.software.hardware.cells import Window
 from cm.simulation.software.hardware.fabric import Fabric
+from cm.simulation.software.hardware.register_windows import Window
 
 _WHY = {
     errno.EFAULT: "no slave has that address (DECERR)",

@@ -13,8 +13,8 @@ from cm.frozen import dataclass
 from cm.simulation.rtl.design import RtlDesign
 from cm.simulation.rtl.errors import RtlError
 from cm.simulation.rtl.process import HarnessProcess, Message, Op
-from cm.simulation.software.hardware.cells import Region
 from cm.simulation.software.hardware.logic import LogicParts
+from cm.simulation.software.hardware.register_windows import Region
 
 SLOT = 64 << 20  # bytes of the arena for each stream, and before them for everything else
 _log = logging.getLogger(__name__)

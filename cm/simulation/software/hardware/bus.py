@@ -11,8 +11,8 @@ from cm.frozen import dataclass
 from cm.schema.model import Access, Decoupler
 from cm.simulation.software.errors import NodeError
 from cm.simulation.software.faults import Faults
-from cm.simulation.software.hardware.cells import Area, Cell, Region, Window, answers, writable
 from cm.simulation.software.hardware.fabric import EMPTY_WORD, Fabric
+from cm.simulation.software.hardware.register_windows import Area, Cell, Region, Window, answers, writable
 from cm.simulation.software.transport.protocol import BLOCK_MAX
 
 _WIDTHS = (8, 16, 32, 64)

@@ -16,10 +16,10 @@ from cm.formats.bitstream.geometry import FrameAddress, decode_far
 from cm.formats.bitstream.module import ModuleIdentity
 from cm.schema.model import FrameRange
 from cm.simulation.software.hardware.board_spec import BoardSpec, ModuleSpec, RegionSpec
-from cm.simulation.software.hardware.cells import Region
 from cm.simulation.software.hardware.configuration_frames import Frames
 from cm.simulation.software.hardware.configuration_port import FrameWrite
 from cm.simulation.software.hardware.fabric import Fabric
+from cm.simulation.software.hardware.register_windows import Region
 
 _log = logging.getLogger(__name__)
 _SHARED = (

@@ -8,10 +8,10 @@ import math
 from typing import TYPE_CHECKING
 
 from cm.simulation.software.hardware.board_spec import ModuleSpec
-from cm.simulation.software.hardware.cells import Region
 from cm.simulation.software.hardware.dma import Bytes
 from cm.simulation.software.hardware.fabric import Fabric
 from cm.simulation.software.hardware.models import Models, default
+from cm.simulation.software.hardware.register_windows import Region
 from cm.simulation.software.hardware.running import RunningModels
 
 if TYPE_CHECKING:

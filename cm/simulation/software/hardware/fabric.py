@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from cm.schema.model import Access, Memory, Register
 from cm.simulation.software.hardware.board_spec import BoardSpec, ModuleSpec, RegionSpec
-from cm.simulation.software.hardware.cells import Area, Cell, Region, View, Window, same_place
 from cm.simulation.software.hardware.gpio import Chip, Lines
+from cm.simulation.software.hardware.register_windows import Area, Cell, Region, View, Window, same_place
 
 if TYPE_CHECKING:
     import numpy as np

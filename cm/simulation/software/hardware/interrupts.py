@@ -10,8 +10,8 @@ from functools import partial
 from cm.frozen import dataclass
 from cm.schema.model import Interrupt
 from cm.simulation.software.faults import Faults
-from cm.simulation.software.hardware.cells import Cell, Window
 from cm.simulation.software.hardware.fabric import Fabric
+from cm.simulation.software.hardware.register_windows import Cell, Window
 from cm.simulation.software.transport.session import Events
 
 _COUNT = struct.Struct("<I")

@@ -18,13 +18,13 @@ from cm.simulation.software.errors import NodeError
 from cm.simulation.software.faults import Faults
 from cm.simulation.software.hardware.bus import Bus
 from cm.simulation.software.hardware.camera import Photo, PhotoReel
-from cm.simulation.software.hardware.cells import Window
 from cm.simulation.software.hardware.datapath import Datapath
 from cm.simulation.software.hardware.dma import Channel
 from cm.simulation.software.hardware.fabric import Fabric
 from cm.simulation.software.hardware.interrupts import InterruptWiring, Line
 from cm.simulation.software.hardware.links import CameraLink, Link, LoopLink, SinkLink
 from cm.simulation.software.hardware.models import Models
+from cm.simulation.software.hardware.register_windows import Window
 from cm.simulation.software.hardware.running import RunningModels
 from cm.simulation.software.transport.buffers import DmaMemory
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from cm.loop import Loop
 from cm.simulation.software.errors import SimError
-from cm.simulation.software.hardware.cells import Region, Window
 from cm.simulation.software.hardware.fabric import Fabric
 from cm.simulation.software.hardware.interrupts import InterruptWiring
 from cm.simulation.software.hardware.models import Model, Models, Registers
+from cm.simulation.software.hardware.register_windows import Region, Window
 from cm.simulation.software.transport.buffers import DmaMemory
 
 if TYPE_CHECKING:

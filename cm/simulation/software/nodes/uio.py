@@ -7,9 +7,9 @@ import errno
 from collections.abc import Sequence
 
 from cm.simulation.software.errors import NodeError
-from cm.simulation.software.hardware.cells import Window
 from cm.simulation.software.hardware.interrupts import Line
 from cm.simulation.software.hardware.logic import Accesses
+from cm.simulation.software.hardware.register_windows import Window
 from cm.simulation.software.transport import protocol
 from cm.simulation.software.transport.root import Root
 from cm.simulation.software.transport.session import Answer, Events, Opened

@@ -9,9 +9,9 @@ import os
 from collections.abc import Sequence
 
 from cm.simulation.software.errors import NodeError
-from cm.simulation.software.hardware.cells import Window
 from cm.simulation.software.hardware.fabric import Fabric
 from cm.simulation.software.hardware.logic import Accesses
+from cm.simulation.software.hardware.register_windows import Window
 from cm.simulation.software.transport import protocol
 from cm.simulation.software.transport.server import Server
 from cm.simulation.software.transport.session import Answer, Events, Opened
