@@ -22,8 +22,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from cm.design.errors import BuildError
+from cm.design.partition.integer_program import Program, solve
 from cm.design.partition.model import Partition, Problem, compatible, evaluate, group_of
-from cm.design.partition.program import Program, solve
 
 SECONDS = 10.0
 
