@@ -116,7 +116,7 @@ def _told(args: argparse.Namespace, request: Request) -> ConfigInfo:
     """The manager's answer. Raises Timeout soon."""
     import zmq
 
-    from cm.client.place import find
+    from cm.client.find_manager import find
     from cm.client.sockets import prepare
     from cm.wire.encode import decode_reply, encode_request
 

@@ -63,11 +63,11 @@ def run(args: argparse.Namespace) -> int:
 
 def _note_absence(args: argparse.Namespace, options: Options) -> None:
     """Say that no manager is there yet, where that shows at once; the page waits for it."""
-    from cm.client import place
+    from cm.client.find_manager import find
 
     with suppress(CmError, OSError):  # what else is wrong, the page says
         try:
-            place.find(args.connect, args.runtime_dir, args.keys)
+            find(args.connect, args.runtime_dir, args.keys)
         except NotFound as error:
             if options.fleet is None:
                 _say(f"{error}; the page waits for it")

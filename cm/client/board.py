@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import zmq
 
-from cm.client import place
 from cm.client.address import Keys
 from cm.client.change import ChangeHandle
 from cm.client.core import calls, change, leases, uploads
@@ -24,6 +23,7 @@ from cm.client.core.leases import HeldLeases
 from cm.client.core.values import mode_name
 from cm.client.errors import RequestFailed
 from cm.client.events import EventStream
+from cm.client.find_manager import find
 from cm.client.guard import Guarded
 from cm.client.interrupts import Interrupts
 from cm.client.lease import BoardLease
@@ -114,7 +114,7 @@ class Board(Guarded):
         guest: str = "",
     ) -> None:
         timeout = time_limit(timeout)
-        self._place = place.find(endpoint, runtime_dir, keys, guest)
+        self._place = find(endpoint, runtime_dir, keys, guest)
         self._sockets = Sockets(zmq.Context(), self._place.endpoints, self._place.keys)
         # Not __del__: a finalizer also runs when the interpreter ends, before modules that it needs are taken apart.
         self._close = weakref.finalize(self, self._sockets.close)

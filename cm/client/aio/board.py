@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy.typing as npt
 import zmq.asyncio
 
-from cm.client import place
 from cm.client.address import Keys
 from cm.client.aio.change import ChangeHandle
 from cm.client.aio.events import EventStream
@@ -34,6 +33,7 @@ from cm.client.core.leases import HeldLeases
 from cm.client.core.remote_stream import Wanted, check_compression
 from cm.client.core.values import mode_name
 from cm.client.errors import RequestFailed
+from cm.client.find_manager import find
 from cm.client.frame import Frame
 from cm.client.guard import Guarded
 from cm.client.progress import OnProgress, Shown
@@ -98,7 +98,7 @@ class Board(Guarded):
         guest: str = "",
     ) -> None:
         timeout = time_limit(timeout)
-        self._place = place.find(endpoint, runtime_dir, keys, guest)
+        self._place = find(endpoint, runtime_dir, keys, guest)
         self._sockets = Sockets(zmq.asyncio.Context(), self._place.endpoints, self._place.keys)
         # Not __del__: a finalizer also runs when the interpreter ends, before modules that it needs are taken apart.
         self._close = weakref.finalize(self, self._sockets.close)

@@ -13,11 +13,11 @@ from typing import Any, TypeVar
 import zmq
 from zmq.utils.monitor import parse_monitor_message
 
-from cm.client import place
 from cm.client.address import Keys
 from cm.client.core.calls import Call
 from cm.client.core.requests import result
 from cm.client.errors import ConnectionLost, NoAnswer
+from cm.client.find_manager import find
 from cm.client.sockets import Sockets, not_subscribed
 from cm.wire.encode import encode_request
 from cm.wire.envelope import GUEST
@@ -84,7 +84,7 @@ class Relay:
         changed: Callable[[bool], None] = lambda _: None,
     ) -> None:
         """Arguments and errors are those of `cm.connect`. `changed` is told whether the manager is there."""
-        found = place.find(endpoint, runtime_dir, keys)
+        found = find(endpoint, runtime_dir, keys)
         self._sockets = Sockets(zmq.Context(), found.endpoints, found.keys)
         self._finalizer = weakref.finalize(self, self._sockets.close)
         self._numbers = itertools.count(1)

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any, TypeVar
 
 from cm.client.core.calls import Call
-from cm.client.place import Place
+from cm.client.find_manager import Place
 from cm.errors import InvalidRequest
 from cm.wire.messages.requests import ReleaseLease, RenewLease, TakeLease
 
