@@ -8,6 +8,8 @@ import errno
 from cm.device.axidma import AxiDma
 from cm.device.errors import device_error
 from cm.device.native import plane as native
+from cm.device.native.plane import ClientCounts as ClientCounts
+from cm.device.native.plane import StreamCounts as StreamCounts
 from cm.frozen import dataclass
 
 ECHO_DEPTH = 64  # transfers under way where there is no channel
@@ -25,36 +27,6 @@ class StreamSetup:
     line_bytes: int = 0
     stride: int = 0
     period_ns: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class StreamCounts:
-    """What happened since a stream's start; of recent frames, the times of completion and latencies (ns).
-
-    `error`: the errno of the last transfer that failed, 0 if none has.
-    """
-
-    frames: int
-    dropped: int
-    errors: int
-    bytes: int
-    late: int
-    held: int
-    queued: int
-    idle: int
-    error: int
-    at_ns: tuple[int, ...]
-    latency_ns: tuple[int, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class ClientCounts:
-    """One client since it was attached: frames it was lent or sent, and did not get; slots it may hold, and holds."""
-
-    frames: int
-    dropped: int
-    depth: int
-    held: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,13 +131,12 @@ class Plane:
 
     def counts(self, stream: int) -> StreamCounts:
         """The counters of a stream."""
-        raw = native.stats(self._handle, stream)
-        return StreamCounts(*raw[:9], tuple(raw.at_ns), tuple(raw.latency_ns))
+        return native.stats(self._handle, stream)
 
     def client_counts(self, client: int) -> ClientCounts | None:
         """The counters of one client; None if it has gone."""
         try:
-            return ClientCounts(*native.client_stats(self._handle, client))
+            return native.client_stats(self._handle, client)
         except FileNotFoundError:
             return None
 

@@ -12,38 +12,11 @@ from cm.device.base import AnyRoot, Device, Shim
 from cm.device.errors import DeviceError, DeviceInvalid, DeviceNotFound, device_error
 from cm.device.native import uio as native
 from cm.device.native.call import Handle, last_error
+from cm.device.native.uio import UioInfo as UioInfo
+from cm.device.native.uio import UioMap as UioMap
 from cm.device.paths import Root
-from cm.frozen import dataclass
 
 WIDTHS = (8, 16, 32, 64)
-
-
-@dataclass(frozen=True, slots=True)
-class UioMap:
-    """One window: physical ``address``, ``size`` in bytes, ``offset`` of its start in the mapping."""
-
-    name: str
-    address: int
-    size: int
-    offset: int
-
-
-@dataclass(frozen=True, slots=True)
-class UioInfo:
-    """A UIO device as sysfs describes it; ``node`` is "uioN"."""
-
-    number: int
-    name: str
-    maps: tuple[UioMap, ...]
-
-    @property
-    def node(self) -> str:
-        """Name of the node in /dev."""
-        return f"uio{self.number}"
-
-
-def _info(info: native.Info) -> UioInfo:
-    return UioInfo(info.number, info.name, tuple(UioMap(*item) for item in info.maps))
 
 
 def list_uio(root: AnyRoot = None) -> list[UioInfo]:
@@ -53,7 +26,7 @@ def list_uio(root: AnyRoot = None) -> list[UioInfo]:
     try:
         for number in native.numbers(base.prefix):
             try:
-                found.append(_info(native.describe(base.prefix, number)))
+                found.append(native.describe(base.prefix, number))
             except FileNotFoundError:
                 continue  # it went away after it was listed
     except OSError as error:
@@ -68,10 +41,9 @@ def find_uio(address: int, length: int = 1, root: AnyRoot = None) -> tuple[UioIn
     """
     base = Root.of(root)
     try:
-        info, index = native.find_address(base.prefix, address, length)
+        return native.find_address(base.prefix, address, length)
     except (OSError, OverflowError) as error:
         raise _no_window(base, address, length) from error
-    return _info(info), index
 
 
 def _windows(infos: list[UioInfo]) -> str:
@@ -90,7 +62,7 @@ def _find(root: Root, name: str | int) -> UioInfo:
         return find_uio(name, 1, root)[0]
     path = root.join("sys/class/uio")
     try:
-        return _info(native.find_name(root.prefix, name))
+        return native.find_name(root.prefix, name)
     except FileNotFoundError as error:
         present = [f"{info.node} ({info.name})" for info in list_uio(root)]
         hint = advice.missing(path / name, present)

@@ -9,7 +9,6 @@ so they are written and checked after recoupling, while the streams are still st
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import field, replace
@@ -88,6 +87,8 @@ def _word(word: str, configs: Mapping[str, Config], loaded: str | None) -> tuple
 
 def hint(name: str, known: Iterable[str]) -> str:
     """The nearest names, or all."""
+    import difflib  # only those who err need it
+
     known = list(known)
     close = difflib.get_close_matches(name, known, n=2)
     return f"; did you mean {' or '.join(map(repr, close))}?" if close else f"; there are {listed(known)}"

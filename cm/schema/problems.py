@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import ClassVar
@@ -62,6 +61,8 @@ def key_path(path: Iterable[str | int]) -> str:
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """The hint for an unknown name: the nearest one, or the list of all."""
+    import difflib  # only files that are wrong need it
+
     names = list(known)
     near = difflib.get_close_matches(word[:_LONGEST_NAME], names, n=1, cutoff=0.6)
     if near:

@@ -21,8 +21,11 @@ class Event(NamedTuple):
     error: int
 
 
-class Stats(NamedTuple):
-    """``struct cm_plane_stats``; the last two hold recent entries, newest last."""
+class StreamCounts(NamedTuple):
+    """What happened since a stream's start; of recent frames, the times of completion and latencies (ns), newest last.
+
+    `error`: the errno of the last transfer that failed, 0 if none has.
+    """
 
     frames: int
     dropped: int
@@ -33,12 +36,12 @@ class Stats(NamedTuple):
     queued: int
     idle: int
     error: int
-    at_ns: list[int]
-    latency_ns: list[int]
+    at_ns: tuple[int, ...]
+    latency_ns: tuple[int, ...]
 
 
-class ClientStats(NamedTuple):
-    """``struct cm_plane_client_stats``."""
+class ClientCounts(NamedTuple):
+    """One client since it was attached: frames it was lent or sent, and did not get; slots it may hold, and holds."""
 
     frames: int
     dropped: int
@@ -130,17 +133,17 @@ def drop(plane: Handle, client: int) -> None:
     check(lib.cm_plane_drop(plane, client))
 
 
-def stats(plane: Handle, stream: int) -> Stats:
+def stats(plane: Handle, stream: int) -> StreamCounts:
     """The counters of a stream."""
     raw = ffi.new("struct cm_plane_stats *")
     check(lib.cm_plane_get_stats(plane, stream, raw))
-    recent = list(raw.at_ns)[: raw.count], list(raw.latency_ns)[: raw.count]
+    recent = tuple(raw.at_ns)[: raw.count], tuple(raw.latency_ns)[: raw.count]
     counts = raw.frames, raw.dropped, raw.errors, raw.bytes, raw.late, raw.held, raw.queued, raw.idle, raw.error
-    return Stats(*counts, *recent)
+    return StreamCounts(*counts, *recent)
 
 
-def client_stats(plane: Handle, client: int) -> ClientStats:
+def client_stats(plane: Handle, client: int) -> ClientCounts:
     """What one client has received, and what it holds."""
     raw = ffi.new("struct cm_plane_client_stats *")
     check(lib.cm_plane_get_client_stats(plane, client, raw))
-    return ClientStats(raw.frames, raw.dropped, raw.depth, raw.held)
+    return ClientCounts(raw.frames, raw.dropped, raw.depth, raw.held)

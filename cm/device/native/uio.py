@@ -14,8 +14,8 @@ read32 = lib.cm_uio_read32
 _VALUE = ffi.typeof("uint64_t *")
 
 
-class Map(NamedTuple):
-    """``struct cm_uio_map``."""
+class UioMap(NamedTuple):
+    """One window: physical ``address``, ``size`` in bytes, ``offset`` of its start in the mapping."""
 
     name: str
     address: int
@@ -23,24 +23,31 @@ class Map(NamedTuple):
     offset: int
 
 
-class Info(NamedTuple):
-    """``struct cm_uio_info``."""
+class UioInfo(NamedTuple):
+    """A UIO device as sysfs describes it; ``node`` is "uioN"."""
 
     number: int
     name: str
-    maps: tuple[Map, ...]
+    maps: tuple[UioMap, ...]
+
+    @property
+    def node(self) -> str:
+        """Name of the node in /dev."""
+        return f"uio{self.number}"
 
 
 def _text(array: Handle) -> str:
     return bytes(ffi.string(array)).decode("utf-8", "replace")
 
 
-def _info(info: Handle) -> Info:
+def _info(info: Handle) -> UioInfo:
     maps = [info.maps[index] for index in range(info.map_count)]
-    return Info(info.number, _text(info.name), tuple(Map(_text(m.name), m.address, m.size, m.offset) for m in maps))
+    return UioInfo(
+        info.number, _text(info.name), tuple(UioMap(_text(m.name), m.address, m.size, m.offset) for m in maps)
+    )
 
 
-def describe(root: str, number: int) -> Info:
+def describe(root: str, number: int) -> UioInfo:
     """Return what sysfs says of uio``number``; FileNotFoundError if there is none."""
     info = ffi.new("struct cm_uio_info *")
     check(lib.cm_uio_describe(encode(root), number, info))
@@ -58,14 +65,14 @@ def numbers(root: str) -> list[int]:
         room = found
 
 
-def find_name(root: str, name: str) -> Info:
+def find_name(root: str, name: str) -> UioInfo:
     """Return the first device of that name, or uioN; FileNotFoundError if there is none."""
     info = ffi.new("struct cm_uio_info *")
     check(lib.cm_uio_find_name(encode(root), encode(name), info))
     return _info(info)
 
 
-def find_address(root: str, address: int, length: int) -> tuple[Info, int]:
+def find_address(root: str, address: int, length: int) -> tuple[UioInfo, int]:
     """Return the device and map that cover the range; FileNotFoundError if none does."""
     info, index = ffi.new("struct cm_uio_info *"), ffi.new("unsigned int *")
     check(lib.cm_uio_find_address(encode(root), address, length, info, index))

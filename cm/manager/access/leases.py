@@ -7,11 +7,10 @@ part that watches processes). Scopes overlap if one contains the other.
 
 from __future__ import annotations
 
-import secrets
+import os
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from difflib import get_close_matches
 from itertools import count
 from math import inf
 
@@ -19,6 +18,7 @@ from cm.errors import Busy, InvalidRequest, NotFound
 from cm.frozen import dataclass
 from cm.manager.errors import HeldBy
 from cm.manager.interfaces import TimeSource
+from cm.manager.planner import hint
 from cm.schema.model import Config, Memory, Mode, Module
 from cm.wire.messages.requests import (
     BreakLease,
@@ -58,9 +58,7 @@ def check_scope_names_something(scope: str, configs: Iterable[Config], memories:
     for config in configs:
         known |= _names(kind, config)
     if name not in known:
-        close = get_close_matches(name, known, 1)
-        there = f"did you mean {close[0]!r}?" if close else f"there are {', '.join(sorted(known)) or 'none'}"
-        raise NotFound(f"scope {scope!r}: no configuration has {name!r}; {there}")
+        raise NotFound(f"scope {scope!r}: no configuration has {name!r}{hint(name, known)}")
 
 
 def _names(kind: str, config: Config) -> set[str]:
@@ -223,7 +221,7 @@ class Leases:
             alone = request.exclusive or held.info.exclusive
             if alone and _overlap(held.info.scope, request.scope):
                 raise HeldBy(_held_by(held.info, self._left(held)))
-        info = LeaseInfo(secrets.token_hex(8), request.scope, request.exclusive, seconds, _named(request.holder))
+        info = LeaseInfo(os.urandom(8).hex(), request.scope, request.exclusive, seconds, _named(request.holder))
         until = self._time.monotonic() + seconds
         self._held[info.id] = _Lease(info, until, next(self._numbers), client, request.pid)
         self._untold = True

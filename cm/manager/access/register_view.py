@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from cm.errors import InvalidRequest
 from cm.manager.errors import AccessDenied, OutOfRange, UnknownRegister
+from cm.manager.planner import hint
 from cm.manager.state.board_state import BoardState, RegionPhase
 from cm.manager.state.record import LockedRegions, ManagerState
 from cm.schema.model import Access, BitField, Config, FieldAccess, Register
@@ -39,23 +39,16 @@ def find(
     register = registers.get(register_name)
     if register is None:
         raise UnknownRegister(
-            f"no register {register_name!r} in this mode{elsewhere() or _nearest(register_name, registers)}"
+            f"no register {register_name!r} in this mode{elsewhere() or hint(register_name, registers)}"
         )
     if field_name is None:
         return register, None
     field = register.fields.get(field_name)
     if field is None:
         raise UnknownRegister(
-            f"register {register_name!r} has no field {field_name!r}{_nearest(field_name, register.fields)}"
+            f"register {register_name!r} has no field {field_name!r}{hint(field_name, register.fields)}"
         )
     return register, field
-
-
-def _nearest(name: str, known: Mapping[str, object]) -> str:
-    close = difflib.get_close_matches(name, known, n=3)
-    if close:
-        return f"; did you mean {' or '.join(map(repr, close))}?"
-    return f"; there are {', '.join(sorted(known))}" if known else "; there are none"
 
 
 def checked_write(
@@ -94,7 +87,7 @@ def _by_name(write: RegWrite, field: BitField | None) -> RegWrite:
     if not names:
         raise OutOfRange(f"register {write.name!r} takes an integer, not {write.named!r}: its values have no names")
     if write.named not in names:
-        raise OutOfRange(f"register {write.name!r} has no value {write.named!r}{_nearest(write.named, names)}")
+        raise OutOfRange(f"register {write.name!r} has no value {write.named!r}{hint(write.named, names)}")
     return RegWrite(write.name, names[write.named], write.mask)
 
 

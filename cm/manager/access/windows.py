@@ -13,7 +13,6 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from difflib import get_close_matches
 from itertools import count
 from typing import NamedTuple, NoReturn
 
@@ -24,6 +23,7 @@ from cm.manager.access.register_service import RegisterService, value_of
 from cm.manager.access.register_view import is_free
 from cm.manager.errors import HeldBy, ModuleAbsent, NothingLoaded, NoWindow, RegionBusy
 from cm.manager.interfaces import Devices, TimeSource, WindowLender
+from cm.manager.planner import hint
 from cm.manager.reporting import memory_info, register_info
 from cm.manager.state.record import LockedRegions, ManagerState
 from cm.schema.model import Access, Config, Memory, Mode, Module, Register
@@ -210,10 +210,7 @@ class Windows:
         for other in self._state.configs.values():
             if name in other.modules or name in other.regions:
                 raise ModuleAbsent(f"module {name!r} is not loaded: it is one of configuration {other.name!r}")
-        there = [*config.modules, *config.regions, STATIC]
-        close = get_close_matches(name, there, 1)
-        hint = f"did you mean {close[0]!r}?" if close else f"there are {', '.join(there)}"
-        raise NotFound(f"no module or region {name!r}; {hint}")
+        raise NotFound(f"no module or region {name!r}{hint(name, [*config.modules, *config.regions, STATIC])}")
 
     # ---- taking back ----------------------------------------------------------------
 
