@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Status, events and reply bodies ↔ protobuf messages.
+"""Status, events, bodies of replies and some requests ↔ protobuf messages.
 
 Data and message have fields of the same names, so that for most of them it is enough to say which two are twins.
 """
@@ -13,6 +13,7 @@ from typing import Any, Generic, TypeVar
 from google.protobuf.message import Message
 
 from cm.wire import cm_pb2 as pb
+from cm.wire.messages import requests as rq
 from cm.wire.messages import status as st
 
 _D = TypeVar("_D")
@@ -82,6 +83,10 @@ class _PrMode:
         return cls._all[number] if 0 <= number < len(cls._all) else st.PrMode.ERROR
 
 
+STREAM_SETTINGS = Twin(rq.ConfigureStream, pb.DataConfig)
+LEASE_TAKEN = Twin(rq.TakeLease, pb.Lease)
+LEASE_RENEWED = Twin(rq.RenewLease, pb.Lease)
+REGION_CHECKED = Twin(rq.CheckRegion, pb.Region)
 ERROR = Twin(st.ErrorInfo, pb.Error)
 FRAME = Twin(st.FrameInfo, pb.Frame)
 LEASE = Twin(st.LeaseInfo, pb.Lease)

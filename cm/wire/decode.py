@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import lru_cache
 
 from cm.errors import InvalidRequest
-from cm.wire import bounds, parse, text, topics
+from cm.wire import bodies, bounds, parse, text, topics
 from cm.wire import cm_pb2 as pb
 from cm.wire.messages import requests as rq
 
@@ -129,32 +129,13 @@ def _data_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     m = parse.parse(pb.DataConfig, "cm_data_config", message)
     if m.HasField("address") or m.length or m.access or m.region:
         return _define_memory(m)
-    request = _configure_stream(m)
+    request = bodies.STREAM_SETTINGS.from_pb(m)
     return rq.DescribeData(m.stream, m.lease) if request == rq.ConfigureStream(m.stream, lease=m.lease) else request
 
 
 def _define_memory(m: pb.DataConfig) -> rq.DefineMemory:
     address = m.address if m.HasField("address") else None
     return rq.DefineMemory(m.stream, address, m.length, tuple(m.shape), m.dtype, m.access, m.region, m.lease)
-
-
-def _configure_stream(m: pb.DataConfig) -> rq.ConfigureStream:
-    return rq.ConfigureStream(
-        stream=m.stream,
-        shape=tuple(m.shape),
-        dtype=m.dtype,
-        slots=m.slots,
-        direction=m.direction,
-        rate=m.rate,
-        cyclic=m.cyclic if m.HasField("cyclic") else None,
-        enable=m.enable if m.HasField("enable") else None,
-        force=m.force,
-        lease=m.lease,
-        backpressure=m.backpressure if m.HasField("backpressure") else None,
-        stride=m.stride,
-        automatic=m.automatic,
-        compression=m.compression,
-    )
 
 
 def _read_data(message: bytes, payload: Sequence[Frame]) -> rq.Request:
@@ -190,7 +171,7 @@ def _region(message: bytes, payload: Sequence[Frame]) -> rq.Request:
         raise InvalidRequest("cm_region: map compares nothing, and does not go with repair")
     if m.map:
         return rq.MapRegion(m.name)
-    return rq.CheckRegion(m.name, m.repair, m.reload, m.lease)
+    return bodies.REGION_CHECKED.from_pb(m)
 
 
 def _read_irq(message: bytes, payload: Sequence[Frame]) -> rq.Request:
@@ -206,12 +187,12 @@ def _lease(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     if m.release:
         return rq.ReleaseLease(m.id)
     if m.id:
-        return rq.RenewLease(m.id, m.seconds, m.pid)
+        return bodies.LEASE_RENEWED.from_pb(m)
     if not m.scope:
         raise InvalidRequest(
             "cm_lease: no scope; it is one of board, config, region:NAME, registers:NAME, memories:NAME"
         )
-    return rq.TakeLease(m.scope, m.exclusive, m.seconds, m.holder, m.pid)
+    return bodies.LEASE_TAKEN.from_pb(m)
 
 
 _DECODERS: dict[bytes, _Decoder] = {

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
-from google.protobuf.message import DecodeError
+from google.protobuf.message import DecodeError, Message
 
 from cm.errors import InvalidRequest
 from cm.wire import bodies, topics
@@ -16,6 +16,18 @@ from cm.wire.messages import requests as rq
 from cm.wire.messages import status as st
 
 Frame = bytes | memoryview
+_M = TypeVar("_M", bound=Message)
+_CHANGE = bodies.Twin(
+    rq.ChangeMode, pb.WriteConfig, [name for name in rq.ChangeMode.__annotations__ if name != "name_or_mode"]
+)
+
+
+def parsed(kind: type[_M], data: bytes) -> _M:
+    """A message of this kind. Raises InvalidRequest."""
+    try:
+        return kind.FromString(data)
+    except DecodeError as problem:
+        raise InvalidRequest(f"the payload is not a valid {kind.__name__} message ({problem})") from problem
 
 
 def encode_request(request: rq.Request) -> list[Frame]:
@@ -48,20 +60,7 @@ def _no_text(request: Any) -> str:
 def _change_mode(r: rq.ChangeMode) -> list[Frame]:
     if r.name_or_mode:
         return [topics.TEXT_CONFIG, r.name_or_mode.encode()]
-    return [topics.WRITE_CONFIG, _change(r).SerializeToString()]
-
-
-def _change(r: rq.ChangeMode) -> pb.WriteConfig:
-    return pb.WriteConfig(
-        config_name=r.config_name,
-        mode=r.mode,
-        no_wait=r.no_wait,
-        no_queue=r.no_queue,
-        force=r.force,
-        lease=r.lease,
-        undoable=r.undoable,
-        undo=r.undo,
-    )
+    return [topics.WRITE_CONFIG, _CHANGE.to_pb(r).SerializeToString()]
 
 
 def _provision(r: rq.Provision) -> list[Frame]:
@@ -73,7 +72,7 @@ def _provision(r: rq.Provision) -> list[Frame]:
         else pb.File(name=f.name, length=len(f.data), sha256=f.sha256 or hashlib.sha256(f.data).hexdigest())
         for f in r.files
     ]
-    message = _change(r.change) if r.change is not None else pb.WriteConfig(provision_only=True)
+    message = _CHANGE.to_pb(r.change) if r.change is not None else pb.WriteConfig(provision_only=True)
     message.MergeFrom(pb.WriteConfig(schema=r.schema, files=files, lease=r.lease))
     return [topics.WRITE_CONFIG, message.SerializeToString(), *(f.data for f in r.files if not f.upload)]
 
@@ -116,22 +115,7 @@ def _place(name: str, *numbers: int) -> None:
 
 def _configure_stream(r: rq.ConfigureStream) -> list[Frame]:
     try:
-        message = pb.DataConfig(
-            stream=r.stream,
-            shape=r.shape,
-            dtype=r.dtype,
-            slots=r.slots,
-            direction=r.direction,
-            rate=r.rate,
-            cyclic=r.cyclic,
-            enable=r.enable,
-            force=r.force,
-            lease=r.lease,
-            backpressure=r.backpressure,
-            stride=r.stride,
-            automatic=r.automatic,
-            compression=r.compression,
-        )
+        message = bodies.STREAM_SETTINGS.to_pb(r)
     except (TypeError, ValueError, OverflowError) as error:
         raise InvalidRequest(f"stream {r.stream!r}: a setting is out of its range: {error}") from None
     return [topics.DATA_CONFIG, message.SerializeToString()]
@@ -157,10 +141,6 @@ def _define_memory(r: rq.DefineMemory) -> list[Frame]:
 
 def _lease(message: pb.Lease) -> list[Frame]:
     return [topics.LEASE, message.SerializeToString()]
-
-
-def _take_lease(r: rq.TakeLease) -> list[Frame]:
-    return _lease(pb.Lease(scope=r.scope, exclusive=r.exclusive, seconds=r.seconds, holder=r.holder, pid=r.pid))
 
 
 def _config(message: pb.ReadConfig) -> list[Frame]:
@@ -190,14 +170,11 @@ _REQUESTS: dict[type, Callable[[Any], list[Frame]]] = {
     rq.ReadData: _read_data,
     rq.WriteData: _write_data,
     rq.Upload: _upload,
-    rq.CheckRegion: lambda r: [
-        topics.REGION,
-        pb.Region(name=r.name, repair=r.repair, reload=r.reload, lease=r.lease).SerializeToString(),
-    ],
+    rq.CheckRegion: lambda r: [topics.REGION, bodies.REGION_CHECKED.to_pb(r).SerializeToString()],
     rq.MapRegion: lambda r: [topics.REGION, pb.Region(name=r.name, map=True).SerializeToString()],
     rq.ReadIrq: lambda r: [topics.IRQ, pb.ReadIrq(name=r.name).SerializeToString()],
-    rq.TakeLease: _take_lease,
-    rq.RenewLease: lambda r: _lease(pb.Lease(id=r.id, seconds=r.seconds, pid=r.pid)),
+    rq.TakeLease: lambda r: _lease(bodies.LEASE_TAKEN.to_pb(r)),
+    rq.RenewLease: lambda r: _lease(bodies.LEASE_RENEWED.to_pb(r)),
     rq.BreakLease: lambda r: _lease(pb.Lease(number=r.number, release=True)),
     rq.ReleaseLease: lambda r: _lease(pb.Lease(id=r.id, release=True)),
 }
@@ -334,19 +311,12 @@ def encode_frame_info(info: st.FrameInfo) -> bytes:
 
 def decode_plan(data: bytes) -> st.PlanInfo:
     """A Plan message. Raises InvalidRequest."""
-    return bodies.PLAN.from_pb(_message(pb.Plan, data))
+    return bodies.PLAN.from_pb(parsed(pb.Plan, data))
 
 
 def decode_registers(data: bytes) -> st.RegValues:
     """A RegValues message. Raises InvalidRequest."""
-    return bodies.registers_from_pb(_message(pb.RegValues, data))
-
-
-def _message(kind: Any, data: bytes) -> Any:
-    try:
-        return kind.FromString(data)
-    except DecodeError as problem:
-        raise InvalidRequest(f"the payload is not a valid {kind.__name__} message ({problem})") from problem
+    return bodies.registers_from_pb(parsed(pb.RegValues, data))
 
 
 Event = st.Status | st.RegValues | st.Irq | st.FrameInfo

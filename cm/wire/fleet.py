@@ -3,25 +3,20 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
-
-from google.protobuf.message import DecodeError, Message
+from typing import Any
 
 from cm.errors import InvalidRequest
 from cm.wire import bodies
 from cm.wire import cm_pb2 as pb
+from cm.wire.encode import parsed
 from cm.wire.messages import fleet as fl
 from cm.wire.messages.status import ErrorInfo
 
-_M = TypeVar("_M", bound=Message)
-
-
-def parsed(kind: type[_M], data: bytes) -> _M:
-    """A message of this kind. Raises InvalidRequest."""
-    try:
-        return kind.FromString(data)
-    except DecodeError as problem:
-        raise InvalidRequest(f"the payload is not a valid {kind.__name__} message ({problem})") from problem
+_CLOCK = bodies.Twin(fl.ClockSync, pb.ClockSync)
+_STEP = bodies.Twin(fl.FleetStep, pb.FleetStep)
+_STATE = bodies.Twin(fl.FleetState, pb.FleetState, error=bodies.ERROR)
+_FETCH = bodies.Twin(fl.FetchBundle, pb.FetchBundle)
+_BUNDLE = bodies.Twin(fl.BundleState, pb.BundleState, error=bodies.ERROR)
 
 
 def encode_step(step: fl.FleetStep) -> bytes:
@@ -43,13 +38,6 @@ def policy(said: fl.Policy | str) -> fl.Policy:
         return fl.Policy.of(said)
     except ValueError as unknown:
         raise InvalidRequest(str(unknown)) from None
-
-
-_CLOCK = bodies.Twin(fl.ClockSync, pb.ClockSync)
-_STEP = bodies.Twin(fl.FleetStep, pb.FleetStep)
-_STATE = bodies.Twin(fl.FleetState, pb.FleetState, error=bodies.ERROR)
-_FETCH = bodies.Twin(fl.FetchBundle, pb.FetchBundle)
-_BUNDLE = bodies.Twin(fl.BundleState, pb.BundleState, error=bodies.ERROR)
 
 
 def extras(labels: tuple[str, ...], clock: fl.ClockSync, state: fl.FleetState) -> bytes:
