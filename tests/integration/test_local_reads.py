@@ -230,29 +230,6 @@ def received(connection: socket.socket) -> Descriptor:
     return Descriptor(*DESCRIPTOR.unpack_from(connection.recv(packets.PACKET_MAX)))
 
 
-def test_the_packets_are_those_of_the_protocol(board: cm.Board, manager: Manager) -> None:
-    board.registers["led"] = 0x15
-    with raw(manager) as connection:
-        assert received(connection).kind == packets.REGISTERS
-
-        def asked(name: str) -> Descriptor:
-            connection.send(Descriptor(kind=packets.READ, sequence=77).pack() + name.encode())
-            return received(connection)
-
-        assert until(lambda: asked("led").kind == packets.VALUE)
-        answer = asked("led.blink")
-        assert (answer.kind, answer.sequence, answer.length) == (packets.VALUE, 77, 1)
-        answer = asked("nothing")
-        assert (answer.kind, answer.sequence) == (packets.ELSEWHERE, 77)
-
-
-def test_who_breaks_the_rules_is_hung_up_on(reader: Any, manager: Manager) -> None:
-    with raw(manager, Descriptor(kind=packets.PING).pack()) as connection:
-        assert received(connection).kind == packets.REGISTERS
-        assert connection.recv(packets.PACKET_MAX) == b""
-    assert reader.registers.read("led")
-
-
 def test_one_who_reads_nothing_holds_nobody_up(reader: Any, manager: Manager) -> None:
     with raw(manager) as connection:
         connection.setblocking(False)

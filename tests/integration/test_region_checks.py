@@ -5,13 +5,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from manager_process import Manager, served
 
 import cm
-from cm import aio
 from cm.cli.main import main
 from cm.client.core import calls
 from cm.client.errors import RequestBusy, RequestFailed, RequestInvalid, RequestNotFound
@@ -96,14 +94,6 @@ def test_the_regions_own_stream_goes_on_where_frames_are_written_anew(two: Two) 
     sim.control.resume("other")
 
 
-def test_registers_are_set_again_where_a_reload_reset_them(two: Two) -> None:
-    board, sim, _ = two
-    board.registers["gain"] = 9
-    sim.control.upset("left")
-    assert board.check_region("left", reload=True).repaired == "load"
-    assert board.registers["gain"] == 9
-
-
 def test_a_lease_on_the_region_keeps_others_from_repairing_it_but_not_from_looking(two: Two) -> None:
     board, _, manager = two
     with manager.connected() as holder, holder.lease("region:left"):
@@ -129,11 +119,6 @@ def test_what_cannot_be_done_is_said(two: Two) -> None:
         board.ask(calls.Call(CheckRegion("left", reload=True), lambda reply: calls._body(reply, RegionCheck)))
 
 
-async def checked(runtime: Path) -> str:
-    async with aio.connect(runtime_dir=runtime) as board:
-        return (await board.check_region("right")).verdict
-
-
 def test_checks_of_one_client_are_bounded_and_all_that_were_taken_are_answered(two: Two) -> None:
     import threading
 
@@ -156,12 +141,6 @@ def test_checks_of_one_client_are_bounded_and_all_that_were_taken_are_answered(t
     assert said.count("good") >= 7
     with manager.connected() as board:  # what was counted is given back
         assert [board.check_region("left").verdict for _ in range(8)] == ["good"] * 8
-
-
-def test_the_asyncio_client_asks_the_same(two: Two) -> None:
-    import asyncio
-
-    assert asyncio.run(checked(two[2].runtime)) == "good"
 
 
 def test_the_command_says_what_wrong_bits_are_part_of_where_a_database_knows(

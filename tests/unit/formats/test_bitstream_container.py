@@ -116,6 +116,8 @@ def test_boot_image_says_that_it_is_encrypted() -> None:
 def test_boot_image_without_bitstream_has_no_sync() -> None:
     with pytest.raises(NoSync, match="boot image"):
         open_image(boot_image(b""))
+    with pytest.raises(NoSync, match="a boot image of 1 partitions, none of which is a bitstream for the PL"):
+        open_image(boot_image(bytes(400), partitions=(partition(5, 0x2800, 400, 1),)))
 
 
 def test_boot_images_are_not_written() -> None:

@@ -57,6 +57,9 @@ def test_device_that_is_in_no_table_is_compared_by_its_part_name() -> None:
 
 def test_full_bitstream_for_a_region_is_refused() -> None:
     assert codes(small(partial=False), Expectation(partial=True)) == ["not_partial"]
+    renamed = small().replace(b"PARTIAL=TRUE", b"PARTIAL=NONE")
+    with pytest.raises(BitstreamError, match="its header says full, but it does not set WBSTAR and TIMER"):
+        verify(inspect(renamed), Expectation(partial=True))
 
 
 def test_partial_bitstream_for_the_whole_device_is_refused() -> None:

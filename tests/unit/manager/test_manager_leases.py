@@ -12,7 +12,7 @@ from manager_schemas import written
 from cm.errors import InvalidRequest
 from cm.manager.access.leases import MAX_SECONDS, Leases, UnknownLease, leases_concerned
 from cm.manager.errors import HeldBy
-from cm.wire.messages.requests import ReleaseLease, RenewLease, TakeLease
+from cm.wire.messages.requests import BreakLease, ReleaseLease, RenewLease, TakeLease
 from cm.wire.messages.status import LeaseInfo
 
 
@@ -106,10 +106,15 @@ def test_a_lease_ends_after_its_time_unless_it_is_renewed(leases: Leases, clock:
         leases.request(RenewLease(mine.id, 10))
 
 
-def test_a_lease_ends_when_it_is_given_back_or_its_holder_dies(leases: Leases) -> None:
+def test_a_lease_ends_when_it_is_given_back_or_broken_or_its_holder_dies(leases: Leases) -> None:
     mine = take(leases, "board")
     leases.request(ReleaseLease(mine.id))
     leases.check(("board",))
+    take(leases, "board")
+    (told,) = leases.told()
+    assert leases.request(BreakLease(told.number)).scope == "board"
+    with pytest.raises(UnknownLease):
+        leases.request(BreakLease(told.number))
     other = take(leases, "board")
     assert leases.drop(other.id)
     assert not leases.drop(other.id)

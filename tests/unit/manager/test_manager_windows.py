@@ -23,9 +23,15 @@ from cm.server.devices import BoardDevices
 from cm.simulation.software import Board as SimBoard
 
 
+@pytest.fixture(scope="module")
+def sim() -> Iterator[SimBoard]:
+    with SimBoard([CAMERA], arguments=["--icap-rate", "0"]) as board:
+        yield board
+
+
 @pytest.fixture
-def made(tmp_path: Path) -> Iterator[Rig]:
-    with SimBoard([CAMERA]) as sim, rig(sim.root, tmp_path) as found:
+def made(sim: SimBoard, tmp_path: Path) -> Iterator[Rig]:
+    with rig(sim.root, tmp_path) as found:
         assert found.go("edge_detection") is None
         yield found
 
@@ -68,15 +74,28 @@ def test_what_the_kernel_refuses_is_a_sentence(made: Rig, number: int, kind: typ
     assert made.manager.leases.told() == ()
 
 
-def test_pages_that_another_region_has_registers_in_are_not_lent(tmp_path: Path) -> None:
+def test_pages_that_another_region_has_registers_in_are_not_lent(sim: SimBoard, tmp_path: Path) -> None:
     text = CAMERA.read_text("utf-8")
     shared = text.replace("{base_address: 0x6000, offset: 0x1000}", "{base_address: 0x2000, offset: 0x1800}")
     assert shared != text
     config = loads(shared, source=CAMERA)
-    with SimBoard([CAMERA]) as sim, rig(sim.root, tmp_path, config) as found:
+    with rig(sim.root, tmp_path, config) as found:
         assert found.go("edge_detection") is None
         with pytest.raises(NoWindow, match=r"identity of region prr1 lies in the pages of edge \(0x3000 to 0x3fff\)"):
             lend(found)
+
+
+def test_a_window_has_the_memories_that_end_within_it(sim: SimBoard, tmp_path: Path) -> None:
+    text = CAMERA.read_text("utf-8")
+    with_memories = text.replace(
+        "          registers:\n            threshold:",
+        "          memories: {last: {offset: 0x1f00, size: 0x100}, beyond: {offset: 0x2000, size: 0x100}}\n"
+        "          registers:\n            threshold:",
+    )
+    with rig(sim.root, tmp_path, loads(with_memories, source=CAMERA)) as found:
+        assert found.go("edge_detection") is None
+        found.manager.windows.collect()  # nothing was lent yet
+        assert [memory.name for memory in lend(found).place.memories] == ["last"]
 
 
 def test_a_board_without_the_node_says_why(tmp_path: Path) -> None:

@@ -144,6 +144,14 @@ def test_a_change_that_waits_is_cancelled(camera: Daemon) -> None:
     assert camera.status.mode in ("default", "edge_detection", "colorise")
 
 
+def test_a_region_is_compared_and_repaired(camera: Daemon) -> None:
+    assert camera.done(rq.CheckRegion("prr0")).verdict == "good"
+    camera.board.control.upset("prr0")
+    mended = camera.done(rq.CheckRegion("prr0", repair=True))
+    assert (mended.verdict, mended.repaired, mended.wrong_bits) == ("good", "frames", 1)
+    assert camera.refused(rq.CheckRegion("prr9"))[0] == "unknown_region"
+
+
 # ---- provisioning ----------------------------------------------------------------------------------
 
 EXTRA = """

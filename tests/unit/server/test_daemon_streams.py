@@ -272,13 +272,39 @@ def test_impossible_requests_of_a_connection_are_refused(
 
 
 def test_an_echo_gives_back_what_it_is_given(camera: Daemon, client: Callable[..., Client]) -> None:
-    echo = client(camera, Open("", echo=True, length=100, depth=2))
+    echo = client(camera, Open("", echo=True, length=100))
     geometry = echo.geometry()
     assert (geometry.frame_length, geometry.slot_length, geometry.depth) == (100, 4096, 2)
     head, _, _ = echo.next(packets.GRANT)
     echo.send(head._replace(length=100), packets.SUBMIT)
     done, _, _ = echo.next(packets.DONE)
     assert done.slot == head.slot
+
+
+def test_a_reader_that_leaves_keeps_no_stream_open(camera: Daemon, client: Callable[..., Client]) -> None:
+    reader = client(camera, Open("camera", depth=2))
+    held, _, _ = reader.next(packets.FRAME)
+    reader.send(packets.Descriptor(), packets.LEAVE)
+    until(lambda: not camera.stream("camera").open)
+    reader.send(held, packets.RELEASE)
+
+
+def test_registers_are_read_by_name_without_a_request(camera: Daemon, client: Callable[..., Client]) -> None:
+    camera.done(rq.WriteReg((rq.RegWrite("led", 0x15),)))
+    reader = client(camera, Open("", registers=True))
+    reader.next(packets.REGISTERS)
+
+    def asked(name: str) -> packets.Descriptor:
+        reader.socket.send(packets.Descriptor(kind=packets.READ, sequence=77).pack() + name.encode())
+        return reader.next(packets.VALUE, packets.ELSEWHERE)[0]
+
+    until(lambda: asked("led").kind == packets.VALUE)  # published once somebody has asked
+    answer = asked("led.blink")
+    assert (answer.kind, answer.sequence, answer.length) == (packets.VALUE, 77, 1)
+    answer = asked("nothing")
+    assert (answer.kind, answer.sequence) == (packets.ELSEWHERE, 77)
+    reader.send(packets.Descriptor(), packets.PING)
+    assert reader.socket.recv(packets.PACKET_MAX) == b""  # who breaks the rules is hung up on
 
 
 def test_a_writer_needs_the_lease_that_another_client_holds(loop: Daemon, client: Callable[..., Client]) -> None:

@@ -20,7 +20,7 @@ from cm.server.rights.gate import Gate
 from cm.server.rights.keys import authorized, pairs_of
 from cm.server.rights.model import Access, AuthorizedKey, Grant, Need, Rights, Role
 from cm.server.rights.needs import Scene, least, needs_of
-from cm.server.rights.policy import Users, rights_of
+from cm.server.rights.policy import Users, rights_of, system_users
 from cm.server.rights.principal import NOBODY, Principal, from_id, guest_of, introduced, of_process, on_behalf
 from cm.wire.messages import requests as rq
 
@@ -109,6 +109,14 @@ def test_a_named_user_has_its_own_rights_and_not_the_default_ones() -> None:
     assert rights(user(1001), **said).everywhere is Role.OPERATE
     assert rights(user(1002), **said).everywhere is Role.PROVISION
     assert rights(user(1000), users={"1000": ()}).role is Role.NONE
+
+
+def test_a_user_has_the_groups_of_the_process_and_those_of_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.getgrouplist", lambda name, gid: [gid, 0, 47111])
+    users = system_users()
+    assert users.groups(0, 47110) == ("47110", "0", "47111", "root")
+    assert users.groups(47112, 47110) == ("47110",)  # a user without a name
+    assert (users.name(0), users.name(47112)) == ("root", "")
 
 
 def test_a_key_has_its_roles_until_its_end_and_an_unknown_one_has_none() -> None:
