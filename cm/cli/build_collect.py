@@ -72,8 +72,7 @@ def run_collect(args: argparse.Namespace) -> int:
 
 def _signed(found: Collected, keys: list[Path], version: int | None) -> Collected:
     """The same with a manifest of all files, and its signatures."""
-    from cm.formats.signing import add_manifest, sign
-    from cm.formats.signing.manifest import MANIFEST, SIGNATURES
+    from cm.formats.signing import MANIFEST, SIGNATURES, add_manifest, sign
 
     number = int(os.environ.get("SOURCE_DATE_EPOCH") or time.time()) if version is None else version
     files = add_manifest(found.config.name, number, found.files)

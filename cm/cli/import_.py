@@ -15,7 +15,7 @@ from cm.server.settings.model import Settings
 
 if TYPE_CHECKING:
     from cm.formats.importers.archive import Unpacked
-    from cm.formats.signing.policy import Judgement
+    from cm.formats.signing import Judgement
 
 FIRMWARE = Path("/lib/firmware/cm")  # where the manager looks for a configuration's files
 
@@ -92,8 +92,7 @@ def unpack_signed(
     Raises what `unpack` does, and SignatureRefused.
     """
     from cm.cli.signatures import policy_of
-    from cm.formats.signing import judge
-    from cm.formats.signing.policy import Judgement
+    from cm.formats.signing import Judgement, judge
 
     said = read_settings(settings)
     policy, found = policy_of(said), [Judgement()]

@@ -21,7 +21,7 @@ import pytest
 
 import cm
 from cm.formats.bitstream.assemble import FrameRun, assemble_stream
-from cm.formats.bitstream.convert import to_dma_words
+from cm.formats.bitstream.container import to_dma_words
 from cm.formats.bitstream.geometry import FrameAddress
 from cm.simulation.rtl import design as rtl_design
 

@@ -116,6 +116,11 @@ class PacketProcessor:
         return int(self._port.position)
 
     @property
+    def far(self) -> int:
+        """The frame address that was written last."""
+        return int(self._port.far)
+
+    @property
     def head(self) -> tuple[int, ...]:
         """The first words (at most one frame) of the newest FDRI run."""
         return tuple(self._port.head[0 : self._port.head_count])

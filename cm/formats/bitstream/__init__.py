@@ -11,9 +11,9 @@ from cm.formats.bitstream.cache import ReportCache as ReportCache
 from cm.formats.bitstream.container import BitHeader as BitHeader
 from cm.formats.bitstream.container import Container as Container
 from cm.formats.bitstream.container import Image as Image
+from cm.formats.bitstream.container import convert as convert
 from cm.formats.bitstream.container import open_image as open_image
-from cm.formats.bitstream.convert import convert as convert
-from cm.formats.bitstream.convert import to_dma_words as to_dma_words
+from cm.formats.bitstream.container import to_dma_words as to_dma_words
 from cm.formats.bitstream.devices import Device as Device
 from cm.formats.bitstream.devices import Family as Family
 from cm.formats.bitstream.devices import device_by_idcode as device_by_idcode

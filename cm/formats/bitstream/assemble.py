@@ -14,8 +14,7 @@ from collections.abc import Sequence
 
 from cm.device.native import bitstream as native
 from cm.formats.bitstream.container import BitHeader, pack_bit
-from cm.formats.bitstream.devices import Device, Family, device_by_name
-from cm.formats.bitstream.errors import UnknownDevice
+from cm.formats.bitstream.devices import Device, Family, known_device
 from cm.formats.bitstream.geometry import FrameAddress, encode_far
 from cm.formats.bitstream.packets import (
     BUS_WIDTH_DETECT,
@@ -90,13 +89,6 @@ class StreamWriter:
         self.crc = 0
 
 
-def _known(device: str | Device) -> Device:
-    found = device if isinstance(device, Device) else device_by_name(device)
-    if found is None:
-        raise UnknownDevice(f"device {device!r} has no IDCODE in cm.formats.bitstream.devices; give a Device instead")
-    return found
-
-
 def _write_frames(writer: StreamWriter, device: Device, run: FrameRun | SharedFrame) -> None:
     if not run.data or len(run.data) % (4 * device.family.frame_words):
         raise ValueError(f"{len(run.data)} bytes are not whole frames of {4 * device.family.frame_words} bytes")
@@ -151,7 +143,7 @@ def assemble_stream(
 
     Raises `UnknownDevice`, or ValueError for frame data that is not a whole number of frames.
     """
-    known = _known(device)
+    known = known_device(device)
     writer = StreamWriter()
     for number, runs in enumerate(sections, 1):
         _begin_section(writer, known, partial)
@@ -180,7 +172,7 @@ def assemble(
     `part` is the full part name of the header (the device's name if None); `date` and `time` are
     given, not taken from a clock, so that equal input gives equal bytes. `user_id`: all ones means none.
     """
-    known = _known(device)
+    known = known_device(device)
     if not 1 <= sections <= max(1, len(runs)):
         raise ValueError(f"{len(runs)} runs cannot fill {sections} sections")
     size = -(-len(runs) // sections)

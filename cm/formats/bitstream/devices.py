@@ -14,14 +14,15 @@ from __future__ import annotations
 
 import re
 from enum import Enum
+from typing import NamedTuple
 
+from cm.formats.bitstream.errors import UnknownDevice
 from cm.frozen import dataclass
 
 REVISION_MASK = 0x0FFFFFFF
 
 
-@dataclass(frozen=True, slots=True)
-class FarLayout:
+class FarLayout(NamedTuple):
     """Bit positions of a frame address: (shift, width) of each field, and the bits that are used."""
 
     block_type: tuple[int, int]
@@ -32,8 +33,7 @@ class FarLayout:
     @property
     def used(self) -> int:
         """Mask of the bits that mean something; the others are 0 in a valid address."""
-        fields = (self.block_type, self.row, self.column, self.minor)
-        return sum(((1 << width) - 1) << shift for shift, width in fields)
+        return sum(((1 << width) - 1) << shift for shift, width in self)
 
 
 class Family(Enum):
@@ -172,6 +172,14 @@ def device_by_name(part: str) -> Device | None:
     """Return the device of a part or device name; None if it is not known."""
     name = base_name(part)
     return next((item for item in DEVICES if item.name == name), None)
+
+
+def known_device(device: str | Device) -> Device:
+    """The device itself, or that of a name. Raises UnknownDevice."""
+    found = device if isinstance(device, Device) else device_by_name(device)
+    if found is None:
+        raise UnknownDevice(f"device {device!r} has no IDCODE in cm.formats.bitstream.devices; give a Device instead")
+    return found
 
 
 def family_of(idcode: int | None, part: str | None) -> Family | None:

@@ -13,11 +13,10 @@ from collections.abc import Iterator, Sequence
 
 from cm.device.native import bitstream as native
 from cm.formats.bitstream.devices import Family
-from cm.formats.bitstream.errors import BadPacket, BitstreamError, FramesIncomplete
-from cm.formats.bitstream.geometry import FrameAddress, Geometry, Row, decode_far
+from cm.formats.bitstream.errors import BadPacket, FramesIncomplete
+from cm.formats.bitstream.geometry import IN_ROWS, FrameAddress, Geometry, Row, decode_far
 from cm.formats.bitstream.report import Footprint, Refusal
 
-_IN_ROWS = (0, 1)  # block types whose frames lie in rows of the device
 _ROW_PADDING = {Family.SERIES7: 1, Family.ULTRASCALE_PLUS: 4}  # in addition to the one of every run
 
 
@@ -48,7 +47,7 @@ def reach(events: native.Events, family: Family, geometry: Geometry) -> dict[tup
         row = geometry.row(address.block_type, address.row)
         if row is not None and address.column < row.columns:
             key = (address.block_type, address.row, address.column)
-            padding = _ROW_PADDING[family] if address.block_type in _IN_ROWS else 0
+            padding = _ROW_PADDING[family] if address.block_type in IN_ROWS else 0
             last = _last_column(row, address, frames, padding)
             found[key] = max(found.get(key, 0), last)
     return found
@@ -61,12 +60,8 @@ def check_addresses(events: native.Events, family: Family, geometry: Geometry) -
         if row is not None and address.minor >= row.frames(address.column):
             there = f"has {row.frames(address.column)}" if address.column < row.columns else "does not exist"
             where = f"frame {address.minor} of block type {address.block_type} row {address.row} column"
-            return [Refusal(BadPacket.code, f"word {word}: {where} {address.column}, which {there} in this device")]
+            return [Refusal.of(BadPacket, f"word {word}: {where} {address.column}, which {there} in this device")]
     return []
-
-
-def _refusal(error: type[BitstreamError], message: str) -> Refusal:
-    return Refusal(error.code, message)
 
 
 def _frames_of(event: native.Event, family: Family) -> int:
@@ -84,19 +79,11 @@ def _longest(events: native.Events, family: Family) -> dict[int, int]:
 
 def footprint(events: native.Events, family: Family, geometry: Geometry | None = None) -> tuple[Footprint, ...]:
     """Return the columns that FAR was set to before frames came, and how many came, in FAR order."""
-    layout = family.far
-    shift = layout.column[0]
-    totals: Counter[int] = Counter()
+    totals: Counter[tuple[int, int, int]] = Counter()
     for far, count in _longest(events, family).items():
-        totals[far >> shift << shift] += count
+        totals[decode_far(far, family)[:3]] += count
     reached = reach(events, family, geometry) if geometry else {}
-    entries = []
-    for word, count in sorted(totals.items()):
-        block_type, row, column = (
-            word >> at & ((1 << width) - 1) for at, width in (layout.block_type, layout.row, layout.column)
-        )
-        entries.append(Footprint(block_type, row, column, count, reached.get((block_type, row, column))))
-    return tuple(entries)
+    return tuple(Footprint(*column, count, reached.get(column)) for column, count in sorted(totals.items()))
 
 
 def total_frames(events: native.Events, family: Family) -> int:
@@ -114,21 +101,21 @@ def check_frames(events: native.Events, family: Family) -> list[Refusal]:
     problems: dict[str, Refusal] = {}  # the first of each kind
     if native.FRAMES not in events.kinds:
         message = "no frame data: the bitstream would configure nothing"
-        problems["none"] = _refusal(FramesIncomplete, message)
+        problems["none"] = Refusal.of(FramesIncomplete, message)
     unknown = ~family.far.used
     for at, kind, _, far, count, extra, _ in events:
         if kind == native.FRAMES and count % family.frame_words:
             message = f"word {at}: {count} words of frame data at FAR {far:08X} are not whole "
-            problems.setdefault("part", _refusal(FramesIncomplete, f"{message}frames of {family.frame_words} words"))
+            problems.setdefault("part", Refusal.of(FramesIncomplete, f"{message}frames of {family.frame_words} words"))
         elif kind == native.MULTI and extra:
             message = f"word {at}: an MFWR packet carries data other than zeros"
-            problems.setdefault("data", _refusal(BadPacket, message))
+            problems.setdefault("data", Refusal.of(BadPacket, message))
         if far & unknown:
-            problems.setdefault("far", _refusal(BadPacket, f"word {at}: {far:08X} is not a frame address"))
+            problems.setdefault("far", Refusal.of(BadPacket, f"word {at}: {far:08X} is not a frame address"))
     return [problems[key] for key in ("none", "part", "far", "data") if key in problems]
 
 
 def check_fills(counts: Sequence[int], family: Family) -> list[Refusal]:
     """Zero words between packets stand only in debug bitstreams: two frames of them after a row."""
     odd = Counter(count for count in counts if count % (2 * family.frame_words))
-    return [_refusal(BadPacket, f"{count} zero words between packets are not padding frames") for count in odd]
+    return [Refusal.of(BadPacket, f"{count} zero words between packets are not padding frames") for count in odd]

@@ -12,13 +12,13 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from itertools import accumulate
 from pathlib import Path
+from typing import NamedTuple
 
 from cm.formats.bitstream.devices import Family
 from cm.frozen import dataclass
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class FrameAddress:
+class FrameAddress(NamedTuple):
     """Where a frame lies. On 7-series bit 5 of ``row`` is the half: bottom rows are 32 and up."""
 
     block_type: int
@@ -27,30 +27,15 @@ class FrameAddress:
     minor: int = 0
 
 
-def _take(word: int, field: tuple[int, int]) -> int:
-    shift, width = field
-    return word >> shift & ((1 << width) - 1)
-
-
 def decode_far(word: int, family: Family) -> FrameAddress:
     """Return the frame address in a FAR word."""
-    layout = family.far
-    return FrameAddress(
-        _take(word, layout.block_type), _take(word, layout.row), _take(word, layout.column), _take(word, layout.minor)
-    )
+    return FrameAddress(*[word >> shift & ((1 << width) - 1) for shift, width in family.far])
 
 
 def encode_far(address: FrameAddress, family: Family) -> int:
     """Return the FAR word of a frame address; ValueError if a field does not fit."""
-    layout = family.far
-    pairs = (
-        (address.block_type, layout.block_type),
-        (address.row, layout.row),
-        (address.column, layout.column),
-        (address.minor, layout.minor),
-    )
     word = 0
-    for value, (shift, width) in pairs:
+    for value, (shift, width) in zip(address, family.far, strict=True):
         if not 0 <= value < 1 << width:
             raise ValueError(
                 f"{address} does not fit a frame address of {family.label}: {value} needs over {width} bits"
@@ -117,7 +102,7 @@ def geometry_of(device: str | None) -> Geometry | None:
     return _dies().get(device) if device else None
 
 
-_IN_ROWS = (0, 1)  # block types of frames that belong to a place: logic and routing, contents of block RAM
+IN_ROWS = (0, 1)  # block types of frames that belong to a place: logic and routing, contents of block RAM
 _PADS = 2  # of 7-series: frames after each row that belong to no column
 
 
@@ -144,7 +129,7 @@ class FrameOrder:
 
 
 def _addresses(geometry: Geometry, family: Family) -> Iterator[int | None]:
-    for block_type, row in sorted(key for key in geometry.rows if key[0] in _IN_ROWS):
+    for block_type, row in sorted(key for key in geometry.rows if key[0] in IN_ROWS):
         found = geometry.rows[block_type, row]
         for column in range(found.columns):
             for minor in range(found.frames(column)):

@@ -11,10 +11,9 @@ from cm.formats.bitstream import frames
 from cm.formats.bitstream.container import Image, Source, named, open_image, read_source
 from cm.formats.bitstream.devices import Family, base_name, device_by_idcode, device_by_name, family_of
 from cm.formats.bitstream.errors import BadContainer, UnknownDevice, WrongDevice
-from cm.formats.bitstream.frames import check_addresses
-from cm.formats.bitstream.geometry import Geometry, geometry_of
+from cm.formats.bitstream.geometry import geometry_of
 from cm.formats.bitstream.packets import Register, packet_events
-from cm.formats.bitstream.report import Refusal, Report, Section
+from cm.formats.bitstream.report import Report, Section
 from cm.formats.bitstream.rules import Rules
 
 
@@ -61,17 +60,6 @@ def _sections(image: Image, rules: Rules, writes: native.Events, family: Family 
     return tuple(result)
 
 
-def _check_frames(rules: Rules, writes: native.Events, fills: list[int], family: Family | None) -> list[Refusal]:
-    if family is None or rules.encrypted:
-        return []
-    return [*frames.check_frames(writes, family), *frames.check_fills(fills, family)]
-
-
-def _check_addresses(rules: Rules, writes: native.Events, family: Family | None, geometry: Geometry | None) -> None:
-    if family is not None and geometry is not None and not rules.encrypted:
-        rules.problems += check_addresses(writes, family, geometry)
-
-
 def inspect(source: Source) -> Report:
     """Read a bitstream whole and say what it is.
 
@@ -94,11 +82,12 @@ def analyse(image: Image) -> Report:
     if image.rest:
         rules.refuse(BadContainer, f"{image.rest} bytes follow the last whole word")
     device, idcode, family = _identify(image, rules)
-    rules.problems += _check_frames(rules, writes, fills, family)
     looks_partial = not rules.registers & {Register.TIMER, Register.WBSTAR}
     partial = image.header.partial if image.header else looks_partial
     geometry = geometry_of(device) if partial else None  # a full image may write anything
-    _check_addresses(rules, writes, family, geometry)
+    if family is not None and not rules.encrypted:
+        rules.problems += [*frames.check_frames(writes, family), *frames.check_fills(fills, family)]
+        rules.problems += frames.check_addresses(writes, family, geometry) if geometry else []
     return Report(
         container=image.container,
         header=image.header,

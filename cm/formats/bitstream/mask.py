@@ -10,8 +10,8 @@ compared as they are, as far as nothing says that a design has such look-up tabl
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from pathlib import Path
 
 from cm.errors import CmError
@@ -31,7 +31,7 @@ _CONTENTS = 1  # block type of the contents of block RAM
 class Mask:
     """What is not compared, and `why`, in words, for people; `source`: msk, xray or none."""
 
-    of: Callable[[Mapping[int, bytes]], Masks]  # of frames as they were loaded, by FAR
+    of: Callable[[Mapping[int, int]], Masks]  # of frames as they were loaded, by FAR
     source: str
     why: str = ""
 
@@ -67,15 +67,13 @@ def _of_file(path: Path, device: Device) -> Mask:
     order = frame_order(device.name, device.family)
     found = frames_of(open_image(path), order) if order is not None else {}
 
-    def of(frames: Mapping[int, bytes]) -> Masks:
-        return {far: as_number(found[far]) if far in found else None for far in frames}
-
-    return Mask(of, "msk", f"{path.name} says what is not compared")
+    return Mask(lambda frames: {far: found.get(far) for far in frames}, "msk", f"{path.name} says what is not compared")
 
 
 def _of_database(device: Device) -> Mask | None:
     """None where the database is not installed, or does not know the device."""
     from cm.formats.xray.database import Database  # here: few boards have it
+    from cm.formats.xray.volatile import volatile_bits
 
     if device.family is not Family.SERIES7:
         return None
@@ -84,15 +82,4 @@ def _of_database(device: Device) -> Mask | None:
     except CmError:
         return None
 
-    def of(frames: Mapping[int, bytes]) -> Masks:
-        from cm.formats.xray.volatile import volatile_bits
-
-        return volatile_bits(database, {far: as_number(frame) for far, frame in frames.items()})
-
-    return Mask(of, "xray", "Project X-Ray's database says what is not compared")
-
-
-def as_number(frame: bytes) -> int:
-    """A frame of big-endian words as a number: bit b of word w is bit 32·w + b of it."""
-    words = struct.unpack(f">{len(frame) // 4}I", frame)
-    return int.from_bytes(struct.pack(f"<{len(words)}I", *words), "little")
+    return Mask(partial(volatile_bits, database), "xray", "Project X-Ray's database says what is not compared")

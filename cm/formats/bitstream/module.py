@@ -13,8 +13,7 @@ from collections.abc import Iterable, Sequence
 from itertools import accumulate
 
 from cm.formats.bitstream.assemble import FrameRun, assemble
-from cm.formats.bitstream.devices import Device, Family, device_by_name
-from cm.formats.bitstream.errors import UnknownDevice
+from cm.formats.bitstream.devices import Device, Family, known_device
 from cm.formats.bitstream.geometry import FrameAddress, geometry_of
 from cm.frozen import dataclass
 from cm.schema.model import FrameRange
@@ -61,7 +60,7 @@ def identify_bytes(data: bytes) -> ModuleIdentity | None:
 
 def default_footprint(index: int, device: str | Device, size: int = DEFAULT_SIZE) -> tuple[FrameRange, ...]:
     """Return frames for the region with this index that overlap no other index's and hold `size` bytes."""
-    known = _known(device)
+    known = known_device(device)
     left = -(-size // (4 * known.family.frame_words))
     last, row = 0, _row(known, index)
     while left > (here := _column_frames(known, FrameAddress(0, row, last))) and last < _COLUMNS - 1:
@@ -82,13 +81,6 @@ def _column_frames(device: Device, column: FrameAddress) -> int:
     geometry = geometry_of(device.name)
     row = geometry.row(column.block_type, column.row) if geometry else None
     return (row.frames(column.column) if row else 0) or _COLUMN_FRAMES[device.family]
-
-
-def _known(device: str | Device) -> Device:
-    found = device if isinstance(device, Device) else device_by_name(device)
-    if found is None:
-        raise UnknownDevice(f"device {device!r} has no IDCODE in cm.formats.bitstream.devices; give a Device instead")
-    return found
 
 
 def _columns(footprint: Iterable[FrameRange]) -> list[FrameAddress]:
@@ -116,7 +108,7 @@ def assemble_module(
     frame data takes about `size` bytes, but no more than the footprint holds, and depends on
     nothing but the arguments. Raises ValueError for names that fill more than a frame.
     """
-    known = _known(device)
+    known = known_device(device)
     columns = _columns(footprint or default_footprint(region_index, known, size))
     frames = _share(-(-size // (4 * known.family.frame_words)), [_column_frames(known, column) for column in columns])
     identity = _identity_bytes(name, model or name)

@@ -13,6 +13,7 @@ from typing import Final
 
 from cm.device.native import bitstream as native
 from cm.formats.bitstream.container import Image
+from cm.formats.bitstream.devices import Family
 from cm.frozen import dataclass
 
 SYNC: Final = 0xAA995566
@@ -21,6 +22,10 @@ DUMMY: Final = 0xFFFFFFFF
 BUS_WIDTH_SYNC: Final = 0x000000BB
 BUS_WIDTH_DETECT: Final = 0x11220044
 TYPE1_LIMIT: Final = 0x7FF  # words a type 1 packet can carry
+RCFG: Final = 4  # a value of CMD that no bitstream has
+READ_FDRO: Final = 0x28006000  # header of a type 1 read of FDRO (register 3) of no words; the count follows as type 2
+TYPE2_READ: Final = 0x48000000
+PIPELINE: Final = {Family.SERIES7: 0, Family.ULTRASCALE_PLUS: 25}  # words ahead of frames that are read (UG570)
 
 
 class Register(IntEnum):
@@ -76,9 +81,6 @@ def type2(count: int) -> int:
     return 0x50000000 | count
 
 
-_TYPE1_COUNT = 0x7FF  # of a header; 0 where a type 2 header with the count follows
-
-
 @dataclass(frozen=True, slots=True)
 class FrameWrite:
     """Frame data that packets carry, big-endian, from frame address `far` on, which increments by itself.
@@ -108,7 +110,7 @@ def frame_writes(image: Image) -> Iterator[FrameWrite]:
     for at, kind, _, far, count, before, repeated in packet_events(image, native.PacketProcessor()):
         if kind == native.FRAMES:
             (header,) = struct.unpack_from(">I", words, 4 * at)
-            first = at + (1 if header & _TYPE1_COUNT else 2)
+            first = at + (1 if header & TYPE1_LIMIT else 2)  # 0: a type 2 header with the count follows
             data = words[4 * first : 4 * (first + count)]
             if run is not None and before:
                 run = FrameWrite(far, run.data + data)

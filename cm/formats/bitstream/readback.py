@@ -23,17 +23,18 @@ from cm.formats.bitstream.packets import (
     BUS_WIDTH_SYNC,
     DUMMY,
     NOP,
+    PIPELINE,
+    RCFG,
+    READ_FDRO,
     SYNC,
+    TYPE2_READ,
     Command,
     Register,
 )
+from cm.formats.xray.frames import set_bits
 from cm.frozen import dataclass
 
-_RCFG = 4  # a value of CMD that no bitstream has
-_FDRO = 0x28006000  # header of a type 1 read of FDRO (register 3) of no words; the count follows as type 2
-_TYPE2_READ = 0x48000000
 _FLUSH = {Family.SERIES7: 34, Family.ULTRASCALE_PLUS: 66}  # NOPs that push the request through the packet buffer
-_PIPELINE = {Family.SERIES7: 0, Family.ULTRASCALE_PLUS: 25}  # words ahead of the frames (UG570, UltraScale+)
 
 
 def request_words(family: Family, far: int, frames: int) -> bytes:
@@ -41,16 +42,16 @@ def request_words(family: Family, far: int, frames: int) -> bytes:
     writer = StreamWriter()
     writer.raw(DUMMY, BUS_WIDTH_SYNC, BUS_WIDTH_DETECT, DUMMY, SYNC, NOP)
     writer.command(Command.RCRC, nops=6)
-    writer.write(Register.CMD, _RCFG)
+    writer.write(Register.CMD, RCFG)
     writer.raw(NOP)
     writer.write(Register.FAR, far)
-    writer.raw(_FDRO, _TYPE2_READ | reply_words(family, frames), *[NOP] * _FLUSH[family])
+    writer.raw(READ_FDRO, TYPE2_READ | reply_words(family, frames), *[NOP] * _FLUSH[family])
     return bytes(writer.words)
 
 
 def reply_words(family: Family, frames: int) -> int:
     """How many words are read then: a frame of padding comes first, on UltraScale+ behind the pipeline's words."""
-    return _PIPELINE[family] + (frames + 1) * family.frame_words
+    return PIPELINE[family] + (frames + 1) * family.frame_words
 
 
 def closing_words() -> bytes:
@@ -113,18 +114,18 @@ class LoadedFrames:
         self._order = order = frame_order(device.name, device.family)
         self.why = mask.why
         if order is None:
-            self._frames: dict[int, bytes] = {}
+            self._frames: dict[int, int] = {}
             self.why = f"the frames of {device.name}'s columns are not public"
             self._ignored: Mapping[int, int] = {}
             self.unjudged: tuple[FrameAddress, ...] = ()
             return
         loaded = frames_of(image, order)
-        if mask.source != "msk" and _made_up(loaded):
+        if mask.source != "msk" and self._made_up(loaded):
             mask = Mask(
                 lambda _: {}, "none", "no circuit is in these frames: they were assembled for the simulated board"
             )
         self.why, masked = mask.why, mask.of(loaded)
-        self._frames = {far: native.swap(frame) for far, frame in loaded.items() if masked.get(far, 0) is not None}
+        self._frames = {far: frame for far, frame in loaded.items() if masked.get(far, 0) is not None}
         self._ignored = {far: ignored for far, ignored in masked.items() if ignored}
         left = [far for far in loaded if far not in self._frames]
         self.unjudged = tuple(decode_far(far, self._family) for far in sorted(left))
@@ -163,7 +164,7 @@ class LoadedFrames:
         frames = list(wrong)
         if any(frame.volatile for frame in frames):
             return None
-        runs = [(frame.far, [native.swap(self._frames[frame.far])]) for frame in frames]
+        runs = [(frame.far, [native.swap(self._in_memory(frame.far))]) for frame in frames]
         return native.swap(repair_words(self._device, runs))
 
     def _place(self, far: int) -> int:
@@ -175,7 +176,7 @@ class LoadedFrames:
 
     def _slice(self, fars: tuple[int, ...]) -> Slice:
         family = self._family
-        expected = b"".join([self._frames[far] for far in fars])
+        expected = b"".join(map(self._in_memory, fars))
         request = native.swap(request_words(family, fars[0], len(fars)))
         length = 4 * reply_words(family, len(fars))
 
@@ -186,24 +187,18 @@ class LoadedFrames:
         return Slice(request, length, native.swap(closing_words()), judge)
 
     def _differences(self, fars: tuple[int, ...], there: bytes) -> Iterator[WrongFrame]:
-        size = 4 * self._family.frame_words
         for number, far in enumerate(fars):
-            frame, wanted = there[number * size : (number + 1) * size], self._frames[far]
-            if frame == wanted:
-                continue
+            frame = there[number * self.frame_bytes : (number + 1) * self.frame_bytes]
             ignored = self._ignored.get(far, 0)
-            wrong = (int.from_bytes(frame, "little") ^ int.from_bytes(wanted, "little")) & ~ignored
+            wrong = (int.from_bytes(frame, "little") ^ self._frames[far]) & ~ignored
             if wrong:
-                yield WrongFrame(far, decode_far(far, self._family), tuple(_set_bits(wrong)), bool(ignored))
+                yield WrongFrame(far, decode_far(far, self._family), tuple(set_bits(wrong)), bool(ignored))
 
+    def _in_memory(self, far: int) -> bytes:
+        """A frame as it lies in memory for DMA."""
+        return self._frames[far].to_bytes(self.frame_bytes, "little")
 
-def _made_up(frames: Mapping[int, bytes]) -> bool:
-    """Whether they are of our own assembler, and do not configure anything."""
-    return bool(frames) and identify_bytes(next(iter(frames.values()))) is not None
-
-
-def _set_bits(number: int) -> Iterator[int]:
-    while number:
-        low = number & -number
-        yield low.bit_length() - 1
-        number ^= low
+    def _made_up(self, frames: Mapping[int, int]) -> bool:
+        """Whether they are of our own assembler, and do not configure anything."""
+        first = next(iter(frames.values()), 0).to_bytes(self.frame_bytes, "little")
+        return identify_bytes(native.swap(first)) is not None

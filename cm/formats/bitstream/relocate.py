@@ -12,8 +12,7 @@ from collections.abc import Iterator, Sequence
 
 from cm.device.native import bitstream as native
 from cm.formats.bitstream.assemble import FrameRun, assemble
-from cm.formats.bitstream.container import Container, Source, open_image
-from cm.formats.bitstream.convert import convert
+from cm.formats.bitstream.container import Container, Source, convert, open_image
 from cm.formats.bitstream.devices import Device, Family
 from cm.formats.bitstream.errors import CannotRelocate
 from cm.formats.bitstream.geometry import FrameAddress, Geometry, decode_far, encode_far, geometry_of

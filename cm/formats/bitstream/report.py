@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from cm.formats.bitstream.container import BitHeader, Container
 from cm.formats.bitstream.devices import Family
+from cm.formats.bitstream.errors import BitstreamError
 from cm.frozen import dataclass
 
 
@@ -25,6 +26,11 @@ class Refusal:
 
     code: str
     message: str
+
+    @classmethod
+    def of(cls, error: type[BitstreamError], message: str) -> Refusal:
+        """With the code of an error."""
+        return cls(error.code, message)
 
 
 class Footprint(NamedTuple):

@@ -61,7 +61,7 @@ class Rules:
 
     def refuse(self, error: type[BitstreamError], message: str) -> None:
         """Note a problem; people get to read the first of each code."""
-        self.problems.append(Refusal(error.code, message))
+        self.problems.append(Refusal.of(error, message))
 
     def take(self, event: native.Event) -> None:
         """Apply the rules to the next event."""
@@ -119,7 +119,7 @@ class Rules:
             self._start(event)
         elif event.value == Command.RCRC:
             if self._reset and event.count == 0:
-                self._gaps.append(Refusal(BadPacket.code, f"word {event.word}: RCRC follows RCRC"))
+                self._gaps.append(Refusal.of(BadPacket, f"word {event.word}: RCRC follows RCRC"))
             self._boundary(event, "RCRC")
             self._reset = True
 
@@ -134,7 +134,7 @@ class Rules:
         odd = [pair for pair in self._uncovered if pair not in _NEUTRAL]
         if event.extra or odd or len(set(self._uncovered)) < len(self._uncovered):
             what = f"{event.count} register writes before {name} are covered by no CRC"
-            self._gaps.append(Refusal(CrcMissing.code, f"word {event.word}: {what}"))
+            self._gaps.append(Refusal.of(CrcMissing, f"word {event.word}: {what}"))
         self._uncovered.clear()
 
     def _crc(self, event: native.Event) -> None:
@@ -147,4 +147,4 @@ class Rules:
             return
         self.crc_good += 1
         if event.extra == 0:
-            self._gaps.append(Refusal(BadPacket.code, f"word {event.word}: a CRC that covers nothing"))
+            self._gaps.append(Refusal.of(BadPacket, f"word {event.word}: a CRC that covers nothing"))

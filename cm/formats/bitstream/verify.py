@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from cm.formats.bitstream.container import NO_USER_ID
 from cm.formats.bitstream.devices import REVISION_MASK, base_name, device_by_name, package_of
 from cm.formats.bitstream.errors import (
-    BitstreamError,
     Encrypted,
     FootprintOutside,
     NotFull,
@@ -46,13 +45,9 @@ class Expectation:
     sha256: str | None = None
 
 
-def _refusal(error: type[BitstreamError], message: str) -> Refusal:
-    return Refusal(error.code, message)
-
-
 def _sha256(report: Report, expect: Expectation) -> Iterator[Refusal]:
     if expect.sha256 is not None and report.sha256 != expect.sha256.lower():
-        yield _refusal(Sha256Mismatch, f"the file has sha256 {report.sha256}, recorded is {expect.sha256.lower()}")
+        yield Refusal.of(Sha256Mismatch, f"the file has sha256 {report.sha256}, recorded is {expect.sha256.lower()}")
 
 
 def _expected_idcode(expect: Expectation) -> int | None:
@@ -70,12 +65,12 @@ def _device(report: Report, expect: Expectation) -> Iterator[Refusal]:
     idcode = _expected_idcode(expect)
     if idcode is not None and report.idcode is not None:
         if (idcode ^ report.idcode) & REVISION_MASK:
-            yield _refusal(WrongDevice, f"built for {found}, meant for {wanted} (IDCODE {idcode:08X})")
+            yield Refusal.of(WrongDevice, f"built for {found}, meant for {wanted} (IDCODE {idcode:08X})")
     elif expect.device and report.device:
         if base_name(expect.device) != report.device:
-            yield _refusal(WrongDevice, f"built for {found}, meant for {wanted}")
+            yield Refusal.of(WrongDevice, f"built for {found}, meant for {wanted}")
     elif not (report.encrypted and expect.allow_encrypted):  # it may hide its IDCODE; who permits that, knows
-        yield _refusal(UnknownDevice, f"cannot tell whether {found} is {wanted}: give the device's IDCODE, or a .bit")
+        yield Refusal.of(UnknownDevice, f"cannot tell whether {found} is {wanted}: give the device's IDCODE, or a .bit")
 
 
 def _package(report: Report, expect: Expectation) -> Iterator[Refusal]:
@@ -83,20 +78,20 @@ def _package(report: Report, expect: Expectation) -> Iterator[Refusal]:
     found = package_of(report.part) if report.part else None
     if wanted and found and wanted != found:
         why = f"its header says {report.part}, package {found}; meant for {expect.device}, package {wanted}"
-        yield _refusal(WrongDevice, why)
+        yield Refusal.of(WrongDevice, why)
 
 
 def _static(report: Report, expect: Expectation) -> Iterator[Refusal]:
     if expect.user_id not in (None, NO_USER_ID) and report.user_id is not None and report.user_id != expect.user_id:
         why = f"made with the static design of USERID {report.user_id:08X}, expected {expect.user_id:08X}"
-        yield _refusal(WrongStatic, why)
+        yield Refusal.of(WrongStatic, why)
 
 
 def _partial(report: Report, expect: Expectation) -> Iterator[Refusal]:
     if expect.partial is True and not (report.partial and report.looks_partial):
-        yield _refusal(NotPartial, f"a full bitstream{_evidence(report)}: a region needs a partial one")
+        yield Refusal.of(NotPartial, f"a full bitstream{_evidence(report)}: a region needs a partial one")
     if expect.partial is False and (report.partial or (report.looks_partial and not report.encrypted)):
-        yield _refusal(NotFull, f"a partial bitstream{_evidence(report)}: the whole device needs a full one")
+        yield Refusal.of(NotFull, f"a partial bitstream{_evidence(report)}: the whole device needs a full one")
 
 
 def _evidence(report: Report) -> str:
@@ -110,7 +105,7 @@ def _evidence(report: Report) -> str:
 def _encrypted(report: Report, expect: Expectation) -> Iterator[Refusal]:
     if report.encrypted and not expect.allow_encrypted:
         why = "encrypted, so its frames cannot be checked: set allow_encrypted for the region to permit it"
-        yield _refusal(Encrypted, why)
+        yield Refusal.of(Encrypted, why)
 
 
 def _footprint(report: Report, expect: Expectation) -> Iterator[Refusal]:
@@ -118,7 +113,7 @@ def _footprint(report: Report, expect: Expectation) -> Iterator[Refusal]:
     if wrong:
         named = "; ".join(str(item) for item in wrong[:_SHOWN])
         more = f"; and {len(wrong) - _SHOWN} more" if len(wrong) > _SHOWN else ""
-        yield _refusal(FootprintOutside, f"writes {named}{more}; the region owns {describe(expect.footprint)}")
+        yield Refusal.of(FootprintOutside, f"writes {named}{more}; the region owns {describe(expect.footprint)}")
 
 
 def refusals(report: Report, expect: Expectation) -> tuple[Refusal, ...]:

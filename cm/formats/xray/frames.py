@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator, Mapping
 from typing import TypeAlias
+
+from cm.device.native.bitstream import swap
 
 WORDS = 101
 BYTES = 4 * WORDS
@@ -16,18 +17,13 @@ Frames: TypeAlias = Mapping[int, int]  # frame address (FAR) → frame; one that
 
 
 def from_bytes(data: bytes) -> int:
-    """Return a frame of 404 bytes, big-endian words as a bitstream has them, as a number."""
-    return int.from_bytes(struct.pack(f"<{WORDS}I", *struct.unpack(f">{WORDS}I", data)), "little")
+    """Return a frame of big-endian words, as a bitstream has them (404 bytes), as a number."""
+    return int.from_bytes(swap(data), "little")
 
 
 def to_bytes(frame: int) -> bytes:
     """Return a frame as the 404 bytes of a bitstream."""
-    return struct.pack(f">{WORDS}I", *words(frame))
-
-
-def words(frame: int) -> tuple[int, ...]:
-    """Return the 101 words of a frame."""
-    return struct.unpack(f"<{WORDS}I", frame.to_bytes(BYTES, "little"))
+    return swap(frame.to_bytes(BYTES, "little"))
 
 
 def set_bits(number: int) -> Iterator[int]:

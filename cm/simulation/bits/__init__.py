@@ -7,7 +7,6 @@ from cm.simulation.bits.cells import Lut as Lut
 from cm.simulation.bits.cells import LutMemory as LutMemory
 from cm.simulation.bits.cells import Mux as Mux
 from cm.simulation.bits.cells import Netlist as Netlist
-from cm.simulation.bits.errors import BitsError as BitsError
 from cm.simulation.bits.extract import Boundary as Boundary
 from cm.simulation.bits.extract import extract as extract
 from cm.simulation.bits.verilog import Port as Port

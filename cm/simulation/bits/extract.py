@@ -24,7 +24,7 @@ from cm.simulation.bits.cells import (
     Netlist,
 )
 from cm.simulation.bits.dsp import Slice48
-from cm.simulation.bits.routing import BlockPin, ClockLine, Constant, DspPin, Routing, SitePin, Source
+from cm.simulation.bits.routing import ClockLine, Constant, Routing, SitePin, Source
 from cm.simulation.bits.slices import Slice
 
 Place = tuple[str, str, str]  # tile, site as features name it (SLICEL_X0), letter of a look-up table
@@ -128,14 +128,18 @@ class _Extraction:
             return ONE if source.value else ZERO
         if isinstance(source, ClockLine):
             return f"clock:{source.number}"
-        if isinstance(source, BlockPin):
+        if source.site.startswith("SLICE"):
+            return self._slice(f"{source.tile}.{source.site}").output(source.pin)
+        if source.site.startswith("RAMB18_"):
             return self._block_output(source)
-        if isinstance(source, DspPin):
-            return f"{source.tile}.DSP_{source.half}.{source.pin}"
-        return self._output(source)
+        if source.site.startswith("DSP_"):
+            return f"{source.tile}.{source.site}.{source.pin}"
+        kind = source.site.rpartition("_X")[0]
+        self._note(f"{source.tile}: {kind}.{source.pin} drives logic and is not simulated: it reads as 0")
+        return ZERO
 
-    def _block_output(self, source: BlockPin) -> Net:
-        half = self._half(source.tile, source.half)
+    def _block_output(self, source: SitePin) -> Net:
+        half = self._half(source.tile, int(source.site[-1]))
         why = half.why_not()
         if why:
             self._note(f"{half.name} {why}, and is not simulated: it reads as 0")
@@ -152,12 +156,6 @@ class _Extraction:
         if key not in self._pins:
             self._pins[key] = self._joined(self._routing.sources(tile, wire), f"{tile}.{wire}")
         return self._pins[key]
-
-    def _output(self, source: SitePin) -> Net:
-        if source.kind.startswith("SLICE"):
-            return self._slice(f"{source.tile}.{source.kind}_X{source.column}").output(source.pin)
-        self._note(f"{source.tile}: {source.kind}.{source.pin} drives logic and is not simulated: it reads as 0")
-        return ZERO
 
     def _meet(self, nets: list[Net], where: str) -> Net:
         """The result of several drivers: one that pulls down wins."""

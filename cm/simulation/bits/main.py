@@ -13,8 +13,7 @@ from pathlib import Path
 from cm.design.plan.system import System
 from cm.design.project.load import load_project
 from cm.formats.bitstream import to_dma_words
-from cm.simulation.bits.errors import BitsError
-from cm.simulation.bits.regions import LoadedBits
+from cm.simulation.bits.regions import BitsError, LoadedBits
 from cm.simulation.rtl.compile import Watched
 from cm.simulation.rtl.design import RtlDesign
 from cm.simulation.rtl.main import Made, add_rtl_arguments

@@ -18,7 +18,6 @@ from cm.formats.bitstream.memory import FrameMemory
 from cm.formats.xray import Database, Wires, decode
 from cm.frozen import dataclass
 from cm.simulation.bits.cells import Netlist
-from cm.simulation.bits.errors import BitsError
 from cm.simulation.bits.extract import Boundary, extract
 from cm.simulation.bits.verilog import Port, verilog
 from cm.simulation.rtl.compile import Unit, Watched, compile_units
@@ -29,6 +28,12 @@ from cm.simulation.software.hardware.register_windows import Region
 _log = logging.getLogger(__name__)
 _NOTES = 3  # at most are reported one by one
 _COLUMN = 7  # bits of a frame address below its column
+
+
+class BitsError(CmError):
+    """Frames cannot be simulated; the text says which configured feature is not understood."""
+
+    code = "bits_error"
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,27 +14,14 @@ _CONSTANTS = {"VCC_WIRE": True, "GND_WIRE": False}
 
 
 class SitePin(NamedTuple):
-    """An output of a site: where a value is made."""
+    """An output of a site: where a value is made.
+
+    `site`: as features name it (``SLICEL_X0``, ``RAMB18_Y0`` for the lower half of a block RAM, ``DSP_1`` for the upper
+    DSP48E1 of a tile).
+    """
 
     tile: str
-    kind: str  # of the site
-    column: int  # of the site in its tile
-    pin: str
-
-
-class BlockPin(NamedTuple):
-    """An output of half a block RAM: 0 the lower, 1 the upper."""
-
-    tile: str
-    half: int
-    pin: str
-
-
-class DspPin(NamedTuple):
-    """An output of a DSP48E1: 0 the lower one of its tile, 1 the upper."""
-
-    tile: str
-    half: int
+    site: str
     pin: str
 
 
@@ -62,7 +49,7 @@ class _Switch(NamedTuple):
     resting: bool
 
 
-Source = SitePin | BlockPin | DspPin | ClockLine | Constant
+Source = SitePin | ClockLine | Constant
 
 
 class Routing:
@@ -107,7 +94,7 @@ class Routing:
         if wire.startswith("BRAM_") and not wire.startswith("BRAM_LOGIC_OUTS"):
             prefix = next((one for one in HALVES if wire.startswith(f"{one}DO")), None)
             if prefix is not None:
-                return BlockPin(tile, HALVES[prefix], wire.removeprefix(prefix))
+                return SitePin(tile, f"RAMB18_Y{HALVES[prefix]}", wire.removeprefix(prefix))
             if wire.startswith("BRAM_FIFO36_") and not any(one.startswith("RAMB36") for one in self.features(tile)):
                 return None  # the same outputs as of a whole block, which this is not
         made = self._outputs(self._database.tiles[tile].kind).get(wire)
@@ -116,7 +103,7 @@ class Routing:
         site, pin = made
         if site.type == "TIEOFF":
             return Constant(pin == "HARD1")
-        return DspPin(tile, site.y, pin) if site.type == "DSP48E1" else SitePin(tile, site.type, site.x, pin)
+        return SitePin(tile, f"DSP_{site.y}" if site.type == "DSP48E1" else f"{site.type}_X{site.x}", pin)
 
     def _driving(self, tile: str, wire: str) -> Iterator[Pip]:
         into = self._pips(self._database.tiles[tile].kind).get(wire, ())

@@ -69,7 +69,6 @@ def _channels(net: Netlist, engine: Engine, way: Direction) -> None:
 
 EVENT_BYTES = 32  # of the pin that shows marks in traces
 _HDL = Path(__file__).parent / "hdl"
-_IN, _OUT = PortDirection.IN, PortDirection.OUT
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,9 +156,9 @@ def simulated_static(system: System) -> Netlist:
             if direction is PortDirection.INOUT or wire is None:
                 continue  # goes to a pin of the device, which is not simulated here
             net.wires[:] = [other for other in net.wires if other.name != wire]
-            net.ports.append(Signal(wire, width, _IN if direction is _OUT else _OUT))
+            net.ports.append(Signal(wire, width, IN if direction is OUT else OUT))
     add_engines(net, system)
-    net.unused.append(net.port("cm_event", _IN, 8 * EVENT_BYTES))
+    net.unused.append(net.port("cm_event", IN, 8 * EVENT_BYTES))
     return net
 
 
@@ -202,7 +201,7 @@ def _clock_pins(region: RegionPlan) -> Iterator[tuple[str, str]]:
 
 def _directions(region: RegionPlan) -> dict[str, tuple[PortDirection, int]]:
     found = {port.name: (port.direction, port.width) for port in region.boundary.ports}
-    return found | {"cm_identity": (_OUT, 32)}
+    return found | {"cm_identity": (OUT, 32)}
 
 
 def _streams(system: System) -> Iterator[StreamEnd]:
@@ -229,11 +228,11 @@ def _stream(region: str, own: str, bus: StreamBus) -> StreamEnd:
 
 
 def _outputs(static: Netlist, system: System) -> Iterator[Output]:
-    ports = {port.name for port in static.ports if port.direction is _OUT}
+    ports = {port.name for port in static.ports if port.direction is OUT}
     for region in system.regions:
         for port in region.external:
             name = f"ext_{region.name}_{port.name}"
-            if port.direction is _OUT and port.width <= 64 and name in ports:
+            if port.direction is OUT and port.width <= 64 and name in ports:
                 yield Output(name, region.name, port.name)
 
 

@@ -14,22 +14,17 @@ from cm.simulation.rtl.design import RtlDesign, StreamEnd
 from cm.simulation.rtl.errors import RtlError
 from cm.simulation.rtl.process import EXCHANGE, HarnessProcess, Op
 from cm.simulation.rtl.running_design import Libraries, RunningDesign
-from cm.simulation.rtl.streams import Intake, IntakeLink, NoLink, OpticalPath, OutletLink, RtlCameraLink
+from cm.simulation.rtl.streams import IntakeLink, NoLink, OutletLink
 from cm.simulation.software.errors import NodeError, SimError
-from cm.simulation.software.hardware.camera import PhotoReel
 from cm.simulation.software.hardware.dma import Channel
 from cm.simulation.software.hardware.interrupts import InterruptWiring
 from cm.simulation.software.hardware.links import Link
-from cm.simulation.software.hardware.logic import LogicParts
-from cm.simulation.software.hardware.models import Models
-from cm.simulation.software.hardware.running import RunningModels
+from cm.simulation.software.hardware.logic import Logic, LogicParts
 
 if TYPE_CHECKING:
     import numpy as np
 else:
     from cm.wire.lazy_numpy import np
-
-_NO_MODELS = Models()
 
 
 class RtlInterrupts(InterruptWiring):
@@ -57,7 +52,7 @@ class RtlInterrupts(InterruptWiring):
         return []
 
 
-class RtlLogic:
+class RtlLogic(Logic):
     """Bus, streams, interrupts and configuration port of a design that runs."""
 
     def __init__(self, parts: LogicParts, design: RtlDesign, process: HarnessProcess, libraries: Libraries) -> None:
@@ -69,7 +64,6 @@ class RtlLogic:
         self.bus = RtlBus(self._running, parts.fabric, parts.faults)
         self.interrupts = RtlInterrupts(parts)
         self._running.on_interrupt = self.interrupts.level
-        self._models = RunningModels(parts.loop, parts.fabric, _NO_MODELS, self.interrupts, parts.memory)
         process.memory = self._exchange
         parts.loop.add(process.fileno(), self._hear)
 
@@ -150,20 +144,13 @@ class RtlLogic:
 
     def _link(self, channel: Channel, stream: int | None) -> Link:
         parts, spec = self._parts, channel.spec
-        path = OpticalPath(parts.fabric, _NO_MODELS, self._models, spec.region, spec.shape)
-        path.running = self._running
-        common = (parts.loop, parts.faults, self.interrupts, path)
         if stream is None:
-            return NoLink(*common)
+            return NoLink(parts.loop, parts.faults)
+        common = (parts.loop, parts.faults, self._running, stream, channel)
         if spec.direction is Direction.MM2S:
-            return OutletLink(*common, self._running, stream, channel)
-        intake = Intake(self._running, stream, channel, parts.faults)
+            return OutletLink(*common)
         sensor = next((number for number, end in enumerate(self._design.streams) if _is_sensor(end, spec.region)), None)
-        if sensor is None:
-            return IntakeLink(*common, intake, channel)
-        rate = spec.rate if parts.rate is None else parts.rate
-        reel = PhotoReel(parts.photos, parts.hold)
-        return RtlCameraLink(*common, channel, reel, rate, intake, self._running, sensor)
+        return IntakeLink(*common) if sensor is None else IntakeLink(*common, parts.camera(channel), sensor)
 
 
 def _is_sensor(end: StreamEnd, region: str | None) -> bool:

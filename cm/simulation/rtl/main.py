@@ -138,7 +138,7 @@ def _start(
     (static,) = compile_units(tools, [design.static], watched)
     made = make(tools, design, watched, parts)
     lines = folder / "wiring"
-    text = wiring(design, static, parts.seed)
+    text = wiring(design, static, parts.options.seed)
     text += f"coverage {args.coverage.absolute()}\n" if args.coverage else ""
     text += f"pace {args.time_scale}\n" if args.time_scale else ""
     lines.write_text(text, encoding="utf-8")

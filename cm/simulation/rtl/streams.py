@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import errno
 from typing import TYPE_CHECKING
 
 from cm.loop import Loop
@@ -11,11 +10,9 @@ from cm.simulation.rtl.errors import RtlError
 from cm.simulation.rtl.process import Op
 from cm.simulation.rtl.running_design import SLOT, RunningDesign
 from cm.simulation.software.faults import Faults
-from cm.simulation.software.hardware.camera import MAX_ZOOM, PhotoReel
-from cm.simulation.software.hardware.datapath import Datapath
+from cm.simulation.software.hardware.camera import MAX_ZOOM
 from cm.simulation.software.hardware.dma import Bytes, Channel, Transfer
-from cm.simulation.software.hardware.interrupts import InterruptWiring
-from cm.simulation.software.hardware.links import CameraLink, Link
+from cm.simulation.software.hardware.links import Camera, Link
 
 if TYPE_CHECKING:
     import numpy as np
@@ -23,22 +20,6 @@ else:
     from cm.wire.lazy_numpy import np
 
 MAX_PACKET = SLOT
-
-
-class OpticalPath(Datapath):
-    """The signals that the design drives to the camera's lens. Nothing else passes here."""
-
-    running: RunningDesign
-
-    @property
-    def flows(self) -> bool:
-        """Always true: the logic itself controls the flow."""
-        return True
-
-    def register(self, name: str, default: int) -> int:
-        """The signal of that name, or one whose name ends with it (``lens_focus``), if the region drives it."""
-        value = self.running.output(self._name, name)
-        return default if not value or value > MAX_ZOOM else value
 
 
 class End:
@@ -74,39 +55,6 @@ class End:
             return False
 
 
-class Intake:
-    """Stream to memory: fills the transfer at the head of the queue with the next packet."""
-
-    def __init__(self, running: RunningDesign, stream: int, channel: Channel, faults: Faults) -> None:
-        self._end, self._channel, self._faults = End(running, stream), channel, faults
-        self._into: Transfer | None = None
-        running.on_received[stream] = self._received
-
-    def move(self) -> None:
-        """Give the logic room if there is some; take it back if the transfer was cancelled."""
-        queue = self._channel.queue
-        if self._into is not None and (not queue or queue[0] is not self._into):
-            self._end.cancel()
-            self._into = None
-        if queue and self._into is None:
-            room = min(queue[0].period, MAX_PACKET)
-            if self._end.receive(room, _line(self._channel, queue[0])):
-                self._into = queue[0]
-
-    def _received(self, length: int, overflow: bool) -> None:
-        channel, into = self._channel, self._into
-        self._into = None
-        if into is None or not channel.queue or channel.queue[0] is not into:
-            return
-        if self._faults.take("dma_error", channel.spec.name):
-            channel.complete(0, -errno.EIO)
-        else:
-            short = self._faults.take("short_packet", channel.spec.name)
-            data = self._end.data(length if short is None else min(length, short.value))
-            channel.complete(into.store(data), -errno.EIO if overflow else 0)
-        channel.kick()
-
-
 def _line(channel: Channel, transfer: Transfer) -> int:
     """Bytes of a line, for a VDMA: its frames are lines on the stream too. 0: one packet."""
     return int(transfer.view.shape[1]) if channel.spec.vdma else 0
@@ -120,27 +68,70 @@ class NoLink(Link):
 
 
 class IntakeLink(Link):
-    """A stream that comes out of the logic by itself."""
+    """Stream to memory: fills the transfer at the head of the queue with the next packet.
+
+    It comes out of the logic by itself, or after a picture of a sensor at the pins of the device has gone in. A
+    picture begins when there is a buffer for a frame; the logic's output arrives whenever it is ready.
+    """
 
     def __init__(
-        self, loop: Loop, faults: Faults, interrupts: InterruptWiring, path: Datapath, intake: Intake, channel: Channel
-    ) -> None:
-        super().__init__(loop, faults, interrupts, path)
-        self._intake, self._channel = intake, channel
+        self, loop: Loop, faults: Faults, running: RunningDesign, stream: int, channel: Channel,
+        camera: Camera | None = None, sensor: int = 0,
+    ) -> None:  # fmt: skip
+        """`sensor`: the stream that the camera's pictures go to."""
+        super().__init__(loop, faults)
+        self._running, self._end, self._channel = running, End(running, stream), channel
+        self._into: Transfer | None = None
+        running.on_received[stream] = self._received
+        self.camera, self._sensor = camera, End(running, sensor)
+        self._exposes = False  # a picture is on its way into the logic
+        if camera is not None:
+            camera.kick = self.kick
+            running.on_sent[sensor] = self._exposed
 
     def _move(self) -> None:
-        if not self._hangs(self._channel):
-            self._intake.move()
+        if self._hangs(self._channel):
+            return
+        self._make_room()
+        camera = self.camera
+        if camera is None or not self._channel.queue or camera.credit == 0 or self._exposes:
+            return
+        if self._pace(camera.rate):
+            self._exposes = self._sensor.send(camera.take(self._lens).reshape(-1))
+
+    def _make_room(self) -> None:
+        """Give the logic room if there is some; take it back if the transfer was cancelled."""
+        queue = self._channel.queue
+        if self._into is not None and (not queue or queue[0] is not self._into):
+            self._end.cancel()
+            self._into = None
+        if queue and self._into is None:
+            room = min(queue[0].period, MAX_PACKET)
+            if self._end.receive(room, _line(self._channel, queue[0])):
+                self._into = queue[0]
+
+    def _received(self, length: int, overflow: bool) -> None:
+        channel, into = self._channel, self._into
+        self._into = None
+        if into is not None and channel.queue and channel.queue[0] is into:
+            self._store(channel, self._end.data(length), overflow)
+            channel.kick()
+
+    def _lens(self, name: str, default: int) -> int:
+        """The signal of that name, or one whose name ends with it (``lens_focus``), if the region drives it."""
+        value = self._running.output(self._channel.spec.region, name)
+        return default if not value or value > MAX_ZOOM else value
+
+    def _exposed(self) -> None:
+        self._exposes = False
+        self.kick()
 
 
 class OutletLink(Link):
     """Memory to stream: one packet for each transfer, or each period of a cyclic one."""
 
-    def __init__(
-        self, loop: Loop, faults: Faults, interrupts: InterruptWiring, path: Datapath, running: RunningDesign,
-        stream: int, channel: Channel,
-    ) -> None:  # fmt: skip
-        super().__init__(loop, faults, interrupts, path)
+    def __init__(self, loop: Loop, faults: Faults, running: RunningDesign, stream: int, channel: Channel) -> None:
+        super().__init__(loop, faults)
         self._end, self._channel = End(running, stream), channel
         self._sending: Transfer | None = None
         running.on_sent[stream] = self._left
@@ -154,8 +145,7 @@ class OutletLink(Link):
             return
         if queue[0].cyclic and not self._pace(channel.spec.rate):
             return
-        if self._faults.take("dma_error", channel.spec.name):
-            channel.complete(0, -errno.EIO)
+        if self._failed(channel):
             self.kick()
         elif self._end.send(queue[0].data(), _line(channel, queue[0])):
             self._sending = queue[0]
@@ -165,35 +155,4 @@ class OutletLink(Link):
         self._sending = None
         if sent is not None and channel.queue and channel.queue[0] is sent:
             channel.complete(sent.period)
-        self.kick()
-
-
-class RtlCameraLink(CameraLink):
-    """A sensor at the pins of the device, and the region's stream to memory behind it.
-
-    A picture begins when there is a buffer for a frame; the logic's output arrives whenever it is ready.
-    """
-
-    def __init__(
-        self, loop: Loop, faults: Faults, interrupts: InterruptWiring, path: Datapath, sink: Channel, reel: PhotoReel,
-        rate: float, intake: Intake, running: RunningDesign, stream: int,
-    ) -> None:  # fmt: skip
-        super().__init__(loop, faults, interrupts, path, sink, reel, rate)
-        self._intake, self._sensor = intake, End(running, stream)
-        self._exposes = False  # a picture is on its way into the logic
-        running.on_sent[stream] = self._exposed
-
-    def _move(self) -> None:
-        if self._hangs(self._sink):
-            return
-        self._intake.move()
-        if not self._sink.queue or self._credit == 0 or self._exposes or not self._pace(self._rate):
-            return
-        if self._credit is not None:
-            self._credit -= 1
-        picture = self._reel.take(self._shape(), self._path.register("focus", 1), self._path.register("zoom", 1))
-        self._exposes = self._sensor.send(picture.reshape(-1))
-
-    def _exposed(self) -> None:
-        self._exposes = False
         self.kick()

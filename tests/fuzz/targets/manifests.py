@@ -10,9 +10,16 @@ from pathlib import Path
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
 
-from cm.formats.signing.errors import SignatureRefused
-from cm.formats.signing.keys import public_keys, sign, signer
-from cm.formats.signing.manifest import MANIFEST, SIGNATURES, add_manifest, parse
+from cm.formats.signing import (
+    MANIFEST,
+    SIGNATURES,
+    SignatureRefused,
+    add_manifest,
+    parse,
+    public_keys,
+    sign,
+    signer,
+)
 
 PACKAGES = ("cm.formats.signing",)
 MAX_LENGTH = 4096

@@ -21,8 +21,9 @@ from pieces import join, split
 from cm.loop import Loop
 from cm.schema import load
 from cm.simulation.software.hardware.board_spec import BoardSpec
+from cm.simulation.software.hardware.logic import Options
 from cm.simulation.software.hardware.models import Models
-from cm.simulation.software.process.machine import Machine, Options
+from cm.simulation.software.process.machine import Machine
 from cm.simulation.software.transport import protocol as p
 from cm.simulation.software.transport.root import Root
 

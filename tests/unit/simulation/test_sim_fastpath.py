@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from sim_support import Dma, Icap, Uio
 
-from cm.formats.bitstream.convert import to_dma_words
+from cm.formats.bitstream.container import to_dma_words
 from cm.simulation.software import Board
 from cm.simulation.software.hardware.models import edge
 

@@ -11,7 +11,7 @@ import pytest
 from sim_support import Dma, Icap, Node, Uio, attribute
 
 from cm.formats.bitstream.assemble import FrameRun, assemble
-from cm.formats.bitstream.convert import to_dma_words
+from cm.formats.bitstream.container import to_dma_words
 from cm.formats.bitstream.geometry import FrameAddress
 from cm.formats.bitstream.module import assemble_module
 from cm.schema.model import FrameRange

@@ -11,7 +11,7 @@ from sim_support import Node, Uio, attribute
 
 from cm.formats import fdt
 from cm.formats.bitstream.assemble import FrameRun, assemble
-from cm.formats.bitstream.convert import to_dma_words
+from cm.formats.bitstream.container import to_dma_words
 from cm.formats.bitstream.geometry import FrameAddress
 from cm.simulation.software import Board
 from cm.simulation.software.transport import protocol as p

@@ -25,7 +25,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from sim_support import Dma, Icap, Node, Uio
 
-from cm.formats.bitstream.convert import to_dma_words
+from cm.formats.bitstream.container import to_dma_words
 from cm.simulation.software import Board, Control, SimError
 from cm.simulation.software.transport import protocol as p
 

@@ -8,11 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from cm.device import DeviceInvalid, DeviceUnsupported, Icap, IcapErrors
+from cm.device import DeviceUnsupported, Icap, IcapErrors
 from cm.device.native.bitstream import swap
 from cm.formats.bitstream.assemble import FrameRun, SharedFrame, assemble
-from cm.formats.bitstream.container import open_image
-from cm.formats.bitstream.convert import to_dma_words
+from cm.formats.bitstream.container import open_image, to_dma_words
 from cm.formats.bitstream.devices import Device, device_by_name
 from cm.formats.bitstream.geometry import FrameAddress
 from cm.formats.bitstream.mask import Mask
@@ -178,12 +177,6 @@ def test_a_port_without_a_way_back_says_so(board, device):
             icap.read(buffer, slice(0, 4), slice(4, 8), slice(8, 12))
         board.control.clear()
         assert icap.info.readable
-
-
-@pytest.mark.parametrize("parts", [(0, 8, 4), (0, 4, 4096), (2, 4, 8)])
-def test_parts_that_overlap_leave_the_buffer_or_are_no_words_are_refused(board, parts):
-    with Icap.open(root=board.root) as icap, icap.allocate(4096) as buffer, pytest.raises(DeviceInvalid):
-        icap.read(buffer, *(slice(at, at + 8 if at != 8 else at + 4) for at in parts))
 
 
 def test_a_request_that_asks_for_nothing_times_out_and_leaves_the_port_usable(board, device):

@@ -5,14 +5,15 @@ from __future__ import annotations
 
 import errno
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
+from itertools import groupby
 
 from cm.frozen import dataclass
 from cm.schema.model import Access, Decoupler
 from cm.simulation.software.errors import NodeError
 from cm.simulation.software.faults import Faults
 from cm.simulation.software.hardware.fabric import EMPTY_WORD, Fabric
-from cm.simulation.software.hardware.register_windows import Area, Cell, Region, Window, answers, writable
+from cm.simulation.software.hardware.register_windows import Area, Cell, Region, Window, answers
 from cm.simulation.software.transport.protocol import BLOCK_MAX
 
 _WIDTHS = (8, 16, 32, 64)
@@ -80,11 +81,11 @@ class Bus:
     def _write_piece(self, window: Window, at: int, part: int, bits: int) -> None:
         cell = window.cell_at(at)
         if cell is not None:
-            if not answers(cell) or not writable(cell.register):
+            if not answers(cell) or cell.access is Access.RO:
                 return
             if self._faults.take("register_stuck", cell.register.name):
                 return
-            if cell.register.access is Access.W1C:
+            if cell.access is Access.W1C:
                 bits = int.from_bytes(window.memory[at : at + part], "little") & ~bits
         elif (area := window.area_at(at)) is not None and (not answers(area) or area.access is Access.RO):
             return
@@ -163,16 +164,11 @@ def _pieces(window: Window, offset: int, length: int) -> list[tuple[int, int]]:
 
 
 def _read_piece(window: Window, at: int, part: int) -> int:
-    cell = window.cell_at(at)
-    if cell is not None:
-        if not answers(cell):
-            return _garbage(cell, at, part)
-        if cell.register.access is Access.WO:
-            return 0
-    elif (area := window.area_at(at)) is not None:
-        if not answers(area):
-            return _garbage(area, at, part)
-        if area.access is Access.WO:
+    place = window.cell_at(at) or window.area_at(at)
+    if place is not None:
+        if not answers(place):
+            return _garbage(place, at, part)
+        if place.access is Access.WO:
             return 0
     return int.from_bytes(window.memory[at : at + part], "little")
 
@@ -185,36 +181,21 @@ def _garbage(place: Cell | Area, at: int, part: int) -> int:
     return (1 << 8 * part) - 1
 
 
-class _Block:
-    """A memory, which is shown as a whole."""
-
-    def __init__(self, window: Window, area: Area) -> None:
-        self._window, self._area = window, area
-        # If other things have the same bytes in other modes, the bus decides which it is.
-        self._shared = any(area.offset <= byte < area.end for byte in window.cells) or any(
-            other.offset < area.end and area.offset < other.end for other in window.areas if other is not area
-        )
-
-    def show(self) -> None:
-        """As a run."""
-        area = self._area
-        direct = answers(area) and area.access is not Access.WO and not self._shared
-        self._window.mirror.ask(area.offset, area.end - area.offset, not direct)
-
-
 @dataclass(frozen=True, slots=True)
 class _Run:
-    """Neighbouring bytes with the same cells."""
+    """Neighbouring bytes that are shown together: those with the same cells, or a memory."""
 
     window: Window
     start: int
     length: int
-    cells: Sequence[Cell]
+    regions: frozenset[Region]
+    area: Area | None = None
+    shared: bool = False  # others have the same bytes in other modes: the bus decides which it is
 
     def show(self) -> None:
-        """Show the value, or send the client to the bus if nothing answers, or the register must not be read."""
-        cell = self.window.cell_at(self.start)
-        direct = cell is None or (answers(cell) and cell.register.access is not Access.WO)
+        """Show the value, or send the client to the bus if nothing answers, or it must not be read."""
+        place = self.area or self.window.cell_at(self.start)
+        direct = place is None or (answers(place) and place.access is not Access.WO and not self.shared)
         self.window.mirror.ask(self.start, self.length, not direct)
 
 
@@ -222,15 +203,9 @@ class Show:
     """Keeps the mirrors in step with the regions of a fabric."""
 
     def __init__(self, fabric: Fabric) -> None:
-        self._runs: dict[Region, list[_Run | _Block]] = defaultdict(list)
-        for window in fabric.windows:
-            for area in window.areas:
-                block = _Block(window, area)
-                if area.region is not None:
-                    self._runs[area.region].append(block)
-                block.show()
-        for run in (run for window in fabric.windows for run in _runs(window)):
-            for region in {cell.region for cell in run.cells if cell.region is not None}:
+        self._runs: dict[Region, list[_Run]] = defaultdict(list)
+        for run in (run for window in fabric.windows for run in (*_areas(window), *_cells(window))):
+            for region in run.regions:
                 self._runs[region].append(run)
             run.show()
         fabric.answering = self._update
@@ -240,16 +215,19 @@ class Show:
             run.show()
 
 
-def _runs(window: Window) -> Iterator[_Run]:
+def _areas(window: Window) -> Iterator[_Run]:
+    for area in window.areas:
+        shared = any(area.offset <= byte < area.end for byte in window.cells) or any(
+            other.offset < area.end and area.offset < other.end for other in window.areas if other is not area
+        )
+        regions = frozenset({area.region} if area.region else ())
+        yield _Run(window, area.offset, area.end - area.offset, regions, area, shared)
+
+
+def _cells(window: Window) -> Iterator[_Run]:
     """Group the bytes that have the same cells."""
-    start, length = 0, 0
-    cells: Sequence[Cell] = ()
-    for byte in sorted(window.cells):
-        if byte == start + length and window.cells[byte] == cells:
-            length += 1
-            continue
-        if length:
-            yield _Run(window, start, length, cells)
-        start, length, cells = byte, 1, window.cells[byte]
-    if length:
-        yield _Run(window, start, length, cells)
+    places = enumerate(sorted(window.cells))
+    for _, group in groupby(places, lambda place: (place[1] - place[0], [id(cell) for cell in window.cells[place[1]]])):
+        found = [byte for _, byte in group]
+        regions = frozenset(cell.region for cell in window.cells[found[0]] if cell.region is not None)
+        yield _Run(window, found[0], len(found), regions)

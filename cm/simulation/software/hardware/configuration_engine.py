@@ -70,7 +70,7 @@ class ConfigurationEngine:
         through before they arrive.
         """
         self._begin(len(data))
-        self._port.keeps = bool(self._memory.frames.upset)
+        self._memory.begin(data)
         started_ns = asked_ns or time.monotonic_ns()
         self._run = _Run(data, started_ns, finished, full, self.rate if rate is None else rate, through)
         self._loop.call_soon(self._step)
@@ -110,7 +110,6 @@ class ConfigurationEngine:
     def _answer(self, request: memoryview, reply: memoryview, closing: memoryview) -> int:
         """What the port does for a read; 0, or an errno's negative."""
         port = self._port
-        port.keeps = False
         port.feed(request)
         asked, hangs = port.asked, self._faults.take("icap_hang")
         if asked is not None and not hangs:
@@ -196,7 +195,8 @@ class ConfigurationEngine:
             self._fabric.reset()
         if run.through is not None:
             run.through(run.data[:0], bool(errors))
-        self._memory.settle(status == 0, run.data[: run.fed], self._port.started)
+        sound = run.fed if self._port.sound is None else 4 * self._port.sound
+        self._memory.settle(status == 0, run.data[:sound], self._port.started)
         run.finished(LoadResult(self.done, run.started_ns, time.monotonic_ns(), status, errors))
 
 

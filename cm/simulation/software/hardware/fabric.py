@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 from cm.schema.model import Access, Memory, Register
 from cm.simulation.software.hardware.board_spec import BoardSpec, ModuleSpec, RegionSpec
 from cm.simulation.software.hardware.gpio import Chip, Lines
-from cm.simulation.software.hardware.register_windows import Area, Cell, Region, View, Window, same_place
+from cm.simulation.software.hardware.models import Registers
+from cm.simulation.software.hardware.register_windows import Area, Cell, Region, Window, same_place
 
 if TYPE_CHECKING:
     import numpy as np
@@ -41,7 +42,7 @@ class Fabric:
         self._by_name: dict[str, list[Cell]] = {}
         self._seed = seed
         self._noise_at = 0
-        self._views: dict[str | None, View] = {}
+        self._views: dict[str | None, Mapping[str, Cell]] = {}
         for register in (*spec.registers, *_identities(spec.regions.values())):
             self._add(register)
         for memory in spec.memories:
@@ -57,24 +58,20 @@ class Fabric:
 
     def cell(self, name: str, region: str | None) -> Cell | None:
         """The register of that name as `region` sees it: its module's, its own, or the static part's."""
-        view = self._views.get(region)
-        if view is not None and name in view:
-            return view._cells[name]
+        found = self._views.get(region, {}).get(name)
+        if found is not None:
+            return found
         cells = self._by_name.get(name, [])
         for cell in cells:
             if cell.region is None or cell.region.name == region:
                 return cell
         return None
 
-    def registers(self, region: str | None) -> Mapping[str, int]:
+    def registers(self, region: str | None) -> Registers:
         """The registers as a model in `region` sees them."""
         if region not in self._views:
             self._views[region] = self._view(region)
-        return self._views[region]
-
-    def cells(self, region: str) -> Mapping[str, Cell]:
-        """The registers themselves that a model in `region` sees, by name."""
-        return self._view(region)._cells
+        return Registers(self._views[region])
 
     def start_load(self, region: Region) -> None:
         """The first frame of a bitstream reaches the region: what ran there is gone."""
@@ -106,7 +103,7 @@ class Fabric:
             self.loaded(region)
             self.answering(region)
         for window in self.windows:
-            window.clear()
+            window.mirror.clear()
         for region in self.regions.values():
             self._reset_cells(region)
             self._set_decoupler_bit(region)
@@ -166,7 +163,7 @@ class Fabric:
                 if area.region is region:
                     window.memory[area.offset : area.end] = bytes(area.end - area.offset)
 
-    def _view(self, region: str | None) -> View:
+    def _view(self, region: str | None) -> Mapping[str, Cell]:
         module = self.regions[region].module if region in self.regions else None
         cells = {}
         for name, found in self._by_name.items():
@@ -174,7 +171,7 @@ class Fabric:
                 mine = cell.region is None or cell.region.name == region
                 if mine and (module is None or same_place(module.registers.get(name), cell.register)):
                     cells[name] = cell
-        return View(cells)
+        return cells
 
     def _reset_cells(self, region: Region | None) -> None:
         module = region.module if region else None

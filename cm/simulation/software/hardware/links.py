@@ -6,11 +6,12 @@ from __future__ import annotations
 import errno
 import time
 from collections import deque
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from cm.loop import Loop, Timer
 from cm.simulation.software.faults import Faults
-from cm.simulation.software.hardware.camera import SHAPE, PhotoReel
+from cm.simulation.software.hardware.camera import SHAPE, Photo, PhotoReel
 from cm.simulation.software.hardware.datapath import Datapath
 from cm.simulation.software.hardware.dma import Bytes, Channel
 from cm.simulation.software.hardware.fastpath import FastPath
@@ -25,27 +26,61 @@ else:
 _WAITING = 16  # packets that a model may have sent and that have not been taken
 
 
+class Camera:
+    """A sensor before a stream: pictures at a rate (frames a second; 0: as they are taken), held and let go by hand."""
+
+    def __init__(self, reel: PhotoReel, rate: float, shape: Sequence[int] | None) -> None:
+        self._reel, self.rate = reel, rate
+        rows, columns = (shape if len(shape) > 1 else (1, *shape))[:2] if shape else SHAPE
+        self._shape = rows, columns
+        self.credit: int | None = None  # frames that may still come; None: no limit
+        self.kick: Callable[[], None] = lambda: None
+
+    @property
+    def frames(self) -> int:
+        """Frames taken so far."""
+        return self._reel.taken
+
+    @property
+    def photo(self) -> int:
+        """Index of the photo that the next frame shows."""
+        return self._reel.index
+
+    def pause(self) -> None:
+        """No more frames until `step` or `resume`."""
+        self.credit = 0
+
+    def step(self, frames: int) -> None:
+        """Let that many more come, then pause."""
+        self.credit = (self.credit or 0) + frames
+        self.kick()
+
+    def resume(self) -> None:
+        """Frames come by themselves again."""
+        self.credit = None
+        self.kick()
+
+    def take(self, register: Callable[[str, int], int]) -> Photo:
+        """The next picture; `register`: what the lens is told, by name, and what it does without."""
+        if self.credit is not None:
+            self.credit -= 1
+        return self._reel.take(self._shape, register("focus", 1), register("zoom", 1))
+
+
 class Link:
     """The end of one or two channels; `kick` moves what can be moved."""
 
-    def __init__(self, loop: Loop, faults: Faults, interrupts: InterruptWiring, path: Datapath) -> None:
-        self._loop, self._faults, self._interrupts, self._path = loop, faults, interrupts, path
+    camera: Camera | None = None
+
+    def __init__(self, loop: Loop, faults: Faults) -> None:
+        self._loop, self._faults = loop, faults
         self._soon = False
         self._timer: Timer | None = None
         self._due = 0.0
-        self._sent: deque[tuple[str, Bytes]] = deque()  # by a model, on its own initiative
 
-    def offer(self, name: str, data: Bytes) -> bool:
+    def offer(self, name: str, data: Bytes) -> bool:  # noqa: ARG002 - no model is here
         """Let a packet leave on a channel when it has room; False if it is lost."""
-        if len(self._sent) >= _WAITING:
-            return False
-        self._sent.append((name, data.copy()))
-        self.kick()
-        return True
-
-    def _send(self, sink: Channel) -> None:
-        while self._sent and sink.queue and self._path.flows:
-            self._deliver(sink, self._sent.popleft()[1])
+        return False
 
     def kick(self) -> None:
         """Something changed: look again before the loop waits."""
@@ -91,22 +126,52 @@ class Link:
         self._timer = None
         self._wake()
 
-    def _deliver(self, channel: Channel, data: Bytes) -> None:
-        """Put a packet into the buffer at the head of a stream-to-memory channel."""
-        if self._faults.take("dma_error", channel.spec.name):
+    def _failed(self, channel: Channel) -> bool:
+        """Whether a fault was ordered for the transfer at the head, which ends with it."""
+        failed = self._faults.take("dma_error", channel.spec.name) is not None
+        if failed:
             channel.complete(0, -errno.EIO)
-            return
+        return failed
+
+    def _store(self, channel: Channel, data: Bytes, cut: bool = False) -> bool:
+        """Put a packet into the buffer at the head of a stream-to-memory channel; `cut`: more came than there is."""
+        if self._failed(channel):
+            return False
         short = self._faults.take("short_packet", channel.spec.name)
         if short is not None:
             data = data[: short.value]
         stored = channel.queue[0].store(data)
-        overflow = stored < len(data)
-        channel.complete(stored, -errno.EIO if overflow else 0)
-        self._path.count_frame()
-        self._interrupts.packet_done(channel.spec.name, channel.spec.region)
+        channel.complete(stored, -errno.EIO if cut or stored < len(data) else 0)
+        return True
 
 
-class LoopLink(Link):
+class ModelLink(Link):
+    """A link to a region whose module is a model in software."""
+
+    def __init__(self, loop: Loop, faults: Faults, interrupts: InterruptWiring, path: Datapath) -> None:
+        super().__init__(loop, faults)
+        self._interrupts, self._path = interrupts, path
+        self._sent: deque[tuple[str, Bytes]] = deque()  # by a model, on its own initiative
+
+    def offer(self, name: str, data: Bytes) -> bool:
+        """Let a packet leave on a channel when it has room; False if it is lost."""
+        if len(self._sent) >= _WAITING:
+            return False
+        self._sent.append((name, data.copy()))
+        self.kick()
+        return True
+
+    def _send(self, sink: Channel) -> None:
+        while self._sent and sink.queue and self._path.flows:
+            self._deliver(sink, self._sent.popleft()[1])
+
+    def _deliver(self, channel: Channel, data: Bytes) -> None:
+        if self._store(channel, data):
+            self._path.count_frame()
+            self._interrupts.packet_done(channel.spec.name, channel.spec.region)
+
+
+class LoopLink(ModelLink):
     """Memory to stream, through the region, and back: a packet waits until there is room for it."""
 
     def __init__(
@@ -168,9 +233,7 @@ class LoopLink(Link):
         transfer = source.queue[0]
         if transfer.cyclic and not self._pace(source.spec.rate):
             return
-        if self._faults.take("dma_error", source.spec.name):
-            source.complete(0, -errno.EIO)
-        else:
+        if not self._failed(source):
             result = self._path.process(self._path.frame(self._taken(transfer.data())), source.spec.name)
             if result is not None and sink.queue:
                 self._deliver(sink, result)
@@ -178,7 +241,7 @@ class LoopLink(Link):
         super().kick()
 
 
-class SinkLink(Link):
+class SinkLink(ModelLink):
     """Memory to stream, with nothing behind it: frames are consumed."""
 
     def __init__(
@@ -194,64 +257,30 @@ class SinkLink(Link):
         transfer = source.queue[0]
         if transfer.cyclic and not self._pace(source.spec.rate):
             return
-        failed = self._faults.take("dma_error", source.spec.name)
-        if not failed:
+        if not self._failed(source):
             self._path.consume(self._path.frame(transfer.data()), source.spec.name)
-        source.complete(0 if failed else transfer.period, -errno.EIO if failed else 0)
+            source.complete(transfer.period)
         self.kick()
 
 
-class CameraLink(Link):
+class CameraLink(ModelLink):
     """A camera before a region: a frame at its rate, while there is a buffer for it."""
 
     def __init__(
-        self, loop: Loop, faults: Faults, interrupts: InterruptWiring, path: Datapath, sink: Channel, reel: PhotoReel,
-        rate: float,
-    ) -> None:  # fmt: skip
+        self, loop: Loop, faults: Faults, interrupts: InterruptWiring, path: Datapath, sink: Channel, camera: Camera
+    ) -> None:
         super().__init__(loop, faults, interrupts, path)
-        self._sink, self._reel, self._rate = sink, reel, rate
-        self._credit: int | None = None  # frames that may still come; None: no limit
-
-    @property
-    def frames(self) -> int:
-        """Frames taken so far."""
-        return self._reel.taken
-
-    @property
-    def photo(self) -> int:
-        """Index of the photo that the next frame shows."""
-        return self._reel.index
-
-    def pause(self) -> None:
-        """No more frames until `step` or `resume`."""
-        self._credit = 0
-
-    def step(self, frames: int) -> None:
-        """Let that many more come, then pause."""
-        self._credit = (self._credit or 0) + frames
-        self.kick()
-
-    def resume(self) -> None:
-        """Frames come by themselves again."""
-        self._credit = None
-        self.kick()
+        self._sink, self.camera = sink, camera
+        camera.kick = self.kick
 
     def _move(self) -> None:
-        self._send(self._sink)
-        if not self._sink.queue or not self._path.flows or self._credit == 0 or self._hangs(self._sink):
+        camera, path, sink = self.camera, self._path, self._sink
+        self._send(sink)
+        if camera is None or not sink.queue or not path.flows or camera.credit == 0 or self._hangs(sink):
             return
-        if self._path.fills(self._sink.spec.name):
+        if path.fills(sink.spec.name) or not self._pace(camera.rate):
             return
-        if not self._pace(self._rate):
-            return
-        if self._credit is not None:
-            self._credit -= 1
-        picture = self._reel.take(self._shape(), self._path.register("focus", 1), self._path.register("zoom", 1))
-        result = self._path.process(picture, self._sink.spec.name)
+        result = path.process(camera.take(path.register), sink.spec.name)
         if result is not None:
-            self._deliver(self._sink, result)
+            self._deliver(sink, result)
         self.kick()
-
-    def _shape(self) -> tuple[int, int]:
-        shape = self._sink.spec.shape or SHAPE
-        return (shape[0], shape[1]) if len(shape) > 1 else (1, shape[0])

@@ -8,7 +8,8 @@ fabric say what is loaded where: `Fabric.answering` is called when that changes.
 from __future__ import annotations
 
 import errno
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import field
 from typing import Protocol
 
 from cm.frozen import dataclass
@@ -21,8 +22,8 @@ from cm.simulation.software.hardware.camera import Photo, PhotoReel
 from cm.simulation.software.hardware.datapath import Datapath
 from cm.simulation.software.hardware.dma import Channel
 from cm.simulation.software.hardware.fabric import Fabric
-from cm.simulation.software.hardware.interrupts import InterruptWiring, Line
-from cm.simulation.software.hardware.links import CameraLink, Link, LoopLink, SinkLink
+from cm.simulation.software.hardware.interrupts import InterruptWiring
+from cm.simulation.software.hardware.links import Camera, CameraLink, Link, LoopLink, SinkLink
 from cm.simulation.software.hardware.models import Models
 from cm.simulation.software.hardware.register_windows import Window
 from cm.simulation.software.hardware.running import RunningModels
@@ -45,36 +46,23 @@ class Accesses(Protocol):
         """Accesses of 32 bits, one after the other."""
 
 
-class InterruptLines(Protocol):
-    """The lines of the UIO devices, in the order of the windows."""
+class Logic:
+    """The programmable logic as nodes see it: what it has not, and what nothing shows, by default."""
 
-    @property
-    def lines(self) -> Sequence[Line]:
-        """One for each window."""
-
-    def fire(self, name: str) -> bool:
-        """Raise an interrupt by name; False if none of that name can be raised from here."""
-
-
-class Logic(Protocol):
-    """The programmable logic as nodes see it."""
-
-    @property
-    def bus(self) -> Accesses:
-        """The way to the registers."""
-
-    @property
-    def interrupts(self) -> InterruptLines:
-        """The lines to the processor."""
+    bus: Accesses
+    interrupts: InterruptWiring
 
     def links(self, channels: Mapping[str, Channel]) -> dict[str, Link]:
         """The other end of each channel's stream; called once."""
+        raise NotImplementedError
 
-    def configure(self, words: memoryview, failed: bool) -> memoryview:
+    def configure(self, words: memoryview, failed: bool) -> memoryview:  # noqa: ARG002 - nothing here shows it
         """The words that reach the configuration logic when ICAP gets these; the flag: whether it signals an error."""
+        return words
 
-    def trace(self, folder: str) -> None:
+    def trace(self, folder: str) -> None:  # noqa: ARG002 - none
         """Write traces to files in a folder; an empty name ends that. `NodeError` if it is not possible."""
+        raise NodeError(errno.EOPNOTSUPP, "models in software have no signals to trace")
 
     def cover(self) -> None:
         """Write which lines of the HDL have run, if that is counted."""
@@ -84,30 +72,50 @@ class Logic(Protocol):
 
     def state(self) -> dict[str, object]:
         """State in addition to that of every board."""
+        return {}
 
     def close(self) -> None:
         """End what runs beside us."""
 
 
 @dataclass(frozen=True, slots=True)
+class Options:
+    """What can be set about a board besides its hardware."""
+
+    photos: Sequence[Photo] | None  # None: those of the package
+    pcap_rate: float  # bytes per second; 0: at once
+    icap_rate: float | None = None  # bytes per second; None: word width times clock; 0: at once
+    hold: int = 150  # frames for which a photo stays
+    rate: float | None = None  # frames per second of every camera; None: as the schema says; 0: as fast as possible
+    memory: int = 512 << 20  # bytes of DMA memory
+    bitstream_size: int | None = None
+    seed: int = 1
+    vdma: Collection[str] = ()  # channels that are a VDMA's
+    simple: Mapping[str, tuple[int, bool]] = field(default_factory=dict)  # bits of the length register, and if blind
+    coherent: bool = True  # memory: if not, every access of the processor has to be synchronised
+
+
+@dataclass(frozen=True, slots=True)
 class LogicParts:
-    """What a maker of logic is given. `rate`: frames per second of every camera; None: as the schema says."""
+    """What a maker of logic is given."""
 
     loop: Loop
     fabric: Fabric
     faults: Faults
     models: Models
-    photos: Sequence[Photo] | None
-    hold: int
-    rate: float | None
-    seed: int
     memory: DmaMemory
+    options: Options
+
+    def camera(self, channel: Channel) -> Camera:
+        """What gives the frames of a camera's channel."""
+        rate = channel.spec.rate if self.options.rate is None else self.options.rate
+        return Camera(PhotoReel(self.options.photos, self.options.hold), rate, channel.spec.shape)
 
 
 MakeLogic = Callable[[LogicParts], Logic]
 
 
-class SoftwareLogic:
+class SoftwareLogic(Logic):
     """Modules as functions on frames, registers as memory."""
 
     def __init__(self, parts: LogicParts) -> None:
@@ -124,7 +132,7 @@ class SoftwareLogic:
             if name in links:
                 continue
             if spec.is_camera:
-                links[name] = self._camera(channel)
+                links[name] = CameraLink(*self._common, self._path(channel), channel, self._parts.camera(channel))
             elif spec.partner is None:
                 links[name] = SinkLink(*self._common, self._path(channel), channel)
             else:
@@ -133,38 +141,12 @@ class SoftwareLogic:
         self._running.links = links
         return links
 
-    def configure(self, words: memoryview, failed: bool) -> memoryview:  # noqa: ARG002 - nothing here shows it
-        """The same words: nothing is in between."""
-        return words
-
-    def cover(self) -> None:
-        """Nothing is counted."""
-
-    def trace(self, folder: str) -> None:  # noqa: ARG002 - none
-        """Models have no signals."""
-        raise NodeError(errno.EOPNOTSUPP, "models in software have no signals to trace")
-
-    def mark(self, text: str) -> None:
-        """Nothing shows it."""
-
-    def state(self) -> dict[str, object]:
-        """Nothing more."""
-        return {}
-
-    def close(self) -> None:
-        """Links end by themselves."""
-
     @property
     def _common(self) -> tuple[Loop, Faults, InterruptWiring]:
         return self._parts.loop, self._parts.faults, self.interrupts
 
     def _path(self, channel: Channel) -> Datapath:
         return Datapath(self._parts.fabric, self._parts.models, self._running, channel.spec.region, channel.spec.shape)
-
-    def _camera(self, channel: Channel) -> CameraLink:
-        reel = PhotoReel(self._parts.photos, self._parts.hold)
-        rate = channel.spec.rate if self._parts.rate is None else self._parts.rate
-        return CameraLink(*self._common, self._path(channel), channel, reel, rate)
 
     def _loop_link(self, channels: Mapping[str, Channel], one: str, other: str) -> dict[str, Link]:
         source, sink = channels[one], channels[other]

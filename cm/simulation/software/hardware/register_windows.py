@@ -7,9 +7,8 @@ import errno
 import fcntl
 import mmap
 import os
-from collections.abc import Iterator, Mapping
 
-from cm.schema.model import Access, Memory, Register
+from cm.schema.model import Memory, Register
 from cm.simulation.software.errors import NodeError
 from cm.simulation.software.hardware.board_spec import ModuleSpec, RegionSpec, WindowSpec
 
@@ -70,13 +69,13 @@ class Region:
 class Cell:
     """A register at its place in a window: the region that answers for it, and its raw value."""
 
-    __slots__ = ("memory", "offset", "region", "register", "width")
+    __slots__ = ("access", "memory", "offset", "region", "register", "width")
 
     def __init__(self, memory: mmap.mmap, offset: int, register: Register, region: Region | None) -> None:
         self.memory = memory
         self.offset = offset
         self.register = register
-        self.region = region
+        self.access, self.region = register.access, region
         self.width = register.width // 8
 
     @property
@@ -121,10 +120,6 @@ class Window:
         found = [area for area in self.areas if area.offset <= offset < area.end]
         return next((area for area in found if answers(area)), found[0] if found else None)
 
-    def clear(self) -> None:
-        """All zero again."""
-        self.mirror.clear()
-
     def cell_at(self, offset: int) -> Cell | None:
         """The cell that answers at a byte: that of the loaded module before others of its region."""
         cells = self.cells.get(offset)
@@ -135,27 +130,6 @@ class Window:
             if module is not None and same_place(module.registers.get(cell.register.name), cell.register):
                 return cell
         return cells[0]
-
-
-class View(Mapping[str, int]):
-    """The present values of a module's registers by name, read when asked for."""
-
-    def __init__(self, cells: Mapping[str, Cell]) -> None:
-        self._cells = cells
-
-    def __getitem__(self, name: str) -> int:
-        return self._cells[name].value
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._cells)
-
-    def __len__(self) -> int:
-        return len(self._cells)
-
-
-def writable(register: Register) -> bool:
-    """Whether a bus write changes the register."""
-    return register.access is not Access.RO
 
 
 def answers(place: Cell | Area) -> bool:

@@ -11,7 +11,7 @@ from cm.loop import Loop
 from cm.simulation.software.errors import SimError
 from cm.simulation.software.hardware.fabric import Fabric
 from cm.simulation.software.hardware.interrupts import InterruptWiring
-from cm.simulation.software.hardware.models import Model, Models, Registers
+from cm.simulation.software.hardware.models import Model, Models
 from cm.simulation.software.hardware.register_windows import Region, Window
 from cm.simulation.software.transport.buffers import DmaMemory
 
@@ -86,7 +86,7 @@ class RunningModels:
     def _start(self, region: Region, kind: type[Model]) -> None:
         place = _Place(self, region)
         try:
-            model = kind(Registers(self._fabric.cells(region.name)), _arrays(self._fabric, region), place)
+            model = kind(self._fabric.registers(region.name), _arrays(self._fabric, region), place)
         except Exception:  # noqa: BLE001 - as above
             _log.exception("the model %s could not be started", kind.__name__)
             return

@@ -8,14 +8,14 @@ from collections.abc import Callable, Sequence
 
 from cm.simulation.software.errors import NodeError
 from cm.simulation.software.transport import protocol
-from cm.simulation.software.transport.session import Events, Later
+from cm.simulation.software.transport.session import Events, Later, Session
 
 Read = Callable[[], bytes]
 Write = Callable[[bytes], "Later | None"]
 Name = Callable[[str], None]
 
 
-class AttributeNode:
+class AttributeNode(Session):
     """One attribute; what cannot be read or written is refused with EACCES."""
 
     def __init__(self, read: Read | None = None, write: Write | None = None) -> None:
@@ -33,14 +33,8 @@ class AttributeNode:
             return self._write(payload) or b""
         raise NodeError(errno.EACCES if op in (protocol.OP_ATTR_READ, protocol.OP_ATTR_WRITE) else errno.ENOTTY)
 
-    def write(self, data: bytes) -> None:
-        """Nothing comes this way."""
 
-    def close(self) -> None:
-        """Nothing is held."""
-
-
-class FolderNode:
+class FolderNode(Session):
     """The ``.node`` of a configfs folder: mkdir and rmdir in it."""
 
     def __init__(self, mkdir: Name, rmdir: Name) -> None:
@@ -63,9 +57,3 @@ class FolderNode:
             raise NodeError(errno.EINVAL, "not a name for a folder")
         call(name)
         return b""
-
-    def write(self, data: bytes) -> None:
-        """Nothing comes this way."""
-
-    def close(self) -> None:
-        """Nothing is held."""

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
+from functools import partial
 
 from cm.schema.clock_rates import PLL, rounded
 from cm.simulation.software.errors import NodeError
@@ -29,38 +30,28 @@ class Clocks:
     def serve(self, server: Server) -> None:
         """Make the folders and listen."""
         for name in self.rates:
-            self._listen(server, f"{name}/rate", self._reader(self.rates, name), self._setter(name))
-            self._listen(server, f"{name}/round", self._reader(self._rounded, name), self._rounder(name))
-            self._listen(server, f"{name}/enable", self._reader(self._enabled, name), self._gate(name))
+            for file, values, write in (
+                ("rate", self.rates, self._set),
+                ("round", self._rounded, self._round),
+                ("enable", self._enabled, self._gate),
+            ):
+                node = AttributeNode(partial(_shown, values, name), partial(write, name))
+                server.listen(self._root.bind(f"{BASE}/{name}/{file}"), node)
 
-    def _listen(self, server: Server, path: str, read: Callable[[], bytes], write: Callable[[bytes], None]) -> None:
-        server.listen(self._root.bind(f"{BASE}/{path}"), AttributeNode(read, write))
+    def _set(self, name: str, data: bytes) -> None:
+        wanted = _number(data)
+        if not self._faults.take("clock_stuck", name):
+            self.rates[name] = rounded(self._pll, wanted)
 
-    def _reader(self, values: Mapping[str, int], name: str) -> Callable[[], bytes]:
-        def read() -> bytes:
-            return f"{values[name]}\n".encode()
+    def _round(self, name: str, data: bytes) -> None:
+        self._rounded[name] = rounded(self._pll, _number(data))
 
-        return read
+    def _gate(self, name: str, data: bytes) -> None:
+        self._enabled[name] = _number(data, 1)
 
-    def _setter(self, name: str) -> Callable[[bytes], None]:
-        def write(data: bytes) -> None:
-            wanted = _number(data)
-            if not self._faults.take("clock_stuck", name):
-                self.rates[name] = rounded(self._pll, wanted)
 
-        return write
-
-    def _rounder(self, name: str) -> Callable[[bytes], None]:
-        def write(data: bytes) -> None:
-            self._rounded[name] = rounded(self._pll, _number(data))
-
-        return write
-
-    def _gate(self, name: str) -> Callable[[bytes], None]:
-        def write(data: bytes) -> None:
-            self._enabled[name] = _number(data, 1)
-
-        return write
+def _shown(values: Mapping[str, int], name: str) -> bytes:
+    return f"{values[name]}\n".encode()
 
 
 def _number(data: bytes, most: int = (1 << 64) - 1) -> int:

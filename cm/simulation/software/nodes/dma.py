@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from cm.schema.model import Direction
@@ -12,8 +12,8 @@ from cm.simulation.software.errors import NodeError
 from cm.simulation.software.hardware.board_spec import ChannelSpec
 from cm.simulation.software.hardware.dma import MAX_LENGTH, MAX_LINE, QUEUE_DEPTH, Channel, Completions, Transfer
 from cm.simulation.software.transport import protocol
-from cm.simulation.software.transport.buffers import Buffer, Buffers, DmaMemory, Syncs, fit
-from cm.simulation.software.transport.session import Answer, Events
+from cm.simulation.software.transport.buffers import Buffer, Buffers, BufferSession, DmaMemory, Syncs, fit
+from cm.simulation.software.transport.session import Events
 
 if TYPE_CHECKING:
     import numpy as np
@@ -43,34 +43,22 @@ class DmaNode:
         return session
 
 
-class DmaSession:
+class DmaSession(BufferSession):
     """The file that has the channel open."""
 
     def __init__(self, channel: Channel, buffers: Buffers, closed: Callable[[DmaSession], None]) -> None:
         self._channel = channel
         self._closed = closed
-        self.buffers = buffers
-        # The ioctl's number without the size: a caller may know a shorter or longer structure.
-        self._handlers: dict[int, Callable[[bytes], bytes | Answer]] = {
-            protocol.DMA_IOC_INFO & 0xFFFF: self._info,
-            protocol.DMA_IOC_ALLOC & 0xFFFF: self.buffers.allocate,
-            protocol.DMA_IOC_FREE & 0xFFFF: self.buffers.free,
-            protocol.DMA_IOC_SUBMIT & 0xFFFF: self._submit,
-            protocol.DMA_IOC_SUBMIT_VIDEO & 0xFFFF: self._submit_video,
-            protocol.DMA_IOC_CANCEL & 0xFFFF: self._cancel,
-        }
-
-    def request(self, op: int, payload: bytes, fds: Sequence[int]) -> bytes | Answer:
-        """Answer one ioctl."""
-        handler = self._handlers.get(op & 0xFFFF)
-        if handler is not None:
-            return handler(payload)
-        if op & 0xFFFF == protocol.DMA_IOC_IMPORT & 0xFFFF:
-            return self.buffers.import_fd(payload, fds)
-        raise NodeError(errno.ENOTTY, "no such ioctl")
-
-    def write(self, data: bytes) -> None:
-        """Nothing can be written to a channel's file."""
+        super().__init__(
+            buffers,
+            protocol.DMA_IOC_INFO,
+            {
+                protocol.DMA_IOC_INFO: self._info,
+                protocol.DMA_IOC_SUBMIT: self._submit,
+                protocol.DMA_IOC_SUBMIT_VIDEO: self._submit_video,
+                protocol.DMA_IOC_CANCEL: self._cancel,
+            },
+        )
 
     def close(self) -> None:
         """The file was closed: stop, then give the memory back."""

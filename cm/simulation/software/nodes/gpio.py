@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import errno
 import struct
-from collections.abc import Sequence
 
 from cm.simulation.software.errors import NodeError
 from cm.simulation.software.faults import Faults
@@ -13,7 +12,7 @@ from cm.simulation.software.hardware.fabric import Fabric
 from cm.simulation.software.hardware.gpio import Chip
 from cm.simulation.software.transport import protocol
 from cm.simulation.software.transport.server import Server
-from cm.simulation.software.transport.session import Answer, Events
+from cm.simulation.software.transport.session import Answer, Events, Ioctls
 
 
 class GpioChipNode:
@@ -28,28 +27,22 @@ class GpioChipNode:
         return GpioChipSession(self)
 
 
-class GpioChipSession:
-    """One open chip."""
+class GpioChipSession(Ioctls):
+    """One open chip. Lines that were asked for are files of their own."""
 
     def __init__(self, node: GpioChipNode) -> None:
         self._node = node
+        super().__init__(
+            {
+                protocol.GPIO_CHIP_INFO_IOCTL: self._chip,
+                protocol.GPIO_GET_LINE_IOCTL: self._line,
+                protocol.GPIO_GET_LINE_INFO_IOCTL: self._info,
+            }
+        )
 
-    def request(self, op: int, payload: bytes, fds: Sequence[int]) -> bytes | Answer:  # noqa: ARG002 (none is taken)
-        """Answer one ioctl."""
-        if op == protocol.GPIO_CHIP_INFO_IOCTL:
-            chip = self._node.chip
-            return protocol.GPIO_CHIP_INFO.pack(chip.name.encode(), chip.label.encode(), chip.lines)
-        if op == protocol.GPIO_GET_LINE_IOCTL:
-            return self._line(payload)
-        if op == protocol.GPIO_GET_LINE_INFO_IOCTL:
-            return self._info(payload)
-        raise NodeError(errno.ENOTTY, "no such ioctl")
-
-    def write(self, data: bytes) -> None:
-        """Nothing can be written to a chip."""
-
-    def close(self) -> None:
-        """Lines that were asked for are files of their own."""
+    def _chip(self, payload: bytes) -> bytes:  # noqa: ARG002 - nothing is asked in it
+        chip = self._node.chip
+        return protocol.GPIO_CHIP_INFO.pack(chip.name.encode(), chip.label.encode(), chip.lines)
 
     def _info(self, payload: bytes) -> bytes:
         """The name of a line, "" where it has none; who holds it is not told."""
@@ -82,31 +75,22 @@ class _Line:
         return _LineSession(self._node, self._line)
 
 
-class _LineSession:
+class _LineSession(Ioctls):
     """One line that is held; at first its direction and value are unchanged."""
 
     def __init__(self, node: GpioChipNode, line: int) -> None:
         self._node, self._line = node, line
-
-    def request(self, op: int, payload: bytes, fds: Sequence[int]) -> bytes:  # noqa: ARG002 (none is taken)
-        """Answer one ioctl."""
-        if op == protocol.GPIO_GET_VALUES_IOCTL:
-            _sized(protocol.GPIO_LINE_VALUES, payload)
-            value = self._node.fabric.lines.value(self._node.chip, self._line)
-            return protocol.GPIO_LINE_VALUES.pack(value, 1)
-        if op == protocol.GPIO_SET_CONFIG_IOCTL:
-            self._configure(payload)
-            return payload
-        raise NodeError(errno.ENOTTY, "no such ioctl")
-
-    def write(self, data: bytes) -> None:
-        """Nothing can be written to a line."""
+        super().__init__({protocol.GPIO_GET_VALUES_IOCTL: self._value, protocol.GPIO_SET_CONFIG_IOCTL: self._configure})
 
     def close(self) -> None:
         """Given back."""
         self._node.held.pop(self._line, None)
 
-    def _configure(self, payload: bytes) -> None:
+    def _value(self, payload: bytes) -> bytes:
+        _sized(protocol.GPIO_LINE_VALUES, payload)
+        return protocol.GPIO_LINE_VALUES.pack(self._node.fabric.lines.value(self._node.chip, self._line), 1)
+
+    def _configure(self, payload: bytes) -> bytes:
         """Make it an output with a value; other parts of a line's configuration are not simulated."""
         _sized(protocol.GPIO_LINE_CONFIG, payload)
         flags, count, attribute, values, mask = protocol.GPIO_LINE_CONFIG.unpack(payload)
@@ -116,6 +100,7 @@ class _LineSession:
         node = self._node
         if not node.faults.take("gpio_stuck", f"{node.chip.label}:{self._line}"):
             node.fabric.drive_line(node.chip, self._line, values & 1)
+        return payload
 
 
 def _sized(form: struct.Struct, payload: bytes) -> None:

@@ -5,14 +5,14 @@ from __future__ import annotations
 
 import errno
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from cm.simulation.software.errors import NodeError
 from cm.simulation.software.faults import Faults
 from cm.simulation.software.hardware.configuration_engine import ConfigurationEngine, LoadResult, Through
 from cm.simulation.software.transport import protocol
-from cm.simulation.software.transport.buffers import Buffer, Buffers, DmaMemory, Syncs, fit
-from cm.simulation.software.transport.session import Answer, Events
+from cm.simulation.software.transport.buffers import Buffer, Buffers, BufferSession, DmaMemory, Syncs, fit
+from cm.simulation.software.transport.session import Events
 
 MAX_LENGTH = 1 << 26
 _FLAGS = protocol.LOAD_FULL | protocol.LOAD_ENCRYPTED
@@ -42,33 +42,22 @@ class IcapNode:
         return session
 
 
-class IcapSession:
+class IcapSession(BufferSession):
     """One open file; it sees the completions of its own loads only."""
 
     def __init__(self, node: IcapNode, buffers: Buffers, events: Events) -> None:
         self._node = node
-        self.buffers = buffers
         self._events: Events | None = events
-        self._handlers: dict[int, Callable[[bytes], bytes | Answer]] = {
-            protocol.ICAP_IOC_INFO & 0xFFFF: self._info,
-            protocol.ICAP_IOC_ALLOC & 0xFFFF: self.buffers.allocate,
-            protocol.ICAP_IOC_FREE & 0xFFFF: self.buffers.free,
-            protocol.ICAP_IOC_LOAD & 0xFFFF: self._load,
-            protocol.ICAP_IOC_READ & 0xFFFF: self._read,
-            protocol.ICAP_IOC_STATUS & 0xFFFF: self._status,
-        }
-
-    def request(self, op: int, payload: bytes, fds: Sequence[int]) -> bytes | Answer:
-        """Answer one ioctl."""
-        handler = self._handlers.get(op & 0xFFFF)
-        if handler is not None:
-            return handler(payload)
-        if op & 0xFFFF == protocol.ICAP_IOC_IMPORT & 0xFFFF:
-            return self.buffers.import_fd(payload, fds)
-        raise NodeError(errno.ENOTTY, "no such ioctl")
-
-    def write(self, data: bytes) -> None:
-        """Nothing can be written to the port's file."""
+        super().__init__(
+            buffers,
+            protocol.ICAP_IOC_INFO,
+            {
+                protocol.ICAP_IOC_INFO: self._info,
+                protocol.ICAP_IOC_LOAD: self._load,
+                protocol.ICAP_IOC_READ: self._read,
+                protocol.ICAP_IOC_STATUS: self._status,
+            },
+        )
 
     def close(self) -> None:
         """The file was closed; a load that runs continues to its end, without being reported."""

@@ -12,7 +12,7 @@ from cm.simulation.software.hardware.logic import Accesses
 from cm.simulation.software.hardware.register_windows import Window
 from cm.simulation.software.transport import protocol
 from cm.simulation.software.transport.root import Root
-from cm.simulation.software.transport.session import Answer, Events, Opened
+from cm.simulation.software.transport.session import Answer, Events, Opened, Session
 
 
 class UioNode:
@@ -27,7 +27,7 @@ class UioNode:
         return Opened(session, protocol.OFFERS_MIRROR | protocol.OFFERS_BLOCKS if self._window.spec.size else 0)
 
 
-class UioSession:
+class UioSession(Session):
     """One open file: register accesses, and the interrupt through the event socket."""
 
     def __init__(self, window: Window, line: Line, bus: Accesses, events: Events) -> None:

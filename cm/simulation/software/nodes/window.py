@@ -13,8 +13,9 @@ from cm.simulation.software.hardware.fabric import Fabric
 from cm.simulation.software.hardware.logic import Accesses
 from cm.simulation.software.hardware.register_windows import Window
 from cm.simulation.software.transport import protocol
+from cm.simulation.software.transport.buffers import fit
 from cm.simulation.software.transport.server import Server
-from cm.simulation.software.transport.session import Answer, Events, Opened
+from cm.simulation.software.transport.session import Answer, Events, Ioctls, Opened, Session
 
 PAGE = mmap.PAGESIZE
 MOST = 4096  # grants of one file
@@ -52,21 +53,14 @@ def _has(window: Window, address: int, length: int) -> bool:
     return bool(window.spec.size) and start <= address and address + length <= start + window.spec.size
 
 
-class WindowSession:
+class WindowSession(Ioctls):
     """One open file: what it has lent."""
 
     def __init__(self, node: WindowNode, events: Events) -> None:
-        self._node, self._events = node, events
+        self.bus, self._node, self._events = node.bus, node, events
         self._grants: dict[int, _Grant] = {}
         self._last = 0
-
-    def request(self, op: int, payload: bytes, fds: Sequence[int]) -> bytes | Answer:  # noqa: ARG002 (none is taken)
-        """Answer one ioctl."""
-        if op & 0xFFFF == protocol.WINDOW_IOC_GRANT & 0xFFFF:
-            return self._grant(payload)
-        if op & 0xFFFF == protocol.WINDOW_IOC_REVOKE & 0xFFFF:
-            return self._revoke(payload)
-        raise NodeError(errno.ENOTTY, "no such ioctl")
+        super().__init__({protocol.WINDOW_IOC_GRANT: self._grant, protocol.WINDOW_IOC_REVOKE: self._revoke})
 
     def _grant(self, payload: bytes) -> Answer:
         flags, address, length, _, _ = protocol.unpack(protocol.WINDOW_GRANT, payload)
@@ -80,9 +74,8 @@ class WindowSession:
         connection = self._node.server.connect(grant)
         self._grants[grant.id] = grant
         self._node.grants.add(grant)
-        size = len(payload)
-        answer = protocol.WINDOW_GRANT.pack(size, flags, address, length, grant.id, -1)
-        return Answer(answer[:size].ljust(size, b"\0"), [connection.detach()])
+        answer = protocol.WINDOW_GRANT.pack(len(payload), flags, address, length, grant.id, -1)
+        return Answer(fit(answer, payload), [connection.detach()])
 
     def _revoke(self, payload: bytes) -> bytes:
         flags, address, length, number, _ = protocol.unpack(protocol.WINDOW_REVOKE, payload)
@@ -95,8 +88,7 @@ class WindowSession:
         else:
             taken = [grant for grant in self._node.grants if grant.touches(address, length)]
         count = sum(grant.revoke(protocol.WINDOW_REVOKED_CALL) for grant in taken)
-        size = len(payload)
-        return protocol.WINDOW_REVOKE.pack(size, flags, address, length, number, count)[:size].ljust(size, b"\0")
+        return fit(protocol.WINDOW_REVOKE.pack(len(payload), flags, address, length, number, count), payload)
 
     def released(self, grant: _Grant) -> None:
         """Nobody has it any more."""
@@ -104,19 +96,11 @@ class WindowSession:
         if self._grants.pop(grant.id, None) is not None:
             self._events.send(protocol.WINDOW_EVENT.pack(grant.id, protocol.WINDOW_RELEASED))
 
-    def write(self, data: bytes) -> None:
-        """Nothing can be written to it."""
-
     def close(self) -> None:
         """Who lent is gone."""
         grants, self._grants = list(self._grants.values()), {}
         for grant in grants:
             grant.revoke(protocol.WINDOW_REVOKED_OWNER)
-
-    @property
-    def bus(self) -> Accesses:
-        """The way to the registers."""
-        return self._node.bus
 
 
 class _Grant:
@@ -157,7 +141,7 @@ class _Grant:
         os.close(self._fd)
 
 
-class _GrantSession:
+class _GrantSession(Session):
     """Accesses of who has the grant, counted from its first byte."""
 
     def __init__(self, grant: _Grant) -> None:
@@ -191,9 +175,6 @@ class _GrantSession:
         else:
             grant.session.bus.write(grant.window, grant.offset + offset, width, value)
         return protocol.REG.pack(number, width, offset, value)
-
-    def write(self, data: bytes) -> None:
-        """Nothing can be written to it."""
 
     def close(self) -> None:
         """Its last descriptor is gone."""

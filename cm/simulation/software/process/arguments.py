@@ -6,8 +6,6 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-PCAP_RATE = 145e6  # bytes per second that the kernel's driver reaches through PCAP
-
 
 def _simple(text: str) -> tuple[str, tuple[int, bool]]:
     name, bits, blind = [*text.split(":"), "", ""][:3]
@@ -36,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--pcap-rate",
         type=float,
-        default=PCAP_RATE,
+        default=145e6,  # as the kernel's driver reaches
         metavar="BYTES",
         help="speed of the fpga_manager in bytes per second",
     )

@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 from cm.formats import fdt
 from cm.formats.bitstream.assemble import FrameRun, assemble
-from cm.formats.bitstream.convert import to_dma_words
+from cm.formats.bitstream.container import to_dma_words
 from cm.formats.bitstream.geometry import FrameAddress
 from cm.formats.bitstream.module import assemble_module
 from cm.schema.files import FileMissing, bitstream_path, overlay_path
@@ -47,14 +48,10 @@ class Firmware:
 
     def _module(self, config: Config, module: Module) -> Path | None:
         """The path of the module's bitstream; None if there was none and it was made."""
-        try:
-            found = bitstream_path(config, module, self._root.path)
-        except FileMissing:
-            found = None
+        found = self._found(bitstream_path, config, module)
         data = self._assembled(module) if found is None else found.read_bytes()
         if found is None:
-            name = module.bitstream.name if module.bitstream else f"{module.name}.bit"
-            self._write(config, name, to_dma_words(data) if name.endswith(".bin") else data)
+            self._write_bitstream(config, module.bitstream, module.name, data)
         region = config.regions.get(module.region)
         if region is not None and region.loader is LoaderKind.OVERLAY:
             self._loading_overlay(config, module, data)
@@ -71,9 +68,7 @@ class Firmware:
 
     def _loading_overlay(self, config: Config, module: Module, data: bytes) -> None:
         """What the kernel needs to load through an fpga-region: a .bin, and an overlay that names it."""
-        try:
-            overlay_path(config, module.name, self._root.path)
-        except FileMissing:
+        if self._found(overlay_path, config, module.name) is None:
             binary = f"{module.name}.bin"
             self._write(config, binary, to_dma_words(data))
             properties = {"firmware-name": f"cm/{config.name}/{binary}\0".encode(), "partial-fpga-config": b""}
@@ -81,19 +76,14 @@ class Firmware:
             self._write(config, f"{module.name}.dtbo", fdt.pack(tree))
 
     def _static(self, config: Config) -> None:
-        try:
-            bitstream_path(config, None, self._root.path)
-        except FileMissing:
-            name = config.bitstream.name if config.bitstream else f"{config.name}.bit"
+        if self._found(bitstream_path, config, None) is None:
             frames = bytes(4 * self._spec.device.family.frame_words * _STATIC_FRAMES)
             run = FrameRun(FrameAddress(0, _STATIC_ROW, 0), frames)
             data = assemble(self._spec.device, [run], design=config.name, partial=False)
-            self._write(config, name, to_dma_words(data) if name.endswith(".bin") else data)
+            self._write_bitstream(config, config.bitstream, config.name, data)
 
     def _overlay(self, config: Config, overlay: Overlay) -> None:
-        try:
-            overlay_path(config, overlay, self._root.path)
-        except FileMissing:
+        if self._found(overlay_path, config, overlay) is None:
             name = overlay.file.name if overlay.file else f"{overlay.name}.dtbo"
             self._write(config, name, _node_overlay(overlay.name))
 
@@ -103,6 +93,16 @@ class Firmware:
             yield digest(to_dma_words(path)), spec
         except (OSError, ValueError) as error:
             _log.warning("%s is not readable as a bitstream: %s", path, error)
+
+    def _found(self, path: Callable[[Config, Any, Path], Path], config: Config, what: object) -> Path | None:
+        try:
+            return path(config, what, self._root.path)
+        except FileMissing:
+            return None
+
+    def _write_bitstream(self, config: Config, stated: Path | None, name: str, data: bytes) -> None:
+        file = stated.name if stated else f"{name}.bit"
+        self._write(config, file, to_dma_words(data) if file.endswith(".bin") else data)
 
     def _write(self, config: Config, name: str, data: bytes) -> None:
         self._root.write(f"lib/firmware/cm/{config.name}/{name}", data)

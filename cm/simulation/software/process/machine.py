@@ -6,26 +6,21 @@ from __future__ import annotations
 import os
 import sys
 import uuid
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import replace
 
-from cm.frozen import dataclass
 from cm.loop import Loop
 from cm.schema.model import LoaderKind
 from cm.simulation.software.errors import SimError
 from cm.simulation.software.faults import Faults
 from cm.simulation.software.hardware.board_spec import BoardSpec, ChannelSpec
-from cm.simulation.software.hardware.camera import Photo
 from cm.simulation.software.hardware.configuration_engine import ConfigurationEngine
 from cm.simulation.software.hardware.configuration_memory import ConfigMemory
 from cm.simulation.software.hardware.dma import Channel
 from cm.simulation.software.hardware.fabric import Fabric
-from cm.simulation.software.hardware.links import CameraLink
-from cm.simulation.software.hardware.logic import InterruptLines, LogicParts, MakeLogic, SoftwareLogic
+from cm.simulation.software.hardware.logic import LogicParts, MakeLogic, Options, SoftwareLogic
 from cm.simulation.software.hardware.models import Models
 from cm.simulation.software.nodes import uio
 from cm.simulation.software.nodes.clocks import Clocks
-from cm.simulation.software.nodes.control import ControlNode, Owner
 from cm.simulation.software.nodes.dma import DmaNode
 from cm.simulation.software.nodes.fpga_manager import FpgaManager
 from cm.simulation.software.nodes.gpio import GpioChipNode
@@ -33,30 +28,12 @@ from cm.simulation.software.nodes.icap import IcapNode
 from cm.simulation.software.nodes.overlays import Overlays
 from cm.simulation.software.nodes.sensors import serve_sensors
 from cm.simulation.software.nodes.window import WindowNode
-from cm.simulation.software.process.arguments import PCAP_RATE
 from cm.simulation.software.process.firmware import Firmware
 from cm.simulation.software.transport.buffers import DmaMemory
 from cm.simulation.software.transport.root import Root
 from cm.simulation.software.transport.server import Server
 
 ICAP_CLOCK = {"7series": 100_000_000, "ultrascale+": 200_000_000}
-
-
-@dataclass(frozen=True, slots=True)
-class Options:
-    """What can be set about a board besides its hardware."""
-
-    photos: Sequence[Photo] | None  # None: those of the package
-    hold: int = 150  # frames for which a photo stays
-    rate: float | None = None  # frames per second of every camera; None: as the schema says; 0: as fast as possible
-    icap_rate: float | None = None  # bytes per second; None: word width times clock; 0: at once
-    pcap_rate: float = PCAP_RATE
-    memory: int = 512 << 20  # bytes of DMA memory
-    bitstream_size: int | None = None
-    seed: int = 1
-    vdma: Collection[str] = ()  # channels that are a VDMA's
-    simple: Mapping[str, tuple[int, bool]] = field(default_factory=dict)  # bits of the length register, and if blind
-    coherent: bool = True  # memory: if not, every access of the processor has to be synchronised
 
 
 class Machine:
@@ -66,13 +43,11 @@ class Machine:
         self, loop: Loop, root: Root, spec: BoardSpec, models: Models, options: Options, make: MakeLogic = SoftwareLogic
     ) -> None:
         self.loop, self.root, self.spec, self.options = loop, root, spec, options
-        self.models = models
-        self.parent: Owner | None = None  # if the board ends with its owner
         self.server = Server(loop)
         self.faults = Faults()
         self.fabric = Fabric(spec, options.seed)
         self.memory = DmaMemory(options.memory, options.coherent)
-        self.logic = make(self._parts())
+        self.logic = make(LogicParts(loop, self.fabric, self.faults, models, self.memory, options))
         self.engine = self._engine()
         self.manager = FpgaManager(root, self.engine, self.faults, options.pcap_rate)
         self.overlays = Overlays(root, self.manager, self.faults)
@@ -84,17 +59,12 @@ class Machine:
         self._upsets: list[tuple[int, int]] = []  # the last: frame address, and bit of the frame
         self.fabric.changed = self.faults.ordered = self.kick
 
-    @property
-    def interrupts(self) -> InterruptLines:
-        """The lines to the processor."""
-        return self.logic.interrupts
-
     def serve(self) -> None:
         """Make the nodes; from now on clients can come."""
         self.root.write("proc/sys/kernel/random/boot_id", f"{uuid.uuid4()}\n")
         for index, window in enumerate(self.fabric.windows):
             uio.write_sysfs(self.root, index, window)
-            node = uio.UioNode(window, self.interrupts.lines[index], self.logic.bus)
+            node = uio.UioNode(window, self.logic.interrupts.lines[index], self.logic.bus)
             self.server.listen(self.root.bind(f"dev/uio{index}"), node)
         if isinstance(self.logic, SoftwareLogic):  # other logic has to see each access
             self.server.listen(self.root.bind("dev/cm_window"), WindowNode(self.fabric, self.logic.bus, self.server))
@@ -110,7 +80,6 @@ class Machine:
             self.server.listen(
                 self.root.bind(f"dev/{chip.name}"), GpioChipNode(chip, self.fabric, self.faults, self.server)
             )
-        ControlNode(self).serve(self.server, self.root)
 
     def upset(self, region: str, bits: int, frame: int | None, bit: int | None) -> None:
         """Turn over bits of a region's frames. Raises KeyError where it holds none."""
@@ -120,6 +89,9 @@ class Machine:
         """Empty all, as power-up does."""
         self._config.frames.clear()
         self.fabric.reset()
+        for line in self.logic.interrupts.lines:
+            line.drop_pending()
+        self.kick()
 
     def kick(self) -> None:
         """Let every link check whether data can move."""
@@ -148,7 +120,7 @@ class Machine:
                 for name, region in self.fabric.regions.items()
             },
             "channels": {name: self._channel_state(name) for name in self.channels},
-            "interrupts": {f"uio{index}": line.count for index, line in enumerate(self.interrupts.lines)},
+            "interrupts": {f"uio{index}": line.count for index, line in enumerate(self.logic.interrupts.lines)},
             "connections": self.server.connections,
             "buffers": self._buffers(),
             "memory": self.memory.used,
@@ -182,8 +154,8 @@ class Machine:
             "bytes": channel.moved,
             "lent": link.lent,
         }
-        if isinstance(link, CameraLink):
-            state |= {"frames": link.frames, "photo": link.photo}
+        if link.camera is not None:
+            state |= {"frames": link.camera.frames, "photo": link.camera.photo}
         return state
 
     def _engine(self) -> ConfigurationEngine:
@@ -193,20 +165,6 @@ class Machine:
         if rate is None:
             rate = 4.0 * ICAP_CLOCK[self.spec.device.family.label]
         return ConfigurationEngine(self.loop, self.fabric, self._config, self.faults, self.spec.device, rate)
-
-    def _parts(self) -> LogicParts:
-        options = self.options
-        return LogicParts(
-            self.loop,
-            self.fabric,
-            self.faults,
-            self.models,
-            options.photos,
-            options.hold,
-            options.rate,
-            options.seed,
-            self.memory,
-        )
 
     def _icap_node(self) -> IcapNode:
         device = self.spec.device

@@ -23,10 +23,11 @@ from cm.schema.model import Config
 from cm.simulation.software.errors import NodeError, SimError
 from cm.simulation.software.hardware.board_spec import BoardSpec
 from cm.simulation.software.hardware.camera import load_photos
-from cm.simulation.software.hardware.logic import MakeLogic, SoftwareLogic
+from cm.simulation.software.hardware.logic import MakeLogic, Options, SoftwareLogic
 from cm.simulation.software.hardware.models import Models
 from cm.simulation.software.process.arguments import add_arguments
-from cm.simulation.software.process.machine import Machine, Options
+from cm.simulation.software.process.machine import Machine
+from cm.simulation.software.process.orders import Orders
 from cm.simulation.software.transport.root import Root
 
 _CHECK = 0.25
@@ -120,8 +121,8 @@ def _serve(args: argparse.Namespace, made: Callable[[Loop], Machine], parent: Pa
         machine = made(loop)
         stack.callback(machine.close)
         machine.serve()
+        Orders(machine, parent.replace if parent is not None else None)
         if parent is not None:
-            machine.parent = parent
             Linger(loop, lambda: machine.server.connections, parent, args.linger).check()
         _say_ready(args.ready_fd, machine.root)
         loop.run()

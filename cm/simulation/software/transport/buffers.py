@@ -8,12 +8,12 @@ import fcntl
 import mmap
 import os
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from cm.simulation.software.errors import NodeError, SimError
 from cm.simulation.software.transport import protocol
-from cm.simulation.software.transport.session import Answer
+from cm.simulation.software.transport.session import Answer, Ioctls
 
 if TYPE_CHECKING:
     import numpy as np
@@ -255,6 +255,17 @@ class Buffers:
             self._memory.give(buffer.length, buffer)
         if buffer.counters is not None:
             self.syncs.forget(buffer.counters)
+
+
+class BufferSession(Ioctls):
+    """An open file that has buffers; `first`: its module's first ioctl, which those of ``cm_buffer.h`` follow."""
+
+    def __init__(self, buffers: Buffers, first: int, handlers: Mapping[int, Callable[[bytes], bytes | Answer]]) -> None:
+        self.buffers = buffers
+        super().__init__({**handlers, first + 1: buffers.allocate, first + 2: self._import, first + 3: buffers.free})
+
+    def _import(self, payload: bytes) -> bytes:
+        return self.buffers.import_fd(payload, self.fds)
 
 
 def fit(reply: bytes, request: bytes) -> bytes:

@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import socket
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
 from cm.simulation.software.errors import NodeError
@@ -107,17 +108,37 @@ class Opened:
         self.offers = offers
 
 
-class Session(Protocol):
+class Session:
     """One open file of a node."""
 
     def request(self, op: int, payload: bytes, fds: Sequence[int]) -> bytes | Answer | Later:
         """Answer a request or raise `NodeError`. `fds` are closed by the caller."""
+        raise NotImplementedError
 
     def write(self, data: bytes) -> None:
-        """The client wrote to the event socket."""
+        """The client wrote to the event socket: nothing by default."""
 
     def close(self) -> None:
         """The client has gone: release what it held."""
+
+
+class Ioctls(Session):
+    """A file whose requests are ioctls: handlers by number, without the size in it.
+
+    A caller may know a shorter or longer structure.
+    """
+
+    def __init__(self, handlers: Mapping[int, Callable[[bytes], bytes | Answer]]) -> None:
+        self._handlers = {number & 0xFFFF: handler for number, handler in handlers.items()}
+        self.fds: Sequence[int] = ()  # of the request that is answered
+
+    def request(self, op: int, payload: bytes, fds: Sequence[int]) -> bytes | Answer:
+        """Answer one."""
+        self.fds = fds
+        handler = self._handlers.get(op & 0xFFFF)
+        if handler is None:
+            raise NodeError(errno.ENOTTY, "no such ioctl")
+        return handler(payload)
 
 
 class Node(Protocol):

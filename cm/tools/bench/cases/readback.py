@@ -110,7 +110,7 @@ def _pass(bench: Run, folder: Path) -> Result:
 
 
 def _load(port: Icap, bitstream: Path) -> None:
-    from cm.formats.bitstream.convert import to_dma_words
+    from cm.formats.bitstream.container import to_dma_words
 
     words = to_dma_words(bitstream)
     with port.allocate(len(words)) as buffer:
