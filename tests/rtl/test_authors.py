@@ -15,14 +15,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import HERE, needs
+from conftest import HERE, needs, served
 
 import cm
 
 sys.path += [str(HERE.parent), str(HERE.parents[1] / "examples/zypr")]
 import authors
 import references
-from manager_process import Manager
 
 from cm.cli.main import main
 from cm.design.zypr import zypr_text
@@ -36,6 +35,7 @@ pytestmark = [
     pytest.mark.skipif(not ZYPR, reason="ZYPR does not name a checkout of github.com/accl-kaust/zypr"),
 ]  # fmt: skip
 PHOTO = next(iter(shipped_photos().values()))
+FAST = ("--sim-icap-rate", "0")
 
 
 @pytest.fixture(scope="module")
@@ -43,25 +43,16 @@ def schemas(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Path]:
     return authors.prepare(Path(str(ZYPR)).absolute(), tmp_path_factory.mktemp("authors"))
 
 
-def served(schema: Path, runtime: Path) -> Iterator[cm.Board]:
-    prepare(schema)
-    manager = Manager(runtime, "--sim=rtl", "--build", str(schema), "--sim-icap-rate", "0").start()
-    try:
-        with manager.connected() as connected:
-            connected.load(schema.stem)
-            yield connected
-    finally:
-        manager.stop()
-
-
 @pytest.fixture(scope="module")
 def vision(schemas: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Iterator[cm.Board]:
-    yield from served(schemas["vision"], tmp_path_factory.mktemp("run"))
+    with served(tmp_path_factory.mktemp("run"), schemas["vision"], schemas["vision"].stem, *FAST) as connected:
+        yield connected
 
 
 @pytest.fixture(scope="module")
 def words(schemas: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Iterator[cm.Board]:
-    yield from served(schemas["words"], tmp_path_factory.mktemp("run"))
+    with served(tmp_path_factory.mktemp("run"), schemas["words"], schemas["words"].stem, *FAST) as connected:
+        yield connected
 
 
 @pytest.mark.parametrize("few", [False, True], ids=["many edges", "few edges"])
@@ -163,7 +154,7 @@ def test_gaussian_runs_with_models_of_the_cores_that_it_lacks(
 ) -> None:
     """Within one of a kernel of 3 × 3 with sigma 1: its weights are of 8 bits. Borders are left out."""
     schema = gaussian(schemas["vision"].with_name("gaussian.yaml"), models=True)
-    for board in served(schema, tmp_path_factory.mktemp("run")):
+    with served(tmp_path_factory.mktemp("run"), schema, schema.stem, *FAST) as board:
         picture = np.ascontiguousarray(PHOTO[:240:10, :480:10])
         with board.stream("from_blur", timeout=120) as back, board.writer("to_blur", timeout=120) as out:
             out.write(picture)
@@ -194,7 +185,7 @@ def test_their_sobel_project_runs_as_init_writes_it(tmp_path: Path) -> None:
     """Two regions, each with either filter, and a VDMA each."""
     schema = tmp_path / "example.yaml"
     schema.write_text(zypr_text(next(Path(str(ZYPR)).rglob("tests/demo/sobel.json")), tmp_path))
-    for board in served(schema, tmp_path / "run"):
+    with served(tmp_path / "run", schema, schema.stem, *FAST) as board:
         for mode, region in (("sobel_a_region_a", "region_a"), ("sobel_b_region_b", "region_b")):
             board.set_mode(mode)
             board.registers.write({"rows": 480, "cols": 640})

@@ -3,19 +3,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from conftest import HERE, needs
+from conftest import HERE, needs, served
 
 import cm
-
-sys.path.append(str(HERE.parent))
-from manager_process import Manager
-
-from cm.simulation.rtl.main import prepare
 
 pytestmark = [needs("verilator"), needs("g++"), pytest.mark.timeout(600)]
 FORMATS = HERE / "formats/build.yaml"
@@ -23,15 +17,9 @@ FORMATS = HERE / "formats/build.yaml"
 
 @pytest.fixture(scope="module")
 def board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[cm.Board]:
-    prepare(FORMATS)
-    options = ("--sim=rtl", "--build", str(FORMATS), "--sim-icap-rate", "0")
-    manager = Manager(tmp_path_factory.mktemp("run"), *options).start()
-    try:
-        with manager.connected() as connected:
-            connected.load("formats", mode="all", timeout=120)
-            yield connected
-    finally:
-        manager.stop()
+    folder = tmp_path_factory.mktemp("run")
+    with served(folder, FORMATS, "formats", "--sim-icap-rate", "0", mode="all", timeout=120) as connected:
+        yield connected
 
 
 def through(board: cm.Board, bits: int, picture: np.ndarray) -> np.ndarray:

@@ -4,20 +4,16 @@
 from __future__ import annotations
 
 import shutil
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import HERE, needs
+from conftest import HERE, needs, served
+from manager_process import until
 
 import cm
 from cm import device
-
-sys.path.append(str(HERE.parent))
-from manager_process import Manager, until
-
 from cm.client.errors import RequestFailed
 from cm.simulation.rtl.compile import Unit, compile_units
 from cm.simulation.rtl.errors import RtlError
@@ -41,15 +37,8 @@ def pictures(count: int) -> list[np.ndarray]:
 
 @pytest.fixture(scope="module")
 def board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[cm.Board]:
-    prepare(HLS)
-    options = ("--sim=rtl", "--build", str(HLS), "--sim-icap-rate", "0")
-    manager = Manager(tmp_path_factory.mktemp("run"), *options).start()
-    try:
-        with manager.connected() as connected:
-            connected.load("hls", mode="tone")
-            yield connected
-    finally:
-        manager.stop()
+    with served(tmp_path_factory.mktemp("run"), HLS, "hls", "--sim-icap-rate", "0", mode="tone") as connected:
+        yield connected
 
 
 def test_frames_pass_a_vdma_and_a_module_with_a_table_in_a_file(board: cm.Board) -> None:

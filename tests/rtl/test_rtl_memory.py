@@ -3,19 +3,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from conftest import HERE, needs
+from conftest import HERE, needs, served
 
 import cm
-
-sys.path.append(str(HERE.parent))
-from manager_process import Manager
-
-from cm.simulation.rtl.main import prepare
 
 pytestmark = [needs("verilator"), needs("g++"), pytest.mark.timeout(300)]
 COPIER = HERE / "copier/build.yaml"
@@ -23,15 +17,8 @@ COPIER = HERE / "copier/build.yaml"
 
 @pytest.fixture(scope="module")
 def board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[cm.Board]:
-    prepare(COPIER)
-    runtime = tmp_path_factory.mktemp("run")
-    manager = Manager(runtime, "--sim=rtl", "--build", str(COPIER)).start()
-    try:
-        with manager.connected() as connected:
-            connected.load("copier")
-            yield connected
-    finally:
-        manager.stop()
+    with served(tmp_path_factory.mktemp("run"), COPIER, "copier") as connected:
+        yield connected
 
 
 def copy(board: cm.Board, source: int, target: int, words: int) -> int:

@@ -3,19 +3,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from conftest import HERE, needs
+from conftest import HERE, needs, served
 
 import cm
-
-sys.path.append(str(HERE.parent))
-from manager_process import Manager
-
-from cm.simulation.rtl.main import prepare
 
 pytestmark = [needs("verilator"), needs("g++"), pytest.mark.timeout(300)]
 FRAMES = 6
@@ -39,14 +33,8 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[cm.Board]:
     folder = tmp_path_factory.mktemp("shared")
     schema = folder / "build.yaml"
     schema.write_text(SCHEMA.format(loop=HERE / "loop/hdl/loop.v"))
-    prepare(schema)
-    manager = Manager(folder, "--sim=rtl", "--build", str(schema)).start()
-    try:
-        with manager.connected() as connected:
-            connected.load("shared", mode="both")
-            yield connected
-    finally:
-        manager.stop()
+    with served(folder, schema, "shared", mode="both") as connected:
+        yield connected
 
 
 def frame(number: int) -> np.ndarray:

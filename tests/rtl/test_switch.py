@@ -3,24 +3,18 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from build_support import project
-from conftest import HERE, needs
+from conftest import HERE, needs, served
 from simulation import simulate
 from test_shared_engines import adder, lint
 
 import cm
 from cm.design.generate.tree import generate, load_design, output_folder
-
-sys.path.append(str(HERE.parent))
-from manager_process import Manager
-
-from cm.simulation.rtl.main import prepare
 
 RTL = HERE.parent.parent / "cm" / "design" / "rtl"
 CHAIN = """\
@@ -75,14 +69,8 @@ def test_chains_of_two_regions_are_byte_exact_and_change_by_registers(engine: st
 def board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[cm.Board]:
     folder = tmp_path_factory.mktemp("chain")
     schema = project(folder, CHAIN, m0=adder(0), m2=adder(2))
-    prepare(schema)
-    manager = Manager(folder, "--sim=rtl", "--build", str(schema)).start()
-    try:
-        with manager.connected() as connected:
-            connected.load("chain", mode="both")
-            yield connected
-    finally:
-        manager.stop()
+    with served(folder, schema, "chain", mode="both") as connected:
+        yield connected
 
 
 @needs("verilator")

@@ -44,10 +44,6 @@ def test_another_device_is_refused() -> None:
         verify(inspect(small()), Expectation("xc7z010"))
 
 
-def test_another_idcode_is_refused() -> None:
-    assert codes(small(), Expectation(idcode=0x03722093)) == ["wrong_device"]
-
-
 def test_device_that_is_in_no_table_is_compared_by_its_part_name() -> None:
     unknown = bit(0x30018001, 0x04A11093, 0x30004000 | 93, *[0] * 93, 0x30008001, 13)
     data = unknown.replace(b"7z020clg400", b"xczu99eg-sf")
@@ -55,15 +51,22 @@ def test_device_that_is_in_no_table_is_compared_by_its_part_name() -> None:
     assert codes(data, Expectation("xczu98eg")) == ["wrong_device"]
 
 
-def test_full_bitstream_for_a_region_is_refused() -> None:
-    assert codes(small(partial=False), Expectation(partial=True)) == ["not_partial"]
-    renamed = small().replace(b"PARTIAL=TRUE", b"PARTIAL=NONE")
-    with pytest.raises(BitstreamError, match="its header says full, but it does not set WBSTAR and TIMER"):
-        verify(inspect(renamed), Expectation(partial=True))
-
-
-def test_partial_bitstream_for_the_whole_device_is_refused() -> None:
-    assert codes(small(), Expectation(partial=False)) == ["not_full"]
+@pytest.mark.parametrize(
+    ("data", "expect", "wanted"),
+    [
+        (small(), Expectation(idcode=0x03722093), ["wrong_device"]),
+        (small(partial=False), Expectation(partial=True), ["not_partial"]),
+        (small(), Expectation(partial=False), ["not_full"]),
+        (written_to(FrameAddress(0, 1, 26)), Expectation(footprint=OWNED), ["footprint_outside"]),
+        (written_to(FrameAddress(1, 0, 2)), Expectation(footprint=OWNED), ["footprint_outside"]),
+        (written_to(FrameAddress(0, 0, 25)), Expectation(footprint=OWNED), ["footprint_outside"]),
+        (written_to(HERE, 73), Expectation(footprint=OWNED), []),
+        (written_to(HERE, 500), Expectation(footprint=OWNED), ["footprint_outside"]),
+    ],
+    ids=["idcode", "full for a region", "partial for the device", "row", "block type", "column", "whole", "too long"],
+)
+def test_what_does_not_fit_its_purpose_is_refused(data: bytes, expect: Expectation, wanted: list[str]) -> None:
+    assert codes(data, expect) == wanted
 
 
 def test_header_that_hides_a_full_bitstream_is_found_out() -> None:
@@ -75,20 +78,16 @@ def test_header_that_hides_a_full_bitstream_is_found_out() -> None:
     assert "sets WBSTAR and TIMER" in found[0].message
 
 
+def test_a_header_that_says_full_of_what_looks_partial_is_named() -> None:
+    renamed = small().replace(b"PARTIAL=TRUE", b"PARTIAL=NONE")
+    with pytest.raises(BitstreamError, match="its header says full, but it does not set WBSTAR and TIMER"):
+        verify(inspect(renamed), Expectation(partial=True))
+
+
 def test_frames_of_another_region_are_refused_by_name() -> None:
     report = inspect(written_to(FrameAddress(0, 0, 28), 3))
     with pytest.raises(FootprintOutside, match=r"3 frames from block type 0 row 0 column 28; the region owns .*26-27"):
         verify(report, Expectation(footprint=OWNED))
-
-
-@pytest.mark.parametrize("address", [FrameAddress(0, 1, 26), FrameAddress(1, 0, 2), FrameAddress(0, 0, 25)])
-def test_frames_elsewhere_are_refused(address: FrameAddress) -> None:
-    assert codes(written_to(address), Expectation(footprint=OWNED)) == ["footprint_outside"]
-
-
-def test_run_that_the_region_cannot_hold_is_refused() -> None:
-    assert codes(written_to(HERE, 73), Expectation(footprint=OWNED)) == []
-    assert codes(written_to(HERE, 500), Expectation(footprint=OWNED)) == ["footprint_outside"]
 
 
 def test_footprint_is_learned_from_a_good_module() -> None:
