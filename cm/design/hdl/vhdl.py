@@ -14,9 +14,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from cm.design.hdl.errors import parser_missing
 from cm.design.hdl.model import Language, ModuleInfo, Parameter, Port, PortDirection, Problem
-from cm.design.hdl.vhdl_expr import NotFlat, Subtypes, Unknown, Value, evaluate, width_of
+from cm.design.hdl.vhdl_expr import NotFlat, Subtypes, Unknown, Value, evaluate, load_parser, width_of
 from cm.design.hdl.vhdl_text import Unit, blank_comments, design_units, instances, signal_attributes
 
 _INTERFACE_DECLARATIONS = (
@@ -57,16 +56,6 @@ class Entity:
     attributes: Mapping[str, Mapping[str, str]]
     instantiates: tuple[str, ...]
     errors: tuple[Problem, ...]
-
-
-def load_parser() -> Any:
-    """A tree-sitter parser for VHDL; `ParserMissing` where it is not installed."""
-    try:
-        import tree_sitter
-        import tree_sitter_vhdl
-    except ImportError as error:
-        raise parser_missing("tree-sitter-vhdl", "VHDL") from error
-    return tree_sitter.Parser(tree_sitter.Language(tree_sitter_vhdl.language()))
 
 
 class VhdlReader:

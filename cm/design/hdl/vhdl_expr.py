@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Evaluates the VHDL expressions in port ranges and generic defaults (IEEE 1076-2008, clause 9).
+"""VHDL expressions of generics and ranges, as far as an interface needs them; tree-sitter parses them.
 
 Supported are integers, reals, booleans and strings, all operators except shifts, a few functions of
 ieee.math_real, and the usual names of ceil(log2(n)). Anything else raises `Unknown`.
@@ -10,27 +10,53 @@ Widths of VHDL subtype indications: std_logic and its vectors, and subtypes made
 from __future__ import annotations
 
 import math
+import operator
 import re
 from collections.abc import Callable, Mapping
+from functools import lru_cache
+from typing import Any
+
+from cm.design.hdl.errors import parser_missing
 
 Value = int | float | bool | str
-_TOKEN = re.compile(
-    r"\s*(?:(?P<based>\d[\d_]*#[0-9a-fA-F_]+#)|(?P<real>\d[\d_]*\.\d[\d_]*(?:[eE][+-]?\d+)?)"
-    r"|(?P<int>\d[\d_]*(?:[eE]\+?\d+)?)|(?P<bits>[xXbBoO]\"[0-9a-fA-F_]*\")|(?P<string>\"(?:[^\"]|\"\")*\")"
-    r"|(?P<char>'.')|(?P<name>[A-Za-z]\w*(?:\.[A-Za-z]\w*)*)|(?P<op>\*\*|/=|<=|>=|[-+*/&=<>(),]))"
-)
-_MAX_DEPTH = 100
 _MAX_POWER = 4096
+_BEFORE = b"package p is constant c : t := "  # what an expression is parsed behind
 
 
 class Unknown(ValueError):
     """The expression cannot be evaluated; the sentence says why."""
 
 
+@lru_cache(maxsize=1)
+def load_parser() -> Any:
+    """A tree-sitter parser for VHDL; `ParserMissing` where it is not installed."""
+    try:
+        import tree_sitter
+        import tree_sitter_vhdl
+    except ImportError as error:
+        raise parser_missing("tree-sitter-vhdl", "VHDL") from error
+    return tree_sitter.Parser(tree_sitter.Language(tree_sitter_vhdl.language()))
+
+
 def _clog2(value: float) -> int:
     if value < 1:
         raise Unknown("logarithm of a number below 1")
     return (int(value) - 1).bit_length()
+
+
+def _divide(left: int | float, right: int | float) -> int | float:
+    """Integer division truncates towards zero (IEEE 1076, 9.2.7)."""
+    if isinstance(left, int) and isinstance(right, int):
+        quotient = abs(left) // abs(right)
+        return quotient if (left < 0) == (right < 0) else -quotient
+    return left / right
+
+
+def _power(left: int | float, right: int | float) -> Value:
+    if abs(right) > _MAX_POWER:
+        raise Unknown("power too large")
+    value: Value = left**right
+    return value
 
 
 _FUNCTIONS: Mapping[str, Callable[..., Value]] = {
@@ -43,20 +69,34 @@ _FUNCTIONS: Mapping[str, Callable[..., Value]] = {
     **dict.fromkeys(("minimum", "min", "math_min"), min),
     **dict.fromkeys(("clog2", "ceil_log2", "log2ceil", "ceillog2"), _clog2),
 }
-_BINDING = {  # VHDL's operator levels, loosest first
-    **dict.fromkeys(("and", "or", "xor"), 1),
-    **dict.fromkeys(("=", "/=", "<", "<=", ">", ">="), 2),
-    **dict.fromkeys(("+", "-", "&"), 3),
-    **dict.fromkeys(("*", "/", "mod", "rem"), 4),
-    "**": 5,
+_LOGICAL: Mapping[str, Callable[[bool, bool], bool]] = {"and": operator.and_, "or": operator.or_, "xor": operator.xor}
+_ARITHMETIC: Mapping[str, Callable[..., Value]] = {
+    "+": operator.add,
+    "-": operator.sub,
+    "*": operator.mul,
+    "/": _divide,
+    "**": _power,
+    "mod": operator.mod,
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "rem": lambda left, right: left - right * int(left / right),
 }
+_SIGNS: Mapping[str, Callable[..., Value]] = {"-": operator.neg, "+": operator.pos, "abs": abs}
 
 
 def evaluate(text: str, names: Mapping[str, Value | None]) -> Value:
     """The value of an expression; `names` (lower case) are generics and constants. Raises `Unknown`."""
+    data = text.strip().encode(errors="replace")
+    span = (len(_BEFORE), len(_BEFORE) + len(data))
+    root = load_parser().parse(_BEFORE + data + b"; end;").root_node
+    node = root.named_descendant_for_byte_range(*span)
+    if not data or root.has_error or (node.start_byte, node.end_byte) != span:
+        raise Unknown(f"{text.strip()!r} is not understood" if data else "a value is missing")
     try:
-        return _Parser(text, names).whole()
-    except (ArithmeticError, TypeError) as error:
+        return _value(node, names)
+    except (ArithmeticError, TypeError, RecursionError) as error:
         raise Unknown(f"{text.strip()}: {error}") from error
     except ValueError as error:
         raise error if isinstance(error, Unknown) else Unknown(f"{text.strip()}: {error}") from error
@@ -70,175 +110,77 @@ def integer(text: str, names: Mapping[str, Value | None]) -> int:
     return value
 
 
-class _Parser:
-    """Precedence climbing over the tokens of one expression."""
-
-    def __init__(self, text: str, names: Mapping[str, Value | None]) -> None:
-        self._tokens = _tokens(text)
-        self._names = names
-        self._next = 0
-        self._depth = 0
-
-    def whole(self) -> Value:
-        value = self._binary(0)
-        if self._next < len(self._tokens):
-            raise Unknown(f"{self._tokens[self._next][1]!r} is not understood here")
-        return value
-
-    def _peek(self) -> tuple[str, str]:
-        return self._tokens[self._next] if self._next < len(self._tokens) else ("end", "")
-
-    def _take(self, text: str = "") -> tuple[str, str]:
-        token = self._peek()
-        if token[0] == "end" or (text and token[1] != text):
-            raise Unknown(f"{text or 'a value'} is missing")
-        self._next += 1
-        return token
-
-    def _binary(self, level: int) -> Value:
-        self._depth += 1
-        if self._depth > _MAX_DEPTH:
-            raise Unknown("too deeply nested")
-        left = self._unary()
-        while (binding := _BINDING.get(self._peek()[1].lower(), 0)) > level:
-            operator = self._take()[1].lower()
-            left = _apply(operator, left, self._binary(binding))
-        self._depth -= 1
-        return left
-
-    def _unary(self) -> Value:
-        word = self._peek()[1].lower()
-        if word in ("-", "+", "not", "abs"):
-            self._take()
-            # A sign binds looser than * in VHDL; `not` and `abs` bind tightest.
-            value = self._binary(3 if word in "+-" else 5)
-            return _sign(word, value)
-        return self._primary()
-
-    def _primary(self) -> Value:
-        kind, text = self._take()
-        if text == "(":
-            value = self._binary(0)
-            self._take(")")
-            return value
-        if kind == "name":
-            return self._name(text)
-        if kind == "op":
-            raise Unknown(f"{text!r} is not understood here")
-        return _literal(kind, text)
-
-    def _name(self, text: str) -> Value:
-        name = text.lower().rpartition(".")[2]
-        if self._peek()[1] == "(":
-            return self._call(name)
-        if name in ("true", "false"):
-            return name == "true"
-        value = self._names.get(name)
-        if value is None:
-            raise Unknown(f"the value of {text} is not known")
-        return value
-
-    def _call(self, name: str) -> Value:
-        function = _FUNCTIONS.get(name)
-        if function is None:
-            raise Unknown(f"the function {name} is not evaluated")
-        self._take("(")
-        arguments = [self._binary(0)]
-        while self._peek()[1] == ",":
-            self._take()
-            arguments.append(self._binary(0))
-        self._take(")")
-        return function(*arguments)
+def _value(node: Any, names: Mapping[str, Value | None]) -> Value:
+    parts, text = node.named_children, node.text.decode(errors="replace")
+    if not parts or node.type in ("based_literal", "bit_string_literal"):
+        return _literal(text) if text[0] in "\"'0123456789" or text[-1] == '"' else _named(text, names)
+    kinds = [part.type for part in parts]
+    if node.type == "name" and kinds[-1] == "parenthesis_group" and {*kinds[1:-1]} <= {"selection"}:
+        return _call(text.partition("(")[0], parts[-1].named_children[0].named_children, names)
+    if node.type == "name" and {*kinds[1:]} == {"selection"}:
+        return _named(text, names)
+    if len(parts) == 1:
+        return _value(parts[0], names)
+    if kinds[0] in ("sign", "unary_operator"):
+        return _signed(parts[0].text.decode().lower(), _value(parts[1], names))
+    if len(parts) == 3 and kinds[1].endswith(("_operator", "exponentiate")):
+        return _apply(parts[1].text.decode().lower(), _value(parts[0], names), _value(parts[2], names))
+    raise Unknown(f"{text} is not evaluated")
 
 
-def _tokens(text: str) -> list[tuple[str, str]]:
-    tokens, position, text = [], 0, text.strip()
-    while position < len(text):
-        match = _TOKEN.match(text, position)
-        if match is None or match.lastgroup is None:
-            raise Unknown(f"{text[position : position + 10]!r} is not understood")
-        tokens.append((match.lastgroup, match.group(match.lastgroup)))
-        position = match.end()
-    return tokens
-
-
-def _literal(kind: str, text: str) -> Value:
-    plain = text.replace("_", "")
-    if kind == "based":
-        base, digits, _ = plain.split("#")
-        return int(digits, int(base))
-    if kind == "int":
-        mantissa, _, exponent = plain.lower().partition("e")
-        if int(exponent or 0) > _MAX_POWER:
-            raise Unknown(f"{text} is too large")
-        return int(mantissa + "0" * int(exponent or 0))
-    if kind == "real":
-        return float(plain)
-    if kind == "bits":
-        return _bits(plain)
-    return text[1:-1].replace('""', '"')
-
-
-def _bits(text: str) -> str:
-    per_digit = {"x": 4, "o": 3, "b": 1}[text[0].lower()]
-    digits = text[2:-1]
-    return format(int(digits or "0", 2**per_digit), f"0{len(digits) * per_digit}b") if digits else ""
-
-
-def _sign(word: str, value: Value) -> Value:
-    if word == "not":
-        if not isinstance(value, bool):
-            raise Unknown("not of a vector")
-        return not value
-    if isinstance(value, (str, bool)):
-        raise Unknown(f"{word} of something that is not a number")
-    return -value if word == "-" else abs(value) if word == "abs" else value
-
-
-def _apply(operator: str, left: Value, right: Value) -> Value:
-    if operator == "&":
-        return str(left) + str(right)
-    if operator in ("and", "or", "xor"):
-        if not (isinstance(left, bool) and isinstance(right, bool)):
-            raise Unknown(f"{operator} of something that is not boolean")
-        return {"and": left and right, "or": left or right, "xor": left != right}[operator]
-    if operator in ("=", "/="):
-        return (left == right) is (operator == "=")
-    if isinstance(left, str) or isinstance(right, str):
-        raise Unknown(f"{operator} of a string")
-    return _arithmetic(operator, left, right)
-
-
-def _arithmetic(operator: str, left: int | float, right: int | float) -> Value:
-    if operator == "**" and abs(right) > _MAX_POWER:
-        raise Unknown("power too large")
-    operations: dict[str, Callable[[], Value]] = {
-        "+": lambda: left + right,
-        "-": lambda: left - right,
-        "*": lambda: left * right,
-        "/": lambda: _divide(left, right),
-        "mod": lambda: left % right,
-        "rem": lambda: left - right * int(left / right),
-        "**": lambda: _power(left, right),
-        "<": lambda: left < right,
-        "<=": lambda: left <= right,
-        ">": lambda: left > right,
-        ">=": lambda: left >= right,
-    }
-    return operations[operator]()
-
-
-def _power(left: int | float, right: int | float) -> int | float:
-    value: int | float = left**right
+def _named(text: str, names: Mapping[str, Value | None]) -> Value:
+    name = text.lower().rpartition(".")[2].strip()
+    if name in ("true", "false"):
+        return name == "true"
+    value = names.get(name)
+    if value is None:
+        raise Unknown(f"the value of {text} is not known")
     return value
 
 
-def _divide(left: int | float, right: int | float) -> int | float:
-    """Integer division truncates towards zero (IEEE 1076, 9.2.7)."""
-    if isinstance(left, int) and isinstance(right, int):
-        quotient = abs(left) // abs(right)
-        return quotient if (left < 0) == (right < 0) else -quotient
-    return left / right
+def _call(text: str, arguments: list[Any], names: Mapping[str, Value | None]) -> Value:
+    name = text.lower().rpartition(".")[2].strip()
+    if name not in _FUNCTIONS:
+        raise Unknown(f"the function {name} is not evaluated")
+    return _FUNCTIONS[name](*(_value(argument, names) for argument in arguments))
+
+
+def _literal(text: str) -> Value:
+    plain = text.replace("_", "").lower()
+    if text[-1] in "\"'":
+        if text[0] in "\"'":
+            return text[1:-1].replace('""', '"')
+        per_digit, digits = {"x": 4, "o": 3, "b": 1}[plain[0]], plain[2:-1]
+        return format(int(digits, 2**per_digit), f"0{len(digits) * per_digit}b") if digits else ""
+    if "#" in plain:
+        base, digits, _ = plain.split("#")
+        return int(digits, int(base))
+    mantissa, _, exponent = plain.partition("e")
+    if "." in mantissa:
+        return float(plain)
+    if int(exponent or 0) > _MAX_POWER:
+        raise Unknown(f"{text} is too large")
+    return int(mantissa + "0" * int(exponent or 0))
+
+
+def _signed(word: str, value: Value) -> Value:
+    if word == "not" and isinstance(value, bool):
+        return not value
+    if word not in _SIGNS or isinstance(value, (str, bool)):
+        raise Unknown(f"{word} of {value!r}")
+    return _SIGNS[word](value)
+
+
+def _apply(word: str, left: Value, right: Value) -> Value:
+    if word == "&":
+        return str(left) + str(right)
+    if word in ("=", "/="):
+        return (left == right) is (word == "=")
+    if word in _LOGICAL and isinstance(left, bool) and isinstance(right, bool):
+        return _LOGICAL[word](left, right)
+    if word not in _ARITHMETIC or isinstance(left, str) or isinstance(right, str):
+        raise Unknown(f"{word} of {left!r} and {right!r}")
+    return _ARITHMETIC[word](left, right)
 
 
 Subtypes = Mapping[str, str]
