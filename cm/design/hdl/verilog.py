@@ -37,14 +37,12 @@ _SEMANTIC = {
 _COMMENTS = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
 _NETTYPE = re.compile(r"`default_nettype\s+(\w+)")
 # members that declare a module's outside
-_OUTER = frozenset(
-    [
-        "PortDeclaration",
-        "ParameterDeclarationStatement",
-        "PackageImportDeclaration",
-        "EmptyMember",
-        "TimeUnitsDeclaration",
-    ]
+_OUTER = (
+    "PortDeclaration",
+    "ParameterDeclarationStatement",
+    "PackageImportDeclaration",
+    "EmptyMember",
+    "TimeUnitsDeclaration",
 )
 _FLAGS = ("AllowUseBeforeDeclare", "IgnoreUnknownModules", "AllowTopLevelIfacePorts", "AllowInvalidTop")
 
@@ -58,8 +56,8 @@ class Tree:
     syntax: Any
     errors: tuple[Problem, ...]
     modules: tuple[tuple[str, tuple[str, ...]], ...]  # name, and the names of the modules that it instantiates
-    interfaces: tuple[str, ...] = ()
-    hollow: tuple[tuple[str, int], ...] = ()  # modules with outputs and nothing inside, and their lines
+    interfaces: tuple[str, ...]
+    hollow: tuple[tuple[str, int], ...]  # modules with outputs and nothing inside, and their lines
 
 
 def load_slang() -> ModuleType:
@@ -139,11 +137,19 @@ class VerilogReader:
         except RuntimeError as error:  # what slang raises for endless nesting
             raise HdlError(f"{path}: the parser gave up: {error or 'too deeply nested'}") from error
         problems, root = tuple(self._problems(path, syntax)), syntax.root
-        hollow = tuple(
-            (found.header.name.valueText, self._sources.getLineNumber(found.header.name.location))
-            for found in _hollow(root)
+        declared = root.members if root.kind.name == "CompilationUnit" else (root,)
+        named = [d for d in declared if d.kind.name in ("ModuleDeclaration", "InterfaceDeclaration")]
+        names = {d.header.name.valueText: d for d in named if d.header.name.valueText}
+        modules = [(name, d) for name, d in names.items() if d.kind.name == "ModuleDeclaration"]
+        return Tree(
+            path,
+            language,
+            syntax,
+            problems,
+            modules=tuple((name, tuple(dict.fromkeys(_instances(d.members)))) for name, d in modules),
+            interfaces=tuple(name for name, d in names.items() if d.kind.name == "InterfaceDeclaration"),
+            hollow=tuple((n, self._sources.getLineNumber(d.header.name.location)) for n, d in modules if _hollow(d)),
         )
-        return Tree(path, language, syntax, problems, tuple(_modules(root)), tuple(_interfaces(root)), hollow)
 
     def _problems(self, path: Path, syntax: Any) -> Iterator[Problem]:
         for diagnostic in syntax.diagnostics:
@@ -166,7 +172,7 @@ class VerilogReader:
         given = {name: expression(value) for name, value in (parameters or {}).items()}
         compilation = self._compile(wanted, given)
         found = self._semantic(compilation, wanted) if len(wanted) == 1 else ()
-        owners = {name: (tree, below) for tree in reversed(self._trees) for name, below in tree.modules}
+        owners = self._owners()
         return [
             read_instance(
                 compilation, self._sources, instance, tree.path, tree.language, (*tree.errors, *found), below, given
@@ -175,22 +181,27 @@ class VerilogReader:
             for tree, below in [owners[instance.name]]
         ]
 
-    def _below(self, names: Iterable[str]) -> list[Tree]:
+    def _owners(self) -> dict[str, tuple[Tree, tuple[str, ...]]]:
+        """The file of each module, and what the module instantiates; the first file that has it counts."""
+        return {name: (tree, below) for tree in reversed(self._trees) for name, below in tree.modules}
+
+    def _below(self, names: Iterable[str]) -> set[Path]:
         """The files of these modules and of all that they instantiate, at any depth."""
-        owners = {name: (tree, below) for tree in reversed(self._trees) for name, below in tree.modules}
-        seen: dict[str, Tree] = {}
+        owners = self._owners()
+        seen: dict[str, Path] = {}
         todo = list(names)
         while todo:
             name = todo.pop()
             if name in owners and name not in seen:
-                seen[name], below = owners[name]
+                tree, below = owners[name]
+                seen[name] = tree.path
                 todo += below
-        return list(seen.values())
+        return set(seen.values())
 
     def _semantic(self, compilation: Any, wanted: Iterable[str]) -> tuple[Problem, ...]:
         """Errors in the module and everything below it that stop synthesis, once for each place."""
         problems: dict[Problem, None] = {}
-        names = {str(tree.path.resolve()): str(tree.path) for tree in self._below(wanted)}
+        names = {str(path.resolve()): str(path) for path in self._below(wanted)}
         for diagnostic in compilation.getSemanticDiagnostics():
             number = _SEMANTIC.get(str(diagnostic.code))
             if number is None:
@@ -224,34 +235,14 @@ class VerilogReader:
         return compilation
 
 
-def _declarations(root: Any) -> Iterable[Any]:
-    found: Iterable[Any] = root.members if root.kind.name == "CompilationUnit" else (root,)
-    return found
-
-
-def _interfaces(root: Any) -> Iterator[str]:
-    for declaration in _declarations(root):
-        if declaration.kind.name == "InterfaceDeclaration":
-            yield declaration.header.name.valueText
-
-
-def _modules(root: Any) -> Iterator[tuple[str, tuple[str, ...]]]:
-    for declaration in _declarations(root):
-        if declaration.kind.name == "ModuleDeclaration" and declaration.header.name.valueText:
-            yield declaration.header.name.valueText, tuple(dict.fromkeys(_instances(declaration.members)))
-
-
-def _hollow(root: Any) -> Iterator[Any]:
-    """Declarations of modules with outputs and nothing that drives them: black boxes, or stubs of something missing."""
-    for declaration in _declarations(root):
-        if declaration.kind.name == "ModuleDeclaration" and declaration.header.name.valueText:
-            inside = [member for member in declaration.members if member.kind.name not in _OUTER]
-            try:
-                outputs = not inside and re.search(r"\boutput\b", _COMMENTS.sub(" ", str(declaration)))
-            except UnicodeDecodeError:  # a comment in another encoding
-                continue
-            if outputs:
-                yield declaration
+def _hollow(module: Any) -> bool:
+    """Whether a module has outputs and nothing that drives them: a black box, or a stub of something missing."""
+    if any(member.kind.name not in _OUTER for member in module.members):
+        return False
+    try:
+        return re.search(r"\boutput\b", _COMMENTS.sub(" ", str(module))) is not None
+    except UnicodeDecodeError:  # a comment in another encoding
+        return False
 
 
 def _instances(members: Iterable[Any]) -> Iterator[str]:

@@ -17,6 +17,7 @@ _COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/|`[^\n]*\n", re.DOTALL)
 _RANGE = re.compile(r"\[.*\]", re.DOTALL)
 _WORD = re.compile(r"[A-Za-z_]\w*(::\w+)?")
 _STRING = re.compile(r'\s*"(.*)"\s*', re.DOTALL)
+_PLAIN = ("logic", "reg", "wire", "bit", "signed", "unsigned")
 FLAT_WRAPPER = "needs a flat wrapper"
 
 
@@ -121,32 +122,38 @@ class _Ports:
 
     def _port(self, symbol: Any) -> Port:
         line = self._sources.getLineNumber(symbol.location)
+        text, kind = self._declaration(symbol) if symbol.kind.name == "Port" else ("", "")
+        flat, width = False, None
+        types = sorted(set(re.findall(r"\w+", kind)) & self._types)
         if symbol.kind.name == "InterfacePort":
-            return self._unflat(symbol, line, f"is a SystemVerilog interface ({_interface_name(symbol)})")
-        if symbol.kind.name != "Port":
-            return self._unflat(symbol, line, "joins several signals")
-        text, kind = self._declaration(symbol)
-        words = set(re.findall(r"\w+", kind))
-        if words & self._types:
-            return self._unflat(symbol, line, f"has the type parameter {', '.join(sorted(words & self._types))}")
-        if symbol.type.isError:
-            return self._unknown(symbol, line, text, kind)
-        if not symbol.type.isIntegral:
-            return self._unflat(symbol, line, f"is not a vector of bits ({symbol.type})", kind)
-        return self._make(symbol, line, symbol.type.bitWidth, text, kind)
-
-    def _make(self, symbol: Any, line: int, width: int | None, text: str, kind: str, flat: bool = True) -> Port:
+            why = f" is a SystemVerilog interface ({_interface_name(symbol)}): {FLAT_WRAPPER}"
+        elif symbol.kind.name != "Port":
+            why = f" joins several signals: {FLAT_WRAPPER}"
+        elif types:
+            why = f" has the type parameter {', '.join(types)}: {FLAT_WRAPPER}"
+        elif symbol.type.isError:
+            word = _WORD.match(kind)
+            flat = word is None or bool(text) or word.group() in _PLAIN
+            declared = f" has the type {kind}, which none of the files given declares, or an interface: {FLAT_WRAPPER}"
+            missing = f": its range {text or kind} could not be evaluated (a parameter, macro or package is missing)"
+            why = missing if flat else declared
+        elif not symbol.type.isIntegral:
+            why = f" is not a vector of bits ({symbol.type}): {FLAT_WRAPPER}"
+        else:
+            flat, width, why = True, symbol.type.bitWidth, ""
+        if why:
+            self._problems.append(Problem(f"port {symbol.name}{why}", self._file, line, fatal=True))
         return Port(
             name=symbol.name,
-            direction=_DIRECTIONS.get(symbol.direction.name, PortDirection.UNKNOWN),
+            direction=_DIRECTIONS.get(getattr(symbol, "direction", PortDirection.UNKNOWN).name, PortDirection.UNKNOWN),
             width=width,
             file=self._file,
             line=line,
-            range=text,
+            range=text if flat else "",
             type=kind,
             flat=flat,
-            attributes=self._attributes(symbol),
-            default=_source(symbol.initializer.syntax) if symbol.initializer is not None else "",
+            attributes=self._attributes(symbol) if flat else MappingProxyType({}),
+            default=_source(symbol.initializer.syntax) if flat and symbol.initializer is not None else "",
         )
 
     def _declaration(self, symbol: Any) -> tuple[str, str]:
@@ -165,29 +172,6 @@ class _Ports:
                 value = attribute.value.convertToStr().value
                 found.setdefault(attribute.name.lower(), value if isinstance(value, str) else str(attribute.value))
         return MappingProxyType(found)
-
-    def _unknown(self, symbol: Any, line: int, text: str, kind: str) -> Port:
-        word = _WORD.match(kind)
-        if word and not text and word.group() not in ("logic", "reg", "wire", "bit", "signed", "unsigned"):
-            why = f"has the type {kind}, which none of the files given declares, or an interface: {FLAT_WRAPPER}"
-            self._problems.append(Problem(f"port {symbol.name} {why}", self._file, line, fatal=True))
-            return self._make(symbol, line, None, text, kind, flat=False)
-        why = f"its range {text or kind} could not be evaluated (a parameter, macro or package is missing)"
-        self._problems.append(Problem(f"port {symbol.name}: {why}", self._file, line, fatal=True))
-        return self._make(symbol, line, None, text, kind)
-
-    def _unflat(self, symbol: Any, line: int, why: str, kind: str = "") -> Port:
-        self._problems.append(Problem(f"port {symbol.name} {why}: {FLAT_WRAPPER}", self._file, line, fatal=True))
-        direction = getattr(symbol, "direction", None)
-        return Port(
-            name=symbol.name,
-            direction=_DIRECTIONS.get(direction.name, PortDirection.UNKNOWN) if direction else PortDirection.UNKNOWN,
-            width=None,
-            file=self._file,
-            line=line,
-            type=kind,
-            flat=False,
-        )
 
 
 def _interface_name(symbol: Any) -> str:
