@@ -26,7 +26,6 @@ class Signal:
     required: bool = False
     handshake: bool = False  # always one bit: more bits mean several buses side by side
     spellings: tuple[str, ...] = ()  # alternative spellings in port names
-    width: int | None = None  # may be fixed by a user protocol
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,21 +13,24 @@ protocols:
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-
-import yaml
+from typing import Any
 
 from cm.design.hdl.buses import Protocol, Signal, make_protocol
 from cm.design.hdl.errors import HdlError
 from cm.design.hdl.model import Mode, PortDirection
-from cm.design.hdl.yaml_nodes import Node, compose
+from cm.design.project.load import Reporter
+from cm.schema.problems import KeyPath
+from cm.schema.reader import Refused, read
+from cm.schema.structure import Structure
+from cm.schema.tree import locate, plain
 
+SCHEMA_FILE = Path(__file__).parents[1] / "data" / "protocols.schema.json"
 _RESERVED = ("axi4", "axi3", "axi4lite", "axis", "aximm", "clock", "reset", "interrupt")
-_DIRECTIONS = {"in": PortDirection.IN, "out": PortDirection.OUT, "inout": PortDirection.INOUT}
-_MODES = {"master": Mode.MASTER, "slave": Mode.SLAVE}
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,9 +41,9 @@ class Binding:
     name: str
     mode: Mode
     ports: Mapping[str, str]
-    clock: str = ""
-    reset: str = ""
-    where: str = ""
+    clock: str
+    reset: str
+    where: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,14 +53,9 @@ class UserProtocol:
     protocol: Protocol
     bindings: tuple[Binding, ...] = ()
 
-    @property
-    def name(self) -> str:
-        """The protocol's name."""
-        return self.protocol.name
-
 
 def load_protocols(path: str | Path) -> tuple[UserProtocol, ...]:
-    """Read a protocols file. Raises `HdlError` with file, line and what would be right."""
+    """Read a protocols file. Raises `SchemaError` with everything that is wrong, `HdlError` if it cannot be read."""
     path = Path(path)
     try:
         text = path.read_text(encoding="utf-8")
@@ -68,66 +66,52 @@ def load_protocols(path: str | Path) -> tuple[UserProtocol, ...]:
 
 def parse_protocols(text: str, name: str = "protocols.yaml") -> tuple[UserProtocol, ...]:
     """Do as `load_protocols`, for text; `name` is used in messages."""
+    report = Reporter(Path(name))
+    structure = Structure(json.loads(SCHEMA_FILE.read_text(encoding="utf-8")))
     try:
-        root = compose(text, name)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise HdlError(f"{name}: not YAML: {' '.join(str(error).split())}") from error
-    if root is None:
-        raise HdlError(f"{name}: the file is empty; it needs a list `protocols:`")
-    top = root.mapping(("protocols",), ("protocols",))
-    found = [_protocol(node) for node in top["protocols"].sequence()]
-    names = [protocol.name for protocol in found]
-    for index, protocol in enumerate(names):
-        if protocol in names[:index]:
-            raise top["protocols"].sequence()[index].error(f"the protocol {protocol} is defined twice")
-    return tuple(found)
+        report.root = read(text, report.at)
+    except Refused as refused:
+        report.at(refused.mark, refused.code, str(refused), refused.hint.replace("config:", "protocols:"))
+        report.stop()
+    tree = structure.fit(report.root, report.fitted)
+    for finding in structure.values(tree):
+        report.key(finding.path, finding.code, finding.message, finding.hint)
+    report.stop()
+    found: dict[str, UserProtocol] = {}
+    for index, spec in enumerate(plain(tree)["protocols"]):
+        key: KeyPath = ("protocols", index)
+        if spec["name"].lower() in _RESERVED:
+            report.key((*key, "name"), "bad_name", f"{spec['name']} is built in", "choose another name")
+        if spec["name"] in found:
+            report.key((*key, "name"), "duplicate_name", f"the protocol {spec['name']} is defined twice")
+        if not spec["signals"]:
+            report.key((*key, "signals"), "missing_key", "a protocol needs at least one signal")
+        found[spec["name"]] = _protocol(spec, key, report)
+    report.stop()
+    return tuple(found.values())
 
 
-def _protocol(node: Node) -> UserProtocol:
-    keys = node.mapping(("name", "signals", "bindings", "doc"), ("name", "signals"))
-    name = keys["name"].identifier()
-    if name.lower() in _RESERVED:
-        raise keys["name"].error(f"{name} is built in: choose another name")
-    signals = [_signal(key, value) for key, value in keys["signals"].items()]
-    if not signals:
-        raise keys["signals"].error("a protocol needs at least one signal")
-    protocol = make_protocol(name, signals)
-    bindings = [_binding(item, protocol) for item in keys["bindings"].sequence()] if "bindings" in keys else []
+def _protocol(spec: dict[str, Any], key: KeyPath, report: Reporter) -> UserProtocol:
+    protocol = make_protocol(spec["name"], [_signal(name, signal) for name, signal in spec["signals"].items()])
+    bindings = []
+    for index, given in enumerate(spec.get("bindings") or ()):
+        here: KeyPath = (*key, "bindings", index)
+        for signal in given["ports"].keys() - protocol.signals.keys():
+            message = f"{protocol.name} has no signal {signal}; it has {', '.join(protocol.signals)}"
+            report.key((*here, "ports", signal), "unknown_signal", message)
+        lacking = [s.name for s in protocol.signals.values() if s.required and s.name not in given["ports"]]
+        if lacking:
+            message = f"{', '.join(lacking)} must be given too ({protocol.name} requires it)"
+            report.key((*here, "ports"), "missing_key", message)
+        mark = locate(report.root, here)
+        where = f"{report.path}:{mark.line}:{mark.column}"
+        ports = MappingProxyType(given["ports"])
+        clock, reset = given.get("clock", ""), given.get("reset", "")
+        bindings.append(Binding(given["module"], given["name"], Mode(given["mode"]), ports, clock, reset, where))
     return UserProtocol(protocol, tuple(bindings))
 
 
-def _signal(key: Node, value: Node) -> Signal:
-    name = key.identifier()
-    if value.is_scalar:
-        return Signal(name, value.choice(_DIRECTIONS), required=True)
-    keys = value.mapping(("direction", "width", "required", "names", "doc"), ("direction",))
-    width = keys["width"].integer(1, 1 << 16) if "width" in keys else None
-    return Signal(
-        name,
-        keys["direction"].choice(_DIRECTIONS),
-        required=keys["required"].boolean() if "required" in keys else True,
-        handshake=width == 1,
-        spellings=tuple(item.identifier().lower() for item in keys["names"].sequence()) if "names" in keys else (),
-        width=width,
-    )
-
-
-def _binding(node: Node, protocol: Protocol) -> Binding:
-    keys = node.mapping(("module", "name", "mode", "ports", "clock", "reset"), ("module", "name", "mode", "ports"))
-    ports = {}
-    for key, value in keys["ports"].items():
-        if key.text() not in protocol.signals:
-            raise key.error(f"{protocol.name} has no signal {key.text()}; it has {', '.join(protocol.signals)}")
-        ports[key.text()] = value.text()
-    lacking = [s.name for s in protocol.signals.values() if s.required and s.name not in ports]
-    if lacking:
-        raise keys["ports"].error(f"{', '.join(lacking)} must be given too ({protocol.name} requires it)")
-    return Binding(
-        keys["module"].text(),
-        keys["name"].identifier(),
-        keys["mode"].choice(_MODES),
-        MappingProxyType(ports),
-        keys["clock"].text() if "clock" in keys else "",
-        keys["reset"].text() if "reset" in keys else "",
-        node.where,
-    )
+def _signal(name: str, spec: dict[str, Any]) -> Signal:
+    spellings = tuple(spelling.lower() for spelling in spec.get("names", ()))
+    one = spec.get("width") == 1
+    return Signal(name, PortDirection(spec["direction"]), spec.get("required", True), one, spellings)
