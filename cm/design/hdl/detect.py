@@ -227,9 +227,9 @@ class _Detection:
         return unique
 
     def _clocks(self) -> list[ModuleClock]:
-        found = [port for port in self._unrejected() if is_clock(port)]
+        found, stated = [port for port in self._unrejected() if is_clock(port)], vivado_attributes.parameters
         self._take(port.name for port in found)
-        return [_clock(port) for port in found]
+        return [vivado_attributes.clock_of(port.name, port, stated(port), FoundBy.NAME) for port in found]
 
     def _resets(self) -> list[Reset]:
         found = [port for port in self._unrejected() if is_reset(port)]
@@ -238,11 +238,9 @@ class _Detection:
         return [Reset(port.name, port.name, self._polarity(port, names)) for port in found]
 
     def _polarity(self, port: Port, resets: Sequence[str]) -> Polarity:
-        stated = vivado_attributes.parameters(port).get("POLARITY", "").upper()
-        if stated in ("ACTIVE_LOW", "ACTIVE_HIGH"):
-            return Polarity.LOW if stated == "ACTIVE_LOW" else Polarity.HIGH
         clocks = [other.name for other in self._module.ports if is_clock(other)]
-        return Polarity.LOW if named_low(port.name, resets, clocks) else Polarity.HIGH
+        named = Polarity.LOW if named_low(port.name, resets, clocks) else Polarity.HIGH
+        return vivado_attributes.polarity_of(vivado_attributes.parameters(port)) or named
 
     def _interrupts(self) -> list[Interrupt]:
         found = [(port, mode) for port in self._unrejected() if (mode := interrupt_mode(port))]
@@ -266,19 +264,6 @@ def _worth_a_word(candidate: Candidate) -> bool:
     worth = candidate.protocol.worth
     enough = any(marks <= set(candidate.ports) for marks in worth) if worth else True
     return enough and len(candidate.ports) > 1
-
-
-def _clock(port: Port) -> ModuleClock:
-    stated = vivado_attributes.parameters(port)
-    frequency = stated.get("FREQ_HZ", "")
-    return ModuleClock(
-        port.name,
-        port.name,
-        port.direction,
-        int(frequency) if frequency.isdigit() else None,
-        vivado_attributes.names(stated, "ASSOCIATED_BUSIF"),
-        resets=vivado_attributes.names(stated, "ASSOCIATED_RESET"),
-    )
 
 
 def _stated(clocks: Iterable[ModuleClock], ports: Sequence[Port]) -> list[ModuleClock]:

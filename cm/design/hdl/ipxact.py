@@ -13,15 +13,15 @@ Reads Vivado's IP instances (.xci) since 2020.2: JSON with the instance's name a
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 from xml.etree import ElementTree
 
-from cm.design.hdl.associate import pair, undecided
-from cm.design.hdl.buses import axi_flavour, aximm
+from cm.design.hdl.associate import associate
+from cm.design.hdl.buses import make_protocol
 from cm.design.hdl.detect import Detector
 from cm.design.hdl.errors import HdlError
 from cm.design.hdl.model import (
@@ -31,16 +31,15 @@ from cm.design.hdl.model import (
     Language,
     Leftover,
     Mode,
-    ModuleClock,
     ModuleInfo,
     Parameter,
-    Polarity,
     Port,
     PortDirection,
-    Problem,
     Reset,
 )
 from cm.design.hdl.protocols import UserProtocol
+from cm.design.hdl.validate_bus import make_interface
+from cm.design.hdl.vivado_attributes import clock_of, polarity_of
 from cm.formats.hwh.reader import root_of
 
 
@@ -60,6 +59,14 @@ def local(tag: str) -> str:
 def children(node: ElementTree.Element, name: str) -> Iterator[ElementTree.Element]:
     """Direct children of this name."""
     return (child for child in node if local(child.tag) == name)
+
+
+def below(node: ElementTree.Element, *names: str) -> list[ElementTree.Element]:
+    """Children of children, along these names."""
+    found = [node]
+    for name in names:
+        found = [child for parent in found for child in children(parent, name)]
+    return found
 
 
 def descendants(node: ElementTree.Element, name: str) -> Iterator[ElementTree.Element]:
@@ -108,133 +115,84 @@ class _Component:
     def __init__(self, root: ElementTree.Element, file: str) -> None:
         self._root = root
         self._file = file
-        self._ports = {port.name: port for port in self._read_ports()}
+        nodes = [node for node in below(root, "model", "ports", "port") if not _disabled(node, "PORT_ENABLEMENT")]
+        self._ports = {port.name: port for port in map(self._port, nodes)}
 
     def info(self) -> ModuleInfo:
-        buses = [bus for group in children(self._root, "busInterfaces") for bus in children(group, "busInterface")]
-        buses = [bus for bus in buses if not _disabled(bus, "BUSIF_ENABLEMENT")]
-        kinds = {id(bus): _bus_type(bus) for bus in buses}
-        plain = [bus for bus in buses if kinds[id(bus)].get("library") != "signal" or not self._signal(bus)]
-        clocks = tuple(self._clock(bus) for bus in buses if self._signal(bus) == "clock" and _port_map(bus))
-        resets = tuple(self._reset(bus) for bus in buses if self._signal(bus) == "reset" and _port_map(bus))
-        irqs = tuple(self._interrupt(bus) for bus in buses if self._signal(bus) == "interrupt" and _port_map(bus))
-        interfaces = tuple(self._interface(bus, clocks, resets) for bus in plain)
-        resets = tuple(pair(reset, resets, clocks, interfaces) for reset in resets)
+        buses = [
+            bus for bus in below(self._root, "busInterfaces", "busInterface") if not _disabled(bus, "BUSIF_ENABLEMENT")
+        ]
+        interfaces = [self._interface(bus) for bus in buses if not _signal(bus)]
+        clocks, resets, irqs = [], [], []
+        for bus in buses:
+            port = next(iter(_port_map(bus).values()), None)
+            if port is None or not _signal(bus):
+                continue
+            found = self._ports.get(port, Port(port, PortDirection.UNKNOWN, None))
+            name, stated = text_of(bus, "name"), _bus_parameters(bus)
+            if _signal(bus) == "clock":
+                clock = clock_of(name, found, stated, FoundBy.IPXACT)
+                clocks.append(replace(clock, reset=next(iter(clock.resets), None)))
+            elif _signal(bus) == "reset":
+                resets.append(Reset(name, port, polarity_of(stated), found.direction, FoundBy.IPXACT))
+            else:
+                sense = stated.get("SENSITIVITY", "")
+                irqs.append(Interrupt(name, port, _mode(bus), found.width, sense, FoundBy.IPXACT))
+        done = associate(interfaces, clocks, resets, self._file)
         used = {port for interface in interfaces for port in interface.ports.values()}
         used |= {clock.port for clock in clocks} | {reset.port for reset in resets} | {irq.port for irq in irqs}
         return ModuleInfo(
             name=self._model_name(),
             file=self._file,
             language=Language.IPXACT,
-            parameters=tuple(self._parameters()),
+            parameters=tuple(map(_parameter, below(self._root, "model", "modelParameters", "modelParameter"))),
             ports=tuple(self._ports.values()),
-            interfaces=interfaces,
-            clocks=clocks,
-            resets=resets,
-            interrupts=irqs,
+            interfaces=done.interfaces,
+            clocks=done.clocks,
+            resets=done.resets,
+            interrupts=tuple(irqs),
             leftovers=tuple(Leftover(name, _LEFT_OVER) for name in self._ports if name not in used),
-            problems=tuple(Problem(undecided(reset), self._file) for reset in resets if reset.may_be),
+            problems=done.problems,
         )
 
-    def _signal(self, bus: ElementTree.Element) -> str:
-        kind = _bus_type(bus)
-        return kind["name"] if kind.get("library") == "signal" and kind.get("name") in _SIGNALS else ""
-
     def _model_name(self) -> str:
-        views = [view for node in self._root.iter() if local(node.tag) == "view" for view in (node,)]
         for wanted in ("synthesis", ""):
-            for view in views:
+            for view in descendants(self._root, "view"):
                 name = text_of(view, "modelName")
                 if name and wanted in text_of(view, "envIdentifier"):
                     return name
         return text_of(self._root, "name")
 
-    def _read_ports(self) -> Iterator[Port]:
-        for model in children(self._root, "model"):
-            for group in children(model, "ports"):
-                for node in children(group, "port"):
-                    if not _disabled(node, "PORT_ENABLEMENT"):
-                        yield self._port(node)
-
     def _port(self, node: ElementTree.Element) -> Port:
         wire = next(children(node, "wire"), node)
         width: int | None = 1
         text = ""
-        for vector in (child for child in wire.iter() if local(child.tag) == "vector"):
+        for vector in descendants(wire, "vector"):
             left, right = text_of(vector, "left"), text_of(vector, "right")
-            width, text = _span(left, right), f"[{left}:{right}]"
-        kind = next((text_of(child, "typeName") for child in wire.iter() if local(child.tag) == "wireTypeDef"), "")
+            high, low = number(left), number(right)
+            width, text = None if high is None or low is None else abs(high - low) + 1, f"[{left}:{right}]"
+        kind = next((text_of(child, "typeName") for child in descendants(wire, "wireTypeDef")), "")
         direction = _DIRECTIONS.get(text_of(wire, "direction"), PortDirection.UNKNOWN)
         return Port(text_of(node, "name"), direction, width, self._file, range=text, type=kind)
 
-    def _parameters(self) -> Iterator[Parameter]:
-        for model in children(self._root, "model"):
-            for group in children(model, "modelParameters"):
-                for node in children(group, "modelParameter"):
-                    value = text_of(node, "value")
-                    yield Parameter(
-                        text_of(node, "name"), _number(value) if _number(value) is not None else value, value
-                    )
+    def _interface(self, bus: ElementTree.Element) -> Interface:
+        kind = _bus_type(bus)
+        vlnv = ":".join(kind.get(key, "") for key in ("vendor", "library", "name", "version"))
+        ports = {signal: self._ports[port] for signal, port in _port_map(bus).items() if port in self._ports}
+        protocol = make_protocol(kind.get("name", ""), [], vlnv=vlnv)
+        return make_interface(text_of(bus, "name"), protocol, _mode(bus), ports, FoundBy.IPXACT, _bus_parameters(bus))
 
-    def _interface(
-        self, bus: ElementTree.Element, clocks: tuple[ModuleClock, ...], resets: tuple[Reset, ...]
-    ) -> Interface:
-        name, kind, ports = text_of(bus, "name"), _bus_type(bus), _port_map(bus)
-        parameters = _bus_parameters(bus)
-        clock = next((c for c in clocks if name in c.interfaces), None)
-        reset = clock.reset if clock else None
-        polarity = next((r.polarity for r in resets if r.port == reset), None)
-        return Interface(
-            name=name,
-            protocol=self._protocol(kind.get("name", ""), ports, parameters),
-            mode=_mode(bus),
-            ports=MappingProxyType(ports),
-            clock=clock.port if clock else None,
-            reset=reset,
-            reset_polarity=polarity,
-            widths=MappingProxyType({s: self._ports[p].width if p in self._ports else None for s, p in ports.items()}),
-            found_by=FoundBy.IPXACT,
-            vlnv=":".join(kind.get(key, "") for key in ("vendor", "library", "name", "version")),
-            parameters=MappingProxyType(parameters),
-        )
 
-    def _protocol(self, kind: str, ports: Mapping[str, str], parameters: Mapping[str, str]) -> str:
-        if kind != aximm().name:
-            return kind
-        stated = parameters.get("PROTOCOL", "").lower()
-        if stated in ("axi4", "axi3", "axi4lite"):
-            return stated
-        return axi_flavour({signal: self._ports[port] for signal, port in ports.items() if port in self._ports})
+def _parameter(node: ElementTree.Element) -> Parameter:
+    text = text_of(node, "value")
+    value = number(text)
+    return Parameter(text_of(node, "name"), text if value is None else value, text)
 
-    def _clock(self, bus: ElementTree.Element) -> ModuleClock:
-        parameters = _bus_parameters(bus)
-        port = next(iter(_port_map(bus).values()))
-        frequency = parameters.get("FREQ_HZ", "")
-        return ModuleClock(
-            text_of(bus, "name"),
-            port,
-            self._direction(port),
-            int(frequency) if frequency.isdigit() else None,
-            tuple(name for name in parameters.get("ASSOCIATED_BUSIF", "").split(":") if name),
-            parameters.get("ASSOCIATED_RESET", "").partition(":")[0] or None,
-            FoundBy.IPXACT,
-            tuple(name for name in parameters.get("ASSOCIATED_RESET", "").split(":") if name),
-        )
 
-    def _reset(self, bus: ElementTree.Element) -> Reset:
-        port = next(iter(_port_map(bus).values()))
-        word = _bus_parameters(bus).get("POLARITY", "").upper()
-        polarity = {"ACTIVE_LOW": Polarity.LOW, "ACTIVE_HIGH": Polarity.HIGH}.get(word)
-        return Reset(text_of(bus, "name"), port, polarity, self._direction(port), FoundBy.IPXACT)
-
-    def _interrupt(self, bus: ElementTree.Element) -> Interrupt:
-        port = next(iter(_port_map(bus).values()))
-        sense = _bus_parameters(bus).get("SENSITIVITY", "")
-        width = self._ports[port].width if port in self._ports else None
-        return Interrupt(text_of(bus, "name"), port, _mode(bus), width, sense, FoundBy.IPXACT)
-
-    def _direction(self, port: str) -> PortDirection:
-        return self._ports[port].direction if port in self._ports else PortDirection.UNKNOWN
+def _signal(bus: ElementTree.Element) -> str:
+    """clock, reset or interrupt, for what is no bus."""
+    kind = _bus_type(bus)
+    return kind["name"] if kind.get("library") == "signal" and kind.get("name") in _SIGNALS else ""
 
 
 def _bus_type(bus: ElementTree.Element) -> dict[str, str]:
@@ -259,11 +217,8 @@ def _port_map(bus: ElementTree.Element) -> dict[str, str]:
 
 def _bus_parameters(bus: ElementTree.Element) -> dict[str, str]:
     """The interface's parameters."""
-    found = {}
-    for group in children(bus, "parameters"):
-        for node in children(group, "parameter"):
-            found[text_of(node, "name").upper()] = text_of(node, "value")
-    return found
+    nodes = below(bus, "parameters", "parameter")
+    return {text_of(node, "name").upper(): text_of(node, "value") for node in nodes}
 
 
 def _disabled(node: ElementTree.Element, what: str) -> bool:
@@ -279,13 +234,9 @@ def _disabled(node: ElementTree.Element, what: str) -> bool:
     return False
 
 
-def _span(left: str, right: str) -> int | None:
-    high, low = _number(left), _number(right)
-    return None if high is None or low is None else abs(high - low) + 1
-
-
-def _number(text: str) -> int | None:
-    """Decimal, or 0x…; None for anything else (an expression that was not resolved, a name)."""
+def number(text: str) -> int | None:
+    """``16``, ``0x10``, ``'h10`` or ``"0000"``; None for a name, or an expression that was not resolved."""
+    text = re.sub(r"^.*'h", "0x", text.strip('"'))
     try:
         return int(text, 0)
     except ValueError:

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 from cm.design.errors import BuildError, MissingTool
 from cm.design.hdl.hls_registers import hls_registers, is_hls
-from cm.design.hdl.ipxact import component_root, descendants, text_of
+from cm.design.hdl.ipxact import component_root, descendants, number, text_of
 from cm.schema.model import Access, BitField, Register
 
 Registers = dict[str, Register]
@@ -111,16 +111,7 @@ def _ipxact_register(node: ElementTree.Element, base: int) -> Register:
 
 
 def _number(text: str) -> int:
-    """Numbers as IP-XACT writes them: ``16``, ``0x10``, ``'h10``, ``"0000"``."""
-    text = text.strip().strip('"').replace("_", "")
-    if not text:
-        return 0
-    try:
-        if "'h" in text:
-            return int(text.rsplit("'h", 1)[1], 16)
-        return int(text, 16) if text.lower().startswith("0x") else int(text)
-    except ValueError:
-        return 0
+    return number(text) or 0
 
 
 def _width(bits: int) -> int:

@@ -90,6 +90,26 @@ def names(parameters: Mapping[str, str], key: str) -> tuple[str, ...]:
     return tuple(name for name in parameters.get(key, "").split(":") if name)
 
 
+def clock_of(name: str, port: Port, stated: Mapping[str, str], found_by: FoundBy) -> ModuleClock:
+    """A clock with what its parameters say of it."""
+    frequency = stated.get("FREQ_HZ", "")
+    return ModuleClock(
+        name,
+        port.name,
+        port.direction,
+        int(frequency) if frequency.isdigit() else None,
+        names(stated, "ASSOCIATED_BUSIF"),
+        None,
+        found_by,
+        names(stated, "ASSOCIATED_RESET"),
+    )
+
+
+def polarity_of(stated: Mapping[str, str]) -> Polarity | None:
+    """The polarity that a reset's parameters say."""
+    return {"ACTIVE_LOW": Polarity.LOW, "ACTIVE_HIGH": Polarity.HIGH}.get(stated.get("POLARITY", "").upper())
+
+
 _SIGNAL_KINDS = ("clock", "reset", "interrupt")
 _SLAVE_WORDS = ("s", "slave", "sink", "target")
 
@@ -150,26 +170,14 @@ def read_tags(ports: Iterable[Port], protocols: Mapping[str, Protocol]) -> Tagge
 def _signal(tag: Tag, result: Tagged) -> None:
     port, stated = tag.port, parameters(tag.port)
     if tag.kind == "clock":
-        frequency = stated.get("FREQ_HZ", "")
-        busses = names(stated, "ASSOCIATED_BUSIF")
-        resets = names(stated, "ASSOCIATED_RESET")
-        hertz = int(frequency) if frequency.isdigit() else None
-        result.clocks.append(
-            ModuleClock(tag.bus, port.name, port.direction, hertz, busses, None, FoundBy.ATTRIBUTE, resets)
-        )
+        result.clocks.append(clock_of(tag.bus, port, stated, FoundBy.ATTRIBUTE))
     elif tag.kind == "reset":
-        result.resets.append(Reset(tag.bus, port.name, _polarity(port, stated), port.direction, FoundBy.ATTRIBUTE))
+        polarity = polarity_of(stated) or reset_polarity(port.name)
+        result.resets.append(Reset(tag.bus, port.name, polarity, port.direction, FoundBy.ATTRIBUTE))
     else:
         mode = Mode.MASTER if port.direction is PortDirection.OUT else Mode.SLAVE
         sense = stated.get("SENSITIVITY", "")
         result.interrupts.append(Interrupt(tag.bus, port.name, mode, port.width, sense, FoundBy.ATTRIBUTE))
-
-
-def _polarity(port: Port, stated: Mapping[str, str]) -> Polarity:
-    word = stated.get("POLARITY", "").upper()
-    if word in ("ACTIVE_LOW", "ACTIVE_HIGH"):
-        return Polarity.LOW if word == "ACTIVE_LOW" else Polarity.HIGH
-    return reset_polarity(port.name)
 
 
 def _bus(group: list[Tag], protocols: Mapping[str, Protocol], result: Tagged) -> None:
