@@ -11,17 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from cm.cli.common import add_json_option, print_json, print_table
-from cm.design.hdl import (
-    Difference,
-    Interface,
-    ModuleInfo,
-    Problem,
-    Reset,
-    compare,
-    load_component_xml,
-    load_protocols,
-)
-from cm.design.input_kinds import Options, read_inputs
+from cm.design.hdl.compare import Difference, compare
+from cm.design.hdl.extract import Sources
+from cm.design.hdl.ipxact import load_component_xml
+from cm.design.hdl.model import Interface, ModuleInfo, Problem, Reset
+from cm.design.hdl.protocols import load_protocols
+from cm.design.input_kinds import read_inputs
 
 _ASSIGNMENT = re.compile(r"([A-Za-z_]\w*)(?:=(.*))?", re.DOTALL)
 _DESCRIPTION = """\
@@ -86,15 +81,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _modules(args: argparse.Namespace) -> tuple[list[ModuleInfo], Sequence[Problem]]:
-    options = Options(
-        args.top,
-        args.all,
-        include_dirs=args.include,
-        defines=dict(args.define),
-        parameters=dict(args.parameter),
-        protocols=load_protocols(args.protocols) if args.protocols else (),
-    )
-    given, problems = read_inputs(args.files, options)
+    protocols = load_protocols(args.protocols) if args.protocols else ()
+    wanted = Sources(args.files, args.top, args.include, dict(args.define), dict(args.parameter), protocols)
+    given, problems = read_inputs(wanted, args.all)
     return [one.info for one in given], problems
 
 

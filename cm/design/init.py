@@ -3,19 +3,25 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cm.design.boundary import boundary
+from cm.design.boundary.make import boundary
 from cm.design.boundary.model import Boundary, Role
 from cm.design.check.rules import check_system
+from cm.design.compile_order import compile_order
 from cm.design.errors import BuildError
 from cm.design.generate.tree import load_design
+from cm.design.hdl.extract import Sources
+from cm.design.hdl.hls_registers import HDL
+from cm.design.hdl.ipxact import component_files
 from cm.design.hdl.model import Mode, ModuleInfo
-from cm.design.hdl.register_maps import identifier
-from cm.design.input_kinds import Options, read_inputs
+from cm.design.hdl.register_maps import identifier, read_register_map
+from cm.design.input_kinds import Given, read_inputs
 from cm.design.platforms import platform_of
 from cm.design.project.load import DEFAULT_CLOCK, DEFAULT_RATE
 from cm.design.render import Renderer
@@ -68,14 +74,13 @@ def init_text(
     with `top`, only that module does. Raises BuildError if there is none.
     """
     platform = platform_of(part)
-    given = read_inputs(files, Options(top, keys=True, folder=folder, cores=cores))[0]
-    read = [(one.flat, one.keys) for one in given]
-    usable = [(info, keys) for info, keys in read if info.interfaces and info.usable]
-    if not usable:
+    given = read_inputs(Sources(files, top), cores=cores)[0]
+    read = [(one.flat, _keys(one, folder, cores)) for one in given]
+    modules = [Proposal(identifier(info.name), info, keys) for info, keys in read if info.interfaces and info.usable]
+    if not modules:
         names = "; ".join(_why_not(info) for info, _ in read) or f"no module {top}"
         raise BuildError(f"no module with a bus interface that could go into a region: found {names}")
-    modules = [Proposal(identifier(info.name), info, keys) for info, keys in usable]
-    found = boundary([info for info, _ in usable])  # whether they fit one region
+    found = boundary({one.info.name: one.info for one in modules})  # whether they fit one region
     context = {
         "name": identifier(name),
         "part": part,
@@ -83,13 +88,49 @@ def init_text(
         "clock": DEFAULT_CLOCK if platform.name == "zynq7000" else "pl_clk0",
         "rate": f"{DEFAULT_RATE:_}",
         "modules": modules,
-        "left_out": [one[0] for one in read if one not in usable],
+        "left_out": [info for info, _ in read if not (info.interfaces and info.usable)],
         "streams": list(_streams(found)),
         "clocks": _further_clocks(found),
         "refused": [f"{a.module}: {sentence}" for a in found.adaptations for sentence in a.refused],
         "registers": {module.name: _register_bus(module.info) for module in modules},
     }
     return Renderer(folder, folder, "").render("build.yaml.j2", context)
+
+
+def _keys(given: Given, folder: Path, cores: Sequence[Path]) -> dict[str, Any]:
+    """The keys that a build schema in `folder` needs for a module."""
+
+    def listed(paths: Iterable[Path]) -> list[str]:
+        return [Path(os.path.relpath(path.absolute(), folder.absolute())).as_posix() for path in paths]
+
+    origin = given.origin
+    if origin is None:
+        sources = compile_order(given.files)
+        keys: dict[str, Any] = {"sources": listed(sources), "register_map": listed(_register_map(sources))}
+    elif origin.suffix.lower() == ".core":
+        keys = {"top": given.info.name, "core": listed([origin]), "core_roots": listed(cores)}
+    elif origin.suffix.lower() == ".xci":
+        keys = {"ip": listed([origin])}
+    else:
+        files = component_files(origin)
+        keys = {"top": given.info.name, "component": listed([origin])}
+        keys |= {name: listed(getattr(files, name)) for name in ("sources", "include_dirs", "ip", "constraints", "tcl")}
+        keys["libraries"] = {library: listed(paths) for library, paths in files.libraries.items()}
+        keys["register_map"] = listed(_register_map(files.sources, origin))
+    keys |= {name: keys[name][0] for name in ("core", "component", "register_map") if keys.get(name)}
+    return {name: value for name, value in keys.items() if value}
+
+
+def _register_map(sources: Sequence[Path], *component: Path) -> list[Path]:
+    """The file that lists the registers: of HLS's own ones the HDL's, then a component, if it has any."""
+    own = [path for path in sources if HDL.match(path.name)]
+    if len(own) > 1:  # a bus each, whose offsets count from different places
+        return []
+    for path in (*own, *component):
+        with contextlib.suppress(BuildError):
+            if read_register_map(path, ""):
+                return [path]
+    return []
 
 
 def _why_not(info: ModuleInfo) -> str:

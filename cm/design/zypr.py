@@ -14,11 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cm.design.boundary import boundary
+from cm.design.boundary.make import boundary
 from cm.design.errors import BuildError
+from cm.design.hdl.extract import Sources
 from cm.design.hdl.model import Interface, Mode, ModuleInfo
 from cm.design.hdl.register_maps import identifier
-from cm.design.input_kinds import Options, read_inputs
+from cm.design.input_kinds import read_inputs
 from cm.design.platforms import platform_of
 from cm.schema.clock_rates import PLL, hertz, rate_problem, rounded
 from cm.schema.model import Clock
@@ -133,7 +134,7 @@ def _modules(mode: Mapping[str, Any], rtl: Path, folder: Path) -> Iterator[_Modu
     for config in mode["configs"].values():
         for name, module in config["modules"].items():
             found = _found(module["rtl"], rtl)
-            inputs = read_inputs(found, Options(module["top_cell"], folder=folder))[0]
+            inputs = read_inputs(Sources(found, module["top_cell"]))[0]
             if not inputs:
                 raise BuildError(f"module {name}: its files have no module {module['top_cell']}")
             further = {
@@ -160,7 +161,11 @@ def _found(names: Sequence[str], rtl: Path) -> list[Path]:
 
 
 def _interfaces(region: str, infos: Sequence[ModuleInfo], video: bool) -> Iterator[str]:
-    streams = [interface for interface in boundary(list(infos)).interfaces if interface.protocol == "axis"]
+    streams = [
+        interface
+        for interface in boundary({info.name: info for info in infos}).interfaces
+        if interface.protocol == "axis"
+    ]
     if streams:
         yield "    interfaces:    # shape and dtype are guesses: write those of your frames"
     for interface in streams:

@@ -21,8 +21,11 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from cm.design.hdl import HdlError, Interface, ModuleInfo, PortDirection, extract, load_component_xml, read
 from cm.design.hdl.detect import Detector
+from cm.design.hdl.errors import HdlError
+from cm.design.hdl.extract import Sources, read
+from cm.design.hdl.ipxact import load_component_xml
+from cm.design.hdl.model import Interface, ModuleInfo, PortDirection
 
 VERILOG = (".v", ".sv")
 VHDL = (".vhd", ".vhdl")
@@ -65,6 +68,11 @@ def main() -> int:
     return 0
 
 
+def extract(source: Path, name: str) -> ModuleInfo:
+    """The module of that name."""
+    return read(Sources([source], name, [source.parent])).modules[0]
+
+
 def yardstick(folders: list[Path], suffixes: tuple[str, ...], *, blind: bool) -> Score:
     """Compare every component.xml with what is extracted from the HDL beside it; equal pairs count once."""
     score, seen = Score(), set()
@@ -101,7 +109,7 @@ def find_top(folder: Path, name: str, suffixes: tuple[str, ...]) -> Path | None:
 def count(score: Score, path: Path, source: Path, stated: ModuleInfo, buses: list[Interface], blind: bool) -> None:
     """Add one component to the score."""
     try:
-        module = blinded(source, stated.name) if blind else extract([source], stated.name, [source.parent])[0]
+        module = blinded(source, stated.name) if blind else extract(source, stated.name)
     except HdlError as error:
         score.notes.append(f"not extracted: {path}: {error}")
         score.buses += len(buses)
@@ -153,7 +161,7 @@ def count_signals(score: Score, path: Path, stated: ModuleInfo, module: ModuleIn
 
 def blinded(source: Path, name: str) -> ModuleInfo:
     """The module without its X_INTERFACE attributes: what the names alone tell."""
-    module = extract([source], name, [source.parent])[0]
+    module = extract(source, name)
     bare = replace(module, ports=tuple(replace(port, attributes={}) for port in module.ports))
     return Detector().detect(replace(bare, interfaces=(), clocks=(), resets=(), interrupts=(), leftovers=()))
 
@@ -218,7 +226,7 @@ def hdl_files(folder: Path, suffixes: tuple[str, ...]) -> Iterator[Path]:
 def extract_one(path: Path) -> tuple[int, str]:
     """(number of modules, first syntax error) of one file by itself."""
     try:
-        reading = read([path], include_dirs=[path.parent])
+        reading = read(Sources([path], include_dirs=[path.parent]))
     except HdlError as error:
         return 0, "" if "no module and no entity" in str(error) else str(error)
     syntax = [

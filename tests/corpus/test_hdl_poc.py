@@ -16,7 +16,7 @@ import pytest
 
 pytest.importorskip("tree_sitter_vhdl", reason="needs tree-sitter-vhdl: the extra [build] is not installed")
 
-from cm.design import hdl
+from cm.design.hdl.extract import Sources, read
 
 POC = os.environ.get("POC")
 PACKAGES = ("common/utils.vhdl", "common/vectors.vhdl", "bus/stream/stream.pkg.vhdl", "net/net.pkg.vhdl")
@@ -76,7 +76,7 @@ ASKED = re.compile(r"looks like a stream .* streams: \[(.*?)\] in the module")
 def found(source: Path, name: str) -> tuple[tuple[set[str], set[str]], set[str], list[str]]:
     """Clocks and resets, streams that are asked for, and buses."""
     file = source / f"{name}.vhdl"
-    info = next(m for m in hdl.extract([*(source / p for p in PACKAGES), file]) if Path(m.file) == file)
+    info = next(m for m in read(Sources([*(source / p for p in PACKAGES), file])).modules if Path(m.file) == file)
     asked = {word.strip() for left in info.leftovers if (m := ASKED.match(left.reason)) for word in m[1].split(",")}
     return (
         ({c.port for c in info.clocks}, {r.port for r in info.resets}),

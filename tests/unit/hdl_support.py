@@ -3,12 +3,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from cm.design.hdl import ModuleInfo, extract
+from cm.design.hdl.extract import Sources, read
+from cm.design.hdl.model import ModuleInfo
 
 DATA = Path(__file__).parents[1] / "data" / "hdl"
+
+
+def extract(files: Iterable[Path], **options: Any) -> list[ModuleInfo]:
+    """The modules of these files."""
+    return list(read(Sources(list(files), **options)).modules)
 
 
 def module(path: Path, text: str, name: str = "m.v", **options: Any) -> ModuleInfo:

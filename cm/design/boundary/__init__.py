@@ -1,12 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A region's common boundary: the union of its modules' interfaces, and how each module is fitted to it.
-
-boundary(modules) -> Boundary
-"""
-
-from __future__ import annotations
-
-from cm.design.boundary.make import boundary
-from cm.design.boundary.model import Adaptation, Boundary, BoundaryPort, Connection, Fit, Role
-
-__all__ = ["Adaptation", "Boundary", "BoundaryPort", "Connection", "Fit", "Role", "boundary"]
+"""The common boundary of the modules that share a region, and how each is fitted to it: `make.boundary`."""

@@ -8,16 +8,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from cm.design import hdl
-from cm.design.boundary import boundary
+from cm.design.boundary.make import boundary
 from cm.design.boundary.model import Boundary
 from cm.design.errors import BuildError, MissingTool
-from cm.design.hdl import UserProtocol
 from cm.design.hdl.associate import restated
-from cm.design.hdl.flat import Flat, Wanted, needs_wrapper
+from cm.design.hdl.compare import compare
+from cm.design.hdl.errors import HdlError, ModuleNotFound, UnknownParameter
+from cm.design.hdl.extract import Sources, read
+from cm.design.hdl.flat import Flat, needs_wrapper
 from cm.design.hdl.flatten import flatten
 from cm.design.hdl.hls_registers import HDL, differences, hls_memories, is_hls
+from cm.design.hdl.ipxact import load_component_xml, load_xci
 from cm.design.hdl.model import Language, ModuleInfo, Polarity, Problem, Stated
+from cm.design.hdl.protocols import UserProtocol, load_protocols
 from cm.design.hdl.register_maps import read_register_map
 from cm.design.hdl.vhdl_units import missing_units
 from cm.design.project.model import ModuleSpec, Project, in_libraries
@@ -102,22 +105,26 @@ def _with_registers(project: Project, spec: ModuleSpec) -> ModuleSpec:
 
 def analyse(project: Project) -> Analysis:
     """Parse all modules of `project`; raises the HDL half's errors for files that cannot be read."""
-    protocols = tuple(protocol for path in project.protocols for protocol in hdl.load_protocols(path))
+    protocols = tuple(protocol for path in project.protocols for protocol in load_protocols(path))
     modules: dict[str, ModuleInfo] = {}
     differences: dict[str, tuple[str, ...]] = {}
     flat: dict[str, Flat] = {}
     for spec in project.modules.values():
         try:
-            modules[spec.name], differences[spec.name] = _module(spec, protocols)
-        except hdl.HdlError as error:
+            modules[spec.name], differences[spec.name] = _module(spec, _sources(spec, protocols))
+        except HdlError as error:
             raise fault(project.source, ("modules", spec.name, *_key(spec, error)), str(error)) from None
         found = modules[spec.name]
         if spec.readable and (needs_wrapper(found) or _elsewhere(spec, found)):
-            wrapped, wrapper = flatten(found, _wanted(spec), protocols)
+            wrapped, wrapper = flatten(found, _sources(spec, protocols))
             flat |= {spec.name: wrapper} if wrapper else {}
             modules[spec.name] = wrapped if wrapper or needs_wrapper(found) else found
         _check_stated(project, spec, modules[spec.name])
-    boundaries = {name: _boundary(project, name, modules) for name in project.regions}
+    # by the project's names, since two modules may have the same top with different parameters or sources
+    boundaries = {
+        region: boundary({spec.name: modules[spec.name] for spec in project.modules_of(region)})
+        for region in project.regions
+    }
     return Analysis(modules, boundaries, differences, flat)
 
 
@@ -136,63 +143,54 @@ def _check_stated(project: Project, spec: ModuleSpec, info: ModuleInfo) -> None:
             raise fault(project.source, ("modules", spec.name, *key), message, did_you_mean(name, known))
 
 
-def _stated(spec: ModuleSpec) -> Stated:
-    levels = {None: None, "low": Polarity.LOW, "high": Polarity.HIGH}
-    resets = {port: (clock, levels[level]) for port, (clock, level) in spec.resets.items()}
-    return Stated(spec.clocks, resets, spec.streams)
-
-
 def _elsewhere(spec: ModuleSpec, info: ModuleInfo) -> bool:
     """Whether the top is VHDL in a library other than the default, where the Verilog around it would not find it."""
     return info.language is Language.VHDL and Path(info.file) in in_libraries(spec.libraries)
 
 
-def _wanted(spec: ModuleSpec) -> Wanted:
-    inner = {
-        port: {name: str(value) for name, value in values.items()} for port, values in spec.interface_parameters.items()
-    }
-    sources, libraries = (spec.readable, {}) if spec.ip and spec.sim_sources else (spec.sources, spec.libraries)
-    parameters = {name: str(value) for name, value in spec.parameters.items()}
-    return Wanted(spec.top, sources, libraries, spec.include_dirs, spec.defines, parameters, inner, _stated(spec))
-
-
-def _key(spec: ModuleSpec, error: hdl.HdlError) -> tuple[str, ...]:
-    """The key of a module in the build schema that has the problem."""
-    if isinstance(error, hdl.UnknownParameter):
-        return ("parameters", error.name)
-    if spec.component is not None and str(error).startswith(f"{spec.component}:"):
-        return ("component",)
-    return ("top",) if isinstance(error, hdl.ModuleNotFound) else ("sources",)
-
-
-def _boundary(project: Project, region: str, modules: Mapping[str, ModuleInfo]) -> Boundary:
-    """Use the project's names, since two modules may have the same top with different parameters or sources."""
-    names = [spec.name for spec in project.modules_of(region)]
-    return boundary([modules[name] for name in names], labels=names)
-
-
-def _module(spec: ModuleSpec, protocols: tuple[UserProtocol, ...]) -> tuple[ModuleInfo, tuple[str, ...]]:
-    if not spec.readable:
-        if spec.component is None and spec.ip:
-            return restated(hdl.load_xci(spec.ip[0], protocols), _stated(spec)), ()
-        if spec.component is None:
-            raise hdl.HdlError(f"{spec.name}: nothing describes its interfaces; give sources, sim_sources or component")
-        return restated(hdl.load_component_xml(spec.component), _stated(spec)), ()
-    reading = hdl.read(
-        spec.readable,
+def _sources(spec: ModuleSpec, protocols: tuple[UserProtocol, ...]) -> Sources:
+    levels = {None: None, "low": Polarity.LOW, "high": Polarity.HIGH}
+    resets = {port: (clock, levels[level]) for port, (clock, level) in spec.resets.items()}
+    simulated = spec.ip and spec.sim_sources
+    return Sources(
+        files=spec.sim_sources if simulated else spec.sources,
         top=spec.top,
         include_dirs=spec.include_dirs,
         defines=spec.defines,
-        parameters={name: str(value) for name, value in spec.parameters.items()},
+        parameters=_texts(spec.parameters),
         protocols=protocols,
-        stated=_stated(spec),
+        libraries={} if simulated else spec.libraries,
+        interface_parameters={port: _texts(values) for port, values in spec.interface_parameters.items()},
+        stated=Stated(spec.clocks, resets, spec.streams),
     )
+
+
+def _texts(values: Mapping[str, object]) -> dict[str, str]:
+    return {name: str(value) for name, value in values.items()}
+
+
+def _key(spec: ModuleSpec, error: HdlError) -> tuple[str, ...]:
+    """The key of a module in the build schema that has the problem."""
+    if isinstance(error, UnknownParameter):
+        return ("parameters", error.name)
+    if spec.component is not None and str(error).startswith(f"{spec.component}:"):
+        return ("component",)
+    return ("top",) if isinstance(error, ModuleNotFound) else ("sources",)
+
+
+def _module(spec: ModuleSpec, sources: Sources) -> tuple[ModuleInfo, tuple[str, ...]]:
+    if not spec.readable:
+        if spec.component is None and not spec.ip:
+            raise HdlError(f"{spec.name}: nothing describes its interfaces; give sources, sim_sources or component")
+        stated = load_component_xml(spec.component) if spec.component else load_xci(spec.ip[0], sources.protocols)
+        return restated(stated, sources.stated), ()
+    reading = read(sources)
     found = reading.modules[0]
     units = () if spec.ip or spec.sim_sources else tuple(missing_units(spec.libraries, spec.sources))
     info = _with_missing(replace(found, problems=(*found.problems, *reading.problems, *units)), spec, reading.outside)
     if spec.component is None:
         return info, ()
-    return info, tuple(str(difference) for difference in hdl.compare(info, hdl.load_component_xml(spec.component)))
+    return info, tuple(str(difference) for difference in compare(info, load_component_xml(spec.component)))
 
 
 def _with_missing(info: ModuleInfo, spec: ModuleSpec, outside: Sequence[str]) -> ModuleInfo:

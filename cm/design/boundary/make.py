@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from types import MappingProxyType
 
 from cm.design.boundary.buses import Fitting, bus_interface, bus_ports, fit_bus
 from cm.design.boundary.model import Adaptation, Boundary, BoundaryPort
@@ -19,24 +18,17 @@ from cm.design.boundary.scalar_signals import (
     make_interrupts,
     make_signals,
 )
-from cm.design.boundary.slots import Names, Slot, make_slots
+from cm.design.boundary.slots import Slot, make_slots
 from cm.design.hdl.model import Interface, ModuleInfo, Polarity
 
-_NO_NAMES: Names = MappingProxyType({})
 
+def boundary(given: Mapping[str, ModuleInfo]) -> Boundary:
+    """The boundary that all modules of a region share, by their names; their order is that of the result.
 
-def boundary(modules: Sequence[ModuleInfo], names: Names = _NO_NAMES, labels: Sequence[str] | None = None) -> Boundary:
-    """The boundary that all `modules` of a region share; the order of modules is that of the result.
-
-    `names` gives for (module, interface) the interface of the boundary, where names and kinds do not decide. Modules
-    that cannot be fitted are in the result with the reasons in `refused`; the others are still fitted. `labels` name
-    the modules in the result and in `names`, one each, instead of their own names: needed where two have the same top
-    with different parameters or sources. Without labels, modules that differ but share a name are refused.
+    Modules that cannot be fitted are in the result with the reasons in `refused`; the others are still fitted.
     """
-    if labels is not None:
-        modules = [replace(module, name=label) for module, label in zip(modules, labels, strict=True)]
-    modules, clashes = _distinct(modules)
-    slots = make_slots(modules, names)
+    modules = [replace(module, name=name) for name, module in given.items()]
+    slots = make_slots(modules)
     clocks = make_clocks(modules)
     ports = clock_ports(clocks)
     for slot in slots.slots:
@@ -48,7 +40,6 @@ def boundary(modules: Sequence[ModuleInfo], names: Names = _NO_NAMES, labels: Se
     fittings = {module.name: Fitting() for module in modules}
     for module in modules:
         fitting = fittings[module.name]
-        fitting.refused.extend(clashes.get(module.name, ()))
         fitting.refused.extend(str(problem) for problem in module.problems if problem.fatal)
         fitting.refused.extend(refused.get(module.name, ()))
         fitting.refused.extend(slots.refused.get(module.name, ()))
@@ -56,22 +47,6 @@ def boundary(modules: Sequence[ModuleInfo], names: Names = _NO_NAMES, labels: Se
         _fit(module, fitting, clocks, slots.slots, ports, singles)
     interfaces = tuple(_interface(slot, ports, clocks, fittings) for slot in slots.slots)
     return Boundary(tuple(ports), interfaces, tuple(_adaptation(name, item) for name, item in fittings.items()))
-
-
-def _distinct(modules: Sequence[ModuleInfo]) -> tuple[list[ModuleInfo], dict[str, list[str]]]:
-    """Return the first module of each name, and a reason where a later one of that name has other ports."""
-    found: dict[str, ModuleInfo] = {}
-    clashes: dict[str, list[str]] = {}
-    for module in modules:
-        first = found.setdefault(module.name, module)
-        if _shape(first) != _shape(module):
-            text = f"two modules of the region are called {module.name} and differ ({first.file}, {module.file})"
-            clashes.setdefault(module.name, []).append(f"{text}: rename one")
-    return list(found.values()), clashes
-
-
-def _shape(module: ModuleInfo) -> list[tuple[object, ...]]:
-    return [(port.name, port.direction, port.width) for port in module.ports]
 
 
 def _fit(

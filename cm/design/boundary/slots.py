@@ -4,12 +4,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 from cm.design.hdl.model import Interface, Mode, ModuleInfo
-
-Names = Mapping[str, Mapping[str, str]]  # module → interface of the module → interface of the boundary
 
 
 @dataclass(slots=True)
@@ -41,26 +39,22 @@ def identifier(name: str) -> str:
     return text if text and not text[0].isdigit() else f"p_{text}"
 
 
-def make_slots(modules: Sequence[ModuleInfo], names: Names) -> Slots:
-    """Put every module's interfaces into slots; `names` overrides the modules' own names."""
+def make_slots(modules: Sequence[ModuleInfo]) -> Slots:
+    """Put every module's interfaces into slots."""
     result = Slots()
     for module in modules:
-        rest = list(module.interfaces)
-        rest = [item for item in rest if not _by_name(item, module, names.get(module.name, {}), result)]
+        rest = [item for item in module.interfaces if not _by_name(item, module, result)]
         rest = [item for item in rest if not _only_choice(item, rest, module, result)]
         for interface in rest:
             _new_slot(interface, module, result)
     return result
 
 
-def _by_name(interface: Interface, module: ModuleInfo, names: Mapping[str, str], result: Slots) -> bool:
-    name = identifier(names.get(interface.name, interface.name))
+def _by_name(interface: Interface, module: ModuleInfo, result: Slots) -> bool:
+    name = identifier(interface.name)
     slot = next((slot for slot in result.slots if slot.name == name), None)
     if slot is None:
-        if interface.name not in names:
-            return False
-        slot = Slot(name, interface.protocol, interface.mode)
-        result.slots.append(slot)
+        return False
     if not slot.takes(interface):
         other = next(iter(slot.members), "")
         text = f"{interface.name} is {interface.protocol} {interface.mode.value}, but the {slot.name} of {other} is "

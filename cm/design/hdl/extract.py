@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 
@@ -17,68 +17,70 @@ from cm.design.hdl.verilog import VerilogReader
 from cm.design.hdl.vhdl import VHDL_SUFFIXES, VhdlReader
 
 _FEW = 8  # most names that a sentence lists
-_NONE: Mapping[str, str] = MappingProxyType({})
 _NO_FILES: Mapping[Path, str] = MappingProxyType({})
 _ENCRYPTED = re.compile(r"(?:`|pragma\s+)protect\s+begin_protected", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """HDL to be read, as the build schema has it: `top` alone, or all modules of `files`.
+
+    `defines` are Verilog macros; `parameters` are set on `top`, or on the modules that have them; `libraries`: VHDL
+    beside `files`; `interface_parameters`: by port, of SystemVerilog interfaces; `stated`: of clocks and resets.
+    """
+
+    files: Sequence[Path]
+    top: str | None = None
+    include_dirs: Sequence[Path] = ()
+    defines: Mapping[str, str] = field(default_factory=dict)
+    parameters: Mapping[str, str] = field(default_factory=dict)
+    protocols: Sequence[UserProtocol] = ()
+    libraries: Mapping[str, Sequence[Path]] = field(default_factory=dict)
+    interface_parameters: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    stated: Stated = NOTHING_STATED
+
+    @property
+    def paths(self) -> list[Path]:
+        """All files, those of libraries first."""
+        return [*(path for paths in self.libraries.values() for path in paths), *self.files]
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
     """All modules asked for, and the problems of files that declare none of them.
 
-    `outside`: what the modules instantiate, at any depth, that no file declares (known for Verilog only).
+    `outside`: what the modules instantiate, at any depth, that no file declares (known for Verilog only); `files`:
+    by module, its file, those of what it instantiates, and those without a module, such as packages and macros, in
+    order; `twice`: whether several files declare one module.
     """
 
     modules: tuple[ModuleInfo, ...]
-    problems: tuple[Problem, ...] = ()
-    outside: tuple[str, ...] = ()
+    problems: tuple[Problem, ...]
+    outside: tuple[str, ...]
+    files: Mapping[str, tuple[Path, ...]]
+    twice: bool
 
 
-def extract(
-    files: Iterable[str | Path],
-    top: str | None = None,
-    include_dirs: Iterable[str | Path] = (),
-    defines: Mapping[str, str] = _NONE,
-    parameters: Mapping[str, str] = _NONE,
-    protocols: Sequence[UserProtocol] = (),
-) -> list[ModuleInfo]:
-    """Return the modules of these files in order (with `top`: only that one), with their interfaces.
+def read(wanted: Sources, generated: Mapping[Path, str] = _NO_FILES) -> Reading:
+    """Return the modules in the order of the files, with their interfaces; `generated`: text of files not yet written.
 
-    `defines` are Verilog macros; `parameters` are set on `top`, or on the modules that have them.
     Raises `HdlError` for files that cannot be read or hold no module, `ModuleNotFound` for `top`,
     `ParserMissing` if a parser is not installed. A module's `problems` say what is wrong inside it.
     """
-    return list(read(files, top, include_dirs, defines, parameters, protocols).modules)
-
-
-def read(
-    files: Iterable[str | Path],
-    top: str | None = None,
-    include_dirs: Iterable[str | Path] = (),
-    defines: Mapping[str, str] = _NONE,
-    parameters: Mapping[str, str] = _NONE,
-    protocols: Sequence[UserProtocol] = (),
-    generated: Mapping[Path, str] = _NO_FILES,
-    stated: Stated = NOTHING_STATED,
-) -> Reading:
-    """Do as `extract`, and report problems of files without modules too.
-
-    `generated`: text of files not yet written; `stated`: what the build schema says of the module's clocks and resets.
-    """
-    paths = [Path(file) for file in files]
+    paths = wanted.paths
     # Headers are often listed among the sources: their folders are searched last.
-    folders = dict.fromkeys([*(Path(path) for path in include_dirs), *(path.parent for path in paths)])
-    sources = _Sources(list(folders), defines)
+    files = _Files(list(dict.fromkeys([*wanted.include_dirs, *(path.parent for path in paths)])), wanted.defines)
     for path in paths:
-        sources.add(path, _read_text(path))
+        files.add(path, _read_text(path))
     for path, text in generated.items():
-        sources.add(path, text)
-    sources.check(top)
-    detector = Detector(protocols, stated)
-    modules = [detector.detect(module) for module in sources.evaluate(top, parameters)]
-    _check_parameters(modules, parameters)
+        files.add(path, text)
+    files.check(wanted.top)
+    detector = Detector(wanted.protocols, wanted.stated)
+    modules = [detector.detect(module) for module in files.evaluate(wanted.top, wanted.parameters)]
+    _check_parameters(modules, wanted.parameters)
     names = [module.name for module in modules]
-    return Reading(tuple(modules), (*sources.problems, *sources.hollow(names)), sources.outside(names))
+    problems = (*files.problems, *files.hollow(names))
+    return Reading(tuple(modules), problems, files.outside(names), {n: files.needs(n) for n in names}, files.twice)
 
 
 def roots(modules: Sequence[ModuleInfo]) -> list[ModuleInfo]:
@@ -87,7 +89,7 @@ def roots(modules: Sequence[ModuleInfo]) -> list[ModuleInfo]:
     return [module for module in modules if module.name.lower() not in used] or list(modules)
 
 
-class _Sources:
+class _Files:
     """The files of both languages, and the file of each module."""
 
     def __init__(self, include_dirs: Sequence[Path], defines: Mapping[str, str]) -> None:
@@ -97,10 +99,13 @@ class _Sources:
         self._vhdl: VhdlReader | None = None
         self._found: dict[str, tuple[Language, Path]] = {}
         self._below: dict[str, tuple[str, ...]] = {}
+        self._vhdl_below: dict[str, tuple[str, ...]] = {}  # searched, not parsed: too vague to report one as missing
+        self._optional: set[Path] = set()  # needed only by those that instantiate their modules
         self._paths: list[Path] = []
         self._errors: dict[Path, tuple[Problem, ...]] = {}  # of files with modules
         self._hollow: dict[str, Problem] = {}
         self.problems: list[Problem] = []
+        self.twice = False
 
     def add(self, path: Path, text: str) -> None:
         self._paths.append(path)
@@ -110,14 +115,15 @@ class _Sources:
         if path.suffix.lower() in VHDL_SUFFIXES:
             self._vhdl = self._vhdl or VhdlReader()
             entities = self._vhdl.parse(path, text)
-            # architectures are searched, not parsed, which is too vague to report something as missing
             self._register([(entity.name, ()) for entity in entities], Language.VHDL, path)
+            self._vhdl_below |= {entity.name.lower(): entity.instantiates for entity in entities}
             if not entities and "package" not in text.lower():
                 self.problems.append(Problem("no entity in this file", str(path)))
             return
         self._verilog = self._verilog or VerilogReader(self._include_dirs, self._defines)
         tree = self._verilog.parse(path, text)
         self._register(tree.modules, tree.language, path)
+        self._optional -= {path} if tree.interfaces else set()
         self._below |= {name.lower(): () for name in tree.interfaces}
         for name, line in tree.hollow:
             what = "nothing drives its outputs: a black box is 0 in simulation, and empty unless vendor IP fills it"
@@ -129,7 +135,9 @@ class _Sources:
 
     def _register(self, units: Iterable[tuple[str, tuple[str, ...]]], language: Language, path: Path) -> None:
         for name, below in units:
+            self._optional.add(path)
             if name in self._found:
+                self.twice = True
                 first = self._found[name][1]
                 text = f"module {name} is declared in {first} too: the first one is taken here, synthesis may take this"
                 self.problems.append(Problem(text, str(path)))
@@ -146,8 +154,17 @@ class _Sources:
         """What `modules` instantiate, at any depth, that no file declares; VHDL entities match in any case."""
         return tuple(sorted(self._reached(modules)[1].values()))
 
-    def _reached(self, modules: Iterable[str]) -> tuple[set[str], dict[str, str]]:
+    def needs(self, module: str) -> tuple[Path, ...]:
+        """The files that synthesis of `module` needs."""
+        reached = self._reached([module], self._below | self._vhdl_below)[0]
+        homes = {path for name, (_, path) in self._found.items() if name.lower() in reached}
+        return tuple(path for path in self._paths if path in homes or path not in self._optional)
+
+    def _reached(
+        self, modules: Iterable[str], below: Mapping[str, tuple[str, ...]] | None = None
+    ) -> tuple[set[str], dict[str, str]]:
         """All that `modules` instantiate, in lower case, and of that what no file declares, as it is spelled."""
+        below = self._below if below is None else below
         found: dict[str, str] = {}
         seen: set[str] = set()
         todo = list(modules)
@@ -156,8 +173,8 @@ class _Sources:
             if name.lower() in seen:
                 continue
             seen.add(name.lower())
-            if name.lower() in self._below:
-                todo += self._below[name.lower()]
+            if name.lower() in below:
+                todo += below[name.lower()]
             else:
                 found[name.lower()] = name
         return seen, found

@@ -4,12 +4,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from cm.design.hdl.errors import HdlError
-from cm.design.hdl.model import ModuleInfo, PortDirection, Stated
+from cm.design.hdl.model import ModuleInfo, PortDirection
 
 IN, OUT = PortDirection.IN, PortDirection.OUT
 
@@ -37,20 +36,6 @@ class Flat:
     def file(self) -> str:
         """Name of its file."""
         return self.name + self.suffix
-
-
-@dataclass(frozen=True, slots=True)
-class Wanted:
-    """What is to be wrapped: `interface_parameters` by port, of SystemVerilog interfaces."""
-
-    top: str
-    sources: Sequence[Path]
-    libraries: Mapping[str, Sequence[Path]]
-    include_dirs: Sequence[Path]
-    defines: Mapping[str, str]
-    parameters: Mapping[str, str]
-    interface_parameters: Mapping[str, Mapping[str, str]]
-    stated: Stated = field(default_factory=Stated)
 
 
 def needs_wrapper(info: ModuleInfo) -> bool:

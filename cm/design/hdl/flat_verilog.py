@@ -11,7 +11,8 @@ from typing import Any
 
 from cm.design.hdl.clock_reset_names import is_clock, is_reset, reset_polarity
 from cm.design.hdl.errors import HdlError
-from cm.design.hdl.flat import IN, OUT, Flat, FlatPort, Wanted, unique_ports, wrapper_name
+from cm.design.hdl.extract import Sources
+from cm.design.hdl.flat import IN, OUT, Flat, FlatPort, unique_ports, wrapper_name
 from cm.design.hdl.model import Port, PortDirection
 from cm.design.hdl.verilog import VerilogReader, expression
 
@@ -20,37 +21,33 @@ _PROBE = "cm_flat_probe"
 _WORD = re.compile(r"\w+")
 
 
-def flat_verilog(wanted: Wanted) -> Flat:
-    """Return the wrapper of `wanted.top`. Raises `HdlError` with the reason if none is possible."""
+def flat_verilog(top: str, wanted: Sources) -> Flat:
+    """Return the wrapper of module `top`. Raises `HdlError` with the reason if none is possible."""
     reader = VerilogReader(wanted.include_dirs, wanted.defines)
-    for path in wanted.sources:
+    for path in wanted.paths:
         reader.parse(path, path.read_text(encoding="utf-8", errors="replace"))
-    top = reader.elaborate(wanted.top, {name: expression(value) for name, value in wanted.parameters.items()})
-    interfaces = {port.name: _interface(wanted.top, port) for port in top.portList if _is_interface(port)}
+    body = reader.elaborate(top, {name: expression(value) for name, value in wanted.parameters.items()})
+    interfaces = {port.name: _interface(top, port) for port in body.portList if port.kind.name == "InterfacePort"}
     for name in wanted.interface_parameters:
         if name not in interfaces:
-            raise HdlError(f"{wanted.top} has no interface port {name}; there are: {', '.join(interfaces) or 'none'}")
+            raise HdlError(f"{top} has no interface port {name}; there are: {', '.join(interfaces) or 'none'}")
     singles = [_instance(name, kind, wanted) for name, (kind, _, _) in interfaces.items()]
     reader.parse(Path(f"{_PROBE}.sv"), "\n".join([f"module {_PROBE};", *singles, "endmodule\n"]))
     probe = {member.name: member for member in reader.elaborate(_PROBE, {}) if member.kind.name == "Instance"}
     ports: list[FlatPort] = []
-    for port in top.portList:
+    for port in body.portList:
         if port.name in interfaces:
             _, modport, count = interfaces[port.name]
             for index in range(count) if count is not None else (None,):
-                ports += _signals(wanted.top, port.name, probe[port.name].body, modport, index)
+                ports += _signals(top, port.name, probe[port.name].body, modport, index)
         else:
-            ports.append(_plain(wanted.top, port))
-    own = {name: _ties(wanted.top, name, probe[name].body, ports) for name in interfaces}
+            ports.append(_plain(top, port))
+    own = {name: _ties(top, name, probe[name].body, ports) for name in interfaces}
     added = {tie: FlatPort(tie, IN, 1) for ties in own.values() for tie in ties.values() if _WORD.fullmatch(tie)}
     added = {name: port for name, port in added.items() if name not in {port.name for port in ports}}
-    unique_ports(wanted.top, [*added.values(), *ports])
+    unique_ports(top, [*added.values(), *ports])
     instances = {name: _instance(name, kind, wanted, count, own[name]) for name, (kind, _, count) in interfaces.items()}
-    return Flat(wrapper_name(wanted.top), ".sv", _text(wanted, ports, list(added.values()), instances))
-
-
-def _is_interface(port: Any) -> bool:
-    return bool(port.kind.name == "InterfacePort")
+    return Flat(wrapper_name(top), ".sv", _text(top, wanted, ports, list(added.values()), instances))
 
 
 def _interface(top: str, port: Any) -> tuple[str, str, int | None]:
@@ -87,7 +84,7 @@ def _ties(top: str, name: str, body: Any, ports: list[FlatPort]) -> dict[str, st
 
 
 def _instance(
-    name: str, kind: str, wanted: Wanted, count: int | None = None, ties: Mapping[str, str] = MappingProxyType({})
+    name: str, kind: str, wanted: Sources, count: int | None = None, ties: Mapping[str, str] = MappingProxyType({})
 ) -> str:
     given = wanted.interface_parameters.get(name, {})
     values = ", ".join(f".{key}({expression(value)})" for key, value in given.items())
@@ -116,7 +113,7 @@ def _plain(top: str, port: Any) -> FlatPort:
     return FlatPort(port.name, _DIRECTIONS[port.direction.name], port.type.bitWidth)
 
 
-def _text(wanted: Wanted, ports: list[FlatPort], added: list[FlatPort], instances: Mapping[str, str]) -> str:
+def _text(top: str, wanted: Sources, ports: list[FlatPort], added: list[FlatPort], instances: Mapping[str, str]) -> str:
     declared = [f"    {_KINDS[port.direction]} {_range(port.width)}{port.name}" for port in (*added, *ports)]
     assigned = [
         f"    assign {port.inner} = {port.name};" if port.direction is IN else f"    assign {port.name} = {port.inner};"
@@ -128,18 +125,18 @@ def _text(wanted: Wanted, ports: list[FlatPort], added: list[FlatPort], instance
     pins = [f"        .{name}({name})" for name in (*(p.name for p in ports if not p.inner), *instances)]
     lines = [
         "// SPDX-License-" + "Identifier: Apache-2.0",
-        f"// Generated by cm build: {wanted.top} with flat ports in place of its interfaces.",
+        f"// Generated by cm build: {top} with flat ports in place of its interfaces.",
         "`default_nettype none",
         "/* verilator lint_off TIMESCALEMOD */",
         "",
-        f"module {wrapper_name(wanted.top)} (",
+        f"module {wrapper_name(top)} (",
         ",\n".join(declared),
         ");",
         *instances.values(),
         "",
         *assigned,
         "",
-        f"    {wanted.top} {given}inner (",
+        f"    {top} {given}inner (",
         ",\n".join(pins),
         "    );",
         "endmodule",

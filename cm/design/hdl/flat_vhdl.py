@@ -8,7 +8,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from cm.design.hdl.errors import HdlError
-from cm.design.hdl.flat import IN, OUT, Flat, FlatPort, Wanted, field_name, unique_ports, wrapper_name
+from cm.design.hdl.extract import Sources
+from cm.design.hdl.flat import IN, OUT, Flat, FlatPort, field_name, unique_ports, wrapper_name
 from cm.design.hdl.model import PortDirection
 from cm.design.hdl.vhdl import VHDL_SUFFIXES, Declaration, VhdlReader
 from cm.design.hdl.vhdl_expr import NotFlat, Unknown, Value, base_type, width_of
@@ -32,18 +33,18 @@ class _Scope:
     subtypes: Mapping[str, str]
 
 
-def flat_vhdl(wanted: Wanted) -> Flat:
-    """Return the wrapper of entity `wanted.top`. Raises `HdlError` with the reason if none is possible."""
+def flat_vhdl(top: str, wanted: Sources) -> Flat:
+    """Return the wrapper of entity `top`. Raises `HdlError` with the reason if none is possible."""
     reader = VhdlReader()
-    files = {path: "work" for path in wanted.sources if path.suffix.lower() in VHDL_SUFFIXES}
+    files = {path: "work" for path in wanted.files if path.suffix.lower() in VHDL_SUFFIXES}
     files |= {path: library for library, paths in wanted.libraries.items() for path in paths}
     texts = {path: path.read_text(encoding="utf-8", errors="replace") for path in files}
     homes = {entity.name.lower(): path for path, text in texts.items() for entity in reader.parse(path, text)}
-    home = homes.get(wanted.top.lower())
+    home = homes.get(top.lower())
     if home is None:
-        raise HdlError(f"no entity {wanted.top} in the files given")
-    entity = reader.entity(wanted.top)
-    names, subtypes = reader.scope(wanted.top, wanted.parameters)
+        raise HdlError(f"no entity {top} in the files given")
+    entity = reader.entity(top)
+    names, subtypes = reader.scope(top, wanted.parameters)
     subtypes = {name: _bounds(kind, subtypes) for name, kind in subtypes.items()}
     scope = _Scope(dict(_records(map(blank_comments, texts.values()))), names, subtypes)
     ports: list[FlatPort] = []
@@ -59,11 +60,11 @@ def flat_vhdl(wanted: Wanted) -> Flat:
             where = f"{home}:{port.line}: port {port.name}"
             ports += _fields(where, port, direction, buses.get(port.name, port.name), scope)
         else:
-            ports.append(_plain(f"{home}:{port.line}: port {port.name}", port.name, port.type, direction, scope))
-    unique_ports(f"{home}: {wanted.top}", ports)
-    context = _context(blank_comments(texts[home]), wanted.top, files[home])
-    library = files[home]
-    return Flat(wrapper_name(wanted.top), ".vhd", _text(wanted, context, library, ports, records))
+            ((_, width, base),) = _leaves(f"{home}:{port.line}: port {port.name}", (), port.type, scope, 0)
+            ports.append(FlatPort(port.name, direction, width, "", base))
+    unique_ports(f"{home}: {top}", ports)
+    context = _context(blank_comments(texts[home]), top, files[home])
+    return Flat(wrapper_name(top), ".vhd", _text(top, wanted, context, files[home], ports, records))
 
 
 def _records(texts: Iterator[str] | map[str]) -> Iterator[tuple[str, list[tuple[str, str]]]]:
@@ -116,13 +117,13 @@ def _leaves(
         for field, inner in scope.records[name]:
             yield from _leaves(where, (*path, field), inner, scope, depth + 1)
         return
-    kind = _bounds(kind, scope.subtypes)
+    kind, what = _bounds(kind, scope.subtypes), ".".join((where, *path))
     try:
         yield path, width_of(kind, scope.names, scope.subtypes), base_type(kind, scope.subtypes)
     except NotFlat:
-        raise HdlError(f"{where}.{'.'.join(path)} is {kind}, not a vector of bits: wrap it by hand") from None
+        raise HdlError(f"{what} is {kind}, not a vector of bits: wrap it by hand") from None
     except Unknown as error:
-        raise HdlError(f"{where}.{'.'.join(path)} is {kind}: {error}") from None
+        raise HdlError(f"{what} is {kind}: {error}") from None
 
 
 def _bounds(kind: str, subtypes: Mapping[str, str]) -> str:
@@ -139,15 +140,6 @@ def _bounds(kind: str, subtypes: Mapping[str, str]) -> str:
     return re.sub(r"(\w+)'(left|right|low|high)\b", bound, kind, flags=re.IGNORECASE)
 
 
-def _plain(where: str, name: str, kind: str, direction: PortDirection, scope: _Scope) -> FlatPort:
-    try:
-        return FlatPort(
-            name, direction, width_of(kind, scope.names, scope.subtypes), "", base_type(kind, scope.subtypes)
-        )
-    except Unknown as error:
-        raise HdlError(f"{where} is {kind}: {error}") from None
-
-
 def _context(text: str, top: str, library: str) -> list[str]:
     """Return the library and use clauses before the entity, with ``work`` replaced by the library's name."""
     start = next(u.start for u in design_units(text) if u.kind == "entity" and u.name.lower() == top.lower())
@@ -158,7 +150,12 @@ def _context(text: str, top: str, library: str) -> list[str]:
 
 
 def _text(
-    wanted: Wanted, context: Sequence[str], library: str, ports: Sequence[FlatPort], records: Mapping[str, str]
+    top: str,
+    wanted: Sources,
+    context: Sequence[str],
+    library: str,
+    ports: Sequence[FlatPort],
+    records: Mapping[str, str],
 ) -> str:
     declared = [f"    {p.name} : {_MODES[p.direction]} {_type(p.width, p.kind)}" for p in ports]
     assigned = []
@@ -169,13 +166,13 @@ def _text(
         else:
             assigned.append(f"  {port.name} <= {_back(port.kind, inner)};")
     values = ", ".join(f"{name} => {_value(value)}" for name, value in wanted.parameters.items())
-    pins = [f"      {p.name} => {_plain_actual(p)}" for p in ports if not p.inner and p.direction is not OUT]
-    pins += [f"      {_plain_formal(p)} => {p.name}" for p in ports if not p.inner and p.direction is OUT]
+    pins = [f"      {p.name} => {_convert(p.kind, p.name)}" for p in ports if not p.inner and p.direction is not OUT]
+    pins += [f"      {_back(p.kind, p.name)} => {p.name}" for p in ports if not p.inner and p.direction is OUT]
     pins += [f"      {name} => record_{name}" for name in records]
-    name = wrapper_name(wanted.top)
+    name = wrapper_name(top)
     lines = [
         "-- SPDX-License-" + "Identifier: Apache-2.0",
-        f"-- Generated by cm build: {wanted.top} with flat ports in place of its records.",
+        f"-- Generated by cm build: {top} with flat ports in place of its records.",
         *context,
         "",
         f"entity {name} is",
@@ -189,7 +186,7 @@ def _text(
         "begin",
         *assigned,
         "",
-        f"  inner : entity {library}.{wanted.top}",
+        f"  inner : entity {library}.{top}",
         *([f"    generic map ({values})"] if values else []),
         "    port map (",
         ",\n".join(pins),
@@ -217,14 +214,6 @@ def _convert(kind: str, name: str) -> str:
 
 def _back(kind: str, inner: str) -> str:
     return inner if kind in (*_BITS, "std_logic_vector") else f"std_logic_vector({inner})"
-
-
-def _plain_actual(port: FlatPort) -> str:
-    return _convert(port.kind, port.name)
-
-
-def _plain_formal(port: FlatPort) -> str:
-    return _back(port.kind, port.name)
 
 
 def _value(value: str) -> str:

@@ -3,32 +3,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from cm.design.hdl.errors import HdlError
-from cm.design.hdl.extract import Reading, read
-from cm.design.hdl.flat import Flat, Wanted
+from cm.design.hdl.extract import Sources, read
+from cm.design.hdl.flat import Flat
 from cm.design.hdl.flat_verilog import flat_verilog
 from cm.design.hdl.flat_vhdl import flat_vhdl
 from cm.design.hdl.model import Language, ModuleInfo, Problem
-from cm.design.hdl.protocols import UserProtocol
 
 
-def flatten(info: ModuleInfo, wanted: Wanted, protocols: Sequence[UserProtocol] = ()) -> tuple[ModuleInfo, Flat | None]:
-    """Return the wrapper, as a module and as text; or the module itself, with the reason, if it cannot be wrapped."""
+def flatten(info: ModuleInfo, wanted: Sources) -> tuple[ModuleInfo, Flat | None]:
+    """Return the wrapper of `info`, read from `wanted`, as a module and as text.
+
+    If it cannot be wrapped, the module itself is returned, with the reason.
+    """
     try:
-        flat = flat_vhdl(wanted) if info.language is Language.VHDL else flat_verilog(wanted)
+        wrap = flat_vhdl if info.language is Language.VHDL else flat_verilog
+        flat = wrap(info.name, wanted)
     except HdlError as why:
         return replace(info, problems=(*info.problems, Problem(str(why), info.file, info.line, fatal=True))), None
-    found = _read(wanted, flat, protocols).modules[0]
+    found = read(replace(wanted, top=flat.name, parameters={}), {Path(flat.file): flat.text}).modules[0]
     problems = tuple(problem for problem in info.problems if not problem.fatal)
     below = tuple(dict.fromkeys([*found.instantiates, *info.instantiates]))
     return replace(found, file=info.file, line=info.line, problems=problems, instantiates=below), flat
-
-
-def _read(wanted: Wanted, flat: Flat, protocols: Sequence[UserProtocol]) -> Reading:
-    files = [*(path for paths in wanted.libraries.values() for path in paths), *wanted.sources]
-    generated = {Path(flat.file): flat.text}
-    return read(files, flat.name, wanted.include_dirs, wanted.defines, {}, protocols, generated, wanted.stated)

@@ -18,8 +18,8 @@ from typing import Any
 
 import yaml
 
-from cm.design.boundary import boundary
 from cm.design.boundary.analyse import Analysis
+from cm.design.boundary.make import boundary
 from cm.design.boundary.model import Boundary
 from cm.design.boundary.slots import unique
 from cm.design.check.rules import check_system
@@ -118,8 +118,7 @@ def _region(
         spec["window"] = max(windows)
     spec["pblock"] = ["auto"]
     spec["resources"] = _resources(group)
-    modules = list(dict.fromkeys(module for module, _ in members))
-    new = boundary([analysis.modules[module] for module in modules], labels=modules)
+    new = boundary({module: analysis.modules[module] for module, _ in members})
     interfaces: dict[str, Any] = {}
     for module, region in members:
         for now, before in _same(module, new, analysis.boundaries[region]).items():
@@ -186,10 +185,10 @@ def refusals(project: Project, analysis: Analysis, text: str) -> list[str]:
     """Return why the build schema `text`, with the modules of `project`, cannot be generated; empty if it can."""
     try:
         other = load_project(project.source, text)
-        boundaries = {}
-        for region in other.regions:
-            names = [module.name for module in other.modules_of(region)]
-            boundaries[region] = boundary([analysis.modules[name] for name in names], labels=names)
+        boundaries = {
+            region: boundary({module.name: analysis.modules[module.name] for module in other.modules_of(region)})
+            for region in other.regions
+        }
         changed = replace(analysis, boundaries=boundaries)
         if changed.refused:
             return list(changed.refused)

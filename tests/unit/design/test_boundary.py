@@ -9,12 +9,19 @@ import pytest
 
 pytest.importorskip("pyslang")
 
-from hdl_support import lite, stream
+from hdl_support import extract, lite, stream
 
-from cm.design.boundary import Adaptation, Boundary, Connection, Fit, Role, boundary
-from cm.design.hdl import ModuleInfo, Polarity, PortDirection, extract, parse_protocols
+from cm.design.boundary import make as making
+from cm.design.boundary.model import Adaptation, Boundary, Connection, Fit, Role
+from cm.design.hdl.model import ModuleInfo, Polarity, PortDirection
+from cm.design.hdl.protocols import parse_protocols
 
 CLOCKED = "input aclk; input aresetn; "
+
+
+def boundary(modules: list[ModuleInfo]) -> Boundary:
+    """The boundary of modules by their own names."""
+    return making.boundary({module.name: module for module in modules})
 
 
 @pytest.fixture
@@ -95,14 +102,6 @@ def test_ambiguous_interfaces_are_not_paired_by_guess(make) -> None:
     result = boundary([one, two])
     assert [i.name for i in result.interfaces] == ["a", "b", "c"]
     assert any("could be any of a, b" in note for note in result.adaptation("two").notes)
-
-
-def test_names_say_which_interface_is_which(make) -> None:
-    one = make("one", CLOCKED + stream("a_", "slave") + stream("b_", "slave"))
-    two = make("two", CLOCKED + stream("c_", "slave"))
-    result = boundary([one, two], {"two": {"c": "b"}})
-    assert at(result.adaptation("two"), "b_tdata").module == "c_tdata"
-    assert at(result.adaptation("two"), "a_tdata").module == ""
 
 
 def test_data_of_another_width_is_refused_for_the_minority(make) -> None:
@@ -298,18 +297,12 @@ def test_result_does_not_depend_on_anything_but_the_modules(make) -> None:
     assert [p.direction for p in boundary(modules).ports if p.role is Role.SIGNAL] == [PortDirection.OUT] * 3
 
 
-def test_two_modules_of_one_name_that_differ_are_refused_unless_labelled(make, tmp_path: Path) -> None:
+def test_modules_of_one_top_are_told_apart_by_the_names_given(make) -> None:
     narrow = make("filter", CLOCKED + stream("m_", "master", extra="tuser:1"))
     wide = make("filter", CLOCKED + stream("m_", "master", extra="tuser:4"))
-    assert "two modules of the region are called filter" in boundary([narrow, wide]).adaptation("filter").refused[0]
-    result = boundary([narrow, wide], labels=["slow", "fast"])
+    result = making.boundary({"slow": narrow, "fast": wide})
     assert result.ok
     assert [(a.module, at(a, "m_tuser").fit) for a in result.adaptations] == [
         ("slow", Fit.EXTEND),
         ("fast", Fit.CONNECT),
     ]
-
-
-def test_module_given_twice_is_one(make) -> None:
-    module = make("one", CLOCKED)
-    assert boundary([module, module]) == boundary([module])

@@ -12,7 +12,7 @@ from build_support import MINIMAL, STREAM_MODULE, needs, project
 from cm.cli.main import main
 from cm.design.generate.outputs import render_all
 from cm.design.generate.tree import load_design
-from cm.design.hdl import load_component_xml
+from cm.design.hdl.ipxact import load_component_xml
 from cm.design.runtime.answers import Answers
 from cm.schema.problems import SchemaError
 

@@ -11,8 +11,8 @@ from build_support import MINIMAL, STREAM_MODULE, project
 from hdl_support import ports
 
 from cm.cli.main import main
-from cm.design.boundary import boundary
 from cm.design.boundary.analyse import analyse
+from cm.design.boundary.make import boundary
 from cm.design.hdl.model import Polarity
 from cm.design.project.load import load_project
 
@@ -58,7 +58,7 @@ def test_a_reset_belongs_to_the_clock_of_its_name_or_is_asked_for(names: str, wa
 
 def test_the_wrapper_connects_each_reset_to_that_of_its_own_clock(tmp_path: Path) -> None:
     found = ports(tmp_path, "input aclk; input aresetn; input core_clk; input core_rst_n; input pix_clk; input pix_rst")
-    made = boundary([found]).adaptations[0]
+    made = boundary({"m": found}).adaptations[0]
     assert made.ok
     assert {c.module: c.boundary for c in made.connections if c.module.endswith(("n", "rst"))} == {
         "aresetn": "aresetn", "core_rst_n": "core_clk_resetn", "pix_rst": "pix_clk_resetn",

@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 pytest.importorskip("pyslang")
 pytest.importorskip("tree_sitter_vhdl")
 
-from hdl_support import DATA
+from hdl_support import DATA, extract
 
-from cm.design.boundary import boundary
-from cm.design.hdl import HdlError, ModuleInfo, extract
+from cm.design.boundary.make import boundary
+from cm.design.hdl.errors import HdlError
+from cm.design.hdl.model import ModuleInfo
 
 SETTINGS = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 SEEDS = {path.suffix: path.read_bytes() for path in (DATA / "tagged.v", DATA / "unflat.sv", DATA / "filter.vhd")}
@@ -57,7 +58,7 @@ def test_real_file_with_a_piece_cut_out_or_doubled(tmp_path: Path, suffix: str, 
     end = data.draw(st.integers(start, min(len(text), start + 80)))
     piece = data.draw(st.sampled_from([b"", text[start:end] * 2, b"\xff\x00"]))
     modules = attempt(tmp_path, f"x{suffix}", text[:start] + piece + text[end:])
-    for adaptation in boundary(modules).adaptations:
+    for adaptation in boundary({module.name: module for module in modules}).adaptations:
         assert adaptation.ok or all(adaptation.refused)
 
 

@@ -11,21 +11,11 @@ import pytest
 
 pytest.importorskip("pyslang")
 
-from hdl_support import DATA, lite, module, ports, stream
+from hdl_support import DATA, extract, lite, module, ports, stream
 
-from cm.design.hdl import (
-    FoundBy,
-    HdlError,
-    Language,
-    Mode,
-    ModuleNotFound,
-    ParserMissing,
-    Polarity,
-    PortDirection,
-    extract,
-    read,
-    roots,
-)
+from cm.design.hdl.errors import HdlError, ModuleNotFound, ParserMissing
+from cm.design.hdl.extract import Sources, read, roots
+from cm.design.hdl.model import FoundBy, Language, Mode, Polarity, PortDirection
 
 
 @pytest.mark.parametrize(
@@ -39,7 +29,7 @@ def test_errors_that_stop_synthesis_have_vivados_number(tmp_path: Path, body: st
     text = "module inner (input wire a, output wire b);\n assign b = a;\nendmodule\n"
     text += f"module top (input wire a, output wire b);\n {body}\nendmodule\n"
     (tmp_path / "top.v").write_text(text)
-    (found,) = read([tmp_path / "top.v"], top="top").modules
+    (found,) = read(Sources([tmp_path / "top.v"], top="top")).modules
     (problem,) = found.problems
     assert problem.breaks
     assert said in problem.message
@@ -50,10 +40,10 @@ def test_a_nettype_that_a_file_leaves_behind_counts_for_those_after_it(tmp_path:
     """As olofk of chipsalliance/VeeRwolf 2 explains Synth 8-6735."""
     (tmp_path / "a.v").write_text("`default_nettype none\nmodule a (input wire x);\nendmodule\n")
     (tmp_path / "b.v").write_text("module b (input x, output wire y);\n assign y = x;\nendmodule\n")
-    (found,) = read([tmp_path / "a.v", tmp_path / "b.v"], top="b").modules
+    (found,) = read(Sources([tmp_path / "a.v", tmp_path / "b.v"], top="b")).modules
     assert [problem.message[-14:] for problem in found.problems] == ["[Synth 8-6735]"]
     (tmp_path / "a.v").write_text("`default_nettype none\nmodule a (input wire x);\nendmodule\n`default_nettype wire\n")
-    (found,) = read([tmp_path / "a.v", tmp_path / "b.v"], top="b").modules
+    (found,) = read(Sources([tmp_path / "a.v", tmp_path / "b.v"], top="b")).modules
     assert found.problems == ()
 
 
@@ -300,7 +290,7 @@ def test_unknown_parameter_lists_the_parameters() -> None:
 
 def test_file_that_is_not_there_is_reported() -> None:
     with pytest.raises(HdlError, match=r"nowhere\.v: cannot be read: No such file"):
-        extract(["nowhere.v"])
+        extract([Path("nowhere.v")])
 
 
 def test_file_without_a_module_is_reported_with_the_first_error(tmp_path: Path) -> None:
@@ -330,7 +320,7 @@ def test_parameter_without_a_default_is_asked_for(tmp_path: Path) -> None:
 def test_module_declared_twice_is_reported(tmp_path: Path) -> None:
     for name in ("a.v", "b.v"):
         (tmp_path / name).write_text("module m (input clk); endmodule")
-    reading = read([tmp_path / "a.v", tmp_path / "b.v"])
+    reading = read(Sources([tmp_path / "a.v", tmp_path / "b.v"]))
     assert len(reading.modules) == 1
     assert "declared in" in reading.problems[0].message
 

@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 
 pytest.importorskip("tree_sitter_vhdl")
 
-from hdl_support import DATA
+from hdl_support import DATA, extract
 
-from cm.design.hdl import HdlError, Language, ModuleInfo, PortDirection, extract
+from cm.design.hdl.errors import HdlError
+from cm.design.hdl.model import Language, ModuleInfo, PortDirection
 from cm.design.hdl.vhdl_expr import Unknown, evaluate
 
 
