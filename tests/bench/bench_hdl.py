@@ -21,7 +21,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from cm.design.hdl.detect import Detector
+from cm.design.hdl.detect import detect
 from cm.design.hdl.errors import HdlError
 from cm.design.hdl.extract import Sources, read
 from cm.design.hdl.ipxact import load_component_xml
@@ -163,7 +163,7 @@ def blinded(source: Path, name: str) -> ModuleInfo:
     """The module without its X_INTERFACE attributes: what the names alone tell."""
     module = extract(source, name)
     bare = replace(module, ports=tuple(replace(port, attributes={}) for port in module.ports))
-    return Detector().detect(replace(bare, interfaces=(), clocks=(), resets=(), interrupts=(), leftovers=()))
+    return detect(replace(bare, interfaces=(), clocks=(), resets=(), interrupts=(), leftovers=()))
 
 
 def same_ports(found: Interface, stated: Interface) -> bool:

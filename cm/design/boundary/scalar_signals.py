@@ -14,7 +14,7 @@ from cm.design.boundary.buses import IN, OUT, Fitting
 from cm.design.boundary.model import BoundaryPort, Connection, Fit, Role
 from cm.design.boundary.slots import identifier, unique
 from cm.design.hdl.associate import undecided
-from cm.design.hdl.model import Interrupt, Mode, ModuleInfo, Polarity, Port, PortDirection, Reset
+from cm.design.hdl.model import Mode, ModuleInfo, Polarity, Port, PortDirection, Reset
 
 
 @dataclass(slots=True)
@@ -123,44 +123,33 @@ class Single:
 
 def make_interrupts(modules: Sequence[ModuleInfo]) -> list[Single]:
     """Interrupts by name; if no module has more than one in a direction, it is called `interrupt`."""
-    found: list[Single] = []
-    for mode, only in ((Mode.MASTER, "interrupt"), (Mode.SLAVE, "interrupt_in")):
-        lists = {m.name: [i for i in m.interrupts if i.mode is mode] for m in modules}
-        single = all(len(items) <= 1 for items in lists.values())
-        for module in modules:
-            for item in lists[module.name]:
-                _place(module, item, only if single else identifier(item.port), mode, found)
-    return found
-
-
-def _place(module: ModuleInfo, item: Interrupt, name: str, mode: Mode, found: list[Single]) -> None:
-    port = module.port(item.port)
-    single = next((s for s in found if s.name == name), None)
-    if single is None:
-        single = Single(name, OUT if mode is Mode.MASTER else IN, Role.INTERRUPT)
-        found.append(single)
-    single.members[module.name] = port
+    found: dict[str, Single] = {}
+    for mode, only, direction in ((Mode.MASTER, "interrupt", OUT), (Mode.SLAVE, "interrupt_in", IN)):
+        ports = [(m, [m.port(i.port) for i in m.interrupts if i.mode is mode]) for m in modules]
+        single = all(len(mine) <= 1 for _, mine in ports)
+        for module, mine in ports:
+            for port in mine:
+                name = only if single else identifier(port.name)
+                one = found.setdefault(name, Single(name, direction, Role.INTERRUPT))
+                one.members[module.name] = port
+    return list(found.values())
 
 
 def make_signals(modules: Sequence[ModuleInfo], taken: Sequence[str]) -> tuple[list[Single], dict[str, list[str]]]:
     """Ports left over, shared by name; those that cannot cross the boundary, with the reason, by module."""
-    found: list[Single] = []
+    found: dict[str, Single] = {}
     refused: dict[str, list[str]] = {}
     for module in modules:
         for left in module.leftovers:
             port = module.port(left.port)
-            reason = _unfit(port, left.reason)
-            if reason:
+            if reason := _unfit(port, left.reason):
                 refused.setdefault(module.name, []).append(f"port {port.name} {reason}")
                 continue
             name = identifier(port.name)
             name = f"{name}_signal" if name in taken else name
-            single = next((s for s in found if s.name == name), None)
-            if single is None:
-                single = Single(name, port.direction, Role.SIGNAL, left=left.reason)
-                found.append(single)
+            single = found.setdefault(name, Single(name, port.direction, Role.SIGNAL, left=left.reason))
             single.members[module.name] = port
-    return found, refused
+    return list(found.values()), refused
 
 
 def _unfit(port: Port, reason: str) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
 from types import MappingProxyType
 
 from cm.design.hdl.model import Port, PortDirection
@@ -69,6 +70,7 @@ def _address(channel: str) -> list[Signal]:
     ]
 
 
+@cache
 def aximm() -> Protocol:
     """AXI3, AXI4 and AXI4-Lite, which have the same signal names; `axi_flavour` tells them apart."""
     signals = [
@@ -88,6 +90,7 @@ def aximm() -> Protocol:
     return replace(found, worth=tuple(frozenset({name}) for name in ("AWVALID", "AWREADY", "ARVALID", "ARREADY")))
 
 
+@cache
 def axis() -> Protocol:
     """AXI4-Stream: TVALID and at least one signal beside it; TREADY is optional in the standard."""
     signals = [
@@ -100,6 +103,7 @@ def axis() -> Protocol:
     return replace(found, worth=(valid, frozenset({"TDATA", "TREADY"})))
 
 
+@cache
 def axis_short() -> Protocol:
     """AXI4-Stream without the standard's T, where the prefix says axis: `i_axis_valid`, `m_axis_video_data`.
 
@@ -115,6 +119,7 @@ def axis_short() -> Protocol:
     )
 
 
+@cache
 def acknowledged() -> Protocol:
     """A stream whose receiver acknowledges: `In_Valid`, `In_Data`, `In_Ack`, perhaps `In_SOF` and `In_EOF`.
 

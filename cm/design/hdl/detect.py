@@ -32,27 +32,17 @@ NOTHING_STATED = Stated()
 NOTHING_KNOWN = "belongs to no bus, clock, reset or interrupt that could be recognised"
 
 
-class Detector:
-    """Finds interfaces in any number of modules, with protocols that are prepared once."""
-
-    def __init__(self, user: Sequence[UserProtocol] = (), stated: Stated = NOTHING_STATED) -> None:
-        self._builtin: tuple[Protocol, ...] = (aximm(), axis(), axis_short())
-        self._user = tuple(user)
-        self._stated = stated
-        self._acknowledged = acknowledged()
-
-    def detect(self, module: ModuleInfo) -> ModuleInfo:
-        """Return the module with everything that was found."""
-        detection = _Detection(vivado_attributes.with_statements(module, self._stated), self._builtin, self._user)
-        return detection.result(self._acknowledged, self._stated.streams)
+def detect(module: ModuleInfo, protocols: Sequence[UserProtocol] = (), stated: Stated = NOTHING_STATED) -> ModuleInfo:
+    """Return the module with everything that was found in it."""
+    return _Detection(vivado_attributes.with_statements(module, stated), protocols).result(stated.streams)
 
 
 class _Detection:
     """The state of one module's detection: which ports are still free, and why some are left over."""
 
-    def __init__(self, module: ModuleInfo, builtin: Sequence[Protocol], user: Sequence[UserProtocol]) -> None:
+    def __init__(self, module: ModuleInfo, user: Sequence[UserProtocol]) -> None:
         self._module = module
-        self._builtin = builtin
+        self._builtin = (aximm(), axis(), axis_short())
         self._user = user
         self._free = {port.name: port for port in module.ports if port.flat}
         self._reasons = {port.name: "is not a vector of bits" for port in module.ports if not port.flat}
@@ -60,8 +50,8 @@ class _Detection:
         self._problems: list[Problem] = []
         self._rejected: list[tuple[Candidate, str]] = []
 
-    def result(self, stream: Protocol, streams: Sequence[str] | None) -> ModuleInfo:
-        """Everything that is found; `stream` with valid, data and acknowledge is one if its name is in `streams`."""
+    def result(self, streams: Sequence[str] | None) -> ModuleInfo:
+        """Everything that is found; what has valid, data and acknowledge is a stream if its name is in `streams`."""
         module = self._module
         self._bind()
         tagged = read_tags(module.ports, {p.name: p for p in reversed(self._builtin)})
@@ -71,7 +61,7 @@ class _Detection:
             self._by_name(protocol, FoundBy.NAME)
         for user in self._user:
             self._by_name(user.protocol, FoundBy.PROTOCOL_FILE)
-        self._by_statement(stream, streams)
+        self._by_statement(acknowledged(), streams)
         clocks = (*tagged.clocks, *self._clocks())
         resets = (*tagged.resets, *self._resets())
         interrupts = (*tagged.interrupts, *self._interrupts())

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 
-from cm.design.hdl.detect import NOTHING_STATED, Detector
+from cm.design.hdl.detect import NOTHING_STATED, detect
 from cm.design.hdl.errors import HdlError, ModuleNotFound, UnknownParameter
 from cm.design.hdl.model import Language, ModuleInfo, Problem, Stated
 from cm.design.hdl.protocols import UserProtocol
@@ -75,8 +75,8 @@ def read(wanted: Sources, generated: Mapping[Path, str] = _NO_FILES) -> Reading:
     for path, text in generated.items():
         files.add(path, text)
     files.check(wanted.top)
-    detector = Detector(wanted.protocols, wanted.stated)
-    modules = [detector.detect(module) for module in files.evaluate(wanted.top, wanted.parameters)]
+    found = files.evaluate(wanted.top, wanted.parameters)
+    modules = [detect(module, wanted.protocols, wanted.stated) for module in found]
     _check_parameters(modules, wanted.parameters)
     names = [module.name for module in modules]
     problems = (*files.problems, *files.hollow(names))

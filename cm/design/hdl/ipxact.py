@@ -22,7 +22,7 @@ from xml.etree import ElementTree
 
 from cm.design.hdl.associate import associate
 from cm.design.hdl.buses import make_protocol
-from cm.design.hdl.detect import Detector
+from cm.design.hdl.detect import detect
 from cm.design.hdl.errors import HdlError
 from cm.design.hdl.model import (
     FoundBy,
@@ -331,7 +331,7 @@ def load_xci(path: Path, protocols: Sequence[UserProtocol] = ()) -> ModuleInfo:
         text = "has no list of ports (it is of a Vivado before 2020.2, or its output products were never generated)"
         raise HdlError(f"{path}: {text}: give component: or sim_sources:") from None
     found = tuple(_port(str(port), entries, str(path)) for port, entries in ports.items())
-    return Detector(protocols).detect(ModuleInfo(name, str(path), Language.IPXACT, ports=found))
+    return detect(ModuleInfo(name, str(path), Language.IPXACT, ports=found), protocols)
 
 
 def _port(name: str, entries: Any, file: str) -> Port:

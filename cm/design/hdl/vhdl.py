@@ -135,15 +135,10 @@ class _Evaluation:
         self, entity: Entity, constants: Mapping[str, Value | None], subtypes: Subtypes, given: Mapping[str, str]
     ) -> None:
         self._entity = entity
-        self._names: dict[str, Value | None] = dict(constants)
+        self.names: dict[str, Value | None] = dict(constants)  # values of constants and generics
         self._subtypes = subtypes
         self._given = {name.lower(): value for name, value in given.items()}
         self._problems = list(entity.errors)
-
-    @property
-    def names(self) -> Mapping[str, Value | None]:
-        """Values of constants and generics."""
-        return self._names
 
     def info(self) -> ModuleInfo:
         entity = self._entity
@@ -162,22 +157,20 @@ class _Evaluation:
 
     def _generic(self, generic: Declaration) -> Parameter:
         given = self._given.get(generic.name.lower())
-        value = _value(given if given is not None else generic.default, self._names)
-        if value is None and given is not None:
-            value = given
+        value = _value(generic.default if given is None else given, self.names)
+        value = given if value is None else value
         if value is None:
-            text = (
-                f"generic {generic.name} {f':= {generic.default} ' if generic.default else ''}has no value that could"
-            )
-            hint = f"be evaluated: give it one (parameters:, or -P {generic.name}=…)"
-            self._problems.append(Problem(f"{text} {hint}", str(self._entity.path), generic.line))
-        self._names[generic.name.lower()] = value
+            default = f" := {generic.default}" if generic.default else ""
+            hint = f"give it one (parameters:, or -P {generic.name}=…)"
+            text = f"generic {generic.name}{default} has no value that could be evaluated: {hint}"
+            self._problems.append(Problem(text, str(self._entity.path), generic.line))
+        self.names[generic.name.lower()] = value
         return Parameter(generic.name, value, generic.default, given is not None)
 
     def _port(self, port: Declaration) -> Port:
         flat, width = True, None
         try:
-            width = width_of(port.type, self._names, self._subtypes)
+            width = width_of(port.type, self.names, self._subtypes)
         except Unknown as error:
             self._problems.append(Problem(f"port {port.name}: {error}", str(self._entity.path), port.line, fatal=True))
             flat = not isinstance(error, NotFlat)
