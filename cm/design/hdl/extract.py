@@ -197,7 +197,8 @@ class _Files:
         wanted = list(self._found) if top is None else [self._name(top) or top]
         vhdl = [name for name in wanted if self._found[name][0] is Language.VHDL]
         verilog = [name for name in wanted if self._found[name][0] is not Language.VHDL]
-        modules = self._verilog.read(verilog, parameters) if self._verilog else []
+        below = self.needs(verilog[0]) if len(verilog) == 1 else ()
+        modules = self._verilog.read(verilog, parameters, below) if self._verilog else []
         modules += self._vhdl.read(vhdl, parameters) if self._vhdl else []
         asked = {self._found[name][1] for name in wanted}
         self.problems += [error for path, errors in self._errors.items() if path not in asked for error in errors]

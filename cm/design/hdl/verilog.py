@@ -164,15 +164,18 @@ class VerilogReader:
         except UnicodeDecodeError:  # the message quotes part of a character
             return f"syntax error ({diagnostic.code})"
 
-    def read(self, names: Iterable[str], parameters: Mapping[str, str] | None = None) -> list[ModuleInfo]:
-        """Evaluate the ports of the modules named, with `parameters` set on each of them."""
+    def read(self, names: Iterable[str], parameters: Mapping[str, str], below: Iterable[Path] = ()) -> list[ModuleInfo]:
+        """Evaluate the ports of the modules named, with `parameters` set on each of them.
+
+        `below`: the files in which an error stops synthesis of the one module that is named.
+        """
         wanted = set(names)
         if not wanted:
             return []
-        given = {name: expression(value) for name, value in (parameters or {}).items()}
+        given = {name: expression(value) for name, value in parameters.items()}
         compilation = self._compile(wanted, given)
-        found = self._semantic(compilation, wanted) if len(wanted) == 1 else ()
-        owners = self._owners()
+        found = self._semantic(compilation, below)
+        owners = {name: (tree, below) for tree in reversed(self._trees) for name, below in tree.modules}
         return [
             read_instance(
                 compilation, self._sources, instance, tree.path, tree.language, (*tree.errors, *found), below, given
@@ -181,28 +184,11 @@ class VerilogReader:
             for tree, below in [owners[instance.name]]
         ]
 
-    def _owners(self) -> dict[str, tuple[Tree, tuple[str, ...]]]:
-        """The file of each module, and what the module instantiates; the first file that has it counts."""
-        return {name: (tree, below) for tree in reversed(self._trees) for name, below in tree.modules}
-
-    def _below(self, names: Iterable[str]) -> set[Path]:
-        """The files of these modules and of all that they instantiate, at any depth."""
-        owners = self._owners()
-        seen: dict[str, Path] = {}
-        todo = list(names)
-        while todo:
-            name = todo.pop()
-            if name in owners and name not in seen:
-                tree, below = owners[name]
-                seen[name] = tree.path
-                todo += below
-        return set(seen.values())
-
-    def _semantic(self, compilation: Any, wanted: Iterable[str]) -> tuple[Problem, ...]:
-        """Errors in the module and everything below it that stop synthesis, once for each place."""
+    def _semantic(self, compilation: Any, paths: Iterable[Path]) -> tuple[Problem, ...]:
+        """Errors in these files that stop synthesis, once for each place."""
         problems: dict[Problem, None] = {}
-        names = {str(path.resolve()): str(path) for path in self._below(wanted)}
-        for diagnostic in compilation.getSemanticDiagnostics():
+        names = {str(path.resolve()): str(path) for path in paths}
+        for diagnostic in compilation.getSemanticDiagnostics() if names else ():
             number = _SEMANTIC.get(str(diagnostic.code))
             if number is None:
                 continue

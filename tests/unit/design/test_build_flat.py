@@ -52,6 +52,22 @@ def written(path: Path) -> Path:
     return out
 
 
+def verilator(top: str, *files: Path) -> None:
+    command = ["verilator", "--lint-only", "-Wall", "-Wno-UNUSED", "--top-module", top, *map(str, files)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def ghdl(folder: Path, top: str, *files: tuple[str, Path]) -> None:
+    """Analyse the files, each in its library, and elaborate."""
+    steps = [["-a", f"--work={library}", str(file)] for library, file in files]
+    for action, *words in [*steps, ["-e", top]]:
+        done = subprocess.run(
+            ["ghdl", action, "--std=08", *words], cwd=folder, capture_output=True, text=True, check=False
+        )
+        assert (done.returncode, done.stderr) == (0, "")
+
+
 @needs("verilator")
 def test_interfaces_get_a_wrapper_that_verilator_elaborates(tmp_path: Path) -> None:
     out = written(of_interfaces(tmp_path))
@@ -62,10 +78,7 @@ def test_interfaces_get_a_wrapper_that_verilator_elaborates(tmp_path: Path) -> N
     assert "one #(.DEPTH(3)) inner (" in text
     wrapper = out / "wrappers/one/cm_region_prr0.v"
     assert "cm_flat_one inner (" in wrapper.read_text()
-    files = [wrapper, flat, tmp_path / "stream_if.sv", tmp_path / "one.sv"]
-    command = ["verilator", "--lint-only", "-Wall", "--top-module", "cm_region_prr0", *map(str, files)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
+    verilator("cm_region_prr0", wrapper, flat, tmp_path / "stream_if.sv", tmp_path / "one.sv")
     script = (out / "tcl/step_synth_one.tcl").read_text()
     assert "read_verilog -sv wrappers/one/cm_flat_one.sv" in script
 
@@ -79,10 +92,7 @@ def test_an_array_of_interfaces_becomes_as_many_buses(tmp_path: Path) -> None:
     text = (out / "wrappers/one/cm_flat_one.sv").read_text()
     assert "stream_if #(.W(32)) s_axis [2] ();" in text
     assert "assign s_axis[1].tdata = s_axis_1_tdata;" in text
-    files = [out / "wrappers/one/cm_flat_one.sv", tmp_path / "stream_if.sv", tmp_path / "one.sv"]
-    command = ["verilator", "--lint-only", "-Wall", "-Wno-UNUSED", "--top-module", "cm_flat_one", *map(str, files)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
+    verilator("cm_flat_one", out / "wrappers/one/cm_flat_one.sv", tmp_path / "stream_if.sv", tmp_path / "one.sv")
 
 
 def test_check_shows_the_buses_of_interfaces(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
@@ -153,10 +163,7 @@ def test_an_interface_with_a_clock_and_a_reset_of_its_own_gets_the_modules(
     out = written(path)
     text = (out / "wrappers/one/cm_flat_one.sv").read_text()
     assert f"stream_if #(.W(32)) s_axis {tied};" in text
-    files = [out / "wrappers/one/cm_flat_one.sv", tmp_path / "stream_if.sv", tmp_path / "one.sv"]
-    command = ["verilator", "--lint-only", "-Wall", "-Wno-UNUSED", "--top-module", "cm_flat_one", *map(str, files)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
+    verilator("cm_flat_one", out / "wrappers/one/cm_flat_one.sv", tmp_path / "stream_if.sv", tmp_path / "one.sv")
 
 
 def test_a_clock_of_an_interface_that_may_be_any_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
@@ -226,14 +233,7 @@ def test_records_get_a_wrapper_that_ghdl_elaborates(tmp_path: Path) -> None:
     assert "s_axi_araddr : in std_logic_vector(7 downto 0)" in text
     assert "s_axi_wdata : in std_logic_vector(31 downto 0)" in text
     assert "generic map (ANSWER => 5)" in text
-    for library, file in (("lite", tmp_path / "lite_pkg.vhd"), ("work", tmp_path / "one.vhd"), ("work", flat)):
-        command = ["ghdl", "-a", "--std=08", f"--work={library}", str(file)]
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-        assert (done.returncode, done.stderr) == (0, "")
-    done = subprocess.run(
-        ["ghdl", "--elab-run", "--std=08", "cm_flat_one", "--stop-time=1ns"], cwd=tmp_path, check=False
-    )
-    assert done.returncode == 0
+    ghdl(tmp_path, "cm_flat_one", ("lite", tmp_path / "lite_pkg.vhd"), ("work", tmp_path / "one.vhd"), ("work", flat))
 
 
 def test_check_shows_the_bus_of_records(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
@@ -318,11 +318,7 @@ def test_a_top_in_a_separate_library_is_reached_through_a_wrapper(tmp_path: Path
     flat = out / "wrappers/one/cm_flat_one.vhd"
     assert "inner : entity filters.one" in flat.read_text()
     assert "cm_flat_one inner (" in (out / "wrappers/one/cm_region_prr0.v").read_text()
-    for library, file in (("filters", tmp_path / "one.vhd"), ("work", flat)):
-        command = ["ghdl", "-a", "--std=08", f"--work={library}", str(file)]
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-        assert (done.returncode, done.stderr) == (0, "")
-    assert subprocess.run(["ghdl", "-e", "--std=08", "cm_flat_one"], cwd=tmp_path, check=False).returncode == 0
+    ghdl(tmp_path, "cm_flat_one", ("filters", tmp_path / "one.vhd"), ("work", flat))
 
 
 def test_a_record_with_a_field_that_is_not_a_vector_names_the_field(

@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -13,27 +14,9 @@ pytest.importorskip("pyslang")
 
 from hdl_support import DATA, extract, lite, module, ports, stream
 
-from cm.design.hdl.errors import HdlError, ModuleNotFound, ParserMissing
-from cm.design.hdl.extract import Sources, read, roots
+from cm.design.hdl.errors import HdlError, ParserMissing
+from cm.design.hdl.extract import Sources, read
 from cm.design.hdl.model import FoundBy, Language, Mode, Polarity, PortDirection
-
-
-@pytest.mark.parametrize(
-    ("body", "said"),
-    [
-        ("inner i (.a(a), .c(b));", "[Synth 8-448]"),
-        ("assign b = a & nothere[1];", "[Synth 8-1031]"),
-    ],
-)
-def test_errors_that_stop_synthesis_have_vivados_number(tmp_path: Path, body: str, said: str) -> None:
-    text = "module inner (input wire a, output wire b);\n assign b = a;\nendmodule\n"
-    text += f"module top (input wire a, output wire b);\n {body}\nendmodule\n"
-    (tmp_path / "top.v").write_text(text)
-    (found,) = read(Sources([tmp_path / "top.v"], top="top")).modules
-    (problem,) = found.problems
-    assert problem.breaks
-    assert said in problem.message
-    assert (problem.file, problem.line) == (str(tmp_path / "top.v"), 5)
 
 
 def test_a_nettype_that_a_file_leaves_behind_counts_for_those_after_it(tmp_path: Path) -> None:
@@ -42,6 +25,7 @@ def test_a_nettype_that_a_file_leaves_behind_counts_for_those_after_it(tmp_path:
     (tmp_path / "b.v").write_text("module b (input x, output wire y);\n assign y = x;\nendmodule\n")
     (found,) = read(Sources([tmp_path / "a.v", tmp_path / "b.v"], top="b")).modules
     assert [problem.message[-14:] for problem in found.problems] == ["[Synth 8-6735]"]
+    assert [(p.file, p.line, p.breaks) for p in found.problems] == [(str(tmp_path / "b.v"), 1, True)]
     (tmp_path / "a.v").write_text("`default_nettype none\nmodule a (input wire x);\nendmodule\n`default_nettype wire\n")
     (found,) = read(Sources([tmp_path / "a.v", tmp_path / "b.v"], top="b")).modules
     assert found.problems == ()
@@ -142,29 +126,9 @@ def test_what_cannot_cross_a_boundary_needs_a_flat_wrapper() -> None:
     assert unflat.port("level").width == 2
 
 
-def test_buses_side_by_side_are_not_one_bus(tmp_path: Path) -> None:
-    text = "input clk; input [31:0] s_axis_tdata; input [3:0] s_axis_tvalid; output [3:0] s_axis_tready"
-    found = ports(tmp_path, text)
-    assert found.interfaces == ()
-    assert "s_axis_tvalid has 4 bits: several buses side by side" in found.leftovers[0].reason
-
-
 def test_one_of_several_buses_is_a_bus_when_the_parameter_says_one(tmp_path: Path) -> None:
     text = "input clk; input [8*N-1:0] s_axis_tdata; input [N-1:0] s_axis_tvalid; output [N-1:0] s_axis_tready"
     assert len(ports(tmp_path, text, "parameter N = 4", parameters={"N": "1"}).interfaces) == 1
-
-
-def test_monitor_port_is_not_a_bus(tmp_path: Path) -> None:
-    found = ports(tmp_path, "input clk; input [7:0] mon_tdata; input mon_tvalid; input mon_tready")
-    assert found.interfaces == ()
-    assert "directions are mixed" in found.leftovers[0].reason
-
-
-def test_axi_without_a_handshake_is_not_a_bus(tmp_path: Path) -> None:
-    text = lite("s_axi_").replace("output s_axi_awready; ", "").replace("output s_axi_arready; ", "")
-    found = ports(tmp_path, text + "input clk")
-    assert found.interfaces == ()
-    assert "is missing" in found.leftovers[0].reason
 
 
 def test_port_that_is_named_like_a_signal_by_chance_is_just_left_over(tmp_path: Path) -> None:
@@ -190,11 +154,6 @@ def test_port_that_is_named_like_a_signal_by_chance_is_just_left_over(tmp_path: 
 def test_a_stream_is_recognised_by_many_habits_of_naming(tmp_path: Path, declarations: str, name: str) -> None:
     (found,) = ports(tmp_path, declarations + "; input clk").interfaces
     assert (found.name, found.protocol, found.mode, len(found.ports)) == (name, "axis", Mode.SLAVE, 3)
-
-
-def test_streams_called_i_and_o_are_two(tmp_path: Path) -> None:
-    found = ports(tmp_path, stream("i_", "slave") + stream("o_", "master") + "input clk").interfaces
-    assert [(i.name, i.mode) for i in found] == [("i", Mode.SLAVE), ("o", Mode.MASTER)]
 
 
 @pytest.mark.parametrize(
@@ -229,74 +188,81 @@ def test_a_clock_is_recognised_by_name_or_not_at_all(
     assert bool(found.problems) == (expected[0] is None)
 
 
+NAMES = {
+    "clock": "clk aclk clk_i clk100m clk_50mhz pixelClk DMA_REQ_ACLK clkin1 CLOCK",
+    "reset-low": "aresetn rst_n rst_ni nreset S_AXI_ARESETN reset_b",
+    "reset-high": "rst areset i_reset",
+    "interrupt": "irq o_int interrupt rx_intr ip2intc_irpt irq_0 int_o",
+    "nothing": "clk_en clken aclken clkdiv clk_sel sclk clk_req reset_done rst_count preset irq_mask interior int_a",
+}
+
+
+@pytest.mark.parametrize(("kind", "name"), [(kind, name) for kind, names in NAMES.items() for name in names.split()])
+def test_a_port_is_a_clock_a_reset_or_an_interrupt_by_its_name(tmp_path: Path, kind: str, name: str) -> None:
+    found = ports(tmp_path, f"{'output' if kind == 'interrupt' else 'input'} {name}")
+    told = [("clock", clock.port) for clock in found.clocks]
+    told += [(f"reset-{reset.polarity.value}", reset.port) for reset in found.resets if reset.polarity]
+    told += [("interrupt", interrupt.port) for interrupt in found.interrupts]
+    told += [("nothing", left.port) for left in found.leftovers]
+    assert told == [(kind, name)]
+
+
 @pytest.mark.parametrize(
-    ("name", "polarity"),
+    ("declarations", "said"),
     [
-        ("aresetn", Polarity.LOW),
-        ("rst_n", Polarity.LOW),
-        ("rst_ni", Polarity.LOW),
-        ("nreset", Polarity.LOW),
-        ("S_AXI_ARESETN", Polarity.LOW),
-        ("reset_b", Polarity.LOW),
-        ("rst", Polarity.HIGH),
-        ("areset", Polarity.HIGH),
-        ("i_reset", Polarity.HIGH),
+        (
+            "input clk; input [31:0] s_axis_tdata; input [3:0] s_axis_tvalid; output [3:0] s_axis_tready",
+            "s_axis_tvalid has 4 bits: several buses side by side",
+        ),
+        ("input clk; input [7:0] mon_tdata; input mon_tvalid; input mon_tready", "directions are mixed"),
+        (
+            lite("s_axi_").replace("output s_axi_awready; ", "").replace("output s_axi_arready; ", "") + "input clk",
+            "is missing",
+        ),
     ],
 )
-def test_polarity_of_a_reset_is_in_its_name(tmp_path: Path, name: str, polarity: Polarity) -> None:
-    assert [r.polarity for r in ports(tmp_path, f"input clk; input {name}").resets] == [polarity]
-
-
-_NEITHER = (
-    *("clk_en", "clken", "aclken", "clkdiv", "clk_sel", "sclk", "clk_req"),
-    *("reset_done", "rst_count", "preset", "irq_mask", "interior", "int_a"),
-)
+def test_what_looks_like_a_bus_and_is_none_is_left_over_with_the_reason(
+    tmp_path: Path, declarations: str, said: str
+) -> None:
+    found = ports(tmp_path, declarations)
+    assert found.interfaces == ()
+    assert said in found.leftovers[0].reason
 
 
 @pytest.mark.parametrize(
-    "name", ["clk", "aclk", "clk_i", "clk100m", "clk_50mhz", "pixelClk", "DMA_REQ_ACLK", "clkin1", "CLOCK"]
+    ("declarations", "buses"),
+    [
+        (stream("i_", "slave") + stream("o_", "master"), "i:slave o:master"),
+        (stream("axis_i_", "slave") + stream("axis_o_", "master"), "axis_i:slave axis_o:master"),
+        ("input [7:0] s_axis_i_tdata; input s_axis_i_tvalid; output s_axis_o_tready; ", "s_axis:slave"),
+    ],
 )
-def test_a_clock_is_recognised_by_many_names(tmp_path: Path, name: str) -> None:
-    assert [clock.port for clock in ports(tmp_path, f"input {name}").clocks] == [name]
+def test_directions_in_names_join_the_ports_of_one_bus_and_name_two(
+    tmp_path: Path, declarations: str, buses: str
+) -> None:
+    found = ports(tmp_path, declarations + "input aclk").interfaces
+    assert " ".join(f"{bus.name}:{bus.mode.value}" for bus in found) == buses
+    assert {len(bus.ports) for bus in found} == {3}
 
 
-@pytest.mark.parametrize("name", ["irq", "o_int", "interrupt", "rx_intr", "ip2intc_irpt", "irq_0", "int_o"])
-def test_an_interrupt_is_recognised_by_many_names(tmp_path: Path, name: str) -> None:
-    assert [interrupt.port for interrupt in ports(tmp_path, f"output {name}").interrupts] == [name]
-
-
-@pytest.mark.parametrize("name", _NEITHER)
-def test_enables_and_counters_are_not_clocks_resets_or_interrupts(tmp_path: Path, name: str) -> None:
-    found = ports(tmp_path, f"input {name}")
-    assert (found.clocks, found.resets, found.interrupts) == ((), (), ())
-    assert [left.port for left in found.leftovers] == [name]
-
-
-def test_roots_are_the_modules_that_no_other_instantiates() -> None:
-    modules = extract([DATA / "camera_edge.v"], include_dirs=[DATA / "include"])
-    assert [m.name for m in modules] == ["camera_edge", "camera_edge_kernel"]
-    assert [m.name for m in roots(modules)] == ["camera_edge"]
-
-
-def test_unknown_top_lists_the_modules() -> None:
-    with pytest.raises(ModuleNotFound, match="there are: tagged"):
-        extract([DATA / "tagged.v"], top="other")
-
-
-def test_unknown_parameter_lists_the_parameters() -> None:
-    with pytest.raises(HdlError, match="no parameter DEPTH in tagged; there are: WIDTH"):
-        extract([DATA / "tagged.v"], parameters={"DEPTH": "1"})
-
-
-def test_file_that_is_not_there_is_reported() -> None:
-    with pytest.raises(HdlError, match=r"nowhere\.v: cannot be read: No such file"):
-        extract([Path("nowhere.v")])
-
-
-def test_file_without_a_module_is_reported_with_the_first_error(tmp_path: Path) -> None:
-    (tmp_path / "a.v").write_text("this is not a Verilog")
-    with pytest.raises(HdlError, match=r"no module and no entity.*a\.v:1"):
-        extract([tmp_path / "a.v"])
+@pytest.mark.parametrize(
+    ("text", "options", "said"),
+    [
+        ("module m (input clk); endmodule", {"top": "other"}, "no module other in .*; there are: m"),
+        ("module m #(parameter WIDTH = 1) (input clk); endmodule", {"parameters": {"DEPTH": "1"}},
+         "no parameter DEPTH in m; there are: WIDTH"),
+        ("this is not a Verilog", {}, r"no module and no entity.*m\.v:1"),
+        ("`pragma protect begin_protected\n`pragma protect end_protected\n", {}, r"encrypted.*component\.xml"),
+        (None, {}, r"m\.v: cannot be read: No such file"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_read_is_refused_with_what_there_is(
+    tmp_path: Path, text: str | None, options: dict[str, Any], said: str
+) -> None:
+    if text is not None:
+        (tmp_path / "m.v").write_text(text)
+    with pytest.raises(HdlError, match=said):
+        extract([tmp_path / "m.v"], **options)
 
 
 def test_syntax_error_is_a_problem_of_the_module_with_its_line(tmp_path: Path) -> None:
@@ -366,12 +332,6 @@ def test_file_of_macros_counts_for_the_files_after_it(tmp_path: Path) -> None:
     assert (found.port("a").width, found.port("a").line, found.problems) == (16, 1, ())
 
 
-def test_encrypted_file_is_reported(tmp_path: Path) -> None:
-    (tmp_path / "e.v").write_text("`pragma protect begin_protected\n`pragma protect end_protected\n")
-    with pytest.raises(HdlError, match=r"encrypted.*component\.xml"):
-        extract([tmp_path / "e.v"])
-
-
 def test_a_file_whose_name_is_not_utf8_is_read(tmp_path: Path) -> None:
     folder = tmp_path / os.fsdecode(b"gr\xf6\xdfer")
     folder.mkdir()
@@ -387,18 +347,3 @@ def test_a_verilog_header_among_the_sources_leaves_systemverilog_its_keywords(tm
     (tmp_path / "a.sv").write_text("module a (input logic clk, output logic [sizes::HIGH:0] o);\nendmodule\n")
     (found,) = extract([tmp_path.resolve() / name for name in ("width.vh", "sizes.sv", "a.sv")])
     assert (found.problems, found.port("o").width) == ((), 16)
-
-
-def test_direction_in_the_middle_of_names_does_not_split_a_bus(tmp_path: Path) -> None:
-    names = "input [7:0] s_axis_i_tdata; input s_axis_i_tvalid; output s_axis_o_tready"
-    (bus,) = ports(tmp_path, f"input aclk; {names}").interfaces
-    assert (bus.name, bus.mode, sorted(bus.ports)) == ("s_axis", Mode.SLAVE, ["TDATA", "TREADY", "TVALID"])
-
-
-def test_buses_that_are_named_by_direction_stay_two(tmp_path: Path) -> None:
-    names = "input [7:0] axis_i_tdata; input axis_i_tvalid; output axis_i_tready; "
-    names += "output [7:0] axis_o_tdata; output axis_o_tvalid; input axis_o_tready"
-    found = ports(tmp_path, f"input aclk; {names}").interfaces
-    assert [(bus.name, bus.mode, len(bus.ports)) for bus in found] == [
-        ("axis_i", Mode.SLAVE, 3), ("axis_o", Mode.MASTER, 3),
-    ]  # fmt: skip
