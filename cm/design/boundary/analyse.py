@@ -22,7 +22,7 @@ from cm.design.hdl.ipxact import load_component_xml, load_xci
 from cm.design.hdl.model import Language, ModuleInfo, Polarity, Problem, Stated
 from cm.design.hdl.protocols import UserProtocol, load_protocols
 from cm.design.hdl.register_maps import read_register_map
-from cm.design.hdl.vhdl_units import missing_units
+from cm.design.hdl.vhdl_text import missing_units
 from cm.design.project.model import ModuleSpec, Project, in_libraries
 from cm.design.project.source_position import fault
 from cm.schema.problems import did_you_mean

@@ -91,7 +91,7 @@ def fit_bus(slot: Slot, ports: Sequence[BoundaryPort], module: ModuleInfo, fitti
     interface = slot.members.get(module.name)
     mine = {port.logical: port for port in ports if port.interface == slot.name}
     if interface is None:
-        fitting.connections.extend(_absent(port) for port in mine.values())
+        fitting.connections.extend(_loose(port, port.idle) for port in mine.values())
         fitting.notes.extend(_absent_note(slot))
         return
     for signal, port in mine.items():
@@ -104,9 +104,10 @@ def fit_bus(slot: Slot, ports: Sequence[BoundaryPort], module: ModuleInfo, fitti
             _surplus(module, interface, signal, name, fitting)
 
 
-def _absent(port: BoundaryPort) -> Connection:
+def _loose(port: BoundaryPort, value: int, note: str = "") -> Connection:
+    """A port of the boundary that the module does not have: tied where the module would drive it."""
     fit = Fit.TIE if port.direction is OUT else Fit.OPEN
-    return Connection(port.name, "", port.direction, fit, boundary_width=port.width, value=port.idle)
+    return Connection(port.name, "", port.direction, fit, port.width, 0, value, note)
 
 
 def _absent_note(slot: Slot) -> list[str]:
@@ -130,20 +131,15 @@ def _meet(slot: Slot, interface: Interface, signal: str, port: BoundaryPort, fit
             return
         narrower = have < want
         fit = Fit.EXTEND if (port.direction is OUT) == narrower else Fit.TRUNCATE
-        note = _width_note(where, have, want, fit, port.direction)
-        if note:
-            fitting.notes.append(note)
+        if fit is Fit.TRUNCATE and port.direction is IN:
+            note = f"{where}: {have} of {want} bits are read, the rest is dropped"
+        elif fit is Fit.EXTEND and port.direction is OUT:
+            note = f"{where}: {have} of {want} bits are driven, the rest is 0"
+        # else an ID: padded with zeros on one side, which are dropped again on the other
+        fitting.notes += [note] if note else []
     fitting.connections.append(
         Connection(port.name, interface.ports[signal], port.direction, fit, want, have, note=note)
     )
-
-
-def _width_note(where: str, have: int, want: int, fit: Fit, direction: PortDirection) -> str:
-    if fit is Fit.TRUNCATE and direction is IN:
-        return f"{where}: {have} of {want} bits are read, the rest is dropped"
-    if fit is Fit.EXTEND and direction is OUT:
-        return f"{where}: {have} of {want} bits are driven, the rest is 0"
-    return ""  # an ID: padded with zeros on one side, which are dropped again on the other
 
 
 def _lack(slot: Slot, interface: Interface, signal: str, port: BoundaryPort, fitting: Fitting) -> None:
@@ -154,9 +150,7 @@ def _lack(slot: Slot, interface: Interface, signal: str, port: BoundaryPort, fit
         return
     if missing.note:
         fitting.notes.append(f"{interface.name} {missing.note}")
-    fit = Fit.TIE if port.direction is OUT else Fit.OPEN
-    value = missing.value or 0
-    fitting.connections.append(Connection(port.name, "", port.direction, fit, port.width, 0, value, missing.note))
+    fitting.connections.append(_loose(port, missing.value or 0, missing.note))
 
 
 def _surplus(module: ModuleInfo, interface: Interface, signal: str, name: str, fitting: Fitting) -> None:

@@ -10,7 +10,6 @@ from cm.design.boundary.buses import Fitting, bus_interface, bus_ports, fit_bus
 from cm.design.boundary.model import Adaptation, Boundary, BoundaryPort
 from cm.design.boundary.scalar_signals import (
     Clocks,
-    Single,
     clock_ports,
     fit_clocks,
     fit_single,
@@ -40,28 +39,16 @@ def boundary(given: Mapping[str, ModuleInfo]) -> Boundary:
     fittings = {module.name: Fitting() for module in modules}
     for module in modules:
         fitting = fittings[module.name]
-        fitting.refused.extend(str(problem) for problem in module.problems if problem.fatal)
-        fitting.refused.extend(refused.get(module.name, ()))
-        fitting.refused.extend(slots.refused.get(module.name, ()))
-        fitting.notes.extend(slots.notes.get(module.name, ()))
-        _fit(module, fitting, clocks, slots.slots, ports, singles)
+        fitting.refused += [str(problem) for problem in module.problems if problem.fatal]
+        fitting.refused += [*refused.get(module.name, ()), *slots.refused[module.name]]
+        fitting.notes += slots.notes[module.name]
+        fit_clocks(clocks, module, fitting)
+        for slot in slots.slots:
+            fit_bus(slot, ports, module, fitting)
+        for single in singles:
+            fit_single(single, module, fitting)
     interfaces = tuple(_interface(slot, ports, clocks, fittings) for slot in slots.slots)
     return Boundary(tuple(ports), interfaces, tuple(_adaptation(name, item) for name, item in fittings.items()))
-
-
-def _fit(
-    module: ModuleInfo,
-    fitting: Fitting,
-    clocks: Clocks,
-    slots: Sequence[Slot],
-    ports: Sequence[BoundaryPort],
-    singles: Sequence[Single],
-) -> None:
-    fit_clocks(clocks, module, fitting)
-    for slot in slots:
-        fit_bus(slot, ports, module, fitting)
-    for single in singles:
-        fit_single(single, module, fitting)
 
 
 def _interface(slot: Slot, ports: Sequence[BoundaryPort], clocks: Clocks, fittings: dict[str, Fitting]) -> Interface:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
@@ -29,8 +30,8 @@ class Slots:
     """All slots, notes and refusals by module."""
 
     slots: list[Slot] = field(default_factory=list)
-    notes: dict[str, list[str]] = field(default_factory=dict)
-    refused: dict[str, list[str]] = field(default_factory=dict)
+    notes: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
+    refused: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
 
 
 def identifier(name: str) -> str:
@@ -45,8 +46,9 @@ def make_slots(modules: Sequence[ModuleInfo]) -> Slots:
     for module in modules:
         rest = [item for item in module.interfaces if not _by_name(item, module, result)]
         rest = [item for item in rest if not _only_choice(item, rest, module, result)]
-        for interface in rest:
-            _new_slot(interface, module, result)
+        for item in rest:
+            name = unique(identifier(item.name), {slot.name for slot in result.slots})
+            result.slots.append(Slot(name, item.protocol, item.mode, {module.name: item}))
     return result
 
 
@@ -58,10 +60,10 @@ def _by_name(interface: Interface, module: ModuleInfo, result: Slots) -> bool:
     if not slot.takes(interface):
         other = next(iter(slot.members), "")
         text = f"{interface.name} is {interface.protocol} {interface.mode.value}, but the {slot.name} of {other} is "
-        _add(result.refused, module.name, text + f"{slot.protocol} {slot.mode.value}")
+        result.refused[module.name].append(text + f"{slot.protocol} {slot.mode.value}")
         return True
     if module.name in slot.members:
-        _add(result.refused, module.name, f"{interface.name} and {slot.members[module.name].name} share a name")
+        result.refused[module.name].append(f"{interface.name} and {slot.members[module.name].name} share a name")
         return True
     slot.members[module.name] = interface
     return True
@@ -73,20 +75,13 @@ def _only_choice(interface: Interface, rest: Sequence[Interface], module: Module
     free = [slot for slot in result.slots if slot.takes(interface) and module.name not in slot.members]
     if len(alike) != 1 or len(free) != 1:
         if free and alike:
-            text = (
-                f"{interface.name} could be any of {', '.join(slot.name for slot in free)}: it became an interface of"
-            )
-            _add(result.notes, module.name, f"{text} its own; name it alike to share one")
+            known = ", ".join(slot.name for slot in free)
+            text = f"{interface.name} could be any of {known}: it became an interface of its own"
+            result.notes[module.name].append(f"{text}; name it alike to share one")
         return False
     free[0].members[module.name] = interface
-    _add(result.notes, module.name, f"{interface.name} is the region's {free[0].name}: the only one of its kind")
+    result.notes[module.name].append(f"{interface.name} is the region's {free[0].name}: the only one of its kind")
     return True
-
-
-def _new_slot(interface: Interface, module: ModuleInfo, result: Slots) -> None:
-    taken = {slot.name for slot in result.slots}
-    name = unique(identifier(interface.name), taken)
-    result.slots.append(Slot(name, interface.protocol, interface.mode, {module.name: interface}))
 
 
 def unique(name: str, taken: Iterable[str]) -> str:
@@ -98,7 +93,3 @@ def unique(name: str, taken: Iterable[str]) -> str:
         result = f"{name}_{number}"
         number += 1
     return result
-
-
-def _add(lists: dict[str, list[str]], key: str, text: str) -> None:
-    lists.setdefault(key, []).append(text)

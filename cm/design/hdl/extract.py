@@ -14,7 +14,8 @@ from cm.design.hdl.errors import HdlError, ModuleNotFound, UnknownParameter
 from cm.design.hdl.model import Language, ModuleInfo, Problem, Stated
 from cm.design.hdl.protocols import UserProtocol
 from cm.design.hdl.verilog import VerilogReader
-from cm.design.hdl.vhdl import VHDL_SUFFIXES, VhdlReader
+from cm.design.hdl.vhdl import VhdlReader
+from cm.design.hdl.vhdl_text import VHDL_SUFFIXES
 
 _FEW = 8  # most names that a sentence lists
 _NO_FILES: Mapping[Path, str] = MappingProxyType({})

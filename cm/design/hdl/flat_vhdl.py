@@ -11,9 +11,9 @@ from cm.design.hdl.errors import HdlError
 from cm.design.hdl.extract import Sources
 from cm.design.hdl.flat import IN, OUT, Flat, FlatPort, field_name, unique_ports, wrapper_name
 from cm.design.hdl.model import PortDirection
-from cm.design.hdl.vhdl import VHDL_SUFFIXES, Declaration, VhdlReader
+from cm.design.hdl.vhdl import Declaration, VhdlReader
 from cm.design.hdl.vhdl_expr import NotFlat, Unknown, Value, base_type, width_of
-from cm.design.hdl.vhdl_text import blank_comments, design_units
+from cm.design.hdl.vhdl_text import VHDL_SUFFIXES, blank_comments, design_units
 
 _RECORD = re.compile(r"\btype\s+(\w+)\s+is\s+record\b(.*?)\bend\s+record\b", re.IGNORECASE | re.DOTALL)
 _CONTEXT = re.compile(r"\b(?:library\s+[\w\s,]+|use\s+[\w.]+)\s*;", re.IGNORECASE)

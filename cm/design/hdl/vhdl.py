@@ -24,7 +24,6 @@ _INTERFACE_DECLARATIONS = (
     "interface_constant_declaration",
     "interface_variable_declaration",
 )
-VHDL_SUFFIXES = (".vhd", ".vhdl")
 _DIRECTIONS = {
     "in": PortDirection.IN,
     "out": PortDirection.OUT,

@@ -15,10 +15,10 @@ from cm.design.errors import BuildError
 from cm.design.plan.addresses import Window
 from cm.design.plan.frames import frame_problem
 from cm.design.plan.switch import COMMIT, CONTROL, MUX, NONE, UPDATE, chain_of, register_name, route_values
-from cm.design.plan.system import RegionPlan, RegisterBus, SwitchPlan, System
-from cm.design.project.model import ModeSpec, ModeStreamSpec, ModuleSpec
+from cm.design.plan.system import Implementation, RegionPlan, RegisterBus, SwitchPlan, System
+from cm.design.project.model import ModeSpec, ModuleSpec
 from cm.design.project.source_position import fault
-from cm.design.runtime.answers import Answers
+from cm.design.runtime.answers import Answers, StreamAnswer
 from cm.schema import dump
 from cm.schema.model import (
     Access,
@@ -59,7 +59,7 @@ def runtime_config(system: System, answers: Answers) -> Config:
         device=system.device,
         default_mode=answers.default_mode or project.default_mode,
         regions={region.name: _region(system, region) for region in system.regions},
-        modules=dict(_module(project.source, module, answers) for module in _targets(system)),
+        modules={one.name: _module(project.source, one, answers) for one in system.implementations},
         modes={mode.name: _mode(system, mode, streams) for mode in project.modes.values()},
         registers=_static_registers(system),
         overlays=overlays,
@@ -75,11 +75,6 @@ def _static(system: System) -> StaticIdentity | None:
     if not system.static_identity:
         return None
     return StaticIdentity(system.static_identity, system.control.base, STATIC_ID)
-
-
-def register_base(source: Path, region: RegionPlan, module: ModuleSpec) -> int:
-    """The address to which the offsets of the module's registers are relative; `source`: the build schema."""
-    return register_window(source, region, module).base
 
 
 def register_window(source: Path, region: RegionPlan, module: ModuleSpec) -> Window:
@@ -100,10 +95,6 @@ def register_window(source: Path, region: RegionPlan, module: ModuleSpec) -> Win
     return next(iter(buses.values())).window
 
 
-def _targets(system: System) -> list[tuple[str, ModuleSpec, RegionPlan, int]]:
-    return [(one.name, one.module, one.region, one.identity) for one in system.implementations]
-
-
 def _region(system: System, region: RegionPlan) -> Region:
     block = REGION_BLOCK + REGION_STRIDE * region.index
     decoupler = Decoupler(system.control.base, block) if region.spec.decoupling else None
@@ -111,36 +102,38 @@ def _region(system: System, region: RegionPlan) -> Region:
     return Region(name=region.name, loader=region.spec.loader, decoupler=decoupler, identity=identity)
 
 
-def _module(source: Path, target: tuple[str, ModuleSpec, RegionPlan, int], answers: Answers) -> tuple[str, Module]:
-    name, module, region, identity = target
+def _module(source: Path, one: Implementation, answers: Answers) -> Module:
+    name, module, region = one.name, one.module, one.region.name
     registers: dict[str, Register] = {}
     memories: dict[str, Memory] = {}
     if module.registers or module.memories:
-        window = register_window(source, region, module)
-        for key, spec in module.registers.items():
-            if spec.offset + spec.width // 8 > window.size:
-                message = f"{key} ends at {spec.offset + spec.width // 8:#x}, its window has {window.size:#x} bytes"
-                place = ("modules", module.name, "registers", key, "offset")
+        window = register_window(source, one.region, module)
+        ends = {("registers", key): spec.offset + spec.width // 8 for key, spec in module.registers.items()}
+        ends |= {("memories", key): spec.offset + spec.size for key, spec in module.memories.items()}
+        for (kind, key), end in ends.items():
+            if end > window.size:
+                message = f"{key} ends at {end:#x}, its window has {window.size:#x} bytes"
+                place = ("modules", module.name, kind, key, "offset")
                 raise fault(source, place, message, "window: of the region says how many")
-            registers[key] = _placed(spec, window.base, region.name, answers.registers.get((name, key)))
-        memories = {m.name: m for m in _memories(source, module, window, region.name, registers)}
-    file = Path(f"{name}.bin")
-    model = module.model or (module.name if module.name != name else None)
-    for bus in bare_windows(source, region, module):
+        for key, spec in module.registers.items():
+            registers[key] = _placed(spec, window.base, region, answers.registers.get((name, key)))
+        for key, array in module.memories.items():
+            own = f"{key}_memory" if key in registers else key
+            memories[own] = replace(array, name=own, base_address=window.base, region=region)
+    for bus in bare_windows(source, one.region, module):
         doc = f"{bus.interface.name}, of which no registers are known"
-        memory = Memory(bare_name(name, bus), bus.window.base, bus.window.size, region=region.name, doc=doc)
+        memory = Memory(bare_name(name, bus), bus.window.base, bus.window.size, region=region, doc=doc)
         memories[memory.name] = memory
-    made = Module(
+    return Module(
         name=name,
-        region=region.name,
-        bitstream=file,
-        identity=identity,
-        model=model,
+        region=region,
+        bitstream=Path(f"{name}.bin"),
+        identity=one.identity,
+        model=module.model or (module.name if module.name != name else None),
         registers=registers,
         doc=module.doc,
         memories=memories,
     )
-    return name, made
 
 
 def bare_windows(source: Path, region: RegionPlan, module: ModuleSpec) -> list[RegisterBus]:
@@ -165,19 +158,6 @@ def _placed(spec: Register, base: int, region: str, default: int | None = None) 
     return replace(spec, base_address=base, region=region, default=default)
 
 
-def _memories(
-    source: Path, module: ModuleSpec, window: Window, region: str, registers: Mapping[str, Register]
-) -> Iterator[Memory]:
-    """The memories of a module beside its registers. A name that is a register's too gets ``_memory``."""
-    for key, spec in module.memories.items():
-        if spec.offset + spec.size > window.size:
-            message = f"{key} ends at {spec.offset + spec.size:#x}, its window has {window.size:#x} bytes"
-            place = ("modules", module.name, "memories", key, "offset")
-            raise fault(source, place, message, "window: of the region says how many")
-        name = f"{key}_memory" if key in registers else key
-        yield replace(spec, name=name, base_address=window.base, region=region)
-
-
 def _mode(system: System, mode: ModeSpec, streams: Mapping[str, Stream]) -> Mode:
     chosen = [system.implementation(module, region) for region, module in mode.modules.items()]
     source, static = system.project.source, system.project.static.registers
@@ -187,7 +167,7 @@ def _mode(system: System, mode: ModeSpec, streams: Mapping[str, Stream]) -> Mode
     for one in chosen:
         for key, value in mode.registers.items():
             if key in one.module.registers:
-                base = register_base(source, one.region, one.module)
+                base = register_window(source, one.region, one.module).base
                 _in_range(source, mode.name, one.module.registers[key], value)
                 registers[key] = _placed(one.module.registers[key], base, one.region.name, value)
     registers |= _routes(system, mode)
@@ -236,8 +216,13 @@ def _switch_registers(switch: SwitchPlan) -> dict[str, Register]:
 
 def _mode_streams(system: System, mode: ModeSpec, streams: Mapping[str, Stream]) -> dict[str, Stream]:
     """Streams that differ in a mode; a switch's stream names what it passes through, and stops when that changes."""
-    source = system.project.source
-    found = dict(_mode_stream(source, mode, name, spec, streams) for name, spec in mode.streams.items())
+    found = {}
+    for name, spec in mode.streams.items():
+        if name not in streams:
+            message, key = f"mode {mode.name} names the stream {name!r}", ("modes", mode.name, "streams", name)
+            raise fault(system.project.source, key, message, did_you_mean(name, streams))
+        shape = pixel_shape(spec.shape, streams[name].format) or streams[name].shape
+        found[name] = replace(streams[name], shape=shape, dtype=spec.dtype or streams[name].dtype)
     for bus in system.switch.streams if system.switch else ():
         assert system.switch
         assert bus.dma
@@ -248,17 +233,6 @@ def _mode_streams(system: System, mode: ModeSpec, streams: Mapping[str, Stream])
             stream = found.get(bus.name, streams[bus.name])
             found[bus.name] = replace(stream, region=region, doc=f"through {', '.join(passed)}")
     return found
-
-
-def _mode_stream(
-    source: Path, mode: ModeSpec, name: str, spec: ModeStreamSpec, streams: Mapping[str, Stream]
-) -> tuple[str, Stream]:
-    if name not in streams:
-        message = f"mode {mode.name} names the stream {name!r}"
-        raise fault(source, ("modes", mode.name, "streams", name), message, did_you_mean(name, streams))
-    stream = streams[name]
-    shape = pixel_shape(spec.shape, stream.format) or stream.shape
-    return name, replace(stream, shape=shape, dtype=spec.dtype or stream.dtype)
 
 
 def _static_registers(system: System) -> dict[str, Register]:
@@ -294,20 +268,13 @@ def _streams(system: System, answers: Answers) -> list[Stream]:
     for bus in system.streams:
         if bus.dma is None:
             continue
-        own = answers.streams.get(bus.name)
-        shape, dtype, slots = bus.spec.shape, bus.spec.dtype, bus.spec.slots
-        if own is not None:
-            shape, dtype, slots = (
-                pixel_shape(own.shape, bus.spec.format) or shape,
-                own.dtype or dtype,
-                own.slots or slots,
-            )
-        problem = frame_problem(bus, shape, dtype)
-        if problem:
+        own, spec = answers.streams.get(bus.name, StreamAnswer()), bus.spec
+        shape, dtype = pixel_shape(own.shape, spec.format) or spec.shape, own.dtype or spec.dtype
+        if problem := frame_problem(bus, shape, dtype):
             raise BuildError(f"stream {bus.name}: {'; '.join(problem)}")
         direction, region = Direction(bus.dma.direction.value), regions.get(bus.name)
-        told = Stream(bus.name, bus.name, direction, shape, dtype, slots, region, rate=bus.spec.rate)
-        found.append(replace(told, format=bus.spec.format))
+        told = Stream(bus.name, bus.name, direction, shape, dtype, own.slots or spec.slots, region, rate=spec.rate)
+        found.append(replace(told, format=spec.format))
     return found
 
 

@@ -13,7 +13,7 @@ from hdl_support import extract, lite, stream
 
 from cm.design.boundary import make as making
 from cm.design.boundary.model import Adaptation, Boundary, Connection, Fit, Role
-from cm.design.hdl.model import ModuleInfo, Polarity, PortDirection
+from cm.design.hdl.model import ModuleInfo, Polarity
 from cm.design.hdl.protocols import parse_protocols
 
 CLOCKED = "input aclk; input aresetn; "
@@ -256,15 +256,6 @@ def test_user_protocol_meets_by_name_and_its_missing_signals_read_zero(make) -> 
     assert result.ok
     assert result.interfaces[0].protocol == "pix"
     assert (at(result.adaptation("two"), "cam_err").fit, at(result.adaptation("two"), "cam_err").value) == (Fit.TIE, 0)
-
-
-def test_result_does_not_depend_on_anything_but_the_modules(make) -> None:
-    modules = [
-        make("one", CLOCKED + lite("s_axi_") + "output a; output b"),
-        make("two", CLOCKED + "output b; output c"),
-    ]
-    assert boundary(modules) == boundary(modules)
-    assert [p.direction for p in boundary(modules).ports if p.role is Role.SIGNAL] == [PortDirection.OUT] * 3
 
 
 def test_modules_of_one_top_are_told_apart_by_the_names_given(make) -> None:

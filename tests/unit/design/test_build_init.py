@@ -25,13 +25,6 @@ def test_the_camera_modules_become_modules_of_one_region(tmp_path: Path) -> None
     assert (tmp_path / "build.schema.json").exists()
 
 
-def test_what_init_wrote_passes_check_and_generate(tmp_path: Path) -> None:
-    schema = tmp_path / "build.yaml"
-    assert main(["build", "init", *map(str, CAMERA), "-o", str(schema)]) == 0
-    assert main(["build", "check", str(schema)]) == 0
-    assert main(["build", "generate", str(schema)]) == 0
-
-
 def test_a_schema_that_is_there_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     schema = tmp_path / "build.yaml"
     schema.write_text("mine\n")

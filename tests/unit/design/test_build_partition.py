@@ -80,31 +80,10 @@ def test_no_partition_beats_the_proposal(problem: Problem, objective: str) -> No
     assert sorted(name for group in found.groups for name in group.modules) == sorted(problem.units)
 
 
-def test_modules_that_are_active_together_do_not_share_a_region() -> None:
-    units = {name: Unit(name, Resources(10)) for name in "ab"}
-    problem = Problem(PART, units, [UsedMode("both", frozenset("ab"))], 1e6)
-    assert len(advise(problem).groups) == 2
-
-
 def test_without_the_solver_the_extra_that_brings_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "scipy.optimize", None)
     with pytest.raises(MissingTool, match=r"fpga-cm\[advise\]"):
         advise(Problem(PART, {"a": Unit("a", Resources(10))}, [UsedMode("a", frozenset("a"))], 1e6))
-
-
-def test_modules_that_change_often_do_not_share_with_a_big_one() -> None:
-    units = {"big": Unit("big", Resources(790)), "x": Unit("x", Resources(20)), "y": Unit("y", Resources(20))}
-    modes = [UsedMode("rare", frozenset(["big"]), 0.1), UsedMode("x", frozenset("x")), UsedMode("y", frozenset("y"))]
-    assert [group.modules for group in advise(Problem(PART, units, modes, 1e6), "mean").groups] == [
-        ("big",),
-        ("x", "y"),
-    ]
-
-
-def test_if_there_is_room_every_module_stays_loaded() -> None:
-    units = {name: Unit(name, Resources(100)) for name in "ab"}
-    found = advise(Problem(PART, units, [UsedMode(name, frozenset(name)) for name in "ab"], 1e6))
-    assert (len(found.groups), found.worst) == (2, 0.0)
 
 
 def test_what_the_static_part_needs_and_a_budget_leave_less_room() -> None:
