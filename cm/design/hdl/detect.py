@@ -112,7 +112,7 @@ class _Detection:
             self._reasons.pop(name, None)
 
     def _take_tagged(self, tagged: Tagged) -> None:
-        for port in vivado_attributes.malformed(self._module.ports):
+        for port in tagged.malformed.values():
             text = f'port {port.name}: X_INTERFACE_INFO is not "vendor:library:name:version BUS SIGNAL"'
             self._problems.append(Problem(text, port.file, port.line))
         self._reasons.update(tagged.rejected)

@@ -163,17 +163,17 @@ class _Files:
 
     def _reached(
         self, modules: Iterable[str], below: Mapping[str, tuple[str, ...]] | None = None
-    ) -> tuple[set[str], dict[str, str]]:
+    ) -> tuple[dict[str, None], dict[str, str]]:
         """All that `modules` instantiate, in lower case, and of that what no file declares, as it is spelled."""
         below = self._below if below is None else below
         found: dict[str, str] = {}
-        seen: set[str] = set()
+        seen: dict[str, None] = {}
         todo = list(modules)
         while todo:
             name = todo.pop()
             if name.lower() in seen:
                 continue
-            seen.add(name.lower())
+            seen[name.lower()] = None
             if name.lower() in below:
                 todo += below[name.lower()]
             else:

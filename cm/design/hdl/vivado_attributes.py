@@ -7,7 +7,7 @@ Vivado's interface attributes (UG994, "Using X_INTERFACE_INFO"), which take prec
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 from cm.design.hdl.buses import Protocol, make_protocol
@@ -32,37 +32,6 @@ _INFO = re.compile(
 )
 _PARAMETER = re.compile(r"\s*(\w+)\s+(.*)", re.DOTALL)
 _TRUE = ("true", "1", "yes")
-
-
-@dataclass(frozen=True, slots=True)
-class Tag:
-    """One X_INTERFACE_INFO: the port is `signal` of the interface `bus` of type `vlnv`."""
-
-    port: Port
-    vlnv: str
-    kind: str  # the VLNV's name: aximm, axis, clock, reset, interrupt, …
-    bus: str
-    signal: str
-
-
-def tags(ports: Iterable[Port]) -> Iterator[Tag]:
-    """All tags of all ports, in order; a malformed one is left out (`malformed` tells)."""
-    for port in ports:
-        for match in _infos(port):
-            if match is not None:
-                vlnv = match["vlnv"].replace("/", ":")
-                yield Tag(port, vlnv, match["kind"].lower(), match["bus"], match["signal"].upper())
-
-
-def malformed(ports: Iterable[Port]) -> Iterator[Port]:
-    """Ports whose X_INTERFACE_INFO is not "vendor:library:name:version BUS SIGNAL"."""
-    return (port for port in ports if any(match is None for match in _infos(port)))
-
-
-def _infos(port: Port) -> Iterator[re.Match[str] | None]:
-    for text in port.attributes.get("x_interface_info", "").split(","):
-        if text.strip():
-            yield _INFO.fullmatch(text)
 
 
 def parameters(port: Port) -> dict[str, str]:
@@ -143,7 +112,7 @@ def _said(port: Port, kind: str, texts: list[str]) -> Port:
 
 @dataclass(slots=True)
 class Tagged:
-    """The gathered result; `rejected` has a reason by port."""
+    """The gathered result; `rejected` has a reason by port, `malformed` ports whose X_INTERFACE_INFO is none."""
 
     interfaces: list[Interface] = field(default_factory=list)
     clocks: list[ModuleClock] = field(default_factory=list)
@@ -151,64 +120,68 @@ class Tagged:
     interrupts: list[Interrupt] = field(default_factory=list)
     rejected: dict[str, str] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
+    malformed: dict[str, Port] = field(default_factory=dict)
 
 
 def read_tags(ports: Iterable[Port], protocols: Mapping[str, Protocol]) -> Tagged:
-    """Gather the tags of all ports; `protocols` by the name in their VLNV (aximm, axis)."""
+    """Gather the X_INTERFACE_INFO of all ports; `protocols` by the name in their VLNV (aximm, axis)."""
     result = Tagged()
-    groups: dict[tuple[str, str], list[Tag]] = {}
-    for tag in tags(ports):
-        if tag.kind in _SIGNAL_KINDS:
-            _signal(tag, result)
-        else:
-            groups.setdefault((tag.vlnv, tag.bus.lower()), []).append(tag)
-    for group in groups.values():
-        _bus(group, protocols, result)
+    groups: dict[tuple[str, str], tuple[str, dict[str, Port]]] = {}  # by type and bus: its name, ports by signal
+    for port in ports:
+        for text in filter(str.strip, port.attributes.get("x_interface_info", "").split(",")):
+            match = _INFO.fullmatch(text)
+            if match is None:
+                result.malformed[port.name] = port
+            elif match["kind"].lower() in _SIGNAL_KINDS:
+                _signal(match["kind"].lower(), match["bus"], port, result)
+            else:
+                key = (match["vlnv"].replace("/", ":"), match["bus"].lower())
+                groups.setdefault(key, (match["bus"], {}))[1][match["signal"].upper()] = port
+    for (vlnv, _), (bus, group) in groups.items():
+        _bus(vlnv, bus, group, protocols, result)
     return result
 
 
-def _signal(tag: Tag, result: Tagged) -> None:
-    port, stated = tag.port, parameters(tag.port)
-    if tag.kind == "clock":
-        result.clocks.append(clock_of(tag.bus, port, stated, FoundBy.ATTRIBUTE))
-    elif tag.kind == "reset":
+def _signal(kind: str, name: str, port: Port, result: Tagged) -> None:
+    stated = parameters(port)
+    if kind == "clock":
+        result.clocks.append(clock_of(name, port, stated, FoundBy.ATTRIBUTE))
+    elif kind == "reset":
         polarity = polarity_of(stated) or reset_polarity(port.name)
-        result.resets.append(Reset(tag.bus, port.name, polarity, port.direction, FoundBy.ATTRIBUTE))
+        result.resets.append(Reset(name, port.name, polarity, port.direction, FoundBy.ATTRIBUTE))
     else:
         mode = Mode.MASTER if port.direction is PortDirection.OUT else Mode.SLAVE
         sense = stated.get("SENSITIVITY", "")
-        result.interrupts.append(Interrupt(tag.bus, port.name, mode, port.width, sense, FoundBy.ATTRIBUTE))
+        result.interrupts.append(Interrupt(name, port.name, mode, port.width, sense, FoundBy.ATTRIBUTE))
 
 
-def _bus(group: list[Tag], protocols: Mapping[str, Protocol], result: Tagged) -> None:
-    first = group[0]
-    ports = {tag.signal: tag.port for tag in group}
+def _bus(vlnv: str, bus: str, ports: dict[str, Port], protocols: Mapping[str, Protocol], result: Tagged) -> None:
     given: dict[str, str] = {}
-    for tag in group:
-        given.update(parameters(tag.port))
-    stated = next((mode for tag in group if (mode := _stated_mode(tag.port))), None)
-    known = protocols.get(first.kind)
+    for port in ports.values():
+        given.update(parameters(port))
+    stated = next((mode for port in ports.values() if (mode := _stated_mode(port))), None)
+    kind = vlnv.split(":")[2].lower()
+    known = protocols.get(kind)
     if known is None:
-        mode = stated or _guess(first.bus, ports)
+        mode = stated or _guess(bus, ports)
         if stated is None:
-            text = f"the mode of {first.bus} ({first.vlnv}) is a guess from its name and directions: {mode.value}"
+            text = f"the mode of {bus} ({vlnv}) is a guess from its name and directions: {mode.value}"
             result.problems.append(f"{text}; state it with X_INTERFACE_MODE")
-        protocol = make_protocol(first.kind, [], vlnv=first.vlnv)
-        result.interfaces.append(make_interface(first.bus, protocol, mode, ports, FoundBy.ATTRIBUTE, given))
+        protocol = make_protocol(kind, [], vlnv=vlnv)
+        result.interfaces.append(make_interface(bus, protocol, mode, ports, FoundBy.ATTRIBUTE, given))
         return
-    strange = [signal for signal in ports if signal not in known.signals]
-    for signal in strange:
+    for signal in [signal for signal in ports if signal not in known.signals]:
         result.problems.append(f"port {ports[signal].name}: {known.name} has no signal {signal}")
         result.rejected[ports.pop(signal).name] = f"is marked as {signal}, which {known.name} does not have"
     if not ports:
         return
-    verdict = judge(first.bus, known, ports, trusted=True)
-    mode_ = stated if stated is Mode.MONITOR else verdict.mode
-    if mode_ is None:
+    verdict = judge(bus, known, ports, trusted=True)
+    found = stated if stated is Mode.MONITOR else verdict.mode
+    if found is None:
         result.problems.append(verdict.reason)
         result.rejected.update({port.name: verdict.reason for port in ports.values()})
         return
-    result.interfaces.append(make_interface(first.bus, known, mode_, ports, FoundBy.ATTRIBUTE, given))
+    result.interfaces.append(make_interface(bus, known, found, ports, FoundBy.ATTRIBUTE, given))
 
 
 def _guess(bus: str, ports: Mapping[str, Port]) -> Mode:
