@@ -73,7 +73,10 @@ def _find(root: Root, name: str | int) -> UioInfo:
 
 
 class _Folder:
-    """A device's folder in sysfs, as it was when this was made; no two devices have the same, one after the other."""
+    """A device's folder in sysfs, as it was when this was made; no two devices have the same, one after the other.
+
+    Its inode's number alone would do in sysfs; a simulated board may lie in a file system that uses numbers again.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -83,12 +86,12 @@ class _Folder:
     def stands(self) -> bool:
         return self._first is not None and self._now() == self._first
 
-    def _now(self) -> tuple[int, int] | None:
+    def _now(self) -> tuple[int, int, int] | None:
         try:
             found = self._path.stat()
         except OSError:
             return None
-        return found.st_dev, found.st_ino
+        return found.st_dev, found.st_ino, found.st_ctime_ns
 
 
 class Uio(Device):
