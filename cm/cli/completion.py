@@ -116,8 +116,8 @@ def _told(args: argparse.Namespace, request: Request) -> ConfigInfo:
     """The manager's answer. Raises Timeout soon."""
     import zmq
 
+    from cm.client.connections import prepare
     from cm.client.find_manager import find
-    from cm.client.sockets import prepare
     from cm.wire.encode import decode_reply, encode_request
 
     connect, runtime_dir, keys = (getattr(args, name, None) for name in ("connect", "runtime_dir", "keys"))

@@ -15,6 +15,7 @@ import zmq
 
 from cm.client.address import Keys
 from cm.client.change import ChangeHandle
+from cm.client.connections import Sockets
 from cm.client.core import calls, change, leases, uploads
 from cm.client.core.calls import Call
 from cm.client.core.effects import DEFAULT, Flow, Limit, at_least, later, seconds, time_limit
@@ -31,7 +32,6 @@ from cm.client.link import Link, Subscription
 from cm.client.memories import Memories, Memory
 from cm.client.progress import OnProgress, Shown
 from cm.client.registers import Registers
-from cm.client.sockets import Sockets
 from cm.wire.messages import html
 from cm.wire.messages import requests as rq
 from cm.wire.messages.requests import ConfigureStream, DefineMemory

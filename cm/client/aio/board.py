@@ -25,6 +25,7 @@ from cm.client.aio.memories import Memories, Memory
 from cm.client.aio.registers import Registers
 from cm.client.aio.stream import AsyncLocalStream, AsyncRemoteStream, Stream
 from cm.client.aio.writer import AsyncWriter
+from cm.client.connections import Sockets
 from cm.client.core import calls, change, leases, uploads
 from cm.client.core.calls import Call
 from cm.client.core.effects import DEFAULT, Flow, Limit, at_least, later, seconds, time_limit
@@ -37,7 +38,6 @@ from cm.client.find_manager import find
 from cm.client.frame import Frame
 from cm.client.guard import Guarded
 from cm.client.progress import OnProgress, Shown
-from cm.client.sockets import Sockets
 from cm.wire.messages import requests as rq
 from cm.wire.messages.requests import ConfigureStream, DefineMemory
 from cm.wire.messages.status import (

@@ -14,11 +14,11 @@ import zmq
 from zmq.utils.monitor import parse_monitor_message
 
 from cm.client.address import Keys
+from cm.client.connections import Sockets, not_subscribed
 from cm.client.core.calls import Call
 from cm.client.core.requests import result
 from cm.client.errors import ConnectionLost, NoAnswer
 from cm.client.find_manager import find
-from cm.client.sockets import Sockets, not_subscribed
 from cm.wire.encode import encode_request
 from cm.wire.envelope import GUEST
 

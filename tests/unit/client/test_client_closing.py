@@ -16,9 +16,9 @@ from manager_process import short_folder
 
 from cm.client import aio
 from cm.client.board import Board
+from cm.client.connections import Living
 from cm.client.data_connection import DataConnection
 from cm.client.errors import BoardClosed
-from cm.client.sockets import Living
 from cm.wire import plane_packets as packets
 
 HUNG = 60.0

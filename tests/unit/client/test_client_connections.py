@@ -12,7 +12,7 @@ import zmq
 from manager_process import short_folder
 from zmq.utils.monitor import recv_monitor_message
 
-from cm.client.sockets import Sockets
+from cm.client.connections import Sockets
 from cm.wire.topics import Endpoints, ipc_endpoints, tcp_endpoints
 
 

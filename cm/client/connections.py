@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ZeroMQ context of a client and all its sockets, which end together."""
+"""A client's connections over ZeroMQ: how they are made, made again when they were lost, and end together."""
 
 from __future__ import annotations
 
