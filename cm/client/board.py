@@ -15,7 +15,7 @@ import zmq
 
 from cm.client.address import Keys
 from cm.client.change import ChangeHandle
-from cm.client.connections import Sockets
+from cm.client.connections import ByName, Sockets
 from cm.client.core import calls, change, leases, uploads
 from cm.client.core.calls import Call
 from cm.client.core.effects import DEFAULT, Flow, Limit, at_least, later, seconds, time_limit
@@ -59,8 +59,7 @@ if TYPE_CHECKING:
     from cm.client.writer import Writer
 
 _T = TypeVar("_T")
-_FEW = 8  # reads of a register before there is a connection for them: who reads once needs none
-_PATIENCE = 0.05  # seconds that such a read may take before it is made by a request
+_PATIENCE = 0.05  # seconds that a read over the data socket may take before it is made by a request
 
 
 def connect(
@@ -120,9 +119,9 @@ class Board(Guarded):
         self._close = weakref.finalize(self, self._sockets.close)
         self._link = Link(self._sockets, timeout, guest)
         self._leases = HeldLeases()
-        self._asked = 0  # reads of one register
+        reads = ByName(self._sockets, self._place.data, self._link.unanswered, _PATIENCE)
         # Set directly, because Guarded refuses to; not properties, since each access to a register would run them.
-        object.__setattr__(self, "registers", Registers(self, self._window, self._locally))
+        object.__setattr__(self, "registers", Registers(self, self._window, reads))
         object.__setattr__(self, "interrupts", Interrupts(self))
         object.__setattr__(self, "memories", Memories(self))
 
@@ -165,16 +164,6 @@ class Board(Guarded):
     def status(self) -> Status:
         """The state of the PL now."""
         return self.ask(calls.status())
-
-    def _locally(self, _: str) -> int | None:
-        """The first reads are requests; those after them need none where the data socket gives an answer."""
-        self._asked += 1
-        if self._asked > _FEW and self._place.data is not None:
-            from cm.client.local_reads import LocalReads  # here: other systems than Linux have no such sockets
-
-            reads = self._sockets.using(LocalReads(self._place.data, self._link.unanswered, _PATIENCE))
-            self.registers._locally = reads.read
-        return None
 
     def break_lease(self, number: int) -> LeaseInfo:
         """End another client's lease, by its number in `status.leases`; needs the role admin."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import threading
 import weakref
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sized
 from contextlib import AbstractContextManager, contextmanager, suppress
+from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 import zmq
@@ -23,6 +24,7 @@ _User = TypeVar("_User", bound="User")
 # Milliseconds until ZeroMQ tries to connect again, which are 100 unless set. Over ipc it costs little, and ZeroMQ does
 # not wait for a place in a full queue: where others connect without end, there is one now and then only.
 _RECONNECT_MS = 10
+_FEW = 8  # reads of a register before there is a connection for them: who reads once needs none
 _LEAVES = 5.0  # seconds at most until a thread that was sent out of its socket has left it
 
 
@@ -214,6 +216,26 @@ class Sockets:
             else:
                 with suppress(RuntimeError):  # not started yet, below this signal handler: it will find all closed
                     self._ending.join(_LEAVES)
+
+
+class ByName:
+    """Reads of registers by name: `read` gives the value if it needs no request, else None.
+
+    The first are requests; those after them need none where the data socket gives an answer (`LocalReads`).
+    """
+
+    def __init__(self, sockets: Sockets, folder: Path | None, unanswered: Sized, patience: float) -> None:
+        """`folder`: of the data socket, if there is one; the others are those of `LocalReads`."""
+        self._sockets, self._folder, self._with = sockets, folder, (unanswered, patience)
+        self._asked = 0
+        self.read: Callable[[str], int | None] = self._ask
+
+    def _ask(self, _: str) -> None:
+        self._asked += 1
+        if self._asked > _FEW and self._folder is not None:
+            from cm.client.local_reads import LocalReads  # here: other systems than Linux have no such sockets
+
+            self.read = self._sockets.using(LocalReads(self._folder, *self._with)).read
 
 
 def _left(turn: Any, seconds: float) -> bool:

@@ -17,6 +17,7 @@ from cm.wire.messages.status import RegisterInfo, RegValues
 from cm.wire.plane_packets import Open
 
 if TYPE_CHECKING:
+    from cm.client.connections import ByName
     from cm.client.link import Caller
     from cm.client.window import RegisterWindow
 
@@ -30,12 +31,12 @@ class Registers(MutableMapping[str, int]):
         self,
         board: Caller,
         open_window: Callable[[Open, Limit], RegisterWindow],
-        locally: Callable[[str], int | None],
+        reads: ByName,
     ) -> None:
-        """`locally`: the value of a register that needs no request; None for one that does."""
+        """`reads`: what needs no request."""
         self._board = board
         self._open_window = open_window
-        self._locally = locally
+        self._reads = reads
 
     def window(
         self,
@@ -61,7 +62,7 @@ class Registers(MutableMapping[str, int]):
         )
 
     def __getitem__(self, name: str) -> int:
-        value = self._locally(name)
+        value = self._reads.read(name)
         return self._board.ask(calls.read_registers((name,))).values[0].value if value is None else value
 
     def __setitem__(self, name: str, value: int | str) -> None:

@@ -18,6 +18,7 @@ from cm.wire.plane_packets import Open
 
 if TYPE_CHECKING:
     from cm.client.aio.link import Caller
+    from cm.client.connections import ByName
     from cm.client.window import RegisterWindow
 
 _T = TypeVar("_T")
@@ -30,12 +31,12 @@ class Registers:
         self,
         board: Caller,
         open_window: Callable[[Open, Limit], Awaitable[RegisterWindow]],
-        locally: Callable[[str], int | None],
+        reads: ByName,
     ) -> None:
-        """`locally`: the value of a register that needs no request; None for one that does."""
+        """`reads`: what needs no request."""
         self._board = board
         self._open_window = open_window
-        self._locally = locally
+        self._reads = reads
 
     async def window(
         self,
@@ -76,7 +77,7 @@ class Registers:
 
     async def read(self, *names: str) -> dict[str, int]:
         """Values of several registers at once; by default of all that can be read."""
-        if len(names) == 1 and (value := self._locally(names[0])) is not None:
+        if len(names) == 1 and (value := self._reads.read(names[0])) is not None:
             await asyncio.sleep(0)  # the others' turn: who polls a register would let nobody else run
             return {names[0]: value}
         return registers.values(await self._board.ask(calls.read_registers(names)))
