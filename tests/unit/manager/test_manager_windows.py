@@ -6,6 +6,7 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Iterator
+from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,12 +16,14 @@ from manager_support import CAMERA, Rig, rig
 
 from cm.device import DeviceError, Root
 from cm.device.errors import device_error
+from cm.device.window import WindowEnd, WindowEvent
 from cm.errors import Busy, CmError
 from cm.manager.access.windows import Loan, WindowRequest
 from cm.manager.errors import NoWindow, RegionBusy
 from cm.schema import loads
 from cm.server.devices import BoardDevices
 from cm.simulation.software import Board as SimBoard
+from cm.wire.messages.requests import RegWrite
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +49,22 @@ class Lender:
         raise device_error(self._number, f"lend 0x{address:x}+0x{length:x} by", "/dev/cm_window")
 
     def close(self) -> None: ...
+
+
+class Kernel(Lender):
+    """Lends to all, and takes back what `ended` says."""
+
+    def __init__(self) -> None:
+        super().__init__(0)
+        self._ids = count(1)
+        self.ended: list[WindowEvent] = []
+
+    def grant(self, address: int, length: int, write: bool = False) -> Any:
+        return SimpleNamespace(id=next(self._ids), fd=os.memfd_create("pages"))
+
+    def take(self) -> list[WindowEvent]:
+        ended, self.ended = self.ended, []
+        return ended
 
 
 def lend(found: Rig, devices: Any = None, told: list[tuple[int, str, str]] | None = None, **asked: Any) -> Loan:
@@ -151,6 +170,21 @@ def test_a_change_ends_where_windows_cannot_be_taken_back(made: Rig) -> None:
     made.fault.watch = lambda name: None
     assert made.go("default") is None
     assert told == [(1, "camera", "default")]
+
+
+def test_what_the_kernel_took_back_is_told_to_its_holder_and_not_known_any_more(made: Rig) -> None:
+    lender, told, others = Kernel(), list[tuple[int, str, str]](), list[tuple[int, str, str]]()
+    devices = SimpleNamespace(windows=lambda: lender)
+    taken = lend(made, devices, told)
+    lend(made, devices, others)
+    made.manager.write_registers((RegWrite("threshold", 9),), "")
+    assert made.manager.state.values["threshold"] == 9
+    lender.ended = [WindowEvent(taken.id, WindowEnd.BRIDGE)]
+    made.manager.windows.collect()
+    made.manager.windows.collect()  # nothing more
+    assert told == [(int(WindowEnd.BRIDGE), "camera", "edge_detection")]
+    assert (others, len(made.manager.mapped)) == ([], 1)
+    assert "threshold" not in made.manager.state.values
 
 
 def _fail(here: bool) -> None:

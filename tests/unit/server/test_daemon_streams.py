@@ -93,6 +93,19 @@ def test_a_frame_that_does_not_come_is_a_timeout(loop: Daemon) -> None:
     assert (code, "'from_pl' gave no frame within 0.01 s" in message) == ("timeout", True), message
 
 
+def test_a_written_frame_that_the_hardware_does_not_take_is_a_timeout_and_its_slot_stays_with_it(
+    loop: Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cm.server.streams.over_zmq._WRITE_TIMEOUT", 0.05)
+    stuck = [error for error in (write(loop, PICTURE).error for _ in range(4)) if error is not None]
+    assert {error.code for error in stuck} == {"timeout"}
+    assert "'to_pl': the hardware took no data" in stuck[0].message
+    monkeypatch.undo()
+    loop.done(ConfigureStream("from_pl", enable=True))  # it takes them now, and those that were told are not again
+    assert write(loop, PICTURE).error is None
+    loop.done(ConfigureStream("from_pl", automatic=True))
+
+
 def test_what_is_written_comes_back_to_every_read_that_waits(loop: Daemon) -> None:
     loop.send(rq.ReadData("from_pl", 60.0))
     loop.send(rq.ReadData("from_pl", 60.0))
