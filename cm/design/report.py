@@ -166,8 +166,8 @@ def _connected(region: RegionPlan) -> Iterator[tuple[str, str]]:
         yield registers.interface.name, f" → {registers.window.size:#x} bytes at {registers.window.base:#x}"
     for stream in region.streams:
         yield stream.interface.name, _stream(stream)
-    for memory in region.memory:
-        yield memory.interface.name, " → memory"
+    for interface in region.memory:
+        yield interface.name, " → memory"
     for line in region.lines:
         yield line.port, " → interrupt concentrator"
     for ports, where in ((region.external, _TOP), (region.unused, " → nothing")):

@@ -46,7 +46,13 @@ def load(path: Path | str) -> Config:
 
 def loads(text: str, source: Path | str | None = None) -> Config:
     """The configuration in `text`; `source` names the file that it came from, for messages and look-ups."""
-    return _Loading(text, None if source is None else Path(source)).config()
+    path = None if source is None else Path(source)
+    loading = Loading(text, path, _structure())
+    data, context = loading.values()["config"], Context(loading.report)
+    config = build_config(data, context)
+    check_rules(config, context)
+    loading.stop_if_wrong()
+    return replace(config, source=path, sha256_source=hashlib.sha256(text.encode()).hexdigest())
 
 
 def load_folder(path: Path | str) -> dict[str, Config]:
@@ -126,52 +132,47 @@ def _structure() -> Structure:
     return load_structure()
 
 
-class _Loading:
-    """One text on its way to a configuration; a stage runs only if the earlier ones found nothing wrong."""
+class Loading:
+    """One text on its way to plain values; a stage runs only if the earlier ones found nothing wrong."""
 
-    def __init__(self, text: str, source: Path | None) -> None:
-        self._text, self._source = text, source
+    def __init__(self, text: str, source: Path | None, structure: Structure) -> None:
+        self._text, self._source, self._structure = text, source, structure
         self._problems: list[Problem] = []
         self._root: Node = Table(Mark(1, 1))
 
-    def config(self) -> Config:
+    def values(self) -> dict[str, Any]:
+        """The values in normal form. Raises `SchemaError` with everything in which they differ from the JSON Schema."""
         try:
             tree = read(self._text, self._report_mark)
         except Refused as refused:
             self._report_mark(refused.mark, refused.code, refused.message, refused.hint)
             raise self._error() from None
-        self._stop_if_wrong()
-        self._shape(tree)
-        context = Context(self._report)
-        config = build_config(plain(self._root)["config"], context)
-        check_rules(config, context)
-        self._stop_if_wrong()
-        digest = hashlib.sha256(self._text.encode()).hexdigest()
-        return replace(config, source=self._source, sha256_source=digest)
+        self.stop_if_wrong()
+        self._root = self._structure.fit(tree, self.report_at)
+        for finding in self._structure.values(self._root):
+            self.report(*finding)
+        self.stop_if_wrong()
+        found: dict[str, Any] = plain(self._root)
+        return found
 
-    def _shape(self, tree: Node) -> None:
-        """Normal form and values, against the JSON Schema."""
-        structure = _structure()
-        self._root = structure.fit(tree, self._report_at)
-        for finding in structure.values(self._root):
-            self._report(*finding)
-        self._stop_if_wrong()
+    def report(self, path: KeyPath, code: str, message: str, hint: str = "") -> None:
+        """Report a problem with the key at `path`."""
+        self.report_at(locate(self._root, path), path, code, message, hint)
 
-    def _report(self, path: KeyPath, code: str, message: str, hint: str) -> None:
-        self._report_at(locate(self._root, path), path, code, message, hint)
-
-    def _report_mark(self, mark: Mark, code: str, message: str, hint: str) -> None:
-        self._report_at(mark, (), code, message, hint)
-
-    def _report_at(self, mark: Mark, path: KeyPath, code: str, message: str, hint: str) -> None:
+    def report_at(self, mark: Mark, path: KeyPath, code: str, message: str, hint: str) -> None:
+        """Report a problem at a position."""
         problem = Problem(self._source, mark.line, mark.column, key_path(path), code, message, hint)
         self._problems.append(problem)
         if len(self._problems) >= MAX_PROBLEMS:
             raise self._error()
 
-    def _error(self) -> SchemaError:
-        return SchemaError(sorted(self._problems, key=lambda problem: (problem.line, problem.column)))
-
-    def _stop_if_wrong(self) -> None:
+    def stop_if_wrong(self) -> None:
+        """Raise `SchemaError` with the problems so far, if there are any, in the order of the file."""
         if self._problems:
             raise self._error()
+
+    def _report_mark(self, mark: Mark, code: str, message: str, hint: str) -> None:
+        self.report_at(mark, (), code, message, hint)
+
+    def _error(self) -> SchemaError:
+        return SchemaError(sorted(self._problems, key=lambda problem: (problem.line, problem.column)))

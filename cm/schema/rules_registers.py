@@ -18,8 +18,8 @@ def check_registers(config: Config, context: Context) -> None:
     """Report every register of `config` that breaks a rule."""
     for _, path, register in _all(config, context):
         _check_place(register, path, config, context)
-        _check_values(register, path, context)
-        _check_fields(register, path, context)
+        check_values(register, path, context)
+        check_fields(register, path, context)
     own = [(context.where[("config",), name], register) for name, register in config.registers.items()]
     together = _Together(own, context)
     for mode in config.modes.values():
@@ -77,7 +77,8 @@ def _check_place(register: Register, path: KeyPath, config: Config, context: Con
         context.report((*path, "region"), "unknown_region", f"there is no region {register.region}", hint)
 
 
-def _check_values(register: Register, path: KeyPath, context: Context) -> None:
+def check_values(register: Register, path: KeyPath, context: Context) -> None:
+    """Report values that a register cannot have; of a build schema's too, as `check_fields`."""
     low, high = register.minimum, register.maximum
     for key, value in (("default", register.default), ("reset", register.reset), ("min", low), ("max", high)):
         if value is not None and value >> register.width:
@@ -96,7 +97,8 @@ def _check_values(register: Register, path: KeyPath, context: Context) -> None:
         context.report((*path, "default"), "value_range", f"{register.default} is out of range", hint)
 
 
-def _check_fields(register: Register, path: KeyPath, context: Context) -> None:
+def check_fields(register: Register, path: KeyPath, context: Context) -> None:
+    """Report fields that do not fit their register or each other, and names of values that do not fit their field."""
     used: list[BitField] = []
     for name, field in register.fields.items():
         here = (*path, "fields", name)

@@ -16,7 +16,6 @@ others. The widths here are those that `block_design` uses.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from cm.design.plan.block_design import memory_ports
@@ -32,12 +31,7 @@ _AFI_FS, _AFI_FS_128 = 14, 0xA00
 _AFI_BASE = 0xF8008000
 
 
-@dataclass(frozen=True, slots=True)
-class Node:
-    """A node and the lines in it."""
-
-    name: str
-    properties: tuple[str, ...]
+Node = tuple[str, tuple[str, ...]]  # its name, and the lines in it
 
 
 def nodes(system: System) -> list[Node]:
@@ -46,23 +40,17 @@ def nodes(system: System) -> list[Node]:
     if system.platform.ultrascale:
         pairs = [(2 * port.number + channel, 0) for port in ports for channel in (0, 1)]
         listed = ", ".join(f"<{register} {value:#x}>" for register, value in [*pairs, (_AFI_FS, _AFI_FS_128)])
-        return [Node("cm-afi", ('compatible = "xlnx,afi-fpga";', f"config-afi = {listed};"))]
-    return [_zynq(port.number) for port in ports]
-
-
-def _zynq(index: int) -> Node:
-    base = _AFI_BASE + 0x1000 * index
-    lines = (
-        'compatible = "xlnx,zynq-afi-fpga";',
-        f"reg = <{base:#010x} 0x1000>;",
-        "xlnx,afi-width = <0>;",
-        "xlnx,afi-buswidth = <0>;",
-    )
-    return Node(f"cm-afi@{base:x}", lines)
+        return [("cm-afi", ('compatible = "xlnx,afi-fpga";', f"config-afi = {listed};"))]
+    bases = [_AFI_BASE + 0x1000 * port.number for port in ports]
+    widths = ("xlnx,afi-width = <0>;", "xlnx,afi-buswidth = <0>;")
+    return [
+        (f"cm-afi@{base:x}", ('compatible = "xlnx,zynq-afi-fpga";', f"reg = <{base:#010x} 0x1000>;", *widths))
+        for base in bases
+    ]
 
 
 CHANNELS = 32  # of a node of fpga-cm,dma-client
-Entry = tuple[str, str, Mapping[str, Any]]
+Entry = tuple[str, str, Mapping[str, Any]]  # path below the output folder, template, its variables
 
 
 def software_outputs(system: System, answers: Answers) -> Iterator[Entry]:

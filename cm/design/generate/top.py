@@ -61,13 +61,13 @@ def _is_free_stream(system: System, name: str) -> bool:
 def _missing(system: System, inner: dict[str, str | None]) -> Iterator[tuple[str, str]]:
     """Yield signals that the block design's AXI slave ports need but the module does not have."""
     for region in system.regions:
-        for bus in region.memory:
-            if bus.interface.protocol == "axi4lite":
+        for interface in region.memory:
+            if interface.protocol == "axi4lite":
                 continue
-            size = ((bus.interface.data_width or 32) // 8).bit_length() - 1
+            size = ((interface.data_width or 32) // 8).bit_length() - 1
             fills = {"size": f"3'd{size}", "burst": "2'b01", "len": zeros(8), "cache": "4'b0011", "prot": zeros(3)}
-            for channel, there in (("aw", bus.interface.writes), ("ar", bus.interface.reads)):
+            for channel, there in (("aw", interface.writes), ("ar", interface.reads)):
                 for signal, value in fills.items():
-                    name = f"{region.name}_{bus.interface.name}_{channel}{signal}"
+                    name = f"{region.name}_{interface.name}_{channel}{signal}"
                     if there and f"m_axi_{name}" not in inner:
                         yield f"s_axi_{name}", value

@@ -113,12 +113,8 @@ def _region(region: RegionPlan) -> Iterator[tuple[tuple[str | int, ...], str, st
         if bus.dma is not None:
             key = ("interfaces", bus.interface.name)
             yield from ((key, message, hint) for message, hint in _stream(bus.dma))
-    for memory in region.memory:
-        yield (
-            ("interfaces", memory.interface.name),
-            "a master to memory needs the vendor's SmartConnect",
-            "connect: none",
-        )
+    for interface in region.memory:
+        yield ("interfaces", interface.name), "a master to memory needs the vendor's SmartConnect", "connect: none"
     if len(region.clocks) != 1:
         message = f"{len(region.clocks)} clocks at the boundary: {', '.join(region.clocks) or 'none'}"
         yield ("clocks",), message, f"modules whose only clock is that of the region, {region.spec.clock}"

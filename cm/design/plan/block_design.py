@@ -199,7 +199,7 @@ def _axi_ports(system: System) -> Iterator[AxiPort]:
         yield AxiPort(f"m_axi_{domain.clock}", "Master", doc, domain.clock, settings)
     for region in system.regions:
         full = [("m_axi", "Master", bus.interface) for bus in region.registers if bus.full]
-        for prefix, mode, interface in (*full, *(("s_axi", "Slave", bus.interface) for bus in region.memory)):
+        for prefix, mode, interface in (*full, *(("s_axi", "Slave", interface) for interface in region.memory)):
             name, doc = f"{prefix}_{region.name}_{interface.name}", f"{region.name}.{interface.name}"
             yield AxiPort(name, mode, doc, region.clock_of(interface), _settings(interface))
 
@@ -242,7 +242,7 @@ def _memories(system: System, dmas: list[DmaCell]) -> Iterator[MemoryInterconnec
     last = found.pop(system.icap.name) if system.icap else []
     sources = [source for listed in found.values() for source in listed]
     for region in system.regions:
-        sources += [f"[get_bd_intf_ports s_axi_{region.name}_{bus.interface.name}]" for bus in region.memory]
+        sources += [f"[get_bd_intf_ports s_axi_{region.name}_{interface.name}]" for interface in region.memory]
     sources += last
     for index, (port, count) in enumerate(memory_ports(system)):
         share, sources = sources[:count], sources[count:]

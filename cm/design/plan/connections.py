@@ -11,7 +11,7 @@ from cm.design.hdl.model import Interface, Mode, PortDirection
 from cm.design.plan.addresses import Allocator
 from cm.design.plan.streams import stream_bus
 from cm.design.plan.switch import check_switched
-from cm.design.plan.system import Line, MemoryBus, RegionPlan, RegisterBus, StreamBus, clock_of
+from cm.design.plan.system import Line, RegionPlan, RegisterBus, StreamBus, clock_of
 from cm.design.project.model import ConnectionSpec, Project, RegionSpec
 from cm.design.project.source_position import fault
 from cm.schema.problems import KeyPath, did_you_mean
@@ -34,7 +34,7 @@ class _Region:
 
     registers: list[RegisterBus] = field(default_factory=list)
     streams: list[StreamBus] = field(default_factory=list)
-    memory: list[MemoryBus] = field(default_factory=list)
+    memory: list[Interface] = field(default_factory=list)
     external: list[BoundaryPort] = field(default_factory=list)
     unused: list[BoundaryPort] = field(default_factory=list)
     undecided: list[str] = field(default_factory=list)  # single signals that the build schema does not mention
@@ -103,7 +103,7 @@ class RegionPlanner:
         elif connect == "interconnect":
             parts.registers.append(self._registers(region, interface, clock_of(region, boundary, interface)))
         elif connect == "memory":
-            parts.memory.append(MemoryBus(interface))
+            parts.memory.append(interface)
         elif connect == "external" and interface.protocol == "axis":
             parts.streams.append(StreamBus(interface, f"{region.name}_{interface.name}", None, spec))
         else:

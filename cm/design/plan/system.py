@@ -76,13 +76,6 @@ class SwitchPlan:
 
 
 @dataclass(frozen=True, slots=True)
-class MemoryBus:
-    """An AXI4 or AXI4-Lite master of a region, connected to memory."""
-
-    interface: Interface
-
-
-@dataclass(frozen=True, slots=True)
 class Line:
     """An interrupt line of a region: `bit` of the concentrator."""
 
@@ -117,7 +110,7 @@ class RegionPlan:
     boundary: Boundary
     registers: tuple[RegisterBus, ...] = ()
     streams: tuple[StreamBus, ...] = ()
-    memory: tuple[MemoryBus, ...] = ()
+    memory: tuple[Interface, ...] = ()  # masters to memory
     lines: tuple[Line, ...] = ()
     external: tuple[BoundaryPort, ...] = ()  # to ports of the top
     unused: tuple[BoundaryPort, ...] = ()  # not connected: inputs are 0, outputs open

@@ -22,7 +22,6 @@ from cm.design.project import references
 from cm.design.project.fusesoc import with_core
 from cm.design.project.model import (
     BitstreamSpec,
-    ClockSpec,
     ConnectionSpec,
     ModeSpec,
     ModeStreamSpec,
@@ -33,12 +32,12 @@ from cm.design.project.model import (
     StaticSpec,
     SwitchSpec,
 )
-from cm.schema.model import Access, BitField, FieldAccess, LoaderKind, Memory, Register
+from cm.schema.loader import Loading
+from cm.schema.model import Access, BitField, Clock, FieldAccess, LoaderKind, Memory, Register
 from cm.schema.pictures import pixel_shape
-from cm.schema.problems import KeyPath, Problem, SchemaError, key_path
-from cm.schema.reader import Refused, read
+from cm.schema.problems import KeyPath, Problem, SchemaError
 from cm.schema.structure import Structure
-from cm.schema.tree import Mark, Node, Scalar, locate, plain
+from cm.schema.tree import Mark
 
 
 def connection(spec: dict[str, Any]) -> ConnectionSpec:
@@ -145,49 +144,29 @@ DEFAULT_CLOCK = "fclk0"
 DEFAULT_RATE = 100_000_000
 
 
-class Reporter:
-    """Collects problems of one file."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.root: Node = Scalar(None, Mark(1, 1), "")
-        self.problems: list[Problem] = []
-
-    def at(self, mark: Mark, code: str, message: str, hint: str = "", key: str = "") -> None:
-        """Report a problem at a position."""
-        self.problems.append(Problem(self.path, mark.line, mark.column, key, code, message, hint))
-
-    def key(self, path: KeyPath, code: str, message: str, hint: str = "") -> None:
-        """Report a problem with the key at `path`."""
-        self.at(locate(self.root, path), code, message, hint, key_path(path))
-
-    def fitted(self, mark: Mark, path: KeyPath, code: str, message: str, hint: str) -> None:
-        """Report a problem that the walk along the schema found."""
+class _Loading(Loading):
+    def report_at(self, mark: Mark, path: KeyPath, code: str, message: str, hint: str) -> None:
+        """With hints for this kind of schema."""
         if code == "unknown_key" and path[-1:] == ("hls",):
             hint = "run Vitis HLS, and give component: or sources: with what it wrote"
-        self.at(mark, code, message, hint, key_path(path))
-
-    def stop(self) -> None:
-        """Raise the problems that were found, if any, in the order of the file."""
-        if self.problems:
-            raise SchemaError(sorted(self.problems, key=lambda problem: (problem.line, problem.column)))
+        hint = hint.replace("config:", "project: (or with cm build init)")
+        super().report_at(mark, path, code, message, hint)
 
 
 def load_project(path: Path | str, text: str | None = None) -> Project:
     """Load the build schema in `path`, or `text` as if it were there. Raises SchemaError with every problem."""
     path = normal(Path(path))
-    report = Reporter(path)
-    data = _data(path, text, report)
-    project = _Builder(path, data, report).project()
-    references.check(project, report.key)
-    report.stop()
+    loading = _loading(path, text)
+    project = _Builder(path, loading.values(), loading).project()
+    references.check(project, loading.report)
+    loading.stop_if_wrong()
     return project
 
 
 def project_data(path: Path | str) -> dict[str, Any]:
     """Load the build schema in `path` as plain data in normal form. Raises SchemaError as `load_project` does."""
     path = normal(Path(path))
-    return _data(path, None, Reporter(path))
+    return _loading(path, None).values()
 
 
 def check_project(path: Path | str) -> list[Problem]:
@@ -199,37 +178,20 @@ def check_project(path: Path | str) -> list[Problem]:
     return []
 
 
-def _data(path: Path, text: str | None, report: Reporter) -> dict[str, Any]:
+def _loading(path: Path, text: str | None) -> _Loading:
     try:
         text = path.read_text(encoding="utf-8") if text is None else text
     except (OSError, UnicodeDecodeError) as error:
-        report.at(Mark(1, 1), "unreadable", f"cannot be read: {getattr(error, 'strerror', None) or error}")
-        report.stop()
-    data = _structure(text or "", report)
-    report.stop()
-    return data
-
-
-def _structure(text: str, report: Reporter) -> dict[str, Any]:
-    """The file's data in normal form; problems are reported."""
-    structure = Structure(json.loads(SCHEMA_FILE.read_text(encoding="utf-8")))
-    try:
-        report.root = read(text, report.at)
-    except Refused as refused:
-        hint = refused.hint.replace("config:", "project: (or with cm build init)")  # that of a runtime schema
-        report.at(refused.mark, refused.code, str(refused), hint)
-        return {}
-    tree = structure.fit(report.root, report.fitted)
-    for finding in structure.values(tree):
-        report.key(finding.path, finding.code, finding.message, finding.hint)
-    data = plain(tree)
-    return data if isinstance(data, dict) else {}
+        message = f"cannot be read: {getattr(error, 'strerror', None) or error}"
+        raise SchemaError([Problem(path, 1, 1, "", "unreadable", message)]) from None
+    return _Loading(text, path, Structure(json.loads(SCHEMA_FILE.read_text(encoding="utf-8"))))
 
 
 class _Builder:
-    def __init__(self, path: Path, data: dict[str, Any], report: Reporter) -> None:
-        self._path, self._data, self._report = path, data, report
-        self._files = PathReader(path.parent, report.key)
+    def __init__(self, path: Path, data: dict[str, Any], loading: Loading) -> None:
+        self._path, self._data, self._stop = path, data, loading.stop_if_wrong
+        self._report = loading.report
+        self._files = PathReader(path.parent, loading.report)
         self._kit: BoardDefinition | None = None
 
     def project(self) -> Project:
@@ -265,18 +227,21 @@ class _Builder:
         name, part = head.get("board", ""), head.get("part")
         kit = boards().get(name)
         if kit is None and name and ":" not in name:
-            references.unknown(self._report.key, ("project", "board"), "board", name, boards())
+            references.unknown(self._report, ("project", "board"), "board", name, boards())
         elif kit is None and not part:
-            self._report.key(("project",), "missing_key", "part is missing", "or name a board of the library")
+            self._report(("project",), "missing_key", "part is missing", "or name a board of the library")
         elif kit is not None and part and part.lower() != kit.part.lower():
             message = f"{kit.title} has {kit.part}, not {part}"
-            self._report.key(("project", "part"), "bad_value", message, "leave part out")
+            self._report(("project", "part"), "bad_value", message, "leave part out")
         return kit
 
-    def _clocks(self) -> dict[str, ClockSpec]:
+    def _clocks(self) -> dict[str, Clock]:
         own = {name: {"rate": rate} for name, rate in self._kit.clocks.items()} if self._kit else None
         given = self._data.get("clocks") or own or {DEFAULT_CLOCK: {"rate": DEFAULT_RATE}}
-        return {name: ClockSpec(name, **spec) for name, spec in given.items()}
+        return {
+            name: Clock(name, **{**spec, "tolerance": float(spec.get("tolerance", 1.0))})
+            for name, spec in given.items()
+        }
 
     def _static(self) -> StaticSpec:
         spec = _said(self._data.get("static"))
@@ -314,7 +279,7 @@ class _Builder:
                 yield from known[name]
             else:
                 key = ("regions", region, "pblock", index)
-                references.unknown(self._report.key, key, "pblock of the board", name, known)
+                references.unknown(self._report, key, "pblock of the board", name, known)
 
     def _module(self, name: str, given: dict[str, Any] | None, regions: tuple[str, ...]) -> ModuleSpec:
         where, spec = ("modules", name), _said(given)
@@ -343,8 +308,8 @@ class _Builder:
         try:
             return _ordered(with_core(module, core, spec.get("core_target", "default"), roots, "top" in spec))
         except BuildError as error:
-            self._report.key((*where, "core"), "bad_core", str(error), "")
-            self._report.stop()
+            self._report((*where, "core"), "bad_core", str(error), "")
+            self._stop()
             raise
 
     def _modes(self, modules: dict[str, ModuleSpec]) -> dict[str, ModeSpec]:
@@ -359,7 +324,7 @@ class _Builder:
             region, module = (key, value) if value is not None else (self._only_region(name, key, modules), key)
             if region in chosen:
                 message = f"{chosen[region]} and {module} both go to {region}"
-                self._report.key(("modes", name, "modules"), "region_conflict", message, "a region holds one module")
+                self._report(("modes", name, "modules"), "region_conflict", message, "a region holds one module")
             if region is not None:
                 chosen[region] = module
         streams = {key: mode_stream(value) for key, value in (spec.get("streams") or {}).items()}
@@ -368,12 +333,12 @@ class _Builder:
 
     def _only_region(self, mode: str, module: str, modules: dict[str, ModuleSpec]) -> str | None:
         if module not in modules:
-            references.unknown(self._report.key, ("modes", mode, "modules", module), "module", module, modules)
+            references.unknown(self._report, ("modes", mode, "modules", module), "module", module, modules)
             return None
         regions = modules[module].regions
         if len(regions) != 1:
             message = f"{module} may go to {', '.join(regions) or 'no region'}"
-            self._report.key(("modes", mode, "modules"), "ambiguous", message, f"write region: {module}")
+            self._report(("modes", mode, "modules"), "ambiguous", message, f"write region: {module}")
             return None
         return regions[0]
 

@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import Any
 
 from cm.design.boards import BoardDefinition
-from cm.schema.model import LoaderKind, Memory, Register
+from cm.schema.model import Clock, LoaderKind, Memory, Register
 
 
 def empty() -> Mapping[Any, Any]:
@@ -161,16 +161,6 @@ class ModeSpec:
 
 
 @dataclass(frozen=True, slots=True)
-class ClockSpec:
-    """A PL clock from the processing system; `rate` in Hz; `tolerance`: by how many percent it may deviate."""
-
-    name: str
-    rate: int
-    doc: str = ""
-    tolerance: float = 1.0
-
-
-@dataclass(frozen=True, slots=True)
 class StaticSpec:
     """What the user adds to the static part; `coherent`: its masters are coherent with the processors' caches."""
 
@@ -205,7 +195,7 @@ class Project:
     kit: BoardDefinition | None = None  # of the board library
     vivado: str | None = None
     doc: str = ""
-    clocks: Mapping[str, ClockSpec] = field(default_factory=empty)
+    clocks: Mapping[str, Clock] = field(default_factory=empty)
     static: StaticSpec = StaticSpec()
     bitstream: BitstreamSpec = BitstreamSpec()
     regions: Mapping[str, RegionSpec] = field(default_factory=empty)

@@ -11,8 +11,10 @@ from pathlib import Path
 from cm.design.errors import BuildError
 from cm.design.platforms import PARTS, device_of, platform_of
 from cm.design.project.model import ModeSpec, ModuleSpec, Project, RegionSpec, Resources
+from cm.schema.construct import Context
 from cm.schema.model import Register
 from cm.schema.problems import KeyPath, did_you_mean
+from cm.schema.rules_registers import check_fields, check_values
 
 _SITE = re.compile(r"([A-Z0-9_]+)_X(\d+)Y(\d+)")
 Report = Callable[[KeyPath, str, str, str], None]
@@ -146,24 +148,8 @@ def _register(register: Register, key: KeyPath, report: Report) -> None:
     if register.offset % (register.width // 8):
         message = f"offset {register.offset:#x} is not a multiple of {register.width // 8} bytes"
         report((*key, "offset"), "bad_alignment", message, "registers are aligned to their width")
-    limit = (1 << register.width) - 1
-    for name in ("default", "reset", "minimum", "maximum"):
-        value = getattr(register, name)
-        if value is not None and value > limit:
-            short = {"minimum": "min", "maximum": "max"}.get(name, name)
-            hint = f"{register.width} bits hold at most {limit:#x}"
-            report((*key, short), "value_range", f"{value:#x} does not fit", hint)
-    low, high = register.minimum or 0, limit if register.maximum is None else register.maximum
-    if register.default is not None and not low <= register.default <= high:
-        report((*key, "default"), "value_range", f"{register.default} is outside min and max", f"{low} to {high}")
-    for part in register.fields.values():
-        if part.lsb + part.width > register.width:
-            hint = f"the register has {register.width} bits"
-            report((*key, "fields", part.name), "value_range", "reaches beyond the register", hint)
-        for name, value in part.values.items():
-            if value >> part.width:
-                hint = f"{part.width} bits hold at most {(1 << part.width) - 1}"
-                report((*key, "fields", part.name, "values", name), "value_range", f"{value} does not fit", hint)
+    check_values(register, key, Context(report))
+    check_fields(register, key, Context(report))
 
 
 def _mode(project: Project, mode: ModeSpec, report: Report) -> None:

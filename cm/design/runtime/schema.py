@@ -22,7 +22,6 @@ from cm.design.runtime.answers import Answers, StreamAnswer
 from cm.schema import dump
 from cm.schema.model import (
     Access,
-    Clock,
     Config,
     ConfigType,
     Decoupler,
@@ -65,7 +64,7 @@ def runtime_config(system: System, answers: Answers) -> Config:
         overlays=overlays,
         streams=streams,
         interrupts={line.name: _interrupt(system, line.name, line.bit) for line in system.lines},
-        clocks={c.name: Clock(c.name, c.rate, c.doc, float(c.tolerance)) for c in project.clocks.values()},
+        clocks=project.clocks,
         doc=project.doc,
         static=_static(system),
     )

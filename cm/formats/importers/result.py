@@ -17,7 +17,7 @@ from cm.errors import CmError
 from cm.formats.bitstream import Report
 from cm.frozen import dataclass
 from cm.schema import dump, loads
-from cm.schema.model import Config, Mode, Module, Overlay, StaticIdentity
+from cm.schema.model import Config, Mode, Overlay, StaticIdentity
 
 _LONGEST = 64
 
@@ -106,9 +106,6 @@ def _overlays(overlays: tuple[Overlay, ...], folder: Path) -> tuple[Overlay, ...
 
 
 def _relative(config: Config, folder: Path) -> Config:
-    def module(item: Module) -> Module:
-        return replace(item, bitstream=_place(item.bitstream, folder))
-
     def mode(item: Mode) -> Mode:
         return replace(item, overlays=_overlays(item.overlays, folder))
 

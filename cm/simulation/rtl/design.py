@@ -179,8 +179,8 @@ def _wiring(design: RtlDesign, static: Path, seed: int) -> Iterator[str]:
         kind = "source" if stream.sends else "sink" if stream.channel else "drain"
         yield f"{kind} {stream.prefix} {clocks.index(stream.clock)}"
     for region in system.regions:
-        for bus in region.memory:
-            yield f"memory m_axi_{region.name}_{bus.interface.name} {clocks.index(region.clock_of(bus.interface))}"
+        for interface in region.memory:
+            yield f"memory m_axi_{region.name}_{interface.name} {clocks.index(region.clock_of(interface))}"
     if system.icap:
         yield f"port axis_icap {clocks.index(system.icap.clock)} 1"
     if system.readback:

@@ -326,7 +326,7 @@ WRONG = [
     (
         "[one.v]",
         "[one.v]\n    registers: {gain: {offset: 0, fields: {low: {lsb: 0, width: 2, values: {much: 4}}}}}",
-        "modules.one.registers.gain.fields.low.values.much: 4 does not fit",
+        "modules.one.registers.gain.fields.low.values.much: 0x4 does not fit 2 bits",
     ),
 ]
 

@@ -124,12 +124,6 @@ def test_an_xsa_gives_description_and_bitstream(tmp_path: Path) -> None:
     assert not (tmp_path.parent / "top.bit").exists()
 
 
-def test_what_is_not_an_archive_is_reported(tmp_path: Path) -> None:
-    (tmp_path / "a.xsa").write_bytes(b"PK nonsense")
-    with pytest.raises(BuildError, match="not an XSA or HDF"):
-        collect([tmp_path / "a.xsa"])
-
-
 def test_of_registers_that_share_an_address_the_first_is_taken_and_names_the_others(theirs: Path) -> None:
     external = f'<BUSINTERFACE NAME="S_AXI">{memory(("core", 0, 0x1000))}</BUSINTERFACE>'
     aliased = described(register("IER", 4), register("DLM", 4), register("LCR", 12))  # as of a 16550 UART

@@ -1,24 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""DMA engines of a foreign design become nodes of its overlay and streams of its runtime schema."""
+"""DMA engines and interrupts of a foreign design, in its overlay and its runtime schema; damaged archives."""
 
 from __future__ import annotations
 
-import re
 import subprocess
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from build_support import needs
-from import_support import bitstream, hwh, memory, module, port, ports
+from import_support import bitstream, described, hwh, memory, module, port, ports, register
 
 from cm.design.collect.collection import collect
-from cm.design.collect.foreign_dma import engines
+from cm.design.collect.foreign_dma import engines, interrupts
 from cm.design.collect.handoff import MAX_ARCHIVE, MAX_MEMBER, streams
 from cm.design.errors import BuildError
 from cm.design.partition.utilisation import part_of
 from cm.design.platforms import ZYNQ7000, ZYNQMP, device_of, platform_of
 from cm.formats import hwh as handoff
+from cm.formats.hwh import HwhError
 from cm.schema.model import Direction
 
 LITE = port("s_axi_lite_aclk", "I", ("ps", "FCLK_CLK1"), kind="clk")
@@ -232,6 +233,67 @@ def test_the_node_of_a_multichannel_engine_is_as_the_kernels_binding_has_it(tmp_
     assert get("cm-streams", "dma-names", "s").split() == [stream.channel for stream in found.config.streams.values()]
 
 
+# interrupts --------------------------------------------------------------------------------------
+
+IRQ = port("IRQ_F2P", "I", ("concat", "dout"), kind="INTERRUPT", bits=4)
+FIQ = port("Core0_nFIQ", "I", ("cam", "fiq"), kind="INTERRUPT")
+
+
+def interrupting(*lines: tuple[str, str], pins: str = IRQ, more: tuple[str, ...] = ()) -> bytes:
+    """Two instances with windows and a DMA engine; `lines` go to the processor's interrupts in that order."""
+    windows = memory(("cam", 0x43C00000, 0x10000), ("tx", 0x43C10000, 0x10000), ("dma", 0x40400000, 0x10000))
+    return hwh(
+        module("ps", "processing_system7", windows, ports(pins)),
+        module("concat", "xlconcat", ports(*(port(f"In{index}", "I", line) for index, line in enumerate(lines)))),
+        module("cam", "cam", described(register("CTRL", 0))),
+        module("tx", "tx"),
+        module("dma", "axi_dma", described(register("MM2S_DMACR", 0))),
+        *more,
+    )
+
+
+def test_of_several_lines_of_an_instance_the_first_is_reported_and_the_others_are_noted() -> None:
+    lines = (("tx", "irq0"), ("tx", "irq1"), ("cam", "done"), ("dma", "mm2s_introut"))
+    found = interrupts(handoff.parse(interrupting(*lines)), ZYNQ7000)
+    assert {name: line.base_address for name, line in found.lines.items()} == {
+        "tx_irq0": 0x43C10000,
+        "cam_done": 0x43C00000,
+    }
+    assert found.spis == {"tx": 29, "cam": 31}
+    (note,) = found.notes
+    assert note.startswith("interrupt irq1 of tx is not its first")
+
+
+def test_a_line_that_no_overlay_can_give_is_noted_and_the_next_one_taken() -> None:
+    """A private interrupt of a core comes first in the processor's ports; the shared one is the UIO device's."""
+    found = interrupts(handoff.parse(interrupting(("cam", "irq"), pins=FIQ + IRQ)), ZYNQ7000)
+    assert (found.lines["cam_irq"].base_address, found.spis) == (0x43C00000, {"cam": 29})
+    assert found.notes[0].startswith("interrupt fiq of cam goes to Core0_nFIQ")
+
+
+def test_a_line_behind_an_interrupt_controller_is_noted() -> None:
+    intc = module("intc", "axi_intc", ports(port("intr", "I", ("cam", "irq")), port("irq", "O")))
+    found = interrupts(handoff.parse(interrupting(("intc", "irq"), more=(intc,))), ZYNQ7000)
+    assert (found.lines, found.spis) == ({}, {})
+    assert found.notes[0].startswith("interrupt irq of cam goes to intc: no overlay can give that")
+
+
+def test_collected_schema_and_overlay_agree_and_leave_engines_to_their_driver(tmp_path: Path) -> None:
+    (tmp_path / "top.hwh").write_bytes(interrupting(("tx", "irq0"), ("tx", "irq1"), ("dma", "mm2s_introut")))
+    (tmp_path / "top.bit").write_bytes(bitstream(None))
+    found = collect([tmp_path])
+    assert set(found.config.interrupts) == {"tx_irq0"}
+    assert set(found.config.registers) == {"cam_ctrl"}
+    assert any("irq1 of tx" in note for note in found.notes)
+
+
+def test_a_description_in_an_archive_is_called_by_the_archive(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "system.xsa", "w") as archive:
+        archive.writestr("top.hwh", b"<html/>")
+    with pytest.raises(HwhError, match=f"^{tmp_path}/system.xsa: top.hwh: no hardware handoff"):
+        collect([tmp_path / "system.xsa"])
+
+
 # parts of boards, as their board files in Xilinx/XilinxBoardStore 20bbb12 have them
 BOARDS = {
     "Ultra96 v2": ("xczu3eg-sbva484-1-i", "zynqmp"),
@@ -261,11 +323,51 @@ def packed(path: Path, *members: tuple[str, bytes], method: int = zipfile.ZIP_DE
     return path
 
 
-def test_a_member_that_unpacks_to_too_much_is_refused(tmp_path: Path) -> None:
-    path = packed(tmp_path / "bomb.xsa", ("top.bit", bytes(MAX_MEMBER + 1)))
-    assert path.stat().st_size < 1 << 20
-    with pytest.raises(BuildError, match=r"top\.bit has 67108865 bytes: more than an XSA holds"):
-        collect([path])
+def damaged(path: Path, change: Callable[[bytes], bytes]) -> Path:
+    path.write_bytes(change(packed(path, ("top.bit", bytes(100_000)), method=zipfile.ZIP_STORED).read_bytes()))
+    return path
+
+
+def at_central(offset: int, value: int) -> Callable[[bytes], bytes]:
+    """Change a byte of the first entry of an archive's directory."""
+
+    def change(data: bytes) -> bytes:
+        at = data.index(b"PK\x01\x02") + offset
+        return data[:at] + bytes([value]) + data[at + 1 :]
+
+    return change
+
+
+def lying(data: bytes) -> bytes:
+    return data.replace((100_000).to_bytes(4, "little"), (10).to_bytes(4, "little"))
+
+
+BAD = {
+    "a member that unpacks to too much": (
+        lambda path: packed(path, ("top.bit", bytes(MAX_MEMBER + 1))),
+        r"top\.bit has 67108865 bytes: more than an XSA holds",
+    ),
+    "a directory that lies about a length": (lambda path: damaged(path, lying), r"a\.xsa: not an XSA or HDF"),
+    # zipfile ends a name at a NUL, and refuses it till 3.12
+    "a member without a name": (
+        lambda path: damaged(path, lambda data: data.replace(b"top.bit", b"\0op.bit")),
+        r"a\.xsa: not an XSA or HDF|neither a \.hwh",
+    ),
+    "two members of one name": (
+        lambda path: packed(path, ("a/top.bit", b"1"), ("b/top.bit", b"2")),
+        "a/top.bit and b/top.bit have one name",
+    ),
+    "a password": (lambda path: damaged(path, at_central(8, 1)), r"a\.xsa: not an XSA or HDF"),
+    "an unknown method": (lambda path: damaged(path, at_central(10, 99)), r"a\.xsa: not an XSA or HDF"),
+    "no archive": (lambda path: damaged(path, lambda _: b"PK nonsense"), r"a\.xsa: not an XSA or HDF"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_bad_archive_is_reported(name: str, tmp_path: Path) -> None:
+    make, said = BAD[name]
+    with pytest.raises(BuildError, match=said):
+        collect([make(tmp_path / "a.xsa")])
 
 
 def test_members_that_are_too_much_together_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -274,36 +376,3 @@ def test_members_that_are_too_much_together_are_refused(tmp_path: Path, monkeypa
     path = packed(tmp_path / "many.xsa", *((f"{index}.bit", bytes(1000)) for index in range(4)))
     with pytest.raises(BuildError, match=r"3\.bit has 1000 bytes"):
         collect([path])
-
-
-def test_a_directory_that_lies_about_a_length_is_refused(tmp_path: Path) -> None:
-    path = packed(tmp_path / "liar.xsa", ("top.bit", bytes(100_000)))
-    data = path.read_bytes()
-    path.write_bytes(data.replace((100_000).to_bytes(4, "little"), (10).to_bytes(4, "little")))
-    with pytest.raises(BuildError, match=r"liar\.xsa: not an XSA or HDF"):
-        collect([path])
-
-
-def test_a_member_without_a_name_is_refused(tmp_path: Path) -> None:
-    path = packed(tmp_path / "nameless.xsa", ("x", b"data"))
-    path.write_bytes(path.read_bytes().replace(b"x", b"\0"))  # zipfile ends a name at a NUL, and refuses it till 3.12
-    with pytest.raises(BuildError, match=r"nameless\.xsa: not an XSA or HDF|neither a \.hwh"):
-        collect([path])
-
-
-def test_two_members_of_one_name_are_reported(tmp_path: Path) -> None:
-    path = packed(tmp_path / "two.xsa", ("a/top.bit", b"1"), ("b/top.bit", b"2"))
-    with pytest.raises(BuildError, match=re.escape("a/top.bit and b/top.bit have one name")):
-        collect([path])
-
-
-def test_an_archive_with_a_password_or_an_unknown_method_is_reported(tmp_path: Path) -> None:
-    path = packed(tmp_path / "a.xsa", ("top.bit", b"data"), method=zipfile.ZIP_STORED)
-    plain = path.read_bytes()
-    central = plain.index(b"PK\x01\x02")
-    for at, value in ((central + 8, 1), (central + 10, 99)):
-        data = bytearray(plain)
-        data[at] = value
-        path.write_bytes(data)
-        with pytest.raises(BuildError, match=r"a\.xsa: not an XSA or HDF"):
-            collect([path])

@@ -14,22 +14,13 @@ from cm.design.errors import BuildError
 from cm.design.generate.manifest import MANIFEST, Tree
 
 
-def test_a_new_file_is_written(tmp_path: Path) -> None:
-    assert Tree(tmp_path).write({"a/b.txt": "one\n"}).created == ["a/b.txt"]
-    assert (tmp_path / "a/b.txt").read_text() == "one\n"
-
-
-def test_an_untouched_file_is_brought_up_to_date(tmp_path: Path) -> None:
-    Tree(tmp_path).write({"a": "one\n"})
-    assert Tree(tmp_path).write({"a": "two\n"}).updated == ["a"]
-    assert (tmp_path / "a").read_text() == "two\n"
-
-
-def test_an_unchanged_file_keeps_its_time(tmp_path: Path) -> None:
-    Tree(tmp_path).write({"a": "one\n"})
-    before = (tmp_path / "a").stat().st_mtime_ns
-    assert Tree(tmp_path).write({"a": "one\n"}).unchanged == ["a"]
-    assert (tmp_path / "a").stat().st_mtime_ns == before
+def test_files_are_written_and_brought_up_to_date_and_an_unchanged_one_keeps_its_time(tmp_path: Path) -> None:
+    assert Tree(tmp_path).write({"a/b.txt": "one\n", "c": "one\n"}).created == ["a/b.txt", "c"]
+    before = (tmp_path / "c").stat().st_mtime_ns
+    done = Tree(tmp_path).write({"a/b.txt": "two\n", "c": "one\n"})
+    assert (done.updated, done.unchanged) == (["a/b.txt"], ["c"])
+    assert (tmp_path / "a/b.txt").read_text() == "two\n"
+    assert (tmp_path / "c").stat().st_mtime_ns == before
 
 
 def test_a_changed_file_is_kept_where_generation_has_nothing_new(tmp_path: Path) -> None:
@@ -40,31 +31,17 @@ def test_a_changed_file_is_kept_where_generation_has_nothing_new(tmp_path: Path)
     assert not (tmp_path / "a.new").exists()
 
 
-def test_a_conflict_leaves_the_users_file_and_puts_the_new_one_beside_it(tmp_path: Path) -> None:
+def test_a_conflict_leaves_the_users_file_and_is_reported_with_the_new_one_until_it_is_resolved(tmp_path: Path) -> None:
     Tree(tmp_path).write({"a": "one\n"})
     (tmp_path / "a").write_text("mine\n")
-    assert Tree(tmp_path).write({"a": "two\n"}).conflicts == ["a"]
-    assert (tmp_path / "a").read_text() == "mine\n"
-    assert (tmp_path / "a.new").read_text() == "two\n"
-    assert (tmp_path / ".cm-orig/a").read_text() == "one\n"
-
-
-def test_a_conflict_is_reported_until_it_is_resolved(tmp_path: Path) -> None:
-    Tree(tmp_path).write({"a": "one\n"})
-    (tmp_path / "a").write_text("mine\n")
-    Tree(tmp_path).write({"a": "two\n"})
-    assert Tree(tmp_path).write({"a": "three\n"}).conflicts == ["a"]
+    for text in ("two\n", "three\n"):
+        assert Tree(tmp_path).write({"a": text}).conflicts == ["a"]
+        assert (tmp_path / "a").read_text() == "mine\n"
+        assert (tmp_path / "a.new").read_text() == text
+        assert (tmp_path / ".cm-orig/a").read_text() == "one\n"
     (tmp_path / "a").write_text("three\n")
     assert Tree(tmp_path).write({"a": "three\n"}).unchanged == ["a"]
     assert not (tmp_path / "a.new").exists()
-
-
-def test_a_merged_file_is_kept_afterwards(tmp_path: Path) -> None:
-    Tree(tmp_path).write({"a": "one\n"})
-    (tmp_path / "a").write_text("mine\n")
-    Tree(tmp_path).write({"a": "two\n"})
-    (tmp_path / "a").write_text("two and mine\n")
-    assert Tree(tmp_path).write({"a": "two\n"}).kept == ["a"]
 
 
 def test_a_file_that_was_there_before_is_never_overwritten(tmp_path: Path) -> None:
@@ -124,14 +101,6 @@ def test_a_merge_begins_from_what_was_merged_last(tmp_path: Path) -> None:
     assert Tree(tmp_path).write({"a": "three\n"}).conflicts == ["a"]
     assert (tmp_path / ".cm-orig/a").read_text() == "two\n"
     assert (tmp_path / "a.new").read_text() == "three\n"
-
-
-def test_a_conflict_that_is_not_merged_keeps_its_base(tmp_path: Path) -> None:
-    Tree(tmp_path).write({"a": "one\n"})
-    (tmp_path / "a").write_text("one\nmine\n")
-    Tree(tmp_path).write({"a": "two\n"})
-    Tree(tmp_path).write({"a": "three\n"})
-    assert (tmp_path / ".cm-orig/a").read_text() == "one\n"
 
 
 def test_a_new_file_that_the_user_changed_is_moved_and_not_lost(tmp_path: Path) -> None:

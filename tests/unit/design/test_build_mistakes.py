@@ -186,7 +186,6 @@ def test_the_error_for_an_empty_schema_says_how_to_begin(tmp_path: Path, capsys:
             ONE.replace("one (", "one #(parameter W) (").replace("31:0", "W-1:0"),
             "one.v:4: port s_axis_tdata: its range",
         ),
-        (ONE.replace("endmodule", "fifo_v2 u (clk);\nendmodule"), "one.v:1: no file has fifo_v2, which one needs"),
     ],
 )
 def test_a_mistake_in_hdl_is_reported_with_its_place(

@@ -52,26 +52,6 @@ def messages(found: list[Finding]) -> str:
     return "\n".join(finding.text(Path("build.yaml")) for finding in found)
 
 
-def test_the_example_is_one_that_the_open_tools_can_build(project: Path) -> None:
-    assert check_open(load_design(project).system) == []
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "told"),
-    [
-        ("loader: fpga_manager", "loader: icap", "ICAPE2 has not been tried"),
-        ("board: zybo-z7-10", "part: xck26-sfvc784-2LV-c", "nextpnr has no data of it"),
-        ("doc: Edges", "tcl: [x.tcl]\n    doc: Edges", "vendor IP"),
-        ("[SLICE_X22Y50:SLICE_X31Y99, RAMB18_X1Y20:RAMB18_X1Y39, RAMB36_X1Y10:RAMB36_X1Y19]", "auto", "wants ranges"),
-    ],
-)
-def test_what_the_open_tools_cannot_do_is_reported_before_they_run(
-    project: Path, old: str, new: str, told: str
-) -> None:
-    (project.parent / "x.tcl").write_text("")
-    assert told in messages(check_open(changed(project, (old, new))))
-
-
 @pytest.mark.parametrize(
     ("other", "told"),
     [

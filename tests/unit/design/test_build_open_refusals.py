@@ -83,6 +83,11 @@ CASES = {  # the change to PLAIN; the module; the message
         AXIL_MODULE,
         "regions.left.pblock: the open flow wants ranges",
     ),
+    "another family": (
+        ("board: zybo-z7-20", "part: xck26-sfvc784-2LV-c"),
+        AXIL_MODULE,
+        "project: xck26: nextpnr has no",
+    ),
     "the ICAP": ((LEFT, LEFT.replace("fpga_manager", "icap")), AXIL_MODULE, "regions: ICAPE2"),
 }
 

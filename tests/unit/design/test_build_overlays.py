@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from build_support import copy_examples, generated, needs
 from cm import schema
 from cm.design.collect.collected import QUIET
 from cm.design.plan.system import System
+from cm.schema.model import Config
 
 DTS = Path(__file__).parents[3] / "dts"
 BOARDS = {"camera": "zynq-7000", "two_regions": "kv260"}
@@ -59,62 +61,69 @@ def fdtget(tree: Path, *words: str) -> list[str]:
     return done.stdout.split()
 
 
-def compiled(system: System, out: Path, folder: Path) -> tuple[Path, dict[str, Path]]:
+@dataclass(frozen=True)
+class Trees:
+    """A design with its overlays compiled, the board's own tree, and that with the static part's overlay applied."""
+
+    system: System
+    out: Path
+    config: Config
+    base: Path
+    overlays: dict[str, Path]
+    static: Path
+    whole: Path
+
+
+@pytest.fixture(scope="module")
+def trees(built: tuple[System, Path], tmp_path_factory: pytest.TempPathFactory) -> Trees:
+    system, out = built
+    folder, name = tmp_path_factory.mktemp("trees"), system.project.name
     base = folder / "base.dtb"
     compile_tree(board_source(system, folder), base, "-Wno-unit_address_vs_reg")
     overlays = {}
     for source in sorted((out / "dts").glob("*.dtso")):
         overlays[source.stem] = folder / f"{source.stem}.dtbo"
         compile_tree(source, overlays[source.stem], *QUIET)
-    return base, overlays
+    static = overlays.pop(f"{name}_static")
+    config = schema.load(out / f"config/{name}.yaml")
+    return Trees(system, out, config, base, overlays, static, apply(base, static))
 
 
-def test_every_overlay_compiles_and_applies_over_the_static_one(built: tuple[System, Path], tmp_path: Path) -> None:
-    system, out = built
-    base, overlays = compiled(system, out, tmp_path)
-    static = overlays[f"{system.project.name}_static"]
-    for name, overlay in overlays.items():
-        tree = apply(base, static) if overlay == static else apply(base, static, overlay)
-        assert "cm-streams" in fdtget(tree, "-l", "/"), name
+def test_every_overlay_compiles_and_applies_over_the_static_one(trees: Trees, tmp_path: Path) -> None:
+    base = shutil.copy(trees.base, tmp_path)
+    for name, overlay in trees.overlays.items():
+        assert "cm-streams" in fdtget(apply(Path(base), trees.static, overlay), "-l", "/"), name
 
 
-def test_overlays_put_nothing_below_a_bus_that_they_add(built: tuple[System, Path], tmp_path: Path) -> None:
-    """The kernel would make no devices of it: of_platform_notify looks at the parent of each new node only."""
-    system, out = built
-    _, overlays = compiled(system, out, tmp_path)
-    for overlay in overlays.values():
-        text = subprocess.run(["dtc", "-q", "-I", "dtb", "-O", "dts", overlay], check=True, capture_output=True).stdout
-        assert b"simple-bus" not in text
-        assert b"simple-mfd" not in text
+def test_overlays_put_nothing_below_a_bus_that_they_add_and_every_interrupt_says_whose_it_is(trees: Trees) -> None:
+    """The kernel would make no devices of it: of_platform_notify looks at the parent of each new node only.
 
-
-def test_every_interrupt_says_whose_it_is(built: tuple[System, Path], tmp_path: Path) -> None:
-    """The root of a Zynq's tree has no interrupt-parent."""
-    system, out = built
-    _, overlays = compiled(system, out, tmp_path)
-    for overlay in overlays.values():
+    The root of a Zynq's tree has no interrupt-parent.
+    """
+    for overlay in (trees.static, *trees.overlays.values()):
         done = subprocess.run(["dtc", "-q", "-I", "dtb", "-O", "dts", overlay], check=True, capture_output=True)
-        lines = [line.strip() for line in done.stdout.decode().splitlines()]
+        text = done.stdout.decode()
+        assert "simple-bus" not in text
+        assert "simple-mfd" not in text
+        lines = [line.strip() for line in text.splitlines()]
         nodes = [index for index, line in enumerate(lines) if line.startswith("interrupts = ")]
         assert all(lines[index - 1].startswith("interrupt-parent = ") for index in nodes)
 
 
-def test_the_pl_clocks_are_set_to_the_rates_of_the_build_schema(built: tuple[System, Path], tmp_path: Path) -> None:
-    system, out = built
-    base, overlays = compiled(system, out, tmp_path)
-    tree = apply(base, overlays[f"{system.project.name}_static"])
-    names = fdtget(tree, "/cm-clocks", "clock-names")
-    assert names == list(system.project.clocks)
-    rates = [str(system.project.clocks[name].rate) for name in names]
-    assert fdtget(tree, "/cm-clocks", "assigned-clock-rates") == rates
+def test_the_pl_clocks_are_set_to_the_rates_of_the_build_schema(trees: Trees) -> None:
+    clocks = trees.system.project.clocks
+    names = fdtget(trees.whole, "/cm-clocks", "clock-names")
+    assert names == list(clocks)
+    rates = [str(clocks[name].rate) for name in names]
+    assert fdtget(trees.whole, "/cm-clocks", "assigned-clock-rates") == rates
 
 
-def test_the_overlays_of_a_modes_modules_have_their_windows(built: tuple[System, Path], tmp_path: Path) -> None:
-    system, out = built
-    base, overlays = compiled(system, out, tmp_path)
+def test_the_overlays_of_a_modes_modules_have_their_windows(trees: Trees, tmp_path: Path) -> None:
+    system, base = trees.system, Path(shutil.copy(trees.base, tmp_path))
     for mode in system.project.modes.values():
-        mine = [overlays[f"module_{system.implementation(*pair).name}"] for pair in map(reversed, mode.modules.items())]
-        tree = apply(base, overlays[f"{system.project.name}_static"], *mine)
+        pairs = map(reversed, mode.modules.items())
+        mine = [trees.overlays[f"module_{system.implementation(*pair).name}"] for pair in pairs]
+        tree = apply(base, trees.static, *mine)
         for region in mode.modules:
             windows = [f"{bus.window.base:x}" for bus in system.region(region).registers]
             place = f"/fpga-region-{system.region(region).index}"
@@ -124,28 +133,16 @@ def test_the_overlays_of_a_modes_modules_have_their_windows(built: tuple[System,
                 assert fdtget(tree, f"{place}/{node}", "compatible") == ["fpga-cm,window", "fpga-cm,uio", "generic-uio"]
 
 
-def test_the_static_overlay_has_a_channel_for_every_stream_of_the_schema(
-    built: tuple[System, Path], tmp_path: Path
-) -> None:
-    system, out = built
-    base, overlays = compiled(system, out, tmp_path)
-    tree = apply(base, overlays[f"{system.project.name}_static"])
-    config = schema.load(out / f"config/{system.project.name}.yaml")
-    assert fdtget(tree, "/cm-streams", "dma-names") == [stream.channel for stream in config.streams.values()]
+def test_the_static_overlay_has_the_streams_and_the_decouplers_of_the_runtime_schema(trees: Trees) -> None:
+    streams = trees.config.streams.values()
+    assert fdtget(trees.whole, "/cm-streams", "dma-names") == [stream.channel for stream in streams]
     directions = {"1": "mm2s", "2": "s2mm"}
-    have = [directions[word] for word in fdtget(tree, "/cm-streams", "fpga-cm,directions")]
-    assert have == [stream.direction.value for stream in config.streams.values()]
-
-
-def test_decouplers_have_the_addresses_in_the_runtime_schema(built: tuple[System, Path], tmp_path: Path) -> None:
-    system, out = built
-    base, overlays = compiled(system, out, tmp_path)
-    tree = apply(base, overlays[f"{system.project.name}_static"])
-    config = schema.load(out / f"config/{system.project.name}.yaml")
-    for region in config.regions.values():
+    have = [directions[word] for word in fdtget(trees.whole, "/cm-streams", "fpga-cm,directions")]
+    assert have == [stream.direction.value for stream in streams]
+    for region in trees.config.regions.values():
         assert region.decoupler is not None
         address = region.decoupler.base_address + region.decoupler.offset
-        assert f"fpga-bridge@{address:x}" in fdtget(tree, "-l", "/")
+        assert f"fpga-bridge@{address:x}" in fdtget(trees.whole, "-l", "/")
 
 
 def test_the_same_nodes_go_into_a_boards_own_tree(built: tuple[System, Path], tmp_path: Path) -> None:
@@ -156,21 +153,19 @@ def test_the_same_nodes_go_into_a_boards_own_tree(built: tuple[System, Path], tm
     compile_tree(whole, tmp_path / "whole.dtb", "-Wno-unit_address_vs_reg")
 
 
-def test_the_merged_trees_are_what_the_bindings_allow(built: tuple[System, Path], tmp_path: Path) -> None:
+def test_the_merged_trees_are_what_the_bindings_allow(trees: Trees, tmp_path: Path) -> None:
     tool = Path(sysconfig.get_path("scripts")) / "dt-validate"
     if not tool.exists():
         pytest.skip("needs the PyPI package dtschema")
-    system, out = built
-    base, overlays = compiled(system, out, tmp_path)
-    static = overlays.pop(f"{system.project.name}_static")
-    trees = []
-    for name, overlay in overlays.items():
-        trees.append(tmp_path / f"{name}.merged.dtb")
-        subprocess.run(["fdtoverlay", "-i", base, "-o", trees[-1], static, overlay], check=True, capture_output=True)
-    command = [sys.executable, str(tool), "-s", str(DTS / "bindings"), *map(str, trees)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    merged = []
+    for name, overlay in trees.overlays.items():
+        merged.append(tmp_path / f"{name}.merged.dtb")
+        command = ["fdtoverlay", "-i", trees.base, "-o", merged[-1], trees.static, overlay]
+        subprocess.run(command, check=True, capture_output=True)
+    words = [sys.executable, str(tool), "-s", str(DTS / "bindings"), *map(str, merged)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
     lines = (done.stdout + done.stderr).splitlines()
-    assert not [line for line in lines if any(str(tree) in line for tree in trees)]
+    assert not [line for line in lines if any(str(tree) in line for tree in merged)]
     assert done.returncode == 0, lines
 
 

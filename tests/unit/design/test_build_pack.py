@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 import shlex
 import shutil
@@ -83,9 +82,13 @@ def test_a_flow_runs_under_another_root_and_comes_back_done(tmp_path: Path, caps
     assert run_flow(schema.parent / "build", Vivado(VIVADO, (2023, 2)), 1, lambda _: None)
 
 
-def test_no_file_of_the_archive_names_a_folder_of_this_host(tmp_path: Path) -> None:
-    archive = packed(two_regions(tmp_path), tmp_path / "flow.tar.gz")
-    with tarfile.open(archive) as tar:
+def test_the_same_flow_packs_to_the_same_bytes_none_of_which_name_a_folder_of_this_host(tmp_path: Path) -> None:
+    schema = two_regions(tmp_path)
+    for path in (tmp_path / "here").rglob("*"):
+        os.utime(path, (1_700_000_000, 1_700_000_000))
+    one, other = (packed(schema, tmp_path / f"{name}.tar.gz") for name in ("one", "other"))
+    assert one.read_bytes() == other.read_bytes()
+    with tarfile.open(one) as tar:
         for member in tar:
             assert not member.name.startswith("/")
             data = tar.extractfile(member)
@@ -93,31 +96,31 @@ def test_no_file_of_the_archive_names_a_folder_of_this_host(tmp_path: Path) -> N
             assert str(tmp_path).encode() not in data.read(), member.name
 
 
-def test_the_same_flow_packs_to_the_same_bytes(tmp_path: Path) -> None:
+def test_what_comes_back_is_taken_whole_or_not_at_all_and_not_run_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """In a folder that was copied back, for a change."""
     schema = two_regions(tmp_path)
-    for path in (tmp_path / "here").rglob("*"):
-        os.utime(path, (1_700_000_000, 1_700_000_000))
-    one, other = (packed(schema, tmp_path / f"{name}.tar.gz").read_bytes() for name in ("one", "other"))
-    assert one == other
-
-
-def test_a_folder_can_be_copied_back_instead_of_an_archive(tmp_path: Path) -> None:
-    schema = two_regions(tmp_path)
+    out = schema.parent / "build"
     elsewhere = there(packed(schema, tmp_path / "flow.tar.gz"), tmp_path / "there")
     make(elsewhere)
-    assert unpack(tmp_path / "there", schema.parent / "build").left == ()
-    assert states(schema.parent / "build") == {State.DONE}
-
-
-def test_nothing_is_taken_back_when_a_file_has_changed_here(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    schema = two_regions(tmp_path)
-    elsewhere = there(packed(schema, tmp_path / "flow.tar.gz"), tmp_path / "there")
-    make(elsewhere)
-    source = tmp_path / "here/camera/hdl/camera_edge.v"
-    source.write_text(source.read_text() + "// changed\n")
+    source, lost = tmp_path / "here/camera/hdl/camera_edge.v", elsewhere / "checkpoints/static_routed.dcp"
+    text = source.read_text()
+    source.write_text(text + "// changed\n")
     assert main(["build", "unpack", str(tmp_path / "there"), str(schema)]) == 1
     assert "camera/hdl/camera_edge.v: not what was packed any more" in capsys.readouterr().err
-    assert not (schema.parent / "build/bitstreams").exists()
+    source.write_text(text)
+    lost.rename(tmp_path / "aside")
+    with pytest.raises(BuildError, match=r"run_1 is done, but checkpoints/static_routed\.dcp did not come back"):
+        unpack(tmp_path / "there", out)
+    (tmp_path / "aside").rename(lost)
+    assert not (out / "bitstreams").exists()
+    assert unpack(tmp_path / "there", out).left == ()
+    assert states(out) == {State.DONE}
+    again = there(packed(schema, tmp_path / "again.tar.gz"), tmp_path / "once more")
+    (tmp_path / "seen").unlink()
+    make(again)
+    assert not (tmp_path / "seen").exists()
 
 
 def test_nothing_is_taken_back_when_a_file_was_changed_there(tmp_path: Path) -> None:
@@ -141,17 +144,6 @@ def test_steps_that_did_not_run_are_reported_and_the_others_are_kept(
     assert "step run_1 was not run to its end there" in capsys.readouterr().out
     done = {entry.step.name for entry in Flow(schema.parent / "build").plan() if entry.state is State.DONE}
     assert done == {"system", "static"}
-
-
-def test_finished_steps_are_packed_and_not_run_again(tmp_path: Path) -> None:
-    schema = two_regions(tmp_path)
-    first = there(packed(schema, tmp_path / "flow.tar.gz"), tmp_path / "there")
-    make(first)
-    unpack(tmp_path / "there", schema.parent / "build")
-    again = there(packed(schema, tmp_path / "again.tar.gz"), tmp_path / "once more")
-    (tmp_path / "seen").unlink()
-    make(again)
-    assert not (tmp_path / "seen").exists()
 
 
 def test_a_module_goes_alone_with_its_shell_and_nothing_of_the_static_design(tmp_path: Path) -> None:
@@ -241,14 +233,3 @@ def test_a_file_that_is_not_an_archive_is_refused(tmp_path: Path) -> None:
     (tmp_path / "back.tar.gz").write_bytes(b"no archive")
     with pytest.raises(BuildError, match="cannot be read"):
         unpack(tmp_path / "back.tar.gz", out)
-
-
-def test_a_stamp_without_its_output_is_refused(tmp_path: Path) -> None:
-    schema = two_regions(tmp_path)
-    elsewhere = there(packed(schema, tmp_path / "flow.tar.gz"), tmp_path / "there")
-    make(elsewhere)
-    (elsewhere / "checkpoints/static_routed.dcp").unlink()
-    with pytest.raises(BuildError, match=r"run_1 is done, but checkpoints/static_routed\.dcp did not come back"):
-        unpack(tmp_path / "there", schema.parent / "build")
-    told = json.loads((elsewhere / "pack.json").read_text())
-    assert told["project"] == "two_regions"

@@ -15,7 +15,6 @@ from cm.design.boundary.analyse import analyse
 from cm.design.errors import BuildError
 from cm.design.generate.outputs import render_all
 from cm.design.generate.tree import Design, generate, load_design
-from cm.design.plan.planner import plan_system
 from cm.design.platforms import ZYNQ7000, ZYNQMP, device_of
 from cm.design.project.load import load_project
 from cm.design.runtime.answers import Answers
@@ -179,23 +178,6 @@ def test_a_region_without_decoupling_is_reported_in_the_schema(tmp_path: Path) -
     assert "assign prr0_cut = 1'b0;" in written["hdl/cm_static.v"]
 
 
-@pytest.mark.parametrize(
-    ("region", "words"),
-    [
-        ("{interfaces: {m_axs: {connect: dma}}}", "did you mean m_axis"),
-        ("{interfaces: {m_axis: {connect: memory}}}", "dma or vdma or switch or external or none"),
-    ],
-)
-def test_an_impossible_connection_is_refused(region: str, words: str, tmp_path: Path) -> None:
-    with pytest.raises(BuildError, match=words):
-        design(tmp_path, MINIMAL.replace("{pblock: auto}", region))
-
-
-def test_an_icap_clock_that_is_too_fast_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(BuildError, match="ICAP runs on fclk0 at 150000000 Hz"):
-        design(tmp_path, MINIMAL + "clocks: {fclk0: {rate: 150000000}}\n")
-
-
 def test_more_masters_than_the_ports_to_memory_take_are_refused(tmp_path: Path) -> None:
     regions = ", ".join(f"r{index}: {{}}" for index in range(17))
     text = MINIMAL.replace("  prr0: {pblock: auto}", f"  {{{regions}}}")
@@ -210,12 +192,6 @@ def test_modules_that_do_not_fit_are_refused_by_name(tmp_path: Path) -> None:
         load_design(path)
     found = load_project(path)
     assert analyse(found).refused
-
-
-def test_registers_without_a_register_interface_are_reported(tmp_path: Path) -> None:
-    found = design(tmp_path, MINIMAL + "    registers: {gain: {offset: 0}}\n")
-    with pytest.raises(BuildError, match=r"build\.yaml:7:5: modules\.one\.registers: .* has no register interface"):
-        files(found)
 
 
 def test_a_module_in_no_mode_is_noted(tmp_path: Path) -> None:
@@ -247,11 +223,6 @@ def test_interrupt_lines_of_the_processors() -> None:
 )  # fmt: skip
 def test_the_device_of_a_part(part: str, device: str) -> None:
     assert device_of(part) == device
-
-
-def test_plan_and_project_agree_on_the_device(tmp_path: Path) -> None:
-    found = load_project(project(tmp_path))
-    assert plan_system(found, analyse(found).boundaries).device == "xc7z020"
 
 
 HDL = Path(__file__).parents[2] / "data" / "hdl"

@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The flow runs step by step, resumes where it stopped, and skips what did not change."""
+"""The flow runs step by step, skips what did not change, fails or is interrupted anywhere, and resumes there."""
 
 from __future__ import annotations
 
 import json
+import shutil
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -18,15 +21,26 @@ from cm.design.run.vivado import Vivado, find_vivado
 
 FAKE = Path(__file__).parents[1] / "fake_vivado.sh"
 VIVADO = Vivado(FAKE, (2023, 2))
-RUNS = {"run_1", "run_2", "run_3"}
+RUNS = ("run_1", "run_2", "run_3")
+SYNTHESIS = ("static", "synth_default", "synth_edge", "synth_colorise")
+STEPS = ("system", *SYNTHESIS, *RUNS, "verify", *(f"bitstreams_{run}" for run in RUNS))
 
 pytestmark = needs("make")
 
 
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The camera example, generated once."""
+    folder = copy_examples(tmp_path_factory.mktemp("examples"))
+    generated(folder, "camera")
+    return folder
+
+
 @pytest.fixture
-def out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def out(tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    shutil.copytree(tree, tmp_path, dirs_exist_ok=True)
     monkeypatch.setenv("CM_CALLS", str(tmp_path / "calls"))
-    return generated(copy_examples(tmp_path), "camera")[1]
+    return tmp_path / "camera/build"
 
 
 def calls(out: Path) -> list[str]:
@@ -36,10 +50,8 @@ def calls(out: Path) -> list[str]:
 
 def run(out: Path, jobs: int = 1) -> list[str]:
     """Run the flow and return its output."""
-    before = len(calls(out))
     said: list[str] = []
     run_flow(out, VIVADO, jobs, said.append)
-    assert len(calls(out)) >= before
     return said
 
 
@@ -47,75 +59,40 @@ def states(out: Path) -> dict[str, State]:
     return {entry.step.name: entry.state for entry in Flow(out).plan()}
 
 
-def test_every_step_runs_once_and_after_those_it_needs(out: Path) -> None:
-    run(out, jobs=2)
+def test_every_step_runs_once_and_after_those_it_needs_and_progress_names_and_counts_them(out: Path) -> None:
+    said = run(out, jobs=2)
     order = calls(out)
-    assert sorted(order) == sorted(step.name for step in Flow(out).steps)
+    assert tuple(step.name for step in Flow(out).steps) == STEPS
+    assert sorted(order) == sorted(STEPS)
     for step in Flow(out).steps:
         assert all(order.index(name) < order.index(step.name) for name in step.after)
     assert set(states(out).values()) == {State.DONE}
-
-
-def test_a_second_run_does_nothing(out: Path) -> None:
-    run(out)
-    count = len(calls(out))
-    assert run(out) == ["nothing to do: all steps are done and their inputs unchanged"]
-    assert len(calls(out)) == count
-
-
-def test_touching_a_file_without_changing_it_runs_nothing(out: Path) -> None:
-    run(out)
-    source = out.parent / "hdl/camera_edge.v"
-    source.write_text(source.read_text())
-    assert set(states(out).values()) == {State.DONE}
-
-
-def test_a_changed_module_is_synthesised_and_implemented_again(out: Path) -> None:
-    run(out)
-    count = len(calls(out))
-    source = out.parent / "hdl/camera_edge.v"
-    source.write_text(source.read_text() + "// changed\n")
-    changed = {name for name, state in states(out).items() if state is not State.DONE}
-    run(out)
-    again = set(calls(out)[count:])
-    assert again == changed
-    assert "synth_edge" in again
-    assert not {"synth_default", "synth_colorise", "static", "system", "run_1"} & again
-
-
-def test_generating_again_without_a_change_runs_nothing(out: Path) -> None:
-    run(out)
-    generate(load_design(out.parent / "build.yaml"), out)
-    assert set(states(out).values()) == {State.DONE}
-
-
-def test_a_failed_step_is_reported_with_its_log_and_the_next_run_goes_on(
-    out: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("CM_FAIL", "run_2")
-    with pytest.raises(StepFailed, match=r"step run_2 failed.*\n.*2: ERROR: \[Place 30-99\]"):
-        run(out)
-    assert states(out)["run_1"] is State.DONE
-    monkeypatch.delenv("CM_FAIL")
-    count = len(calls(out))
-    run(out)
-    assert calls(out)[count] == "run_2"
-    assert "system" not in calls(out)[count:]
-
-
-def test_progress_names_each_step_and_counts(out: Path) -> None:
-    said = run(out)
     assert "system: block design" in said
     assert any(line.startswith("system: done in") and line.endswith("(1 of 12)") for line in said)
 
 
-def test_an_output_that_is_gone_is_made_again(out: Path) -> None:
+def test_what_did_not_change_is_not_run_again(out: Path) -> None:
+    """Nor after a file was written as it was, or generated again."""
     run(out)
-    (out / "checkpoints/synth_edge.dcp").unlink()
-    assert states(out)["synth_edge"] is State.LOST
-    count = len(calls(out))
+    source = out.parent / "hdl/camera_edge.v"
+    source.write_text(source.read_text())
+    generate(load_design(out.parent / "build.yaml"), out)
+    assert set(states(out).values()) == {State.DONE}
+    assert run(out) == ["nothing to do: all steps are done and their inputs unchanged"]
+    assert len(calls(out)) == len(STEPS)
+
+
+def test_a_changed_module_and_an_output_that_is_gone_are_made_again(out: Path) -> None:
     run(out)
-    assert "synth_edge" in calls(out)[count:]
+    source = out.parent / "hdl/camera_edge.v"
+    source.write_text(source.read_text() + "// changed\n")
+    (out / "checkpoints/synth_colorise.dcp").unlink()
+    found = states(out)
+    assert (found["synth_edge"], found["synth_colorise"]) == (State.CHANGED, State.LOST)
+    run(out)
+    again = set(calls(out)[len(STEPS) :])
+    assert again == {name for name, state in found.items() if state is not State.DONE}
+    assert not {"synth_default", "static", "system", "run_1"} & again
 
 
 def test_the_dry_run_lists_the_steps_and_runs_none(out: Path, capsys: pytest.CaptureFixture) -> None:
@@ -126,17 +103,14 @@ def test_the_dry_run_lists_the_steps_and_runs_none(out: Path, capsys: pytest.Cap
     assert calls(out) == []
 
 
-def test_the_command_runs_the_flow(out: Path, capsys: pytest.CaptureFixture) -> None:
-    assert main(["build", "run", str(out.parent / "build.yaml"), "--vivado", str(FAKE)]) == 0
-    assert "Vivado 2023.2" in capsys.readouterr().out
-    assert len(calls(out)) == 12
-
-
-def test_a_vivado_in_a_folder_of_any_name_runs_the_flow(out: Path, tmp_path: Path) -> None:
+def test_the_command_runs_the_flow_with_a_vivado_in_a_folder_of_any_name(
+    out: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
     folder = tmp_path / "it's my $tools"
     folder.mkdir()
     (folder / "vivado").symlink_to(FAKE)
     assert main(["build", "run", str(out.parent / "build.yaml"), "--vivado", str(folder / "vivado")]) == 0
+    assert "Vivado 2023.2" in capsys.readouterr().out
     assert len(calls(out)) == 12
 
 
@@ -171,3 +145,130 @@ def test_an_old_version_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CM_VERSION", "2019.2")
     with pytest.raises(BuildError, match=r"2020\.1 or newer"):
         find_vivado(str(FAKE), {})
+
+
+def behind(out: Path, failed: str) -> set[str]:
+    """`failed` and the steps that depend on it, directly or not."""
+    found = {failed}
+    for step in Flow(out).steps:
+        found |= {step.name} if found.intersection(step.after) else set()
+    return found
+
+
+@pytest.mark.parametrize("failed", STEPS)
+def test_a_failure_at_any_step_is_reported_and_the_flow_goes_on_there(
+    out: Path, failed: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CM_FAIL", failed)
+    with pytest.raises(StepFailed) as failure:
+        run_flow(out, VIVADO, 1, lambda _: None)
+    assert str(failure.value) == (
+        f"step {failed} failed; {out}/logs/{failed}.log says:\n"
+        "    2: ERROR: [Place 30-99] Placer failed with error: 'too small'"
+    )
+    assert all(states(out)[name] is State.NEW for name in behind(out, failed))
+    assert not behind(out, failed).intersection(calls(out)) - {failed}
+    left = {entry.step.name for entry in Flow(out).unfinished()}
+    assert behind(out, failed) <= left
+
+    count = len(calls(out))
+    monkeypatch.delenv("CM_FAIL")
+    run_flow(out, VIVADO, 1, lambda _: None)
+    assert sorted(calls(out)[count:]) == sorted(left)
+    assert set(states(out).values()) == {State.DONE}
+    assert Flow(out).unfinished() == []
+
+
+def test_a_flow_that_failed_is_not_collected(
+    out: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    schema = str(out.parent / "build.yaml")
+    monkeypatch.setenv("CM_FAIL", "bitstreams_run_3")
+    assert main(["build", "run", schema, "--vivado", str(FAKE), "-j1"]) == 1
+    assert "step bitstreams_run_3 failed" in capsys.readouterr().err
+    assert main(["build", "collect", "--schema", schema, "-o", str(out / "target")]) == 1
+    assert f"the flow in {out} is not finished, bitstreams_run_3 must run" in capsys.readouterr().err
+    assert not (out / "target").exists()
+
+
+@pytest.mark.parametrize("step", ["system", "run_1", "bitstreams_run_1"])
+def test_an_interrupted_flow_ends_its_programs_and_goes_on_there(
+    out: Path, step: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CM_HANG", step)
+    pid = out.parent.parent / "calls.pid"
+
+    def interrupt(sentence: str) -> None:
+        if sentence.startswith(f"{step}: "):
+            _until(lambda: pid.exists() and pid.read_text().endswith("\n"))
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_flow(out, VIVADO, 1, interrupt)
+    number = int(pid.read_text())
+    _until(lambda: not _alive(number))
+    assert states(out)[step] is State.NEW
+    monkeypatch.delenv("CM_HANG")
+    done = {name for name, state in states(out).items() if state is State.DONE}
+    count = len(calls(out))
+    run_flow(out, VIVADO, 1, lambda _: None)
+    assert sorted(calls(out)[count:]) == sorted(set(STEPS) - done)
+
+
+def _until(true: Callable[[], bool]) -> None:
+    end = time.monotonic() + 60
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def _alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().split(")")[-1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_several_failures_at_once_are_all_reported(out: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Vivado without a licence fails in every step that make has begun."""
+    program = tmp_path / "broken.sh"
+    program.write_text(
+        "#!/bin/sh\n"
+        ": > $CM_CALLS.$$\n"  # each waits for the other to have begun
+        "for i in $(seq 1000); do set -- $CM_CALLS.*; [ $# -ge 2 ] && break; sleep 0.01; done\n"
+        "echo \"ERROR: [Common 17-345] A valid license was not found for feature 'Synthesis'\"\n"
+        "exit 1\n"
+    )
+    program.chmod(0o755)
+    with pytest.raises(StepFailed) as failure:
+        run_flow(out, Vivado(program, (2023, 2)), 2, lambda _: None)
+    text = str(failure.value)
+    assert text.count("A valid license was not found") == 2
+    assert f"{out}/logs/system.out says" in text
+
+
+def test_outdated_results_of_the_flow_are_not_collected(out: Path, capsys: pytest.CaptureFixture) -> None:
+    """A changed module leaves old bitstreams behind: they are not collected together with new ones."""
+    schema = str(out.parent / "build.yaml")
+    run_flow(out, VIVADO, 1, lambda _: None)
+    source = out.parent / "hdl/camera_edge.v"
+    source.write_text(source.read_text() + "// changed\n")
+    assert main(["build", "collect", "--schema", schema]) == 1
+    assert "synth_edge, run_2, verify" in capsys.readouterr().err
+
+
+def test_a_flow_that_was_generated_from_other_input_is_not_run(out: Path, capsys: pytest.CaptureFixture) -> None:
+    schema = out.parent / "build.yaml"
+    schema.write_text(schema.read_text().replace("board: pynq-z2", "board: zybo-z7-20"))
+    assert main(["build", "run", str(schema), "--vivado", str(FAKE)]) == 1
+    assert "would be generated otherwise now: run cm build generate first" in capsys.readouterr().err
+    assert calls(out) == []
+    assert main(["build", "run", str(schema), "--dry-run"]) == 0
+    assert "note: " in capsys.readouterr().out
+
+
+def test_generated_files_that_the_user_changed_are_run(out: Path) -> None:
+    path = out / "tcl/floorplan.tcl"
+    path.write_text(path.read_text() + "# mine\n")
+    assert main(["build", "run", str(out.parent / "build.yaml"), "--vivado", str(FAKE)]) == 0
+    assert (out / "bitstreams/edge.bin").stat().st_size

@@ -72,13 +72,13 @@ MISTAKES = {
         MINIMAL + "    registers: {a: {offset: 4, default: 9, max: 7}}\n",
         7,
         "value_range",
-        "outside min and max",
+        "is out of range",
     ),
     "field too high": (
         MINIMAL + "    registers: {a: {offset: 4, width: 8, fields: {f: {lsb: 7, width: 2}}}}\n",
         7,
         "value_range",
-        "beyond the register",
+        "of a register of 8 bits",
     ),
     "register in a mode": (
         MINIMAL + "modes: {m: {modules: [one], registers: {gian: 1}}}\n",

@@ -159,21 +159,21 @@ def decoupled_by(driver: str, output: str, *more: str) -> Hwh:
     )
 
 
-def test_decoupler_is_followed_to_the_bit_of_a_gpio() -> None:
-    (found,) = handoff.decouplers(decoupled_by("gpio", "gpio2_io_o"))
-    assert (found.driver, found.base, found.offset, found.bit) == ("gpio", 0x41200000, 8, 3)
+@pytest.mark.parametrize(
+    ("driver", "output", "expected"),
+    [
+        ("gpio", "gpio2_io_o", (0x41200000, 8, 3, "", 0)),
+        ("ps", "GPIO_O", (None, 0, 0, "zynq_gpio", 57)),
+        ("ps", "SPI0_SS_O", (None, 0, 0, "", 0)),  # another pin of the processor: no register, no line
+    ],
+)
+def test_decoupler_is_followed_to_the_bit_or_line_that_drives_it(
+    driver: str, output: str, expected: tuple[object, ...]
+) -> None:
+    (found,) = handoff.decouplers(decoupled_by(driver, output))
+    assert (found.base, found.offset, found.bit, found.chip, found.line) == expected
+    assert found.driver == driver
     assert "pr_0" in found.neighbours
-
-
-def test_decoupler_on_a_pin_of_the_processor_has_no_register() -> None:
-    (found,) = handoff.decouplers(decoupled_by("ps", "GPIO_O"))
-    assert (found.driver, found.base) == ("ps", None)
-    assert (found.chip, found.line) == ("zynq_gpio", 57)
-
-
-def test_decoupler_on_another_pin_of_the_processor_has_no_line() -> None:
-    (found,) = handoff.decouplers(decoupled_by("ps", "SPI0_SS_O"))
-    assert (found.driver, found.base, found.chip) == ("ps", None, "")
 
 
 def test_decoupler_with_its_own_register_is_bit_zero_of_it() -> None:

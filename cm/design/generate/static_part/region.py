@@ -24,8 +24,8 @@ def add_region(net: Netlist, system: System, region: RegionPlan) -> None:
         add_registers(site.at(registers.interface), registers)
     for stream in site.region.streams:
         add_stream(site.at(stream.interface), stream)
-    for memory in site.region.memory:
-        add_memory(site.at(memory.interface), memory)
+    for interface in site.region.memory:
+        add_memory(site.at(interface), interface)
     site.join()
     _interrupts(site)
     _external(site)

@@ -14,15 +14,14 @@ from cm.design.generate.netlist import Netlist, concat, ones, zeros
 from cm.design.generate.static_part.site import Site
 from cm.design.hdl.model import Interface, PortDirection
 from cm.design.plan.dma_engines import Engine
-from cm.design.plan.system import MemoryBus, StreamBus, SwitchPlan, System
+from cm.design.plan.system import StreamBus, SwitchPlan, System
 from cm.schema.model import Direction
 
 IN, OUT = PortDirection.IN, PortDirection.OUT
 
 
-def add_memory(site: Site, bus: MemoryBus) -> None:
+def add_memory(site: Site, interface: Interface) -> None:
     """The decoupler of an AXI4 or AXI4-Lite master."""
-    interface = bus.interface
     data = axi.width_of(interface, "WDATA" if interface.writes else "RDATA")
     connections: dict[str, str | None] = {}
     parameters: dict[str, object] = {"DATA_WIDTH": data}
