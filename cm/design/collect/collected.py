@@ -18,6 +18,7 @@ from pathlib import Path
 from cm.design.collect.handoff import Handoff
 from cm.design.collect.images import Image
 from cm.design.errors import BuildError
+from cm.design.generate.manifest import write_whole
 from cm.design.run.archive import write_tar
 from cm.schema.model import Config
 
@@ -55,9 +56,7 @@ def write_folder(folder: Path, files: Mapping[str, bytes]) -> None:
     for name, data in files.items():
         if Path(name).name != name:
             raise BuildError(f"{name!r} is not a plain file name")
-        part = folder / f".{name}.part"
-        part.write_bytes(data)
-        part.replace(folder / name)
+        write_whole(folder / name, data)
 
 
 def archive(name: str, files: Mapping[str, bytes]) -> bytes:

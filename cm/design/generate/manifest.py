@@ -43,6 +43,14 @@ def digest(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file whole or not at all, in a folder that is made if need be."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{path.name}.part")
+    part.write_bytes(data)
+    part.replace(path)
+
+
 class Tree:
     """A folder of generated files."""
 
@@ -147,10 +155,4 @@ class Tree:
         else:
             done.left.append(name)
 
-    @staticmethod
-    def _put(path: Path, data: bytes) -> None:
-        """Write a file atomically; an unchanged one is not written, so that it keeps its time stamp."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_name(f".{path.name}.part")
-        part.write_bytes(data)
-        part.replace(path)
+    _put = staticmethod(write_whole)

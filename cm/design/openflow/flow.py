@@ -11,6 +11,7 @@ from pathlib import Path
 
 from cm.design.errors import BuildError
 from cm.design.generate.inputs import module_files
+from cm.design.generate.manifest import write_whole
 from cm.design.generate.netlist import Netlist
 from cm.design.openflow import images
 from cm.design.openflow.attempt import Attempt, Context, Settings, Unroutable
@@ -18,7 +19,7 @@ from cm.design.openflow.layout import layouts
 from cm.design.openflow.moved import MOVERS, moved_image, moves_of
 from cm.design.openflow.netlists import MODULE_TOP, TOP, module_side, open_system, open_top, static_side
 from cm.design.openflow.rules import refuse_open
-from cm.design.openflow.steps import Steps, Tell, key_of, write_whole
+from cm.design.openflow.steps import Steps, Tell, key_of
 from cm.design.openflow.synth import ROUTER, Sources, resolved, script, synthesise
 from cm.design.openflow.tools import Tools
 from cm.design.plan.system import Implementation, System

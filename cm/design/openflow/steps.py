@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from cm.design.errors import StepFailed
+from cm.design.generate.manifest import write_whole
 from cm.design.openflow.tools import Tool
 
 Tell = Callable[[str], None]
@@ -55,13 +56,6 @@ class Steps:
         write_whole(stamp, key.encode())
         self.ran.append(name)
         self._tell(f"{name}: done in {time.monotonic() - began:.0f} s")
-
-
-def write_whole(path: Path, data: bytes) -> None:
-    """Write a file atomically."""
-    aside = path.with_name(f".{path.name}.{os.getpid()}")
-    aside.write_bytes(data)
-    aside.rename(path)
 
 
 def key_of(*parts: object) -> str:

@@ -17,12 +17,13 @@ from pathlib import Path
 from typing import Any
 
 from cm.design.errors import BuildError
+from cm.design.generate.manifest import write_whole
 from cm.design.openflow.merge import CLOCK
 from cm.design.openflow.netlists import ANCHOR, HARNESS
 from cm.design.openflow.rewrites import Cell, packable, separate, unchain, wires_of
 from cm.design.openflow.routed import last
 from cm.design.openflow.rules import check_cells
-from cm.design.openflow.steps import run_tool, write_whole
+from cm.design.openflow.steps import run_tool
 from cm.design.openflow.tools import Tool
 
 _PINS = {"FD": ("C",), "SRL": ("CLK",), "RAMB": ("CLKARDCLK", "CLKBWRCLK"), "RAM": ("WCLK",), "DSP": ("CLK",)}
