@@ -19,8 +19,12 @@ from routed import TOOLS, Routed, route  # noqa: E402 - beside this file
 
 from cm.design.errors import BuildError  # noqa: E402
 from cm.design.openflow.tools import Tools, fetch_tools  # noqa: E402
-from cm.design.packages import PackagesUnavailable, default_folder, fetch  # noqa: E402
-from cm.design.packages.fetch import PackageTree  # noqa: E402
+from cm.design.packages import (  # noqa: E402
+    PackagesUnavailable,
+    PackageTree,
+    default_folder,
+    fetch,
+)
 
 EXAMPLES = HERE.parents[1] / "cm" / "data" / "examples"
 

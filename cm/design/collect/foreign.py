@@ -1,21 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Makes a configuration from the files of another flow: .hwh, full and partial bitstreams."""
+"""Makes a configuration from the files of another flow: .hwh, full and partial bitstreams; and its static overlay."""
 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from cm.design.collect import handoff
 from cm.design.collect.collected import HEAD, Collected, Inputs, compile_overlays
-from cm.design.collect.foreign_dma import engines, interrupts
-from cm.design.collect.foreign_overlay import overlay
+from cm.design.collect.foreign_dma import PS_CLOCKS, ClockInput, Engines, ForeignInterrupts, engines, interrupts
 from cm.design.collect.handoff import Handoff
 from cm.design.collect.images import Image, by_region, check_regions, footprint, to_bin
 from cm.design.errors import BuildError
 from cm.design.hdl.register_maps import identifier
-from cm.design.platforms import platform_of
+from cm.design.platforms import Platform, platform_of
+from cm.design.render import Renderer
 from cm.formats import hwh
 from cm.formats.importers.registers import decoupler_of
 from cm.schema import dump
@@ -174,3 +176,72 @@ def _module(
             registers[free] = replace(register, name=free)
     digest = hashlib.sha256(files[f"{name}.bin"]).hexdigest()
     return Module(name, region, Path(f"{name}.bin"), digest, registers=registers)
+
+
+@dataclass(frozen=True, slots=True)
+class Bridge:
+    """A DFX decoupler with registers of its own, as the kernel's driver xlnx,pr-decoupler needs it."""
+
+    label: str
+    base: int
+    size: int
+    clock: str
+
+
+def overlay(design: hwh.Hwh, config: Config, platform: Platform, dma: Engines, lines: ForeignInterrupts) -> str:
+    """The source of the overlay."""
+    zynq = platform.name == "zynq7000"
+    decouplers = {bridge.base: bridge for bridge in bridges(design)}
+    context = {
+        "name": config.name,
+        "cells": 1 if zynq else 2,
+        "intc": "intc" if zynq else "gic",
+        "manager": "devcfg" if zynq else "zynqmp_pcap",
+        "clocks": [ClockInput(c.name, _phandle(c.name), c.rate) for c in hwh.clocks(design)],
+        "windows": list(_windows(design, lines)),
+        "dma": dma,
+        "channels": [(engine, channel) for engine in dma.found for channel in engine.channels],
+        "bridges": list(decouplers.values()),
+        "regions": {
+            region.name: decouplers.get(region.decoupler.base_address) if region.decoupler else None
+            for region in config.regions.values()
+        },
+    }
+    return Renderer(Path("/"), Path("/"), "Written by cm build collect.").render("collected.dtso.j2", context)
+
+
+def bridges(design: hwh.Hwh) -> Iterator[Bridge]:
+    """Decouplers whose registers the processor reaches, and whose clock it gives."""
+    sizes = {window.instance: window.size for window in hwh.windows(design)}
+    for found in hwh.decouplers(design):
+        if found.base is None or found.driver != found.instance or found.instance not in sizes:
+            continue
+        clock = _clock_of(design.modules[found.instance])
+        if clock is not None:
+            label = f"{identifier(found.instance)}_bridge"
+            yield Bridge(label, found.base, sizes[found.instance], clock)
+
+
+def _clock_of(module: hwh.ModuleInstance) -> str | None:
+    port = module.ports.get("aclk") or module.ports.get("s_axi_aclk")
+    ends = [end.port for end in port.connections] if port else []
+    return next((PS_CLOCKS[name] for name in ends if name in PS_CLOCKS), None)
+
+
+def _phandle(name: str) -> str:
+    """The phandle of a clock by its name in the runtime schema, fclk0 or pl0."""
+    return f"<{PS_CLOCKS[('FCLK_CLK' if name.startswith('fclk') else 'pl_clk') + name[-1]]}>"
+
+
+def _windows(design: hwh.Hwh, lines: ForeignInterrupts) -> Iterator[dict[str, Any]]:
+    """Windows for user space: all but those of DMA engines, each address once."""
+    engines = {channel.instance for channel in hwh.dma_channels(design)}
+    found = {window.base: window for window in hwh.windows(design) if window.instance not in engines}
+    for window in found.values():
+        if window.instance in design.modules:
+            yield {
+                "name": identifier(design.modules[window.instance].name).replace("_", "-"),
+                "base": window.base,
+                "size": window.size,
+                "spi": lines.spis.get(window.instance),
+            }

@@ -5,15 +5,15 @@
 `cm import pynq` and by `cm build collect`.
 """
 
-from cm.formats.hwh.model import BusInterface as BusInterface
-from cm.formats.hwh.model import ConnectedPort as ConnectedPort
-from cm.formats.hwh.model import Hwh as Hwh
-from cm.formats.hwh.model import InstancePort as InstancePort
-from cm.formats.hwh.model import MemoryRange as MemoryRange
-from cm.formats.hwh.model import ModuleInstance as ModuleInstance
-from cm.formats.hwh.model import RegisterField as RegisterField
-from cm.formats.hwh.model import RegisterInfo as RegisterInfo
+from cm.formats.hwh.reader import BusInterface as BusInterface
+from cm.formats.hwh.reader import ConnectedPort as ConnectedPort
+from cm.formats.hwh.reader import Hwh as Hwh
 from cm.formats.hwh.reader import HwhError as HwhError
+from cm.formats.hwh.reader import InstancePort as InstancePort
+from cm.formats.hwh.reader import MemoryRange as MemoryRange
+from cm.formats.hwh.reader import ModuleInstance as ModuleInstance
+from cm.formats.hwh.reader import RegisterField as RegisterField
+from cm.formats.hwh.reader import RegisterInfo as RegisterInfo
 from cm.formats.hwh.reader import parse as parse
 from cm.formats.hwh.reader import read as read
 from cm.formats.hwh.trace import ClockInfo as ClockInfo
