@@ -138,7 +138,8 @@ class Loading:
     def __init__(self, text: str, source: Path | None, structure: Structure) -> None:
         self._text, self._source, self._structure = text, source, structure
         self._problems: list[Problem] = []
-        self._root: Node = Table(Mark(1, 1))
+        self.given: Node = Table(Mark(1, 1))  # as it stands in the file; `_root`: in normal form
+        self._root: Node = self.given
 
     def values(self) -> dict[str, Any]:
         """The values in normal form. Raises `SchemaError` with everything in which they differ from the JSON Schema."""
@@ -148,6 +149,7 @@ class Loading:
             self._report_mark(refused.mark, refused.code, refused.message, refused.hint)
             raise self._error() from None
         self.stop_if_wrong()
+        self.given = tree
         self._root = self._structure.fit(tree, self.report_at)
         for finding in self._structure.values(self._root):
             self.report(*finding)

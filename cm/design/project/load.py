@@ -37,7 +37,7 @@ from cm.schema.model import Access, BitField, Clock, FieldAccess, LoaderKind, Me
 from cm.schema.pictures import pixel_shape
 from cm.schema.problems import KeyPath, Problem, SchemaError
 from cm.schema.structure import Structure
-from cm.schema.tree import Mark
+from cm.schema.tree import Mark, locate
 
 
 def connection(spec: dict[str, Any]) -> ConnectionSpec:
@@ -145,6 +145,10 @@ DEFAULT_RATE = 100_000_000
 
 
 class _Loading(Loading):
+    def report(self, path: KeyPath, code: str, message: str, hint: str = "") -> None:
+        """At the key of the file, as what is found later is (`source_position.fault`)."""
+        self.report_at(locate(self.given, path), path, code, message, hint)
+
     def report_at(self, mark: Mark, path: KeyPath, code: str, message: str, hint: str) -> None:
         """With hints for this kind of schema."""
         if code == "unknown_key" and path[-1:] == ("hls",):
