@@ -136,7 +136,7 @@ class Loading:
     """One text on its way to plain values; a stage runs only if the earlier ones found nothing wrong."""
 
     def __init__(self, text: str, source: Path | None, structure: Structure) -> None:
-        self._text, self._source, self._structure = text, source, structure
+        self._text, self.source, self._structure = text, source, structure
         self._problems: list[Problem] = []
         self.given: Node = Table(Mark(1, 1))  # as it stands in the file; `_root`: in normal form
         self._root: Node = self.given
@@ -163,7 +163,7 @@ class Loading:
 
     def report_at(self, mark: Mark, path: KeyPath, code: str, message: str, hint: str) -> None:
         """Report a problem at a position."""
-        problem = Problem(self._source, mark.line, mark.column, key_path(path), code, message, hint)
+        problem = Problem(self.source, mark.line, mark.column, key_path(path), code, message, hint)
         self._problems.append(problem)
         if len(self._problems) >= MAX_PROBLEMS:
             raise self._error()

@@ -13,7 +13,6 @@ protocols:
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,11 +22,9 @@ from typing import Any
 from cm.design.hdl.buses import Protocol, Signal, make_protocol
 from cm.design.hdl.errors import HdlError
 from cm.design.hdl.model import Mode, PortDirection
-from cm.design.project.load import Reporter
+from cm.design.project.load import DesignFile
 from cm.schema.problems import KeyPath
-from cm.schema.reader import Refused, read
-from cm.schema.structure import Structure
-from cm.schema.tree import locate, plain
+from cm.schema.tree import locate
 
 SCHEMA_FILE = Path(__file__).parents[1] / "data" / "protocols.schema.json"
 _RESERVED = ("axi4", "axi3", "axi4lite", "axis", "aximm", "clock", "reset", "interrupt")
@@ -66,45 +63,35 @@ def load_protocols(path: str | Path) -> tuple[UserProtocol, ...]:
 
 def parse_protocols(text: str, name: str = "protocols.yaml") -> tuple[UserProtocol, ...]:
     """Do as `load_protocols`, for text; `name` is used in messages."""
-    report = Reporter(Path(name))
-    structure = Structure(json.loads(SCHEMA_FILE.read_text(encoding="utf-8")))
-    try:
-        report.root = read(text, report.at)
-    except Refused as refused:
-        report.at(refused.mark, refused.code, str(refused), refused.hint.replace("config:", "protocols:"))
-        report.stop()
-    tree = structure.fit(report.root, report.fitted)
-    for finding in structure.values(tree):
-        report.key(finding.path, finding.code, finding.message, finding.hint)
-    report.stop()
+    file = DesignFile(text, Path(name), SCHEMA_FILE, "protocols:")
     found: dict[str, UserProtocol] = {}
-    for index, spec in enumerate(plain(tree)["protocols"]):
+    for index, spec in enumerate(file.values()["protocols"]):
         key: KeyPath = ("protocols", index)
         if spec["name"].lower() in _RESERVED:
-            report.key((*key, "name"), "bad_name", f"{spec['name']} is built in", "choose another name")
+            file.report((*key, "name"), "bad_name", f"{spec['name']} is built in", "choose another name")
         if spec["name"] in found:
-            report.key((*key, "name"), "duplicate_name", f"the protocol {spec['name']} is defined twice")
+            file.report((*key, "name"), "duplicate_name", f"the protocol {spec['name']} is defined twice")
         if not spec["signals"]:
-            report.key((*key, "signals"), "missing_key", "a protocol needs at least one signal")
-        found[spec["name"]] = _protocol(spec, key, report)
-    report.stop()
+            file.report((*key, "signals"), "missing_key", "a protocol needs at least one signal")
+        found[spec["name"]] = _protocol(spec, key, file)
+    file.stop_if_wrong()
     return tuple(found.values())
 
 
-def _protocol(spec: dict[str, Any], key: KeyPath, report: Reporter) -> UserProtocol:
+def _protocol(spec: dict[str, Any], key: KeyPath, file: DesignFile) -> UserProtocol:
     protocol = make_protocol(spec["name"], [_signal(name, signal) for name, signal in spec["signals"].items()])
     bindings = []
     for index, given in enumerate(spec.get("bindings") or ()):
         here: KeyPath = (*key, "bindings", index)
         for signal in given["ports"].keys() - protocol.signals.keys():
             message = f"{protocol.name} has no signal {signal}; it has {', '.join(protocol.signals)}"
-            report.key((*here, "ports", signal), "unknown_signal", message)
+            file.report((*here, "ports", signal), "unknown_signal", message)
         lacking = [s.name for s in protocol.signals.values() if s.required and s.name not in given["ports"]]
         if lacking:
             message = f"{', '.join(lacking)} must be given too ({protocol.name} requires it)"
-            report.key((*here, "ports"), "missing_key", message)
-        mark = locate(report.root, here)
-        where = f"{report.path}:{mark.line}:{mark.column}"
+            file.report((*here, "ports"), "missing_key", message)
+        mark = locate(file.given, here)
+        where = f"{file.source}:{mark.line}:{mark.column}"
         ports = MappingProxyType(given["ports"])
         clock, reset = given.get("clock", ""), given.get("reset", "")
         bindings.append(Binding(given["module"], given["name"], Mode(given["mode"]), ports, clock, reset, where))

@@ -144,7 +144,13 @@ DEFAULT_CLOCK = "fclk0"
 DEFAULT_RATE = 100_000_000
 
 
-class _Loading(Loading):
+class DesignFile(Loading):
+    """A build schema, or a file beside it; `schema`: its JSON Schema, `begin`: what an empty one should begin with."""
+
+    def __init__(self, text: str, source: Path, schema: Path, begin: str) -> None:
+        super().__init__(text, source, Structure(json.loads(schema.read_text(encoding="utf-8"))))
+        self._begin = begin
+
     def report(self, path: KeyPath, code: str, message: str, hint: str = "") -> None:
         """At the key of the file, as what is found later is (`source_position.fault`)."""
         self.report_at(locate(self.given, path), path, code, message, hint)
@@ -153,8 +159,7 @@ class _Loading(Loading):
         """With hints for this kind of schema."""
         if code == "unknown_key" and path[-1:] == ("hls",):
             hint = "run Vitis HLS, and give component: or sources: with what it wrote"
-        hint = hint.replace("config:", "project: (or with cm build init)")
-        super().report_at(mark, path, code, message, hint)
+        super().report_at(mark, path, code, message, hint.replace("config:", self._begin))
 
 
 def load_project(path: Path | str, text: str | None = None) -> Project:
@@ -182,13 +187,13 @@ def check_project(path: Path | str) -> list[Problem]:
     return []
 
 
-def _loading(path: Path, text: str | None) -> _Loading:
+def _loading(path: Path, text: str | None) -> DesignFile:
     try:
         text = path.read_text(encoding="utf-8") if text is None else text
     except (OSError, UnicodeDecodeError) as error:
         message = f"cannot be read: {getattr(error, 'strerror', None) or error}"
         raise SchemaError([Problem(path, 1, 1, "", "unreadable", message)]) from None
-    return _Loading(text, path, Structure(json.loads(SCHEMA_FILE.read_text(encoding="utf-8"))))
+    return DesignFile(text, path, SCHEMA_FILE, "project: (or with cm build init)")
 
 
 class _Builder:
