@@ -627,30 +627,29 @@ def test_every_call_on_a_closed_board_says_that_it_is_closed(reach: tuple[str, d
 
 
 @pytest.mark.parametrize("way", ["ipc", "tcp"])
-def test_a_board_that_is_closed_frees_all_threads_that_wait_in_it(way: str) -> None:
+def test_a_board_that_is_closed_frees_all_threads_that_wait_in_it(both: tuple[Manager, SimBoard], way: str) -> None:
     """None of these calls would return by itself."""
-    with served(arguments=("--listen", "tcp://127.0.0.1:0", "--insecure")) as (manager, _):
-        board = cm.connect(timeout=60, **reached(manager, way))
-        board.load("camera", "loopback")
-        calls = _that_wait(board, way)
-        ends: dict[str, BaseException] = {}
+    board = cm.connect(timeout=60, **reached(both[0], way))
+    board.load("camera", "loopback")
+    calls = _that_wait(board, way)
+    ends: dict[str, BaseException] = {}
 
-        def wait(name: str) -> None:
-            try:
-                calls[name]()
-            except BaseException as error:  # noqa: BLE001 (which it is, is what the test is about)
-                ends[name] = error
+    def wait(name: str) -> None:
+        try:
+            calls[name]()
+        except BaseException as error:  # noqa: BLE001 (which it is, is what the test is about)
+            ends[name] = error
 
-        threads = [threading.Thread(target=wait, args=(name,), daemon=True) for name in calls]
-        for thread in threads:
-            thread.start()
-        with manager.connected() as other:
-            before = other.status.last_change
-            until(lambda: other.status.last_change > before + 3)
-        board.close()
-        for thread in threads:
-            thread.join(timeout=60)
-        assert {name: type(ends.get(name)) for name in calls} == dict.fromkeys(calls, BoardClosed)
+    threads = [threading.Thread(target=wait, args=(name,), daemon=True) for name in calls]
+    for thread in threads:
+        thread.start()
+    with both[0].connected() as other:
+        before = other.status.last_change
+        until(lambda: other.status.last_change > before + 3)
+    board.close()
+    for thread in threads:
+        thread.join(timeout=60)
+    assert {name: type(ends.get(name)) for name in calls} == dict.fromkeys(calls, BoardClosed)
 
 
 def test_threads_that_close_one_board_at_once_all_come_to_an_end(both: tuple[Manager, SimBoard]) -> None:
@@ -708,11 +707,18 @@ def _every_slot(writer_: writer.Writer) -> None:
         writer_.write(PICTURE)
 
 
+@pytest.fixture(scope="module")
+def mortal() -> Iterator[Manager]:
+    """A manager that tests kill and start again."""
+    with served(arguments=("--listen", "tcp://127.0.0.1:0", "--insecure")) as (manager, _):
+        yield manager
+
+
 @pytest.mark.parametrize("kind", ["blocking", "asyncio"])
 @pytest.mark.parametrize("way", ["ipc", "tcp"])
-def test_a_waiting_client_hears_at_once_that_the_manager_died(kind: str, way: str) -> None:
-    with served(arguments=("--listen", "tcp://127.0.0.1:0", "--insecure")) as (manager, _), ExitStack() as clients:
-        board = clients.enter_context(connected(kind, timeout=60, **reached(manager, way)))
+def test_a_waiting_client_hears_at_once_that_the_manager_died(mortal: Manager, kind: str, way: str) -> None:
+    with ExitStack() as clients:
+        board = clients.enter_context(connected(kind, timeout=60, **reached(mortal, way)))
         board.load("camera", "default")
         asked: list[BaseException] = []
 
@@ -725,10 +731,11 @@ def test_a_waiting_client_hears_at_once_that_the_manager_died(kind: str, way: st
         board.set_mode("loopback")
         waiter = threading.Thread(target=wait)
         waiter.start()
-        until(lambda: next(s for s in _streams(manager) if s.name == "from_pl").open)
-        manager.kill()
+        until(lambda: next(s for s in _streams(mortal) if s.name == "from_pl").open)
+        mortal.kill()
         waiter.join(timeout=60)
         assert [type(error) for error in asked] == [ConnectionLost]
+    mortal.start()
 
 
 def _streams(manager: Manager) -> Any:

@@ -8,7 +8,6 @@ import random
 import resource
 import signal
 import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
@@ -25,27 +24,7 @@ from cm.errors import CmError
 from cm.server.devices import BoardDevices
 from cm.simulation.software import Board as SimBoard
 
-READER = """
-import sys, cm
-with cm.connect(runtime_dir=sys.argv[1], timeout=60) as board, board.stream("camera", timeout=60) as stream:
-    for frame in stream:
-        print(frame.sequence, flush=True)
-"""
-
-
 Own = tuple[Manager, SimBoard]
-
-
-def test_a_killed_client_leaves_manager_and_board_alone(board: cm.Board, manager: Manager) -> None:
-    reader = subprocess.Popen(
-        [sys.executable, "-c", READER, str(manager.runtime)], stdout=subprocess.PIPE, env=environment()
-    )
-    assert reader.stdout is not None
-    assert reader.stdout.readline()
-    reader.kill()
-    reader.communicate()
-    until(lambda: not next(s for s in board.status.streams if s.name == "camera").open)
-    board.mode = "edge_detection"
 
 
 def test_a_killed_manager_finds_what_the_hardware_holds(own: Own) -> None:
@@ -74,19 +53,6 @@ def test_a_request_to_a_killed_manager_fails_at_once(own: Own) -> None:
         killer.join()
     manager._reap()
     manager.start()
-
-
-def test_a_killed_board_is_reported_and_served_again_when_it_is_back(own: Own) -> None:
-    manager, sim = own
-    with manager.connected() as board:
-        board.load("camera", "default")
-        board.configure_stream("camera", enable=True)
-        sim.kill()
-        until(lambda: board.status.last_error is not None)
-        sim.restart()
-        until(lambda: board.status.config_name == "")
-        board.load("camera", "edge_detection")
-        assert board.read("camera", timeout=60).shape == (480, 640)
 
 
 def test_going_to_the_mode_that_is_loaded_asks_the_board_whether_it_is_there(own: Own) -> None:
@@ -124,13 +90,6 @@ def test_the_board_is_probed_by_its_port_or_otherwise_by_a_window(own: Own) -> N
         devices.lost()
         devices.check()
         devices.lost()
-
-
-def test_a_second_manager_on_the_same_folder_is_refused(manager: Manager) -> None:
-    second = Manager(manager.runtime, *manager.arguments)
-    with pytest.raises(AssertionError, match=r"serves .* already"):
-        second.start()
-    second.stop()
 
 
 def test_a_second_manager_of_the_same_board_is_refused_and_learns_who_holds_it(own: tuple[Manager, SimBoard]) -> None:
@@ -239,16 +198,6 @@ def test_what_was_learned_about_a_region_survives_a_killed_manager(runtime) -> N
                 assert refused.value.code == "footprint_outside"
         finally:
             manager.stop()
-
-
-def test_a_second_manager_with_the_same_state_is_refused(own: Own, runtime) -> None:  # type: ignore[no-untyped-def]
-    manager, _ = own
-    state = manager.arguments[manager.arguments.index("--state-dir") + 1]
-    with SimBoard(root=runtime / "board") as other:
-        second = Manager(runtime / "run", "--root", str(other.root), "--state-dir", state)
-        with pytest.raises(AssertionError, match=r"another configuration manager keeps its state"):
-            second.start()
-        second.stop()
 
 
 def test_a_manager_killed_at_any_instant_of_a_change_comes_back_to_a_whole_mode(own: Own) -> None:

@@ -179,10 +179,3 @@ def test_an_unknown_name_is_refused_even_during_a_change(board: cm.Board, sender
     sender.send(TO_EDGE, rq.WriteData("nothing", memoryview(b"1234")), write("nothing", 1))
     codes = [reply.error.code if reply.error else "" for reply in sender.replies(3)]
     assert codes == ["", "unknown_stream", "unknown_register"]
-
-
-def test_requests_beyond_the_limit_of_the_queue_are_refused(board: cm.Board, sender: Sender) -> None:
-    sender.send(TO_EDGE, *[write("focus", 1)] * 400)
-    refused = [reply.error for reply in sender.replies(401) if reply.error is not None]
-    assert {problem.code for problem in refused} <= {"busy"}
-    until(lambda: not board.status.fpga_busy)
