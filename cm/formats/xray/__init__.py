@@ -4,16 +4,16 @@
 Frames are numbers (`cm.formats.xray.frames`), features are named as in the database (`cm.formats.xray.features`).
 """
 
+from cm.formats.xray.coding import Clash as Clash
+from cm.formats.xray.coding import Decoded as Decoded
+from cm.formats.xray.coding import Encoded as Encoded
+from cm.formats.xray.coding import bits_of as bits_of
+from cm.formats.xray.coding import decode as decode
+from cm.formats.xray.coding import describe_bits as describe_bits
+from cm.formats.xray.coding import encode as encode
+from cm.formats.xray.coding import tiles_with_bits as tiles_with_bits
 from cm.formats.xray.database import Database as Database
 from cm.formats.xray.database import find_database as find_database
-from cm.formats.xray.decode import Decoded as Decoded
-from cm.formats.xray.decode import decode as decode
-from cm.formats.xray.decode import describe_bits as describe_bits
-from cm.formats.xray.decode import tiles_with_bits as tiles_with_bits
-from cm.formats.xray.encode import Clash as Clash
-from cm.formats.xray.encode import Encoded as Encoded
-from cm.formats.xray.encode import bits_of as bits_of
-from cm.formats.xray.encode import encode as encode
 from cm.formats.xray.features import DatabaseMissing as DatabaseMissing
 from cm.formats.xray.features import Feature as Feature
 from cm.formats.xray.features import Setting as Setting

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from cm.formats.xray.features import DatabaseMissing, Feature, XrayError, read_features
-from cm.formats.xray.segbits import Segbits, read_ppips, read_segbits
-from cm.formats.xray.tiles import BLOCKS, Tile, read_tiles
+from cm.formats.xray.tiles import BLOCKS, Segbits, Tile, read_ppips, read_segbits, read_tiles
 
 VARIABLE = "CM_XRAY_DATABASE"
 _INSTALLED = Path("/usr/share/prjxray/database")  # where Debian's prjxray-database has it

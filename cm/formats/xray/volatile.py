@@ -13,8 +13,7 @@ from typing import TypeAlias
 
 from cm.formats.xray.database import Database
 from cm.formats.xray.frames import BYTES, Frames
-from cm.formats.xray.segbits import Bit, Segbits
-from cm.formats.xray.tiles import Segment
+from cm.formats.xray.tiles import Bit, Segbits, Segment
 
 Masks: TypeAlias = Mapping[int, "int | None"]  # frame address → bits that must not be compared
 

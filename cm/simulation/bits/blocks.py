@@ -4,10 +4,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from dataclasses import dataclass
 
-from cm.simulation.bits.cells import BlockMemory, BlockPort, Net
+from cm.simulation.bits.cells import BlockMemory, BlockPort, Net, Site
 
 HALVES = {"BRAM_FIFO18_": 0, "BRAM_RAMB18_": 1}  # wires of a tile that begin so are of its lower, its upper half
 _NAMES = {  # of ports: address, clock, enable, reset, data in and out with parity, write enables
@@ -19,13 +17,8 @@ _CONTENTS = re.compile(r"INIT(P?)_([0-9A-F]{2})\[(\d+)\]")
 _DEPTH = 14  # bits of an address
 
 
-@dataclass(frozen=True)
-class Half:
-    """Half a tile. `name`: CLB-like, ``BRAM_L_X18Y80.RAMB18_Y0``; `pin` gives the net at an input."""
-
-    name: str
-    features: frozenset[str]  # without the site's name
-    pin: Callable[[str], Net]
+class Half(Site):
+    """Half a tile."""
 
     def why_not(self) -> str:
         """Which of its features are not simulated; empty if all are."""
@@ -47,10 +40,6 @@ class Half:
             if found is not None:
                 self._put(words, width, bool(found[1]), int(found[2], 16) * 256 + int(found[3]))
         return BlockMemory(width, tuple(words), tuple(self._port(name, width) for name in "AB"))
-
-    def output(self, pin: str) -> Net:
-        """The net at an output: ``DOBDO7``."""
-        return f"{self.name}.{pin}"
 
     def _used(self) -> set[int]:
         found = (re.fullmatch(r"(?:READ|WRITE)_WIDTH_[AB]_(\d+)", feature) for feature in self.features)

@@ -6,13 +6,29 @@ A net is ``0``, ``1``, ``port:NAME[BIT]``, ``clock:N`` or an output of a cell (`
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TypeAlias
 
 from cm.frozen import dataclass
 
 ZERO, ONE = "0", "1"
 Net: TypeAlias = str
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """What is configured in one place, such as ``CLBLM_R_X17Y87.SLICEM_X0`` or ``BRAM_L_X18Y80.RAMB18_Y0``.
+
+    `features`: without the site's name. `pin` gives the net at an input.
+    """
+
+    name: str
+    features: frozenset[str]
+    pin: Callable[[str], Net]
+
+    def output(self, pin: str) -> Net:
+        """The net at an output: ``DOBDO7``, ``P7``."""
+        return f"{self.name}.{pin}"
 
 
 @dataclass(frozen=True, slots=True)

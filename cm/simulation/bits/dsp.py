@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 
-from cm.simulation.bits.cells import ONE, ZERO, Dsp, Net
+from cm.simulation.bits.cells import ONE, ZERO, Dsp, Net, Site
 
 OUTPUTS = tuple(f"P{bit}" for bit in range(48))
 _BUSES = {"A": 30, "B": 18, "C": 48, "D": 25, "INMODE": 5, "OPMODE": 7, "ALUMODE": 4}
@@ -20,13 +19,8 @@ _SINGLE = ("CREG", "DREG", "ADREG", "MREG", "PREG", "INMODEREG", "OPMODEREG", "A
 _CASCADES, _PRODUCT = (1, 5), ("A_INPUT", "B_INPUT", "USE_SIMD")
 
 
-@dataclass(frozen=True)
-class Slice48:
-    """One of the two of a tile: ``DSP_R_X25Y65.DSP_0``; `pin` gives the net at an input."""
-
-    name: str
-    features: frozenset[str]  # without the site's name
-    pin: Callable[[str], Net]
+class Slice48(Site):
+    """One of the two of a tile."""
 
     def why_not(self, pin: str) -> str:
         """Which of its features are not simulated for an output; empty if all are."""
@@ -48,10 +42,6 @@ class Slice48:
         registers |= {name: 1 - (f"Z{name}[0]" in self.features) for name in _SINGLE}
         registers["DPORT"] = int("USE_DPORT[0]" in self.features)
         return Dsp(tuple(registers.items()), tuple(self._pins().items()), tuple(map(self.output, OUTPUTS)))
-
-    def output(self, pin: str) -> Net:
-        """The net at an output: ``P7``."""
-        return f"{self.name}.{pin}"
 
     def _depth(self, name: str) -> int:
         return 0 if f"{name}REG_0" in self.features else 2 if f"{name}REG_2" in self.features else 1

@@ -3,22 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
-from cm.simulation.bits.cells import ONE, ZERO, Carry, Cell, FlipFlop, Lut, LutMemory, Mux, Net, reduced
+from cm.simulation.bits.cells import ONE, ZERO, Carry, Cell, FlipFlop, Lut, LutMemory, Mux, Net, Site, reduced
 
 LETTERS = "ABCD"
 _INTO_F7 = {"A": ("B", "A", "AX"), "C": ("D", "C", "CX")}  # tables read at 0 and at 1, and what chooses
 
 
-@dataclass(frozen=True)
-class Slice:
-    """A configured slice. `pin` gives the net at an input pin; names of nets begin with `name`."""
-
-    name: str  # CLBLM_R_X17Y87.SLICEM_X0
-    features: frozenset[str]  # without the site's name
-    pin: Callable[[str], Net]
+class Slice(Site):
+    """A configured slice; names of nets begin with its name."""
 
     def output(self, pin: str) -> Net:
         """The net at an output pin: ``A``, ``AMUX``, ``AQ``, ``COUT``."""

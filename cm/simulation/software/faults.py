@@ -23,7 +23,7 @@ KINDS: Mapping[str, str] = {
     "clock_stuck": "clock name; until cleared",
     "gpio_stuck": "line as LABEL:LINE; until cleared",
 }
-STICKY = frozenset({"hang", "icap_stall", "icap_write_only", "register_stuck", "clock_stuck", "gpio_stuck"})
+STICKY = frozenset(kind for kind, what in KINDS.items() if what.endswith("until cleared"))
 UNTIL_CLEARED = 0
 
 
