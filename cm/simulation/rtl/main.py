@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 import logging
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -21,6 +20,7 @@ from cm.simulation.rtl.running_design import Libraries, Library, of_modules
 from cm.simulation.rtl.tools import Tools, find_tools
 from cm.simulation.software.hardware.logic import LogicParts, MakeLogic, SoftwareLogic
 from cm.simulation.software.process.arguments import add_arguments
+from cm.simulation.software.process.main import failed
 from cm.simulation.software.process.main import run as run_board
 from cm.simulation.software.transport.scratch import Scratch, temporary
 
@@ -72,11 +72,9 @@ def run(args: argparse.Namespace, make: MakeLibraries | None = None) -> int:
             if not args.config:
                 args.config = [_schema(design, folder)]
         except ToolMissing as error:
-            print(f"cm sim: the RTL {error}", file=sys.stderr)
-            return 1
+            return failed(f"the RTL {error}", args)
         except (CmError, OSError) as error:
-            print(f"cm sim: {error}", file=sys.stderr)
-            return 1
+            return failed(error, args)
         return run_board(args, start)
 
 

@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import subprocess
 from pathlib import Path
 
 import pytest
 
+from cm import child
 from cm.cli.main import main
 
 
@@ -30,6 +32,14 @@ def test_a_leading_zero_is_not_taken_for_the_name_of_a_value(capsys: pytest.Capt
         main(["reg", "write", "focus=010"])
     assert end.value.code == 2
     assert "010 is ambiguous: focus=10, or 0o… for octal" in capsys.readouterr().err
+
+
+def test_what_is_wrong_with_a_schema_is_said_once_where_a_board_is_simulated_with_it(tmp_path: Path) -> None:
+    (tmp_path / "bad.yaml").write_text("config: {name: c, modes: {m: {}}, devise: x}\n")
+    command = child.command("cm", "serve", "--sim", "--config", str(tmp_path), "--runtime-dir", str(tmp_path / "run"))
+    done = subprocess.run(command, env=child.environment(), capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr.count("devise")) == (1, 2)  # the key, and the word that is not known
+    assert done.stderr.count("\n") == 1
 
 
 def test_a_file_that_is_no_archive_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -201,7 +201,8 @@ class Board:
             if not piece:
                 raise SimError(f"the simulator ended with status {process.wait(self._timeout)} before it was ready")
             line += piece
+        said = {}
         with contextlib.suppress(ValueError):
-            if json.loads(line).get("ready"):
-                return
-        raise SimError(f"the simulator said {line!r} instead of being ready")
+            said = json.loads(line)
+        if not said.get("ready"):
+            raise SimError(said.get("error") or f"the simulator said {line!r} instead of being ready")

@@ -101,8 +101,7 @@ def run(args: argparse.Namespace, make: MakeLogic = SoftwareLogic) -> int:
             spec = spec.with_static(args.static_identity)
         root = Root(args.root)
     except CmError as error:
-        print(f"cm sim: {error}", file=sys.stderr)
-        return 1
+        return failed(error, args)
     try:
         _serve(args, partial(Machine, root=root, spec=spec, models=models, options=options, make=make), parent)
     except (CmError, OSError) as error:
@@ -111,6 +110,15 @@ def run(args: argparse.Namespace, make: MakeLogic = SoftwareLogic) -> int:
     finally:
         root.close()
     return 0
+
+
+def failed(why: object, args: argparse.Namespace) -> int:
+    """Say why nothing will be served: to the `Board` that started us, which says it once, or on stderr; the status."""
+    if args.linger is None:
+        print(f"cm sim: {why}", file=sys.stderr)
+    else:
+        print(json.dumps({"ready": False, "error": str(why)}), flush=True)
+    return 1
 
 
 def _serve(args: argparse.Namespace, made: Callable[[Loop], Machine], parent: Parent | None) -> None:
