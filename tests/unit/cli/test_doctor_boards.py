@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -107,212 +108,128 @@ def test_the_board_and_its_kernel_are_named(pynq: Tree) -> None:
     assert pynq.one("board").detail == "TUL PYNQ-Z2 board (zynq), Linux 5.15.19-xilinx-v2022.1"
 
 
-# ---- the kernel ---------------------------------------------------------------------
+# ---- what is found, by kind of check ---------------------------------------------
+
+UIO_BUILT_IN = "lib/modules/5.15.19-xilinx-v2022.1/modules.builtin"
+UIO_MISSING = "lib/modules/6.6.10-xilinx-v2024.1/modules.dep"
+Change = Callable[[Tree], object]
 
 
-def test_a_tree_without_symbols_is_reported_with_what_builds_them(petalinux: Tree) -> None:
-    found = petalinux.one("symbols")
-    assert found.state is State.MISSING
-    assert "dtc -@" in found.advice
+def gone(path: str) -> Change:
+    return lambda tree: (tree.root / path).unlink()
 
 
-def test_a_tree_with_the_labels_that_overlays_name_is_good(kria: Tree) -> None:
-    assert kria.one("symbols").state is State.OK
+def file(path: str, content: str = "") -> Change:
+    return lambda tree: tree.put(path, content)
 
 
-def test_a_label_that_overlays_need_and_the_tree_lacks_is_named(kria: Tree) -> None:
-    (kria.root / "proc/device-tree/__symbols__/zynqmp_pcap").unlink()
-    found = kria.one("symbols")
-    assert (found.state, found.detail) == (State.WRONG, "no label zynqmp_pcap")
+def node(name: str, *compatible: str, driver: str = "", **properties: bytes) -> Change:
+    return lambda tree: tree.device(name, *compatible, driver=driver, **properties)
 
 
-def test_uio_that_is_built_in_with_generic_uio_takes_our_nodes(pynq: Tree) -> None:
-    found = pynq.one("of_id")
-    assert (found.state, found.detail) == (State.OK, "built in, of_id=generic-uio")
-
-
-def test_uio_that_is_built_in_without_of_id_needs_the_kernels_command_line(pynq: Tree) -> None:
-    pynq.put("proc/cmdline", "root=/dev/mmcblk0p2 rw\n")
-    found = pynq.one("of_id")
-    assert (found.state, found.detail) == (State.WRONG, "built in, of_id=not set")
-    assert "uio_pdrv_genirq.of_id=fpga-cm,uio on the kernel's command line" in found.advice
-
-
-def test_options_of_modprobe_do_not_reach_a_driver_that_is_built_in(pynq: Tree) -> None:
-    pynq.put("proc/cmdline", "rw\n").put("etc/modprobe.d/cm.conf", "options uio_pdrv_genirq of_id=fpga-cm,uio\n")
-    assert pynq.one("of_id").state is State.WRONG
-
-
-def test_uio_as_a_module_has_its_of_id_from_modprobe_d(kria: Tree) -> None:
-    assert kria.one("of_id").state is State.WRONG
-    kria.put("etc/modprobe.d/cm.conf", "# ours\noptions uio_pdrv_genirq of_id=fpga-cm,uio\n")
-    assert kria.one("of_id").detail == "module, of_id=fpga-cm,uio"
-
-
-def test_an_of_id_for_another_device_is_reported(kria: Tree) -> None:
-    kria.put("etc/modprobe.d/other.conf", "options uio_pdrv_genirq of_id=acme,uio\n")
-    found = kria.one("of_id")
-    assert (found.state, found.detail) == (State.WRONG, "module, of_id=acme,uio")
-
-
-def test_uio_that_is_not_loaded_is_missing(petalinux: Tree) -> None:
-    found = petalinux.one("of_id")
-    assert found.state is State.MISSING
-    assert "modprobe uio_pdrv_genirq of_id=" in found.advice
-
-
-@pytest.mark.parametrize(("kib", "state"), [(16384, State.WRONG), (131072, State.OK)])
-def test_contiguous_memory_below_64_mib_is_reported(pynq: Tree, kib: int, state: State) -> None:
-    pynq.put("proc/meminfo", f"CmaTotal: {kib} kB\nCmaFree: 4096 kB\n")
-    assert pynq.one("cma").state is state
-
-
-def test_a_kernel_without_contiguous_memory_is_reported(pynq: Tree) -> None:
-    pynq.put("proc/meminfo", "MemTotal: 500000 kB\n")
-    found = pynq.one("cma")
-    assert found.state is State.MISSING
-    assert "CONFIG_DMA_CMA" in found.advice
-
-
-def test_an_icap_whose_driver_did_not_bind_says_what_the_pmu_firmware_needs(kria: Tree) -> None:
-    kria.device("a0000014.icap", "fpga-cm,icap-loader")
-    found = kria.one("pmufw")
-    assert found.state is State.WRONG
-    assert "SECURE_ACCESS" in found.advice
-    assert "loader: auto" in found.advice
-
-
-def test_the_pmu_firmware_does_not_matter_on_zynq_7000(pynq: Tree) -> None:
-    assert pynq.found("pmufw") == ()
-
-
-# ---- nodes --------------------------------------------------------------------------
+OK, MISSING, WRONG = State.OK, State.MISSING, State.WRONG
+IN_6_6 = "lib/modules/5.15.19-xilinx-v2022.1/modules.dep"
 
 
 @pytest.mark.parametrize(
-    ("compatible", "module"),
+    ("machine", "changes", "kind", "state", "says"),
     [
-        ("fpga-cm,dma-client", "cm_dma"),
-        ("fpga-cm,decoupler", "xilinx_pr_decoupler"),
-        ("fpga-cm,clocks", "cm_clock"),
-        ("xlnx,pr-decoupler", "xilinx_pr_decoupler"),
-        ("fpga-cm,uio", "uio_pdrv_genirq"),
+        # the kernel
+        ("petalinux", [], "symbols", MISSING, ["dtc -@"]),
+        ("kria", [], "symbols", OK, []),
+        ("kria", [gone("proc/device-tree/__symbols__/zynqmp_pcap")], "symbols", WRONG, ["no label zynqmp_pcap"]),
+        ("pynq", [], "of_id", OK, ["built in, of_id=generic-uio"]),
+        ("pynq", [file("proc/cmdline", "root=/dev/mmcblk0p2 rw\n")], "of_id", WRONG,
+            ["built in, of_id=not set", "uio_pdrv_genirq.of_id=fpga-cm,uio on the kernel's command line"]),
+        ("pynq", [  # options of modprobe do not reach a driver that is built in
+            file("proc/cmdline", "rw\n"),
+            file("etc/modprobe.d/cm.conf", "options uio_pdrv_genirq of_id=fpga-cm,uio\n"),
+        ], "of_id", WRONG, []),
+        ("kria", [], "of_id", WRONG, []),
+        ("kria", [file("etc/modprobe.d/cm.conf", "# ours\noptions uio_pdrv_genirq of_id=fpga-cm,uio\n")], "of_id", OK,
+            ["module, of_id=fpga-cm,uio"]),
+        ("kria", [file("etc/modprobe.d/other.conf", "options uio_pdrv_genirq of_id=acme,uio\n")], "of_id", WRONG,
+            ["module, of_id=acme,uio"]),
+        ("petalinux", [], "of_id", MISSING, ["modprobe uio_pdrv_genirq of_id="]),
+        ("petalinux", [file(UIO_MISSING, "updates/dkms/cm_window.ko:\n")], "of_id", MISSING,
+            ["not in this kernel", "modprobe cm_window"]),
+        ("petalinux", [
+            file(UIO_MISSING, "updates/dkms/cm_window.ko:\n"), file("proc/modules", "cm_window 1 0 - Live 0x0\n"),
+        ], "of_id", OK, []),
+        ("pynq", [file("proc/meminfo", "CmaTotal: 16384 kB\nCmaFree: 4096 kB\n")], "cma", WRONG, []),
+        ("pynq", [], "cma", OK, []),
+        ("pynq", [file("proc/meminfo", "MemTotal: 500000 kB\n")], "cma", MISSING, ["CONFIG_DMA_CMA"]),
+        ("kria", [node("a0000014.icap", "fpga-cm,icap-loader")], "pmufw", WRONG, ["SECURE_ACCESS", "loader: auto"]),
+        # nodes
+        *(
+            ("pynq", [gone(UIO_BUILT_IN), node("node", compatible)], "unbound", WRONG, [f" modprobe {module}"])
+            for compatible, module in (
+                ("fpga-cm,dma-client", "cm_dma"), ("fpga-cm,decoupler", "xilinx_pr_decoupler"),
+                ("fpga-cm,clocks", "cm_clock"), ("xlnx,pr-decoupler", "xilinx_pr_decoupler"),
+                ("fpga-cm,uio", "uio_pdrv_genirq"),
+            )
+        ),
+        *(
+            ("pynq", [gone(UIO_BUILT_IN), file(IN_6_6, modules), node("node", compatible)], "unbound", WRONG, says)
+            for compatible, modules, says in (
+                ("xlnx,pr-decoupler", "updates/dkms/cm_dma.ko:\n",
+                    ["xilinx_pr_decoupler is not in this kernel", "CONFIG_XILINX_PR_DECOUPLER"]),
+                ("fpga-cm,window", "updates/dkms/cm_dma.ko:\n",
+                    ["cm_window is not built for this kernel", "fpga-cm-dkms"]),
+                ("xlnx,pr-decoupler", "kernel/xilinx-pr-decoupler.ko:\n", [" modprobe "]),
+                ("fpga-cm,window", "kernel/cm-window.ko:\n", [" modprobe "]),
+            )
+        ),
+        ("pynq", [node("40000000.control", "fpga-cm,uio", "generic-uio")], "unbound", WRONG,
+            ["dmesg | grep 40000000.control", "of_id"]),
+        ("petalinux", [], "twice", WRONG, ["a0000000.dma and a0000000.dma-controller", "Remove PL from device tree"]),
+        ("pynq", [node("40400000.dma", "xlnx,axi-dma-1.00.a", driver="xilinx-vdma")], "engine", WRONG, ["14 bits"]),
+        ("pynq", [node("b0000000.dma", "xlnx,axi-vdma-1.00.a", driver="xilinx-vdma", dma__coherent=b"")], "engine", OK,
+            ["coherent"]),
+        ("pynq", [
+            file("sys/class/cm_dma/cm_dma!camera/caps", "residue simple\n"),
+            file("sys/class/cm_dma/cm_dma!camera/max_length", "16383\n"),
+        ], "channel", WRONG, ["residue simple, at most 16383 bytes", "Enable Scatter Gather Engine"]),
+        # ports, clocks, others
+        ("kria", [node("cm-afi", "xlnx,afi-fpga")], "afi", WRONG, ["boot loader"]),
+        ("kria", [node("cm-afi", "xlnx,afi-fpga", driver="afi-fpga")], "afi", OK, []),
+        ("kria", [
+            file("sys/class/cm_clock/pl_clk0/rate", "99999001\n"), file("sys/class/cm_clock/pl_clk0/enable", "1\n"),
+        ], "clock", OK, ["99.999001 MHz"]),
+        ("kria", [], "clock", MISSING, ["modprobe cm_clock"]),
+        ("kria", [], "other", WRONG, ["xmutil unloadapp"]),
+        ("pynq", [], "other", WRONG, ["disable --now pl_server"]),
+        ("petalinux", [lambda tree: tree.process(77, "fpgad")], "other", WRONG, ["snap stop"]),
+        ("petalinux", [], "other", OK, []),
     ],
-)
-def test_a_node_that_no_driver_took_names_the_module(pynq: Tree, compatible: str, module: str) -> None:
-    (pynq.root / "lib/modules/5.15.19-xilinx-v2022.1/modules.builtin").unlink()
-    found = pynq.device("node", compatible).one("unbound")
-    assert (found.state, found.advice) == (State.WRONG, f"modprobe {module}")
-
-
-@pytest.mark.parametrize(
-    ("compatible", "words"),
-    [
-        ("xlnx,pr-decoupler", ("xilinx_pr_decoupler is not in this kernel", "CONFIG_XILINX_PR_DECOUPLER")),
-        ("fpga-cm,window", ("cm_window is not built for this kernel", "fpga-cm-dkms")),
-    ],
-)
-def test_a_module_that_the_kernel_lacks_is_told_from_one_that_is_not_loaded(
-    pynq: Tree, compatible: str, words: tuple[str, ...]
+)  # fmt: skip
+def test_what_is_found_is_said_with_what_to_do(
+    machine: str, changes: list[Change], kind: str, state: State, says: list[str], request: pytest.FixtureRequest
 ) -> None:
-    modules = "lib/modules/5.15.19-xilinx-v2022.1"
-    (pynq.root / modules / "modules.builtin").unlink()
-    pynq.put(f"{modules}/modules.dep", "updates/dkms/cm_dma.ko:\nkernel/drivers/uio/uio.ko.xz:\n")
-    found = pynq.device("node", compatible).one("unbound")
-    assert all(word in found.advice for word in words)
-    pynq.put(f"{modules}/modules.dep", f"kernel/{words[0].split(' ')[0].replace('_', '-')}.ko:\n")
-    assert pynq.one("unbound").advice.startswith("modprobe ")
+    tree: Tree = request.getfixturevalue(machine)
+    for change in changes:
+        change(tree)
+    found = tree.one(kind)
+    assert found.state is state
+    assert [words for words in says if words not in f"{found.detail} {found.advice}"] == []
 
 
-def test_a_kernel_without_the_uio_driver_is_pointed_to_ours(petalinux: Tree) -> None:
-    release = (petalinux.root / "proc/sys/kernel/osrelease").read_text().strip()
-    petalinux.put(f"lib/modules/{release}/modules.dep", "updates/dkms/cm_window.ko:\n")
-    found = petalinux.one("of_id")
-    assert (found.state, found.detail) == (State.MISSING, "not in this kernel")
-    assert found.advice.startswith("modprobe cm_window")
-    petalinux.put("proc/modules", "cm_window 28672 0 - Live 0x0\n")
-    assert petalinux.one("of_id").state is State.OK
-
-
-def test_a_node_that_its_driver_refused_points_to_the_log(pynq: Tree) -> None:
-    found = pynq.device("40000000.control", "fpga-cm,uio", "generic-uio").one("unbound")
-    assert "dmesg | grep 40000000.control" in found.advice
-    assert "of_id" in found.advice
-
-
-def test_a_bound_node_is_not_a_finding(pynq: Tree) -> None:
-    assert pynq.device("40000000.control", "fpga-cm,uio", driver="uio_pdrv_genirq").found("unbound") == ()
-
-
-def test_an_engine_that_is_in_the_tree_twice_is_reported(petalinux: Tree) -> None:
-    found = petalinux.one("twice")
-    assert found.detail == "a0000000.dma and a0000000.dma-controller"
-    assert "Remove PL from device tree" in found.advice
+@pytest.mark.parametrize(
+    ("kind", "changes"),
+    [
+        ("pmufw", [node("a0000014.icap", "fpga-cm,icap-loader")]),  # of ZynqMP alone
+        ("unbound", [node("40000000.control", "fpga-cm,uio", driver="uio_pdrv_genirq")]),
+    ],
+)
+def test_what_is_in_order_is_no_finding(pynq: Tree, kind: str, changes: list[Change]) -> None:
+    for change in changes:
+        change(pynq)
+    assert pynq.found(kind) == ()
 
 
 def test_an_engine_says_its_length_register_and_coherence(petalinux: Tree) -> None:
     first, _ = petalinux.found("engine")
     assert first.detail == "length register of 26 bits (67108863 bytes); not coherent: each frame is synchronised"
-    coherent = petalinux.device("b0000000.dma", "xlnx,axi-vdma-1.00.a", driver="xilinx-vdma", dma__coherent=b"")
-    assert coherent.found("engine")[-1].detail == "coherent"
-
-
-def test_an_engine_whose_length_register_the_tree_does_not_say_is_wrong(pynq: Tree) -> None:
-    found = pynq.device("40400000.dma", "xlnx,axi-dma-1.00.a", driver="xilinx-vdma").one("engine")
-    assert found.state is State.WRONG
-    assert "14 bits" in found.advice
-
-
-def test_a_channel_without_scatter_gather_is_reported(pynq: Tree) -> None:
-    folder = "sys/class/cm_dma/cm_dma!camera"
-    pynq.put(f"{folder}/caps", "residue simple\n").put(f"{folder}/max_length", "16383\n")
-    found = pynq.one("channel")
-    assert (found.state, found.name, found.detail) == (State.WRONG, "camera", "residue simple, at most 16383 bytes")
-    assert "Enable Scatter Gather Engine" in found.advice
-
-
-# ---- ports, clocks, others ----------------------------------------------------------
-
-
-def test_port_widths_that_nothing_sets_are_reported(kria: Tree) -> None:
-    found = kria.device("cm-afi", "xlnx,afi-fpga").one("afi")
-    assert found.state is State.WRONG
-    assert "boot loader" in found.advice
-
-
-def test_port_widths_that_the_kernel_set_are_good(kria: Tree) -> None:
-    assert kria.device("cm-afi", "xlnx,afi-fpga", driver="afi-fpga").one("afi").state is State.OK
-
-
-def test_clocks_are_named_with_their_rates(kria: Tree) -> None:
-    kria.put("sys/class/cm_clock/pl_clk0/rate", "99999001\n").put("sys/class/cm_clock/pl_clk0/enable", "1\n")
-    assert kria.one("clock").detail == "99.999001 MHz"
-
-
-def test_clocks_that_cannot_be_set_are_reported(kria: Tree) -> None:
-    found = kria.one("clock")
-    assert found.state is State.MISSING
-    assert "modprobe cm_clock" in found.advice
-
-
-@pytest.mark.parametrize(
-    ("comm", "advice"),
-    [
-        ("dfx-mgrd", "xmutil unloadapp"),
-        ("fpgad", "snap stop"),
-        ("start_pl_server", "disable --now pl_server"),
-    ],
-)
-def test_another_manager_of_the_same_pl_is_reported_with_how_to_end_it(tmp_path: Path, comm: str, advice: str) -> None:
-    tree = board(tmp_path, "x", "xlnx,zynqmp", release="6.6", cma=1, command_line="").process(77, comm)
-    found = tree.one("other")
-    assert (found.state, found.path) == (State.WRONG, "/proc/77")
-    assert advice in found.advice
-
-
-def test_the_absence_of_other_managers_is_reported_too(tmp_path: Path) -> None:
-    tree = board(tmp_path, "x", "xlnx,zynqmp", release="6.6", cma=1, command_line="")
-    assert tree.one("other").state is State.OK
 
 
 def test_everything_that_is_wrong_has_advice(petalinux: Tree) -> None:
