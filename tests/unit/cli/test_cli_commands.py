@@ -61,7 +61,9 @@ def test_the_ten_of_every_day_come_first_and_the_others_by_what_they_are_for(
 ) -> None:
     with pytest.raises(SystemExit):
         main(["--help"])
-    first, others = capsys.readouterr().out.split("others, by what they are for:")
+    told = capsys.readouterr().out
+    assert all(f" {command.name} " in told and command.help in told for command in COMMANDS)
+    first, others = told.split("others, by what they are for:")
     assert [line.split()[0] for line in first.partition("every day:")[2].splitlines() if line] == list(DAY)
     headings = ("board", "data", "sharing", "designs", "networks", "run", "try", "shell")
     assert tuple(re.findall(r"^  (\w+)", others, re.MULTILINE)) == headings
@@ -156,9 +158,19 @@ def test_spellings_are_made_new_once(words: list[str]) -> None:
     assert understood(understood(words)) == understood(words)
 
 
-def test_a_command_that_has_gone_is_near_to_what_it_became(capsys: pytest.CaptureFixture[str]) -> None:
-    assert "there is no command cofnigs; did you mean config" in refused("cofnigs", capsys)
-    assert "did you mean config check?" in refused("chekc", capsys)
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("statsu", "there is no command statsu; did you mean status?"),
+        ("help rge", "there is no command rge; did you mean reg?"),
+        ("cofnigs", "there is no command cofnigs; did you mean config"),
+        ("chekc", "did you mean config check?"),  # it was called check
+    ],
+)
+def test_a_command_that_there_is_none_of_is_near_to_one_or_to_what_it_became(
+    line: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert said in refused(line, capsys)
 
 
 # ---- colours -------------------------------------------------------------------------------
