@@ -104,11 +104,10 @@ def test_what_a_killed_board_left_in_a_root_of_its_own_is_removed_by_the_next():
     assert not root.exists()
 
 
-def test_a_second_board_on_one_root_is_refused_with_the_first_ones_process(tmp_path, capfd):
+def test_a_second_board_on_one_root_is_refused_with_the_first_ones_process(tmp_path):
     with Board(root=tmp_path, arguments=FAST) as board:
-        with pytest.raises(SimError, match="status 1"):
+        with pytest.raises(SimError, match=f"another simulator \\(process {board.pid}\\)"):
             Board(root=tmp_path, arguments=FAST).start()
-        assert f"another simulator (process {board.pid})" in capfd.readouterr().err
         assert board.control.state()["pid"] == board.pid
 
 
@@ -119,11 +118,10 @@ def test_the_length_of_the_root_does_not_matter(tmp_path):
         assert uio.read(0x14) == 1
 
 
-def test_a_board_that_cannot_start_says_why(tmp_path, capfd):
+def test_a_board_that_cannot_start_says_why(tmp_path):
     (tmp_path / "bad.yaml").write_text("config:\n  name: x\n  device: zx81\n  modes: {}\n")
-    with pytest.raises(SimError):
+    with pytest.raises(SimError, match=r"bad\.yaml:\d+:\d+: "):
         Board([tmp_path / "bad.yaml"]).start()
-    assert "cm sim:" in capfd.readouterr().err
 
 
 def test_control_of_a_root_without_a_simulator_says_so(tmp_path):
