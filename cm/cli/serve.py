@@ -197,7 +197,8 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
     runtime = args.runtime_dir or (settings and settings.runtime_dir) or default_runtime_dir()
     paths = args.config or (_simulated_schemas(args, runtime) if args.sim else [])
     board = _simulated_root(args, runtime, paths, stack) if args.sim else None
-    # While the simulator starts, in a process of its own, this one gets on with its imports.
+    # While the simulator starts, in a process of its own, this one gets on with its imports, also of what comes later.
+    import cm.server.server  # noqa: F401
     from cm.device import Root
     from cm.manager.manager import Settings as ManagerSettings
     from cm.server.options import Options

@@ -40,7 +40,8 @@ class Overlays:
     def status(self, name: str) -> str:
         """Return the kernel's word for an overlay: "applied" or "unapplied".  Raises DeviceNotFound."""
         self._check(name)
-        return self._word(name)
+        text = self._attributes.text(f"{name}/status")
+        return _WORDS.get(text, text)
 
     def apply(self, name: str, dtbo: bytes) -> None:
         """Apply the overlay ``dtbo`` under ``name``.
@@ -67,19 +68,17 @@ class Overlays:
 
     def _confirm(self, name: str) -> None:
         """Read the result: configfs applies at close(), which reports no errors."""
-        if self._attributes.text(f"{name}/status") == "0":
+        text = self._attributes.text(f"{name}/status")
+        if text == "0":
             self._attributes.write(f"{name}/status", _SWITCH_ON)
-        word = self._word(name)
+            text = self._attributes.text(f"{name}/status")
+        word = _WORDS.get(text, text)
         if word != APPLIED:
             text = (
                 f"the kernel did not apply overlay {name}: status says {word!r}; its log (dmesg) says why, often a "
                 "target that the base tree lacks, or symbols in a base tree built without 'dtc -@'"
             )
             raise DeviceError(errno.EIO, text, self._attributes.path(name))
-
-    def _word(self, name: str) -> str:
-        text = self._attributes.text(f"{name}/status")
-        return _WORDS.get(text, text)
 
     def _undo(self, name: str, cause: BaseException) -> None:
         try:

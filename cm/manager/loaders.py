@@ -62,9 +62,6 @@ class Loader(Protocol):
         stays busy: then nothing was loaded. `Start` raises LoadFailed, StepTimeout or DeviceError.
         """
 
-    def forget(self) -> None:
-        """The board was lost: drop what belongs to it."""
-
 
 _POLL = 0.05  # seconds between two looks at a load's progress; most loads are shorter, and looking slows none
 _REVISION = 0xF0000000  # bits of an IDCODE that differ between revisions of one device
@@ -249,6 +246,7 @@ class IcapLoader:
         raise StepTimeout(f"the port took {image.path.name} for more than {timeout:.1f} s and did not finish")
 
     def forget(self) -> None:
+        """Give all buffers back."""
         self._cache.clear()
 
 
@@ -288,9 +286,6 @@ class FpgaManagerLoader:
         self._files.check_firmware(name, job.image)
         on_bytes(job.image.length)
 
-    def forget(self) -> None:
-        """Nothing is kept."""
-
 
 def _raise_not_operating(manager: KernelLoader, image: Image) -> None:
     state = manager.state
@@ -329,9 +324,6 @@ class OverlayLoader:
         overlays.apply(name, job.overlay)
         self._files.check_firmware(firmware, job.image)
         on_bytes(job.image.length)
-
-    def forget(self) -> None:
-        """Nothing is kept."""
 
 
 def _region_of(job: Job) -> Region:
@@ -393,9 +385,8 @@ class Loaders:
                 yield Job(config, self._files.image(config, module), region, module, port=region.loader_name)
 
     def forget(self) -> None:
-        """The board was lost."""
-        for loader in self._all.values():
-            loader.forget()
+        """The board was lost: drop what belongs to it."""
+        self._icap.forget()
 
 
 def resolved(config: Config, wanted: Collection[str], devices: Devices) -> tuple[Config, Mapping[str, Choice]]:

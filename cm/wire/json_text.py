@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 from google.protobuf import json_format
-from google.protobuf.message import DecodeError, Message
+from google.protobuf.message import Message
 
 from cm.errors import InvalidRequest
 from cm.wire import cm_pb2 as pb
+from cm.wire.encode import parsed
 
 
 def kinds() -> frozenset[str]:
@@ -22,10 +23,7 @@ def _class_of(kind: str) -> type[Message]:
 
 def to_json(kind: str, data: bytes) -> str:
     """A serialised message of the named kind, such as "Status", as JSON. Raises InvalidRequest."""
-    try:
-        message = _class_of(kind).FromString(data)
-    except DecodeError as problem:
-        raise InvalidRequest(f"the payload is not a valid {kind} message ({problem})") from problem
+    message = parsed(_class_of(kind), data)
     return json_format.MessageToJson(message, preserving_proto_field_name=True, indent=None)
 
 
