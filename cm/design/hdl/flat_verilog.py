@@ -16,7 +16,6 @@ from cm.design.hdl.flat import IN, OUT, Flat, FlatPort, unique_ports, wrapper_na
 from cm.design.hdl.model import Port, PortDirection
 from cm.design.hdl.verilog import VerilogReader, expression
 
-_DIRECTIONS = {"In": IN, "Out": OUT, "InOut": PortDirection.INOUT}
 _PROBE = "cm_flat_probe"
 _WORD = re.compile(r"\w+")
 
@@ -68,7 +67,7 @@ def _ties(top: str, name: str, body: Any, ports: list[FlatPort]) -> dict[str, st
     found = {}
     plain = [Port(port.name, port.direction, port.width, "") for port in ports if not port.inner]
     for own in body.portList:
-        port = Port(own.name, _DIRECTIONS.get(own.direction.name, PortDirection.UNKNOWN), own.type.bitWidth, "")
+        port = Port(own.name, PortDirection(own.direction.name.lower()), own.type.bitWidth, "")
         kind = next((kind for kind in (is_clock, is_reset) if kind(port)), None)
         if kind is None:
             message = f"the interface of {name} has a port {port.name} that is no clock or reset"
@@ -99,7 +98,7 @@ def _signals(top: str, name: str, body: Any, modport: str, index: int | None) ->
     for signal in found or ():
         if signal.kind.name != "ModportPort" or signal.name in own:
             continue  # a task or function
-        direction = _DIRECTIONS.get(signal.direction.name)
+        direction = PortDirection(signal.direction.name.lower())
         if direction not in (IN, OUT):
             raise HdlError(f"{top}: {name}.{signal.name} is bidirectional: write a wrapper by hand")
         if not signal.type.isIntegral or not signal.type.bitWidth:
@@ -110,7 +109,7 @@ def _signals(top: str, name: str, body: Any, modport: str, index: int | None) ->
 def _plain(top: str, port: Any) -> FlatPort:
     if port.kind.name != "Port" or not port.type.isIntegral:
         raise HdlError(f"{top}: port {port.name} is neither an interface nor a vector of bits: wrap it by hand")
-    return FlatPort(port.name, _DIRECTIONS[port.direction.name], port.type.bitWidth)
+    return FlatPort(port.name, PortDirection(port.direction.name.lower()), port.type.bitWidth)
 
 
 def _text(top: str, wanted: Sources, ports: list[FlatPort], added: list[FlatPort], instances: Mapping[str, str]) -> str:

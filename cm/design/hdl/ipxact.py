@@ -80,7 +80,6 @@ def text_of(node: ElementTree.Element, name: str) -> str:
     return (found.text or "").strip() if found is not None else ""
 
 
-_DIRECTIONS = {"in": PortDirection.IN, "out": PortDirection.OUT, "inout": PortDirection.INOUT}
 _MODES = {
     "master": Mode.MASTER,
     "mirroredSlave": Mode.MASTER,
@@ -172,7 +171,7 @@ class _Component:
             high, low = number(left), number(right)
             width, text = None if high is None or low is None else abs(high - low) + 1, f"[{left}:{right}]"
         kind = next((text_of(child, "typeName") for child in descendants(wire, "wireTypeDef")), "")
-        direction = _DIRECTIONS.get(text_of(wire, "direction"), PortDirection.UNKNOWN)
+        direction = PortDirection(text_of(wire, "direction"))
         return Port(text_of(node, "name"), direction, width, self._file, range=text, type=kind)
 
     def _interface(self, bus: ElementTree.Element) -> Interface:
@@ -339,5 +338,5 @@ def _port(name: str, entries: Any, file: str) -> Port:
     left, right = (str(entry.get(key, "0")) for key in ("size_left", "size_right"))
     width = abs(int(left) - int(right)) + 1 if left.isdigit() and right.isdigit() else None
     text = f"[{left}:{right}]" if "size_left" in entry else ""
-    direction = _DIRECTIONS.get(str(entry.get("direction", "")), PortDirection.UNKNOWN)
+    direction = PortDirection(str(entry.get("direction", "")))
     return Port(name, direction, width, file, range=text)

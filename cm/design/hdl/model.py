@@ -32,12 +32,17 @@ class Language(str, Enum):
 
 
 class PortDirection(str, Enum):
-    """Direction as the module sees it; `UNKNOWN` for SystemVerilog interface ports and `ref`."""
+    """Direction as the module sees it; `UNKNOWN` for SystemVerilog interface ports, `ref`, and any other word."""
 
     IN = "in"
     OUT = "out"
     INOUT = "inout"
     UNKNOWN = "unknown"
+
+    @classmethod
+    def _missing_(cls, value: object) -> PortDirection:
+        del value
+        return cls.UNKNOWN
 
 
 class Mode(str, Enum):

@@ -12,7 +12,6 @@ from typing import Any
 
 from cm.design.hdl.model import Language, ModuleInfo, Parameter, Port, PortDirection, Problem
 
-_DIRECTIONS = {"In": PortDirection.IN, "Out": PortDirection.OUT, "InOut": PortDirection.INOUT}
 _COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/|`[^\n]*\n", re.DOTALL)
 _RANGE = re.compile(r"\[.*\]", re.DOTALL)
 _WORD = re.compile(r"[A-Za-z_]\w*(::\w+)?")
@@ -145,7 +144,7 @@ class _Ports:
             self._problems.append(Problem(f"port {symbol.name}{why}", self._file, line, fatal=True))
         return Port(
             name=symbol.name,
-            direction=_DIRECTIONS.get(getattr(symbol, "direction", PortDirection.UNKNOWN).name, PortDirection.UNKNOWN),
+            direction=PortDirection(getattr(symbol, "direction", PortDirection.UNKNOWN).name.lower()),
             width=width,
             file=self._file,
             line=line,
