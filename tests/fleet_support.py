@@ -16,7 +16,7 @@ from pathlib import Path
 
 from manager_process import CAMERA, Manager, environment, short_folder, until
 
-import cm.networks.fleet
+import cm.fleet
 from cm import child
 from cm.design.collect.collected import archive
 from cm.networks.fleet.blocking import Fleet
@@ -187,9 +187,7 @@ def fleet_of(
         router = Router()
         stack.callback(router.kill)
         found = stack.enter_context(fleet_boards(("--router", router.endpoint), options, guests))
-        fleet = stack.enter_context(
-            cm.networks.fleet.connect(router.endpoint, caller="anna", timeout=30.0, store=store)
-        )
+        fleet = stack.enter_context(cm.fleet.connect(router.endpoint, caller="anna", timeout=30.0, store=store))
         until(lambda: set(fleet.boards()) == set(arguments), 60.0)
         until(lambda: set(fleet.inventory()) == set(arguments), 60.0)
         yield router, found, fleet

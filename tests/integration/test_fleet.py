@@ -22,7 +22,7 @@ from fleet_support import EDGE, VISION, FleetBoard, Router, fleet_of
 from manager_process import REPOSITORY, Manager, environment, until
 from web_support import chromium, page_of, web_server
 
-import cm.networks.fleet
+import cm.fleet
 from cm import child
 from cm.cli.main import main
 from cm.networks.fleet.blocking import Fleet
@@ -101,7 +101,7 @@ def test_the_status_has_what_the_manager_says_and_what_the_bridge_knows(boards: 
 def test_a_bridge_that_hangs_is_distinguished_from_a_board_that_is_gone(boards: Boards, fleet: Fleet) -> None:
     boards["b2"].bridge.send(signal.SIGSTOP)
     try:
-        with cm.networks.fleet.connect(_endpoint(fleet), caller="anna", timeout=5.0) as hasty:
+        with cm.fleet.connect(_endpoint(fleet), caller="anna", timeout=5.0) as hasty:
             found = hasty.status(["b2", "x9"])
     finally:
         boards["b2"].bridge.send(signal.SIGCONT)
@@ -371,7 +371,7 @@ def test_boards_put_an_archive_in_force_as_their_policy_lets_them(
     assert not (places / "b2" / "vision").exists()
     assert isinstance(third, ErrorInfo)
     assert "start it with --import-to DIR" in third.message
-    with cm.networks.fleet.connect(_endpoint(fleet), caller="bob", timeout=30.0) as other:
+    with cm.fleet.connect(_endpoint(fleet), caller="bob", timeout=30.0) as other:
         refused = other.push(packed, ["b1"])["b1"]
     assert isinstance(refused, ErrorInfo)
     assert refused.code == "forbidden"

@@ -11,7 +11,7 @@ import pytest
 from fleet_support import FleetBoard, Router, fleet_board
 from manager_process import until
 
-import cm.networks.fleet
+import cm.fleet
 from cm.networks.fleet.network import NoNetwork
 from cm.networks.fleet.security.folder import KeyFolder
 from cm.networks.fleet.security.rules import Member
@@ -30,9 +30,9 @@ class Closed:
         self.keys = keys
         self.board = board
 
-    def connected(self, name: str, caller: str = "", patience: float = 60.0) -> cm.networks.fleet.Fleet:
+    def connected(self, name: str, caller: str = "", patience: float = 60.0) -> cm.fleet.Fleet:
         """`patience`: seconds to wait for an answer, all of which pass if there is none."""
-        found = cm.networks.fleet.connect(config=self.keys.folder / f"{name}.json5", caller=caller, timeout=patience)
+        found = cm.fleet.connect(config=self.keys.folder / f"{name}.json5", caller=caller, timeout=patience)
         until(found.boards, 60.0)
         return found
 
@@ -116,7 +116,7 @@ def test_no_client_connects_without_a_certificate_of_the_fleet(closed: Closed, t
     path = other.folder / "anna.json5"
     path.write_text(path.read_text().replace('"timeout_ms": 3000', '"timeout_ms": 1000'))
     with pytest.raises(NoNetwork):
-        cm.networks.fleet.connect(config=path, timeout=1.0)
+        cm.fleet.connect(config=path, timeout=1.0)
 
 
 def port_of(closed: Closed) -> int:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The asyncio client of a fleet; `cm.networks.fleet.connect` is the blocking one, with the same names."""
+"""The asyncio client of a fleet; `cm.fleet.connect` is the blocking one, with the same names."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import fnmatch
 import getpass
 import os
 import secrets
-from collections.abc import AsyncIterator, Generator, Iterable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Generator, Iterable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
 from time import time_ns
 from types import TracebackType
-from typing import Any
+from typing import Any, TypeVar
 
 from cm.client.core.calls import write_data, write_registers
 from cm.client.errors import request_error
@@ -45,6 +45,7 @@ from cm.wire.encode import decode_event, decode_plan, decode_registers, decode_r
 from cm.wire.messages.fleet import BoardStatus, BundleState, Decision, FleetState, FleetStep, Policy
 from cm.wire.messages.status import ErrorInfo, FrameInfo, PlanInfo, RegValues
 
+_T = TypeVar("_T")
 ALL = ("*",)  # boards
 ABSENT = ("refuse", "wait", "go-on")
 
@@ -59,7 +60,7 @@ def connect(
 ) -> Fleet:
     """A fleet, to be entered with ``async with``, or awaited; ``with`` for the blocking one.
 
-    ``with cm.networks.fleet.connect("tcp/router:7447") as fleet: fleet.mode("edge_detection")``. `router`: zenoh's
+    ``with cm.fleet.connect("tcp/router:7447") as fleet: fleet.mode("edge_detection")``. `router`: zenoh's
     ``tcp/host:port`` or ``tls/host:port`` (default: `$CM_FLEET`, or else whoever is found on this network). `config`: a
     file of zenoh's settings, as ``cm fleet keys`` writes them. `caller`: the name to make requests under; with
     certificates, the one in your own, else this user's. `timeout`: seconds for an answer. `store`: where the wanted
@@ -193,9 +194,7 @@ class Fleet:
 
         Raises NoSuchBoard.
         """
-        chosen = await self.meant(boards)
-        found = await asyncio.gather(*(self._clock(name) for name in chosen))
-        return dict(zip(chosen, found, strict=True))
+        return await _all(await self.meant(boards), self._clock)
 
     async def _clock(self, board: str) -> Reading | ErrorInfo:
         """The least delayed of a few readings: it bounds the offset best."""
@@ -238,8 +237,7 @@ class Fleet:
         """An answer for each board; one that is absent or does not answer gets an error that says so."""
         limit, groups = timeout or self.timeout, tuple(boards) or ALL
         if groups != ALL:
-            chosen = groups if all(map(_is_name, groups)) else await self.chosen(groups)
-            return await self._each_by_name(rest, chosen, limit)
+            return await self._each_by_name(rest, await self.meant(groups), limit)
         asked = queries.get(self.session, keys.key("*", rest), timeout=limit)
         answers, there = await asyncio.gather(asked, self.boards())
         found = {answer.board: answer for answer in answers}
@@ -248,8 +246,7 @@ class Fleet:
         return dict(sorted({**found, **left}.items()))
 
     async def _each_by_name(self, rest: str, boards: tuple[str, ...], limit: float) -> dict[str, Answer]:
-        found = await asyncio.gather(*(self._one(name, keys.key(name, rest), timeout=limit) for name in boards))
-        return dict(zip(boards, found, strict=True))
+        return await _all(boards, lambda name: self._one(name, keys.key(name, rest), timeout=limit))
 
     async def _one(
         self, board: str, where: str, payload: bytes = b"", beside: bytes | None = None, *, timeout: float
@@ -318,10 +315,8 @@ class Fleet:
 
         Returns each board's state, or its error. Raises NoSuchBoard.
         """
-        chosen = await self.meant(boards)
-        step = FleetStep(keys.AGAIN)
-        found = await asyncio.gather(*(self._step(name, "reconcile", step, max(60.0, self.timeout)) for name in chosen))
-        return dict(zip(chosen, found, strict=True))
+        step, limit = FleetStep(keys.AGAIN), max(60.0, self.timeout)
+        return await _all(await self.meant(boards), lambda name: self._step(name, "reconcile", step, limit))
 
     # ---- changing -------------------------------------------------------------------------------
 
@@ -344,9 +339,8 @@ class Fleet:
         Raises NoSuchBoard.
         """
         message = bytes(encode_request(write_registers(values).request)[1])
-        chosen = await self.meant(boards)
-        said = await asyncio.gather(*(self.do("reg", name, message) for name in chosen))
-        return {n: queries.registers(a) for n, a in zip(chosen, said, strict=True)}
+        said = await _all(await self.meant(boards), lambda name: self.do("reg", name, message))
+        return {name: queries.registers(answer) for name, answer in said.items()}
 
     async def frame(self, board: str, stream: str) -> Frame:
         """The next frame of a stream of one board, as an array of the stream's shape. Raises RequestFailed."""
@@ -443,9 +437,15 @@ class Fleet:
         bundle = await asyncio.to_thread(bundles.described, path)
         chosen = await self.meant(boards)
         with bundles.offered(self.session, path, bundle):
-            asked = (self.do("bundle", name, wire.encode_fetch(bundle), timeout=timeout) for name in chosen)
-            said = await asyncio.gather(*asked)
-        return {n: queries.said(a, BundleState) for n, a in zip(chosen, said, strict=True)}
+            message = wire.encode_fetch(bundle)
+            said = await _all(chosen, lambda name: self.do("bundle", name, message, timeout=timeout))
+        return {name: queries.said(answer, BundleState) for name, answer in said.items()}
+
+
+async def _all(boards: Iterable[str], ask: Callable[[str], Awaitable[_T]]) -> dict[str, _T]:
+    """Ask boards at one time; what each says."""
+    names = tuple(boards)
+    return dict(zip(names, await asyncio.gather(*map(ask, names)), strict=True))
 
 
 def _named(board: str, error: ErrorInfo) -> ErrorInfo:

@@ -17,7 +17,6 @@ STORE = "cm-store"
 WILD = frozenset("*$?#")
 AGAIN = "again"  # in place of a change's id: a person asks a board to go where it is wanted
 NOBODY = "nobody"  # a caller that gives no name
-SECTIONS = ("reg", "irq", "frames")
 
 
 def check(name: str, what: str) -> str:

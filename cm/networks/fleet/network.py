@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import json
 import os
-import threading
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +17,6 @@ KEEPER = "keeper"
 LEASE = 10.0  # seconds, zenoh's own
 _PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws", "unixsock-stream", "unixpipe", "serial", "vsock")
 _TRY = 3000  # milliseconds of one try to reach a router
-_BETWEEN_TRIES = 1.0  # seconds between two
 
 
 class NoNetwork(CmError, ConnectionError):
@@ -77,9 +74,9 @@ def session(network: Network) -> Any:
             config.insert_json5(name, json.dumps(value))
         return zenoh.open(config)
     except (zenoh.ZError, OSError) as error:
-        said = _said(error)
+        why = said(error)
         asked = tuple(json.loads(config.get_json("connect/endpoints")) or ()) if not network.listen else ()
-        raise NoNetwork(_unreachable(asked) if "timeout" in said.lower() else f"{_where(network)}: {said}") from None
+        raise NoNetwork(_unreachable(asked) if "timeout" in why.lower() else f"{_where(network)}: {why}") from None
 
 
 def settings_of(path: Path) -> Any:
@@ -91,7 +88,7 @@ def settings_of(path: Path) -> Any:
     except OSError as error:
         raise NoNetwork(f"{path}: {error.strerror}: `cm fleet keys` writes such files") from None
     except zenoh.ZError as error:
-        raise NoNetwork(f"{path} is no file of zenoh's settings (JSON5): {_said(error)}") from None
+        raise NoNetwork(f"{path} is no file of zenoh's settings (JSON5): {said(error)}") from None
 
 
 def member_of(config: Path | None) -> str:
@@ -128,25 +125,11 @@ def _with_tls(routers: tuple[str, ...]) -> bool:
     return any(router.startswith(("tls/", "quic/")) for router in routers)
 
 
-def awaited(network: Network, over: threading.Event, say: Callable[[str], None]) -> Any:
-    """The same, tried until there is a router, with a message meanwhile; None once it is to end."""
-    said = ""
-    while not over.is_set():
-        try:
-            return session(network)
-        except NoNetwork as error:
-            if str(error) != said:
-                say(f"{error}; it is tried again")
-            said = str(error)
-            over.wait(_BETWEEN_TRIES)
-    return None
-
-
 def _where(network: Network) -> str:
     return ", ".join((*network.connect, *network.listen)) or str(network.config or "zenoh")
 
 
-def _said(error: Exception) -> str:
+def said(error: Exception) -> str:
     """zenoh's message, without the place in its sources."""
     return " ".join(str(error).split(" at ", maxsplit=1)[0].split()) or type(error).__name__
 

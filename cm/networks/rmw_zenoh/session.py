@@ -12,9 +12,9 @@ from typing import Any
 import zenoh
 
 from cm.errors import InvalidRequest
+from cm.networks.fleet.network import PORT, endpoint, said
 
 _LOG = logging.getLogger("cm.rmw_zenoh")
-PORT = 7447
 _FILE, _OVERRIDE = "ZENOH_SESSION_CONFIG_URI", "ZENOH_CONFIG_OVERRIDE"  # rmw_zenoh's own
 _TRY = 3000  # milliseconds for trying to reach a router that was named
 # Where rmw_zenoh differs from zenoh's defaults: no search by multicast; a local router knows the others.
@@ -32,18 +32,6 @@ USUAL: Mapping[str, Any] = {
 }
 
 
-def endpoint(text: str) -> str:
-    """``HOST``, ``HOST:PORT`` or zenoh's own ``tcp/HOST:PORT`` → zenoh's. Raises InvalidRequest."""
-    if "/" in text:
-        return text
-    host, colon, port = text.rpartition(":")
-    if not colon or text.endswith("]"):
-        host, port = text, str(PORT)
-    if not host or not port.isdecimal():
-        raise InvalidRequest(f"router {text!r}: HOST, HOST:PORT, or zenoh's tcp/HOST:PORT is wanted")
-    return f"tcp/{host}:{port}"
-
-
 def opened(router: str = "") -> Any:
     """Open a session.
 
@@ -53,7 +41,7 @@ def opened(router: str = "") -> Any:
     try:
         session = zenoh.open(_config(router))
     except (zenoh.ZError, OSError) as error:
-        raise InvalidRequest(f"zenoh does not start{f' by {router}' if router else ''}: {_said(error)}") from None
+        raise InvalidRequest(f"zenoh does not start{f' by {router}' if router else ''}: {said(error)}") from None
     if not session.info.routers_zid():
         _LOG.warning("no zenoh router is reached yet; until then other nodes do not see this one")
     return session
@@ -75,10 +63,5 @@ def _config(router: str) -> Any:
         try:
             config.insert_json5(name, text)
         except zenoh.ZError as error:
-            raise InvalidRequest(f"zenoh has no setting {name} = {text} ({_said(error)})") from None
+            raise InvalidRequest(f"zenoh has no setting {name} = {text} ({said(error)})") from None
     return config
-
-
-def _said(error: Exception) -> str:
-    """zenoh's message, without the place in its sources."""
-    return str(error).split(" at ", maxsplit=1)[0].strip() or type(error).__name__

@@ -18,7 +18,6 @@ from cm.errors import InvalidRequest
 from cm.networks.rmw_zenoh import cdr
 from cm.networks.rmw_zenoh.interfaces import type_hash
 from cm.networks.rmw_zenoh.keys import Attachment, End, EndKey, NodeKey
-from cm.networks.rmw_zenoh.session import endpoint
 from cm.networks.ros.transport import EVENTS, FRAMES, LATCHED, SERVICES, Qos
 
 STRING, IMAGE = "std_msgs/msg/String", "sensor_msgs/msg/Image"
@@ -121,17 +120,3 @@ def test_arbitrary_bytes_are_an_attachment_or_refused(data: bytes) -> None:
 def test_attachments_of_older_versions_are_refused_with_a_reason() -> None:
     with pytest.raises(InvalidRequest, match="Jazzy"):
         Attachment.from_bytes(b"\x0fsequence_number\1\0\0\0\0\0\0\0")
-
-
-@pytest.mark.parametrize(
-    ("text", "wanted"),
-    [("kria", "tcp/kria:7447"), ("kria:1", "tcp/kria:1"), ("[::1]", "tcp/[::1]:7447"), ("tls/kria:2", "tls/kria:2")],
-)
-def test_a_router_is_named_as_people_do(text: str, wanted: str) -> None:
-    assert endpoint(text) == wanted
-
-
-@pytest.mark.parametrize("text", ["", ":7447", "kria:"])
-def test_an_invalid_router_address_is_refused(text: str) -> None:
-    with pytest.raises(InvalidRequest, match="HOST"):
-        endpoint(text)

@@ -6,7 +6,6 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
-import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -27,7 +26,7 @@ from cm.networks.fleet.bridge.managed import ManagedBoard, NotesFile
 from cm.networks.fleet.bridge.publishing import BEAT, Publications
 from cm.networks.fleet.bridge.queries import Commands, Queries, Reader
 from cm.networks.fleet.keeper import Keeper
-from cm.networks.fleet.network import Network, awaited, opened_store
+from cm.networks.fleet.network import Network, NoNetwork, opened_store, session
 from cm.networks.fleet.store import BOARDS, Settings, Store, StoreAway, StoreRefused, packed, views
 from cm.wire import fleet as wire
 from cm.wire import topics
@@ -35,7 +34,7 @@ from cm.wire.messages.fleet import ClockSync
 from cm.wire.messages.status import ErrorInfo
 
 _LOG = logging.getLogger("cm.fleet")
-_RECONNECT = 1.0  # seconds between two tries to reach a manager
+_RECONNECT = 1.0  # seconds between two tries to reach a manager, or the network
 _TOGETHER = 0.25  # seconds in which whoever changes the fleet asks anyway: then nothing is left to be looked at
 _CLOCK = 10.0  # seconds between two checks of how well the clock is set
 
@@ -72,11 +71,7 @@ class Bridge:
         relay = await self._reach()
         try:
             board = keys.check(self.options.name or (await relay.ask(calls.status())).board, "board")
-            over = threading.Event()
-            try:
-                network = await asyncio.to_thread(awaited, self.options.network, over, _LOG.warning)
-            finally:
-                over.set()
+            network = await self._joined()
             try:
                 await self._serve(board, relay, network)
             finally:
@@ -101,6 +96,15 @@ class Bridge:
                 except CmError as error:
                     said = _once(said, error)
                     await relay.close()
+            await asyncio.sleep(_RECONNECT)
+
+    async def _joined(self) -> Any:
+        said = ""
+        while True:
+            try:
+                return await asyncio.to_thread(session, self.options.network)
+            except NoNetwork as error:
+                said = _once(said, error)
             await asyncio.sleep(_RECONNECT)
 
     def _manager_changed(self, up: bool) -> None:

@@ -48,7 +48,14 @@ class KeyFolder:
         endpoint = f"tls/{hosts[0]}:{port}"
         identity = issued(ca, ROUTER, days, hosts)
         self._save(endpoint, (), store)
-        return self._write_router(port, identity)
+        return self._write_router(
+            {
+                "mode": "router",
+                "listen": {"endpoints": [f"tls/[::]:{port}"]},
+                "scouting": {"multicast": {"enabled": False}},
+                "transport": {"link": {"tls": _tls("listen", identity, ca.certificate)}},
+            }
+        )
 
     def add(self, member: Member, days: int) -> Path:
         """A certificate for a member, in a file of its own. Raises InvalidRequest, Busy for a name that is taken."""
@@ -63,7 +70,7 @@ class KeyFolder:
         path = self.folder / f"{member.name}.json5"
         _write(path, _json(_member_settings(member, identity, self._ca(), endpoint, store)), 0o600)
         self._save(endpoint, (*members, member), store)
-        self._rewrite_router()
+        self._write_router()
         return path
 
     def remove(self, name: str) -> None:
@@ -73,7 +80,7 @@ class KeyFolder:
         if len(left) == len(members):
             raise NotFound(f"nobody has the name {name}; there are {', '.join(m.name for m in members) or 'none'}")
         self._save(endpoint, left, store)
-        self._rewrite_router()
+        self._write_router()
         (self.folder / f"{name}.json5").unlink(missing_ok=True)
 
     def members(self) -> tuple[Member, ...]:
@@ -100,25 +107,13 @@ class KeyFolder:
     def _ca(self) -> bytes:
         return (self.folder / _CA).read_bytes()
 
-    def _write_router(self, port: int, identity: Identity) -> Path:
-        settings = {
-            "mode": "router",
-            "listen": {"endpoints": [f"tls/[::]:{port}"]},
-            "scouting": {"multicast": {"enabled": False}},
-            "transport": {"link": {"tls": _tls("listen", identity, self._ca())}},
-            "access_control": access_control(()),
-        }
+    def _write_router(self, settings: dict[str, Any] | None = None) -> Path:
+        """The router's file, with the rules of now; `settings` are those of a new one."""
         path = self.folder / f"{ROUTER}.json5"
-        _write(path, _json(settings), 0o600)
-        self._rewrite_router()
-        return path
-
-    def _rewrite_router(self) -> None:
-        path = self.folder / f"{ROUTER}.json5"
-        settings = json.loads(path.read_bytes())
         nobody = Member(keys.NOBODY, "client", boards=(keys.NOBODY,))  # gives rules before there are members
-        settings["access_control"] = access_control(self._load()[1] or (nobody,))
-        _write(path, _json(settings), 0o600)
+        settings = settings or json.loads(path.read_bytes())
+        _write(path, _json({**settings, "access_control": access_control(self.members() or (nobody,))}), 0o600)
+        return path
 
 
 def _member_settings(member: Member, identity: Identity, ca: bytes, endpoint: str, store: str) -> dict[str, Any]:

@@ -61,7 +61,7 @@ def _result(name: str, value: float, unit: str, count: int, goal: Goal | None, d
 
 @contextmanager
 def _fleet(bench: Run, count: int) -> Iterator[tuple[LocalFleet, Any]]:
-    from cm.networks.fleet import connect
+    from cm.fleet import connect
 
     with ExitStack() as stack:
         etcd = stack.enter_context(local_etcd(bench.place("etcd"))) if bench.store == "etcd" else ""
@@ -81,7 +81,7 @@ def _ready(status: Any) -> bool:
 
 
 def _discovery(local: LocalFleet, bench: Run, count: int) -> Result:
-    from cm.networks.fleet import connect
+    from cm.fleet import connect
 
     seconds = []
     for _ in range(2 if bench.quick else 10):
