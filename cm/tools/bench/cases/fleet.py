@@ -182,8 +182,9 @@ def _change(local: LocalFleet, fleet: Any, bench: Run, count: int) -> Result:
 async def _in_turns(local: LocalFleet, bench: Run, client: float) -> dict[str, float]:
     """What a change costs beyond its slowest load where no board waits for a processor: medians, ms.
 
-    The store's share is measured as it is; of each phase the slowest board counts, asked while no other is at work; the
-    client, which works for all of them, counts with all of its processor time: `client`, in seconds.
+    The store's share is measured as it is; of each phase the median board counts, asked while no other is at work (that
+    one was slower is this machine's doing); the client, which works for all of them, counts with all of its processor
+    time: `client`, in seconds.
     """
     from cm.networks.fleet import aio, queries
     from cm.networks.fleet.change import Coordinator
@@ -209,7 +210,9 @@ async def _in_turns(local: LocalFleet, bench: Run, client: float) -> dict[str, f
 
             mode = ("edge_detection", "default")[number % 2]
             course = await Coordinator(store, ask, "bench", f"turns-{number}", sorted(local.boards), "", mode).run()
-            legs = {leg.phase: leg.seconds for leg in course.legs} | {verb: max(each) for verb, each in took.items()}
+            legs = {leg.phase: leg.seconds for leg in course.legs} | {
+                verb: statistics.median(each) for verb, each in took.items()
+            }
             for phase, seconds in {**legs, "client": client, "beyond": sum(legs.values()) + client}.items():
                 found.setdefault(phase, []).append(seconds * 1000)
             await asyncio.sleep(_REST)
