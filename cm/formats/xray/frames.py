@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator, Mapping
 from typing import TypeAlias
-
-from cm.device.native.bitstream import swap
 
 WORDS = 101
 BYTES = 4 * WORDS
@@ -18,12 +17,18 @@ Frames: TypeAlias = Mapping[int, int]  # frame address (FAR) → frame; one that
 
 def from_bytes(data: bytes) -> int:
     """Return a frame of big-endian words, as a bitstream has them (404 bytes), as a number."""
-    return int.from_bytes(swap(data), "little")
+    return int.from_bytes(_turned(data), "little")
 
 
 def to_bytes(frame: int) -> bytes:
     """Return a frame as the 404 bytes of a bitstream."""
-    return swap(frame.to_bytes(BYTES, "little"))
+    return _turned(frame.to_bytes(BYTES, "little"))
+
+
+def _turned(words: bytes) -> bytes:
+    """The bytes of each word reversed, without the shim, which a laptop that draws a region does not have."""
+    count = len(words) // 4
+    return struct.pack(f"<{count}I", *struct.unpack(f">{count}I", words))
 
 
 def set_bits(number: int) -> Iterator[int]:
