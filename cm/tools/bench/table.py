@@ -36,7 +36,10 @@ CASES = (
     Case("fanout", ("fanout",)),
     Case("footprint", ("footprint",)),
     Case("scraping", ("scraping",)),
-    Case("flood", ("flood", "flood_vs_quiet", "flood_requests", "flood_requests_vs_quiet")),
+    Case(
+        "flood",
+        tuple(name + beside for name in ("flood", "flood_requests") for beside in ("", "_vs_quiet", "_vs_busy")),
+    ),
     Case("sync", ("frame_sync",)),
     Case("advisor", ("advisor",)),
     Case("rtl", ("rtl_frames", "rtl_frames_wide", "rtl_registers")),
