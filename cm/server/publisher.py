@@ -362,9 +362,9 @@ class StatusTold:
 
     def status(self, moment: Moment | None = None) -> Status:
         """The status of a moment, or of now."""
-        streams, leases = self._streams.status(), self._manager.leases.told()
-        windows = self._manager.mapped
-        return self._manager.status(moment, streams=streams, leases=leases, windows=windows, **self._publisher.beside())
+        manager, streams = self._manager, self._streams.status()
+        beside = {"leases": manager.leases.told(), "windows": manager.mapped, **self._publisher.beside()}
+        return manager.reporter.status(moment, streams=streams, **beside)
 
     def publish(self) -> None:
         """Publish the status of now."""
