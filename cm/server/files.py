@@ -1,27 +1,622 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files of a configuration, for the manager: found, validated, and given to the kernel in the form it takes."""
+"""The files of a configuration: found, read, validated once per content, and copied for the kernel.
+
+The kernel opens bitstreams itself, by name, after they were checked here. So we search where the kernel does
+(drivers/base/firmware_loader/main.c: `fw_path`), and give it only our own copies, each named by the hash of what was
+validated, and compared before and after. Overlays are checked for what they would make the kernel load.
+
+A learned footprint is valid only as long as the bitstream it was learned from: if that module's file has changed (a
+new build, another floorplan), it is learned again.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
+import contextlib
+import json
+import logging
+import os
+import re
+import threading
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path, PurePosixPath
+from typing import Any
 
-from cm.errors import CmError
+from cm.errors import CmError, InvalidRequest
+from cm.formats import fdt
 from cm.formats.bitstream import (
+    Container,
+    Expectation,
+    Report,
+    ReportCache,
+    convert,
     expect_module,
     expect_static,
     footprint_of,
     to_dma_words,
+    verify,
 )
+from cm.formats.bitstream.cache import Inspected
+from cm.formats.bitstream.errors import BadContainer, BitstreamError, Sha256Mismatch
+from cm.frozen import dataclass
+from cm.manager.errors import BadOverlay
 from cm.manager.interfaces import Image, LoadedFrames
-from cm.schema.files import bitstream_path
-from cm.schema.model import Config, Module, Overlay, Region
-from cm.server.bitstream_files import BitstreamReader, FirmwareFolder, image_of
-from cm.server.footprints import Footprints, Frames, LearnedFootprint
-from cm.server.overlays import OverlayFiles
+from cm.schema.files import bitstream_path, find_file, overlay_path
+from cm.schema.model import Config, FrameRange, Module, Overlay, Region
+from cm.server.folders import own_folder
 from cm.wire.messages.status import RegionColumn
 
+MAX_BYTES = 512 << 20  # more than the largest device of the supported families needs
+
+_KEPT = 256  # files
 _FRAMES_KEPT = 4  # images whose frames are ready to be compared
+
+_Pair = tuple[str, str]
+_SYNC = b"\x66\x55\x99\xaa"
+_PADDING = (b"\x00\x00\x00\x20", bytes(4), b"\xff\xff\xff\xff")  # NOP; what fills up a file; dummy words
+
+
+def image_of(path: Path, report: Report) -> Image:
+    """A validated bitstream as the manager has it."""
+    return Image(path, report.sha256, report.length, report.idcode, report.partial, report.encrypted)
+
+
+class BitstreamReader:
+    """Used by the worker and by plans that are made beside it, so the cache has a lock."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._cache = ReportCache()
+        self._good: dict[Path, tuple[Report, Expectation]] = {}  # files that were as expected when last compared
+        self._same: set[_Pair] = set()  # file and image with the same words, by their hashes
+        self._alike: set[_Pair] = set()  # file and image that differ in padding at most
+
+    def validated(self, path: Path, expect: Expectation) -> Report:
+        """The report of a file that is as expected. Raises the refusals of `cm.formats.bitstream`."""
+        report, before = self.inspect(path), self._good.get(path)
+        if before is not None and before[0] is report and before[1] == expect:
+            return report
+        try:
+            verify(report, expect)
+        except BitstreamError as error:
+            raise type(error)(f"{path}: {error}") from error
+        if len(self._good) >= _KEPT:
+            self._good.clear()
+        self._good[path] = report, expect
+        return report
+
+    def inspect(self, path: Path) -> Report:
+        """The report of a file, from the cache if it is still the same file."""
+        with self._lock:
+            known = self._cache.known(path)
+        if known is not None:
+            return known
+        _check_size(path)
+        with self._lock:
+            return self._cache.inspect(path)
+
+    def read(self, image: Image) -> bytes:
+        """The bytes that were validated. Raises Sha256Mismatch if the file has changed."""
+        found = self._read(image.path)
+        if found.report.sha256 != image.sha256:
+            raise Sha256Mismatch(f"{image.path}: the file was replaced after it had been checked; ask again")
+        return found.data
+
+    def has_words_of(self, path: Path, image: Image) -> bool:
+        """Whether a file, in whatever container, holds the words that were validated.
+
+        Raises OSError, and the refusals of `cm.formats.bitstream` if it is not a bitstream.
+        """
+        return self._compared(path, image, self._same, bytes)
+
+    def configures_as(self, path: Path, image: Image) -> bool:
+        """Whether a file, in whatever container, configures the device as the image does.
+
+        Vivado's .bin has one NOP more than its .bit, bootgen's has other padding. Raises as `has_words_of`.
+        """
+        return self._compared(path, image, self._alike, _effective)
+
+    def _compared(self, path: Path, image: Image, known: set[_Pair], part: Callable[[bytes], bytes]) -> bool:
+        there = self.inspect(path).sha256
+        if there == image.sha256 or (there, image.sha256) in known:
+            return True
+        if path == image.path:
+            return False
+        found = self._read(path)  # once: a second look may find another file
+        if part(to_dma_words(found.data)) != part(to_dma_words(self.read(image))):
+            return False
+        known.add((found.report.sha256, image.sha256))
+        return True
+
+    def _read(self, path: Path) -> Inspected:
+        _check_size(path)
+        with self._lock:
+            return self._cache.read(path)
+
+
+def _effective(words: bytes) -> bytes:
+    """A stream in memory order from its sync word on, without the padding behind it."""
+    start, end = max(0, words.find(_SYNC)), len(words)
+    while end - start >= 4 and words[end - 4 : end] in _PADDING:
+        end -= 4
+    return words[start:end]
+
+
+def _check_size(path: Path) -> None:
+    size = path.stat().st_size
+    if size > MAX_BYTES:
+        raise BadContainer(f"{path}: {size} bytes are not a bitstream; at most {MAX_BYTES >> 20} MiB are read")
+
+
+_FIRMWARE = Path("lib/firmware")
+_CUSTOM = Path("sys/module/firmware_class/parameters/path")
+_CONVERTED = "cm-converted"
+_OURS = re.compile(r"[0-9a-f]{64}\.bin")
+_COPIES = 64
+
+
+class FirmwareFolder:
+    """The firmware below a root. `copies` is the folder for converted files, one that the kernel looks in.
+
+    By default it is the folder that the kernel was given (firmware_class.path), which a system with a read-only root
+    has on a tmpfs or a data partition, or else ``/lib/firmware``.
+    """
+
+    def __init__(self, root: Path, reader: BitstreamReader, copies: Path | None = None) -> None:
+        self._root = root
+        self.folder = root / _FIRMWARE
+        self._reader = reader
+        self._copies = copies
+
+    def place(self, name: str) -> Path:
+        """The file that the kernel opens for a name. Raises InvalidRequest for one that leaves the folder."""
+        parts = PurePosixPath(name)
+        if not name or parts.is_absolute() or ".." in parts.parts:
+            raise InvalidRequest(f"firmware name {name!r}: a path below /lib/firmware is expected")
+        places = [folder / name for folder in self._searched()]
+        return next((place for place in places if place.exists()), places[-1])
+
+    def _searched(self) -> Iterator[Path]:
+        custom = self._custom()
+        if custom is not None:
+            yield custom
+        release = os.uname().release
+        yield from (self.folder / "updates" / release, self.folder / "updates", self.folder / release)
+        yield self.folder
+
+    def private_name(self, image: Image) -> str:
+        """The name of our own copy of an image, whether or not it is there yet."""
+        return f"{_CONVERTED}/{image.sha256}.bin"
+
+    def _custom(self) -> Path | None:
+        """The folder that the kernel searches first, if it was given one."""
+        with contextlib.suppress(OSError, UnicodeDecodeError):
+            custom = (self._root / _CUSTOM).read_text(encoding="utf-8").strip()
+            if custom:
+                return self._root / custom.lstrip("/")
+        return None
+
+    def _writable(self) -> Path:
+        """The folder for copies. Raises InvalidRequest for one that the kernel does not search."""
+        if self._copies is None:
+            custom = self._custom()
+            return custom if custom is not None and os.access(custom, os.W_OK) else self.folder
+        if self._copies not in self._searched():
+            raise InvalidRequest(
+                f"firmware_dir {self._copies}: this kernel does not look there; tell it by firmware_class.path="
+                f"{self._copies} on its command line, or in /{_CUSTOM}"
+            )
+        return self._copies
+
+    def name_of(self, image: Image) -> str:
+        """A name under which the kernel finds the image as a word-swapped .bin: always our own copy of it.
+
+        Others may write to the file that was validated, between the check and the kernel's reading it.
+        Raises Sha256Mismatch if that file changed since and the copy has to be made yet.
+        """
+        self._copy(image)
+        name = self.private_name(image)
+        self.check(name, image)
+        return name
+
+    def check(self, name: str, image: Image) -> None:
+        """Raise Sha256Mismatch if the kernel would find other words under the name than were validated."""
+        place = self.place(name)
+        try:
+            same = self._reader.has_words_of(place, image)
+        except BitstreamError as error:
+            raise Sha256Mismatch(f"{place}: {error}; the kernel would load it for {image.path}") from error
+        if not same:
+            raise Sha256Mismatch(f"{place}: not the bitstream that was checked as {image.path}; ask again")
+
+    def _copy(self, image: Image) -> None:
+        """Make sure of a copy under the hash of what was validated; a damaged one is made again."""
+        base = self._writable()
+        folder = base / _CONVERTED
+        if folder.is_symlink():
+            raise InvalidRequest(f"{folder} is a symbolic link; copies are not written through one")
+        own_folder(folder, mode=0o755)  # the kernel reads from there, so no other user may write
+        target = base / self.private_name(image)
+        if not self._is_good(target, image):
+            _write(target, convert(self._reader.read(image), Container.BIN_SWAPPED))
+        _prune(folder, target)
+
+    def _is_good(self, target: Path, image: Image) -> bool:
+        try:
+            return not target.is_symlink() and self._reader.has_words_of(target, image)
+        except (BitstreamError, FileNotFoundError):
+            return False
+
+
+def _write(target: Path, data: bytes) -> None:
+    """Write whole or not at all, even at a loss of power; never through a link."""
+    import tempfile  # 1 MiB, not needed without the kernel's firmware loader
+
+    descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=".", suffix=".new")
+    new = Path(name)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fchmod(descriptor, 0o644)
+            os.fsync(descriptor)
+        new.replace(target)
+    except BaseException:
+        new.unlink(missing_ok=True)
+        raise
+
+
+def _prune(folder: Path, used: Path) -> None:
+    """Keep the most recently used copies: others are made again when needed.
+
+    File times are only compared with each other, since a board without a clock begins in 1970.
+    """
+    others = [path for path in folder.iterdir() if _OURS.fullmatch(path.name) and path != used]
+    ages = {path: path.lstat().st_mtime_ns for path in others}
+    newest = max(ages.values(), default=0) + 1
+    if used.stat().st_mtime_ns < newest:
+        os.utime(used, ns=(newest, newest))
+    for old in sorted(others, key=ages.__getitem__, reverse=True)[_COPIES - 1 :]:
+        old.unlink(missing_ok=True)
+    for half in folder.glob(".*.new"):  # of a run that was killed
+        half.unlink(missing_ok=True)
+
+
+_NAME = "firmware-name"
+_PARTIAL, _ENCRYPTED, _EXTERNAL = "partial-fpga-config", "encrypted-fpga-config", "external-fpga-config"
+_KNOWN = (_PARTIAL, _ENCRYPTED, _EXTERNAL)
+_DMABUF = "fpga-config-from-dmabuf"  # of linux-xlnx: it names no file that could be checked
+_LOADING = frozenset({_NAME, _PARTIAL, _ENCRYPTED})
+
+
+@dataclass(frozen=True, slots=True)
+class FirmwareLoad:
+    """What an overlay would make the kernel load: a name below /lib/firmware, and what it says of the image."""
+
+    name: str
+    partial: bool
+    encrypted: bool
+
+
+def checked_overlay(name: str, blob: bytes) -> bytes:
+    """The blob, if it is a whole device tree with an ``__overlay__`` node. Raises BadOverlay."""
+    if not any(_targets(_read(name, blob))):
+        raise BadOverlay(f"{name}: no fragment has an __overlay__ node; compile an overlay (/plugin/;) with dtc")
+    return blob
+
+
+def firmware_loads(name: str, blob: bytes) -> tuple[FirmwareLoad, ...]:
+    """Everything that applying an overlay would load. Raises BadOverlay, also if that cannot be known beforehand."""
+    root = _read(name, blob)
+    for _, node in root.walk():
+        if _NAME in node.properties and node.name != "__overlay__" and _is_region(node):
+            raise BadOverlay(
+                f"{name}: node {node.name} adds an fpga-region with {_NAME}, which the kernel refuses: "
+                "a region is loaded once it exists, by an overlay that targets it"
+            )
+    return tuple(_load(name, node) for node in _targets(root) if _says_of_loading(name, node))
+
+
+def naming(name: str, blob: bytes, firmware: str) -> bytes:
+    """A copy of the overlay whose every ``firmware-name`` is `firmware`."""
+    value = firmware.encode() + b"\0"
+    return _changed(name, blob, lambda node: {k: value if k == _NAME else v for k, v in node.properties.items()})
+
+
+def loading_nothing(name: str, blob: bytes) -> bytes:
+    """A copy of the overlay that adds the same nodes, to a device that is configured already."""
+
+    def kept(node: fdt.FdtNode) -> dict[str, bytes]:
+        return {k: v for k, v in node.properties.items() if k not in _LOADING}
+
+    return _changed(name, blob, kept)
+
+
+def _changed(name: str, blob: bytes, properties: Callable[[fdt.FdtNode], dict[str, bytes]]) -> bytes:
+    try:
+        tree = fdt.read(blob)
+    except fdt.FdtError as error:
+        raise _no_tree(name, error) from error
+    for node in _targets(tree.root):
+        node.properties = properties(node)
+    return fdt.write(tree)
+
+
+def _read(name: str, blob: bytes) -> fdt.FdtNode:
+    try:
+        return fdt.unpack(blob)
+    except fdt.FdtError as error:
+        raise _no_tree(name, error) from error
+
+
+def _no_tree(name: str, error: fdt.FdtError) -> BadOverlay:
+    return BadOverlay(f"{name}: not a whole device-tree blob ({error}); compile it with dtc")
+
+
+def _targets(root: fdt.FdtNode) -> Iterator[fdt.FdtNode]:
+    return (node for _, node in root.walk() if node.name == "__overlay__")
+
+
+def _is_region(node: fdt.FdtNode) -> bool:
+    return b"fpga-region" in node.properties.get("compatible", b"").split(b"\0")
+
+
+def _says_of_loading(name: str, node: fdt.FdtNode) -> bool:
+    if _DMABUF in node.properties:
+        raise BadOverlay(f"{name}: {_DMABUF} would load what cannot be looked at beforehand; name a file ({_NAME})")
+    return _NAME in node.properties
+
+
+def _unknown(node: fdt.FdtNode) -> str | None:
+    """A property that makes linux-xlnx treat the image differently: user keys, authentication."""
+    wanted = (key for key in node.properties if key.endswith("-fpga-config") or key == "encrypted-key-name")
+    return next((key for key in wanted if key not in _KNOWN), None)
+
+
+def _load(name: str, node: fdt.FdtNode) -> FirmwareLoad:
+    if _EXTERNAL in node.properties:
+        raise BadOverlay(f"{name}: {_NAME} and {_EXTERNAL} in one node contradict each other; the kernel refuses them")
+    if (unknown := _unknown(node)) is not None:
+        raise BadOverlay(
+            f"{name}: {unknown} asks for a way of loading that is not supported; supported is {', '.join(_KNOWN)}"
+        )
+    value = node.properties[_NAME]
+    if not value.endswith(b"\0") or value.count(b"\0") != 1 or len(value) < 2:
+        raise BadOverlay(f"{name}: its {_NAME} {value!r} is not one name")
+    return FirmwareLoad(
+        value[:-1].decode("utf-8", "replace"), _PARTIAL in node.properties, _ENCRYPTED in node.properties
+    )
+
+
+_MAX_OVERLAY = 16 << 20  # bytes
+
+
+class OverlayFiles:
+    """The .dtbo files below a root. `read` reads one."""
+
+    def __init__(
+        self, root: Path, reader: BitstreamReader, firmware: FirmwareFolder, read: Callable[[Path], bytes]
+    ) -> None:
+        self._root = root
+        self._reader = reader
+        self._firmware = firmware
+        self._read = read
+        self._checked: dict[Path, tuple[tuple[object, ...], bytes]] = {}
+
+    def beside(self, config: Config, overlay: Overlay, images: Sequence[Image]) -> bytes:
+        """An overlay that comes with a configuration or mode whose `images` are in the device when it is applied.
+
+        If it names them, they are not loaded a second time: a full image would erase what was loaded into its regions
+        since. Raises FileMissing, and BadOverlay if it would load anything else.
+        """
+        path = overlay_path(config, overlay, self._root)
+        data = self._overlay(path)
+        loads = firmware_loads(str(path), data)
+        for load in loads:
+            self._known(path, config, load, images)
+        return loading_nothing(str(path), data) if loads else data
+
+    def loading(self, config: Config, module: Module, image: Image) -> bytes:
+        """The overlay by which a module is loaded, naming our own copy of its image.
+
+        Raises FileMissing, and BadOverlay if it names anything but that image, or is not an overlay for it.
+        """
+        path = find_file(config, [f"{module.name}.dtbo"], self._root)
+        data = self._overlay(path)
+        loads = firmware_loads(str(path), data)
+        if len(loads) != 1:
+            raise BadOverlay(f"{path}: one firmware-name is expected, there are {len(loads)}")
+        self._known(path, config, loads[0], [image])
+        return naming(str(path), data, self._firmware.private_name(image))
+
+    def _overlay(self, path: Path) -> bytes:
+        state = path.stat()
+        key = (path, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns)
+        found = self._checked.get(path)
+        if found is not None and found[0] == key:
+            return found[1]
+        if state.st_size > _MAX_OVERLAY:
+            raise BadOverlay(
+                f"{path}: {state.st_size} bytes are not an overlay; it has at most {_MAX_OVERLAY >> 20} MiB"
+            )
+        data = checked_overlay(str(path), self._read(path))
+        self._checked[path] = (key, data)
+        return data
+
+    def _known(self, path: Path, config: Config, load: FirmwareLoad, images: Sequence[Image]) -> None:
+        """Raise BadOverlay unless a firmware-name leads to one of the images, with the right flags for it."""
+        what = f"{path}: its firmware-name {load.name!r}"
+        try:
+            place = self._place(path, config, load.name)
+            image = next((image for image in images if self._reader.configures_as(place, image)), None)
+        except (CmError, OSError) as error:
+            raise BadOverlay(f"{what} cannot be used ({error})") from error
+        if image is None:
+            raise BadOverlay(f"{what} is {self._described(place)}; {_expected(images)}")
+        _check_flags(what, load, image)
+
+    def _place(self, path: Path, config: Config, name: str) -> Path:
+        """The file that a name means: the package's own comes before those in the kernel's folders."""
+        by_kernel = self._firmware.place(name)  # refuses names that leave the folder
+        own = list(dict.fromkeys((path.parent, path.resolve().parent)))  # of an import, the overlay is a link
+        places = [folder / name for folder in own]
+        places += [self._firmware.folder / "cm" / config.name / name, by_kernel]
+        places += [folder / other for folder in own for other in _spellings(name)]
+        found = next((place for place in places if place.is_file()), None)
+        if found is None:
+            raise BadOverlay(f"there is no such file; looked for {', '.join(map(str, dict.fromkeys(places)))}")
+        return found
+
+    def _described(self, place: Path) -> str:
+        report = self._reader.inspect(place)
+        kind = "partial" if report.partial else "whole"
+        why = f", which must not be loaded: {report.problems[0].message}" if report.problems else ""
+        return f"another bitstream, {place} ({kind}, {report.design or report.device or 'of no known device'}){why}"
+
+
+def _spellings(name: str) -> Iterator[str]:
+    """Packages of dfx-mgr may name x.bit.bin where the folder holds x.bin, and the other way round."""
+    stem = PurePosixPath(name).name.removesuffix(".bin").removesuffix(".bit")
+    yield from (f"{stem}{suffix}" for suffix in (".bit.bin", ".bin", ".bit"))
+
+
+def _expected(images: Sequence[Image]) -> str:
+    if not images:
+        return "the plan loads nothing of that kind: list it as a module, or as the bitstream of a full configuration"
+    return f"the plan knows {', '.join(str(image.path) for image in images)}"
+
+
+def _check_flags(what: str, load: FirmwareLoad, image: Image) -> None:
+    partial, encrypted = image.partial, image.encrypted
+    if load.partial != partial:
+        kinds = ("whole image", "partial one")
+        raise BadOverlay(
+            f"{what} is a {kinds[partial]} and would be loaded as a {kinds[not partial]}: "
+            f"{'add' if partial else 'remove'} partial-fpga-config"
+        )
+    if load.encrypted != encrypted:
+        raise BadOverlay(
+            f"{what} is {'' if encrypted else 'not '}encrypted: "
+            f"{'add' if encrypted else 'remove'} encrypted-fpga-config"
+        )
+
+
+_LOG = logging.getLogger("cm")
+_VERSION = 1
+
+Frames = tuple[FrameRange, ...]
+_Key = tuple[str, str]  # configuration, region
+
+
+@dataclass(frozen=True, slots=True)
+class LearnedFootprint:
+    """A region's frames, and the module and bitstream that showed them."""
+
+    module: str
+    sha256: str
+    frames: Frames
+
+
+class Footprints:
+    """Learned footprints by configuration and region; in a file of their own, if a path is given. Any thread."""
+
+    def __init__(self, path: Path | None = None) -> None:
+        self._path = path
+        self._lock = threading.Lock()
+        self._learned: dict[_Key, LearnedFootprint] = dict(_read_learned(path)) if path is not None else {}
+        self._untested = set(self._learned)  # of an earlier run
+
+    def of(self, config: Config, region: str, sha256_of: Callable[[str], str | None]) -> Frames:
+        """What was learned about a region; empty if nothing was.
+
+        `sha256_of` returns the present hash of a module's bitstream, None if it has none.
+        """
+        key = (config.name, region)
+        learned = self._learned.get(key)
+        if learned is None:
+            return ()
+        if key in self._untested and not _holds(learned, config, region, sha256_of):
+            self._drop([key])
+            return ()
+        self._untested.discard(key)
+        return learned.frames
+
+    def learn(self, config: str, region: str, learned: LearnedFootprint) -> None:
+        """Keep the first footprint learned of a region."""
+        with self._lock:
+            if (config, region) not in self._learned:
+                self._learned = {**self._learned, (config, region): learned}
+                self._save()
+
+    def forget(self, config: str) -> None:
+        """The configuration was replaced: its regions may lie elsewhere now."""
+        self._drop([key for key in self._learned if key[0] == config])
+
+    def _drop(self, keys: list[_Key]) -> None:
+        with self._lock:
+            if keys:
+                self._learned = {key: learned for key, learned in self._learned.items() if key not in keys}
+                self._untested.difference_update(keys)
+                self._save()
+
+    def _save(self) -> None:
+        """Save to the file; what cannot be written is learned again after a restart."""
+        if self._path is None:
+            return
+        try:
+            _write_learned(self._path, _encode(self._learned))
+        except OSError as error:
+            _LOG.warning("learned footprints could not be written: %s", error)
+
+
+def _holds(learned: LearnedFootprint, config: Config, region: str, sha256_of: Callable[[str], str | None]) -> bool:
+    module = config.modules.get(learned.module)
+    return module is not None and module.region == region and sha256_of(learned.module) == learned.sha256
+
+
+def _write_learned(path: Path, data: bytes) -> None:
+    """Replace the file in one step, safe against a loss of power."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    new = path.with_suffix(".new")
+    with new.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+    new.replace(path)
+
+
+def _encode(learned: Mapping[_Key, LearnedFootprint]) -> bytes:
+    rows = [[*key, x.module, x.sha256, [_row(f) for f in x.frames]] for key, x in learned.items()]
+    body = json.dumps({"version": _VERSION, "regions": rows})
+    return f"{zlib.crc32(body.encode()):08x} {body}\n".encode()
+
+
+def _row(f: FrameRange) -> list[int]:
+    return [f.block_type, f.row, f.column_first, f.column_last]
+
+
+def _read_learned(path: Path) -> Mapping[_Key, LearnedFootprint]:
+    """The content of the file; nothing if it is missing, damaged or of another version."""
+    try:
+        return _decode(path.read_bytes())
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        _LOG.warning("learned footprints in %s are not used (%s); they are learned anew", path, error)
+        return {}
+
+
+def _decode(data: bytes) -> Mapping[_Key, LearnedFootprint]:
+    crc, _, body = data.strip().partition(b" ")
+    if int(crc, 16) != zlib.crc32(body):
+        raise ValueError("wrong CRC")
+    plain: dict[str, Any] = json.loads(body)
+    if plain["version"] != _VERSION:
+        raise ValueError(f"version {plain['version']}")
+    return {
+        (c, r): LearnedFootprint(m, h, tuple(FrameRange(*map(int, f)) for f in fs))
+        for c, r, m, h, fs in plain["regions"]
+    }
 
 
 class BoardFiles:

@@ -20,9 +20,8 @@ from cm.server.client_work import ClientJobs, Steps
 from cm.server.connections import Connections, Sessions, raise_descriptors
 from cm.server.devices import BoardDevices
 from cm.server.dispatcher import Dispatcher
-from cm.server.files import BoardFiles
+from cm.server.files import BoardFiles, Footprints
 from cm.server.folders import Locks, own_folder
-from cm.server.footprints import Footprints
 from cm.server.handlers import Handlers, MemoryTransfers, Services
 from cm.server.interrupts import InterruptWatch
 from cm.server.lease_watch import LeaseWatch

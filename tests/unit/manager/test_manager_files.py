@@ -25,10 +25,8 @@ from cm.manager.errors import BadOverlay
 from cm.manager.interfaces import Image
 from cm.schema import loads
 from cm.schema.model import Config, FrameRange, Overlay
-from cm.server.bitstream_files import MAX_BYTES
-from cm.server.files import BoardFiles
+from cm.server.files import MAX_BYTES, BoardFiles, Footprints, LearnedFootprint
 from cm.server.folders import UnsafeFolder
-from cm.server.footprints import Footprints, LearnedFootprint
 from cm.simulation.software import Board as SimBoard
 from cm.simulation.software.hardware.board_spec import BoardSpec
 
