@@ -7,10 +7,12 @@
 #include <linux/interrupt.h>
 #include <linux/io.h>
 #include <linux/irq.h>
+#include <linux/llist.h>
 #include <linux/mod_devicetable.h>
 #include <linux/of.h>
 #include <linux/platform_device.h>
 #include <linux/property.h>
+#include <linux/slab.h>
 #include <linux/spinlock.h>
 #include <linux/srcu.h>
 #include <linux/uio_driver.h>
@@ -223,25 +225,60 @@ static const struct fpga_bridge_ops window_bridge_ops = {
 	.enable_set = window_bridge_set,
 };
 
+/*
+ * Mainline's fpga_bridges_put() takes a bridge off a region's list after it has
+ * given back its reference, so that reference must not be the last one.  A
+ * region holds this module, too: when it goes, no list has any of them.
+ */
+struct window_bridge {
+	struct fpga_bridge *bridge;
+	struct llist_node gone;
+};
+
+static LLIST_HEAD(gone_bridges);
+
 static void unregister_bridge(void *data)
 {
-	struct fpga_bridge *bridge = data;
+	struct window_bridge *window = data;
 
-	WRITE_ONCE(bridge->priv, NULL);
+	WRITE_ONCE(window->bridge->priv, NULL);
 	synchronize_srcu(&bridge_calls);
-	fpga_bridge_unregister(bridge);
+	get_device(&window->bridge->dev);
+	llist_add(&window->gone, &gone_bridges);
+	fpga_bridge_unregister(window->bridge);
 }
 
 static int add_bridge(struct cm_window_device *self)
 {
-	struct fpga_bridge *bridge = cm_fpga_bridge_register(self->dev, dev_name(self->dev),
-							     &window_bridge_ops, self);
+	struct window_bridge *window = kzalloc(sizeof(*window), GFP_KERNEL);
+	int ret;
 
-	if (IS_ERR(bridge))
-		return dev_err_probe(self->dev, PTR_ERR(bridge), "no bridge\n");
-	return devm_add_action_or_reset(self->dev, unregister_bridge, bridge);
+	if (!window)
+		return -ENOMEM;
+	window->bridge = cm_fpga_bridge_register(self->dev, dev_name(self->dev),
+						 &window_bridge_ops, self);
+	if (IS_ERR(window->bridge)) {
+		ret = PTR_ERR(window->bridge);
+		kfree(window);
+		return dev_err_probe(self->dev, ret, "no bridge\n");
+	}
+	return devm_add_action_or_reset(self->dev, unregister_bridge, window);
+}
+
+void cm_window_bridges_exit(void)
+{
+	struct window_bridge *window, *next;
+
+	llist_for_each_entry_safe(window, next, llist_del_all(&gone_bridges), gone) {
+		put_device(&window->bridge->dev);
+		kfree(window);
+	}
 }
 #else
+void cm_window_bridges_exit(void)
+{
+}
+
 static int add_bridge(struct cm_window_device *self)
 {
 	if (!of_find_property(self->dev->of_node, "fpga-bridges", NULL))

@@ -24,6 +24,7 @@ module_init(cm_window_init);
 static void __exit cm_window_exit(void)
 {
 	platform_driver_unregister(&cm_window_driver);
+	cm_window_bridges_exit();
 	cm_windows_exit();
 }
 module_exit(cm_window_exit);

@@ -9,6 +9,7 @@ struct platform_driver;
 
 int cm_windows_init(void);
 void cm_windows_exit(void);
+void cm_window_bridges_exit(void);
 
 extern struct platform_driver cm_window_driver;
 

@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
+from threading import Lock
 
 from vmboard import initrd, installed, kvm, payload, qemu, record, remote, report, rootfs, service, software, zynq
 from vmboard.arch import ARMHF
@@ -19,6 +20,7 @@ from vmboard.shell import require
 from vmboard.tiers import TIERS, Tier
 
 PORTS = (5560, 5561, 5562)
+_RECORDING = Lock()  # boards end side by side
 
 
 def worth_while(cache: Cache, everything: bool = False) -> list[str]:
@@ -118,14 +120,10 @@ def test(cache: Cache, names: list[str], output: Path, jobs: int, keyword: str) 
         runs = {name: run for some in started for name, run in some.result().items()}
         if not runs:
             raise MissingError("no board can run here")
-        results = {name: run.result() for name, run in runs.items()}
-    for name, result in results.items():
-        _print(name, result, output / name)
-        if result.good and not keyword:
-            record.good(TIERS[name])
-    if not all(result.good for result in results.values()):
+    bad = [name for name, run in runs.items() if not _said(name, run, output / name)]
+    if bad:
         return 1
-    return EXIT_MISSING if len(results) < len(names) else 0
+    return EXIT_MISSING if len(runs) < len(names) else 0
 
 
 def _start(
@@ -138,9 +136,12 @@ def _start(
         try:
             shutil.rmtree(place, ignore_errors=True)
             board = _for_test(cache, tier, keyword, place)
-            runs[tier.name] = boards.submit(_run, tier.name, board, place, keyword)
+            runs[tier.name] = boards.submit(_recorded, tier.name, board, place, keyword)
         except MissingError as missing:
             say(f"SKIPPED {tier.name}: {missing}")
+        except VmError as error:  # the others have something to tell all the same
+            runs[tier.name] = Future()
+            runs[tier.name].set_exception(error)
     return runs
 
 
@@ -160,6 +161,15 @@ def _forwards(tier: Tier) -> dict[int, int]:
     return {first + index: there for index, there in enumerate(PORTS)}
 
 
+def _recorded(name: str, board: qemu.Machine, place: Path, keyword: str) -> report.Results:
+    """As `_run`; a good board is noted at once, since the next ones may take an hour or be interrupted."""
+    result = _run(name, board, place, keyword)
+    if result.good and not keyword:
+        with _RECORDING:
+            record.good(TIERS[name])
+    return result
+
+
 def _run(name: str, board: qemu.Machine, place: Path, keyword: str = "") -> report.Results:
     place.mkdir(parents=True, exist_ok=True)
     if TIERS[name].installed:
@@ -170,6 +180,17 @@ def _run(name: str, board: qemu.Machine, place: Path, keyword: str = "") -> repo
     result = report.collect(done.results, done.console, place)
     say(f"{name}: the board ran {done.seconds:.0f} s" + ("" if done.status == 0 else f", QEMU's status {done.status}"))
     return result
+
+
+def _said(name: str, run: Future[report.Results], place: Path) -> bool:
+    """What a board found, or why there was none; whether all was good."""
+    try:
+        result = run.result()
+    except VmError as error:
+        say(f"{name}: FAILED: {error}")
+        return False
+    _print(name, result, place)
+    return result.good
 
 
 def _print(name: str, result: report.Results, place: Path) -> None:
