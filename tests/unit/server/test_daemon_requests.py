@@ -353,6 +353,19 @@ def test_a_write_behind_a_change_waits_for_it(camera: Daemon) -> None:
     assert values(camera, "focus", "scratch") == [7, 3]
 
 
+def test_a_read_that_was_made_before_does_not_overtake_a_write_that_waits(tmp_path: Path) -> None:
+    with daemon(schemas=patient(tmp_path)) as made:
+        made.load("default")
+        assert [values(made, "scratch") for _ in range(3)] == [[0]] * 3  # from here on it is answered without decoding
+        with stalled(made.board):
+            for request in (ChangeMode("camera", "edge_detection"), written("focus", 7), written("scratch", 3)):
+                made.send(request)
+            made.send(ReadReg(("scratch",)))
+        *_, told = (made.reply() for _ in range(4))
+        assert isinstance(told.body, RegValues)
+        assert [value.value for value in told.body.values] == [3]
+
+
 def test_more_than_may_wait_behind_a_change_is_refused(tmp_path: Path) -> None:
     with daemon(schemas=patient(tmp_path)) as made:
         made.load("default")
