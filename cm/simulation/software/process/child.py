@@ -20,13 +20,45 @@ from cm.simulation.software.process.control import Control
 from cm.simulation.software.transport.scratch import Scratch
 
 
-class _Process:
-    """A simulator's process: one that we have started, or whose parent has died."""
+class Child:
+    """A process that we have started."""
 
-    def __init__(self, pid: int, started: subprocess.Popen[bytes] | None = None) -> None:
-        self.pid = pid
-        self._started = started
+    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+        self._process = process
+
+    @property
+    def pid(self) -> int:
+        """Its number."""
+        return self._process.pid
+
+    @property
+    def alive(self) -> bool:
+        """Whether it runs."""
+        return self._process.poll() is None
+
+    def send(self, number: int) -> None:
+        """Send a signal."""
+        self._process.send_signal(number)
+
+    def wait(self, timeout: float) -> int:
+        """Its exit status."""
+        status = self._process.wait(timeout)
+        if self._process.stdout is not None:
+            self._process.stdout.close()
+        return status
+
+
+class Adopted:
+    """A process whose parent has died."""
+
+    def __init__(self, pid: int) -> None:
+        self._pid = pid
         self._fd = os.pidfd_open(pid)
+
+    @property
+    def pid(self) -> int:
+        """Its number."""
+        return self._pid
 
     @property
     def alive(self) -> bool:
@@ -40,17 +72,13 @@ class _Process:
                 signal.pidfd_send_signal(self._fd, number)
 
     def wait(self, timeout: float) -> int:
-        """Wait for its end; its exit status, which only its parent learns."""
+        """Wait for its end; only its parent learns the status."""
         if not self._ended(timeout):
             raise subprocess.TimeoutExpired("cm sim", timeout)
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
-        if self._started is None:
-            return 0
-        if self._started.stdout is not None:
-            self._started.stdout.close()
-        return self._started.wait()
+        return 0
 
     def _ended(self, timeout: float) -> bool:
         return self._fd < 0 or bool(select.select([self._fd], [], [], timeout)[0])
@@ -84,7 +112,7 @@ class Board:
         self._own_root = None if root is not None else Scratch(_PREFIX)
         self.root = self._own_root.path if self._own_root is not None else Path(root or "")
         self.control = Control(self.root)
-        self._process: _Process | None = None
+        self._process: Child | Adopted | None = None
 
     @property
     def pid(self) -> int:
@@ -138,7 +166,7 @@ class Board:
     ) -> None:
         self.close()
 
-    def _running(self) -> _Process:
+    def _running(self) -> Child | Adopted:
         if self._process is None:
             raise SimError("the board was not started, or has been stopped")
         return self._process
@@ -157,11 +185,11 @@ class Board:
             options += ["--config", path]
         return [*options, *self._arguments]
 
-    def _take_over(self) -> _Process | None:
+    def _take_over(self) -> Adopted | None:
         try:
             self.control.adopt()
             state = self.control.state()
-            found = _Process(state["pid"])
+            found = Adopted(state["pid"])
         except (SimError, OSError):
             return None
         if state["arguments"] == self._command:
@@ -170,7 +198,7 @@ class Board:
         found.wait(self._timeout)
         return None
 
-    def _spawn(self) -> _Process:
+    def _spawn(self) -> Child:
         process = subprocess.Popen(
             child.command(self._program, *self._command),
             stdin=subprocess.DEVNULL,
@@ -186,7 +214,7 @@ class Board:
             if self._own_root is not None:
                 self._own_root.close()
             raise
-        return _Process(process.pid, process)
+        return Child(process)
 
     def _await_ready(self, process: subprocess.Popen[bytes]) -> None:
         assert process.stdout is not None
