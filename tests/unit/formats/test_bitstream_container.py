@@ -11,7 +11,9 @@ from hypothesis import strategies as st
 
 from cm.formats.bitstream import BitstreamError, Container, Image, convert, inspect, open_image, to_dma_words
 from cm.formats.bitstream.container import BitHeader, pack_bit
-from cm.formats.bitstream.errors import BadContainer, NoSync, Truncated
+from cm.formats.bitstream.errors import BadContainer, CannotRelocate, NoSync, Truncated
+from cm.formats.bitstream.memory import frames_in
+from cm.formats.bitstream.relocate import readdressed
 
 TEXT = st.text("".join(chr(code) for code in range(33, 127) if chr(code) not in ";="), max_size=20)
 
@@ -83,6 +85,13 @@ def test_boot_image_is_opened_behind_its_own_sync_word() -> None:
     stream = to_dma_words(small())
     image = open_image(boot_image(stream))
     assert (image.container, image.offset, bytes(image.stream)) == (Container.BOOTGEN, 0x2800, stream)
+
+
+def test_a_boot_image_is_not_moved_to_other_frames() -> None:
+    source = boot_image(to_dma_words(small()))
+    stay = {far & ~0x7F: far & ~0x7F for far in frames_in(source)[1]}
+    with pytest.raises(CannotRelocate, match=r"boot images are read, not written: give the \.bit or \.bin"):
+        readdressed(source, stay)
 
 
 @pytest.mark.parametrize("first", [5, 8])  # where Zynq and Zynq UltraScale+ have a partition's offset

@@ -15,7 +15,7 @@ from manager_support import Clock
 from cm.manager.access.leases import Leases
 from cm.server.lease_watch import LeaseWatch, Unwatched
 from cm.server.sockets import Loop
-from cm.wire.messages.requests import TakeLease
+from cm.wire.messages.requests import ReleaseLease, TakeLease
 
 
 class Watch:
@@ -84,6 +84,21 @@ def test_expired_leases_cost_no_descriptors(watch: Watch) -> None:
         watch.clock.ahead += 2.0
         watch.take(seconds=1.0)
     assert descriptors() == before
+
+
+def test_the_holder_of_a_lease_that_was_given_back_is_watched_no_more(
+    watch: Watch, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    removed: list[int] = []
+
+    def note(fd: int) -> None:
+        os.fstat(fd)  # before it is closed, when its number may be another's
+        removed.append(fd)
+
+    monkeypatch.setattr(watch.loop, "remove", note)
+    request = ReleaseLease(watch.take())
+    watch.holders.follow(watch.leases.request(request), request)
+    assert len(removed) == 1
 
 
 def test_a_lease_of_a_process_that_has_died_is_dropped_at_once(watch: Watch) -> None:
