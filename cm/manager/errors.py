@@ -1,9 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of the manager, each with its stable code."""
+"""Errors of the manager, each with its stable code, and what they say of names that are not known."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from cm.errors import Busy, CmError, InvalidRequest, NotFound, Timeout
+
+
+def hint(name: str, known: Iterable[str]) -> str:
+    """The nearest names, or all."""
+    import difflib  # only those who err need it
+
+    known = list(known)
+    close = difflib.get_close_matches(name, known, n=2)
+    return f"; did you mean {' or '.join(map(repr, close))}?" if close else f"; there are {listed(known)}"
+
+
+def listed(names: Iterable[str]) -> str:
+    """Names for a sentence."""
+    return ", ".join(sorted(names)) or "none"
 
 
 class UnknownConfig(NotFound):

@@ -17,7 +17,7 @@ from cm.manager.access.leases import Leases, leases_concerned
 from cm.manager.access.memory_service import MemoryService
 from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_service import RegisterService
-from cm.manager.errors import ChangeBusy, NothingLoaded, UnknownRegion
+from cm.manager.errors import ChangeBusy, NothingLoaded, UnknownRegion, hint
 from cm.manager.execution.scan import Checked, Outcome, Pace, Scan, checked_region, loaded_map
 from cm.manager.execution.transaction import Tools, plan_to
 from cm.manager.execution.worker import Change, Worker
@@ -327,7 +327,7 @@ class Manager:
         if config is None or mode is None:
             raise NothingLoaded("nothing is loaded: there is no region to compare")
         if request.name not in config.regions:
-            known = planner.hint(request.name, config.regions)
+            known = hint(request.name, config.regions)
             raise UnknownRegion(f"configuration {config.name!r} has no region {request.name!r}{known}")
         scopes = (f"region:{request.name}",)
         self.leases.check(scopes, request.lease)

@@ -16,7 +16,7 @@ from types import MappingProxyType
 
 from cm.errors import InvalidRequest
 from cm.frozen import dataclass
-from cm.manager.errors import ClockRate, NothingLoaded, StaticUnknown, UnknownConfig, UnknownMode
+from cm.manager.errors import ClockRate, NothingLoaded, StaticUnknown, UnknownConfig, UnknownMode, hint, listed
 from cm.manager.interfaces import Devices, Files, Image, PlClock
 from cm.manager.state import steps as s
 from cm.manager.state.board_state import BoardState, OverlayState, RegionPhase, loading_overlay
@@ -83,20 +83,6 @@ def _word(word: str, configs: Mapping[str, Config], loaded: str | None) -> tuple
     if word in configs:
         return configs[word], configs[word].first_mode()
     raise NothingLoaded(f"nothing is loaded and {word!r} is not a configuration; there are {listed(configs)}")
-
-
-def hint(name: str, known: Iterable[str]) -> str:
-    """The nearest names, or all."""
-    import difflib  # only those who err need it
-
-    known = list(known)
-    close = difflib.get_close_matches(name, known, n=2)
-    return f"; did you mean {' or '.join(map(repr, close))}?" if close else f"; there are {listed(known)}"
-
-
-def listed(names: Iterable[str]) -> str:
-    """Names for a sentence."""
-    return ", ".join(sorted(names)) or "none"
 
 
 def checked_name(name: str) -> str:

@@ -14,11 +14,10 @@ from cm.frozen import dataclass
 from cm.manager.access.leases import check_scope_names_something
 from cm.manager.access.memory_service import MemoryService, Transfer
 from cm.manager.access.register_service import AT_ONCE, ReadPieces, RegisterService, WritePieces
-from cm.manager.errors import ChangeBusy, UnknownInterrupt, UnknownStream
+from cm.manager.errors import ChangeBusy, UnknownInterrupt, UnknownStream, hint
 from cm.manager.execution.scan import Checked
 from cm.manager.execution.worker import QUEUE_LENGTH, Change
 from cm.manager.manager import Manager
-from cm.manager.planner import hint
 from cm.manager.reporting import config_list, is_long
 from cm.schema.model import Config, Stream
 from cm.server.board_watch import BoardWatch

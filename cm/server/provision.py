@@ -15,8 +15,8 @@ from pathlib import Path
 
 from cm.errors import Busy, CmError, Forbidden, InvalidRequest
 from cm.frozen import dataclass
-from cm.manager.errors import UnknownConfig
-from cm.manager.planner import checked_name, listed
+from cm.manager.errors import UnknownConfig, listed
+from cm.manager.planner import checked_name
 from cm.schema import load, loads
 from cm.schema.model import Config
 from cm.server.folders import own_folder

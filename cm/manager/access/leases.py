@@ -16,9 +16,8 @@ from math import inf
 
 from cm.errors import Busy, InvalidRequest, NotFound
 from cm.frozen import dataclass
-from cm.manager.errors import HeldBy
+from cm.manager.errors import HeldBy, hint
 from cm.manager.interfaces import TimeSource
-from cm.manager.planner import hint
 from cm.schema.model import Config, Memory, Mode, Module
 from cm.wire.messages.requests import (
     BreakLease,

@@ -8,7 +8,6 @@ from contextlib import suppress
 from time import monotonic_ns
 
 from cm.errors import CmError
-from cm.manager import planner
 from cm.manager.access.leases import Leases
 from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_view import (
@@ -23,7 +22,7 @@ from cm.manager.access.register_view import (
     plainly,
     split_name,
 )
-from cm.manager.errors import AccessDenied, NothingLoaded, RegionBusy
+from cm.manager.errors import AccessDenied, NothingLoaded, RegionBusy, listed
 from cm.manager.interfaces import RegisterTable
 from cm.manager.state.record import ManagerState
 from cm.schema.model import Access, Config, FieldAccess, Register
@@ -266,7 +265,7 @@ class RegisterService:
     def _renewed(self, before: View | None) -> View:
         config = self._state.loaded_config()
         if config is None:
-            there = planner.listed(self._state.configs)
+            there = listed(self._state.configs)
             raise NothingLoaded(f"nothing is loaded, so there are no registers; there are {there}")
         view = View(self._state, config)
         if before is not None and before.config is config and before.mode == view.mode:

@@ -7,8 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from cm.errors import InvalidRequest
-from cm.manager.errors import AccessDenied, OutOfRange, UnknownRegister
-from cm.manager.planner import hint
+from cm.manager.errors import AccessDenied, OutOfRange, UnknownRegister, hint
 from cm.manager.state.board_state import BoardState, RegionPhase
 from cm.manager.state.record import LockedRegions, ManagerState
 from cm.schema.model import Access, BitField, Config, FieldAccess, Register

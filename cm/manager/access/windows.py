@@ -21,9 +21,8 @@ from cm.manager.access.leases import Leases
 from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_service import RegisterService, value_of
 from cm.manager.access.register_view import is_free
-from cm.manager.errors import HeldBy, ModuleAbsent, NothingLoaded, NoWindow, RegionBusy
+from cm.manager.errors import HeldBy, ModuleAbsent, NothingLoaded, NoWindow, RegionBusy, hint
 from cm.manager.interfaces import Devices, TimeSource, WindowLender
-from cm.manager.planner import hint
 from cm.manager.reporting import memory_info, register_info
 from cm.manager.state.record import LockedRegions, ManagerState
 from cm.schema.model import Access, Config, Memory, Mode, Module, Register

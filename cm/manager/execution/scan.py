@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 
 from cm.errors import Busy
 from cm.frozen import dataclass
-from cm.manager.errors import NoReadback, RegionBusy, StepTimeout, UnknownRegion
+from cm.manager.errors import NoReadback, RegionBusy, StepTimeout, UnknownRegion, hint
 from cm.manager.interfaces import (
     ConfigPort,
     Devices,
@@ -25,7 +25,6 @@ from cm.manager.interfaces import (
     WrongFrame,
 )
 from cm.manager.loaders import resolved
-from cm.manager.planner import hint
 from cm.manager.state.board_state import BoardState, RegionPhase
 from cm.manager.state.record import ManagerState
 from cm.schema.model import Config, LoaderKind, Module, Region

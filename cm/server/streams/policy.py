@@ -13,8 +13,7 @@ from typing import Any
 
 from cm.errors import Busy, InvalidRequest, Timeout
 from cm.frozen import dataclass
-from cm.manager.errors import NothingLoaded, UnknownStream
-from cm.manager.planner import hint
+from cm.manager.errors import NothingLoaded, UnknownStream, hint
 from cm.schema.model import Config, Direction, Stream
 from cm.wire.messages.requests import ConfigureStream
 
