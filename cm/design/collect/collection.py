@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from cm.design.collect import handoff
+from cm.design.collect import handoff, xsa
 from cm.design.collect.collected import HEAD, Collected, Inputs, archive, compile_overlays, write_folder
 from cm.design.collect.foreign import their_config
 from cm.design.collect.images import (
@@ -44,9 +44,9 @@ def gather(paths: Iterable[Path], work: Path) -> Inputs:
             raise BuildError(f"{path} does not exist")
     loose = {path.name for path in files}
     sources: dict[Path, str] = {}  # where unpacked files came from, for messages
-    for path in [path for path in files if path.suffix.lower() in handoff.ARCHIVES]:
+    for path in [path for path in files if path.suffix.lower() in xsa.ARCHIVES]:
         # a file that lies beside the archive under the same name is newer than the one inside
-        inside = [entry for entry in handoff.unpack(path, work) if entry.name not in loose]
+        inside = [entry for entry in xsa.unpack(path, work) if entry.name not in loose]
         sources |= {entry: f"{path}: {entry.name}" for entry in inside}
         files += inside
     descriptions = [

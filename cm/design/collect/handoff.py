@@ -1,28 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A .hwh (or the XSA, HDF that holds it) → static registers, interrupts, streams, clocks of a runtime schema."""
+"""A .hwh → static registers, interrupts, streams, clocks of a runtime schema."""
 
 from __future__ import annotations
 
-import lzma
-import zipfile
-import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cm.design.collect.foreign_dma import stream_names
-from cm.design.errors import BuildError
 from cm.design.hdl.register_maps import identifier
 from cm.formats import hwh
 from cm.formats.importers.registers import RegisterBank
 from cm.formats.importers.result import Names
 from cm.schema.model import Clock, Direction, Register, Stream
-
-ARCHIVES = (".xsa", ".hdf", ".zip")
-MAX_MEMBER = 64 << 20  # bytes of one file in an archive
-# one for each kind of damage; RuntimeError: a password is needed
-_DAMAGED = (zipfile.BadZipFile, OSError, EOFError, ValueError, zlib.error, lzma.LZMAError, RuntimeError, IndexError)
-MAX_ARCHIVE = 512 << 20  # bytes of all files read from an archive
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,35 +31,6 @@ class Handoff:
         """The device as a runtime schema names it: ``xc7z020``."""
         name = self.design.device.lower()
         return name if name.startswith("x") else f"xc{name}"
-
-
-def unpack(path: Path, folder: Path) -> list[Path]:
-    """The .hwh and .bit files of an archive, written to `folder`."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return list(_members(archive, path, folder))
-    except _DAMAGED as error:
-        raise BuildError(f"{path}: not an XSA or HDF: {error}") from None
-
-
-def _members(archive: zipfile.ZipFile, path: Path, folder: Path) -> Iterator[Path]:
-    names: dict[str, str] = {}
-    left = MAX_ARCHIVE
-    for info in sorted(archive.infolist(), key=lambda info: info.filename):
-        if info.is_dir() or Path(info.filename).suffix.lower() not in (".hwh", ".bit"):
-            continue
-        left -= info.file_size
-        if info.file_size > MAX_MEMBER or left < 0:
-            limit = f"{MAX_MEMBER >> 20} MiB a file, {MAX_ARCHIVE >> 20} MiB together"
-            raise BuildError(f"{path}: {info.filename} has {info.file_size} bytes: more than an XSA holds ({limit})")
-        name = Path(info.filename).name  # never a path out of the archive
-        if name in names:
-            raise BuildError(f"{path}: {names[name]} and {info.filename} have one name: unpack it and give one of them")
-        names[name] = info.filename
-        target = folder / name
-        # no more than the directory states: zipfile stops there, and the checksum shows what is missing
-        target.write_bytes(archive.read(info))
-        yield target
 
 
 def read_handoff(path: Path, source: str = "") -> Handoff:

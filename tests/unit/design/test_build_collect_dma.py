@@ -14,7 +14,8 @@ from import_support import bitstream, described, hwh, memory, module, port, port
 
 from cm.design.collect.collection import collect
 from cm.design.collect.foreign_dma import engines, interrupts
-from cm.design.collect.handoff import MAX_ARCHIVE, MAX_MEMBER, streams
+from cm.design.collect.handoff import streams
+from cm.design.collect.xsa import MAX_ARCHIVE, MAX_MEMBER
 from cm.design.errors import BuildError
 from cm.design.partition.utilisation import part_of
 from cm.design.platforms import ZYNQ7000, ZYNQMP, device_of, platform_of
