@@ -9,7 +9,7 @@ import tempfile
 import zipfile
 from pathlib import Path
 
-from cm.design.collect.handoff import unpack
+from cm.design.collect.xsa import unpack
 from cm.design.errors import BuildError
 
 PACKAGES = ("cm.design.collect", "zipfile")

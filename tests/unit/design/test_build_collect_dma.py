@@ -373,7 +373,7 @@ def test_a_bad_archive_is_reported(name: str, tmp_path: Path) -> None:
 
 def test_members_that_are_too_much_together_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert MAX_ARCHIVE > MAX_MEMBER
-    monkeypatch.setattr("cm.design.collect.handoff.MAX_ARCHIVE", 3000)
+    monkeypatch.setattr("cm.design.collect.xsa.MAX_ARCHIVE", 3000)
     path = packed(tmp_path / "many.xsa", *((f"{index}.bit", bytes(1000)) for index in range(4)))
     with pytest.raises(BuildError, match=r"3\.bit has 1000 bytes"):
         collect([path])
