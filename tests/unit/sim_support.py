@@ -32,8 +32,9 @@ class Node:
         except OSError:
             self.sock.close()
             raise
-        self.events = socket.socket(fileno=fds[0])
-        self.events.settimeout(60)
+        if fds:  # an attribute has no events
+            self.events = socket.socket(fileno=fds[0])
+            self.events.settimeout(60)
 
     def call(self, op: int, payload: bytes = b"", fds: tuple[int, ...] = ()) -> tuple[bytes, list[int]]:
         """Send a request and return its reply. Raises OSError with the errno of a refusal."""

@@ -72,6 +72,18 @@ def test_an_overlay_is_applied_and_can_be_read_back(board, overlay):
     assert refusal(attribute, board.root, f"{OVERLAYS}/{overlay}/dtbo", data) == errno.EPERM
 
 
+def test_an_overlay_that_is_made_anew_holds_nothing_of_the_one_before(board):
+    data = (board.root / FIRMWARE / "camera.dtbo").read_bytes()
+    for name in ("one", "two", "one"):
+        folder(board, p.OP_MKDIR, name)
+        assert text(board, f"{OVERLAYS}/{name}/status") == "unapplied"
+        assert [attribute(board.root, f"{OVERLAYS}/{name}/{file}") for file in ("dtbo", "path")] == [b"", b"\n"]
+        attribute(board.root, f"{OVERLAYS}/{name}/dtbo", data)
+        assert board.control.state()["overlays"] == [name]
+        folder(board, p.OP_RMDIR, name)
+        assert not [entry for entry in (board.root / OVERLAYS).iterdir() if entry.is_dir()]
+
+
 def test_an_overlay_is_found_by_its_firmware_name(board, overlay):
     attribute(board.root, f"{OVERLAYS}/{overlay}/path", b"cm/camera/camera.dtbo\n")
     assert text(board, f"{OVERLAYS}/{overlay}/status") == "applied"

@@ -69,7 +69,9 @@ def test_a_signal_ends_it_with_status_zero_and_removes_a_root_of_its_own(tmp_pat
 def test_a_board_starts_where_another_was_killed(tmp_path):
     board = Board(root=tmp_path / "root", arguments=FAST).start()
     with Node(board.root, "sys/kernel/config/device-tree/overlays/.node") as folder:
-        folder.call(p.OP_MKDIR, b"left")
+        for op, name in ((p.OP_MKDIR, b"gone"), (p.OP_RMDIR, b"gone"), (p.OP_MKDIR, b"left"), (p.OP_MKDIR, b"gone")):
+            folder.call(op, name)
+        folder.call(p.OP_RMDIR, b"gone")
     first = (board.root / "proc/sys/kernel/random/boot_id").read_text()
     board.kill()
     assert (board.root / "dev/uio0").exists()

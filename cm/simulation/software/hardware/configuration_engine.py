@@ -152,12 +152,12 @@ class ConfigurationEngine:
         """Work on the words that are due before the next step, as a port does while the clock runs."""
         target = min(run.bytes_at(time.monotonic() + _STEP), most // 4 * 4)
         if target > run.fed:
-            words = run.data[run.fed : target]
+            taken = words = run.data[run.fed : target]
             if run.through is not None:
                 words = run.through(words, bool(self._port.errors))
             writes = self._port.feed(words)
             run.fed = target
-            self._memory.apply(writes, run.full)
+            self._memory.apply(writes, run.full, taken)
 
     def _wait(self, run: _Run) -> None:
         """Wait until the next step; the loop's own clock has milliseconds, which is too coarse for the last step."""
@@ -196,7 +196,7 @@ class ConfigurationEngine:
         if run.through is not None:
             run.through(run.data[:0], bool(errors))
         sound = run.fed if self._port.sound is None else 4 * self._port.sound
-        self._memory.settle(status == 0, run.data[:sound], self._port.started)
+        self._memory.settle(status == 0, sound, self._port.started)
         run.finished(LoadResult(self.done, run.started_ns, time.monotonic_ns(), status, errors))
 
 

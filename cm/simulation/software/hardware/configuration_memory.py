@@ -43,14 +43,14 @@ class Frames:
         self._order = frame_order(device.name, device.family)
         self._size = 4 * device.family.frame_words
         self._frames: dict[int, int] = {}
-        self._waiting: dict[tuple[tuple[int, int], ...], bytes] = {}
+        self._waiting: dict[tuple[tuple[int, int], ...], bytearray] = {}
         self._random = random.Random(1)
         self.upset: dict[int, int] = {}  # frames that were hit since they were written: the bits, as a number
 
-    def loaded(self, stream: memoryview, key: tuple[tuple[int, int], ...]) -> None:
-        """A load has ended, well or not; one with the same `key` has written the same frames."""
+    def loaded(self, stream: bytearray, key: tuple[tuple[int, int], ...]) -> None:
+        """A load has ended, well or not; one with the same `key` has written the same frames. `stream` is kept."""
         self._waiting.pop(key, None)
-        self._waiting[key] = bytes(stream)
+        self._waiting[key] = stream
         if self.upset or len(self._waiting) > _WAITING:
             self._sorted()
 
@@ -106,13 +106,13 @@ class Frames:
 
     def _sorted(self) -> Mapping[int, int]:
         for stream in self._waiting.values():
-            written = self._of(stream)
+            written = self._of(memoryview(stream))
             self._frames.update(written)
             self.upset = {far: bits for far, bits in self.upset.items() if far not in written}
         self._waiting.clear()
         return self._frames
 
-    def _of(self, stream: bytes | memoryview) -> Mapping[int, int]:
+    def _of(self, stream: memoryview) -> Mapping[int, int]:
         from cm.formats.bitstream.memory import dma_image, frames_of  # here: most boards are never read back
 
         return {} if self._order is None else frames_of(dma_image(stream), self._order)
@@ -137,18 +137,21 @@ class ConfigMemory:
         self._touched: dict[str, _Touched] = {}
         self._written: list[tuple[int, int]] = []
         self._mended: set[str] = set()
+        self._stream = bytearray()  # of the load, as far as it has come: copied while the port is busy anyway
         self.frames = Frames(fabric.spec.device)
         self.outside = 0  # frame writes that hit no region, in partial loads, since the start
 
     def begin(self, stream: memoryview) -> None:
         """A load begins. If bits were hit, one that only puts them right lets its regions run on."""
+        self._stream = bytearray()
         if self.frames.upset:
             family = self.frames.device.family
             spoilt = {self._region_at(decode_far(far, family)) for far in self.frames.spoilt(stream)}
             self._mended = {name for name, region in self._fabric.regions.items() if region not in spoilt}
 
-    def apply(self, writes: Iterable[Arrival], full: bool) -> None:
-        """Frames have arrived: the regions they lie in hold no module any more."""
+    def apply(self, writes: Iterable[Arrival], full: bool, words: memoryview) -> None:
+        """Words, and with them frames, have arrived: the regions they lie in hold no module any more."""
+        self._stream += words
         for write in writes:
             address = decode_far(write.far, self.frames.device.family)
             self._written.append((write.far, write.words))
@@ -165,14 +168,17 @@ class ConfigMemory:
             if not (touched.mends or region.loading):
                 self._fabric.start_load(region)
 
-    def settle(self, ok: bool, stream: memoryview, started: bool) -> None:
+    def settle(self, ok: bool, sound: int, started: bool) -> None:
         """The load is over: regions that it covered run their module if it went well, or else nothing.
 
-        `started`: it had a START, without which frames are only written over. `stream`: what the port has taken, up to
-        the first error.
+        `started`: it had a START, without which frames are only written over. `sound`: bytes that the port has taken,
+        up to the first error.
         """
+        words, self._stream = self._stream, bytearray()
+        del words[sound:]
         if self._written:
-            self.frames.loaded(stream, tuple(self._written))
+            self.frames.loaded(words, tuple(self._written))
+        stream = memoryview(words)
         self._written.clear()
         self._mended.clear()
         if ok:

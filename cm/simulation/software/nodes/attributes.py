@@ -8,22 +8,18 @@ from collections.abc import Callable, Sequence
 
 from cm.simulation.software.errors import NodeError
 from cm.simulation.software.transport import protocol
-from cm.simulation.software.transport.session import Events, Later, Session
+from cm.simulation.software.transport.session import Attribute, Later
 
 Read = Callable[[], bytes]
 Write = Callable[[bytes], "Later | None"]
 Name = Callable[[str], None]
 
 
-class AttributeNode(Session):
+class AttributeNode(Attribute):
     """One attribute; what cannot be read or written is refused with EACCES."""
 
     def __init__(self, read: Read | None = None, write: Write | None = None) -> None:
         self._read, self._write = read, write
-
-    def open(self, events: Events) -> AttributeNode:  # noqa: ARG002 - an attribute has no events
-        """An attribute keeps nothing for its open files."""
-        return self
 
     def request(self, op: int, payload: bytes, fds: Sequence[int]) -> bytes | Later:  # noqa: ARG002
         """Read or write it as a whole."""
@@ -34,15 +30,11 @@ class AttributeNode(Session):
         raise NodeError(errno.EACCES if op in (protocol.OP_ATTR_READ, protocol.OP_ATTR_WRITE) else errno.ENOTTY)
 
 
-class FolderNode(Session):
+class FolderNode(Attribute):
     """The ``.node`` of a configfs folder: mkdir and rmdir in it."""
 
     def __init__(self, mkdir: Name, rmdir: Name) -> None:
         self._calls = {protocol.OP_MKDIR: mkdir, protocol.OP_RMDIR: rmdir}
-
-    def open(self, events: Events) -> FolderNode:  # noqa: ARG002 - a folder has no events
-        """A folder keeps nothing for its open files."""
-        return self
 
     def request(self, op: int, payload: bytes, fds: Sequence[int]) -> bytes:  # noqa: ARG002
         """Make or remove a folder."""

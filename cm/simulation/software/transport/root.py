@@ -18,6 +18,7 @@ from cm.simulation.software.errors import NodeError, SimError
 from cm.simulation.software.transport.scratch import LOCK, Scratch
 
 MANIFEST = ".cm-sim.made"
+_NEW = ".cm-sim.new"  # a file that is not whole yet
 _FRESH = "cm-simulator-"  # roots that a simulator has made for itself
 _BACKLOG = 32
 
@@ -31,7 +32,7 @@ class Root:
         Raises:
             SimError: another simulator is alive there, or the folder cannot be made.
         """
-        self._made: list[str] = []
+        self._made: dict[str, None] = {}  # in this order
         self._own = False
         self._fresh: Scratch | None = None
         try:
@@ -46,6 +47,8 @@ class Root:
 
     def mkdir(self, relative: str) -> None:
         """Make a folder and those above it."""
+        if (self.path / relative).is_dir():
+            return
         done = ""
         for part in relative.split("/"):
             done = f"{done}/{part}" if done else part
@@ -59,11 +62,15 @@ class Root:
         self._parent(relative)
         if relative not in self._made:
             self._record(relative)
-        target = self.path / relative
-        new = target.with_name(target.name + "~")
-        with open(new, "wb", opener=_for_us) as file:
-            file.write(data.encode() if isinstance(data, str) else data)
-        new.replace(target)
+        path = self.path / _NEW
+        left = memoryview(data.encode() if isinstance(data, str) else data)
+        new = _for_us(str(path), os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC)
+        try:
+            while left:
+                left = left[os.write(new, left) :]
+        finally:
+            os.close(new)
+        path.replace(self.path / relative)
 
     def bind(self, relative: str) -> socket.socket:
         """A listening seqpacket socket at a path of any length."""
@@ -92,11 +99,13 @@ class Root:
         except (OSError, ValueError):  # ValueError: a NUL in the name
             raise NodeError(errno.ENOENT, f"no firmware {name!r}") from None
 
-    def remove(self, relative: str) -> None:
-        """Remove a file, a socket or an empty folder made here; harmless when it has gone."""
-        _remove(self.path / relative)
-        with contextlib.suppress(ValueError):
-            self._made.remove(relative)
+    def move(self, folder: str, to: str) -> None:
+        """Give a folder made here another place, with what was made in it."""
+        moved = [name for name in self._made if name == folder or name.startswith(f"{folder}/")]
+        self._record(*[to + name.removeprefix(folder) for name in moved])
+        (self.path / folder).rename(self.path / to)
+        for name in moved:
+            del self._made[name]
 
     def close(self) -> None:
         """Remove what was made, the lock last."""
@@ -104,7 +113,7 @@ class Root:
             _remove(self.path / relative)
         self._made.clear()
         self._manifest.close()
-        for name in (MANIFEST, LOCK):
+        for name in (MANIFEST, _NEW, LOCK):
             _remove(self.path / name)
         os.close(self._lock)
         os.close(self._dir)
@@ -142,6 +151,7 @@ class Root:
 
     def _remove_leftovers(self) -> None:
         manifest = self.path / MANIFEST
+        _remove(self.path / _NEW)
         if not manifest.exists():
             return
         for relative in reversed(manifest.read_text("utf-8").splitlines()):
@@ -155,9 +165,9 @@ class Root:
         if folder:
             self.mkdir(folder)
 
-    def _record(self, relative: str) -> None:
-        self._made.append(relative)
-        self._manifest.write(relative + "\n")
+    def _record(self, *names: str) -> None:
+        self._made.update(dict.fromkeys(names))
+        self._manifest.write("".join(f"{name}\n" for name in names))
         self._manifest.flush()
 
 

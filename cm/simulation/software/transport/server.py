@@ -18,7 +18,16 @@ from collections.abc import Callable, Sequence
 from cm.loop import Loop
 from cm.simulation.software.errors import NodeError
 from cm.simulation.software.transport import protocol
-from cm.simulation.software.transport.session import Answer, Events, Later, Node, Opened, Session, packet_cost
+from cm.simulation.software.transport.session import (
+    Answer,
+    Attribute,
+    Events,
+    Later,
+    Node,
+    Opened,
+    Session,
+    packet_cost,
+)
 
 _log = logging.getLogger(__name__)
 _FDS_MAX = 4
@@ -30,7 +39,7 @@ _CUT = int(socket.MSG_TRUNC | socket.MSG_CTRUNC)
 class NodeConnection:
     """One client of one node."""
 
-    def __init__(self, host: Server, sock: socket.socket, node: Node) -> None:
+    def __init__(self, host: Server, sock: socket.socket, node: Node | Attribute) -> None:
         self._host = host
         self._loop = host.loop
         self._sock = sock
@@ -77,7 +86,12 @@ class NodeConnection:
         if self._take_back is not None:
             self._take_back()
 
-    def _open(self, node: Node) -> None:
+    def _open(self, node: Node | Attribute) -> None:
+        if isinstance(node, Attribute):
+            self._session = node
+            self._loop.add(self._sock.fileno(), self._readable)
+            self._reply(protocol.OP_OPEN, 0)
+            return
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         ours.setblocking(False)
         self._loop.add(self._sock.fileno(), self._readable)
@@ -227,7 +241,7 @@ class Server:
         self.loop = loop
         self.cost = packet_cost()
         self.inbox = memoryview(bytearray(protocol.PAYLOAD_MAX + protocol.REQUEST.size))
-        self._listeners: dict[socket.socket, Node] = {}
+        self._listeners: dict[socket.socket, Node | Attribute] = {}
         self._connections: set[NodeConnection] = set()
 
     @property
@@ -235,11 +249,13 @@ class Server:
         """Open connections, of all nodes."""
         return len(self._connections)
 
-    def listen(self, listener: socket.socket, node: Node) -> None:
-        """Serve `node` at a bound, listening socket, which the server owns from now on."""
-        listener.setblocking(False)
+    def listen(self, listener: socket.socket, node: Node | Attribute) -> None:
+        """Serve `node` at a bound, listening socket, which the server owns from now on; in place of one before it."""
+        known = listener in self._listeners
         self._listeners[listener] = node
-        self.loop.add(listener.fileno(), lambda: self._accept(listener), listener=True)
+        if not known:
+            listener.setblocking(False)
+            self.loop.add(listener.fileno(), lambda: self._accept(listener), listener=True)
 
     def connect(self, node: Node) -> socket.socket:
         """The client's end of a new connection to `node`, which the caller owns and hands over."""
@@ -248,12 +264,6 @@ class Server:
         self._connections.add(NodeConnection(self, ours, node))
         return theirs
 
-    def unlisten(self, listener: socket.socket) -> None:
-        """Stop listening; open connections stay."""
-        if self._listeners.pop(listener, None) is not None:
-            self.loop.remove(listener.fileno())
-            listener.close()
-
     def forget(self, connection: NodeConnection) -> None:
         """A connection has ended."""
         self._connections.discard(connection)
@@ -261,7 +271,9 @@ class Server:
     def close(self) -> None:
         """End everything."""
         for listener in list(self._listeners):
-            self.unlisten(listener)
+            self.loop.remove(listener.fileno())
+            listener.close()
+        self._listeners.clear()
         for connection in list(self._connections):
             connection.close()
 

@@ -122,6 +122,10 @@ class Session:
         """The client has gone: release what it held."""
 
 
+class Attribute(Session):
+    """A node that keeps nothing for its open files and has no events: it is its own session, of every client."""
+
+
 class Ioctls(Session):
     """A file whose requests are ioctls: handlers by number, without the size in it.
 
