@@ -160,6 +160,7 @@ class FaultyDevices:
 
     def __init__(self, inner: BoardDevices, fault: Fault) -> None:
         self._inner, self._fault = inner, fault
+        self._ports: dict[Any, Watched] = {}  # an open port is one object
 
     def boot_id(self) -> str:
         return self._inner.boot_id()
@@ -173,7 +174,9 @@ class FaultyDevices:
         return Watched(self._inner.windows(), self._fault, "window", ("grant", "revoke", "revoke_grant"))
 
     def icap(self, name: str | None) -> Any:
-        return Watched(self._inner.icap(name), self._fault, "icap", ("allocate", "load", "read", "wait", "status"))
+        names = ("allocate", "load", "read", "wait", "status")
+        port = self._inner.icap(name)
+        return self._ports.setdefault(port, Watched(port, self._fault, "icap", names))
 
     def fpga_manager(self, name: str | None) -> Any:
         return Watched(self._inner.fpga_manager(name), self._fault, "fpga_manager", ("load",))
@@ -192,8 +195,8 @@ class FaultyDevices:
         self._fault.step("check")
         self._inner.check()
 
-    def forget(self) -> None:
-        self._inner.forget()
+    def forget(self) -> bool:
+        return self._inner.forget()
 
     def lost(self) -> None:
         self._inner.lost()

@@ -12,7 +12,8 @@ from cm.device import advice
 from cm.device.base import AnyRoot, Device, Shim, open_handle
 from cm.device.buffer import DmaBuffer
 from cm.device.native import icap as native
-from cm.device.paths import Root
+from cm.device.native.call import Handle
+from cm.device.paths import Root, Standing
 from cm.frozen import dataclass
 
 
@@ -124,12 +125,23 @@ class Icap(Device):
 
     _shim: ClassVar[Shim] = native
 
+    def __init__(self, handle: Handle, path: Path, node: Standing) -> None:
+        """Take over an open handle; use `open`. `node` is what was opened."""
+        super().__init__(handle, path)
+        self._node = node
+
     @classmethod
     def open(cls, name: str = "cm_icap0", root: AnyRoot = None) -> Icap:
         """Open the port /dev/``name``.  Raises DeviceNotFound, DevicePermission, DeviceGone."""
         base = Root.of(root)
         path: Path = base.join("dev", name)
-        return cls(open_handle(native.open_port, base, path, name, list_icap), path)
+        node = Standing(path)  # before it is opened: one that comes later is another
+        return cls(open_handle(native.open_port, base, path, name, list_icap), path, node)
+
+    @property
+    def present(self) -> bool:
+        """Whether the port that was opened is still there: overlays take some, and names are used again."""
+        return self._node.stands
 
     @property
     def info(self) -> IcapInfo:

@@ -37,6 +37,10 @@ class Overlays:
         root = self._attributes.root
         return [name for name in advice.names(root.join(FOLDER)) if root.join(FOLDER, name).is_dir()]
 
+    def has(self, name: str) -> bool:
+        """Whether there is an overlay of this name; False without the interface."""
+        return self._attributes.exists(name)
+
     def status(self, name: str) -> str:
         """Return the kernel's word for an overlay: "applied" or "unapplied".  Raises DeviceNotFound."""
         self._check(name)

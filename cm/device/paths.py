@@ -39,3 +39,27 @@ class Root:
     def join(self, *parts: str) -> Path:
         """Return the path of ``parts`` under the root."""
         return Path(self.path, *parts)
+
+
+class Standing:
+    """A device's node or folder, as it was when this was made; no two devices have the same, one after the other.
+
+    Its inode's number alone would do in sysfs; a simulated board may lie in a file system that uses numbers again.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Look at it."""
+        self._path = path
+        self._first = self._now()
+
+    @property
+    def stands(self) -> bool:
+        """Whether it was there, and is the same."""
+        return self._first is not None and self._now() == self._first
+
+    def _now(self) -> tuple[int, int, int] | None:
+        try:
+            found = self._path.stat()
+        except OSError:
+            return None
+        return found.st_dev, found.st_ino, found.st_ctime_ns

@@ -14,7 +14,7 @@ from cm.device.native import uio as native
 from cm.device.native.call import Handle, last_error
 from cm.device.native.uio import UioInfo as UioInfo
 from cm.device.native.uio import UioMap as UioMap
-from cm.device.paths import Root
+from cm.device.paths import Root, Standing
 
 WIDTHS = (8, 16, 32, 64)
 
@@ -72,34 +72,12 @@ def _find(root: Root, name: str | int) -> UioInfo:
         raise device_error(number, "find UIO device", f"{name!r} in {path}") from error
 
 
-class _Folder:
-    """A device's folder in sysfs, as it was when this was made; no two devices have the same, one after the other.
-
-    Its inode's number alone would do in sysfs; a simulated board may lie in a file system that uses numbers again.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._first = self._now()
-
-    @property
-    def stands(self) -> bool:
-        return self._first is not None and self._now() == self._first
-
-    def _now(self) -> tuple[int, int, int] | None:
-        try:
-            found = self._path.stat()
-        except OSError:
-            return None
-        return found.st_dev, found.st_ino, found.st_ctime_ns
-
-
 class Uio(Device):
     """Registers and the interrupt of one UIO device.  Offsets are bytes, values unsigned."""
 
     _shim: ClassVar[Shim] = native
 
-    def __init__(self, handle: Handle, path: Path, info: UioInfo, folder: _Folder) -> None:
+    def __init__(self, handle: Handle, path: Path, info: UioInfo, folder: Standing) -> None:
         """Take over an open handle; use `open`. `folder` is that of sysfs."""
         super().__init__(handle, path)
         self.info = info
@@ -114,7 +92,7 @@ class Uio(Device):
         base = Root.of(root)
         info = _find(base, name)
         path = base.join("dev", info.node)
-        folder = _Folder(base.join("sys/class/uio", info.node))  # before it is opened: one that comes later is another
+        folder = Standing(base.join("sys/class/uio", info.node))  # before it is opened: one that comes later is another
         try:
             handle = native.open_number(base.prefix, info.number)
         except OSError as error:

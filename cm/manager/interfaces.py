@@ -126,6 +126,9 @@ class OverlayFolder(Protocol):
     def list(self) -> Collection[str]:
         """Those that are applied."""
 
+    def has(self, name: str) -> bool:
+        """Whether there is one of this name."""
+
     def apply(self, name: str, dtbo: bytes) -> None:
         """Put one on."""
 
@@ -192,8 +195,8 @@ class Devices(Protocol):
     def check(self) -> None:
         """Ask the board for something that changes nothing. Raises DeviceError where it does not answer."""
 
-    def forget(self) -> None:
-        """Close register devices that have gone, as with an overlay."""
+    def forget(self) -> bool:
+        """Close register devices and ports that have gone, as with an overlay; whether any has."""
 
     def lost(self) -> None:
         """Close everything: the board is gone, or is another one now."""

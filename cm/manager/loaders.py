@@ -66,7 +66,7 @@ class Loader(Protocol):
 _POLL = 0.05  # seconds between two looks at a load's progress; most loads are shorter, and looking slows none
 _REVISION = 0xF0000000  # bits of an IDCODE that differ between revisions of one device
 _PAGE = 4096
-_Key = tuple[str | None, str]
+_Key = tuple[ConfigPort, str]  # an open port, whose a buffer is: it may go, and come back as another; and a hash
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +90,7 @@ class BufferCache:
 
     def get(self, job: Job, icap: ConfigPort, read: Callable[[Image], bytes]) -> tuple[Held, bool]:
         """A buffer with the image's words, and whether it is kept here (if not, the caller closes it)."""
-        key, image = _key(job), job.image
+        key, image = (icap, job.image.sha256), job.image
         held = self._held.get(key)
         if held is not None:
             self._held.move_to_end(key)
@@ -103,15 +103,14 @@ class BufferCache:
         self._held[key] = new
         return new, True
 
-    def keep_only(self, jobs: Iterable[Job]) -> None:
-        """Close the buffers of all other images."""
-        wanted = {_key(job) for job in jobs}
+    def keep_only(self, wanted: Collection[_Key]) -> None:
+        """Close all other buffers."""
         for key in [k for k in self._held if k not in wanted]:
             self._close(self._held.pop(key))
 
-    def has(self, job: Job) -> bool:
-        """Whether the image is here."""
-        return _key(job) in self._held
+    def has(self, key: _Key) -> bool:
+        """Whether a port's image is here."""
+        return key in self._held
 
     def has_room(self, length: int) -> bool:
         """Whether a buffer of `length` bytes (buffers are whole pages) fits beside those that are here."""
@@ -126,11 +125,6 @@ class BufferCache:
         """Give everything back; the port may have gone."""
         while self._held:
             self._close(self._held.popitem()[1])
-
-
-def _key(job: Job) -> _Key:
-    """A buffer belongs to the port on which it was allocated."""
-    return job.port, job.image.sha256
 
 
 def _filled(icap: ConfigPort, data: bytes) -> Held:
@@ -159,12 +153,13 @@ class IcapLoader:
 
     def prefetch(self, jobs: Sequence[Job], go_on: Callable[[], bool]) -> None:
         """Keep only these images' words in DMA buffers: the first ones, as many as fit in the budget."""
-        self._cache.keep_only(jobs)
-        for job in jobs:
+        ported = [(job, self._devices.icap(job.port)) for job in jobs]
+        self._cache.keep_only({(icap, job.image.sha256) for job, icap in ported})
+        for job, icap in ported:
             if not go_on():
                 return
-            if not self._cache.has(job) and self._cache.has_room(job.image.length):
-                held, kept = self._cache.get(job, self._devices.icap(job.port), self._files.port_bytes)
+            if not self._cache.has((icap, job.image.sha256)) and self._cache.has_room(job.image.length):
+                held, kept = self._cache.get(job, icap, self._files.port_bytes)
                 if not kept:
                     self._dispose(held)
 
@@ -315,7 +310,7 @@ class OverlayLoader:
         firmware = self._files.firmware_name(job.image)
         overlays = self._devices.overlays()
         name = loading_overlay(_region_of(job).name)
-        if name in overlays.list():
+        if overlays.has(name):
             overlays.remove(name)
         yield lambda on_bytes: self._load(overlays, name, firmware, job, on_bytes)
 

@@ -210,11 +210,14 @@ class BoardDevices:
         for info in [] if ports else list_uio(self._root)[:1]:
             Uio.open(info.node, self._root).close()
 
-    def forget(self) -> None:
-        """Close UIO devices that have gone, or are others now; the next use opens them anew."""
+    def forget(self) -> bool:
+        """Close UIO devices and ports that have gone, or are others now; the next use opens them anew."""
         with self._lock:
-            for name in [name for name, uio in self._uios.items() if not uio.present]:
-                self._uios.pop(name).close()
+            kept: tuple[dict[str, Uio] | dict[str, Icap], ...] = self._uios, self._icaps
+            gone = [(handles, name) for handles in kept for name, handle in handles.items() if not handle.present]
+            for handles, name in gone:
+                handles.pop(name).close()
+            return bool(gone)
 
     def lost(self) -> None:
         """Close everything; the next use opens it anew."""

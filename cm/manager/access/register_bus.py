@@ -32,8 +32,7 @@ class RegisterBus:
             if lost:
                 self._devices.lost()
                 self._windows.clear()
-            else:
-                self._devices.forget()
+            elif self._devices.forget():
                 self._windows = {where: window for where, window in self._windows.items() if window.device.present}
 
     def read(self, register: Register) -> int:

@@ -441,7 +441,7 @@ def set_clock(run: StepContext, step: s.SetClock) -> None:
 def remove_overlay(run: StepContext, step: s.RemoveOverlay) -> None:
     """Take an overlay off, if it is still there."""
     overlays = run.tools.devices.overlays()
-    if step.name in overlays.list():
+    if overlays.has(step.name):
         overlays.remove(step.name)
     run.update(lambda state: _without(state, step.name))
     run.tools.registers.forget()
@@ -450,7 +450,7 @@ def remove_overlay(run: StepContext, step: s.RemoveOverlay) -> None:
 def apply_overlay(run: StepContext, step: s.ApplyOverlay) -> None:
     """Put an overlay on, in place of a leftover one with its name."""
     overlays = run.tools.devices.overlays()
-    if step.overlay.name in overlays.list():
+    if overlays.has(step.overlay.name):
         overlays.remove(step.overlay.name)
     overlays.apply(step.overlay.name, step.data)
     note_applied(run, OverlayState(step.overlay.name, step.sha256))

@@ -160,3 +160,19 @@ def test_a_device_that_has_come_in_place_of_another_is_opened_anew(made: Rig, si
     assert made.devices.uio("uio0") is not before
     with pytest.raises(DeviceClosed):
         before.read(0)
+
+
+def test_a_port_that_has_come_in_place_of_another_is_opened_anew_and_filled_anew(made: Rig, sim: SimBoard) -> None:
+    for mode in ("default", "other"):  # from here on both images wait in the port's memory
+        assert made.go(mode, config="one") is None
+    before, node = made.devices.icap(None), sim.root / "dev/cm_icap0"
+    node.rename(node.with_name("moved"))
+    node.with_name("moved").rename(node)
+    assert made.go("default", config="one") is None  # puts the mode's overlay on, and its next load finds the new port
+    made.arm(-1)
+    assert made.go("other", config="one") is None
+    assert made.devices.icap(None) is not before
+    with pytest.raises(DeviceClosed):
+        before.status()
+    assert "icap.load" in made.fault.names
+    assert sim.control.state()["regions"]["prr0"]["module"] == "b"
