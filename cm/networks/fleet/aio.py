@@ -12,7 +12,6 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Generator, Itera
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
-from time import time_ns
 from types import TracebackType
 from typing import Any, TypeVar
 
@@ -26,7 +25,6 @@ from cm.networks.fleet.errors import ChangeFailed, FleetRefused, NoSuchBoard
 from cm.networks.fleet.network import Network, from_environment, member_of, opened_store, session
 from cm.networks.fleet.presence import Presence
 from cm.networks.fleet.queries import Answer, Told, absent
-from cm.networks.fleet.status_text import Reading, reading
 from cm.networks.fleet.store import (
     BOARDS,
     Entry,
@@ -188,28 +186,6 @@ class Fleet:
         """A register, or ``register.field``, of each board. Raises NoSuchBoard, InvalidRequest (a name with ``/``)."""
         found = await self._each(f"reg/{keys.check(register, 'register')}", boards)
         return {n: a.error or decode_registers(a.payload) for n, a in found.items()}
-
-    async def clocks(self, boards: Iterable[str] = ALL) -> dict[str, Reading | ErrorInfo]:
-        """How far each board's clock may be off, ns: as it says itself, and the bounds measured from here.
-
-        Raises NoSuchBoard.
-        """
-        return await _all(await self.meant(boards), self._clock)
-
-    async def _clock(self, board: str) -> Reading | ErrorInfo:
-        """The least delayed of a few readings: it bounds the offset best."""
-        best: Reading | ErrorInfo = absent(True)
-        for _ in range(4):
-            answer, asked, came = await self._timed(board)
-            if answer.error is None:
-                found = reading(wire.board_status(answer.payload).clock, asked, came)
-                best = found if isinstance(best, ErrorInfo) or found.width_ns < best.width_ns else best
-        return best
-
-    async def _timed(self, board: str) -> tuple[Answer, int, int]:
-        asked = time_ns()
-        answer = (await self._each("status", (board,)))[board]
-        return answer, asked, time_ns()
 
     @asynccontextmanager
     async def watch(self, boards: str = "*") -> AsyncIterator[AsyncIterator[tuple[str, BoardStatus | None]]]:

@@ -111,7 +111,6 @@ class Fleet:
     write = _blocking(aio.Fleet.write)
     frame = _blocking(aio.Fleet.frame)
     send = _blocking(aio.Fleet.send)
-    clocks = _blocking(aio.Fleet.clocks)
     load = _blocking(aio.Fleet.load)
     mode = _blocking(aio.Fleet.mode)
     reconcile = _blocking(aio.Fleet.reconcile)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 
 from cm.wire.messages.fleet import BoardStatus, ClockSync, FleetState
 from cm.wire.messages.status import ErrorInfo
@@ -62,29 +61,6 @@ def prometheus(found: Mapping[str, BoardStatus | ErrorInfo]) -> Iterator[str]:
         yield f"# HELP cm_fleet_board_{metric} {text}"
         yield f"# TYPE cm_fleet_board_{metric} gauge"
         yield from (f'cm_fleet_board_{metric}{{board="{n}"}} {getattr(s, which)}' for n, s in states.items())
-
-
-@dataclass(frozen=True, slots=True)
-class Reading:
-    """What a board says about its clock, and the clock's offset from this machine's: between `low_ns` and `high_ns`.
-
-    The board read its clock after the request was sent and before the answer came: whatever the network's delays, one
-    exchange shows that, and no more.
-    """
-
-    clock: ClockSync
-    low_ns: int
-    high_ns: int
-
-    @property
-    def width_ns(self) -> int:
-        """How little is known."""
-        return self.high_ns - self.low_ns
-
-
-def reading(clock: ClockSync, asked_ns: int, came_ns: int) -> Reading:
-    """A reading from CLOCK_REALTIME here before and after an exchange."""
-    return Reading(clock, clock.now_ns - came_ns, clock.now_ns - asked_ns)
 
 
 def said_apart(clocks: Mapping[str, ClockSync]) -> int | None:

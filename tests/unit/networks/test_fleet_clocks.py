@@ -6,7 +6,7 @@ from __future__ import annotations
 import time
 
 from cm.networks.fleet.bridge import clock
-from cm.networks.fleet.status_text import reading, said_apart
+from cm.networks.fleet.status_text import said_apart
 from cm.wire.messages.fleet import ClockSync
 
 ALONE = "7F7F0101,,8,1795359102.231335873,0.000000000,0.000000000,0.000000000,0.000,0.000,0.000,0.000000000,0.000000000,0.0,Normal\n"  # noqa: E501
@@ -65,10 +65,3 @@ def test_the_two_worst_clocks_add_up_and_one_that_cannot_tell_spoils_the_promise
     assert said_apart(clocks) == 800
     assert said_apart({**clocks, "d": ClockSync("kernel", False)}) is None
     assert said_apart({**clocks, "d": ClockSync("chrony", True, 0)}) is None
-
-
-def test_a_reading_bounds_the_offset_whatever_the_way_took() -> None:
-    """The board is 1000 ahead; the question took 40, the answer 2."""
-    found = reading(ClockSync(now_ns=5040 + 1000), asked_ns=5000, came_ns=5042)
-    assert found.low_ns <= 1000 <= found.high_ns
-    assert found.width_ns == 42

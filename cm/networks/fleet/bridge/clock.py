@@ -28,11 +28,6 @@ class _Timex(ctypes.Structure):
     ]
 
 
-def now_ns() -> int:
-    """CLOCK_REALTIME."""
-    return time.time_ns()
-
-
 def read() -> ClockSync:
     """The state now; asks chronyd or ptp4l if their tools are installed."""
     return _chrony() or _ptp() or kernel()

@@ -9,7 +9,7 @@ import os
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -158,10 +158,8 @@ class Bridge:
         return self._with_extras()
 
     def _with_extras(self) -> bytes:
-        clock_now = ClockSync(
-            self._clock.source, self._clock.synchronised, self._clock.error_ns, self._clock.reference, clock.now_ns()
-        )
-        return self._status + wire.extras(self.options.labels, clock_now, self._board.state)
+        now = replace(self._clock, now_ns=time.time_ns())
+        return self._status + wire.extras(self.options.labels, now, self._board.state)
 
     # ---- what goes on by itself -------------------------------------------------------------
 
