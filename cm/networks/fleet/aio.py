@@ -20,7 +20,7 @@ from cm.client.errors import request_error
 from cm.client.frame import Frame, frame_of
 from cm.errors import InvalidRequest
 from cm.networks.fleet import bundles, keys, queries
-from cm.networks.fleet.change import Coordinator, Course, Progress, nothing
+from cm.networks.fleet.change import Coordinator, Course, Opening, Progress, nothing
 from cm.networks.fleet.errors import ChangeFailed, FleetRefused, NoSuchBoard
 from cm.networks.fleet.network import Network, from_environment, member_of, opened_store, session
 from cm.networks.fleet.presence import Presence
@@ -122,24 +122,23 @@ class Fleet:
 
         Raises StoreAway.
         """
-        found = views(await self._store.get(BOARDS))
-        return {name: view for name, view in found.items() if view.settings is not None}
+        return _listed(await self._store.get(BOARDS))
 
-    async def chosen(self, boards: Iterable[str] = ALL, exist: bool = True) -> tuple[str, ...]:
-        """The boards of a group, sorted, from the inventory. Raises NoSuchBoard for a part of it that matches none.
+    async def chosen(self, boards: Iterable[str] = ALL) -> tuple[str, ...]:
+        """The boards of a group, sorted, from the inventory. Raises NoSuchBoard for a part of it that matches none."""
+        return self._matching(boards, await self.inventory())
 
-        `exist`: False: also those that are there and not in the inventory, and any that are given by name.
-        """
-        groups, known = tuple(boards) or ALL, await self.inventory()
-        there = set(known) if exist else {*known, *await self.boards()}
+    def _matching(self, boards: Iterable[str], known: Mapping[str, View], exist: bool = True) -> tuple[str, ...]:
+        """`exist`: False: also those that are there and not in the inventory, and any that are given by name."""
+        there = {*known} if exist else {*known, *self._presence.boards()}
         found: set[str] = set()
-        for group in groups:
+        for group in tuple(boards) or ALL:
             if group.startswith("@"):
                 members = {n for n, view in known.items() if view.settings and group[1:] in view.settings.labels}
             else:
                 members = set(fnmatch.filter(there, group)) or ({group} if not exist and _is_name(group) else set())
             if not members:
-                loose = ", ".join(sorted({*await self.boards()} - {*known}))
+                loose = ", ".join(sorted({*self._presence.boards()} - {*known}))
                 raise NoSuchBoard(
                     f"no board of the inventory is called or labelled {group}; it has {', '.join(known) or 'none'}"
                     + (f" (there, but not in it: {loose}; `cm fleet add` puts them in)" if loose else "")
@@ -239,7 +238,7 @@ class Fleet:
         Raises NoSuchBoard for a glob that matches none.
         """
         known = await self.inventory()
-        found = [name for name in await self.chosen(boards, exist=False) if not known.get(name)]
+        found = [name for name in self._matching(boards, known, exist=False) if name not in known]
         for name in found:
             puts = {key(keys.check(name, "board"), "settings"): Put(packed(Settings()))}
             await self._store.txn({key(name, "settings"): 0}, puts)
@@ -250,7 +249,8 @@ class Fleet:
 
         A board of a certificate that is still running puts itself in again.
         """
-        known, found = await self.inventory(), await self.chosen(boards)
+        known = await self.inventory()
+        found = self._matching(boards, known)
         for name in found:
             view = known[name]
             expect = {key(name, part): revision for part, revision in view.expected().items()}
@@ -358,14 +358,18 @@ class Fleet:
         there; its course names each). If this is cancelled or killed at any moment, boards go on by themselves.
         """
         rule = wire.policy(policy)
-        chosen = await self.chosen(boards)
+        opening = await Opening.of(self._store)
+        chosen = self._matching(boards, _listed(opening.found))
         away = await self._away(chosen, absent or ("refuse" if rule is Policy.ALL else "go-on"), timeout)
 
         async def ask(board: str, verb: str, step: FleetStep) -> FleetState | ErrorInfo:
             return await self._step(board, verb, step, timeout)
 
         change = f"{self.caller}-{secrets.token_hex(4)}"
-        coordinator = Coordinator(self._store, ask, self.caller, change, chosen, config, mode, rule, away, tell)
+        coordinator = Coordinator(
+            self._store, ask, self.caller, change, chosen, config, mode, rule, away, tell,
+            None if absent == "wait" else opening,
+        )  # fmt: skip
         course = await coordinator.run()
         if course.decision is Decision.REVERT and not course.touched:
             raise FleetRefused(course.causes)
@@ -422,6 +426,11 @@ async def _all(boards: Iterable[str], ask: Callable[[str], Awaitable[_T]]) -> di
     """Ask boards at one time; what each says."""
     names = tuple(boards)
     return dict(zip(names, await asyncio.gather(*map(ask, names)), strict=True))
+
+
+def _listed(found: Mapping[str, Entry]) -> dict[str, View]:
+    """The boards of the inventory, of what lies in the store."""
+    return {name: view for name, view in views(found).items() if view.settings is not None}
 
 
 def _named(board: str, error: ErrorInfo) -> ErrorInfo:

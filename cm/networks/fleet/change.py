@@ -25,6 +25,7 @@ from cm.networks.fleet.store import (
     GENERATION,
     LEASE,
     Claim,
+    Entry,
     Put,
     Store,
     StoreAway,
@@ -101,11 +102,27 @@ class Course:
         return found
 
 
+@dataclass(frozen=True, slots=True)
+class Opening:
+    """What a change begins with: everything that was in the store, and a lease, under which nothing lies yet."""
+
+    begun: float
+    found: Mapping[str, Entry]
+    lease: str
+
+    @classmethod
+    async def of(cls, store: Store, clock: Callable[[], float] = time.monotonic) -> Opening:
+        """Asked for together: a store syncs its disk for a lease. One that is not used runs out by itself."""
+        begun = clock()
+        return cls(begun, *await asyncio.gather(store.get(""), store.grant(LEASE)))
+
+
 @dataclass
 class Coordinator:
     """One change, once. `members` are all its boards; those of `away` are not asked, and go there when they are back.
 
-    `caller` wants it. It may be cancelled at any moment: then it stops where it is.
+    `caller` wants it; `opening`: if the store was asked just now. It may be cancelled at any moment: then it stops
+    where it is.
     """
 
     store: Store
@@ -118,6 +135,7 @@ class Coordinator:
     policy: Policy = Policy.ALL
     away: Mapping[str, ErrorInfo] = field(default_factory=dict)
     tell: Progress = nothing
+    opening: Opening | None = None
     clock: Callable[[], float] = time.monotonic
     sleep: Callable[[float], Awaitable[None]] = asyncio.sleep
     _lost: bool = False  # the lease has ended
@@ -130,9 +148,9 @@ class Coordinator:
 
     async def run(self) -> Course:
         """Raises Busy, StoreAway, StoreRefused: then nothing was changed."""
-        begun = self.clock()
-        lease = await self._open()
-        self.course.legs.append(Leg("open", self.clock() - begun))
+        opening = self.opening or await Opening.of(self.store, self.clock)
+        lease = await self._open(opening.found, opening.lease)
+        self.course.legs.append(Leg("open", self.clock() - opening.begun))
         keeping = asyncio.ensure_future(self._keep(lease))
         try:
             there = await self._there()
@@ -152,34 +170,30 @@ class Coordinator:
 
     # ---- opening ----------------------------------------------------------------------------
 
-    async def _open(self) -> str:
+    async def _open(self, found: Mapping[str, Entry], lease: str) -> str:
         """Claim the boards; returns the lease under which they are claimed."""
         end = self.clock() + _OPENING
         while True:
-            found = await self.store.get("")
-            self._views = views({k: entry for k, entry in found.items() if k.startswith(BOARDS)})
+            self._views = views(found)
             taken = {n: claim for n in self.members if (claim := self._view(n).open) is not None}
             if not taken:
-                counter = found.get(GENERATION)
-                lease = await self._claimed(int(counter.value) if counter else 0, counter.revision if counter else 0)
-                if lease:
+                lease = lease or await self.store.grant(LEASE)
+                if await self._claimed(lease, found.get(GENERATION, Entry("0", 0))):
                     return lease
             elif self.clock() > end:
                 name, claim = next(iter(taken.items()))
                 raise Busy(f"change {claim.change} of {claim.by} is open on {name}: try again when it has ended")
+            lease = ""
             await self.sleep(0.1)
+            found = await self.store.get("")
 
-    async def _claimed(self, newest: int, revision: int) -> str:
-        lease, generation = await self.store.grant(LEASE), newest + 1
-        claim = Put(packed(Claim(generation, self.change, self.caller)), lease)
+    async def _claimed(self, lease: str, newest: Entry) -> bool:
+        self.course.generation = int(newest.value) + 1
+        claim = Put(packed(Claim(self._generation, self.change, self.caller)), lease)
         puts: dict[str, Put | None] = {key(name, "claim"): claim for name in self.members}
-        puts[GENERATION] = Put(str(generation))
-        self._opened = await self.store.txn({GENERATION: revision}, puts)  # every opening changes it
-        if not self._opened:
-            await self.store.revoke(lease)
-            return ""
-        self.course.generation = generation
-        return lease
+        puts[GENERATION] = Put(str(self._generation))
+        self._opened = await self.store.txn({GENERATION: newest.revision}, puts)  # every opening changes it
+        return bool(self._opened)
 
     def _view(self, name: str) -> View:
         return self._views.get(name, View())
