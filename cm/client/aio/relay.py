@@ -44,13 +44,9 @@ class _Inlet:
     def drain(self) -> None:
         """Take what has come."""
         for _ in range(_AT_ONCE):
-            if self._socket.closed:
+            if self._socket.closed or not self._socket.getsockopt(zmq.EVENTS) & zmq.POLLIN:
                 return
-            try:
-                frames = self._socket.recv_multipart(zmq.NOBLOCK)
-            except zmq.Again:
-                return
-            self._take(frames)
+            self._take(self._socket.recv_multipart(zmq.NOBLOCK))
         self._loop.call_soon(self.drain)
 
     def end(self) -> None:

@@ -57,8 +57,8 @@ async def get(
         with contextlib.suppress(RuntimeError):  # the loop has ended
             loop.call_soon_threadsafe(what, *arguments)
 
-    handler = zenoh.handlers.Callback(
-        lambda reply: in_loop(found.append, _answer(reply)), lambda: in_loop(ended), indirect=True
+    handler = zenoh.handlers.Callback(  # in zenoh's own thread: a thread for each query costs more than the query
+        lambda reply: in_loop(found.append, _answer(reply)), lambda: in_loop(ended), indirect=False
     )
     session.get(
         selector,

@@ -192,7 +192,8 @@ class Queries:
         self._loop = asyncio.get_running_loop()
         self._tasks: set[asyncio.Task[None]] = set()
         self._expression = zenoh_module().KeyExpr
-        self._queryable = session.declare_queryable(f"{keys.ROOT}/{board}/**", self._came, complete=True)
+        came = zenoh_module().handlers.Callback(self._came, indirect=False)
+        self._queryable = session.declare_queryable(f"{keys.ROOT}/{board}/**", came, complete=True)
 
     def end(self) -> None:
         """Answer nothing more."""
