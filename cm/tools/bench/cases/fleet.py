@@ -96,21 +96,16 @@ def _discovery(local: LocalFleet, bench: Run, count: int) -> Result:
 def _status(local: LocalFleet, fleet: Any, bench: Run, count: int) -> Result:
     """What the client's process uses; that of router, bridges and managers stands beside it."""
     seconds = 3.0 if bench.quick else 20.0
-    others = {
-        "router": [local.router_process.pid],
-        "bridges": [b.bridge.pid for b in local.boards.values() if b.bridge],
-        "managers": [b.manager.pid for b in local.boards.values() if b.manager],
-    }
+    others = _processes(local)
     with fleet.watch() as statuses:
         for _ in range(2 * count):
             next(statuses)
-        quiet = {kind: sum(map(cpu_seconds, pids)) for kind, pids in others.items()}
-        used, begun, told = time.process_time(), time.monotonic(), 0
+        quiet, begun, told = _used(others), time.monotonic(), 0
         while time.monotonic() < begun + seconds:
             next(statuses)
             told += 1
-        took, used = time.monotonic() - begun, time.process_time() - used
-    percent = {kind: 100 * (sum(map(cpu_seconds, pids)) - quiet[kind]) / took for kind, pids in others.items()}
+        took = time.monotonic() - begun
+        percent = {kind: 100 * (used - quiet[kind]) / took for kind, used in _used(others).items()}
     details = {
         "statuses_per_second": told / took,
         "bytes_of_a_status": _bytes_of_a_status(local),
@@ -121,7 +116,21 @@ def _status(local: LocalFleet, fleet: Any, bench: Run, count: int) -> Result:
         "percent_of_one_manager": percent["managers"] / count,
         "load": os.getloadavg()[0],
     }
-    return _result("fleet_status", 100 * used / took, "% of a CPU", count, _FAN_IN, details)
+    return _result("fleet_status", percent["client"], "% of a CPU", count, _FAN_IN, details)
+
+
+def _processes(local: LocalFleet) -> dict[str, list[int]]:
+    return {
+        "client": [os.getpid()],
+        "router": [local.router_process.pid],
+        "bridges": [b.bridge.pid for b in local.boards.values() if b.bridge],
+        "managers": [b.manager.pid for b in local.boards.values() if b.manager],
+    }
+
+
+def _used(processes: dict[str, list[int]]) -> dict[str, float]:
+    """Processor time so far, seconds."""
+    return {kind: sum(map(cpu_seconds, pids)) for kind, pids in processes.items()}
 
 
 def _bytes_of_a_status(local: LocalFleet) -> int:
@@ -140,13 +149,13 @@ def _change(local: LocalFleet, fleet: Any, bench: Run, count: int) -> Result:
     The critical path is that of the median change. Boards share this machine's processors; what a change costs where
     each has its own is reckoned from changes in which they are asked one after the other.
     """
-    courses, used, alone = [], [], []
+    courses, used, alone, processes = [], [], [], _processes(local)
 
     def together(mode: str) -> None:
-        before, begun = time.process_time(), time.monotonic()
+        before, begun = _used(processes), time.monotonic()
         course = fleet.mode(mode, timeout=120.0)
         courses.append((time.monotonic() - begun, course))
-        used.append(time.process_time() - before)
+        used.append({kind: now - before[kind] for kind, now in _used(processes).items()})
 
     with ExitStack() as stack, ThreadPoolExecutor(count) as threads:
         boards = [stack.enter_context(cm.connect(runtime_dir=each.runtime_dir)) for each in local.boards.values()]
@@ -165,14 +174,18 @@ def _change(local: LocalFleet, fleet: Any, bench: Run, count: int) -> Result:
     courses.sort(key=lambda each: each[0])
     seconds, course = courses[len(courses) // 2]
     loads = sorted(state.seconds for state in course.figures.values())
+    cpu = {kind: statistics.median(each[kind] for each in used) for kind in processes}
     details = {
         "store": bench.store,
         "beyond_the_loads_ms": (statistics.median(s for s, _ in courses) - statistics.median(alone)) * 1000,
         "critical_path": {leg.phase: {"ms": leg.seconds * 1000, "last": leg.slowest} for leg in course.legs},
-        "with_a_processor_each": asyncio.run(_in_turns(local, bench, statistics.median(used))),
+        "with_a_processor_each": asyncio.run(_in_turns(local, bench, cpu["client"])),
         "load_of_the_median_board_ms": loads[len(loads) // 2] * 1000,
         "load_of_the_slowest_board_ms": loads[-1] * 1000,
-        "client_cpu_ms": statistics.median(used) * 1000,
+        "client_cpu_ms": cpu["client"] * 1000,
+        "router_cpu_ms": cpu["router"] * 1000,
+        "bridge_cpu_ms_a_board": cpu["bridges"] / count * 1000,
+        "manager_cpu_ms_a_board": cpu["managers"] / count * 1000,
         "slowest_change_ms": courses[-1][0] * 1000,
     }
     found = _result("fleet_change", seconds * 1000, "ms", count, None, details)
