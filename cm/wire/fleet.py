@@ -87,11 +87,11 @@ def irq_name(data: bytes) -> str:
     return parsed(pb.Irq, data).name
 
 
-def glance(status: bytes) -> tuple[tuple[str, ...], tuple[str, str] | None]:
-    """Of a Status: the streams that can be read, and configuration and mode, or None while they change."""
+def glance(status: bytes) -> tuple[tuple[str, ...], tuple[tuple[str, str], int] | None]:
+    """Of a Status: the streams that can be read; configuration and mode with the manager's start, None while busy."""
     message = parsed(pb.Status, status)
     streams = tuple(stream.name for stream in message.streams if stream.direction == "s2mm")
-    return streams, None if message.fpga_busy else (message.config_name, message.mode)
+    return streams, None if message.fpga_busy else ((message.config_name, message.mode), message.started_ns)
 
 
 def encode_fetch(fetch: fl.FetchBundle) -> bytes:

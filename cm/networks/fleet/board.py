@@ -93,7 +93,9 @@ class Disk(Protocol):
 class OwnManager(Protocol):
     """The manager, asked in a caller's name. All raise CmError, and Unsettled if the manager is away."""
 
-    async def where(self) -> Seen: ...
+    async def where(self, known: Seen | None = None) -> Seen:
+        """`known`: it need not be asked if that is what it told last."""
+
     async def plan(self, step: FleetStep, caller: str) -> Planned: ...
     async def hold(self, part: Part) -> None:
         """Keep others off the board; renewed while the change is open."""
@@ -217,7 +219,7 @@ class Board:
             self._store_error = ""
         if again:
             self._again = 0.0
-        await self._reconcile(again)
+        await self._reconcile(again, asked=step is not None)
         return self.state
 
     def told(self, changes: Mapping[str, Entry]) -> bool:
@@ -261,8 +263,9 @@ class Board:
         wanted = self._view.generation > self._notes.reached and self._follow == "fleet"
         return self._notes.part is not None or wanted or bool(self._store_error)
 
-    async def _reconcile(self, again: bool) -> None:
-        part = self._notes.part
+    async def _reconcile(self, again: bool, asked: bool) -> None:
+        """`asked`: by a coordinator, which waits: then what the manager told last counts, where it is as noted."""
+        part, notes = self._notes.part, self._notes
         if part is not None:
             claim = self._view.open
             if claim is not None and claim.change == part.change:
@@ -270,7 +273,7 @@ class Board:
                 return
             seen = await self._end(part, kept=self._view.generation == part.generation)
         else:
-            seen = await self._manager.where()
+            seen = await self._manager.where(Seen(notes.place, notes.manager) if asked else None)
         self._notice(seen, again)
         wanted = self._view.wanted
         if wanted is None:
@@ -282,8 +285,9 @@ class Board:
 
     async def _end(self, part: Part, kept: bool) -> Seen:
         """The change is decided, or its coordinator gone: stay, or have it undone. Returns where the board is then."""
-        seen = await self._manager.where()
-        if kept and seen.place == part.goal and part.phase == "changed":
+        there = kept and part.phase == "changed"
+        seen = await self._manager.where(Seen(part.goal, self._notes.manager) if there else None)
+        if there and seen.place == part.goal:
             await self._manager.release(part)
             self._write(place=seen.place, manager=seen.manager, part=None, reached=part.generation)
             return seen

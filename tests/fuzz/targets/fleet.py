@@ -57,7 +57,7 @@ class _Manager:
         wanted, claim = Wanted(3, "camera", "default", "bob", "c0"), Claim(4, "c1", "anna")
         return {f"{prefix}wanted": Entry(packed(wanted), 5), f"{prefix}claim": Entry(packed(claim), 6)}
 
-    async def where(self) -> Seen:
+    async def where(self, known: Seen | None = None) -> Seen:
         return Seen(("camera", "default"), 1)
 
     async def plan(self, step: FleetStep, caller: str) -> Planned:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import json
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from cm.client.aio.relay import Relay
@@ -23,9 +24,14 @@ HOLD = 15.0  # seconds for which others are kept off; renewed while a change is 
 class ManagedBoard:
     """The manager. With `own_name` it is asked in the bridge's own name, whoever the caller is."""
 
-    def __init__(self, relay: Relay, folder: Path, own_name: bool) -> None:
-        self._relay = relay
+    _lease = ""
+
+    def __init__(self, relay: Relay, folder: Path, own_name: bool, told: Callable[[], Seen | None]) -> None:
+        """`told`: where it is, as it said by itself; None if that is not known."""
+        self._relay, self._told = relay, told
         self._lease_file = folder / "lease"  # by its id the next process can give it back, or use it
+        with contextlib.suppress(FileNotFoundError):
+            self._lease = self._lease_file.read_text(encoding="utf-8")
         self._own_name = own_name
         self._held = 0.0  # when the lease was taken or renewed last, monotonic
 
@@ -33,8 +39,10 @@ class ManagedBoard:
         """The name of a caller at the manager; empty: the bridge's own."""
         return "" if self._own_name else f"zenoh:{caller}"
 
-    async def where(self) -> Seen:
+    async def where(self, known: Seen | None = None) -> Seen:
         """As OwnManager has it."""
+        if known is not None and self._told() == known:
+            return known
         try:
             status = await self._relay.ask(calls.status())
         except (ConnectionLost, NoAnswer) as error:
@@ -52,27 +60,28 @@ class ManagedBoard:
         """As OwnManager has it."""
         if time.monotonic() - self._held < HOLD / 3:
             return
-        held = self._lease()
-        if not (held and await self._renewed(held, part.caller)):
+        if not (self._lease and await self._renewed(part.caller)):
             holder = f"fleet change {part.change} of {part.caller}"
             taking = rq.TakeLease("board", True, HOLD, holder, 0)
             lease = await self._relay.ask(calls.lease(taking), self.guest(part.caller))
             self._lease_file.write_text(lease.id, encoding="utf-8")
+            self._lease = lease.id
         self._held = time.monotonic()
 
-    async def _renewed(self, lease: str, caller: str) -> bool:
+    async def _renewed(self, caller: str) -> bool:
         try:
-            await self._relay.ask(calls.lease(rq.RenewLease(lease, HOLD, 0)), self.guest(caller))
+            await self._relay.ask(calls.lease(rq.RenewLease(self._lease, HOLD, 0)), self.guest(caller))
         except RequestFailed:  # the manager was restarted meanwhile, or the lease ran out
             return False
         return True
 
     async def release(self, part: Part) -> None:
         """As OwnManager has it; if it cannot be given back, it runs out."""
-        if held := self._lease():
+        if self._lease:
             with contextlib.suppress(CmError):
-                await self._relay.ask(calls.lease(rq.ReleaseLease(held)), self.guest(part.caller))
-            self._lease_file.unlink()
+                await self._relay.ask(calls.lease(rq.ReleaseLease(self._lease)), self.guest(part.caller))
+            self._lease_file.unlink(missing_ok=True)
+            self._lease = ""
         self._held = 0.0
 
     async def load(self, place: Place, caller: str, undoable: str = "") -> float:
@@ -87,16 +96,11 @@ class ManagedBoard:
             raise NotUndone(str(error)) if error.code == NotUndone.code else error from None
 
     async def _change(self, place: Place, caller: str, undoable: str = "", undo: str = "") -> float:
-        call = calls.load(*place, wait=True, queue=True, force=False, lease=self._lease(), undoable=undoable, undo=undo)
+        call = calls.load(*place, wait=True, queue=True, force=False, lease=self._lease, undoable=undoable, undo=undo)
         try:
             return (await self._relay.ask(call, self.guest(caller), timeout=None)).seconds
         except (ConnectionLost, NoAnswer) as error:
             raise Unsettled(str(error)) from error
-
-    def _lease(self) -> str:
-        with contextlib.suppress(FileNotFoundError):
-            return self._lease_file.read_text(encoding="utf-8")
-        return ""
 
 
 class NotesFile:

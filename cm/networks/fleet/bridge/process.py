@@ -19,7 +19,7 @@ from cm.client.core import calls
 from cm.client.errors import NotAdmitted
 from cm.errors import Busy, CmError, NotFound
 from cm.networks.fleet import keys
-from cm.networks.fleet.board import Board
+from cm.networks.fleet.board import Board, Seen
 from cm.networks.fleet.bridge import clock
 from cm.networks.fleet.bridge.bundles import Bundles, Import
 from cm.networks.fleet.bridge.managed import ManagedBoard, NotesFile
@@ -64,6 +64,7 @@ class Bridge:
     options: Options
     ready: Callable[[str], None]
     _status: bytes = b""
+    _seen: Seen | None = None  # as the manager told last; None while it changes, or is away
     _clock: ClockSync = field(default_factory=ClockSync)
 
     async def run(self) -> None:
@@ -108,7 +109,7 @@ class Bridge:
             await asyncio.sleep(_RECONNECT)
 
     def _manager_changed(self, up: bool) -> None:
-        self._status = b""
+        self._status, self._seen = b"", None
         _LOG.info("the manager is %s", "there" if up else "away")
 
     async def _serve(self, board: str, relay: Relay, network: Any) -> None:
@@ -116,7 +117,7 @@ class Bridge:
         folder = self.options.state / board
         keeper = await asyncio.to_thread(Keeper, network, folder / "store.sqlite") if self.options.keeps else None
         store = opened_store(self.options.network, network, board)
-        managed = ManagedBoard(relay, folder, self.options.own_name)
+        managed = ManagedBoard(relay, folder, self.options.own_name, lambda: self._seen)
         self._board = Board(board, store, managed, NotesFile(folder), time.monotonic, self.options.follow)
         bundles = Bundles(network, folder / "bundles", self.options.take, relay, managed)
         commands = Commands(relay, self._board, managed, bundles.fetch)
@@ -167,8 +168,9 @@ class Bridge:
         topic, message, *_ = frames
         if topic == topics.STATUS:
             self._status = message
-            streams, place = wire.glance(message)
-            if place is not None and self._board.elsewhere(place):
+            streams, seen = wire.glance(message)
+            self._seen = Seen(*seen) if seen else None
+            if self._seen is not None and self._board.elsewhere(self._seen.place):
                 self._wake.set()  # somebody has taken the board elsewhere
             publications.offer_streams(streams)
             publications.tell_status()
