@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import random
+import tracemalloc
 
 from fleet_history import NEVER, Operation, State, linearizable
 
@@ -53,3 +54,18 @@ def test_a_stale_read_in_a_long_history_is_found_and_its_true_one_is_right() -> 
     writes = [n for n, each in enumerate(history) if each.kind == "txn"]
     stale = Operation(history[writes[9]].begun, history[writes[9]].ended + 0.1, "get", (("k", str(writes[3])),))
     assert not linearizable([*history, stale])
+
+
+def test_what_a_long_history_takes_grows_with_its_length_and_no_faster() -> None:
+    """Three hundred rounds are 60,000 operations."""
+
+    def peak(length: int) -> int:
+        history = [each for n in range(length) for each in (put(n, n + 1.5, str(n), str(n - 1) if n else None),)]
+        history += [get(n + 0.5, n + 3.2, str(n + 1)) for n in range(length - 1)] + [put(3.0, NEVER, "x", "y")]
+        tracemalloc.start()
+        assert linearizable(history)
+        found = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return found
+
+    assert peak(4000) < 6 * peak(1000)
