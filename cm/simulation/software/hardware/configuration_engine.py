@@ -150,7 +150,8 @@ class ConfigurationEngine:
 
     def _feed(self, run: _Run, most: int) -> None:
         """Work on the words that are due before the next step, as a port does while the clock runs."""
-        target = min(run.bytes_at(time.monotonic() + _STEP), most // 4 * 4)
+        now = time.monotonic()
+        target = min(run.bytes_at(now + _STEP + run.took), most // 4 * 4)
         if target > run.fed:
             taken = words = run.data[run.fed : target]
             if run.through is not None:
@@ -158,6 +159,7 @@ class ConfigurationEngine:
             writes = self._port.feed(words)
             run.fed = target
             self._memory.apply(writes, run.full, taken)
+            run.took = time.monotonic() - now
 
     def _wait(self, run: _Run) -> None:
         """Wait until the next step; the loop's own clock has milliseconds, which is too coarse for the last step."""
@@ -210,6 +212,7 @@ class _Run:
         self.through = through
         self.data = data
         self.fed = 0  # bytes worked on
+        self.took = 0.0  # seconds of work in the last step, which come before the next one
         self.finished = finished
         self.full = full
         self.started_ns = started_ns
