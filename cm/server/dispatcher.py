@@ -309,9 +309,14 @@ class Dispatcher:
     def _answer(self, came: Message, client: Client) -> None:
         self.taken += 1
         frames = came.frames
-        cut = 2 if len(frames) == 4 and not frames[1] else envelope_length(frames)
-        if cut > 2 and (guest := guest_named(frames[:cut])):  # a bridge may speak for one
-            came = came._replace(connection=self._gate.guest(came.connection, guest))
+        if len(frames) == 4 and not frames[1]:
+            cut = 2
+        elif len(frames) == 5 and not frames[2] and bytes(frames[1]).isdigit():  # a number before it, as ours have
+            cut = 3
+        else:
+            cut = envelope_length(frames)
+            if guest := guest_named(frames[:cut]):  # a bridge may speak for one
+                came = came._replace(connection=self._gate.guest(came.connection, guest))
         if len(frames) == cut + 2 and frames[cut] == READ_REG and self._read_again(came, client):
             return
         envelope, message = frames[:cut], split_text(frames[cut:])
