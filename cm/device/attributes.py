@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import errno
+import os
 
 from cm.device import advice
 from cm.device.errors import DeviceError, device_error
@@ -21,7 +22,7 @@ class Attributes:
 
     def exists(self, name: str = "") -> bool:
         """Whether the attribute (or the folder itself) is there."""
-        return self.root.join(self.folder, name).exists()
+        return os.path.exists(f"{self.root.prefix}/{self.folder}/{name}")  # noqa: PTH110 (a Path takes several times as long)
 
     def path(self, name: str = "") -> str:
         """Return the full path for messages."""

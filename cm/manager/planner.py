@@ -10,7 +10,7 @@ so they are written and checked after recoupling, while the streams are still st
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import field, replace
 from types import MappingProxyType
 
@@ -487,12 +487,13 @@ class _Planner:
         return s.LoadStatic(image, self._throughput.timeout(whole, image.length), base.name, base.loader)
 
     def _recouple(self, region: Region) -> s.Recouple:
-        return s.Recouple(region, frozenset(self._registers_of(region.name)))
+        return s.Recouple(region, self._registers_of(region.name))
 
-    def _registers_of(self, region: str) -> Iterable[str]:
-        for config in (self._config, *((self._old,) if self._old else ())):
-            for mode in config.modes:
-                yield from (name for name, r in config.visible_registers(mode).items() if r.region == region)
+    def _registers_of(self, region: str) -> frozenset[str]:
+        """The names of all modes."""
+        configs = (self._config,) if self._old is None or self._old is self._config else (self._config, self._old)
+        visible = [config.visible_registers(mode) for config in configs for mode in config.modes]
+        return frozenset([name for registers in visible for name, r in registers.items() if r.region == region])
 
     def _streams(self, regions: set[str], everything: bool) -> tuple[str, ...]:
         """Present streams that pass through a changed region, or look different afterwards."""

@@ -389,6 +389,7 @@ def _load(name: str, node: fdt.FdtNode) -> FirmwareLoad:
 
 
 _MAX_OVERLAY = 16 << 20  # bytes
+_Overlay = tuple[bytes, tuple[FirmwareLoad, ...]]  # a checked blob, and what it would load
 
 
 class OverlayFiles:
@@ -401,7 +402,7 @@ class OverlayFiles:
         self._reader = reader
         self._firmware = firmware
         self._read = read
-        self._checked: dict[Path, tuple[tuple[object, ...], bytes]] = {}
+        self._checked: dict[Path, tuple[tuple[object, ...], _Overlay]] = {}
 
     def beside(self, config: Config, overlay: Overlay, images: Sequence[Image]) -> bytes:
         """An overlay that comes with a configuration or mode whose `images` are in the device when it is applied.
@@ -410,8 +411,7 @@ class OverlayFiles:
         since. Raises FileMissing, and BadOverlay if it would load anything else.
         """
         path = overlay_path(config, overlay, self._root)
-        data = self._overlay(path)
-        loads = firmware_loads(str(path), data)
+        data, loads = self._overlay(path)
         for load in loads:
             self._known(path, config, load, images)
         return loading_nothing(str(path), data) if loads else data
@@ -422,14 +422,14 @@ class OverlayFiles:
         Raises FileMissing, and BadOverlay if it names anything but that image, or is not an overlay for it.
         """
         path = find_file(config, [f"{module.name}.dtbo"], self._root)
-        data = self._overlay(path)
-        loads = firmware_loads(str(path), data)
+        data, loads = self._overlay(path)
         if len(loads) != 1:
             raise BadOverlay(f"{path}: one firmware-name is expected, there are {len(loads)}")
         self._known(path, config, loads[0], [image])
         return naming(str(path), data, self._firmware.private_name(image))
 
-    def _overlay(self, path: Path) -> bytes:
+    def _overlay(self, path: Path) -> _Overlay:
+        """What was found in a file is kept for as long as the file is the same: a tree takes long to read."""
         state = path.stat()
         key = (path, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns)
         found = self._checked.get(path)
@@ -440,8 +440,8 @@ class OverlayFiles:
                 f"{path}: {state.st_size} bytes are not an overlay; it has at most {_MAX_OVERLAY >> 20} MiB"
             )
         data = checked_overlay(str(path), self._read(path))
-        self._checked[path] = (key, data)
-        return data
+        found = self._checked[path] = key, (data, firmware_loads(str(path), data))
+        return found[1]
 
     def _known(self, path: Path, config: Config, load: FirmwareLoad, images: Sequence[Image]) -> None:
         """Raise BadOverlay unless a firmware-name leads to one of the images, with the right flags for it."""

@@ -7,11 +7,12 @@ from cm.device.native._cm import ffi, lib
 from cm.device.native.call import check, encode
 
 READ_MAX = 1 << 16
+_room = ffi.new_allocator(should_clear_after_alloc=False)
 
 
 def read(root: str, path: str) -> bytes:
     """Return the attribute's bytes (at most 64 KiB)."""
-    data = ffi.new("char[]", READ_MAX)
+    data = _room("char[]", READ_MAX)
     count = check(lib.cm_attr_read(encode(root), encode(path), data, READ_MAX))
     return bytes(ffi.buffer(data, count))
 

@@ -83,11 +83,12 @@ class Throughput:
         if seconds <= 0 or length <= 0:
             return self
         rates = _with(self.measured.get(loader, ()), length / seconds)
-        return replace(self, measured=MappingProxyType({**self.measured, loader: rates}))
+        return Throughput(MappingProxyType({**self.measured, loader: rates}), self.steps)
 
     def took(self, step: str, seconds: float) -> Throughput:
         """With one more step, without the time of the port in it."""
-        return replace(self, steps=MappingProxyType({**self.steps, step: _with(self.steps.get(step, ()), seconds)}))
+        times = _with(self.steps.get(step, ()), seconds)
+        return Throughput(self.measured, MappingProxyType({**self.steps, step: times}))
 
 
 def _with(before: tuple[float, ...], new: float) -> tuple[float, ...]:
