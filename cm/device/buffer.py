@@ -55,6 +55,10 @@ class DmaBuffer:
         view = memoryview(self._mappings[writable])
         return view if writable else view.toreadonly()
 
+    def unmap(self) -> None:
+        """Keep no mapping: what only its device uses is no memory of ours. Arrays and views keep theirs."""
+        self._mappings.clear()
+
     def array(self, offset: int = 0, length: int | None = None, writable: bool = True) -> npt.NDArray[np.uint8]:
         """Return ``length`` bytes (default: the rest) from ``offset`` as a uint8 view, not a copy."""
         import numpy as np  # imported here, because a manager needs no arrays

@@ -294,6 +294,9 @@ class PortBuffer(Protocol):
     def memoryview(self) -> memoryview:
         """Its bytes, to be written between `sync_begin` and `sync_end`."""
 
+    def unmap(self) -> None:
+        """Its bytes are not needed for now; `memoryview` has them again."""
+
     def sync_begin(self, write: bool) -> None:
         """The processor accesses it from here on."""
 

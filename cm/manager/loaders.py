@@ -133,6 +133,7 @@ def _filled(icap: ConfigPort, data: bytes) -> Held:
         buffer.sync_begin(write=True)
         buffer.memoryview()[: len(data)] = data
         buffer.sync_end(write=True)
+        buffer.unmap()  # the port reads it, we do not: a manager keeps many images
     except BaseException:
         buffer.close()
         raise

@@ -338,6 +338,17 @@ def test_memory_outlives_buffer_and_channel(dma: tuple[device.AxiDma, Channel]) 
     os.close(fd)
 
 
+def test_a_buffer_that_is_unmapped_is_mapped_again_where_it_is_used(dma: tuple[device.AxiDma, Channel]) -> None:
+    with dma[0].allocate(4096) as buffer:
+        mapped = lambda: Path("/proc/self/maps").read_text().count("memfd:")  # noqa: E731
+        before, view = mapped(), buffer.memoryview()
+        view[0] = 7
+        buffer.unmap()
+        assert (mapped() - before, view[0]) == (1, 7)  # the view's own
+        del view
+        assert (mapped() - before, buffer.memoryview()[0]) == (0, 7)
+
+
 def test_a_view_for_reading_cannot_be_written(dma: tuple[device.AxiDma, Channel]) -> None:
     with dma[0].allocate(64) as buffer:
         view = buffer.array(8, 16, writable=False)
