@@ -2,9 +2,9 @@
 """Frozen dataclasses that compile nothing when they are imported.
 
 The standard library's ``dataclass(frozen=True, slots=True)`` compiles six methods of each class, which was more than a
-third of the manager's start. Here `__init__` is compiled when the first instance is made, and the others are closures
-over the fields; all else (`fields`, `replace`, `asdict`, patterns) is the standard library's. Checkers of types see
-its decorator.
+third of the manager's start. Here `__init__` is compiled when the first instance is made, two are closures over the
+fields, and the others are the same functions for all classes; all else (`fields`, `replace`, `asdict`, patterns) is
+the standard library's. Checkers of types see its decorator.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import MISSING, FrozenInstanceError, fields
 from operator import attrgetter
+from types import FunctionType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -29,7 +30,6 @@ def _made(given: Any) -> Any:
     cls = dataclasses.dataclass(init=False, repr=False, eq=False, slots=True)(given)
     found = fields(cls)
     names = tuple(field.name for field in found)
-    shown = tuple(field.name for field in found if field.repr)
     values = attrgetter(*names, *("__class__", "__class__")[len(names) :])  # a tuple, also of fewer than two fields
 
     def __init__(self: Any, *arguments: Any, **named: Any) -> None:
@@ -37,36 +37,48 @@ def _made(given: Any) -> Any:
         cls.__init__ = made
         made(self, *arguments, **named)
 
-    def __repr__(self: Any) -> str:
-        return f"{type(self).__qualname__}({', '.join(f'{name}={getattr(self, name)!r}' for name in shown)})"
-
     def __eq__(self: Any, other: object) -> Any:
         return values(self) == values(other) if other.__class__ is self.__class__ else NotImplemented
 
     def __hash__(self: Any) -> int:
         return hash(values(self))
 
+    methods = {"__init__": __init__, "__eq__": __eq__, "__hash__": __hash__, **_METHODS}
+    for name in methods.keys() - own:
+        setattr(cls, name, methods[name])
+    return cls
+
+
+class _Alike:
+    """What all classes share: closures for these, too, would take 0.2 MiB of a manager."""
+
+    def __repr__(self: Any) -> str:
+        shown = (f"{field.name}={getattr(self, field.name)!r}" for field in fields(self) if field.repr)
+        return f"{type(self).__qualname__}({', '.join(shown)})"
+
     def __setattr__(self: Any, name: str, value: object) -> None:
-        if type(self) is cls or name in names:
-            raise FrozenInstanceError(f"cannot assign to field {name!r}")
-        super(cls, self).__setattr__(name, value)
+        _refuse(self, "assign to", name)
+        object.__setattr__(self, name, value)
 
     def __delattr__(self: Any, name: str) -> None:
-        if type(self) is cls or name in names:
-            raise FrozenInstanceError(f"cannot delete field {name!r}")
-        super(cls, self).__delattr__(name)
+        _refuse(self, "delete", name)
+        object.__delattr__(self, name)
 
     def __getstate__(self: Any) -> list[Any]:
-        return [getattr(self, name) for name in names]
+        return [getattr(self, field.name) for field in fields(self)]
 
     def __setstate__(self: Any, state: list[Any]) -> None:
-        for name, value in zip(names, state, strict=True):
-            object.__setattr__(self, name, value)
+        for field, value in zip(fields(self), state, strict=True):
+            object.__setattr__(self, field.name, value)
 
-    for method in (__init__, __repr__, __eq__, __hash__, __setattr__, __delattr__, __getstate__, __setstate__):
-        if method.__name__ not in own:
-            setattr(cls, method.__name__, method)
-    return cls
+
+_METHODS = {name: method for name, method in vars(_Alike).items() if isinstance(method, FunctionType)}
+
+
+def _refuse(instance: Any, what: str, name: str) -> None:
+    """Any name of such a class itself; of one that inherits without being one, only the fields."""
+    if "__dataclass_fields__" in vars(type(instance)) or name in type(instance).__dataclass_fields__:
+        raise FrozenInstanceError(f"cannot {what} field {name!r}")
 
 
 def _init(cls: Any) -> Any:

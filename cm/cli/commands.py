@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import difflib
 import sys
 from importlib import import_module
 from typing import ClassVar, NamedTuple, Protocol, cast
@@ -118,6 +117,8 @@ def find_command(name: str) -> Command | None:
 
 def nearest(name: str) -> str | None:
     """A command with a similar name, also by one that it had earlier."""
+    import difflib  # only those who err need it
+
     known = {command.name: command.name for command in COMMANDS}
     known |= {earlier: " ".join(now) for earlier, now in _EARLIER.items() if now[0] in known}
     found = difflib.get_close_matches(name, known, n=1)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import difflib
 import os
 import sys
 from typing import Any, NoReturn
@@ -77,6 +76,8 @@ class Parser(argparse.ArgumentParser):
         return word.partition("=")[0] in known or word[:2] in known or number.match(word) is not None
 
     def _near(self, words: list[str]) -> str:
+        import difflib  # only those who err need it
+
         options = [word.partition("=")[0] for word in words if word.startswith("-")]
         near = difflib.get_close_matches(options[0], self._option_string_actions, n=1) if options else []
         return f"; did you mean {near[0]}?" if near else ""
