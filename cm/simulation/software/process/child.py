@@ -14,7 +14,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from types import TracebackType
 
-from cm import child
+from cm.child import command, environment
 from cm.simulation.software.errors import SimError
 from cm.simulation.software.process.control import Control
 from cm.simulation.software.transport.scratch import Scratch
@@ -200,10 +200,10 @@ class Board:
 
     def _spawn(self) -> Child:
         process = subprocess.Popen(
-            child.command(self._program, *self._command),
+            command(self._program, *self._command),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
-            env=child.environment(),
+            env=environment(),
             start_new_session=True,  # Ctrl-C is for whoever uses the board, who ends it afterwards
         )
         try:

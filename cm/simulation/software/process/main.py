@@ -172,11 +172,11 @@ def _models(sources: Sequence[str]) -> Models:
 
 
 def _configs(paths: Sequence[Path]) -> list[Config]:
-    from cm import schema
+    from cm.schema import load, load_folder
 
     configs: list[Config] = []
     for path in paths or [example_folder()]:
-        configs += schema.load_folder(path).values() if path.is_dir() else [schema.load(path)]
+        configs += load_folder(path).values() if path.is_dir() else [load(path)]
     if not configs:
         raise SimError(f"no runtime schema was found in {', '.join(map(str, paths))}")
     return configs
