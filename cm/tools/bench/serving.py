@@ -99,6 +99,12 @@ def cpu_percent(pid: int, work: Callable[[], object]) -> float:
 
 
 def resident_mib(pid: int) -> float:
-    """Resident memory of a process, MiB."""
+    """Resident memory of a process (RSS), MiB: with every page of a library that it has touched, whoever shares it."""
     pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def proportional_mib(pid: int) -> float:
+    """Its share of resident memory (PSS), MiB: a page that several processes have counts for each in part."""
+    lines = Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="ascii").splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("Pss:")) / 1024
