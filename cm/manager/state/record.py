@@ -20,9 +20,10 @@ import json
 import os
 import threading
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field, replace
 from functools import lru_cache
+from operator import is_
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -138,12 +139,28 @@ class OtherVersion(ValueError):
     """A whole line that another version of this program wrote."""
 
 
-def encode(record: Record) -> bytes:
+class Texts:
+    """JSON of immutable parts of a record, kept until others stand in their place: most stay for many records."""
+
+    def __init__(self) -> None:
+        self._kept: dict[str, tuple[Sequence[object], str]] = {}
+
+    def of(self, place: str, parts: Mapping[str, Mapping[str, Any] | tuple[Any, ...]]) -> str:
+        """The members of an object, and its end."""
+        before, text = self._kept.get(place, ((), ""))
+        values = [*parts.values()]
+        if not (before and all(map(is_, values, before))):
+            text = _json({name: dict(x) if isinstance(x, Mapping) else x for name, x in parts.items()})[1:]
+            self._kept[place] = values, text
+        return text
+
+
+def encode(record: Record, texts: Texts) -> bytes:
     """A line; it begins with a line end, so that a torn line before it does no harm."""
-    plain = _json(_to_plain(record))
+    plain = _text(record, texts)
     rates = ",".join([_measured(kind.value, rates) for kind, rates in record.throughput.measured.items()])
     seconds = ",".join([_measured(kind, took) for kind, took in record.throughput.steps.items()])
-    body = f'{plain[:-1]},"throughput":{{{rates}}},"seconds":{{{seconds}}}}}'.encode()
+    body = f'{plain},"throughput":{{{rates}}},"seconds":{{{seconds}}}}}'.encode()
     return b"\n%08x %b\n" % (zlib.crc32(body), body)
 
 
@@ -184,29 +201,33 @@ def _understood(body: bytes) -> Record:
         raise OtherVersion(str(error)) from None
 
 
-def _to_plain(r: Record) -> dict[str, Any]:
-    """All but what was measured."""
-    return {
-        "version": _VERSION,
-        "boot_id": r.boot_id,
-        "number": r.number,
-        "state": {
-            "config": r.state.config,
-            "mode": r.state.mode,
-            "static": [r.state.static_sha256, r.state.static_config, r.state.static_lost],
-            "regions": {n: [x.phase.value, x.module, x.sha256] for n, x in r.state.regions.items()},
-            "overlays": [[o.name, o.sha256] for o in r.state.overlays],
-            "values": dict(r.state.values),
-            "clocks": dict(r.state.clocks),
-        },
-        "pending": None if r.pending is None else _pending_to_plain(r.pending),
-        **({"way_back": [r.way_back.name, _pending_to_plain(r.way_back.change)]} if r.way_back else {}),
+def _text(r: Record, texts: Texts) -> str:
+    """All but what was measured, and the end."""
+    state = {
+        "config": r.state.config,
+        "mode": r.state.mode,
+        "static": [r.state.static_sha256, r.state.static_config, r.state.static_lost],
+        "regions": {n: [x.phase.value, x.module, x.sha256] for n, x in r.state.regions.items()},
+        "overlays": [[o.name, o.sha256] for o in r.state.overlays],
     }
+    begin = _json({"version": _VERSION, "boot_id": r.boot_id, "number": r.number, "state": state})[:-2]
+    rest = texts.of("state", {"values": r.state.values, "clocks": r.state.clocks})
+    pending = "null" if r.pending is None else _pending_text(r.pending, texts, "pending")
+    back = "" if r.way_back is None else _back_text(r.way_back, texts)
+    return f'{begin},{rest},"pending":{pending}{back}'
 
 
-def _pending_to_plain(pending: Pending) -> dict[str, Any]:
-    plain = {name: getattr(pending, name) for name in Pending.__slots__}
-    return {**plain, "held": dict(pending.held), "values": dict(pending.values), "rates": dict(pending.rates)}
+def _back_text(back: WayBack, texts: Texts) -> str:
+    return f',"way_back":[{_json(back.name)},{_pending_text(back.change, texts, "back")}]'
+
+
+_SHORT = ("number", "config", "mode", "from_config", "from_mode", "step", "subject", "overlay", "from_static")
+
+
+def _pending_text(x: Pending, texts: Texts, place: str) -> str:
+    short = _json({name: getattr(x, name) for name in _SHORT})[:-1]
+    rest = texts.of(place, {"held": x.held, "values": x.values, "found": x.found, "rates": x.rates})
+    return f"{short},{rest}"
 
 
 def _pending_from_plain(plain: Mapping[str, Any]) -> Pending:
@@ -265,6 +286,7 @@ class Journal:
         self._path = folder / "journal"
         self._lock = _locked(folder)
         self._spare = -1
+        self._texts = Texts()
         try:
             self._fd = _open(self._path)
         except OSError:
@@ -280,7 +302,7 @@ class Journal:
 
     def write(self, record: Record) -> None:
         """Add a record; it survives the death of this process from here on. Raises OSError."""
-        line = encode(record)
+        line = encode(record, self._texts)
         if self._at + len(line) > LENGTH:
             self._rotate(line)
         else:

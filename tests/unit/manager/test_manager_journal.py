@@ -17,7 +17,7 @@ import pytest
 
 from cm.manager.errors import StateInUse, StoreCorrupt
 from cm.manager.state.board_state import BoardState, OverlayState, RegionPhase, RegionState
-from cm.manager.state.record import LENGTH, Journal, Pending, Record, Throughput, encode, newest
+from cm.manager.state.record import LENGTH, Journal, Pending, Record, Texts, Throughput, encode, newest
 from cm.schema.model import LoaderKind
 
 FULL = Record(
@@ -139,7 +139,7 @@ def test_a_second_manager_with_the_same_state_folder_is_refused(journal: Journal
 
 def test_what_an_older_program_wrote_without_seconds_is_read(journal: Journal) -> None:
     journal.write(FULL)
-    plain = json.loads(encode(FULL).split(b" ", 1)[1])
+    plain = json.loads(encode(FULL, Texts()).split(b" ", 1)[1])
     assert plain.pop("seconds") == {"load": [0.5]}
     plain["throughput"] = {"icap": 123.5}  # a mean
     body = json.dumps(plain).encode()
