@@ -7,10 +7,9 @@ import sys
 
 from manager_process import environment, served
 
-# numpy alone takes 11 MiB, importlib.resources 2, protobuf in pure Python 1, shutil (with bz2 and lzma) 0.6.
+# numpy alone takes 11 MiB, importlib.resources 2, shutil (with bz2 and lzma) 0.6.
 HEAVY = {"asyncio", "bz2", "ctypes", "email", "http", "importlib.resources", "lzma", "multiprocessing", "shutil"}
-HEAVY |= {"sqlite3", "ssl", "statistics", "tempfile", "unittest", "xml", "zipfile", "decimal", "difflib"}
-HEAVY |= {"google.protobuf.internal.python_message"}
+HEAVY |= {"sqlite3", "ssl", "statistics", "tempfile", "unittest", "xml", "zipfile"}
 LIBRARIES = {"_cffi_backend", "_yaml", "cm", "google", "yaml", "zmq"}
 # By Python itself, where there are any; Debian 13's sitecustomize looks for the last.
 STARTED_WITH = {"_distutils_hack", "sitecustomize", "usercustomize", "apport_python_hook"}
