@@ -19,6 +19,7 @@ from cm.simulation.software.transport.session import Later
 BASE = "sys/kernel/config/device-tree/overlays"
 _SPARE = "sim/overlays"
 _APPLIED, _UNAPPLIED = "applied\n", "unapplied\n"
+_FILES = ("dtbo", "path", "status")
 _Listeners = tuple[socket.socket, socket.socket]  # of `dtbo` and `path`
 
 
@@ -50,7 +51,7 @@ class Overlays:
         folder = _Folder(name, self._root, self._manager, self._faults, self._targets)
         if self._spare:
             place, listeners = self._spare.popitem()
-            self._root.move(place, folder.base)
+            self._root.move(place, folder.base, _FILES)
         else:
             listeners = self._root.bind(f"{folder.base}/dtbo"), self._root.bind(f"{folder.base}/path")
             self._root.write(f"{folder.base}/status", _UNAPPLIED)
@@ -68,7 +69,7 @@ class Overlays:
         for target in [target for target, overlay in self._targets.items() if overlay == name]:
             del self._targets[target]
         place = f"{_SPARE}/{next(self._places)}"
-        self._root.move(folder.base, place)
+        self._root.move(folder.base, place, _FILES)
         assert self._server is not None
         self._server.loop.call_soon(lambda: self._tidied(place, folder.listeners))  # after the answer
 

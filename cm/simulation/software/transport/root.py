@@ -12,6 +12,7 @@ import errno
 import fcntl
 import os
 import socket
+from collections.abc import Sequence
 from pathlib import Path
 
 from cm.simulation.software.errors import NodeError, SimError
@@ -99,13 +100,12 @@ class Root:
         except (OSError, ValueError):  # ValueError: a NUL in the name
             raise NodeError(errno.ENOENT, f"no firmware {name!r}") from None
 
-    def move(self, folder: str, to: str) -> None:
-        """Give a folder made here another place, with what was made in it."""
-        moved = [name for name in self._made if name == folder or name.startswith(f"{folder}/")]
-        self._record(*[to + name.removeprefix(folder) for name in moved])
+    def move(self, folder: str, to: str, files: Sequence[str]) -> None:
+        """Give a folder made here another place, with the files that were made in it."""
+        self._record(to, *[f"{to}/{name}" for name in files])
         (self.path / folder).rename(self.path / to)
-        for name in moved:
-            del self._made[name]
+        for made in (folder, *[f"{folder}/{name}" for name in files]):
+            del self._made[made]
 
     def close(self) -> None:
         """Remove what was made, the lock last."""
