@@ -97,7 +97,7 @@ class _NoStreams:
 
 
 class _Watch:
-    """Notes when each step begins, as a client of ``cm_status`` is told."""
+    """Notes when each step begins; as in the daemon, the thread of changes makes a moment of it, and no status."""
 
     def __init__(self) -> None:
         self.manager: Manager | None = None
@@ -109,7 +109,7 @@ class _Watch:
 
     def status_changed(self) -> None:
         """A step goes on, or the change has ended."""
-        progress = self.manager.status().progress if self.manager else None
+        progress = self.manager.reporter.moment().progress if self.manager else None
         name = progress.step if progress else "end"
         if not self.marks or self.marks[-1][1] != name:
             self.marks.append((time.monotonic_ns(), name))
