@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 import argparse
+import select
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import asdict
 from enum import Enum
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -76,6 +78,7 @@ def followed(board: Board, events: EventStream[_T]) -> Iterator[_T]:
     """Each event. On standard error it says once that the manager does not answer, and once that it does again.
 
     ZeroMQ reconnects and subscribes again silently, so a manager that has gone looks like one that has nothing to say.
+    Raises BrokenPipeError where the reader of our output has gone: the next event, which would show it, may never come.
     """
     answers = True
     with events:
@@ -86,6 +89,18 @@ def followed(board: Board, events: EventStream[_T]) -> Iterator[_T]:
                 _say("the manager answers again" if answers else "the manager does not answer; waiting for it")
             if event is not None:
                 yield event
+            else:
+                _check_reader()
+
+
+def _check_reader() -> None:
+    if sys.platform == "win32":
+        return
+    out = select.poll()
+    with suppress(AttributeError, OSError, ValueError):  # closed by the shell, or no file at all
+        out.register(sys.stdout.fileno(), 0)
+    if any(event & select.POLLERR for _, event in out.poll(0)):
+        raise BrokenPipeError
 
 
 def _next(events: EventStream[_T]) -> _T | None:
