@@ -60,8 +60,10 @@ def _known(value: Any) -> Any:
 
 
 def where(status: Status) -> str:
-    """The mode that the board is in; empty if nothing is loaded."""
-    return f"{status.config_name}/{status.mode}" if status.config_name else ""
+    """The mode that the board is in, or the configuration where it is in none; empty if nothing is loaded."""
+    if not status.mode:  # a change failed, and so did its way back
+        return f"{status.config_name}, in no mode" if status.config_name else ""
+    return f"{status.config_name}/{status.mode}"
 
 
 def window_use(window: WindowStatus) -> str:

@@ -107,17 +107,24 @@ def _manager(args: argparse.Namespace) -> Finding:
     """Whether a manager answers, and in which mode it is."""
     from cm.client.address import default_runtime_dir
     from cm.client.board import connect
-    from cm.errors import CmError
+    from cm.errors import CmError, NotFound
+    from cm.wire.messages.status import PrMode
 
     place = args.connect or str(args.runtime_dir or default_runtime_dir())
     try:
         with connect(args.connect, runtime_dir=args.runtime_dir, timeout=_TIMEOUT, keys=args.keys) as board:
             status = board.status
-    except (CmError, OSError) as error:
+    except NotFound as error:
         advice = "start one with 'cm serve' (or 'cm serve --sim')"
         return Finding("manager", "manager", place, State.MISSING, str(error), advice)
-    mode = where(status) if status.mode else "nothing loaded"
-    return Finding("manager", "manager", place, State.OK, f"version {status.version}, {mode}")
+    except (CmError, OSError) as error:
+        return Finding("manager", "manager", place, State.WRONG, str(error), "see docs/troubleshooting.md")
+    told = f"version {status.version}, {where(status) or 'nothing loaded'}"
+    if status.pr_mode is PrMode.ERROR:
+        why = f": {status.last_error.message}" if status.last_error else ""
+        advice = "mend the cause, then load any mode: 'cm load CONFIG/MODE'"
+        return Finding("manager", "manager", place, State.WRONG, told + why, advice)
+    return Finding("manager", "manager", place, State.OK, told)
 
 
 def _verdict(found: Survey, findings: Sequence[Finding]) -> list[str]:
@@ -148,13 +155,14 @@ def _print_briefly(findings: Sequence[Finding], verdict: list[str]) -> None:
     board, manager, python, curve = (
         next(f for f in findings if f.kind == kind) for kind in ("board", "manager", "python", "curve")
     )
-    answers = manager.state is State.OK
     lacking = [f.name for f in findings if f.kind == "package" and f.state is State.MISSING and f.name not in REQUIRED]
     left = f"; not installed, all optional: {', '.join(lacking)}" if lacking else ""
     software = "; ".join(verdict) or f"Python {python.detail}, {curve.detail}{left}"
     rows = (
         ("-", "board", f"{board.detail}: --connect reaches one elsewhere"),
-        ("ok", "manager", manager.detail) if answers else ("-", "manager", "none answers here"),
+        ("-", "manager", "none answers here")
+        if manager.state is State.MISSING
+        else (manager.state.value, "manager", manager.detail),
         ("missing" if verdict else "ok", "software", software),
     )
     for mark, kind, text in rows:

@@ -271,6 +271,43 @@ def test_doctor_begins_with_the_board_and_who_manages_it(
     assert any(" icap " in line for line in rest[:packages])
 
 
+def test_a_board_in_no_mode_is_not_told_as_one_that_is_well(
+    board: cm.Board, shared: tuple[Manager, SimBoard], capsys: pytest.CaptureFixture[str]
+) -> None:
+    manager, sim = shared
+    there = ("--runtime-dir", str(manager.runtime))
+    board.mode = "default"
+    sim.control.inject("icap_crc", count=0)
+    try:
+        assert main(["mode", "edge_detection", *there]) == 1
+        assert main(["doctor", *there, "--root", str(sim.root)]) == 0
+        told = next(line for line in capsys.readouterr().out.splitlines() if " manager " in line)
+        assert told.startswith("wrong ")
+        assert ", camera, in no mode: load edge into prr0" in told
+        assert main(["status", *there]) == 0
+        assert "camera, in no mode   error" in capsys.readouterr().out
+        with pytest.raises(cm.CmError, match="no stream 'camera' while camera is in no mode"):
+            board.stream("camera").read()
+    finally:
+        sim.control.clear()
+        board.mode = "default"
+    assert main(["doctor", *there, "--root", str(sim.root)]) == 0
+    assert "camera/default" in capsys.readouterr().out
+
+
+def test_doctor_does_not_say_start_one_of_a_manager_that_hangs(
+    manager: Manager, capsys: pytest.CaptureFixture[str]
+) -> None:
+    os.kill(manager.pid, signal.SIGSTOP)
+    try:
+        assert main(["doctor", "--json", "--runtime-dir", str(manager.runtime)]) == 0
+    finally:
+        os.kill(manager.pid, signal.SIGCONT)
+    (found,) = (f for f in json.loads(capsys.readouterr().out)["findings"] if f["kind"] == "manager")
+    assert found["state"] == "wrong"
+    assert "no answer from a configuration manager" in found["detail"]
+
+
 def _roots(manager: Manager) -> list[Path]:
     arguments = list(manager.arguments)
     return [Path(arguments[arguments.index("--root") + 1])] if "--root" in arguments else []

@@ -231,7 +231,8 @@ class StreamPolicy:
             return _only(direction, self.streams.values())
         stream = self.streams.get(name)
         if stream is None:
-            raise UnknownStream(f"no stream {name!r} in mode {self.mode!r}{hint(name, self.streams)}")
+            where = f"in mode {self.mode!r}" if self.mode else f"while {self.config.name} is in no mode"
+            raise UnknownStream(f"no stream {name!r} {where}{hint(name, self.streams)}")
         if direction is not None and stream.direction is not direction:
             raise InvalidRequest(f"stream {name!r} is {stream.direction.value}: it cannot be used the other way")
         return stream
