@@ -156,8 +156,10 @@ def test_watching_tells_changes_and_boards_that_come_and_go(boards: Boards, flee
         with boards["c3"].manager.connected() as client:
             client.mode = "edge_detection"  # by hand, which stays
         assert _until(statuses, "c3", lambda s: s is not None and s.status.mode == "edge_detection")
-        boards["c3"].bridge.end()
-        assert _until(statuses, "c3", lambda s: s is None)
+        with fleet.watch("b1") as own:
+            boards["c3"].bridge.end()
+            assert _until(statuses, "c3", lambda s: s is None)
+            assert {next(own)[0] for _ in range(4)} == {"b1"}  # which is told of nobody else
         boards["c3"].bridge.start()
         assert _until(statuses, "c3", lambda s: s is not None)
 

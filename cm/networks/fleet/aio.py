@@ -24,7 +24,7 @@ from cm.networks.fleet.change import Coordinator, Course, Opening, Progress, not
 from cm.networks.fleet.errors import ChangeFailed, FleetRefused, NoSuchBoard
 from cm.networks.fleet.network import Network, from_environment, member_of, opened_store, session
 from cm.networks.fleet.presence import Presence
-from cm.networks.fleet.queries import Answer, Told, absent
+from cm.networks.fleet.queries import Answer, absent
 from cm.networks.fleet.store import (
     BOARDS,
     Entry,
@@ -189,23 +189,7 @@ class Fleet:
     @asynccontextmanager
     async def watch(self, boards: str = "*") -> AsyncIterator[AsyncIterator[tuple[str, BoardStatus | None]]]:
         """Statuses of boards as they change, and each second; None when a board has gone. One name or ``*``."""
-        async with queries.listening(self.session, keys.key(boards, "status"), self._presence) as told:
-            yield self._statuses(told)
-
-    async def _statuses(self, told: AsyncIterator[Told]) -> AsyncIterator[tuple[str, BoardStatus | None]]:
-        async for each in told:
-            if each.payload is None:
-                yield each.board, None
-            elif each.key.endswith("/status"):
-                yield each.board, wire.board_status(each.payload)
-
-    @asynccontextmanager
-    async def listen(self, board: str, *parts: str) -> AsyncIterator[AsyncIterator[Told]]:
-        """What a board publishes: ``listen("b1", "frames", "camera")``, ``listen("*", "irq", "*")``.
-
-        If more than 64 wait to be read, the oldest are lost.
-        """
-        async with queries.listening(self.session, keys.key(board, *parts), waiting=64) as told:
+        async with queries.statuses(self.session, boards, self._presence) as told:
             yield told
 
     async def _each(self, rest: str, boards: Iterable[str], timeout: float = 0.0) -> dict[str, Answer]:

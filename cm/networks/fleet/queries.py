@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -15,9 +15,11 @@ from cm.networks.fleet.network import zenoh_module
 from cm.networks.fleet.presence import Presence
 from cm.wire import fleet as wire
 from cm.wire.encode import decode_reply
+from cm.wire.messages.fleet import BoardStatus
 from cm.wire.messages.status import ErrorInfo, RegValues
 
 ABSENT = "no_answer"
+_WAITING = 1000  # statuses
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +55,12 @@ async def get(
         if not over.done():
             over.set_result(None)
 
-    def in_loop(what: Callable[..., None], *arguments: Any) -> None:
+    def last() -> None:
         with contextlib.suppress(RuntimeError):  # the loop has ended
-            loop.call_soon_threadsafe(what, *arguments)
+            loop.call_soon_threadsafe(ended)
 
     handler = zenoh.handlers.Callback(  # in zenoh's own thread: a thread for each query costs more than the query
-        lambda reply: in_loop(found.append, _answer(reply)), lambda: in_loop(ended), indirect=False
+        lambda reply: found.append(_answer(reply)), last, indirect=False
     )
     session.get(
         selector,
@@ -89,16 +91,6 @@ def _answer(reply: Any) -> Answer:
     return Answer(board, "", b"", error=ErrorInfo(error.code, message) if colon else error)
 
 
-@dataclass(frozen=True, slots=True)
-class Told:
-    """A publication: its key, its message, and data beside it. No message: the board is gone."""
-
-    board: str
-    key: str
-    payload: bytes | None
-    attachment: bytes = b""
-
-
 _Body = TypeVar("_Body")
 
 
@@ -124,37 +116,36 @@ def registers(answer: Answer) -> RegValues | ErrorInfo:
 
 
 @contextlib.asynccontextmanager
-async def listening(
-    session: Any, expression: str, presence: Presence | None = None, waiting: int = 1000
-) -> AsyncIterator[AsyncIterator[Told]]:
-    """Publications, and with `presence` boards that go away. If more than `waiting` wait, the oldest are lost."""
+async def statuses(
+    session: Any, boards: str, presence: Presence
+) -> AsyncIterator[AsyncIterator[tuple[str, BoardStatus | None]]]:
+    """What boards publish, one or ``*``; None where one has gone. If more than a thousand wait, the oldest are lost."""
     loop = asyncio.get_running_loop()
-    queue: asyncio.Queue[Told] = asyncio.Queue()
+    queue: asyncio.Queue[tuple[str, bytes | None]] = asyncio.Queue()
 
-    def put(told: Told) -> None:
-        if queue.qsize() >= waiting:
+    def put(board: str, status: bytes | None) -> None:
+        if queue.qsize() >= _WAITING:
             queue.get_nowait()
-        queue.put_nowait(told)
+        queue.put_nowait((board, status))
 
-    def tell(told: Told) -> None:
+    def tell(board: str, status: bytes | None) -> None:
         with contextlib.suppress(RuntimeError):  # the loop has ended
-            loop.call_soon_threadsafe(put, told)
+            loop.call_soon_threadsafe(put, board, status)
 
     def came(sample: Any) -> None:
-        key = str(sample.key_expr)
-        attachment = bytes(sample.attachment) if sample.attachment is not None else b""
-        tell(Told(keys.board_of(key), key, bytes(sample.payload), attachment))
+        tell(keys.board_of(str(sample.key_expr)), bytes(sample.payload))
 
     def came_or_went(board: str, there: bool) -> None:
-        if not there:
-            tell(Told(board, keys.key(board, "alive"), None))
+        if not there and boards in ("*", board):
+            tell(board, None)
 
-    async def each() -> AsyncIterator[Told]:
+    async def each() -> AsyncIterator[tuple[str, BoardStatus | None]]:
         while True:
-            yield await queue.get()
+            board, status = await queue.get()
+            yield board, None if status is None else wire.board_status(status)
 
-    subscriber = session.declare_subscriber(expression, came)
-    end = presence.listen(came_or_went) if presence else lambda: None
+    subscriber = session.declare_subscriber(keys.key(boards, "status"), came)
+    end = presence.listen(came_or_went)
     try:
         yield each()
     finally:
