@@ -22,6 +22,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from cm.errors import InvalidRequest
+from cm.networks.fleet.network import in_loop
 from cm.networks.fleet.store import BOARDS, Entry, Put, StoreAway, StoreRefused, key
 
 PREFIX = "cm/"  # of all our keys: others may use the same cluster
@@ -135,7 +136,7 @@ class Etcd:
 
     async def watch(self, prefix: str) -> AsyncIterator[dict[str, Entry]]:
         """As Store has it."""
-        stream = _Stream(self, prefix, asyncio.get_running_loop())
+        stream = _Stream(self, prefix)
         self._streams.add(stream)
         try:
             while not self._over.is_set():
@@ -231,9 +232,9 @@ class _Gone(StoreRefused):
 class _Stream:
     """A watch in a thread of its own: puts what it is told into `changes`, in the loop."""
 
-    def __init__(self, etcd: Etcd, prefix: str, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, etcd: Etcd, prefix: str) -> None:
         self.changes: asyncio.Queue[dict[str, Entry]] = asyncio.Queue()
-        self._etcd, self._prefix, self._loop = etcd, prefix, loop
+        self._etcd, self._prefix, self._tell = etcd, prefix, in_loop(self.changes.put_nowait)
         self._over = threading.Event()
         self._connection: http.client.HTTPConnection | None = None
         self._thread = threading.Thread(target=self._run, name="cm-etcd-watch", daemon=True)
@@ -245,10 +246,6 @@ class _Stream:
         if self._connection is not None and self._connection.sock is not None:
             with contextlib.suppress(OSError):
                 self._connection.sock.shutdown(socket.SHUT_RDWR)
-
-    def _tell(self, changes: dict[str, Entry]) -> None:
-        with contextlib.suppress(RuntimeError):  # the loop has ended
-            self._loop.call_soon_threadsafe(self.changes.put_nowait, changes)
 
     def _run(self) -> None:
         revision, number = 0, self._etcd._first

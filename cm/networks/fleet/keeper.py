@@ -21,6 +21,7 @@ from typing import Any
 from cm.errors import Busy, CmError, InvalidRequest
 from cm.networks.fleet import queries
 from cm.networks.fleet.keys import STORE
+from cm.networks.fleet.network import in_loop
 from cm.networks.fleet.store import BOARDS, Entry, Put, StoreAway, StoreRefused, key
 
 _TIMEOUT = 3.0  # seconds for an answer
@@ -250,11 +251,7 @@ class KeeperStore:
     async def watch(self, prefix: str) -> AsyncIterator[dict[str, Entry]]:
         """As Store has it; the keeper's coming back is a gap, too."""
         changes: asyncio.Queue[dict[str, Entry]] = asyncio.Queue()
-        loop = asyncio.get_running_loop()
-
-        def tell(told: dict[str, Entry]) -> None:
-            with contextlib.suppress(RuntimeError):  # the loop has ended
-                loop.call_soon_threadsafe(changes.put_nowait, told)
+        tell = in_loop(changes.put_nowait)
 
         def came(sample: Any) -> None:
             entry = json.loads(bytes(sample.payload) or b"null")  # earlier keepers said only that there is something

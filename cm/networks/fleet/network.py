@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import json
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -63,6 +66,17 @@ def zenoh_module() -> Any:
     except ImportError as error:
         raise NotInstalled(f"a fleet needs eclipse-zenoh: pip install 'fpga-cm[zenoh]' ({error})") from None
     return zenoh
+
+
+def in_loop(what: Callable[..., object]) -> Callable[..., None]:
+    """The same in the loop that runs here, to be called in any thread; not done where that has ended."""
+    loop = asyncio.get_running_loop()
+
+    def call(*arguments: Any) -> None:
+        with contextlib.suppress(RuntimeError):
+            loop.call_soon_threadsafe(what, *arguments)
+
+    return call
 
 
 def session(network: Network) -> Any:

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from typing import Any
 
 from cm.networks.fleet import keys
-from cm.networks.fleet.network import zenoh_module
+from cm.networks.fleet.network import in_loop, zenoh_module
 
 _FIRST = 2.0  # seconds for the tokens that existed before
 Listener = Callable[[str, bool], None]  # a board, and whether it is there now
@@ -65,12 +65,8 @@ class Presence:
 
     async def all_there(self, wanted: set[str], timeout: float) -> None:
         """Wait until all of them are, at most `timeout` seconds."""
-        loop, changed = asyncio.get_running_loop(), asyncio.Event()
-
-        def came(*_: object) -> None:
-            loop.call_soon_threadsafe(changed.set)
-
-        end = self.listen(came)
+        changed = asyncio.Event()
+        end = self.listen(in_loop(lambda *_: changed.set()))
         until = time.monotonic() + timeout
         try:
             while (left := until - time.monotonic()) > 0:

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from cm.errors import CmError, InvalidRequest
 from cm.networks.fleet import keys
-from cm.networks.fleet.network import zenoh_module
+from cm.networks.fleet.network import in_loop, zenoh_module
 from cm.networks.fleet.presence import Presence
 from cm.wire import fleet as wire
 from cm.wire.encode import decode_reply
@@ -47,20 +47,14 @@ async def get(
     session: Any, selector: str, payload: bytes = b"", attachment: bytes | None = None, timeout: float = 10.0
 ) -> list[Answer]:
     """All answers to a query, once all boards have answered or gone, or the time (seconds) is over."""
-    zenoh, loop = zenoh_module(), asyncio.get_running_loop()
-    found: list[Answer] = []
-    over: asyncio.Future[None] = loop.create_future()
+    zenoh, found, over = zenoh_module(), list[Answer](), asyncio.get_running_loop().create_future()
 
     def ended() -> None:
         if not over.done():
             over.set_result(None)
 
-    def last() -> None:
-        with contextlib.suppress(RuntimeError):  # the loop has ended
-            loop.call_soon_threadsafe(ended)
-
     handler = zenoh.handlers.Callback(  # in zenoh's own thread: a thread for each query costs more than the query
-        lambda reply: found.append(_answer(reply)), last, indirect=False
+        lambda reply: found.append(_answer(reply)), in_loop(ended), indirect=False
     )
     session.get(
         selector,
@@ -120,7 +114,6 @@ async def statuses(
     session: Any, boards: str, presence: Presence
 ) -> AsyncIterator[AsyncIterator[tuple[str, BoardStatus | None]]]:
     """What boards publish, one or ``*``; None where one has gone. If more than a thousand wait, the oldest are lost."""
-    loop = asyncio.get_running_loop()
     queue: asyncio.Queue[tuple[str, bytes | None]] = asyncio.Queue()
 
     def put(board: str, status: bytes | None) -> None:
@@ -128,9 +121,7 @@ async def statuses(
             queue.get_nowait()
         queue.put_nowait((board, status))
 
-    def tell(board: str, status: bytes | None) -> None:
-        with contextlib.suppress(RuntimeError):  # the loop has ended
-            loop.call_soon_threadsafe(put, board, status)
+    tell = in_loop(put)
 
     def came(sample: Any) -> None:
         tell(keys.board_of(str(sample.key_expr)), bytes(sample.payload))

@@ -3,15 +3,14 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from functools import partial
 from typing import Any
 
 from cm.client.aio.relay import Relay, Subscribed
 from cm.networks.fleet import keys
+from cm.networks.fleet.network import in_loop
 from cm.wire import fleet as wire
 from cm.wire import topics
 
@@ -85,14 +84,8 @@ class Stream:
         self._publisher = publisher
         self._relay = relay
         self._subscribed: Subscribed | None = None
-        self._loop = asyncio.get_running_loop()
-        self._listener = publisher.declare_matching_listener(self._matching)
+        self._listener = publisher.declare_matching_listener(in_loop(lambda status: self._follow(status.matching)))
         self._follow(publisher.matching_status.matching)
-
-    def _matching(self, status: Any) -> None:
-        """In zenoh's thread."""
-        with suppress(RuntimeError):  # the loop has ended
-            self._loop.call_soon_threadsafe(self._follow, status.matching)
 
     def _follow(self, wanted: bool) -> None:
         if wanted and self._subscribed is None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Awaitable, Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,7 +22,7 @@ from cm.networks.fleet.board import Board
 from cm.networks.fleet.bridge.managed import ManagedBoard
 from cm.networks.fleet.bridge.publishing import encoding
 from cm.networks.fleet.keys import VERBS
-from cm.networks.fleet.network import zenoh_module
+from cm.networks.fleet.network import in_loop, zenoh_module
 from cm.wire import fleet as wire
 from cm.wire.encode import encode_request
 from cm.wire.json_text import from_json, to_json
@@ -64,16 +63,20 @@ class Reader:
                 found += await ask(intersects)
         return found
 
-    async def frame(self, stream: str) -> Sample:
-        """The next frame of a stream."""
-        request = rq.ReadData(stream, 1.0)
-        reply = await self._relay.forward(encode_request(request), timeout=_TIMEOUT)
-        kind, message = _body(reply[1])
-        return Sample(keys.key(self._board, "frames", stream), kind, message, b"".join(reply[2:]))
+    async def one(self, section: str, name: str) -> Sample:
+        """A register or a field, an interrupt's count and time, or the next frame of a stream, by its name."""
+        requests: dict[str, rq.Request] = {
+            "reg": rq.ReadReg((name,)), "irq": rq.ReadIrq(name), "frames": rq.ReadData(name, 1.0)
+        }  # fmt: skip
+        return Sample(keys.key(self._board, section, name), *await self._asked(requests[section]))
 
-    async def _asked(self, request: rq.Request) -> tuple[str, bytes]:
+    async def _asked(self, request: rq.Request) -> tuple[str, bytes, bytes | None]:
+        """The message of the answer, and what lies beside it."""
         reply = await self._relay.forward(encode_request(request), timeout=_TIMEOUT)
-        return _body(reply[1])
+        found = wire.body(reply[1])
+        if isinstance(found, ErrorInfo):
+            raise RequestFailed(found)
+        return *found, b"".join(reply[2:]) if isinstance(request, rq.ReadData) else None
 
     async def _config(self, words: Mapping[str, str]) -> Sample:
         config = words.get("config", "")
@@ -86,33 +89,17 @@ class Reader:
 
     async def _registers(self, intersects: Callable[[str], bool]) -> list[Sample]:
         """All readable registers, in one request; those whose keys match are returned."""
-        _, values = await self._asked(rq.ReadReg(()))
-        each = wire.each_register(values)
+        each = wire.each_register((await self._asked(rq.ReadReg(())))[1])
         return [
             Sample(key, "RegValues", message)
             for name, message in each
             if intersects(key := keys.key(self._board, "reg", name))
         ]
 
-    async def register(self, name: str) -> Sample:
-        """One register, or a field, by name."""
-        return Sample(keys.key(self._board, "reg", name), *await self._asked(rq.ReadReg((name,))))
-
-    async def interrupt(self, name: str) -> Sample:
-        """One interrupt's count and time."""
-        return Sample(keys.key(self._board, "irq", name), *await self._asked(rq.ReadIrq(name)))
-
     async def _interrupts(self, intersects: Callable[[str], bool]) -> list[Sample]:
         config = await self._relay.ask(calls.describe(), timeout=_TIMEOUT)
         wanted = [i.name for i in config.interrupts if intersects(keys.key(self._board, "irq", i.name))]
-        return [await self.interrupt(name) for name in wanted]
-
-
-def _body(reply: bytes) -> tuple[str, bytes]:
-    found = wire.body(reply)
-    if isinstance(found, ErrorInfo):
-        raise RequestFailed(found)
-    return found
+        return [await self.one("irq", name) for name in wanted]
 
 
 MANY = 64  # commands that may be under way at once
@@ -189,10 +176,9 @@ class Queries:
         self._board = board
         self._reader = reader
         self._commands = commands
-        self._loop = asyncio.get_running_loop()
         self._tasks: set[asyncio.Task[None]] = set()
         self._expression = zenoh_module().KeyExpr
-        came = zenoh_module().handlers.Callback(self._came, indirect=False)
+        came = zenoh_module().handlers.Callback(in_loop(self._begin), indirect=False)
         self._queryable = session.declare_queryable(f"{keys.ROOT}/{board}/**", came, complete=True)
 
     def end(self) -> None:
@@ -201,13 +187,8 @@ class Queries:
         for task in self._tasks:
             task.cancel()
 
-    def _came(self, query: Any) -> None:
-        """In zenoh's thread."""
-        with suppress(RuntimeError):  # the loop has ended
-            self._loop.call_soon_threadsafe(self._begin, query)
-
     def _begin(self, query: Any) -> None:
-        task = self._loop.create_task(self._answer(query))
+        task = asyncio.get_running_loop().create_task(self._answer(query))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
@@ -247,10 +228,8 @@ class Queries:
 
     async def _read(self, wanted: str, expression: Any, words: dict[str, str]) -> list[Sample]:
         parts = wanted.split("/")
-        if len(parts) == 4 and not keys.WILD & set(parts[3]):  # one thing by its name
-            named = {"reg": self._reader.register, "irq": self._reader.interrupt, "frames": self._reader.frame}
-            if parts[2] in named:
-                return [await named[parts[2]](parts[3])]
+        if len(parts) == 4 and parts[2] in ("reg", "irq", "frames") and not keys.WILD & set(parts[3]):
+            return [await self._reader.one(*parts[2:])]
         found = await self._reader.answers(lambda key: bool(expression.intersects(self._expression(key))), words)
         if not found and not keys.WILD & set(wanted):  # no answer at all would look like an absent board
             raise NotFound(f"there is nothing under {wanted}")
