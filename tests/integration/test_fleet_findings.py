@@ -69,6 +69,7 @@ def where(three: tuple[Router, Boards, Fleet], store: str) -> tuple[str, ...]:
 
 
 def state(fleet: Fleet, name: str) -> FleetState:
+    until(lambda: name in fleet.boards())  # the network learns of a bridge a little after that is ready
     status = fleet.status([name])[name]
     assert isinstance(status, BoardStatus), status
     assert status.fleet is not None
