@@ -130,7 +130,7 @@ class Bridge:
         self.ready(board)
         told = relay.subscribe(topics.STATUS, topics.READ_REG, topics.IRQ, take=partial(self._told, publications))
         work = (
-            relay.refused(), self._beat(publications), self._look_at_clock(),
+            relay.refused(), self._beat(publications, commands), self._look_at_clock(),
             self._reconcile(publications, commands), self._follow_store(board, store),
         )  # fmt: skip
         tasks = [asyncio.create_task(each) for each in work]
@@ -179,12 +179,11 @@ class Bridge:
         elif topic == topics.IRQ:
             publications.tell_interrupt(message)
 
-    async def _beat(self, publications: Publications) -> None:
+    async def _beat(self, publications: Publications, commands: Commands) -> None:
         while True:
             if self._status:
                 publications.beat()
-            if self._board.unsettled:
-                self._wake.set()
+            commands.remind()
             await asyncio.sleep(BEAT)
 
     async def _follow_store(self, board: str, store: Store) -> None:

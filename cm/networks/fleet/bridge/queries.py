@@ -148,12 +148,17 @@ class Commands:
 
     async def _step(self, verb: str, step: FleetStep, caller: str) -> FleetState:
         async with self._one:
+            self.wake.clear()
             if verb == "apply":
                 return await self._board.apply(step)
-            self.wake.clear()
             if verb == "prepare":
                 return await self._board.prepare(step, caller)
             return await self._board.look(step.id == keys.AGAIN, step)
+
+    def remind(self) -> None:
+        """Have the board looked at, if there is something to do and nobody is at it."""
+        if self._board.unsettled and not self._one.locked():
+            self.wake.set()
 
     async def look(self) -> str:
         """Do what is wanted of the board now; returns why that is not possible yet, empty if all is done."""
