@@ -347,7 +347,7 @@ def test_a_bridge_waits_for_its_router_and_ends_when_it_is_told_to(boards: Board
 
 def test_a_second_bridge_of_one_name_is_refused(boards: Boards, three: tuple[Router, Boards, Fleet]) -> None:
     where = ("--runtime-dir", str(boards["b1"].manager.runtime), "--router", three[0].endpoint)
-    command = child.command("cm.cli.main", "bridge", "fleet", "--name", "b1", "--lease", "0.1", *where)
+    command = child.command("cm.cli.main", "bridge", "fleet", "--name", "b1", "--lease", "1", *where)
     done = subprocess.run(command, capture_output=True, text=True, env=environment(), cwd="/", check=False, timeout=90)
     assert done.returncode == 1
     assert "a board called 'b1' is in this fleet already: give this one another --name" in done.stderr
