@@ -68,8 +68,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "the same names, arguments and errors. [The guide](../../docs/fleet.md).",
         (
             "cm.networks.fleet.aio", "cm.networks.fleet.change:Course Leg",
-            "cm.networks.fleet.queries:Answer Told",
-            "cm.networks.fleet.status_text:Reading", "cm.networks.fleet.errors:NoSuchBoard FleetRefused ChangeFailed",
+            "cm.networks.fleet.queries:Answer", "cm.networks.fleet.errors:NoSuchBoard FleetRefused ChangeFailed",
             "cm.networks.fleet.network:NoNetwork",
             "cm.networks.fleet.store:View Wanted Claim Settings Entry StoreAway StoreRefused",
             "cm.wire.messages.fleet:BoardStatus FleetState ClockSync Policy Decision BundleState",
