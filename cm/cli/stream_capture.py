@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import io
+import math
 import os
 import signal
 import sys
@@ -244,6 +245,7 @@ def run_capture(args: argparse.Namespace) -> int:
                 interrupted = capture.take(stream, args.count, interrupt)
             except Timeout as error:
                 raise Timeout(f"{error}{_cause(board, args.stream)}") from None
+            capture.note(_why_flat(board, args.stream, capture.like))
     except (OSError, Timeout) as error:
         if isinstance(error, BrokenPipeError) or not capture.sequences:
             raise
@@ -260,6 +262,18 @@ def _cause(board: Board, name: str) -> str:
     return "".join(f": {error.message}" for error in failed if error)
 
 
+def _why_flat(board: Board, name: str, like: tuple[Any, ...]) -> str:
+    """Why frames came as flat bytes, if the stream has another size: what its schema says is not what comes."""
+    if not like or len(like[0]) != 1 or like[1] != np.uint8:
+        return ""
+    for stream in board.status.streams:
+        whole = math.prod(stream.shape) * np.dtype(stream.dtype).itemsize
+        if stream.name == name and stream.shape and whole != like[0][0]:
+            said = f"{'x'.join(map(str, stream.shape))} {stream.dtype}"
+            return f"flat, as {like[0][0]} bytes came, and a frame of {said} has {whole}: shape or dtype is another"
+    return ""
+
+
 class _Capture:
     """What was written so far."""
 
@@ -267,7 +281,7 @@ class _Capture:
         self._to = to
         self.sequences: list[int] = []
         self._remarks: list[str] = []
-        self._like: tuple[Any, ...] = ()
+        self.like: tuple[Any, ...] = ()
 
     def take(self, stream: Stream, count: int, interrupt: _Interrupt) -> bool:
         """Write `count` frames (0: all); whether Ctrl-C ended it."""
@@ -276,13 +290,16 @@ class _Capture:
                 frame = interrupt.during(stream.read)
             except KeyboardInterrupt:
                 return True
-            remark = self._to.add(np.asarray(frame))
+            self.note(self._to.add(np.asarray(frame)))
             self.sequences.append(frame.sequence)
-            self._like = self._like or (frame.shape, frame.dtype)
+            self.like = self.like or (frame.shape, frame.dtype)
             frame.release()
-            if remark:
-                self._remarks.append(remark)
         return False
+
+    def note(self, remark: str) -> None:
+        """A remark for people, if there is one."""
+        if remark:
+            self._remarks.append(remark)
 
     def told(self) -> str:
         """In a sentence."""
@@ -290,12 +307,12 @@ class _Capture:
             return "no frame came"
         number, files = len(self.sequences), self._to.files
         where = ", ".join(files) if len(files) < 4 else f"{files[0]} … {files[-1]}"
-        shape, dtype = self._like
+        shape, dtype = self.like
         return f"{number} frame{'s' if number > 1 else ''} of {shape} {dtype} in {where}"
 
     def tell(self, as_json: bool, to: Any) -> None:
         if as_json:
-            shape = self._like[0] if self._like else ()
+            shape = self.like[0] if self.like else ()
             told = {"files": self._to.files, "sequences": self.sequences, "shape": shape, "remarks": self._remarks}
             with redirect_stdout(to):
                 print_json(told)

@@ -121,6 +121,18 @@ def test_a_full_disk_keeps_every_frame_that_has_room(board: cm.Board, manager: M
     assert out.stat().st_size == 128 + 3 * 307200
 
 
+def test_frames_that_are_flat_as_the_stream_is_described_otherwise_say_so(
+    board: cm.Board, manager: Manager, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place = [str(tmp_path / "x.npy"), "--runtime-dir", str(manager.runtime)]
+    assert main(["stream", "capture", "camera", *place]) == 0
+    assert "bytes came" not in capsys.readouterr().out
+    board.configure_stream("camera", dtype="float32", force=True)
+    assert main(["stream", "capture", "camera", *place]) == 0
+    assert "307200 bytes came, and a frame of 480x640 float32 has 1228800" in capsys.readouterr().out
+    board.set_mode("edge_detection")  # with another mode the schema's dtype comes back
+
+
 def test_a_frame_without_a_shape_is_not_saved_as_a_picture_one_pixel_high(
     board: cm.Board, manager: Manager, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
