@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import tarfile
 from pathlib import Path
@@ -15,6 +16,7 @@ from vmboard import report
 from vmboard.cache import Cache, digest
 from vmboard.errors import EXIT_MISSING, MissingError
 from vmboard.main import main
+from vmboard.pages import documented
 from vmboard.payload import closure
 from vmboard.shell import require, run
 
@@ -175,3 +177,11 @@ def test_a_program_that_is_missing_when_it_is_run_is_named_with_its_package(
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(MissingError, match=r"depmod \(apt install kmod;"):
         run(["depmod", "-b", tmp_path, "6.1"])
+
+
+def test_the_pages_have_what_the_boards_owner_types() -> None:
+    sources = [path.read_text() for path in (Path(__file__).parent / "service").glob("*.py")]
+    asked = [found for text in sources for found in re.findall(r'documented\("([^"]+)", "([^"]+)"\)', text)]
+    assert len(asked) == 4
+    for page, marker in asked:
+        assert marker in documented(page, marker)

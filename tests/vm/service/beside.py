@@ -6,7 +6,8 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from board import RELEASE, Board, documented
+from board import RELEASE, Board
+from vmboard.pages import documented
 
 _SIMULATED = """
 cm serve --sim --runtime-dir $HOME/sim --state-dir $HOME/state 2>log &

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -16,19 +15,8 @@ from vmboard.remote import free_ports
 
 import cm
 
-ROOT = Path(__file__).resolve().parents[3]
 RELEASE = "/opt/cm/release"
 _T = TypeVar("_T")
-
-
-def documented(page: str, marker: str) -> str:
-    """The block of commands of a page in which `marker` stands."""
-    text = (ROOT / page).read_text()
-    blocks = re.findall(r"^```sh\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
-    blocks += re.findall(r"(?:^ {4}.*\n)+", text, re.MULTILINE)
-    found = [block for block in blocks if marker in block]
-    assert len(found) == 1, f"{page} has {len(found)} blocks with {marker!r}"
-    return "\n".join(line.removeprefix("    ") for line in found[0].splitlines()) + "\n"
 
 
 class Board:

@@ -14,8 +14,9 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from beside import Beside, Twins
-from board import RELEASE, Board, documented
+from board import RELEASE, Board
 from vmboard.booted import Booted
+from vmboard.pages import documented
 
 # One board for nearly all: what was begun beside it goes on while others are tried.
 ORDER = ("installed", "users", "bridges", "service", "beside", "upgrade", "power_cut", "write_protected")

@@ -8,7 +8,8 @@ from collections.abc import Iterator
 
 import pytest
 from beside import Beside, library
-from board import Board, documented
+from board import Board
+from vmboard.pages import documented
 
 _ANNA = "PYTHONPATH=/opt/cm-bridge cm fleet {} --zenoh-config fleet/anna.json5"
 _ROUTER = (
