@@ -166,3 +166,9 @@ def test_an_empty_folder_of_pictures_is_refused(tmp_path):
     pytest.importorskip("PIL")
     with pytest.raises(SimError, match="no pictures"):
         camera.load_photos(tmp_path)
+
+
+def test_a_folder_of_pictures_that_cannot_be_read_is_not_called_empty(tmp_path):
+    pytest.importorskip("PIL")
+    with pytest.raises(SimError, match="absent cannot be read as a folder of pictures: No such file"):
+        camera.load_photos(tmp_path / "absent")

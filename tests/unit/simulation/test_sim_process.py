@@ -27,6 +27,7 @@ from sim_support import Dma, Icap, Node, Uio
 
 from cm.formats.bitstream.container import to_dma_words
 from cm.simulation.software import Board, Control, SimError
+from cm.simulation.software.process.main import main
 from cm.simulation.software.transport import protocol as p
 
 REPOSITORY = Path(__file__).resolve().parents[3]
@@ -426,3 +427,12 @@ def test_the_nodes_of_a_board_are_its_users_alone_under_a_umask_that_leaves_the_
             assert [path for path in made if modes[path] & 0o022] == []
     finally:
         os.umask(before)
+
+
+def test_schemas_that_may_not_be_read_are_told_in_one_line(tmp_path, monkeypatch, capsys):
+    def denied(folder):
+        raise PermissionError(errno.EACCES, "Permission denied", str(folder))
+
+    monkeypatch.setattr(Path, "iterdir", denied)  # root may read all
+    assert main(["--root", str(tmp_path / "root"), "--config", str(tmp_path)]) == 1
+    assert capsys.readouterr().err == f"cm sim: [Errno 13] Permission denied: '{tmp_path}'\n"

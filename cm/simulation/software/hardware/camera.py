@@ -36,13 +36,16 @@ def load_photos(folder: Path) -> dict[str, Photo]:
     """A folder's pictures (PNG, JPEG, …) in the order of their names, turned to grey.
 
     Raises:
-        SimError: Pillow is missing, or there is no picture, or one cannot be read.
+        SimError: Pillow is missing, the folder cannot be read, or has no picture, or one cannot be read.
     """
     try:
         from PIL import Image
     except ImportError as error:
         raise SimError("--images needs Pillow: pip install 'fpga-cm[demo]'") from error
-    found = sorted(p for p in folder.glob("*") if p.suffix.lower() in _SUFFIXES)
+    try:
+        found = sorted(p for p in folder.iterdir() if p.suffix.lower() in _SUFFIXES)
+    except OSError as error:
+        raise SimError(f"{folder} cannot be read as a folder of pictures: {error.strerror}") from error
     if not found:
         raise SimError(f"{folder} has no pictures; wanted are files ending in {', '.join(_SUFFIXES)}")
     photos = {}

@@ -100,7 +100,7 @@ def run(args: argparse.Namespace, make: MakeLogic = SoftwareLogic) -> int:
         if args.static_identity is not None:
             spec = spec.with_static(args.static_identity)
         root = Root(args.root)
-    except CmError as error:
+    except (CmError, OSError) as error:
         return failed(error, args)
     try:
         _serve(args, partial(Machine, root=root, spec=spec, models=models, options=options, make=make), parent)
