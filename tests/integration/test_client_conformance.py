@@ -290,6 +290,8 @@ def test_a_value_that_would_be_converted_is_refused(board: Any) -> None:
         with pytest.raises(InvalidRequest, match="focus"):
             board.registers.write({"focus": value})
     assert board.registers.read("focus") == {"focus": 2}
+    with pytest.raises(InvalidRequest, match=rf"from 0 to 2\*\*64 - 1, not {1 << 64}"):
+        board.registers.write({"focus": 1 << 64})
 
 
 def test_registers_are_mapped_on_the_managers_machine_only(board: Any, reach: tuple[str, dict[str, Any]]) -> None:

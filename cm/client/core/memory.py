@@ -54,6 +54,8 @@ def read(name: str, offset: int, length: int | None) -> Generator[Call[Any], Any
     if length is None:
         info: MemoryInfo = yield describe(name)
         length = info.size - offset
+        if length <= 0:
+            raise InvalidRequest(f"memory {name!r}: offset {offset} is not in it; it has {info.size} bytes")
     if length <= 0:
         raise InvalidRequest(f"memory {name!r}: {length} bytes from offset {offset} on are none")
     if length > LENGTH_MAX:
