@@ -7,6 +7,7 @@ import functools
 import gc
 import os
 import re
+import sys
 from collections.abc import Generator
 from pathlib import Path
 from typing import TypeVar
@@ -54,11 +55,23 @@ def pytest_make_parametrize_id(config: pytest.Config, val: object) -> str | None
     return re.sub(r"[^ -~]|\\", " ", val[:40]) if isinstance(val, str) else None
 
 
-def _forget() -> None:
-    """mutmut runs the tests in a fork of a process that has run them before: what it cached hides a mutant."""
-    for thing in gc.get_objects():
-        if isinstance(thing, functools._lru_cache_wrapper) and str(thing.__module__).startswith("cm."):
-            thing.cache_clear()
+def _caches() -> list[functools._lru_cache_wrapper[object]]:
+    wrappers = [thing for thing in gc.get_objects() if isinstance(thing, functools._lru_cache_wrapper)]
+    return [cache for cache in wrappers if str(cache.__module__).startswith("cm.")]
+
+
+class Forgetful:
+    """For mutmut, before each test: what an earlier one has cached hides which tests enter a function, and mutants."""
+
+    _known = 0
+    _found: tuple[functools._lru_cache_wrapper[object], ...] = ()
+
+    def pytest_runtest_setup(self) -> None:
+        """Look for caches again when there are more modules."""
+        if len(sys.modules) != self._known:
+            self._known, self._found = len(sys.modules), tuple(_caches())
+        for cache in self._found:
+            cache.cache_clear()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -113,6 +126,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if suite := config.getoption("suite"):
         items[:] = [item for item in items if _suite(item) == suite]
     if "MUTANT_UNDER_TEST" in os.environ:
-        _forget()
+        config.pluginmanager.register(Forgetful())
         modules = {path: number for number, path in enumerate(dict.fromkeys(item.path for item in items))}
         items.sort(key=lambda item: modules[item.path])
