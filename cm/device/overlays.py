@@ -5,13 +5,16 @@ from __future__ import annotations
 
 import errno
 import re
+from collections.abc import Callable
+from typing import TypeVar
 
 from cm.device import advice
 from cm.device.attributes import Attributes
 from cm.device.base import AnyRoot
-from cm.device.errors import DeviceError, DeviceInvalid, DeviceUnsupported
+from cm.device.errors import DeviceError, DeviceInvalid, DeviceNotFound, DeviceUnsupported
 from cm.device.paths import Root
 
+_T = TypeVar("_T")
 FOLDER = "sys/kernel/config/device-tree/overlays"
 APPLIED = "applied"
 # dtbocfg uses 0 and 1 where linux-xlnx uses words, and applies an overlay when a 1 is written.
@@ -44,7 +47,7 @@ class Overlays:
     def status(self, name: str) -> str:
         """Return the kernel's word for an overlay: "applied" or "unapplied".  Raises DeviceNotFound."""
         self._check(name)
-        text = self._attributes.text(f"{name}/status")
+        text = self._in_folder(self._attributes.text, f"{name}/status")
         return _WORDS.get(text, text)
 
     def apply(self, name: str, dtbo: bytes) -> None:
@@ -57,7 +60,7 @@ class Overlays:
         if not dtbo.startswith(_MAGIC):
             text = f"overlay {name}: not a device-tree blob (it has to begin with d0 0d fe ed); compile it with dtc"
             raise DeviceInvalid(errno.EINVAL, text, self._attributes.path(name))
-        self._attributes.mkdir(name)
+        self._in_folder(self._attributes.mkdir, name)
         try:
             self._attributes.write(f"{name}/dtbo", dtbo)
             self._confirm(name)
@@ -68,7 +71,7 @@ class Overlays:
     def remove(self, name: str) -> None:
         """Remove an overlay.  Remove in the reverse order of `apply`.  Raises DeviceNotFound, DeviceBusy."""
         self._check(name)
-        self._attributes.rmdir(name)
+        self._in_folder(self._attributes.rmdir, name)
 
     def _confirm(self, name: str) -> None:
         """Read the result: configfs applies at close(), which reports no errors."""
@@ -95,9 +98,16 @@ class Overlays:
         if not _NAME.fullmatch(name):
             text = f"overlay name {name!r}: use letters, digits, '.', '_' and '-', and no '.' or '-' first"
             raise DeviceInvalid(errno.EINVAL, text, self._attributes.path())
-        if not self.available():
+
+    def _in_folder(self, call: Callable[[str], _T], name: str) -> _T:
+        """What is done in the folder; where there is none, that is what is wrong. Raises DeviceUnsupported."""
+        try:
+            return call(name)
+        except DeviceNotFound as error:
+            if self.available():
+                raise
             text = (
                 f"{self._attributes.path()} does not exist: this kernel has no overlay interface; "
                 "use linux-xlnx with OF_CONFIGFS, or load our cm_overlay module or dtbocfg (and mount configfs)"
             )
-            raise DeviceUnsupported(errno.EOPNOTSUPP, text, self._attributes.path())
+            raise DeviceUnsupported(errno.EOPNOTSUPP, text, self._attributes.path()) from error

@@ -86,10 +86,12 @@ class Throughput:
         rates = _with(self.measured.get(loader, ()), length / seconds)
         return Throughput(MappingProxyType({**self.measured, loader: rates}), self.steps)
 
-    def took(self, step: str, seconds: float) -> Throughput:
-        """With one more step, without the time of the port in it."""
-        times = _with(self.steps.get(step, ()), seconds)
-        return Throughput(self.measured, MappingProxyType({**self.steps, step: times}))
+    def took(self, *more: tuple[str, float]) -> Throughput:
+        """With more steps: their kinds, and the seconds without the time of the port in them."""
+        steps = {**self.steps}
+        for step, seconds in more:
+            steps[step] = _with(steps.get(step, ()), seconds)
+        return Throughput(self.measured, MappingProxyType(steps))
 
 
 def _with(before: tuple[float, ...], new: float) -> tuple[float, ...]:
@@ -462,6 +464,7 @@ class ManagerState:
         self._number = 0
         self.generation = 0  # of the registers
         self._recorded: Pending | None = None  # as it stands in the record
+        self._took: list[tuple[str, float]] = []  # by steps of the change that runs
         self._dirty = False
         self.urgent = False  # something was noted that is nowhere but here
         self._written: dict[str, int] = {}  # registers that were written since `latest` was made
@@ -561,8 +564,9 @@ class ManagerState:
         self.throughput = self.throughput.observed(kind, length, seconds)
 
     def took(self, step: str, seconds: float, port_seconds: float) -> None:
-        """Keep how long a kind of step took, without the time of the port, for plans."""
-        self.throughput = self.throughput.took(step, seconds - port_seconds)
+        """Keep how long a kind of step took, without the time of the port, for plans; recorded when no change runs."""
+        with self.lock:
+            self._took.append((step, seconds - port_seconds))
 
     # ---- the record ----------------------------------------------------------------
 
@@ -590,6 +594,8 @@ class ManagerState:
             self._write(None if step is None else self.pending)
 
     def _write(self, pending: Pending | None) -> None:
+        if pending is None and self._took:
+            self.throughput, self._took = self.throughput.took(*self._took), []
         try:
             known = Record(self._boot_id, self.board, pending, self.throughput, self._number, self.way_back)
             self._journal.write(known)

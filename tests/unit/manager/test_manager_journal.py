@@ -152,12 +152,12 @@ def test_one_disturbed_measurement_does_not_change_the_estimate() -> None:
     known = Throughput()
     nominal = known.seconds(LoaderKind.ICAP, 4_000_000)
     for seconds in (0.900, 0.021, 0.020, 0.022, 0.700, 0.020):
-        known = known.observed(LoaderKind.ICAP, 4_000_000, seconds).took("load", seconds)
+        known = known.observed(LoaderKind.ICAP, 4_000_000, seconds).took(("load", seconds))
         expected = known.seconds(LoaderKind.ICAP, 4_000_000)
         assert expected == nominal if seconds == 0.900 else expected == pytest.approx(0.021, rel=0.05)
     assert known.overhead("load") == 0.021
     for _ in range(5):
-        known = known.observed(LoaderKind.ICAP, 4_000_000, 0.5).took("load", 0.5)
+        known = known.observed(LoaderKind.ICAP, 4_000_000, 0.5).took(("load", 0.5))
     assert (known.seconds(LoaderKind.ICAP, 4_000_000), known.overhead("load")) == (0.5, 0.5)
 
 

@@ -60,8 +60,8 @@ class Root:
 
     def write(self, relative: str, data: str | bytes) -> None:
         """Write a plain file, replacing it as a whole."""
-        self._parent(relative)
         if relative not in self._made:
+            self._parent(relative)
             self._record(relative)
         path = self.path / _NEW
         left = memoryview(data.encode() if isinstance(data, str) else data)
