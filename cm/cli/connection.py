@@ -92,10 +92,11 @@ def followed(board: Board, events: EventStream[_T]) -> Iterator[_T]:
             if event is not None:
                 yield event
             else:
-                _check_reader()
+                check_reader()
 
 
-def _check_reader() -> None:
+def check_reader() -> None:
+    """Raise BrokenPipeError if standard output is a pipe that nobody reads any more."""
     if sys.platform == "win32":
         return
     out = select.poll()

@@ -11,7 +11,7 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 from cm.cli.common import add_board_options, answer, answer_table, completes, interval, natural, number
-from cm.cli.connection import connected, followed, plain
+from cm.cli.connection import check_reader, connected, followed, plain
 from cm.client.core import registers
 from cm.errors import NotFound
 from cm.wire.messages.status import RegisterInfo
@@ -131,6 +131,7 @@ def _changed(board: Board, names: tuple[str, ...], every: float) -> Iterator[tup
         yield from ((name, value) for name, value in now.items() if before.get(name) != value)
         before = now
         time.sleep(every)
+        check_reader()
 
 
 def _show(args: argparse.Namespace, values: dict[str, int]) -> int:

@@ -66,7 +66,15 @@ def test_a_reader_that_has_gone_is_no_error_that_is_told(line: str) -> None:
     assert done.stderr == ""
 
 
-@pytest.mark.parametrize("line", ["watch | head -1 >/dev/null", "reg watch focus | true", "irq wait frame_done | true"])
+@pytest.mark.parametrize(
+    "line",
+    [
+        "watch | head -1 >/dev/null",
+        "reg watch focus | true",
+        "reg watch led --every 0.1 | head -1 >/dev/null",
+        "irq wait frame_done | true",
+    ],
+)
 def test_who_follows_ends_with_the_reader_though_nothing_happens(board: cm.Board, manager: Manager, line: str) -> None:
     board.mode = "default"
     done = shell(f"timeout 60 {PROGRAM} {line}", manager)
