@@ -91,7 +91,7 @@ class EtcdCluster:
     def __enter__(self) -> EtcdCluster:
         for member in self.members:
             member.start()
-        until(lambda: all(member.healthy() for member in self.members), 60.0)
+        until(lambda: all(member.healthy() for member in self.members), 180.0)  # on a disk that others keep busy
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
