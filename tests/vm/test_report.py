@@ -12,7 +12,8 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from vmboard import report
+from vmboard import qemu, report
+from vmboard.arch import ARM64
 from vmboard.cache import Cache, digest
 from vmboard.errors import EXIT_MISSING, MissingError
 from vmboard.main import main
@@ -185,3 +186,15 @@ def test_the_pages_have_what_the_boards_owner_types() -> None:
     assert len(asked) == 4
     for page, marker in asked:
         assert marker in documented(page, marker)
+
+
+_SILENT_ONCE = "if [ -e once ]; then echo Linux >console.log; echo passed >output.log; else >once; exec sleep 60; fi"
+
+
+def test_a_kernel_that_says_nothing_is_booted_once_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(qemu, "SILENCE_S", 0.5)
+    monkeypatch.setattr(qemu, "logged", lambda _, place: ["sh", "-c", f"cd {place} && {_SILENT_ONCE}"])
+    board = qemu.Machine(ARM64, tmp_path, tmp_path, tmp_path, memory_mb=1)
+    lines: list[str] = []
+    assert qemu.run(board, tmp_path, lines.append).status == 0
+    assert [line.split()[-1] for line in lines] == ["more", "passed"]
