@@ -23,11 +23,23 @@ if TYPE_CHECKING:
 _PAUSE = 0.1  # seconds between two tries
 
 
-def connected(args: argparse.Namespace) -> Board:
-    """The manager that ``--runtime-dir`` or ``--connect`` names, or this machine's."""
-    from cm.client.board import connect  # here: a completed name or a help text needs no client
+def connected(args: argparse.Namespace, timeout: float = 5.0) -> Board:
+    """The manager that ``--runtime-dir`` or ``--connect`` names, or this machine's; `timeout` in seconds.
 
-    return connect(args.connect, runtime_dir=args.runtime_dir, keys=args.keys)
+    Raises what `connect` does; NoAnswer says so where the host's name does not resolve.
+    """
+    from cm.client.board import connect  # here: a completed name or a help text needs no client
+    from cm.client.errors import NoAnswer
+
+    try:
+        return connect(args.connect, runtime_dir=args.runtime_dir, timeout=timeout, keys=args.keys)
+    except NoAnswer as error:
+        from cm.client.address import unresolved
+
+        why = unresolved(args.connect)
+        if why:
+            raise NoAnswer(f"{error}: {why}") from None
+        raise
 
 
 def awaited(args: argparse.Namespace, seconds: float) -> Board:

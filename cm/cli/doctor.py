@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from cm._version import __version__
 from cm.cli.colours import painted
 from cm.cli.common import add_board_options, print_json
-from cm.cli.connection import plain, where
+from cm.cli.connection import connected, plain, where
 from cm.device.checks.machine import Machine
 from cm.device.finding import Finding, State
 from cm.device.paths import Root
@@ -106,13 +106,12 @@ def _curve() -> Finding:
 def _manager(args: argparse.Namespace) -> Finding:
     """Whether a manager answers, and in which mode it is."""
     from cm.client.address import default_runtime_dir
-    from cm.client.board import connect
     from cm.errors import CmError, NotFound
     from cm.wire.messages.status import PrMode
 
     place = args.connect or str(args.runtime_dir or default_runtime_dir())
     try:
-        with connect(args.connect, runtime_dir=args.runtime_dir, timeout=_TIMEOUT, keys=args.keys) as board:
+        with connected(args, _TIMEOUT) as board:
             status = board.status
     except NotFound as error:
         advice = "start one with 'cm serve' (or 'cm serve --sim')"

@@ -31,7 +31,8 @@ def simulated_board(
     A simulator whose manager was killed keeps its state for some seconds, as a board would; `Board`
     takes it over if it was started with the same arguments.
     """
-    runtime.mkdir(mode=0o750, parents=True, exist_ok=True)
+    with contextlib.suppress(FileExistsError):  # a file: the lock below says so
+        runtime.mkdir(mode=0o750, parents=True, exist_ok=True)
     _refuse_where_served(runtime)
     with (
         Board(
@@ -81,10 +82,10 @@ def _refuse_where_served(runtime: Path) -> None:
     try:
         with (runtime / "lock").open("rb") as lock:
             fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
+    except (BlockingIOError, NotADirectoryError):
         from cm.server.folders import FolderLock
 
-        FolderLock(runtime).release()  # raises, naming the holder
+        FolderLock(runtime).release()  # raises, naming the holder, or what is no folder
     except OSError:
         return  # no manager has ever served there, or the daemon will report the error
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from cm.client.errors import NotAdmitted
 from cm.errors import InvalidRequest, NotFound
 from cm.frozen import dataclass
-from cm.wire.topics import Endpoints, ipc_endpoints, tcp_endpoints
+from cm.wire.topics import Endpoints, ipc_endpoints, split_tcp, tcp_endpoints
 
 SYSTEM_DIR = Path("/run/cm")
 _Z85 = re.compile(rb"[0-9a-zA-Z.\-:+=^!/*?&<>()\[\]{}@%$#]{40}")
@@ -124,6 +124,24 @@ def _group(folder: Path) -> str:
     import grp
 
     return grp.getgrgid(folder.stat().st_gid).gr_name
+
+
+def unresolved(endpoint: str | None) -> str:
+    """Why no answer can come from ``tcp://host[:port]`` (default: `$CM_CONNECT`): a host that does not resolve; or "".
+
+    Asks the resolver, which may take seconds: for when no answer came.
+    """
+    import socket  # here: a connection that works needs none
+
+    endpoint = endpoint or os.environ.get("CM_CONNECT", "")
+    if not endpoint.startswith("tcp://"):
+        return ""
+    host = split_tcp(endpoint)[0].strip("[]")
+    try:
+        socket.getaddrinfo(host, None)
+    except (OSError, UnicodeError) as error:
+        return f"the name {host!r} does not resolve ({getattr(error, 'strerror', None) or error})"
+    return ""
 
 
 def load_keys(path: str | os.PathLike[str]) -> Keys:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import fcntl
 import os
 import stat
+from contextlib import suppress
 from pathlib import Path
 
 from cm.device.base import AnyRoot
@@ -28,7 +29,8 @@ def own_folder(folder: Path, group: int | None = None, mode: int = FOLDER_MODE) 
     anyway), is not a link, and cannot be written by others; by its group only if it is sticky. A link further up is
     followed only if everything above it is safe too: /var/run is one on most systems.
     """
-    folder.mkdir(mode=mode, parents=True, exist_ok=True)
+    with suppress(FileExistsError):  # a file: opening it says so
+        folder.mkdir(mode=mode, parents=True, exist_ok=True)
     fd = _opened(folder)
     try:
         status = os.fstat(fd)
@@ -62,7 +64,11 @@ def _opened(folder: Path) -> int:
     try:
         return os.open(folder, flags)
     except NotADirectoryError:
-        raise UnsafeFolder(f"{folder} is not a folder, or a link to one: name the folder itself") from None
+        if folder.is_symlink():
+            raise UnsafeFolder(f"{folder} is not a folder, or a link to one: name the folder itself") from None
+        raise UnsafeFolder(
+            f"{folder} is a file, not a folder: name a folder; one that does not exist yet is made"
+        ) from None
 
 
 def open_inside(folder: Path, name: str, flags: int, mode: int = 0o640) -> int:

@@ -110,7 +110,9 @@ def _upload(r: rq.Upload) -> list[Frame]:
 def _place(name: str, *numbers: int) -> None:
     for number in numbers:
         if not 0 <= number < 1 << 64:
-            raise InvalidRequest(f"memory {name!r}: {number} does not fit 64 bits, unsigned")
+            raise InvalidRequest(
+                f"memory {name!r}: {number} is no place or length in it: those are 0 or more, below 2⁶⁴"
+            )
 
 
 def _configure_stream(r: rq.ConfigureStream) -> list[Frame]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -83,3 +84,17 @@ def test_without_a_compiler_the_software_models_serve_and_the_log_says_so(tmp_pa
     finally:
         manager.stop()
     assert b"models in software" in manager.log
+
+
+def test_a_design_that_no_build_takes_is_simulated_and_the_log_says_what_a_build_refuses(tmp_path: Path) -> None:
+    shutil.copytree(example_build().parent, tmp_path / "design")
+    build = tmp_path / "design/build.yaml"
+    build.write_text(build.read_text().replace("pmoda[0:3]", "ar[0:3]"))
+    without = {**environment(), "CM_VERILATOR": "/nowhere/verilator"}  # nothing is compiled for this
+    manager = Manager(tmp_path / "run", "--sim=rtl", "--build", str(build), env=without).start()
+    try:
+        assert b"cm build generate refuses this design, which is simulated all the same: " in manager.log
+        assert b"are both on" in manager.log
+        assert b"; 3 more: cm build check " in manager.log
+    finally:
+        manager.stop()

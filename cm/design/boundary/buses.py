@@ -114,7 +114,7 @@ def _absent_note(slot: Slot) -> list[str]:
     if slot.mode is Mode.SLAVE and slot.protocol == "axis":
         return [f"has no {slot.name}: data sent there is dropped, so that the sender does not hang"]
     if slot.mode is Mode.SLAVE and slot.protocol.startswith("axi"):
-        return [f"has no {slot.name}: the wrapper must answer accesses with an error, or they hang the bus"]
+        return [f"has no {slot.name}: the generated wrapper answers accesses with an error, so that none hangs the bus"]
     return [f"has no {slot.name}: it stays idle"]
 
 

@@ -61,3 +61,23 @@ def test_a_configuration_without_earlier_versions_is_no_silence(
     assert "no earlier version 7 of configuration vision" in said(
         capsys, "config", "rollback", "vision", "--to", "7", "--out", str(tmp_path)
     )
+
+
+def test_a_host_that_does_not_resolve_is_more_than_no_answer(capsys: pytest.CaptureFixture[str]) -> None:
+    told = said(capsys, "status", "--connect", "tcp://nohost.invalid:5555")
+    assert "no answer from a configuration manager at tcp://nohost.invalid:5557" in told
+    assert "the name 'nohost.invalid' does not resolve (" in told
+
+
+@pytest.mark.parametrize("option", ["--state-dir", "--runtime-dir"])
+@pytest.mark.parametrize("board", [[], ["--sim"]], ids=["a board", "a simulated board"])
+def test_a_file_in_the_place_of_a_folder_is_called_a_file(tmp_path: Path, option: str, board: list[str]) -> None:
+    (tmp_path / "f").write_text("precious")
+    folders = {"--state-dir": "state", "--runtime-dir": "run"} | {option: "f"}
+    words = [word for name, folder in folders.items() for word in (name, str(tmp_path / folder))]
+    command = child.command("cm", "serve", *board, "--root", str(tmp_path / "board"), *words)
+    (tmp_path / "board").mkdir()
+    done = subprocess.run(command, env=child.environment(), capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert f"{tmp_path / 'f'} is a file, not a folder: name a folder" in done.stderr
+    assert (tmp_path / "f").read_text() == "precious"

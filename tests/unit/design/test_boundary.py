@@ -80,9 +80,9 @@ def test_module_without_an_interface_has_its_outputs_tied_idle(make) -> None:
     assert (at(adaptation, "m_axis_tvalid").fit, at(adaptation, "m_axis_tvalid").value) == (Fit.TIE, 0)
     assert (at(adaptation, "s_axis_tready").fit, at(adaptation, "s_axis_tready").value) == (Fit.TIE, 1)
     assert at(adaptation, "s_axis_tdata").fit is Fit.OPEN
-    assert not any("answer accesses with an error" in note for note in adaptation.notes)
+    assert not any("answers accesses with an error" in note for note in adaptation.notes)
     notes = boundary([bare, make("three", "input clk")]).adaptation("three").notes
-    assert any("answer accesses with an error" in note for note in notes)
+    assert any("answers accesses with an error" in note for note in notes)
 
 
 def test_only_interface_of_a_kind_is_paired_whatever_its_name(make) -> None:

@@ -109,3 +109,8 @@ def test_messages_with_several_intents_keep_their_meaning(topic: bytes, message:
 def test_what_is_no_name_is_refused_in_words(request_: Any, said: str) -> None:
     with pytest.raises(InvalidRequest, match=said):
         encode_request(request_)
+
+
+def test_a_place_before_a_memory_is_called_one() -> None:
+    with pytest.raises(InvalidRequest, match=r"memory 'taps': -4 is no place or length .* 0 or more"):
+        encode_request(rq.ReadData("taps", offset=-4, length=8))
