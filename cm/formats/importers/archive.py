@@ -15,8 +15,8 @@ from cm.formats.importers.result import ImportRefused
 from cm.formats.importers.versions import KEEP, locked, put_in_force, roll_back, versions
 from cm.formats.tar import BadTar, Limits, Member, TarStream
 from cm.frozen import dataclass
-from cm.schema import load_folder
-from cm.schema.files import bitstream_path, overlay_path
+from cm.schema import SchemaError, load_folder
+from cm.schema.files import FileMissing, bitstream_path, overlay_path
 from cm.schema.model import Config
 
 Judge: TypeAlias = "Callable[[Path, str, Path], object]"
@@ -48,7 +48,11 @@ def unpack(archive: Path, out: Path, keep: int = KEEP, judge: Judge | None = Non
             name, files = _extract(archive, aside)
             if judge is not None:  # before anything in it is read
                 judge(aside / name, name, out / name)
-            _checked(archive, aside / name)
+            try:
+                _checked(archive, aside / name)
+            except (SchemaError, FileMissing) as error:  # the folder that they name is gone when they are read
+                error.args = (f"{archive}: {str(error).replace(f'{aside / name}/', '')}",)
+                raise
             put_in_force(aside / name, out / name, keep)
         finally:
             shutil.rmtree(aside, ignore_errors=True)

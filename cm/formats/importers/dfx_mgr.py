@@ -459,6 +459,7 @@ def find_image(folder: Path, overlay: FoundOverlay | None, notes: list[str]) -> 
     wanted = [name for text in named for name in (text, text.replace(".bit.bin", ".bin"), text.removesuffix(".bin"))]
     path = _one(candidates, wanted, "image", notes)
     if path is None:
+        notes.append(f"{folder.name}: no image ({' or '.join(_SUFFIXES)}) is in it")
         return None
     if named and path.name not in named:
         notes.append(f"{folder.name}: the overlay names {named[0]}, the folder has {path.name}")

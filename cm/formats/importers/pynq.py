@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import field
 from pathlib import Path
 
+from cm.formats import fdt
 from cm.formats import hwh as handoff
 from cm.formats.bitstream import BitstreamError, Expectation, Report, footprint_of, inspect, outside, verify
 from cm.formats.bitstream.devices import base_name
@@ -112,6 +113,11 @@ def _registers(hwh: Hwh, notes: list[str]) -> dict[str, Register]:
 def _overlays(bit: Path, notes: list[str]) -> tuple[Overlay, ...]:
     path = bit.with_suffix(".dtbo")
     if path.is_file():
+        try:
+            fdt.unpack(path.read_bytes())
+        except fdt.FdtError as error:
+            notes.append(f"{path.name}: left out: no whole flattened device tree: {error}")
+            return ()
         return (Overlay(to_name(bit.stem), path),)
     notes.append(
         f"{path.name}: not there; without an overlay no driver is bound, so registers need UIO nodes otherwise"

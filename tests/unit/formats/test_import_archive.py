@@ -294,7 +294,9 @@ def test_a_bad_archive_is_refused_and_the_folder_is_unchanged(
     unpack(packed(tmp_path, {**GOOD, "notes.txt": b"old"}), out)
     before = held(out)
     assert main(["import", "archive", str(make(tmp_path)), "--out", str(out)]) == 1
-    assert words in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert words in told
+    assert ".import-" not in told, "a folder that is gone by now"
     assert held(out) == before
     assert {path.name for path in tmp_path.iterdir()} == {"firmware", "vision.tar.gz"}
 

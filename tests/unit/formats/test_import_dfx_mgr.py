@@ -277,3 +277,12 @@ def test_command_prints_schemas_or_writes_them(base: Path, tmp_path: Path, capsy
 def test_command_refuses_with_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["import", "dfx-mgr", str(tmp_path)]) == 1
     assert "no shell.json" in capsys.readouterr().err
+
+
+def test_an_accelerator_whose_image_is_a_dangling_link_is_not_left_out_silently(base: Path) -> None:
+    image = base / "fft/fft_slot0/fft.bin"
+    image.unlink()
+    image.symlink_to("nowhere.bin")
+    imported = import_dfx_mgr(base)
+    assert "fft_slot0" not in imported.configs[1].modules
+    assert "fft_slot0: no image (.bin or .bit) is in it" in imported.notes

@@ -304,3 +304,11 @@ def test_the_static_designs_user_id_goes_into_both_configurations(dfx: Path) -> 
     dfx.write_bytes(dfx.read_bytes().replace(b"UserID=0XFFFFFFFF", b"UserID=0X00C0FFEE"))
     found = import_pynq(dfx).configs
     assert [config.static.user_id for config in found if config.static] == [0xC0FFEE, 0xC0FFEE]
+
+
+@pytest.mark.parametrize("data", [b"", b"<html>404</html>"], ids=["empty", "a page"])
+def test_an_overlay_that_is_no_device_tree_is_left_out_with_a_note(overlay: Path, data: bytes) -> None:
+    overlay.with_suffix(".dtbo").write_bytes(data)
+    imported = import_pynq(overlay)
+    assert not static(imported).overlays
+    assert any(note.startswith("cam.dtbo: left out: no whole flattened device tree") for note in imported.notes)
