@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from cm.client.core import calls, leases
 from cm.client.core.leases import HeldLeases
+from cm.errors import CmError
 from cm.wire.messages.requests import TakeLease
 
 if TYPE_CHECKING:
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 
 class BoardLease:
     """Held from entering to leaving, or until its time is over; `renew()` restarts its time.
+
+    Leaving raises RequestNotFound where it had ended before; what ends the block with an error passes as it is.
 
     Meanwhile this board's own calls pass; `id` goes into the ``lease=`` of others. It also ends when this
     process dies (on the manager's machine).
@@ -54,7 +57,11 @@ class BoardLease:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
-        self.release()
+        try:
+            self.release()
+        except CmError:
+            if error is None:  # else what ended the block is told, Ctrl-C too
+                raise
 
     def __repr__(self) -> str:
         return f"<lease on {self.scope}{f', {self.id}' if self.id else ', not held'}>"

@@ -244,6 +244,21 @@ def test_a_lease_on_an_unknown_scope_is_refused_and_one_that_was_not_taken_is_no
         board.lease().renew()
 
 
+def test_what_ends_a_block_passes_as_it_is_although_its_lease_has_ended_before(
+    board: Any, both: tuple[Manager, SimBoard]
+) -> None:
+    def ended(error: BaseException | None = None) -> None:
+        with both[0].connected() as admin:
+            admin.break_lease(next(one.number for one in admin.status.leases if one.scope == "registers:focus"))
+        if error is not None:
+            raise error
+
+    with pytest.raises(KeyboardInterrupt), board.lease("registers:focus"):
+        ended(KeyboardInterrupt())
+    with pytest.raises(RequestNotFound, match="it may have ended"), board.lease("registers:focus"):
+        ended()
+
+
 def test_several_leases_are_used_together(board: Any, other: Any) -> None:
     with board.lease("region:prr0"), board.lease("registers:focus"):
         board.set_mode("edge_detection")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from cm.client.core import calls, leases
 from cm.client.core.leases import HeldLeases
+from cm.errors import CmError
 from cm.wire.messages.requests import TakeLease
 
 if TYPE_CHECKING:
@@ -52,7 +53,11 @@ class BoardLease:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None
     ) -> None:
-        await self.release()
+        try:
+            await self.release()
+        except CmError:
+            if error is None:  # else what ended the block is told, Ctrl-C too
+                raise
 
     def __repr__(self) -> str:
         return f"<lease on {self.scope}{f', {self.id}' if self.id else ', not held'}>"
