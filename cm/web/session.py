@@ -58,8 +58,8 @@ class Session:
         try:
             async for message in self._socket:
                 if message.type is WSMsgType.TEXT:
-                    self._take(json.loads(message.data))
-        except (ValueError, TypeError, AttributeError, KeyError):
+                    self._take(_read(message.data))
+        except (ValueError, TypeError, AttributeError, KeyError, OverflowError):  # int() of 1e999
             await self._socket.close(code=1003, message=b"that is not a message of the page's")
         finally:
             self._hub.topics.ignore(self._tell)
@@ -72,7 +72,7 @@ class Session:
     async def _knows(self, gate: Gate) -> bool:
         try:
             message = await self._socket.receive(timeout=_HELLO)
-            return message.type is WSMsgType.TEXT and gate.knows(json.loads(message.data).get("token"))
+            return message.type is WSMsgType.TEXT and gate.knows(_read(message.data).get("token"))
         except (ValueError, AttributeError, asyncio.TimeoutError):
             return False
 
@@ -150,3 +150,11 @@ class Session:
             self._sent[stream] = newest[0]
             self._waiting[stream] = self._waiting.get(stream, 0) + 1
             await self._socket.send_bytes(newest[1])
+
+
+def _read(text: str) -> Any:
+    """What a page says. Raises ValueError, also where brackets within brackets are more than Python's stack."""
+    try:
+        return json.loads(text)
+    except RecursionError as error:
+        raise ValueError("nested too deeply") from error
