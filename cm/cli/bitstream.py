@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -228,7 +230,8 @@ def run_convert(args: argparse.Namespace) -> int:
         _refuse_loss(args.file, args.output, form)
     _write(args.output, data)
     told = {"file": str(args.output), "container": form.value, "bytes": len(data)}
-    return answer(args, told, f"{args.output}: {form.value}, {len(data)} bytes")
+    with contextlib.redirect_stdout(sys.stderr) if _is_no_file(args.output) else contextlib.nullcontext():
+        return answer(args, told, f"{args.output}: {form.value}, {len(data)} bytes")  # /dev/stdout has the bytes
 
 
 def _refuse_loss(source: Path, output: Path, form: Container) -> None:
@@ -245,9 +248,11 @@ def _refuse_loss(source: Path, output: Path, form: Container) -> None:
 
 def _write(output: Path, data: bytes) -> None:
     """Write whole or not at all, if the output is a file, since it may be the input."""
-    if output.exists() and not output.is_file():
+    if _is_no_file(output):
         output.write_bytes(data)
         return
+    if not output.parent.is_dir():
+        raise InvalidRequest(f"{output}: there is no folder {output.parent}")
     aside = output.with_name(f".{output.name}.new")
     try:
         aside.write_bytes(data)
@@ -256,6 +261,10 @@ def _write(output: Path, data: bytes) -> None:
         aside.replace(output.resolve())
     finally:
         aside.unlink(missing_ok=True)
+
+
+def _is_no_file(output: Path) -> bool:
+    return output.exists() and not output.is_file()
 
 
 def _form_by_name(output: Path) -> Container:

@@ -72,13 +72,21 @@ def frozen(items: Mapping[str, _T]) -> Mapping[str, _T]:
     return MappingProxyType(dict(items))
 
 
+def made(folder: Path) -> None:
+    """Make a folder to write into if there is none. Raises ImportRefused for a file, OSError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise ImportRefused(f"{folder} is a file, not a folder: one that does not exist yet is made") from None
+
+
 def write(imported: Imported, folder: Path) -> list[Path]:
     """Write ``<config>.yaml`` files and links into `folder`; return the files.
 
     Paths below the folder become relative, so that a package can be moved with its schemas. Each schema is read back
     before it is written, so that none is written that would be refused.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    made(folder)
     texts = {folder / f"{config.name}.yaml": dump(_relative(config, folder.resolve())) for config in imported.configs}
     for path, text in texts.items():
         loads(text, path)

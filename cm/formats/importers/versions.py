@@ -20,7 +20,7 @@ from typing import ClassVar
 
 from cm.device.native.exchange import exchange
 from cm.errors import NotFound
-from cm.formats.importers.result import ImportRefused
+from cm.formats.importers.result import ImportRefused, made
 from cm.frozen import dataclass
 
 KEEP = 3
@@ -43,7 +43,7 @@ class Version:
 @contextlib.contextmanager
 def locked(out: Path) -> Iterator[None]:
     """Allow one import or rollback below a folder at a time; remove what killed ones left behind."""
-    out.mkdir(parents=True, exist_ok=True)
+    made(out)
     descriptor = os.open(out, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)
@@ -85,7 +85,7 @@ def roll_back(place: Path, number: int | None = None) -> Version:
     chosen = next((version for version in there if number in (None, version.number)), None)
     if chosen is None:
         known = ", ".join(str(version.number) for version in there) or "none"
-        wanted = f"version {number}" if number else "version"
+        wanted = f"version {number}" if number is not None else "version"
         raise NoSuchVersion(f"no earlier {wanted} of configuration {place.name} in {place.parent} (there: {known})")
     if place.exists():
         _exchange(chosen.folder, place)

@@ -2,11 +2,13 @@
 from __future__ import annotations
 
 import json
+import subprocess
 from pathlib import Path
 
 import pytest
 from bitstream_support import frames, small
 
+from cm import child
 from cm.cli.main import main
 from cm.formats.bitstream import FrameAddress, FrameRun, assemble, to_dma_words
 
@@ -133,6 +135,20 @@ def test_convert_goes_by_the_names_and_back(tmp_path: Path) -> None:
 def test_convert_to_a_name_that_says_nothing_needs_a_form(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bitstream", "convert", str(module(tmp_path, "edge")), str(tmp_path / "out")]) == 1
     assert "--to" in capsys.readouterr().err
+
+
+def test_convert_into_a_pipe_leaves_nothing_in_it_but_the_bitstream(tmp_path: Path) -> None:
+    original = module(tmp_path, "edge")
+    command = child.command("cm", "bitstream", "convert", str(original), "/dev/stdout", "--to", "bin")
+    done = subprocess.run(command, env=child.environment(), capture_output=True, timeout=60, check=True)
+    assert done.stdout == to_dma_words(original)
+    assert b"/dev/stdout: bin, " in done.stderr
+
+
+def test_convert_names_the_folder_that_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    output = tmp_path / "nowhere/edge.bin"
+    assert main(["bitstream", "convert", str(module(tmp_path, "edge")), str(output)]) == 1
+    assert f"{output}: there is no folder {output.parent}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("form", ["bin", "bin-straight"])

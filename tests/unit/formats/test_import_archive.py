@@ -176,6 +176,21 @@ def test_a_rollback_without_an_earlier_version_says_so(tmp_path: Path, capsys: p
     assert "no earlier version" in capsys.readouterr().err
 
 
+def test_version_0_is_one_that_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = imported(tmp_path, b"1", b"2")
+    assert main(["config", "rollback", "vision", "--to", "0", "--out", str(out)]) == 1
+    assert "no earlier version 0 of configuration vision" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [["import", "archive", "{}"], ["config", "rollback", "vision"]], ids=" ".join)
+def test_a_file_is_no_folder_of_configurations(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str]
+) -> None:
+    file = packed(tmp_path, GOOD)
+    assert main([*(word.format(file) for word in words), "--out", str(file)]) == 1
+    assert f"{file} is a file, not a folder" in capsys.readouterr().err
+
+
 def test_a_version_that_was_damaged_does_not_come_back(tmp_path: Path) -> None:
     out = imported(tmp_path, b"1", b"2")
     (versions(out, "vision")[0].folder / "edge.bin").write_bytes(b"rotten")
