@@ -118,6 +118,14 @@ def test_boot_image_converts_to_its_stream() -> None:
     )
 
 
+def test_a_boot_image_that_ends_within_its_table_has_no_further_partitions() -> None:
+    """Its stream is then looked for behind the header, where there is none either."""
+    entry = partition(5, 0x2800, 400, 1)
+    for end in (0xC80 + 64 + 1, 0xC80 + 64 + 63, 0xC80 + 1):
+        with pytest.raises(NoSync, match="boot image"):
+            open_image(boot_image(b"", partitions=(entry, entry))[:end])
+
+
 def test_boot_image_says_that_it_is_encrypted() -> None:
     assert open_image(boot_image(to_dma_words(small()), encryption=0xA5C3C5A3)).encrypted
 

@@ -292,6 +292,7 @@ def test_an_echo_gives_back_what_it_is_given(camera: Daemon, client: Callable[..
     echo.send(head._replace(length=100), packets.SUBMIT)
     done, _, _ = echo.next(packets.DONE)
     assert done.slot == head.slot
+    assert client(camera, Open("", echo=True, length=100)).geometry().depth == 2  # beside it
 
 
 def test_a_reader_that_leaves_keeps_no_stream_open(camera: Daemon, client: Callable[..., Client]) -> None:

@@ -25,6 +25,7 @@ from cm.wire.messages.status import (
     ClockStatus,
     LeaseStatus,
     PrMode,
+    RegionHealth,
     RegionStatus,
     SensorStatus,
     Status,
@@ -37,7 +38,10 @@ READER = StreamClient(7, "view", depth=3)
 STATUS = Status(
     "camera", "edges", True, PrMode.ERROR, sequence=42, version="1.2", started_ns=1_500_000_000, board="lab",
     last_change=9, last_change_seconds=0.25, clocks=(ClockStatus("fclk0", 100, 99), ClockStatus("off", 100)),
-    regions=(RegionStatus("prr0", "edge", "ready"), RegionStatus("prr1", None, "unknown")),
+    regions=(
+        RegionStatus("prr0", "edge", "ready", health=RegionHealth(checks=7, upsets=3, repairs=2, wrong_bits=1)),
+        RegionStatus("prr1", None, "unknown"),
+    ),
     streams=(
         StreamStatus("camera", "dma0", "s2mm", slots=8, open=True, frames=5, rate=30.5, latency_us=250.0,
                      clients=(READER,), overruns=2),

@@ -341,6 +341,8 @@ def test_a_guests_own_name_counts_before_patterns_and_a_long_pattern_before_a_sh
         ("WEB:bob", Role.NONE),
     ):
         assert gate.everywhere(gate.guest(user(1000).id, name)) is role, name
+    gate = Gate(Access(users=MappingProxyType({"anna": ("web",)}), roles=roles, guests=MappingProxyType({})), USERS)
+    assert gate.everywhere(gate.guest(user(1000).id, "web:ann")) is Role.NONE
 
 
 def test_an_admin_speaks_for_every_guest_and_a_user_without_the_right_for_none() -> None:

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from cm.cli.main import main
 from cm.server.settings import Settings, SettingsError, SettingsMissing, find_configs, load_settings, parse_settings
 from cm.server.settings import settings_schema as schema
-from cm.server.settings.model import USUAL, Limits, LimitSettings
+from cm.server.settings.model import USUAL, Limits, LimitSettings, ScrubSettings
 
 ROOT = Path(__file__).resolve().parents[3]
 SCHEMA = "config: {{name: {}, modules: {{a: {{}}}}, modes: {{m: {{modules: [a]}}}}}}\n"
@@ -38,6 +38,12 @@ def test_every_example_in_the_shipped_file_is_good() -> None:
     examples = [line[1:] for line in lines if line.startswith("#") and not line.startswith("# ")]
     assert len(examples) >= 8
     assert parse_settings("\n".join(examples)).load == "camera/default"
+
+
+def test_how_often_a_region_is_compared_has_units_and_defaults() -> None:
+    known = parse_settings("scrub: {prr0: {every: 5s, budget: 10 %}, prr1: {}}").scrub
+    assert (known["prr0"].every, known["prr0"].budget) == (5.0, 0.1)
+    assert known["prr1"] == ScrubSettings()
 
 
 EXAMPLE = re.compile(r"^( {4}|)(?:listen|access|limits|policy):.*\n(?:^\1(?!```).*\n)*", re.MULTILINE)
@@ -96,6 +102,7 @@ def test_one_address_may_stand_without_a_list() -> None:
         ("imports: {keep: '3'}\n", (1, 11, "imports.keep", "bad_type")),
         ("- listen\n", (1, 1, "", "bad_type")),
         ("log: [\n", (2, 1, "", "yaml_syntax")),
+        ("access:\n  users: {anna: obsrve}\n", (2, 17, "access.users.anna[0]", "unknown_role")),
     ],
 )
 def test_a_mistake_in_the_settings_is_reported_with_its_place(text: str, found: tuple[int, int, str, str]) -> None:
