@@ -86,6 +86,11 @@ def resolve(endpoint: str | os.PathLike[str] | None, runtime_dir: str | os.PathL
         raise InvalidRequest("give an endpoint or a runtime folder, not both")
     endpoint = os.fspath(endpoint) if endpoint is not None else None
     if endpoint is not None and endpoint.startswith("tcp://"):
+        if not _can_be_host(split_tcp(endpoint)[0]):
+            raise InvalidRequest(
+                f"endpoint {endpoint!r} is not tcp://host[:port]: a host is a name of ASCII letters, digits, - and ., "
+                "or an address, for IPv6 as in tcp://[2001:db8::1]"
+            )
         return tcp_endpoints(endpoint)
     if endpoint is not None and "://" in endpoint.removeprefix("ipc://"):
         raise InvalidRequest(f"endpoint {endpoint!r}: it is tcp://host[:port], or the runtime folder of a manager here")
@@ -102,6 +107,12 @@ def resolve(endpoint: str | os.PathLike[str] | None, runtime_dir: str | os.PathL
     if not endpoint and not runtime_dir and _is_of_another_user(folder):
         raise NotAdmitted(f"{folder} belongs to another user: its manager is not ours")
     return ipc_endpoints(folder)
+
+
+def _can_be_host(host: str) -> bool:
+    """What zmq_connect() does not refuse as an invalid argument (libzmq's socket_base.cpp); brackets come in pairs."""
+    plain = host.translate(dict.fromkeys(b".-:%;[]_*"))
+    return plain.isascii() and plain.isalnum() and host[0] not in ".-%;]_*" and host.count("[") == host.count("]")
 
 
 def _not_for_us(folder: Path) -> str:
@@ -136,7 +147,7 @@ def unresolved(endpoint: str | None) -> str:
     endpoint = endpoint or os.environ.get("CM_CONNECT", "")
     if not endpoint.startswith("tcp://"):
         return ""
-    host = split_tcp(endpoint)[0].strip("[]")
+    host = split_tcp(endpoint)[0].rpartition(";")[2].strip("[]")  # behind libzmq's own address, if there is one
     try:
         socket.getaddrinfo(host, None)
     except (OSError, UnicodeError) as error:

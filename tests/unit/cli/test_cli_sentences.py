@@ -63,6 +63,13 @@ def test_a_configuration_without_earlier_versions_is_no_silence(
     )
 
 
+@pytest.mark.parametrize("host", ["ü.invalid", "a b", "kria.local/x", "*", "", "[::1", "a#b", ".."])
+def test_what_can_be_no_host_is_refused_at_once(capsys: pytest.CaptureFixture[str], host: str) -> None:
+    told = said(capsys, "status", "--connect", f"tcp://{host}:5560")
+    assert "is not tcp://host[:port]" in told
+    assert told.count("\n") == 1
+
+
 def test_a_host_that_does_not_resolve_is_more_than_no_answer(capsys: pytest.CaptureFixture[str]) -> None:
     told = said(capsys, "status", "--connect", "tcp://nohost.invalid:5555")
     assert "no answer from a configuration manager at tcp://nohost.invalid:5557" in told
