@@ -88,6 +88,8 @@ def _write_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
         return _remove(m)
     change = rq.ChangeMode(m.config_name, m.mode, "", m.no_wait, m.no_queue, m.force, m.lease, m.undoable, m.undo)
     if not m.schema:
+        if m.provision_only or m.files:  # without a word of its own it would be a change of the mode
+            raise InvalidRequest("cm_write_config: the schema to be provisioned is empty (begin with config:)")
         return change
     data = iter(payload)
     files = tuple(_file(f, None if f.upload else next(data)) for f in m.files)

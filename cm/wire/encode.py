@@ -66,6 +66,8 @@ def _change_mode(r: rq.ChangeMode) -> list[Frame]:
 def _provision(r: rq.Provision) -> list[Frame]:
     import hashlib  # here: few requests have files
 
+    if not r.schema:  # on the wire that is a change of the mode
+        raise InvalidRequest("the schema is empty (begin with config:)")
     files = [
         pb.File(name=f.name, upload=f.upload, sha256=f.sha256)
         if f.upload

@@ -11,7 +11,7 @@ import pytest
 
 from cm.errors import InvalidRequest
 from cm.server.handlers import Handlers
-from cm.wire.cm_pb2 import DataConfig, Lease, ReadConfig, WriteConfig
+from cm.wire.cm_pb2 import DataConfig, File, Lease, ReadConfig, WriteConfig
 from cm.wire.decode import decode_request
 from cm.wire.encode import encode_request
 from cm.wire.messages import requests as rq
@@ -114,3 +114,12 @@ def test_what_is_no_name_is_refused_in_words(request_: Any, said: str) -> None:
 def test_a_place_before_a_memory_is_called_one() -> None:
     with pytest.raises(InvalidRequest, match=r"memory 'taps': -4 is no place or length .* 0 or more"):
         encode_request(rq.ReadData("taps", offset=-4, length=8))
+
+
+@pytest.mark.parametrize("change", [None, CHANGE], ids=["kept", "and loaded"])
+def test_an_empty_schema_is_no_change_of_the_mode(change: rq.ChangeMode | None) -> None:
+    with pytest.raises(InvalidRequest, match="the schema is empty"):
+        encode_request(rq.Provision("", change=change))
+    for message in (WriteConfig(provision_only=True), WriteConfig(files=[File(name="a.bit", upload="u")], mode="edge")):
+        with pytest.raises(InvalidRequest, match="the schema to be provisioned is empty"):
+            decode_request([b"cm_write_config", message.SerializeToString()])
