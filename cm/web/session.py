@@ -83,8 +83,9 @@ class Session:
             raise TypeError(f"{message!r} is not a message")
         if "drawn" in message:
             stream = str(message["drawn"])
-            self._waiting[stream] = max(0, self._waiting.get(stream, 0) - 1)
-            self._wake.set()
+            if self._waiting.get(stream):
+                self._waiting[stream] -= 1
+                self._wake.set()
         elif "watch" in message:
             self._watch({str(stream) for stream in message["watch"]})
         elif "do" in message:
