@@ -11,11 +11,13 @@ from pathlib import Path
 import pytest
 from bitstream_support import HERE, compressed, frames, small, two_sections
 
-from cm.formats.bitstream import FrameRun, assemble, assemble_module, default_footprint, inspect
+from cm.formats.bitstream import FrameAddress, FrameRun, assemble, assemble_module, default_footprint, inspect
 from cm.formats.bitstream.assemble import assemble_stream
+from cm.formats.bitstream.errors import UnknownDevice
 from cm.formats.bitstream.module import ModuleIdentity, identify_bytes
 from cm.formats.bitstream.verify import expect_static
 from cm.schema import load
+from cm.schema.model import FrameRange
 
 CAMERA = Path(__file__).resolve().parents[3] / "cm" / "data" / "camera" / "camera.yaml"
 
@@ -53,6 +55,31 @@ def test_a_module_fills_its_columns_one_after_the_other() -> None:
     found = inspect(assemble_module("edge", size=404 * 80)).footprint
     assert [item.column for item in found] == list(range(range_.column_first, range_.column_last + 1))
     assert sum(item.frames for item in found) == 80 + len(found), "each run ends with a frame of padding"
+
+
+def test_a_small_module_fills_no_more_columns_of_its_region_than_it_needs() -> None:
+    found = inspect(assemble_module("edge", footprint=[FrameRange(0, 0, 2, 9)], size=404 * 40)).footprint
+    assert [item.column for item in found] == [2, 3]
+
+
+@pytest.mark.parametrize(
+    ("address", "told"),
+    [
+        (FrameAddress(8, 0, 0), "8 needs over 3 bits"),
+        (FrameAddress(0, 64, 0), "64 needs over 6 bits"),
+        (FrameAddress(0, 0, 1024), "1024 needs over 10 bits"),
+        (FrameAddress(0, 0, 0, 128), "128 needs over 7 bits"),
+        (FrameAddress(0, 0, -1), "-1 needs over 10 bits"),
+    ],
+)
+def test_an_address_that_the_register_cannot_hold_is_refused(address: FrameAddress, told: str) -> None:
+    with pytest.raises(ValueError, match=f"does not fit a frame address of .*{told}"):
+        assemble("xc7z020", [FrameRun(address, frames(1))])
+
+
+def test_a_device_that_is_not_known_is_named() -> None:
+    with pytest.raises(UnknownDevice, match="device 'xc7z999' has no IDCODE"):
+        assemble("xc7z999", [])
 
 
 def test_there_are_at_most_as_many_sections_as_runs() -> None:

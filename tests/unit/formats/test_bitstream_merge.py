@@ -10,7 +10,7 @@ import pytest
 from xray_oracle import DATABASE
 
 from cm.design.packages import PackagesUnavailable, fetch
-from cm.formats.bitstream import FrameAddress, FrameRun, assemble
+from cm.formats.bitstream import FrameAddress, FrameRun, assemble, inspect
 from cm.formats.bitstream.errors import CannotRelocate
 from cm.formats.bitstream.memory import frames_in
 from cm.formats.bitstream.relocate import relocate
@@ -37,9 +37,10 @@ def frames_of(database: Database, features: Iterable[tuple[str, str]]) -> dict[i
     return encoded.frames
 
 
-def partial(frames: dict[int, int], column: int = UPPER) -> bytes:
-    """A bitstream of a whole column, as the flow makes it."""
-    data = b"".join(to_bytes(frames.get(column + minor, 0)) for minor in range(36))
+def partial(frames: dict[int, int], column: int = UPPER, columns: int = 1) -> bytes:
+    """A bitstream of whole columns, as the flow makes it: one run."""
+    addresses = [column + (more << 7) + minor for more in range(columns) for minor in range(36)]
+    data = b"".join(to_bytes(frames.get(address, 0)) for address in addresses)
     row, number = (32 if column & 1 << 22 else 0), column >> 7 & 0x3FF
     return assemble("xc7z010", [FrameRun(FrameAddress(0, row, number), data + bytes(404))])
 
@@ -72,16 +73,32 @@ def test_what_the_static_part_has_there_stays_and_what_it_had_here_does_not_come
     }
 
 
+def test_frames_that_follow_each_other_are_one_run_there_too_from_column_to_column(database: Database) -> None:
+    moves = {UPPER: LOWER, UPPER + 0x80: LOWER + 0x80}
+    blank = frames_of(database, [("INT_L_X16Y60", SWITCH), ("INT_L_X16Y13", SWITCH)])
+    module = partial({address: blank.get(address, 0) for at in moves for address in range(at, at + 36)}, columns=2)
+    for data in (module, relocate(module, moves, blank, database)):
+        assert [(run.column, run.frames) for run in inspect(data).footprint] == [(40, 73)]
+
+
 def test_a_wire_that_both_drive_is_named(database: Database) -> None:
     blank = frames_of(database, [("INT_L_X16Y10", "SS2BEG0.SL1END0")])
     module = partial(frames_of(database, [("INT_L_X16Y60", "SS2BEG0.LOGIC_OUTS_L12")]))
-    assert "INT_L_X16Y10.SS2BEG0 has two drivers" in told(database, module, blank, {UPPER: LOWER})
+    refused = told(database, module, blank, {UPPER: LOWER})
+    assert "INT_L_X16Y10.SS2BEG0 has two drivers" in refused
+    assert refused.endswith("SL1END0, and 1 more"), "the bit that both set, which is the other reason"
 
 
 def test_a_wire_that_turns_back_at_the_edge_of_the_device_leads_out_of_another_region(database: Database) -> None:
     module = partial(frames_of(database, [("INT_L_X16Y99", "NN2BEG0.LOGIC_OUTS_L0")]))
     refused = told(database, module, {}, {UPPER: LOWER})
     assert "wire NN2BEG0 of INT_L_X16Y49, which the module uses, leads out of the region: to INT_L_X16Y5" in refused
+
+
+def test_a_wire_that_turns_back_only_there_has_other_ends(database: Database) -> None:
+    module = partial(frames_of(database, [("INT_L_X16Y49", "NN2BEG0.LOGIC_OUTS_L0")]), LOWER)
+    refused = told(database, module, {}, {LOWER: UPPER})
+    assert refused == "wire NN2BEG0 of INT_L_X16Y99, which the module uses, has other ends there"
 
 
 def test_columns_of_other_kinds_are_refused_even_with_as_many_frames(database: Database) -> None:
