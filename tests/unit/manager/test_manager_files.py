@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from manager_schemas import DUO, MANAGED, TEXTS, written
@@ -20,7 +21,7 @@ from manager_support import Rig, rig
 
 from cm.errors import InvalidRequest
 from cm.formats.bitstream import Container, assemble_module, convert
-from cm.formats.bitstream.errors import BadContainer, FootprintOutside, Sha256Mismatch
+from cm.formats.bitstream.errors import BadContainer, FootprintOutside, Sha256Mismatch, UnknownDevice
 from cm.manager.errors import BadOverlay
 from cm.manager.interfaces import Image
 from cm.schema import loads
@@ -157,6 +158,25 @@ def test_if_the_file_cannot_be_written_a_footprint_is_known_until_the_manager_en
     put(duo, "b0", module("b0", 1))
     with pytest.raises(FootprintOutside):
         image(files, duo, "b0")
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"encrypted": True}, "is encrypted"),
+        ({"encrypted": True, "idcode": None}, "is encrypted"),
+        ({"idcode": None}, "is for a device that is not known"),
+        ({"idcode": 0x0123_4093}, "is for a device that is not known"),
+    ],
+)
+def test_frames_that_cannot_be_compared_are_refused_with_the_reason(
+    duo: Config, tmp_path: Path, change: dict[str, Any], why: str
+) -> None:
+    files = opened(tmp_path)
+    found = image(files, duo, "a0")
+    assert files.loaded_frames(found) is files.loaded_frames(found)
+    with pytest.raises(UnknownDevice, match=f"a0.bit {why}: its frames cannot be compared"):
+        files.loaded_frames(replace(found, sha256="0" * 64, **change))
 
 
 # ---- firmware ---------------------------------------------------------------------------

@@ -118,13 +118,13 @@ def test_a_window_has_the_memories_that_end_within_it(sim: SimBoard, tmp_path: P
 
 
 def test_a_board_without_the_node_says_why(tmp_path: Path) -> None:
-    with pytest.raises(NoWindow, match="--sim=rtl"):
+    with pytest.raises(NoWindow, match=r"^this simulated board .* \(--sim=rtl, --sim=bits\); they go by"):
         BoardDevices(Root.of(tmp_path)).windows()
 
 
 @pytest.mark.skipif(Path("/dev/cm_window").exists(), reason="the kernel module is loaded here")
 def test_a_kernel_without_the_module_is_told_by_its_name() -> None:
-    with pytest.raises(NoWindow, match="modprobe cm_window"):
+    with pytest.raises(NoWindow, match=r"^the kernel module .* \(modprobe cm_window\); they go by"):
         BoardDevices(Root.of("/")).windows()
 
 

@@ -6,9 +6,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from bitstream_support import small, two_sections
+from bitstream_support import HERE, frames, small, two_sections
 
-from cm.formats.bitstream import Container, convert
+from cm.formats.bitstream import Container, FrameAddress, FrameRun, assemble, convert
 from cm.formats.bitstream.errors import Sha256Mismatch
 from cm.manager.interfaces import Image
 from cm.server.files import BitstreamReader, image_of
@@ -43,6 +43,14 @@ def test_another_stream_does_not_configure_alike(reader: BitstreamReader, tmp_pa
     other.write_bytes(convert(two_sections(), Container.BIN_SWAPPED))
     assert not reader.configures_as(other, image)
     assert not reader.has_words_of(other, image)
+
+
+def test_every_section_of_a_stream_counts(reader: BitstreamReader, tmp_path: Path) -> None:
+    image = stored(reader, tmp_path, two_sections())
+    runs = [FrameRun(HERE, frames(1, b"others")), FrameRun(FrameAddress(1, 2, 3), frames(2, b"more"))]
+    other = tmp_path / "other.bit"
+    other.write_bytes(assemble("xc7z020", runs, sections=2))  # differs in its first section alone
+    assert not reader.configures_as(other, image)
 
 
 def test_a_file_that_was_replaced_is_not_read_for_what_was_checked(reader: BitstreamReader, tmp_path: Path) -> None:

@@ -10,7 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cm.cli.serve import Lines
+from cm.errors import Forbidden
 from cm.server.rights.audit import BURST, Audit, described
+from cm.server.rights.gate import Gate
+from cm.server.rights.model import Access
+from cm.server.rights.needs import Scene
+from cm.server.rights.policy import Users
 from cm.server.rights.principal import Principal, of_process
 from cm.wire.messages import requests as rq
 
@@ -58,6 +63,23 @@ def test_a_request_is_described_by_what_it_changes() -> None:
     assert described(who, rq.WriteReg(writes)).endswith("WriteReg r0, r1, r2, r3 and 5 more")
     assert described(who, rq.WriteData("to_pl", b"secret")).endswith("WriteData to_pl")
     assert described(who, rq.ReleaseLease("")).endswith("ReleaseLease")
+
+
+def test_a_refusal_and_what_changes_something_are_reported_and_a_look_is_not(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "cm.audit")
+    users = Users(lambda _: "anna", lambda *_: (), 500)
+    gate = Gate(Access(users={"anna": ("operate",)}), users)
+    anna = of_process("ipc", 1000, 1000, 7).id
+    admitted = [rq.ReadStatus(), rq.TakeLease("board"), rq.ReadReg(("zoom",))]
+    for request in admitted:
+        gate.admit(anna, request, lambda: Scene(None, None, lambda _: None))  # type: ignore[arg-type, return-value]
+    with pytest.raises(Forbidden) as refused:
+        gate.admit(anna, rq.RemoveConfig("camera"), lambda: Scene(None, None, lambda _: None))  # type: ignore[arg-type, return-value]
+    assert [(record.levelname, record.getMessage()) for record in caplog.records] == [
+        ("INFO", "anna (uid 1000, pid 7): TakeLease board"),
+        ("WARNING", f"refused: {refused.value}"),
+    ]
+    assert str(refused.value).startswith("anna (uid 1000, pid 7) has no right to cm_write_config")
 
 
 @given(st.text(), st.text())

@@ -19,7 +19,7 @@ from cm.schema import load_folder
 from cm.server.rights.gate import Gate
 from cm.server.rights.keys import authorized, pairs_of
 from cm.server.rights.model import Access, AuthorizedKey, Grant, Need, Rights, Role
-from cm.server.rights.needs import Scene, least, needs_of
+from cm.server.rights.needs import Scene, least, mapping, needs_of, opening, provisioning
 from cm.server.rights.policy import Users, rights_of, system_users
 from cm.server.rights.principal import NOBODY, Principal, from_id, guest_of, introduced, of_process, on_behalf
 from cm.wire.messages import requests as rq
@@ -231,6 +231,70 @@ def test_a_register_touches_its_region() -> None:
     assert touched(rq.WriteReg((rq.RegWrite("threshold", 1),))) == {("camera", "prr0", "threshold", None)}
     assert touched(rq.ReadReg(("nothing",))) == {("camera", "*", "nothing", None)}
     assert touched(rq.ReadReg()) == {("camera", "*", "*", None)}
+
+
+LOOK, WRITE = (Role.OBSERVE, "cm_data_config"), (Role.OPERATE, "cm_data_config")
+CONFIG, STORE = (Role.OBSERVE, "cm_read_config"), (Role.PROVISION, "cm_write_config")
+
+
+@pytest.mark.parametrize(
+    ("request_", "need"),
+    [
+        (rq.ReadStatus(), Need(Role.OBSERVE, "cm_status")),
+        (rq.ListConfigs(), Need(*CONFIG)),
+        (rq.ReadConfig(), Need(*CONFIG, config="camera")),
+        (rq.ReadConfig("other"), Need(*CONFIG, config="other")),
+        (rq.PlanChange(mode="default"), Need(*CONFIG, config="camera")),
+        (rq.PlanChange("other", "default"), Need(*CONFIG, config="other")),
+        (rq.CancelChange(), Need(Role.OPERATE, "cm_write_config", config="*")),
+        (rq.Provision("config: {}"), Need(*STORE)),
+        (rq.RemoveConfig("other"), Need(*STORE, config="other")),
+        (rq.CheckRegion("prr1"), Need(Role.OPERATE, "cm_region", "camera", "prr1")),
+        (rq.CheckRegion("nothing"), Need(Role.OPERATE, "cm_region", "camera", "*")),
+        (rq.MapRegion("prr1"), Need(Role.OBSERVE, "cm_region", "camera", "prr1")),
+        (rq.ReadReg(("led.pattern",)), Need(Role.OBSERVE, "cm_read_reg", "camera", "static", "led.pattern")),
+        (rq.DescribeData("camera"), Need(*LOOK, "camera", "prr0", data="camera")),
+        (rq.ConfigureStream("from_pl"), Need(*WRITE, "camera", "prr1", data="from_pl")),
+        (rq.DefineMemory("own"), Need(Role.PROVISION, "cm_data_config", "camera", "*", data="own")),
+        (rq.ReadData("camera"), Need(Role.OBSERVE, "cm_read_data", "camera", "prr0", data="camera")),
+        (rq.ReadData("scratchpad"), Need(Role.OBSERVE, "cm_read_data", "camera", "static", data="scratchpad")),
+        (rq.ReadData("nothing"), Need(Role.OBSERVE, "cm_read_data", "camera", "*", data="nothing")),
+        (rq.ReadData(), Need(Role.OBSERVE, "cm_read_data", "camera", "*", data="*")),
+        (rq.WriteData("to_pl"), Need(Role.OPERATE, "cm_write_data", "camera", "prr1", data="to_pl")),
+        (rq.Upload("a", 1), Need(Role.OPERATE, "cm_upload")),
+        (rq.ReadIrq("frame_done"), Need(Role.OBSERVE, "cm_irq")),
+        (rq.TakeLease("memories:scratchpad"), Need(Role.OPERATE, "cm_lease", None, "static", data="scratchpad")),
+        (rq.RenewLease("x"), Need(Role.OPERATE, "cm_lease")),
+        (rq.ReleaseLease("x"), Need(Role.OPERATE, "cm_lease")),
+        (rq.BreakLease(1), Need(Role.ADMIN, "cm_lease")),
+    ],
+)
+def test_a_request_touches_one_thing(request_: rq.Request, need: Need) -> None:
+    assert list(needs_of(request_, SCENE)) == [need]
+
+
+def test_where_nothing_is_loaded_a_request_touches_everything_of_its_kind() -> None:
+    assert touched(rq.ReadConfig(), EMPTY) == {(None, None, None, None)}
+    assert touched(rq.CheckRegion("prr0"), EMPTY) == {(None, "*", None, None)}
+    assert touched(rq.ReadReg(("zoom",)), EMPTY) == {(None, "*", "zoom", None)}
+    assert touched(rq.ReadData("camera"), EMPTY) == {(None, "*", None, "camera")}
+
+
+@pytest.mark.parametrize(
+    ("need", "wanted"),
+    [
+        (opening("camera", False, SCENE), Need(Role.OBSERVE, "data", "camera", "prr0", data="camera")),
+        (opening("to_pl", True, SCENE), Need(Role.OPERATE, "data", "camera", "prr1", data="to_pl")),
+        (mapping("edge", SCENE), Need(Role.MAP, "data", "camera", "prr0", "*", "*")),
+        (mapping("prr1", SCENE), Need(Role.MAP, "data", "camera", "prr1", "*", "*")),
+        (mapping("static", SCENE), Need(Role.MAP, "data", "camera", "static", "*", "*")),
+        (mapping("nothing", SCENE), Need(Role.MAP, "data", "camera", "*", "*", "*")),
+        (mapping("static", EMPTY), Need(Role.MAP, "data", None, "*", "*", "*")),
+        (provisioning("other"), Need(Role.PROVISION, "cm_write_config", "other")),
+    ],
+)
+def test_what_is_not_copied_and_what_is_stored_is_named_too(need: Need, wanted: Need) -> None:
+    assert need == wanted
 
 
 def test_a_lease_needs_rights_to_everything_that_it_reserves() -> None:
