@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,6 +13,8 @@ import zmq
 from daemon_thread import Daemon, Subscriber, daemon
 from manager_process import patient, stalled
 
+from cm.server.settings.model import USUAL
+from cm.wire.encode import decode_reply, encode_request
 from cm.wire.messages import requests as rq
 from cm.wire.messages.requests import ChangeMode, File, ReadReg, RegWrite, WriteReg
 from cm.wire.messages.status import ChangeInfo, Irq, RegValues, Status
@@ -376,6 +380,23 @@ def test_more_than_may_wait_behind_a_change_is_refused(tmp_path: Path) -> None:
             refused = [made.reply().error for _ in range(4)]
         assert [error.code for error in refused if error] == ["busy"] * 4
         assert [made.reply().error for _ in range(257)] == [None] * 257
+
+
+def test_of_a_client_that_asks_too_much_over_several_connections_each_request_is_answered() -> None:
+    with daemon(limits=replace(USUAL, waiting_bytes=1)) as made:
+        two = [made.connect(zmq.DEALER, "req") for _ in range(2)]
+        codes = Counter[str]()
+        while not codes["too_much_waiting"]:  # how much is there when the manager looks is chance
+            for number in range(64):
+                two[number % 2].send_multipart([b"%d" % number, b"", *encode_request(rq.ReadStatus())])
+            answers = [one.recv_multipart() for one in two for _ in range(32)]
+            assert sorted(int(number) for number, *_ in answers) == list(range(64))
+            assert {(empty, topic) for _, empty, topic, *_ in answers} == {(b"", b"cm_status")}
+            replies = [decode_reply(frames[2:]) for frames in answers]
+            codes.update(reply.error.code if reply.error else "" for reply in replies)
+        assert codes.keys() == {"", "too_much_waiting"}
+        told = made.done(rq.ReadStatus(clients=True)).clients
+        assert sum(client.refused for client in told) == codes["too_much_waiting"]
 
 
 # ---- life ----------------------------------------------------------------------------------------------

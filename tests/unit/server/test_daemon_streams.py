@@ -164,6 +164,19 @@ def test_writes_without_a_free_slot_wait_and_too_many_are_refused(loop: Daemon) 
     loop.done(ConfigureStream("from_pl", automatic=True))
 
 
+def test_a_stream_that_a_read_waits_for_is_changed_by_force_alone(loop: Daemon) -> None:
+    loop.done(ConfigureStream("from_pl", slots=3))
+    loop.send(rq.ReadData("from_pl", 600.0))
+    assert loop.refused(ConfigureStream("from_pl", slots=4)) == (
+        "busy", "stream 'from_pl' is in use; close its readers, or force the change",
+    )  # fmt: skip
+    assert loop.done(ConfigureStream("from_pl", slots=3))  # changes nothing
+    loop.send(ConfigureStream("from_pl", slots=4, force=True))
+    assert sorted(reply.error.code if reply.error else "" for reply in (loop.reply() for _ in range(2))) == [
+        "", "stream_stopped",
+    ]  # fmt: skip
+
+
 def test_a_waiting_read_ends_when_its_region_changes(loop: Daemon) -> None:
     loop.send(rq.ReadData("from_pl", 600.0))
     loop.send(rq.ChangeMode("camera", "loopback_edge"))

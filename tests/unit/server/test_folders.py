@@ -5,11 +5,13 @@ from __future__ import annotations
 
 import os
 import stat
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from cm.server.folders import FolderLock, UnsafeFolder, open_inside, own_folder, share
+from cm.server.folders import AlreadyServed, BoardLock, FolderLock, Locks, UnsafeFolder, open_inside, own_folder, share
 from cm.server.provision import Provisioner
 
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to give folders to other users")
@@ -90,6 +92,34 @@ def test_what_is_not_a_regular_file_is_not_opened_as_one(tmp_path: Path) -> None
     os.mkfifo(tmp_path / "lock")
     with pytest.raises(UnsafeFolder, match="is not a file"):
         open_inside(tmp_path, "lock", os.O_RDWR | os.O_NONBLOCK)
+
+
+def test_a_folder_that_is_served_is_refused_with_the_process_that_serves_it(tmp_path: Path) -> None:
+    served = FolderLock(tmp_path / "run")
+    with pytest.raises(AlreadyServed, match=rf"\(pid {os.getpid()}\) serves {tmp_path}/run already"):
+        FolderLock(tmp_path / "run")
+    served.release()
+    FolderLock(tmp_path / "run").release()
+
+
+_HOLD = "import fcntl, os, sys; fcntl.flock(os.open(sys.argv[1], os.O_RDONLY), 2); print(flush=True); input()"
+
+
+def test_a_board_that_is_served_is_refused_with_the_process_that_has_it(tmp_path: Path) -> None:
+    """Two at a time, so that neither is found for being the only one."""
+    (tmp_path / "ours/sys").mkdir(parents=True)
+    (tmp_path / "theirs/sys").mkdir(parents=True)
+    ours = BoardLock(tmp_path / "ours")
+    command = [sys.executable, "-c", _HOLD, str(tmp_path / "theirs/sys")]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None
+        other.stdout.readline()
+        for board, pid in (("ours", os.getpid()), ("theirs", other.pid)):
+            with pytest.raises(AlreadyServed, match=rf"\(pid {pid}\) holds the board below {tmp_path}/{board} already"):
+                Locks(tmp_path / "run", tmp_path / board)
+        other.communicate(b"\n")
+    ours.release()
+    Locks(tmp_path / "run", tmp_path / "ours").release()  # and what was refused has left no lock behind
 
 
 @pytest.mark.programs

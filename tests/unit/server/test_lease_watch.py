@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import errno
+import logging
 import os
 import subprocess
 from collections.abc import Iterator
@@ -15,7 +16,7 @@ from manager_support import Clock
 from cm.manager.access.leases import Leases
 from cm.server.lease_watch import LeaseWatch, Unwatched
 from cm.server.sockets import Loop
-from cm.wire.messages.requests import ReleaseLease, TakeLease
+from cm.wire.messages.requests import BreakLease, ReleaseLease, RenewLease, TakeLease
 
 
 class Watch:
@@ -107,3 +108,16 @@ def test_a_lease_of_a_process_that_has_died_is_dropped_at_once(watch: Watch) -> 
     request = TakeLease(scope="board", exclusive=True, pid=child.pid)
     watch.holders.follow(watch.leases.request(request), request)
     watch.leases.check(("board",))
+
+
+def test_who_takes_gives_back_and_breaks_a_lease_is_in_the_log(watch: Watch, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "cm")
+    take = TakeLease("board", holder="bench", pid=os.getpid())
+    lease = watch.leases.request(take)
+    for request in (take, RenewLease(lease.id), ReleaseLease(lease.id), BreakLease(7)):
+        watch.holders.follow(lease, request, "pid 10")
+    assert [(record.levelname, record.getMessage()) for record in caplog.records] == [
+        ("INFO", "lease on board taken by pid 10 for bench"),
+        ("INFO", "lease on board given back by pid 10 for bench"),
+        ("WARNING", "lease 7 on board, of bench, was broken by pid 10"),
+    ]

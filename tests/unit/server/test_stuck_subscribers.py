@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which connection is ended where frames wait for subscribers that do not read (`Connections.end_stuck`)."""
+"""Which connections are ended: those that do not read, that take too much, or that were named."""
 
 from __future__ import annotations
 
+import os
 import socket
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +12,7 @@ from types import SimpleNamespace
 import pytest
 
 from cm.server.connections import Connections
+from cm.server.rights.principal import introduced, of_process
 
 PIECE = bytes(1000)
 
@@ -25,6 +27,10 @@ class Subscriber:
         self._theirs.setblocking(False)
         for _ in range(5):
             self._ours.send(PIECE)
+
+    @property
+    def fd(self) -> int:
+        return self._ours.fileno()
 
     def takes(self) -> bytes:
         return self._theirs.recv(len(PIECE))
@@ -87,4 +93,57 @@ def test_nobody_is_ended_for_what_was_unread_a_moment_ago(
     assert [one.ended for one in two] == [False, False]  # and have read all
     clock[0] += 10.0
     connections.end_stuck()
+    assert [one.ended for one in two] == [False, False]
+
+
+def test_connections_are_counted_by_where_they_lead(tmp_path: Path, two: tuple[Subscriber, Subscriber]) -> None:
+    assert len(two) == 2
+    assert Connections(tmp_path, []).counted() == {f"pid {os.getpid()}": 2}
+    assert Connections(tmp_path / "elsewhere", []).counted() == {}
+
+
+@pytest.mark.parametrize(("descriptors", "ended"), [(4, True), (1 << 20, False)])
+def test_a_client_that_takes_up_the_descriptors_loses_its_connections(
+    tmp_path: Path,
+    two: tuple[Subscriber, Subscriber],
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    descriptors: int,
+    ended: bool,
+) -> None:
+    monkeypatch.setattr("cm.server.connections.resource.getrlimit", lambda _: (descriptors, descriptors))
+    Connections(tmp_path, []).settle()
+    assert [one.ended for one in two] == [ended, ended]
+    assert (f"2 connections of pid {os.getpid()} were ended" in caplog.text) == ended
+
+
+@pytest.mark.parametrize(
+    ("pid", "uid", "ended"), [(0, 0, True), (1, 0, False), (0, 1, False)], ids=["its own", "another pid", "another uid"]
+)
+def test_a_process_that_subscribes_to_too_much_loses_that_connection(
+    two: tuple[Subscriber, Subscriber], caplog: pytest.LogCaptureFixture, pid: int, uid: int, ended: bool
+) -> None:
+    whose = of_process("ipc", os.getuid() + uid, os.getgid(), os.getpid() + pid).id
+    Connections.end(two[0].fd, whose)
+    assert [one.ended for one in two] == [ended, False]
+    assert (f"a connection of {whose} was ended: it subscribes to too much" in caplog.text) == ended
+
+
+@pytest.mark.parametrize(("address", "ended"), [("127.0.0.1", True), ("127.0.0.2", False)])
+@pytest.mark.parametrize("mechanism", ["NULL", "CURVE"])
+def test_a_client_over_tcp_is_known_by_its_address(mechanism: str, address: str, ended: bool) -> None:
+    who = introduced("tcp" if mechanism == "NULL" else "curve", address, mechanism, "k" * 40)
+    with socket.create_server(("127.0.0.1", 0)) as listener, socket.create_connection(listener.getsockname()) as theirs:
+        ours, _ = listener.accept()
+        theirs.setblocking(False)
+        with ours:
+            Connections.end(ours.fileno(), who.id)
+            try:
+                assert (theirs.recv(1) == b"") == ended
+            except BlockingIOError:
+                assert not ended
+
+
+def test_a_connection_that_has_gone_is_left_alone(two: tuple[Subscriber, Subscriber]) -> None:
+    Connections.end(1 << 20, of_process("ipc", os.getuid(), os.getgid(), os.getpid()).id)
     assert [one.ended for one in two] == [False, False]
