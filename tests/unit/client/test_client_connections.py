@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sockets of a board that several threads use and close."""
+"""The sockets of a board: how they are set, and that several threads use and close them."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import zmq
 from manager_process import short_folder
 from zmq.utils.monitor import recv_monitor_message
 
+from cm.client.address import Keys
 from cm.client.connections import Sockets
 from cm.wire.topics import Endpoints, ipc_endpoints, tcp_endpoints
 
@@ -43,6 +44,22 @@ def test_a_signal_handler_may_close_what_its_thread_is_closing(monkeypatch: pyte
     user.join(60)
     sockets.close()
     assert sockets.closed
+
+
+@pytest.mark.parametrize("keys", [None, Keys(b"s" * 40, b"p" * 40, b"c" * 40)], ids=["plain", "with keys"])
+def test_a_socket_is_set_before_it_connects(keys: Keys | None) -> None:
+    sockets = Sockets(zmq.Context(), tcp_endpoints("tcp://127.0.0.1:1"), keys)
+    try:
+        made = [sockets.subscriber((b"",), 3)[0], sockets.subscriber((b"",))[0]]
+        assert [socket.getsockopt(zmq.RCVHWM) for socket in made] == [3, 1000]  # the latter is ZeroMQ's own
+        made += [sockets.requests()[0], sockets.requests(immediate=True)[0]]
+        assert [socket.getsockopt(zmq.IMMEDIATE) for socket in made[2:]] == [0, 1]
+        assert [socket.getsockopt(zmq.HEARTBEAT_IVL) for socket in made[2:]] == [2000, 2000]
+        for socket in made:
+            assert [socket.getsockopt(one) for one in (zmq.LINGER, zmq.IPV6)] == [0, 1]
+            assert socket.getsockopt(zmq.MECHANISM) == (zmq.NULL if keys is None else zmq.CURVE)
+    finally:
+        sockets.close()
 
 
 def next_try(endpoints: Endpoints) -> int:

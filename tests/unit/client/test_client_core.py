@@ -3,16 +3,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from cm.client.core import calls, uploads
 from cm.client.core.change import loading
 from cm.client.core.effects import AskBeside, Receive
-from cm.client.errors import RequestInvalid
+from cm.client.errors import RequestBusy, RequestInvalid
+from cm.errors import InvalidRequest
 from cm.wire.encode import encode_status
-from cm.wire.messages.status import ChangeInfo, ErrorInfo, Progress, Status
+from cm.wire.messages import requests as rq
+from cm.wire.messages import status as told
+from cm.wire.messages.status import ChangeInfo, ErrorInfo, Progress, Reply, Status
 
 CALL = calls.load("camera", "edge", wait=True, queue=True, force=False, lease="")
 UNDER_WAY = Status("camera", "", fpga_busy=True, progress=Progress(7, "camera", "edge", "load", "prr0", 1, 2, 0.5))
@@ -50,3 +56,129 @@ def test_a_manager_without_uploads_gets_everything_in_one_message() -> None:
     with pytest.raises(StopIteration) as ended:
         flow.throw(RequestInvalid(ErrorInfo("invalid_request", "unknown topic 'cm_upload'; topics are cm_status")))
     assert ended.value.value == ""
+
+
+LISTED = told.ConfigInfo(names=("camera",), entries=(told.ConfigEntry("camera"),))
+STREAM, MEMORY = told.StreamStatus("to_pl", "dma0", "mm2s"), told.MemoryInfo("table", 0x1000, 64)
+CHANGE = ChangeInfo(7, done=True)
+VALUES = told.RegValues((told.RegValue("focus", 7),))
+LEASE = told.LeaseInfo("x", "board", exclusive=True, seconds=3.0)
+SENT = told.FrameInfo("to_pl", 4, 5, 6)
+CALLS: list[tuple[calls.Call[Any], rq.Request, Any]] = [
+    (calls.status(), rq.ReadStatus(), Status("camera", "edge")),
+    (calls.describe("camera"), rq.ReadConfig("camera"), LISTED),
+    (calls.plan("edge", "camera"), rq.PlanChange("camera", "edge"), told.PlanInfo("camera", "edge", (), 0, 0.0)),
+    (CALL, rq.ChangeMode("camera", "edge"), CHANGE),
+    (
+        calls.load("camera", "edge", wait=False, queue=False, force=True, lease="l", undoable="a", undo="b"),
+        rq.ChangeMode("camera", "edge", no_wait=True, no_queue=True, force=True, lease="l", undoable="a", undo="b"),
+        CHANGE,
+    ),
+    (calls.cancel(), rq.CancelChange(), Status("camera", "edge")),
+    (calls.upload(rq.Upload("a", 9)), rq.Upload("a", 9), told.UploadInfo("a", 9, 0)),
+    (calls.read_registers(("focus",)), rq.ReadReg(("focus",)), VALUES),
+    (calls.write_registers({"focus": 7}, "l"), rq.WriteReg((rq.RegWrite("focus", 7),), "l"), VALUES),
+    (calls.write_masked("focus", 7, 15, "l"), rq.WriteReg((rq.RegWrite("focus", 7, 15),), "l"), VALUES),
+    (calls.configure_stream(rq.ConfigureStream("to_pl")), rq.ConfigureStream("to_pl"), STREAM),
+    (calls.describe_stream("to_pl"), rq.DescribeData("to_pl"), STREAM),
+    (calls.write_data("to_pl", b"abc", "l"), rq.WriteData("to_pl", b"abc", "l"), SENT),
+    (calls.define_memory(rq.DefineMemory("table")), rq.DefineMemory("table"), MEMORY),
+    (calls.describe_memory("table"), rq.DescribeData("table"), MEMORY),
+    (calls.write_memory("table", 8, memoryview(b"ab"), "l"), rq.WriteData("table", b"ab", "l", 8), SENT),
+    (
+        calls.check_region("prr0", repair=True, reload=False, lease="l"),
+        rq.CheckRegion("prr0", repair=True, lease="l"),
+        told.RegionCheck("prr0", "edge", "good"),
+    ),
+    (
+        calls.check_region("prr0", repair=False, reload=True, lease=""),
+        rq.CheckRegion("prr0", repair=True, reload=True),
+        told.RegionCheck("prr0", "edge", "good"),
+    ),
+    (calls.map_region("prr0"), rq.MapRegion("prr0"), told.RegionMap("prr0", "edge", "xc7z020", "camera")),
+    (calls.interrupt("frame_done"), rq.ReadIrq("frame_done"), told.Irq("frame_done", 3, 4)),
+    (calls.lease(rq.TakeLease("board")), rq.TakeLease("board"), LEASE),
+]
+
+
+@pytest.mark.parametrize(("call", "request_", "body"), CALLS)
+def test_a_call_asks_and_gives_what_was_answered(call: calls.Call[Any], request_: rq.Request, body: Any) -> None:
+    assert call.request == request_
+    assert call.result(Reply(body)) is body
+    with pytest.raises(RequestBusy, match="not now"):
+        call.result(Reply(error=ErrorInfo("busy", "not now")))
+    with pytest.raises(InvalidRequest, match=f"answered with ProvisionAnswer, not {type(body).__name__}"):
+        call.result(Reply(type("ProvisionAnswer", (), {})()))
+
+
+@pytest.mark.parametrize(
+    ("call", "request_", "body", "result"),
+    [
+        (calls.clients(), rq.ReadStatus(clients=True), Status(clients=(told.ClientStatus("a"),)), 0),
+        (calls.config_names(), rq.ListConfigs(), LISTED, LISTED.names),
+        (calls.config_entries(), rq.ListConfigs(), LISTED, LISTED.entries),
+        (calls.remove_config("camera", "l"), rq.RemoveConfig("camera", "l"), LISTED, LISTED.entries),
+        (calls.read_memory("table", 8, 4), rq.ReadData("table", offset=8, length=4), SENT, (SENT, b"")),
+    ],
+)
+def test_some_calls_give_a_part_of_what_was_answered(
+    call: calls.Call[Any], request_: rq.Request, body: Any, result: Any
+) -> None:
+    assert call.request == request_
+    assert call.result(Reply(body)) == (result or body.clients)
+
+
+def test_a_frame_and_a_piece_of_memory_are_the_payload_beside_their_description() -> None:
+    call, info = calls.read_data("camera", 1.5), told.FrameInfo("camera", 4, 5, 6, (2, 3), "uint8")
+    assert call.request == rq.ReadData("camera", 1.5)
+    frame = call.result(Reply(info, payload=(b"abcdef",)))
+    assert (frame.tobytes(), frame.shape, frame.info) == (b"abcdef", (2, 3), info)
+    assert call.result(Reply(replace(info, length=0, shape=(0,)))).size == 0
+    yellow = replace(info, shape=(1, 1, 3), format="bgr")
+    assert call.result(Reply(yellow, payload=(b"\0\xff\xff",))).tolist() == [[[255, 255, 0]]]
+    as_it_is = calls.read_data("camera", 1.5, raw=True).result(Reply(yellow, payload=(b"\0\xff\xff",)))
+    assert as_it_is.tolist() == [[[0, 255, 255]]]
+    assert calls.read_memory("table", 0, 3).result(Reply(info, payload=(b"abc",))) == (info, b"abc")
+
+
+def test_a_stream_is_no_memory() -> None:
+    with pytest.raises(InvalidRequest, match=r"'to_pl' is a stream, not a memory: board\.stream\('to_pl'\)"):
+        calls.describe_memory("to_pl").result(Reply(STREAM))
+
+
+@pytest.mark.parametrize(
+    ("data", "sent", "form"),
+    [
+        (np.arange(6, dtype=np.uint8).reshape(1, 2, 3), bytes(range(6)), "rgb"),
+        (
+            np.arange(12, dtype=np.uint8).reshape(2, 2, 3)[:, :, ::-1],
+            bytes([2, 1, 0, 5, 4, 3, 8, 7, 6, 11, 10, 9]),
+            "rgb",
+        ),
+        (np.arange(4, dtype=np.uint8).reshape(1, 1, 4), bytes(range(4)), ""),
+        (np.arange(3, dtype=np.uint16).reshape(1, 1, 3), b"\0\0\1\0\2\0", ""),
+        (np.arange(3, dtype=np.uint8), bytes(range(3)), ""),
+        (bytearray(b"abc"), b"abc", ""),
+    ],
+)
+def test_an_array_of_colours_is_said_to_be_rgb(data: Any, sent: bytes, form: str) -> None:
+    request: Any = calls.write_data("to_pl", data, "").request
+    assert (bytes(request.data), request.format) == (sent, form)
+
+
+def test_a_schema_is_sent_with_its_files(tmp_path: Path) -> None:
+    (tmp_path / "a.yaml").write_text("config: {}")
+    (tmp_path / "a.bit").write_bytes(b"abc")
+    call = calls.provision(tmp_path / "a.yaml", (tmp_path / "a.bit",), "l")
+    assert call.request == rq.Provision("config: {}", (rq.File("a.bit", b"abc"),), lease="l")
+    assert call.result(Reply(LISTED)) is LISTED
+    (tmp_path / "a.yaml").write_bytes(b"ab\xff")
+    with pytest.raises(InvalidRequest, match=r"a\.yaml is no runtime schema: it is not UTF-8 \(.* at byte 2\)"):
+        calls.provision(tmp_path / "a.yaml", (), "")
+
+
+def test_the_seconds_of_a_change_are_those_of_the_status_if_it_was_the_last() -> None:
+    ended = replace(ENDED, last_change_seconds=0.5)
+    assert (calls.ended(ended, 7), calls.ended(ended, 6)) == (0.5, 0.0)
+    with pytest.raises(RequestBusy):
+        calls.ended(replace(ended, last_error=ErrorInfo("busy", "")), 7)
