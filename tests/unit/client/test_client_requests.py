@@ -1,0 +1,281 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the methods of both boards ask of a manager, and what `connect` was given: a manager that the test plays."""
+
+from __future__ import annotations
+
+import asyncio
+import inspect
+import queue
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+import zmq
+from manager_process import short_folder
+
+from cm.client import aio
+from cm.client.address import Keys
+from cm.client.aio.relay import Relay
+from cm.client.board import Board
+from cm.client.core import calls
+from cm.client.errors import NoAnswer, RequestBusy
+from cm.errors import InvalidRequest, Timeout
+from cm.wire.decode import decode_request
+from cm.wire.encode import encode_reply
+from cm.wire.messages import requests as rq
+from cm.wire.messages.status import ErrorInfo, Reply, Status, StreamStatus
+
+HUNG = 60.0
+STREAM = StreamStatus("camera", "dma0", "s2mm")
+
+
+class Manager:
+    """The socket for requests."""
+
+    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], address: str, secret: bytes = b"") -> None:
+        self._socket = context.socket(zmq.ROUTER)
+        self._socket.setsockopt(zmq.LINGER, 0)
+        self._socket.setsockopt(zmq.RCVTIMEO, int(HUNG * 1000))
+        if secret:
+            self._socket.curve_server = True
+            self._socket.curve_secretkey = secret
+        self._socket.bind(address)
+        self.address = self._socket.getsockopt_string(zmq.LAST_ENDPOINT)
+        self._envelope: list[bytes] = []
+
+    def asked(self) -> rq.Request:
+        """The next request."""
+        frames = self._socket.recv_multipart()
+        cut = frames.index(b"", 1) + 1
+        self._envelope, request = frames[:cut], decode_request(frames[cut:])
+        return request
+
+    @property
+    def named(self) -> list[bytes]:
+        """What stood between its number and the empty frame."""
+        return self._envelope[2:-1]
+
+    def answer(self, body: Any = None, error: tuple[str, str] | None = None) -> None:
+        reply = Reply(body, ErrorInfo(*error) if error else None)
+        self._socket.send_multipart([*self._envelope, *map(bytes, encode_reply(b"cm", reply))])
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+@pytest.fixture
+def manager() -> Iterator[Manager]:
+    with short_folder() as folder, zmq.Context() as context:
+        made = Manager(context, f"ipc://{folder}/req")
+        yield made
+        made.close()
+
+
+def blocking(use: Callable[[Any], Any], where: str, **options: Any) -> Any:
+    with Board(where.removeprefix("ipc://").removesuffix("/req"), **options) as board:
+        return use(board)
+
+
+def on_a_loop(use: Callable[[Any], Any], where: str, **options: Any) -> Any:
+    async def course() -> Any:
+        board = aio.Board(where.removeprefix("ipc://").removesuffix("/req"), **options)
+        try:
+            result = use(board)
+            return await result if inspect.isawaitable(result) else result
+        finally:
+            await board.close()
+
+    return asyncio.run(course())
+
+
+def over_a_relay(_: Callable[[Any], Any], where: str, keys: Keys) -> Any:
+    async def course() -> Any:
+        relay = Relay(where, keys=keys)
+        try:
+            return await relay.ask(calls.status(), timeout=HUNG)
+        finally:
+            await relay.close()
+
+    return asyncio.run(course())
+
+
+def begun(call: Callable[..., Any], *arguments: Any, **options: Any) -> Callable[[], Any]:
+    """Call in a thread of its own; what comes of it."""
+    ends: queue.Queue[tuple[Any, BaseException | None]] = queue.Queue()
+
+    def run() -> None:
+        try:
+            ends.put((call(*arguments, **options), None))
+        except BaseException as error:  # noqa: BLE001 (raised again where it is waited for)
+            ends.put((None, error))
+
+    def result() -> Any:
+        value, error = ends.get(timeout=HUNG)
+        if error is not None:
+            raise error
+        return value
+
+    threading.Thread(target=run, daemon=True).start()
+    return result
+
+
+BOTH = pytest.mark.parametrize("client", [blocking, on_a_loop], ids=["blocking", "asyncio"])
+ASKED: list[tuple[Callable[[Any], Any], rq.Request]] = [
+    (lambda b: b.clients(), rq.ReadStatus(clients=True)),
+    (lambda b: b.break_lease(3), rq.BreakLease(3)),
+    (lambda b: b.config("camera"), rq.ReadConfig("camera")),
+    (lambda b: b.config_entries(), rq.ListConfigs()),
+    (lambda b: b.remove_config("camera", "l"), rq.RemoveConfig("camera", "l")),
+    (
+        lambda b: b.load("camera", "edge", progress=False, queue=False, force=True, lease="l"),
+        rq.ChangeMode("camera", "edge", no_queue=True, force=True, lease="l"),
+    ),
+    (
+        lambda b: b.load_async("camera", "edge", queue=False, force=True, lease="l"),
+        rq.ChangeMode("camera", "edge", no_wait=True, no_queue=True, force=True, lease="l"),
+    ),
+    (lambda b: b.load_async("camera", "edge"), rq.ChangeMode("camera", "edge", no_wait=True)),
+    (lambda b: b.set_mode("edge", lease="l"), rq.ChangeMode("", "edge", lease="l")),
+    (lambda b: b.cancel(), rq.CancelChange()),
+    (lambda b: b.plan("edge", "camera"), rq.PlanChange("camera", "edge")),
+    (lambda b: b.check_region("prr0", repair=True, lease="l"), rq.CheckRegion("prr0", repair=True, lease="l")),
+    (lambda b: b.check_region("prr0", reload=True), rq.CheckRegion("prr0", repair=True, reload=True)),
+    (lambda b: b.map_region("prr0"), rq.MapRegion("prr0")),
+    (
+        lambda b: b.configure_stream(
+            "to_pl", shape=[4, 5], dtype="uint16", slots=6, direction="mm2s", rate=7.0, stride=16, cyclic=True,
+            backpressure=False, enable=True, compression="lz4", force=True, lease="l",
+        ),
+        rq.ConfigureStream("to_pl", (4, 5), "uint16", 6, "mm2s", 7.0, True, True, True, "l", False, 16, False, "lz4"),
+    ),
+    (lambda b: b.configure_stream("to_pl", automatic=True), rq.ConfigureStream("to_pl", automatic=True)),
+    (
+        lambda b: b.configure_memory(
+            "table", 0x1000, 64, shape=(4, 4), dtype="uint32", access="ro", region="static", lease="l"
+        ),
+        rq.DefineMemory("table", 0x1000, 64, (4, 4), "uint32", "ro", "static", "l"),
+    ),
+    (lambda b: b.write("to_pl", b"abc", "l"), rq.WriteData("to_pl", b"abc", "l")),
+    (lambda b: b.read("camera", 0.25), rq.ReadData("camera", 0.25)),
+    (lambda b: b.stream("camera", copy=True).open(), rq.DescribeData("camera")),
+    (lambda b: b.stream("camera", copy=True, newest=True).open(), rq.DescribeData("camera")),
+]  # fmt: skip
+
+
+@BOTH
+@pytest.mark.parametrize(("use", "request_"), ASKED)
+def test_a_method_asks_for_what_it_was_given_and_raises_the_managers_refusal(
+    manager: Manager, client: Callable[..., Any], use: Callable[[Any], Any], request_: rq.Request
+) -> None:
+    ended = begun(client, use, manager.address)
+    assert manager.asked() == request_
+    assert manager.named == []
+    manager.answer(error=("busy", "not now"))
+    with pytest.raises(RequestBusy, match="not now"):
+        ended()
+
+
+@BOTH
+@pytest.mark.parametrize(
+    ("use", "kind"),
+    [(lambda b: b.clients(), rq.ReadStatus), (lambda b: b.stream("camera").read(), rq.ReadData)],
+    ids=["request", "stream"],
+)
+def test_a_bridge_asks_in_the_name_of_its_guest(
+    manager: Manager, client: Callable[..., Any], use: Callable[[Any], Any], kind: type
+) -> None:
+    ended = begun(client, use, manager.address, guest="web:ann")
+    assert isinstance(manager.asked(), kind)
+    assert manager.named == [b"for=web:ann"]
+    manager.answer(error=("busy", "not now"))
+    with pytest.raises(RequestBusy):
+        ended()
+
+
+@BOTH
+@pytest.mark.parametrize(
+    ("use", "guest", "says"),
+    [
+        (lambda b: b.subscribe(b"cm_status"), "web:ann", "is handed to the bridge, not to 'web:ann'"),
+        (lambda b: b.watch(), "web:ann", "is handed to the bridge, not to 'web:ann'"),
+        (lambda b: b.writer("to_pl"), "web:ann", "a writer needs the manager's data socket, which knows no guests"),
+        (lambda b: b.writer("to_pl"), "", "a writer needs the manager's data socket, which only its own machine has"),
+        (lambda b: b.echo(64), "", "an echo needs the manager's data socket"),
+        (lambda b: b.allocate(64), "", "memory for the PL needs the manager's data socket"),
+        (lambda b: b.clients(), "a\nb", "a name of at most 64 characters, all printable"),
+    ],
+)
+def test_what_a_guest_and_a_client_of_another_machine_cannot_have_is_refused(
+    manager: Manager, client: Callable[..., Any], use: Callable[[Any], Any], guest: str, says: str
+) -> None:
+    with pytest.raises(InvalidRequest, match=says):
+        begun(client, use, manager.address, guest=guest)()
+
+
+@BOTH
+def test_a_board_waits_for_answers_as_long_as_it_was_told(manager: Manager, client: Callable[..., Any]) -> None:
+    assert begun(client, lambda board: board.timeout, manager.address, timeout=0.125)() == 0.125
+    ended = begun(client, lambda board: board.clients(), manager.address, timeout=0.125)
+    with pytest.raises(NoAnswer, match=rf"at {manager.address} within 0\.125 s"):
+        ended()
+
+
+@BOTH
+def test_a_stream_waits_for_published_frames_as_long_as_it_was_told(
+    manager: Manager, client: Callable[..., Any]
+) -> None:
+    ended = begun(client, lambda board: board.stream("camera", 0.125, copy=True).read(), manager.address)
+    assert manager.asked() == rq.DescribeData("camera")
+    manager.answer(STREAM)
+    with pytest.raises(Timeout, match=r"'camera' gave no frame within 0\.125 s"):
+        ended()
+
+
+@BOTH
+def test_a_stream_asks_for_the_newest_frame_for_as_long_as_it_was_told(
+    manager: Manager, client: Callable[..., Any]
+) -> None:
+    ended = begun(client, lambda board: board.stream("camera", 3.0, newest=True, copy=True).read(), manager.address)
+    asked = manager.asked()
+    assert isinstance(asked, rq.ReadData)
+    assert 0 < asked.timeout <= 3.0
+    manager.answer(error=("busy", "not now"))
+    with pytest.raises(RequestBusy):
+        ended()
+
+
+@BOTH
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"compression": "zip"}, "cannot be compressed with 'zip'"),
+        ({"compression": "zip", "copy": True}, "cannot be compressed with 'zip'"),
+        ({"compression": "lz4", "copy": True, "newest": True}, "leave out one of them"),
+        ({"depth": -1, "copy": True}, "a stream of depth -1"),
+        ({"timeout": "5", "copy": True}, "a number of seconds, or None"),
+    ],
+)
+def test_what_no_stream_can_be_is_refused_before_anything_is_asked(
+    manager: Manager, client: Callable[..., Any], options: dict[str, Any], says: str
+) -> None:
+    with pytest.raises(InvalidRequest, match=says):
+        begun(client, lambda board: board.stream("camera", **options), manager.address)()
+
+
+@pytest.mark.parametrize("client", [blocking, on_a_loop, over_a_relay], ids=["blocking", "asyncio", "relay"])
+def test_a_client_with_keys_is_let_in_where_keys_are_needed(client: Callable[..., Any]) -> None:
+    (server, server_secret), (public, secret) = zmq.curve_keypair(), zmq.curve_keypair()
+    with zmq.Context() as context:
+        manager = Manager(context, "tcp://127.0.0.1:*", server_secret)
+        host, _, port = manager.address.rpartition(":")
+        where = f"{host}:{int(port) - 2}"  # the socket for requests has the third of three ports
+        ended = begun(client, lambda board: board.run(_status()), where, keys=Keys(server, public, secret))
+        assert manager.asked() == rq.ReadStatus()
+        manager.answer(Status("camera", "edge"))
+        assert ended().mode == "edge"
+        manager.close()
+
+
+def _status() -> Any:
+    return (yield calls.status())
