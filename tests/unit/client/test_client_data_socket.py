@@ -1,0 +1,348 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frames, slots and memory over the data socket, for both boards: a manager that the test plays, packet by packet."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import inspect
+import os
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from manager_process import short_folder
+
+from cm.client import aio
+from cm.client.board import Board
+from cm.client.errors import ConnectionLost, LateRelease, RequestBusy, TransferFailed
+from cm.errors import InvalidRequest, Timeout
+from cm.wire import plane_packets as packets
+from cm.wire.plane_packets import Descriptor, Geometry, Open
+
+HUNG = 60.0
+PAGE = os.sysconf("SC_PAGE_SIZE")
+EPOCH = 3
+FORM = Geometry(PAGE, 6, depth=2, shape=(2, 3), stream="camera", config_name="camera", mode="edge")
+GRANT = Descriptor(1, packets.GRANT, EPOCH)
+BOTH = pytest.mark.parametrize("client", [Board, aio.Board], ids=["blocking", "asyncio"])
+
+
+async def now(value: Any) -> Any:
+    """What both boards give: the one at once, the other when it is awaited."""
+    return await value if inspect.isawaitable(value) else value
+
+
+def geometry(form: Geometry = FORM) -> bytes:
+    packet = packets.encode_geometry(form)
+    return Descriptor(*packets.DESCRIPTOR.unpack_from(packet))._replace(flags=EPOCH).pack() + packet[32:]
+
+
+def frame(slot: int, sequence: int, length: int = 6) -> Descriptor:
+    return Descriptor(slot, packets.FRAME, 0, 0, length, sequence, 1000 + sequence)
+
+
+class Manager:
+    """The data socket of a manager, and two slots of a page each."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        (folder / "req").touch()
+        self.slots = [os.memfd_create("slot") for _ in range(2)]
+        for number, slot in enumerate(self.slots):
+            os.ftruncate(slot, PAGE)
+            os.pwrite(slot, bytes(range(10 * number, 10 * number + 6)), 0)
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._listener.settimeout(HUNG)
+        self._listener.bind(str(folder / packets.SOCKET))
+        self._listener.listen()
+        self._peer: socket.socket | None = None
+        self._asked = b""
+        self._thread = threading.Thread(target=lambda: None)
+
+    def answers(self, *sent: bytes | Descriptor) -> None:
+        """Send this to the next client once it has asked for something; the slots go with a SLOTS packet."""
+
+        def serve() -> None:
+            self._peer, _ = self._listener.accept()
+            self._peer.settimeout(HUNG)
+            self._asked = self._peer.recv(packets.PACKET_MAX)
+            self.sends(*sent)
+
+        self._thread = threading.Thread(target=serve, daemon=True)
+        self._thread.start()
+
+    @property
+    def peer(self) -> socket.socket:
+        self._thread.join(HUNG)
+        assert self._peer is not None
+        return self._peer
+
+    @property
+    def asked(self) -> Open:
+        """What it asked for."""
+        assert self.peer
+        return packets.decode_open(self._asked)
+
+    def sends(self, *sent: bytes | Descriptor) -> None:
+        assert self._peer is not None
+        for one in sent:
+            with_slots = isinstance(one, Descriptor) and one.kind == packets.SLOTS
+            packet = one.pack() if isinstance(one, Descriptor) else one
+            socket.send_fds(self._peer, [packet], self.slots if with_slots else [])
+
+    def got(self) -> Descriptor:
+        """The next packet of the client."""
+        return Descriptor(*packets.DESCRIPTOR.unpack_from(self.peer.recv(packets.PACKET_MAX)))
+
+    def hang_up(self) -> None:
+        self.peer.shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        self._listener.close()
+        if self._peer is not None:
+            self._peer.close()
+        for slot in self.slots:
+            os.close(slot)
+
+
+@pytest.fixture
+def manager() -> Iterator[Manager]:
+    with short_folder() as folder:
+        made = Manager(folder)
+        yield made
+        made.close()
+
+
+SLOTS = Descriptor(kind=packets.SLOTS)
+STOPPED = Descriptor(kind=packets.STOPPED)
+
+
+def used(client: Callable[..., Any], manager: Manager, course: Callable[[Any], Any]) -> Any:
+    """Go through a course with a board, which is closed at its end."""
+
+    async def whole() -> Any:
+        board = client(runtime_dir=manager.folder)
+        try:
+            return await course(board)
+        finally:
+            await now(board.close())
+
+    watch = threading.Timer(HUNG, manager.hang_up)  # whoever waits for ever
+    watch.start()
+    try:
+        return asyncio.run(whole())
+    finally:
+        watch.cancel()
+
+
+@BOTH
+def test_frames_come_with_what_is_known_of_them_and_go_back(client: Callable[..., Any], manager: Manager) -> None:
+    manager.answers(geometry(), SLOTS, frame(1, 4))
+
+    async def course(board: Any) -> None:
+        stream = board.stream("camera", depth=2, lease="l")
+        assert stream.geometry is None
+        first = await now(stream.read(HUNG))
+        assert manager.asked == Open("camera", depth=2, lease="l")
+        assert stream.geometry == FORM
+        assert first.tolist() == [[10, 11, 12], [13, 14, 15]]
+        info = first.info
+        assert (info.stream, info.config_name, info.mode) == ("camera", "camera", "edge")
+        assert (info.sequence, info.timestamp_ns, info.length, info.shape) == (4, 1004, 6, (2, 3))
+        assert info.generation == first.generation == 0
+        manager.sends(
+            Descriptor(kind=packets.GENERATION, sequence=9), packets.encode_label("camera", "other", "on"), frame(0, 7)
+        )
+        second = await now(stream.read(HUNG))
+        assert (second.tolist(), second.sequence, second.generation, stream.lost) == ([[0, 1, 2], [3, 4, 5]], 7, 9, 2)
+        assert (second.info.config_name, second.info.mode) == ("other", "on")
+        assert (first.info.config_name, first.info.mode) == ("camera", "edge")
+        first.release()
+        assert manager.got() == frame(1, 4)._replace(kind=packets.RELEASE)
+        manager.sends(STOPPED, geometry(), SLOTS, frame(0, 1, length=4))
+        short = await now(stream.read(HUNG))
+        assert (short.tolist(), stream.lost, short.generation) == ([0, 1, 2, 3], 2, 0)  # numbers begin anew
+        second.release()  # its memory is not used again
+        short.release()
+        assert manager.got() == frame(0, 1, length=4)._replace(kind=packets.RELEASE)
+        await now(stream.close())
+
+    used(client, manager, course)
+
+
+@BOTH
+@pytest.mark.parametrize(
+    ("sent", "says"),
+    [
+        ((geometry(), SLOTS), r"0\.125 s$"),
+        ((STOPPED,), r"0\.125 s: it is stopped"),
+        ((geometry(), SLOTS, frame(0, 1), frame(1, 2)), r"0\.125 s: all 2 frames that may be held are"),
+    ],
+    ids=["nothing", "stopped", "all are held"],
+)
+def test_a_frame_that_does_not_come_is_a_time_out_with_the_reason(
+    client: Callable[..., Any], manager: Manager, sent: tuple[Any, ...], says: str
+) -> None:
+    manager.answers(*sent)
+
+    async def course(board: Any) -> None:
+        stream = board.stream("camera", 0.125, depth=2)
+        held = [
+            await now(stream.read(HUNG)) for one in sent if isinstance(one, Descriptor) and one.kind == packets.FRAME
+        ]
+        with pytest.raises(Timeout, match=rf"^stream 'camera' gave no frame within {says}"):
+            await now(stream.read())
+        with pytest.raises(Timeout, match=r"no frame within 0 s"):
+            await now(stream.read(0))
+        del held
+
+    used(client, manager, course)
+
+
+@BOTH
+def test_only_the_newest_of_the_frames_that_wait_is_read_if_that_is_wanted(
+    client: Callable[..., Any], manager: Manager
+) -> None:
+    manager.answers(geometry(), SLOTS, frame(0, 1), frame(1, 2))
+
+    async def course(board: Any) -> None:
+        stream = board.stream("camera", newest=True)
+        await now(stream.open())
+        assert manager.peer  # all was sent
+        assert (await now(stream.read(HUNG))).sequence == 2
+        assert manager.got() == frame(0, 1)._replace(kind=packets.RELEASE)
+
+    used(client, manager, course)
+
+
+OPENED: list[tuple[Callable[[Any], Any], Open]] = [
+    (lambda b: b.stream("camera", depth=3, lease="l").open(), Open("camera", depth=3, lease="l")),
+    (lambda b: b.stream("camera", lease="l", raw=True).read(), Open("camera", lease="l")),
+    (lambda b: _writer(b.writer("to_pl", depth=3, lease="l")), Open("to_pl", write=True, depth=3, lease="l")),
+    (lambda b: _writer(b.echo(64, depth=3)), Open("", depth=3, echo=True, length=64)),
+    (lambda b: _writer(b.echo(64)), Open("", depth=2, echo=True, length=64)),
+    (lambda b: b.allocate((4, 8), "uint16"), Open("", length=64, allocate=True)),
+]
+
+
+def _writer(made: Any) -> Any:
+    """A writer that is open; one for asyncio has to be awaited."""
+    return made.__aenter__() if hasattr(made, "__aenter__") else made
+
+
+@BOTH
+@pytest.mark.parametrize(("use", "wanted"), OPENED)
+def test_what_is_asked_for_and_refused(
+    client: Callable[..., Any], manager: Manager, use: Callable[[Any], Any], wanted: Open
+) -> None:
+    manager.answers(packets.encode_refused("busy", "not now"))
+
+    async def course(board: Any) -> None:
+        with pytest.raises(RequestBusy, match="not now"):
+            await now(use(board))
+
+    used(client, manager, course)
+    assert manager.asked == wanted
+
+
+@BOTH
+def test_a_manager_that_hangs_up_is_lost(client: Callable[..., Any], manager: Manager) -> None:
+    manager.answers(geometry(), SLOTS)
+
+    async def course(board: Any) -> None:
+        stream = board.stream("camera")
+        await now(stream.open())
+        manager.hang_up()
+        with pytest.raises(ConnectionLost, match="hung up on the data socket"):
+            await now(stream.read(HUNG))
+
+    used(client, manager, course)
+
+
+@BOTH
+def test_a_frame_that_was_taken_away_is_named(client: Callable[..., Any], manager: Manager) -> None:
+    manager.answers(geometry(), SLOTS, Descriptor(1, packets.LATE, sequence=4))
+
+    async def course(board: Any) -> None:
+        with pytest.raises(LateRelease, match="frame 4 of 'camera' was given back, but slot 1 is not ours"):
+            await now(board.stream("camera").read(HUNG))
+
+    used(client, manager, course)
+
+
+def done(sequence: int, error: int = 0) -> Descriptor:
+    return Descriptor(1, packets.DONE, EPOCH, error, sequence=sequence)
+
+
+@BOTH
+def test_a_slot_is_granted_filled_sent_and_free_again(client: Callable[..., Any], manager: Manager) -> None:
+    manager.answers(geometry(Geometry(PAGE, 6, writable=True, shape=(2, 3), stream="to_pl")), SLOTS, GRANT)
+
+    async def course(board: Any) -> None:
+        writer = await now(_writer(board.writer("to_pl", 0.125)))
+        assert (writer.free, writer.under_way) == (1, 0)
+        await now(writer.write(b"abcdef"))
+        assert os.pread(manager.slots[1], 6, 0) == b"abcdef"
+        assert manager.got() == Descriptor(1, packets.SUBMIT, EPOCH, 0, 6, 0)
+        assert (writer.free, writer.under_way) == (0, 1)
+        for wait in (writer.flush, lambda: writer.write(b"ghijkl")):
+            with pytest.raises(Timeout, match=r"'to_pl': the hardware took nothing within 0\.125 s"):
+                await now(wait())
+        manager.sends(done(0))
+        await now(writer.flush(HUNG))
+        assert (writer.free, writer.under_way) == (1, 0)
+        with pytest.raises(InvalidRequest, match="takes frames of 6 bytes; this one has 5"):
+            await now(writer.write(b"ghijk"))
+        await now(writer.write(b"ghijkl"))
+        assert manager.got().sequence == 1
+        manager.sends(done(1, errno.EIO))
+        with pytest.raises(TransferFailed, match=r"'to_pl': frame 1 was not taken: Input/output error"):
+            await now(writer.flush(HUNG))
+        await now(writer.close())
+
+    used(client, manager, course)
+
+
+@BOTH
+def test_a_writer_that_gets_no_slot_says_so(client: Callable[..., Any], manager: Manager) -> None:
+    manager.answers(geometry(), SLOTS)
+
+    async def course(board: Any) -> None:
+        with pytest.raises(Timeout, match=r"'to_pl': the hardware took nothing within 0\.125 s"):
+            await now(_writer(board.writer("to_pl", 0.125)))
+
+    used(client, manager, course)
+
+
+@BOTH
+def test_memory_comes_with_its_address_and_goes_with_its_last_array(
+    client: Callable[..., Any], manager: Manager
+) -> None:
+    form = Geometry(PAGE, writable=True)
+    manager.answers(geometry(form), SLOTS, Descriptor(kind=packets.ADDRESS, sequence=0x1000_0000))
+
+    async def course(board: Any) -> None:
+        array = await now(board.allocate((2, 3), "uint16", timeout=HUNG))
+        assert (array.shape, array.dtype, array.device_address) == ((2, 3), "uint16", 0x1000_0000)
+        array[...] = 0x4142
+        assert os.pread(manager.slots[0], 12, 0) == b"BA" * 6
+        assert array[1:].device_address == 0x1000_0006
+        del array
+        assert await asyncio.to_thread(manager.peer.recv, 1) == b""  # the loop holds it until it has its turn
+
+    used(client, manager, course)
+
+
+@BOTH
+def test_memory_that_does_not_come_is_a_time_out(client: Callable[..., Any], manager: Manager) -> None:
+    manager.answers(geometry(), SLOTS)
+
+    async def course(board: Any) -> None:
+        with pytest.raises(Timeout, match=r"memory: the manager did not answer within 0\.125 s"):
+            await now(board.allocate(64, timeout=0.125))
+
+    used(client, manager, course)
