@@ -95,7 +95,6 @@ CM_NEEDS_DAEMON = "python3-compression \
                    python3-fastjsonschema \
                    python3-netclient \
                    python3-netserver \
-                   python3-numbers \
                    python3-pyyaml \
                    python3-resource \
                    python3-threading \
