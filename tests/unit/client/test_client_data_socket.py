@@ -144,7 +144,7 @@ def test_frames_come_with_what_is_known_of_them_and_go_back(client: Callable[...
     manager.answers(geometry(), SLOTS, frame(1, 4))
 
     async def course(board: Any) -> None:
-        stream = board.stream("camera", depth=2, lease="l")
+        stream = board.stream("camera", HUNG, depth=2, lease="l")
         assert stream.geometry is None
         first = await now(stream.read(HUNG))
         assert manager.asked == Open("camera", depth=2, lease="l")
@@ -210,7 +210,7 @@ def test_only_the_newest_of_the_frames_that_wait_is_read_if_that_is_wanted(
     manager.answers(geometry(), SLOTS, frame(0, 1), frame(1, 2))
 
     async def course(board: Any) -> None:
-        stream = board.stream("camera", newest=True)
+        stream = board.stream("camera", HUNG, newest=True)
         await now(stream.open())
         assert manager.peer  # all was sent
         assert (await now(stream.read(HUNG))).sequence == 2
@@ -220,12 +220,12 @@ def test_only_the_newest_of_the_frames_that_wait_is_read_if_that_is_wanted(
 
 
 OPENED: list[tuple[Callable[[Any], Any], Open]] = [
-    (lambda b: b.stream("camera", depth=3, lease="l").open(), Open("camera", depth=3, lease="l")),
-    (lambda b: b.stream("camera", lease="l", raw=True).read(), Open("camera", lease="l")),
-    (lambda b: _writer(b.writer("to_pl", depth=3, lease="l")), Open("to_pl", write=True, depth=3, lease="l")),
-    (lambda b: _writer(b.echo(64, depth=3)), Open("", depth=3, echo=True, length=64)),
-    (lambda b: _writer(b.echo(64)), Open("", depth=2, echo=True, length=64)),
-    (lambda b: b.allocate((4, 8), "uint16"), Open("", length=64, allocate=True)),
+    (lambda b: b.stream("camera", HUNG, depth=3, lease="l").open(), Open("camera", depth=3, lease="l")),
+    (lambda b: b.stream("camera", HUNG, lease="l", raw=True).read(), Open("camera", lease="l")),
+    (lambda b: _writer(b.writer("to_pl", HUNG, depth=3, lease="l")), Open("to_pl", write=True, depth=3, lease="l")),
+    (lambda b: _writer(b.echo(64, HUNG, depth=3)), Open("", depth=3, echo=True, length=64)),
+    (lambda b: _writer(b.echo(64, HUNG)), Open("", depth=2, echo=True, length=64)),
+    (lambda b: b.allocate((4, 8), "uint16", HUNG), Open("", length=64, allocate=True)),
 ]
 
 
@@ -254,7 +254,7 @@ def test_a_manager_that_hangs_up_is_lost(client: Callable[..., Any], manager: Ma
     manager.answers(geometry(), SLOTS)
 
     async def course(board: Any) -> None:
-        stream = board.stream("camera")
+        stream = board.stream("camera", HUNG)
         await now(stream.open())
         manager.hang_up()
         with pytest.raises(ConnectionLost, match="hung up on the data socket"):
@@ -269,7 +269,7 @@ def test_a_frame_that_was_taken_away_is_named(client: Callable[..., Any], manage
 
     async def course(board: Any) -> None:
         with pytest.raises(LateRelease, match="frame 4 of 'camera' was given back, but slot 1 is not ours"):
-            await now(board.stream("camera").read(HUNG))
+            await now(board.stream("camera", HUNG).read(HUNG))
 
     used(client, manager, course)
 
@@ -283,13 +283,13 @@ def test_a_slot_is_granted_filled_sent_and_free_again(client: Callable[..., Any]
     manager.answers(geometry(Geometry(PAGE, 6, writable=True, shape=(2, 3), stream="to_pl")), SLOTS, GRANT)
 
     async def course(board: Any) -> None:
-        writer = await now(_writer(board.writer("to_pl", 0.125)))
+        writer = await now(_writer(board.writer("to_pl", HUNG)))
         assert (writer.free, writer.under_way) == (1, 0)
         await now(writer.write(b"abcdef"))
         assert os.pread(manager.slots[1], 6, 0) == b"abcdef"
         assert manager.got() == Descriptor(1, packets.SUBMIT, EPOCH, 0, 6, 0)
         assert (writer.free, writer.under_way) == (0, 1)
-        for wait in (writer.flush, lambda: writer.write(b"ghijkl")):
+        for wait in (lambda: writer.flush(0.125), lambda: writer.write(b"ghijkl", 0.125)):
             with pytest.raises(Timeout, match=r"'to_pl': the hardware took nothing within 0\.125 s"):
                 await now(wait())
         manager.sends(done(0))

@@ -72,14 +72,14 @@ def manager() -> Iterator[Manager]:
         made.close()
 
 
-def blocking(use: Callable[[Any], Any], where: str, **options: Any) -> Any:
-    with Board(where.removeprefix("ipc://").removesuffix("/req"), **options) as board:
+def blocking(use: Callable[[Any], Any], where: str, timeout: float = HUNG, **options: Any) -> Any:
+    with Board(where.removeprefix("ipc://").removesuffix("/req"), timeout=timeout, **options) as board:
         return use(board)
 
 
-def on_a_loop(use: Callable[[Any], Any], where: str, **options: Any) -> Any:
+def on_a_loop(use: Callable[[Any], Any], where: str, timeout: float = HUNG, **options: Any) -> Any:
     async def course() -> Any:
-        board = aio.Board(where.removeprefix("ipc://").removesuffix("/req"), **options)
+        board = aio.Board(where.removeprefix("ipc://").removesuffix("/req"), timeout=timeout, **options)
         try:
             result = use(board)
             return await result if inspect.isawaitable(result) else result
