@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import asyncio
 import inspect
+import os
 import queue
 import threading
 from collections.abc import Callable, Iterator
@@ -24,7 +25,7 @@ from cm.errors import InvalidRequest, Timeout
 from cm.wire.decode import decode_request
 from cm.wire.encode import encode_reply
 from cm.wire.messages import requests as rq
-from cm.wire.messages.status import ErrorInfo, Reply, Status, StreamStatus
+from cm.wire.messages.status import ConfigInfo, ErrorInfo, LeaseInfo, RegValue, RegValues, Reply, Status, StreamStatus
 
 HUNG = 60.0
 STREAM = StreamStatus("camera", "dma0", "s2mm")
@@ -74,7 +75,8 @@ def manager() -> Iterator[Manager]:
 
 def blocking(use: Callable[[Any], Any], where: str, timeout: float = HUNG, **options: Any) -> Any:
     with Board(where.removeprefix("ipc://").removesuffix("/req"), timeout=timeout, **options) as board:
-        return use(board)
+        result = use(board)
+        return asyncio.run(result) if inspect.iscoroutine(result) else result
 
 
 def on_a_loop(use: Callable[[Any], Any], where: str, timeout: float = HUNG, **options: Any) -> Any:
@@ -158,6 +160,12 @@ ASKED: list[tuple[Callable[[Any], Any], rq.Request]] = [
     ),
     (lambda b: b.write("to_pl", b"abc", "l"), rq.WriteData("to_pl", b"abc", "l")),
     (lambda b: b.read("camera", 0.25), rq.ReadData("camera", 0.25)),
+    (lambda b: b.registers.read("focus", "zoom"), rq.ReadReg(("focus", "zoom"))),
+    (lambda b: b.registers.write({"focus": 7}, "l"), rq.WriteReg((rq.RegWrite("focus", 7),), "l")),
+    (lambda b: b.registers.write_masked("focus", 7, 15, "l"), rq.WriteReg((rq.RegWrite("focus", 7, 15),), "l")),
+    (lambda b: b.memories["table"].read(8, 4), rq.ReadData("table", offset=8, length=4)),
+    (lambda b: b.memories["table"].write(b"abcd", 8, "l"), rq.WriteData("table", b"abcd", "l", 8)),
+    (lambda b: b.lease().take(), rq.TakeLease("board", holder=f"pid {os.getpid()}", pid=os.getpid())),
     (lambda b: b.stream("camera", copy=True).open(), rq.DescribeData("camera")),
     (lambda b: b.stream("camera", copy=True, newest=True).open(), rq.DescribeData("camera")),
 ]  # fmt: skip
@@ -211,6 +219,58 @@ def test_what_a_guest_and_a_client_of_another_machine_cannot_have_is_refused(
 ) -> None:
     with pytest.raises(InvalidRequest, match=says):
         begun(client, use, manager.address, guest=guest)()
+
+
+async def now(value: Any) -> Any:
+    """What both boards give: the one at once, the other when it is awaited."""
+    return await value if inspect.isawaitable(value) else value
+
+
+@BOTH
+def test_a_lease_goes_along_with_what_its_board_asks_until_it_is_given_back(
+    manager: Manager, client: Callable[..., Any]
+) -> None:
+    async def course(board: Any) -> None:
+        lease = board.lease("region:prr0", exclusive=False, seconds=7.0, holder="me")
+        with pytest.raises(InvalidRequest, match="the lease on region:prr0 is not held"):
+            await now(lease.renew())
+        assert await now(lease.take()) == lease.id == "x"
+        await now(lease.renew())
+        await now(board.remove_config("camera"))
+        await now(board.remove_config("camera", "other"))
+        await now(lease.release())
+        await now(lease.release())  # twice is fine
+        await now(board.remove_config("camera"))
+
+    ended = begun(client, course, manager.address)
+    held, listed = LeaseInfo("x", "region:prr0", exclusive=False, seconds=7.0), ConfigInfo()
+    expected: list[tuple[rq.Request, Any]] = [
+        (rq.TakeLease("region:prr0", exclusive=False, seconds=7.0, holder="me", pid=os.getpid()), held),
+        (rq.RenewLease("x", 7.0), held),
+        (rq.RemoveConfig("camera", "x"), listed),
+        (rq.RemoveConfig("camera", "other"), listed),
+        (rq.ReleaseLease("x"), held),
+        (rq.RemoveConfig("camera"), listed),
+    ]
+    for request, answer in expected:
+        assert manager.asked() == request
+        manager.answer(answer)
+    ended()
+
+
+@BOTH
+def test_registers_are_answered_by_name(manager: Manager, client: Callable[..., Any]) -> None:
+    async def course(board: Any) -> list[Any]:
+        read = await now(board.registers.read("focus", "zoom"))
+        written = await now(board.registers.write({"focus": 3}))
+        masked = await now(board.registers.write_masked("focus", 1, 1))
+        return [read, written, written.generation, masked]
+
+    ended = begun(client, course, manager.address)
+    for values in ((("focus", 7), ("zoom", 2)), (("focus", 3),), (("focus", 5),)):
+        manager.asked()
+        manager.answer(RegValues(tuple(RegValue(*value) for value in values), "camera", "edge", 11))
+    assert ended() == [{"focus": 7, "zoom": 2}, {"focus": 3}, 11, 5]
 
 
 @BOTH
