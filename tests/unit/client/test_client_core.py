@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 
 from cm.client.core import calls, uploads
-from cm.client.core.change import loading
-from cm.client.core.effects import AskBeside, Receive
-from cm.client.errors import RequestBusy, RequestInvalid
-from cm.errors import InvalidRequest
-from cm.wire.encode import encode_status
+from cm.client.core.change import ChangeWatch, loading
+from cm.client.core.effects import Ask, AskBeside, Flow, Receive
+from cm.client.core.events import InterruptEvents, RegisterEvents, StatusEvents
+from cm.client.core.remote_stream import NewestReader, PublishedReader, Wanted
+from cm.client.errors import RequestBusy, RequestInvalid, request_error
+from cm.errors import InvalidRequest, Timeout
+from cm.wire.encode import encode_frame_info, encode_irq, encode_registers, encode_status
 from cm.wire.messages import requests as rq
 from cm.wire.messages import status as told
 from cm.wire.messages.status import ChangeInfo, ErrorInfo, Progress, Reply, Status
@@ -182,3 +184,147 @@ def test_the_seconds_of_a_change_are_those_of_the_status_if_it_was_the_last() ->
     assert (calls.ended(ended, 7), calls.ended(ended, 6)) == (0.5, 0.0)
     with pytest.raises(RequestBusy):
         calls.ended(replace(ended, last_error=ErrorInfo("busy", "")), 7)
+
+
+class Listened:
+    """A subscription: what was left of it."""
+
+    def __init__(self) -> None:
+        self.left: list[bytes] = []
+        self.closed = False
+
+    def unsubscribe(self, topic: bytes) -> None:
+        self.left.append(topic)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def went(flow: Flow[Any], *answers: Any) -> tuple[Any, list[Any]]:
+    """A flow to its end: its value, and what it waited for; an answer that is an error is thrown."""
+    waits, given = [], iter(answers)
+    try:
+        waits.append(next(flow))
+        for answer in given:
+            waits.append(flow.throw(answer) if isinstance(answer, Exception) else flow.send(answer))
+    except StopIteration as end:
+        assert not list(given), "it waited for less"
+        return end.value, waits
+    raise AssertionError(f"it waits for more: {waits[-1]}")
+
+
+def written(*names: str) -> list[Any]:
+    return list(encode_registers(told.RegValues(tuple(told.RegValue(name, 7) for name in names), "camera", "edge", 3)))
+
+
+def came(name: str, count: int) -> list[Any]:
+    return list(encode_irq(told.Irq(name, count, 100 + count)))
+
+
+@pytest.mark.parametrize(
+    ("wanted", "sent", "got"),
+    [((), ("zoom",), ("zoom",)), (("focus",), ("zoom", "focus"), ("focus",)), (("focus",), ("zoom",), None)],
+)
+def test_writes_of_the_registers_that_are_wanted_are_events(
+    wanted: tuple[str, ...], sent: tuple[str, ...], got: tuple[str, ...] | None
+) -> None:
+    listened = Listened()
+    events = RegisterEvents(listened, 0.5, wanted)
+    assert went(events.opening(), written("focus"), message(ENDED))[0] is None
+    assert listened.left == [b"cm_status"]
+    if got is None:
+        with pytest.raises(Timeout, match=r"nothing came within 0\.5 s"):
+            went(events.next(), message(ENDED), written(*sent), None)
+        return
+    event, waits = went(events.next(2.0), message(ENDED), written(*sent))
+    assert [value.name for value in event.values] == list(got)
+    assert (event.config_name, event.mode, event.generation) == ("camera", "edge", 3)
+    assert all(isinstance(wait, Receive) and wait.subscription is listened for wait in waits)
+
+
+def test_statuses_are_events_from_the_first_on() -> None:
+    events = StatusEvents(Listened(), None)
+    assert went(events.next(), written("focus"), message(ENDED))[0] == ENDED
+    waited = next(events.next())
+    assert isinstance(waited, Receive)
+    assert waited.timeout is None
+
+
+@pytest.mark.parametrize(
+    ("since", "before"), [(None, False), (102, False), (101, True), (0, True)], ids=["any", "known", "missed", "first"]
+)
+def test_an_interrupt_that_came_while_nobody_listened_is_the_first(since: int | None, before: bool) -> None:
+    events = InterruptEvents(Listened(), 0.5, "frame_done", since)
+    _, waits = went(events.opening(), message(ENDED), told.Irq("frame_done", 2, 102))
+    assert isinstance(waits[1], Ask)
+    assert waits[1].call.request == rq.ReadIrq("frame_done")
+    if before:
+        assert went(events.next())[0].count == 2
+    event, _ = went(events.next(), came("frame_done", 2), came("loop_done", 3), message(ENDED), came("frame_done", 3))
+    assert event == told.Irq("frame_done", 3, 103)
+    with pytest.raises(Timeout, match=r"interrupt 'frame_done' did not come within 0\.5 s"):
+        went(events.next(), None)
+
+
+def test_an_interrupt_that_never_came_is_not_the_first() -> None:
+    events = InterruptEvents(Listened(), 0.5, "frame_done", 7)
+    went(events.opening(), message(ENDED), told.Irq("frame_done", 0, 0))
+    assert went(events.next(), came("frame_done", 1))[0].count == 1
+
+
+def test_a_manager_that_publishes_no_status_is_not_waited_for() -> None:
+    with pytest.raises(Timeout, match="the manager published no status within 5 s"):
+        went(RegisterEvents(Listened(), 0.5, ()).opening(), None)
+
+
+def test_a_change_that_was_not_waited_for_ends_with_the_status_that_says_so() -> None:
+    listened = Listened()
+    watch = ChangeWatch(7, listened)
+    assert went(watch.arrived(), written("focus"), message(UNDER_WAY), None)[0] is False
+    assert watch.progress == UNDER_WAY.progress
+    with pytest.raises(Timeout, match=r"change 7 has not ended within 0\.5 s"):
+        went(watch.waiting(0.5), message(replace(ENDED, last_change=6)), None)
+    assert not watch.has_ended
+    assert went(watch.waiting(None), message(replace(ENDED, last_change_seconds=0.5)))[0] == 0.5
+    assert (watch.has_ended, listened.closed) == (True, True)
+    assert went(watch.arrived()) == (True, [])
+
+
+def published(stream: str, sequence: int) -> list[Any]:
+    info = told.FrameInfo(stream, sequence, 5, 6, (2, 3))
+    return [b"cm_stream/" + stream.encode(), encode_frame_info(info), b"abcdef"]
+
+
+def test_published_frames_are_subscribed_to_and_those_that_are_missing_are_counted() -> None:
+    asked: list[tuple[bytes, int]] = []
+
+    def subscribe(topic: bytes, depth: int) -> Listened:
+        asked.append((topic, depth))
+        return Listened()
+
+    reader = PublishedReader(Wanted("camera", 0.5, depth=9), subscribe)
+    frame, waits = went(reader.reading(2.0), STREAM, published("camera2", 1), published("camera", 4))
+    assert isinstance(waits[0], Ask)
+    assert waits[0].call.request == rq.ConfigureStream("camera")
+    assert (frame.tobytes(), frame.sequence, reader.lost, asked) == (b"abcdef", 4, 0, [(b"cm_stream/camera", 9)])
+    assert went(reader.reading(2.0), published("camera", 7))[0].sequence == 7
+    assert reader.lost == 2
+    with pytest.raises(Timeout, match=r"stream 'camera' gave no frame within 0\.5 s"):
+        went(reader.reading(0.5), None)
+    reader.close()
+    went(reader.opening(), STREAM)
+    assert len(asked) == 2
+
+
+def test_the_newest_frame_is_asked_for_again_while_the_stream_is_stopped() -> None:
+    reader = NewestReader(Wanted("camera", None, newest=True))
+    stopped = request_error(ErrorInfo("stream_stopped", "a change"))
+    nothing = request_error(ErrorInfo("timeout", "no frame"))
+    info = told.FrameInfo("camera", 4, 5, 6, (2, 3))
+    frame = calls.read_data("camera", 1.0).result(Reply(info, payload=(b"abcdef",)))
+    got, waits = went(reader.reading(None), stopped, None, nothing, frame)
+    assert got is frame
+    assert [type(wait).__name__ for wait in waits] == ["Ask", "Pause", "Ask", "Ask"]
+    assert {wait.call.request for wait in waits if isinstance(wait, Ask)} == {rq.ReadData("camera", 5.0)}
+    with pytest.raises(RequestBusy):
+        went(reader.reading(None), request_error(ErrorInfo("busy", "")))
