@@ -27,7 +27,7 @@ from cm.manager.planner import target
 from cm.server.rights.gate import Gate
 from cm.server.rights.model import Access, Role
 from cm.server.rights.needs import Scene, mapping, opening
-from cm.server.rights.principal import DATA, IPC, Principal, of_process
+from cm.server.rights.principal import DATA, IPC, Principal, from_id, of_process
 from cm.server.shares import place_of
 from cm.wire.plane_packets import SOCKET, Open
 from cm.wire.topics import Endpoints
@@ -105,7 +105,7 @@ class Connections:
                 pid, uid, gid = credentials(connection)
                 same = of_process(IPC, uid, gid, pid).id == whose
             else:
-                same = f":{place_of(None, str(connection.getpeername()[0]))}" in whose
+                same = place_of(None, str(connection.getpeername()[0])) == from_id(whose).address
             if same:
                 connection.shutdown(socket.SHUT_RDWR)
                 _LOG.warning("a connection of %s was ended: it subscribes to too much", whose)

@@ -129,7 +129,7 @@ def test_a_process_that_subscribes_to_too_much_loses_that_connection(
     assert (f"a connection of {whose} was ended: it subscribes to too much" in caplog.text) == ended
 
 
-@pytest.mark.parametrize(("address", "ended"), [("127.0.0.1", True), ("127.0.0.2", False)])
+@pytest.mark.parametrize(("address", "ended"), [("127.0.0.1", True), ("127.0.0.2", False), ("127.0.0.11", False)])
 @pytest.mark.parametrize("mechanism", ["NULL", "CURVE"])
 def test_a_client_over_tcp_is_known_by_its_address(mechanism: str, address: str, ended: bool) -> None:
     who = introduced("tcp" if mechanism == "NULL" else "curve", address, mechanism, "k" * 40)
