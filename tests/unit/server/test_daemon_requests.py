@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 import zmq
 from daemon_thread import Daemon, Subscriber, daemon
+from manager_process import until
 from manager_process import patient, stalled
 
 from cm.server.settings.model import USUAL
@@ -404,8 +405,7 @@ def test_of_a_client_that_asks_too_much_over_several_connections_each_request_is
 
 def test_the_configuration_named_at_the_start_is_loaded_and_known_after_a_restart(tmp_path: Path) -> None:
     with daemon(load="camera/colorise") as first:
-        seen = Subscriber(first)
-        seen.until(Status, lambda status: status.mode == "colorise" and not status.fpga_busy)
+        until(lambda: first.status.mode == "colorise" and not first.status.fpga_busy)
         folder, board = first.folder, first.board
         first.close()
         again = Daemon(folder, board)
