@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 import zmq
 from daemon_thread import Daemon, Subscriber, daemon
-from manager_process import until
-from manager_process import patient, stalled
+from manager_process import patient, stalled, until
 
 from cm.server.settings.model import USUAL
 from cm.wire.encode import decode_reply, encode_request
