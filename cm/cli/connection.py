@@ -35,8 +35,9 @@ def connected(args: argparse.Namespace, timeout: float = 5.0) -> Board:
         return connect(args.connect, runtime_dir=args.runtime_dir, timeout=timeout, keys=args.keys)
     except NoAnswer as error:
         from cm.client.address import unresolved
+        from cm.client.find_manager import find
 
-        why = unresolved(args.connect)
+        why = unresolved(find(args.connect, args.runtime_dir, args.keys).endpoints.pub)
         if why:
             raise NoAnswer(f"{error}: {why}") from None
         raise

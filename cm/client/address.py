@@ -137,14 +137,13 @@ def _group(folder: Path) -> str:
     return grp.getgrgid(folder.stat().st_gid).gr_name
 
 
-def unresolved(endpoint: str | None) -> str:
-    """Why no answer can come from ``tcp://host[:port]`` (default: `$CM_CONNECT`): a host that does not resolve; or "".
+def unresolved(endpoint: str) -> str:
+    """Why no answer can come from ``tcp://host[:port]``: a host that does not resolve; or "".
 
     Asks the resolver, which may take seconds: for when no answer came.
     """
     import socket  # here: a connection that works needs none
 
-    endpoint = endpoint or os.environ.get("CM_CONNECT", "")
     if not endpoint.startswith("tcp://"):
         return ""
     host = split_tcp(endpoint)[0].rpartition(";")[2].strip("[]")  # behind libzmq's own address, if there is one

@@ -3,13 +3,18 @@
 
 from __future__ import annotations
 
+import argparse
 import subprocess
 from pathlib import Path
 
 import pytest
+import zmq
+from manager_process import short_folder
 
 from cm import child
+from cm.cli.connection import connected
 from cm.cli.main import main
+from cm.client.errors import NoAnswer
 
 
 def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
@@ -74,6 +79,16 @@ def test_a_host_that_does_not_resolve_is_more_than_no_answer(capsys: pytest.Capt
     told = said(capsys, "status", "--connect", "tcp://nohost.invalid:5555")
     assert "no answer from a configuration manager at tcp://nohost.invalid:5557" in told
     assert "the name 'nohost.invalid' does not resolve (" in told
+
+
+def test_a_silent_folder_is_not_put_down_to_a_host_that_was_not_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CM_CONNECT", "tcp://nohost.invalid:5555")
+    with short_folder() as folder, zmq.Context() as context, context.socket(zmq.ROUTER) as silent:
+        silent.bind(f"ipc://{folder}/req")
+        asked = argparse.Namespace(connect=None, runtime_dir=folder, keys=None)
+        with pytest.raises(NoAnswer) as refused:
+            connected(asked, timeout=0.1).status  # noqa: B018 - it is asked for
+    assert "resolve" not in str(refused.value)
 
 
 @pytest.mark.parametrize("option", ["--state-dir", "--runtime-dir"])
