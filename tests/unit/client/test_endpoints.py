@@ -14,7 +14,6 @@ import pytest
 import zmq
 
 from cm.errors import InvalidRequest
-from cm.server.folders import AlreadyServed, BoardLock, FolderLock
 from cm.server.sockets import ENDPOINTS_FILE, Authenticator, Security, Sockets
 from cm.wire import multipart
 
@@ -120,30 +119,6 @@ def test_only_known_topics_are_accepted_from_publishers(sockets: Sockets, contex
             client.send_multipart([b"other", b"x"])
             client.send_multipart([b"cm_config", b"edge"])
         assert sockets.sub.recv_multipart() == [b"cm_config", b"edge"]
-
-
-def test_a_folder_that_is_served_is_refused_with_the_process_that_does(tmp_path: Path) -> None:
-    lock = FolderLock(tmp_path / "run")
-    with pytest.raises(AlreadyServed, match=rf"\(pid {os.getpid()}\) serves {tmp_path}/run already"):
-        FolderLock(tmp_path / "run")
-    lock.release()
-    FolderLock(tmp_path / "run").release()
-
-
-def test_a_board_that_is_held_is_refused_with_the_process_that_holds_it(tmp_path: Path) -> None:
-    (tmp_path / "sys").mkdir()
-    lock = BoardLock(tmp_path)
-    with pytest.raises(AlreadyServed, match=rf"process( \(pid {os.getpid()}\))? holds the board below {tmp_path}"):
-        BoardLock(tmp_path)
-    lock.release()
-    BoardLock(tmp_path).release()
-
-
-def test_a_root_without_sysfs_is_locked_itself(tmp_path: Path) -> None:
-    lock = BoardLock(tmp_path)
-    with pytest.raises(AlreadyServed):
-        BoardLock(tmp_path)
-    lock.release()
 
 
 # ---- admission -------------------------------------------------------------------------

@@ -102,6 +102,22 @@ def test_a_folder_that_is_served_is_refused_with_the_process_that_serves_it(tmp_
     FolderLock(tmp_path / "run").release()
 
 
+def test_a_board_that_is_held_is_refused_with_the_process_that_holds_it(tmp_path: Path) -> None:
+    (tmp_path / "sys").mkdir()
+    lock = BoardLock(tmp_path)
+    with pytest.raises(AlreadyServed, match=rf"process( \(pid {os.getpid()}\))? holds the board below {tmp_path}"):
+        BoardLock(tmp_path)
+    lock.release()
+    BoardLock(tmp_path).release()
+
+
+def test_a_root_without_sysfs_is_locked_itself(tmp_path: Path) -> None:
+    lock = BoardLock(tmp_path)
+    with pytest.raises(AlreadyServed):
+        BoardLock(tmp_path)
+    lock.release()
+
+
 _HOLD = "import fcntl, os, sys; fcntl.flock(os.open(sys.argv[1], os.O_RDONLY), 2); print(flush=True); input()"
 
 
