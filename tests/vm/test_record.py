@@ -17,7 +17,7 @@ from vmboard.tiers import TIERS
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:
     """A tree that has all that boards test."""
-    for part in {*record.TESTED, *(part for own in record.OWN.values() for part in own)}:
+    for part in {*record.TESTED, record.SHIM, "csrc/client", *(part for own in record.OWN.values() for part in own)}:
         (tmp_path / part).mkdir(parents=True)
         (tmp_path / part / "file.c").write_text("before")
     return tmp_path
@@ -40,6 +40,14 @@ def test_a_board_that_was_good_waits_until_a_source_changes(tree: Path) -> None:
     assert record.unchanged_since(tier, file, tree)
     (tree / "kmod/file.c").write_text("after")
     assert not record.unchanged_since(tier, file, tree)
+
+
+@pytest.mark.parametrize(("source", "waits"), [("shim.c", False), ("client/cm_plane_wire.h", False), ("client/file.c", True)])
+def test_programs_of_the_host_are_not_a_boards(tree: Path, source: str, waits: bool) -> None:
+    file, tier = tree / "good.json", TIERS["custom"]
+    record.good(tier, file, tree)
+    (tree / "csrc" / source).write_text("after")
+    assert bool(record.unchanged_since(tier, file, tree)) == waits
 
 
 @pytest.mark.parametrize(("name", "waits"), [("custom", True), ("remote", False)])

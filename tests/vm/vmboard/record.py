@@ -11,7 +11,7 @@ import json
 import os
 from pathlib import Path
 
-from vmboard.cache import digest
+from vmboard.cache import digest, source_files
 from vmboard.paths import REPOSITORY
 from vmboard.tiers import Tier
 
@@ -20,11 +20,11 @@ RECORD = REPOSITORY / "tests/vm/good.json"
 ALWAYS = ("stock", "silicon", "service")
 TESTED = (
     "kmod",
-    "csrc",
     "dts",
     "tests/device",
     *(f"tests/vm/{part}" for part in ("cases", "guest", "kernel", "trees")),
 )
+SHIM, WIRE, HOST_ONLY = "csrc", "cm_plane_wire.h", ("client", "tests")  # what the host's own suites build and run
 OWN = {"silicon-6.12": ("tests/vm/silicon",), "zynq": ("tests/vm/silicon",), "remote": ("tests/vm/remote",)}
 # What takes the place of a part of the tree: a run with it tells nothing of the tree.
 SUBSTITUTES = ("CM_VM_KMOD", "CM_VM_DRIVER", "CM_VM_QEMU_ARM")
@@ -37,7 +37,12 @@ def waits(tier: Tier) -> bool:
 
 def state(tier: Tier, tree: Path = REPOSITORY) -> str:
     """A hash of what a board tests: the tier's own description, and the sources."""
-    return digest(repr(tier), *(tree / part for part in (*TESTED, *OWN.get(tier.name, ()))))
+    return digest(repr(tier), *(tree / part for part in (*TESTED, *OWN.get(tier.name, ()))), *_shim(tree))
+
+
+def _shim(tree: Path) -> list[Path]:
+    """The sources of the shim, with the packets of the data socket that clients in C share with it."""
+    return [path for path in source_files(tree / SHIM) if path.name == WIRE or path.parent.name not in HOST_ONLY]
 
 
 def unchanged_since(tier: Tier, record: Path = RECORD, tree: Path = REPOSITORY) -> str:
