@@ -11,6 +11,8 @@
 #include "cm_private.h"
 #include "window.h"
 
+#define TOLD_MS 1000 /* at most until a manager that took pages back says why */
+
 struct cm_registers {
 	struct connection connection;
 	struct cm_grant *grant;
@@ -165,13 +167,19 @@ int cm_registers_wait(struct cm_registers *registers, int timeout_ms)
 	}
 }
 
+static bool has_pages(const struct cm_registers *registers)
+{
+	if (registers->grant)
+		return true;
+	errno = EAGAIN;
+	return false;
+}
+
 int cm_registers_find(const struct cm_registers *registers, const char *name,
 		      struct cm_register *found)
 {
-	if (!registers->grant) {
-		errno = EAGAIN;
+	if (!has_pages(registers))
 		return -1;
-	}
 	if (table_find(registers->table, registers->table_size, name, found))
 		return -1;
 	found->offset -= registers->address;
@@ -181,6 +189,8 @@ int cm_registers_find(const struct cm_registers *registers, const char *name,
 int cm_register_read(const struct cm_registers *registers, const struct cm_register *which,
 		     uint64_t *value)
 {
+	if (!has_pages(registers))
+		return -1;
 	if (!(which->access & CM_REGISTER_READS)) {
 		errno = EACCES;
 		return -1;
@@ -196,6 +206,8 @@ int cm_register_write(const struct cm_registers *registers, const struct cm_regi
 {
 	uint64_t beside = 0;
 
+	if (!has_pages(registers))
+		return -1;
 	if (!(which->access & CM_REGISTER_WRITES)) {
 		errno = EACCES;
 		return -1;
@@ -210,18 +222,28 @@ int cm_register_write(const struct cm_registers *registers, const struct cm_regi
 	return cm_grant_write(registers->grant, which->offset, which->width, beside);
 }
 
+/* The pages are taken back before the packet that says why is sent. */
+static bool is_told(struct cm_registers *registers)
+{
+	int64_t begun = connection_now_ms();
+	struct packet packet;
+
+	while (!registers->told && registers->grant &&
+	       connection_wait(&registers->connection,
+			       cm_grant_revoked(registers->grant) ? TOLD_MS : 0, begun) > 0 &&
+	       !connection_receive(&registers->connection, &packet))
+		take(registers, &packet);
+	return registers->told;
+}
+
 const char *cm_registers_mode(struct cm_registers *registers)
 {
-	struct packet packet;
 	int error = errno;
+	bool told = is_told(registers);
 
-	if (!registers->told && registers->grant &&
-	    !connection_receive(&registers->connection, &packet))
-		take(registers, &packet);
 	errno = error;
-	if (registers->told)
-		return registers->mode;
-	return nth(registers->names, registers->names + sizeof(registers->names), 3);
+	return told ? registers->mode
+		    : nth(registers->names, registers->names + sizeof(registers->names), 3);
 }
 
 const char *cm_registers_region(const struct cm_registers *registers)

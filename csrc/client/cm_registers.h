@@ -95,15 +95,18 @@ int cm_registers_find(const struct cm_registers *registers, const char *name,
 /**
  * cm_register_read() / cm_register_write() - one access; writing a field reads the register before
  *
- * Errors: ESTALE once the pages were taken back, EACCES for what cannot be read, or written, here,
- * ERANGE for a value below the minimum, above the maximum, or wider than the field.
+ * Errors: EAGAIN before the pages are there, ESTALE once they were taken back, EACCES for what cannot
+ * be read, or written, here, ERANGE for a value below the minimum, above the maximum, or wider than the field.
  */
 int cm_register_read(const struct cm_registers *registers, const struct cm_register *which,
 		     uint64_t *value);
 int cm_register_write(const struct cm_registers *registers, const struct cm_register *which,
 		      uint64_t value);
 
-/* The mode that the board is in, or goes to: why the pages were taken back.  "" where it is not known. */
+/*
+ * The mode that the board is in, or goes to: why the pages were taken back.  "" where it is not known.
+ * Waits for the manager to say so where it has just taken them, a second at most.
+ */
 const char *cm_registers_mode(struct cm_registers *registers);
 
 /* Module and region whose registers they are; "" before the pages are there. */

@@ -51,6 +51,16 @@ def compiled(prefix: Path, name: str) -> Path:
     return program
 
 
+def built(prefix: Path, folder: Path, source: str) -> Path:
+    """A program of a test's own, with what is inside the library too."""
+    (folder / "program.c").write_text(source)
+    place = REPOSITORY / "csrc/client"
+    flags = ["-Wall", "-Wextra", "-Werror", "-fsanitize=address,undefined", f"-I{place}", f"-I{REPOSITORY}/csrc"]
+    command = ["cc", *flags, "-o", folder / "program", folder / "program.c", prefix / "lib/libcm_plane.a"]
+    subprocess.run(command, check=True)
+    return folder / "program"
+
+
 @pytest.fixture(scope="module")
 def reader(installed: Path) -> Path:
     """The example that reads."""
@@ -225,6 +235,36 @@ def test_a_change_takes_registers_away_from_a_program_that_never_stops(
     assert program.returncode == 1
 
 
+# Accesses a register of one window through another whose pages never came, and prints each errno.
+EARLY = """
+#include <errno.h>
+#include <stdio.h>
+#include "cm_registers.h"
+
+int main(int argc, char **argv)
+{
+	struct cm_registers *refused = cm_registers_open(argv[1], "nowhere", CM_REGISTERS_WRITE, NULL);
+	struct cm_register which = { .width = 32, .access = CM_REGISTER_READS | CM_REGISTER_WRITES, .mask = 255 };
+	uint64_t value;
+	int read, written;
+
+	read = cm_register_read(refused, &which, &value) ? errno : 0;
+	written = cm_register_write(refused, &which, 1) ? errno : 0;
+	printf("%d %d\\n", read, written);
+	cm_registers_close(refused);
+	return argc != 2;
+}
+"""
+
+
+def test_a_register_before_its_pages_are_there(
+    board: cm.Board, manager: Manager, installed: Path, tmp_path: Path
+) -> None:
+    program = built(installed, tmp_path, EARLY)
+    told = subprocess.run([program, manager.runtime], check=True, capture_output=True, text=True, timeout=60).stdout
+    assert told == f"{errno.EAGAIN} {errno.EAGAIN}\n"
+
+
 # Prints what a name leads to in a table from a file, or an errno; then the same for every beginning of the table.
 FIND = """
 #include <errno.h>
@@ -290,11 +330,7 @@ TABLE = ConfigInfo(
 
 
 def test_what_names_of_registers_and_fields_lead_to(installed: Path, tmp_path: Path) -> None:
-    (tmp_path / "find.c").write_text(FIND)
-    place = REPOSITORY / "csrc/client"
-    flags = ["-Wall", "-Wextra", "-Werror", "-fsanitize=address,undefined", f"-I{place}", f"-I{REPOSITORY}/csrc"]
-    command = ["cc", *flags, "-o", tmp_path / "find", tmp_path / "find.c", installed / "lib/libcm_plane.a"]
-    subprocess.run(command, check=True)
+    program = built(installed, tmp_path, FIND)
     names = {
         "plain": f"4096 32 {READS | WRITES} 0 {ALL32} 0 2 9",
         "wide": f"4104 64 {READS} 0 {ALL64} 0 0 {ALL64}",
@@ -309,5 +345,5 @@ def test_what_names_of_registers_and_fields_lead_to(installed: Path, tmp_path: P
         "contro": str(errno.ENOENT),
         "": str(errno.ENOENT),
     }
-    asked = subprocess.run([tmp_path / "find", *names], input=encode_table(TABLE), check=True, capture_output=True)
+    asked = subprocess.run([program, *names], input=encode_table(TABLE), check=True, capture_output=True)
     assert dict(zip(names, asked.stdout.decode().splitlines(), strict=True)) == names
