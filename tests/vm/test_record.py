@@ -42,7 +42,9 @@ def test_a_board_that_was_good_waits_until_a_source_changes(tree: Path) -> None:
     assert not record.unchanged_since(tier, file, tree)
 
 
-@pytest.mark.parametrize(("source", "waits"), [("shim.c", False), ("client/cm_plane_wire.h", False), ("client/file.c", True)])
+@pytest.mark.parametrize(
+    ("source", "waits"), [("shim.c", False), ("client/cm_plane_wire.h", False), ("client/file.c", True)]
+)
 def test_programs_of_the_host_are_not_a_boards(tree: Path, source: str, waits: bool) -> None:
     file, tier = tree / "good.json", TIERS["custom"]
     record.good(tier, file, tree)
