@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cm.cli.common import parsed
-from cm.cli.serve_options import (
+from cm.cli.serve_settings import (
     access_of,
     configs_of,
     default_runtime_dir,

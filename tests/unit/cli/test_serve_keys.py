@@ -10,7 +10,7 @@ import pytest
 
 from cm.cli.keys import ReadableKey, authorized_keys, load_server_keys
 from cm.cli.main import main
-from cm.cli.serve_options import InsecureListen, security_of
+from cm.cli.serve_settings import InsecureListen, security_of
 from cm.errors import InvalidRequest
 
 

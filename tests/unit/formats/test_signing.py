@@ -14,7 +14,7 @@ import pytest
 from import_support import key_pair
 
 from cm.cli.main import main
-from cm.cli.serve_options import configs_of
+from cm.cli.serve_settings import configs_of
 from cm.formats.signing import Policy, SignatureRefused, SigningUnavailable, add_manifest, judge, sign
 from cm.server.settings import parse_settings
 

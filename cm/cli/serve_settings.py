@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Options of `cm serve` from the command line and the settings file; the command line takes precedence."""
+"""The settings of `cm serve`: those of the settings file, overridden by the options that are given."""
 
 from __future__ import annotations
 
