@@ -20,7 +20,7 @@ from cm.errors import Busy, CmError, InvalidRequest, Timeout
 from cm.loop import Timer
 from cm.server.sockets import Loop
 from cm.server.streams.channel_setup import frame_bytes
-from cm.server.streams.policy import StreamStopped
+from cm.server.streams.lifecycle import StreamStopped
 from cm.server.streams.stream import Done, Frame, OpenStream
 from cm.wire import plane_packets as packets
 from cm.wire.plane_packets import DESCRIPTOR, Descriptor

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The streams of the loaded mode, for requests and for the manager: what `policy` decides is carried out here.
+"""The streams of the loaded mode, for requests and for the manager: what `lifecycle` decides is carried out here.
 
 Their clients are other processes, over the data socket, and the manager itself for ZeroMQ. All runs in the loop's
 thread.
@@ -33,10 +33,10 @@ from cm.server.settings.model import USUAL, Limits
 from cm.server.sockets import Loop
 from cm.server.streams.channel_setup import changed, setup
 from cm.server.streams.compression import check_compression
+from cm.server.streams.lifecycle import StreamEvent, StreamLifecycle, StreamPhase, Users
 from cm.server.streams.memory import Allocations, Echoes, MemoryThread
 from cm.server.streams.over_zmq import ZmqReader, ZmqWriter
 from cm.server.streams.peer import Peer
-from cm.server.streams.policy import StreamEvent, StreamPhase, StreamPolicy, Users
 from cm.server.streams.stream import Done, Frame, Moved, OpenStream, StreamTotals
 from cm.wire.messages.requests import ConfigureStream
 from cm.wire.messages.status import ErrorInfo, StreamStatus
@@ -246,7 +246,7 @@ class RunningStreams:
         loop: Loop,
         devices: BoardDevices,
         subscribers: Subscribers,
-        policy: StreamPolicy,
+        lifecycle: StreamLifecycle,
         on_error: Callable[[ErrorInfo], None],
         slots_each: int,
         steps: Steps,
@@ -255,7 +255,7 @@ class RunningStreams:
         self._loop = loop
         self._devices = devices
         self._subscribers = subscribers
-        self._policy = policy
+        self._lifecycle = lifecycle
         self._on_error = on_error
         self.plane = Plane()
         self._thread = MemoryThread(loop)
@@ -278,9 +278,9 @@ class RunningStreams:
 
     def refresh(self) -> None:
         """Open streams that are wanted, and close those that are no longer wanted."""
-        for name in self._stalled.answered() if self._policy.stalled() else ():
-            self._policy.after(name, StreamEvent.ANSWER)
-        for event, stream in self._policy.due(self.users):
+        for name in self._stalled.answered() if self._lifecycle.stalled() else ():
+            self._lifecycle.after(name, StreamEvent.ANSWER)
+        for event, stream in self._lifecycle.due(self.users):
             if event is StreamEvent.OPEN:
                 self._start_quietly(stream)
             else:
@@ -303,7 +303,7 @@ class RunningStreams:
 
     def running(self, stream: Stream, first: Callable[[OpenStream], object] = lambda _: None) -> OpenStream:
         """Return a stream, opened if need be; it starts in a later turn. Raises StreamStopped, Timeout, DeviceError."""
-        self._policy.check_may_run(stream.name)
+        self._lifecycle.check_may_run(stream.name)
         return self.open.get(stream.name) or self._start(stream, first)
 
     def attach(
@@ -316,7 +316,7 @@ class RunningStreams:
         opened = self.open.get(stream.name)
         if opened is not None:
             return self._watched(opened, opened.holders.join(client, depth, peer, stopped))
-        if not self._policy.may_run(stream.name):
+        if not self._lifecycle.may_run(stream.name):
             stopped(0)
             return iter(())
         steps: list[Iterator[None]] = []
@@ -353,7 +353,7 @@ class RunningStreams:
         opened = self.open.pop(name, None)
         if opened is None:
             return
-        self._policy.after(name, StreamEvent.CLOSE)
+        self._lifecycle.after(name, StreamEvent.CLOSE)
         self._totals.add(name, opened.moved())
         if (failure := opened.failure()) is not None:
             self.failures[name] = failure
@@ -383,7 +383,7 @@ class RunningStreams:
         """Open a stream with the client that `first` attaches; `paid`: that client's steps start the stream."""
         opened = self._opened(stream)
         try:
-            config, mode = self._policy.config, self._policy.mode
+            config, mode = self._lifecycle.config, self._lifecycle.mode
             opened.label(config.name if config else "", mode or "")
             waiting = self.locals.attach_all(opened)
             first(opened)
@@ -403,10 +403,10 @@ class RunningStreams:
         except DeviceTimeout:
             with suppress(OSError):  # if it cannot be watched, the next client to open it finds out again
                 self._stalled.probe(stream)
-                self._policy.after(stream.name, StreamEvent.STALL)
+                self._lifecycle.after(stream.name, StreamEvent.STALL)
             raise
         self.open[stream.name] = opened
-        self._policy.after(stream.name, StreamEvent.OPEN)
+        self._lifecycle.after(stream.name, StreamEvent.OPEN)
         return opened
 
     def _start_quietly(self, stream: Stream) -> None:
@@ -423,7 +423,7 @@ class RunningStreams:
         """Close a stream whose channel does not answer; the channel is kept, and watched until it answers again."""
         opened = self.open.pop(name)
         self._totals.add(name, opened.moved())
-        self._policy.after(name, StreamEvent.STALL)
+        self._lifecycle.after(name, StreamEvent.STALL)
         self._stalled.begin(name, opened.release(error))
         self.zmq.close(name)
 
@@ -478,8 +478,8 @@ class Streams:
         self._devices = devices
         self._subscribers = subscribers
         self._leases = leases
-        self._policy = StreamPolicy()
-        self._driver = RunningStreams(loop, devices, subscribers, self._policy, on_error, limits.slots_each, steps)
+        self._lifecycle = StreamLifecycle()
+        self._driver = RunningStreams(loop, devices, subscribers, self._lifecycle, on_error, limits.slots_each, steps)
         self.memories = self._driver.echoes, self._driver.allocations  # for clients that want no stream
         self.moved = self._driver.moved
         self._idle: dict[str, tuple[Stream, StreamStatus]] = {}
@@ -508,10 +508,10 @@ class Streams:
     def _hold(self, names: Collection[str]) -> None:
         for name in names:
             self._driver.stop(name)
-            self._policy.after(name, StreamEvent.HOLD)
+            self._lifecycle.after(name, StreamEvent.HOLD)
 
     def _enter(self, config: Config | None, mode: str | None, held: Mapping[str, str | None]) -> None:
-        for name in self._policy.enter(config, mode, held):
+        for name in self._lifecycle.enter(config, mode, held):
             self._driver.stop(name)
         self._idle.clear()
         self._driver.failures.clear()
@@ -527,7 +527,7 @@ class Streams:
 
     def named(self, name: str, direction: Direction | None) -> Stream:
         """Return a stream by name, or the only one of a direction. Raises UnknownStream, NothingLoaded."""
-        return self._policy.named(name, direction)
+        return self._lifecycle.named(name, direction)
 
     def check_lease(self, stream: Stream, lease: str) -> None:
         """Raise HeldBy if a stream's region is leased and `lease` is not that lease."""
@@ -546,7 +546,7 @@ class Streams:
                 raise Busy(f"stream {stream.name!r} is in use; close its readers, or force the change")
             self._check_channel(wanted)
             self._driver.stop(stream.name)
-        take_back = self._policy.override(stream, wanted, request)
+        take_back = self._lifecycle.override(stream, wanted, request)
 
         def ended(error: Exception | None) -> None:
             if error is not None:
@@ -554,7 +554,9 @@ class Streams:
             done(error or self.status_of(stream.name))
 
         try:
-            if self._policy.is_wanted(wanted, self._driver.users(wanted)) and not self._policy.is_held(stream.name):
+            if self._lifecycle.is_wanted(wanted, self._driver.users(wanted)) and not self._lifecycle.is_held(
+                stream.name
+            ):
                 self._driver.running(wanted)
         except BaseException:  # a change that the channel refuses is undone
             take_back()
@@ -570,15 +572,15 @@ class Streams:
     def _in_use(self, stream: Stream) -> bool:
         """Whether a client would notice a change; a stream that only lingers after its last client is not in use."""
         self._driver.settle()
-        if self._policy.phase(stream.name) in (StreamPhase.CLOSED, StreamPhase.STALLED):
+        if self._lifecycle.phase(stream.name) in (StreamPhase.CLOSED, StreamPhase.STALLED):
             return False
-        busy = self._policy.set_to_run(stream.name) or self._driver.zmq.working(stream.name)
+        busy = self._lifecycle.set_to_run(stream.name) or self._driver.zmq.working(stream.name)
         return busy or self._driver.has_subscriber(stream) or self._driver.locals.use(stream.name)
 
     def _check_channel(self, stream: Stream) -> None:
         """Raise InvalidRequest for what the channel cannot do, even if it is not open yet."""
         opened = self._driver.open.get(stream.name)
-        if stream.name in self._policy.stalled():
+        if stream.name in self._lifecycle.stalled():
             return
         try:
             if opened is not None:
@@ -621,12 +623,12 @@ class Streams:
 
     def status(self) -> tuple[StreamStatus, ...]:
         """Report all streams of this mode."""
-        return tuple([self.status_of(name) for name in self._policy.streams])
+        return tuple([self.status_of(name) for name in self._lifecycle.streams])
 
     def status_of(self, name: str) -> StreamStatus:
         """Report one stream."""
         opened = self._driver.open.get(name)
-        status = opened.status() if opened else self._closed(self._policy.streams[name])
+        status = opened.status() if opened else self._closed(self._lifecycle.streams[name])
         failure = status.last_error or self._driver.failures.get(name)
         if failure is not None:
             status = replace(status, last_error=failure)

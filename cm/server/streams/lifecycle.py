@@ -137,7 +137,7 @@ class StreamOverrides:
         self._runs.clear()
 
 
-class StreamPolicy:
+class StreamLifecycle:
     """The streams of the loaded mode, their phases, and their overrides."""
 
     def __init__(self) -> None:

@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""When streams run, without sockets or devices: the table of phases, and the decisions between them."""
+
+from __future__ import annotations
+
+from itertools import product
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cm.errors import InvalidRequest, Timeout
+from cm.manager.errors import NothingLoaded, UnknownStream
+from cm.schema import loads
+from cm.schema.model import Config, Direction
+from cm.server.streams.lifecycle import (
+    TRANSITIONS,
+    IllegalTransition,
+    StreamEvent,
+    StreamLifecycle,
+    StreamPhase,
+    StreamStopped,
+    Users,
+    decide,
+)
+from cm.wire.messages.requests import ConfigureStream
+
+TEXT = """
+config:
+  name: {name}
+  modules: [one, two]
+  streams:
+    camera: {{direction: s2mm, shape: [4, 4]}}
+    out: {{direction: mm2s, shape: [4]}}
+  modes:
+    one: {{modules: [one]}}
+    two: {{modules: [two], streams: {{camera: {{shape: [8, 8]}}}}}}
+"""
+USED, UNUSED = Users(subscriber=True), Users()
+
+
+def config(name: str = "video") -> Config:
+    return loads(TEXT.format(name=name))
+
+
+@pytest.fixture
+def lifecycle() -> StreamLifecycle:
+    made = StreamLifecycle()
+    made.enter(config(), "one")
+    return made
+
+
+def due(lifecycle: StreamLifecycle, **users: Users) -> dict[str, StreamEvent]:
+    return {stream.name: event for event, stream in lifecycle.due(lambda s: users.get(s.name, UNUSED))}
+
+
+def set_to(lifecycle: StreamLifecycle, name: str, **settings: object) -> None:
+    stream = lifecycle.streams[name]
+    lifecycle.override(stream, stream, ConfigureStream(name, **settings))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("phase", "event"), list(product(StreamPhase, StreamEvent)))
+def test_an_illegal_transition_raises_and_changes_nothing(phase: StreamPhase, event: StreamEvent) -> None:
+    lifecycle = StreamLifecycle()
+    ways = {
+        StreamPhase.CLOSED: [],
+        StreamPhase.OPEN: [StreamEvent.OPEN],
+        StreamPhase.HELD: [StreamEvent.HOLD],
+        StreamPhase.STALLED: [StreamEvent.STALL],
+        StreamPhase.HELD_STALLED: [StreamEvent.STALL, StreamEvent.HOLD],
+    }
+    for step in ways[phase]:
+        lifecycle.after("camera", step)
+    assert lifecycle.phase("camera") is phase
+    if (phase, event) in TRANSITIONS:
+        lifecycle.after("camera", event)
+        assert lifecycle.phase("camera") is TRANSITIONS[phase, event]
+    else:
+        with pytest.raises(IllegalTransition, match="camera"):
+            lifecycle.after("camera", event)
+        assert lifecycle.phase("camera") is phase
+
+
+@pytest.mark.parametrize("phase", list(StreamPhase))
+@pytest.mark.parametrize("wanted", [True, False])
+def test_only_a_closed_stream_is_opened_and_only_an_open_one_closed(phase: StreamPhase, wanted: bool) -> None:
+    expected = {
+        (StreamPhase.CLOSED, True): StreamEvent.OPEN,
+        (StreamPhase.OPEN, False): StreamEvent.CLOSE,
+    }
+    event = decide(phase, wanted)
+    assert event is expected.get((phase, wanted))
+    assert event is None or (phase, event) in TRANSITIONS
+
+
+@given(st.lists(st.sampled_from(StreamEvent), max_size=30))
+def test_a_stream_that_is_held_or_stalled_is_never_opened_whatever_came_before(events: list[StreamEvent]) -> None:
+    lifecycle = StreamLifecycle()
+    lifecycle.enter(config(), "one")
+    for event in events:
+        if (lifecycle.phase("camera"), event) in TRANSITIONS:
+            lifecycle.after("camera", event)
+        held, stalled = lifecycle.is_held("camera"), "camera" in lifecycle.stalled()
+        assert (due(lifecycle, camera=USED).get("camera") is StreamEvent.OPEN) == (
+            lifecycle.phase("camera") is StreamPhase.CLOSED
+        )
+        assert lifecycle.may_run("camera") == (not held and not stalled)
+
+
+@pytest.mark.parametrize("users", [Users(subscriber=True), Users(client=True), Users(transfer=True)])
+def test_a_stream_runs_while_it_is_used(lifecycle: StreamLifecycle, users: Users) -> None:
+    assert due(lifecycle, camera=users) == {"camera": StreamEvent.OPEN}
+    lifecycle.after("camera", StreamEvent.OPEN)
+    assert due(lifecycle, camera=users) == {}
+    assert due(lifecycle) == {"camera": StreamEvent.CLOSE}
+
+
+def test_a_clients_setting_takes_precedence_over_use_by_readers(lifecycle: StreamLifecycle) -> None:
+    set_to(lifecycle, "camera", enable=True)
+    assert due(lifecycle) == {"camera": StreamEvent.OPEN}
+    set_to(lifecycle, "camera", enable=False)
+    assert due(lifecycle, camera=USED) == {}
+    assert not lifecycle.may_run("camera")
+    with pytest.raises(StreamStopped, match="enable"):
+        lifecycle.check_may_run("camera")
+    set_to(lifecycle, "camera", automatic=True)
+    assert due(lifecycle, camera=USED) == {"camera": StreamEvent.OPEN}
+
+
+def test_a_stream_that_is_the_same_in_the_next_mode_runs_on(lifecycle: StreamLifecycle) -> None:
+    for name in ("camera", "out"):
+        lifecycle.after(name, StreamEvent.OPEN)
+    assert lifecycle.enter(config(), "two") == ["camera"], "its frames have another shape there"
+    assert lifecycle.streams["camera"].shape == (8, 8)
+
+
+def test_the_end_of_a_change_releases_what_it_held(lifecycle: StreamLifecycle) -> None:
+    lifecycle.after("camera", StreamEvent.HOLD)
+    with pytest.raises(StreamStopped, match="region changes"):
+        lifecycle.check_may_run("camera")
+    lifecycle.enter(config(), "two")
+    lifecycle.check_may_run("camera")
+
+
+def test_a_channel_that_answers_during_a_change_does_not_let_its_stream_run(lifecycle: StreamLifecycle) -> None:
+    lifecycle.after("camera", StreamEvent.STALL)
+    with pytest.raises(Timeout, match="does not answer"):
+        lifecycle.check_may_run("camera")
+    lifecycle.after("camera", StreamEvent.HOLD)
+    lifecycle.after("camera", StreamEvent.ANSWER)
+    assert not lifecycle.may_run("camera")
+    assert due(lifecycle, camera=USED) == {}
+
+
+def test_settings_go_with_the_mode_and_what_runs_with_the_configuration(lifecycle: StreamLifecycle) -> None:
+    stream = lifecycle.streams["out"]
+    wanted = loads(TEXT.format(name="video").replace("shape: [4]", "shape: [9]")).streams["out"]
+    lifecycle.override(stream, wanted, ConfigureStream("out", shape=(9,), enable=True))
+    assert lifecycle.streams["out"].shape == (9,)
+    lifecycle.enter(config(), "two")
+    assert lifecycle.streams["out"].shape == (4,)
+    assert lifecycle.set_to_run("out")
+    lifecycle.enter(config("audio"), "one")
+    assert not lifecycle.set_to_run("out")
+
+
+def test_a_setting_that_is_taken_back_leaves_nothing(lifecycle: StreamLifecycle) -> None:
+    before = dict(lifecycle.streams)
+    stream = lifecycle.streams["out"]
+    lifecycle.override(stream, stream, ConfigureStream("out", enable=True))()
+    assert (dict(lifecycle.streams), lifecycle.set_to_run("out")) == (before, False)
+
+
+def test_streams_are_found_by_name_or_as_the_only_one_of_their_direction(lifecycle: StreamLifecycle) -> None:
+    assert lifecycle.named("", Direction.S2MM).name == "camera"
+    assert lifecycle.named("out", Direction.MM2S).name == "out"
+    with pytest.raises(InvalidRequest, match="mm2s"):
+        lifecycle.named("out", Direction.S2MM)
+    with pytest.raises(UnknownStream, match="camera"):
+        lifecycle.named("camra", None)
+    with pytest.raises(UnknownStream, match="name a stream"):
+        _two_inputs().named("", Direction.S2MM)
+    with pytest.raises(NothingLoaded):
+        StreamLifecycle().named("camera", None)
+
+
+def _two_inputs() -> StreamLifecycle:
+    lifecycle = StreamLifecycle()
+    lifecycle.enter(loads(TEXT.format(name="video").replace("direction: mm2s", "direction: s2mm")), "one")
+    return lifecycle
+
+
+def test_the_documentation_shows_the_table() -> None:
+    page = Path(__file__).resolve().parents[3] / "docs" / "decisions" / "frames-as-descriptors.md"
+    lines = ["stateDiagram-v2", "    [*] --> closed"]
+    lines += [f"    {a.value} --> {b.value}: {event.value}" for (a, event), b in TRANSITIONS.items() if a is not b]
+    assert "\n".join(lines) + "\n" in page.read_text(encoding="utf-8")
