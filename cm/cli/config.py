@@ -38,7 +38,7 @@ def _add_to_manager(actions: argparse._SubParsersAction[argparse.ArgumentParser]
         "send", help="send a schema file, and the bitstreams and overlays that belong to it, to the manager"
     )
     send.add_argument("schema", type=Path, metavar="SCHEMA")
-    send.add_argument("files", nargs="*", type=Path, metavar="FILE", help="bitstreams and overlays")
+    send.add_argument("files", nargs="*", type=Path, metavar="FILE", help="bitstreams and overlays that it names")
     add_board_options(send, run_send)
     remove = actions.add_parser("remove", help="remove a configuration that a client sent")
     completes(remove.add_argument("config", metavar="CONFIG"), "<config>")

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from cm.errors import NotFound
-from cm.schema.model import Config, Module, Overlay
+from cm.schema.model import Config, ConfigType, Module, Overlay
 from cm.schema.problems import did_you_mean
 
 _ABSENT = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.EACCES, errno.EPERM)  # in a folder that we may not read, too
@@ -71,6 +71,18 @@ def overlay_path(config: Config, overlay: Overlay | str, root: Path | str = "/")
     if isinstance(overlay, str):
         overlay = Overlay(overlay)
     return find_file(config, [overlay.file or f"{overlay.name}.dtbo"], root)
+
+
+def named_files(config: Config) -> list[str]:
+    """Every name that a file of `config` may have, below the folders that are searched for it."""
+    found: list[str | Path] = []
+    if config.type is ConfigType.FULL:
+        found += _candidates(config.name, config.bitstream)
+    for module in config.modules.values():
+        found += [*_candidates(module.name, module.bitstream), f"{module.name}.dtbo"]
+    overlays = [*config.overlays, *(overlay for mode in config.modes.values() for overlay in mode.overlays)]
+    found += [overlay.file or f"{overlay.name}.dtbo" for overlay in overlays]
+    return list(dict.fromkeys(map(str, found)))
 
 
 def _candidates(name: str, written: Path | None) -> list[str | Path]:

@@ -18,7 +18,9 @@ from cm.frozen import dataclass
 from cm.manager.errors import UnknownConfig, listed
 from cm.manager.planner import checked_name
 from cm.schema import load, loads
+from cm.schema.files import named_files
 from cm.schema.model import Config
+from cm.schema.problems import did_you_mean
 from cm.server.folders import own_folder
 from cm.server.service import keeping
 from cm.server.settings.model import USUAL, Limits
@@ -93,15 +95,20 @@ def check_paths(config: Config) -> None:
             )
 
 
-def check_files(config: str, files: tuple[File, ...]) -> None:
+def check_files(config: Config, files: tuple[File, ...]) -> None:
     names = [checked_name(f.name) for f in files]
     if len(set(names)) != len(names) or SCHEMA_FILE in names:
-        raise InvalidRequest(f"files of {config!r}: names must differ, and none may be {SCHEMA_FILE!r}")
+        raise InvalidRequest(f"files of {config.name!r}: names must differ, and none may be {SCHEMA_FILE!r}")
+    known = named_files(config)
+    for name in names:
+        if name not in known:
+            hint = did_you_mean(name, known)
+            raise InvalidRequest(f"files of {config.name!r}: the schema names no file {name!r} ({hint})")
     for file in files:
         if file.sha256 and hashlib.sha256(file.data).hexdigest() != file.sha256.lower():
             raise InvalidRequest(f"cm_write_config: file {file.name!r} does not have the sha256 announced for it")
     if sum(len(f.data) for f in files) > MAX_BYTES:
-        raise InvalidRequest(f"files of {config!r} have more than {MAX_BYTES >> 20} MiB together")
+        raise InvalidRequest(f"files of {config.name!r} have more than {MAX_BYTES >> 20} MiB together")
 
 
 @contextmanager
@@ -194,7 +201,7 @@ class Provisioner:
         check_paths(config)
         self._check_owner(config.name, sender)
         allowed(config.name)
-        check_files(config.name, files)
+        check_files(config, files)
         written = schema.encode()
         self._check_quota(config.name, len(written) + sum(len(f.data) for f in files), len(written), sender)
         with room_for(config.name):

@@ -33,12 +33,13 @@ def manager() -> Iterator[Manager]:
 
 
 def test_files_longer_than_a_message_are_provisioned_whole(manager: Manager, tmp_path: Path) -> None:
-    schema, image = tmp_path / "sent.yaml", tmp_path / "fir.bin"
+    schema, image, overlay = (tmp_path / name for name in ("sent.yaml", "fir.bin", "fir.dtbo"))
     schema.write_text(SCHEMA, encoding="utf-8")
     data = np.random.default_rng(1).integers(0, 256, 20 * MIB, np.uint8).tobytes()
     image.write_bytes(data)
+    overlay.write_bytes(b"overlay")
     with manager.connected() as board:
-        assert board.provision(schema, image, tmp_path / "sent.yaml").name == "sent"
+        assert board.provision(schema, image, overlay).name == "sent"
         assert all(client.upload_bytes == 0 for client in board.clients())
     (stored,) = manager.runtime.parent.glob("state/configs/sent/fir.bin")
     assert hashlib.sha256(stored.read_bytes()).digest() == hashlib.sha256(data).digest()

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import gc
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -70,6 +71,27 @@ def test_a_file_name_that_is_not_plain_is_refused(provisioner: Provisioner, name
     with pytest.raises(InvalidRequest):
         provisioner.store(SCHEMA, (File(name, b"1"),))
     assert provisioner.stored() == []
+
+
+@pytest.mark.parametrize(("name", "hint"), [("ome.bit", "did you mean one.bit?"), ("README", "known: one.bit, ")])
+def test_a_file_that_the_schema_does_not_name_is_refused(provisioner: Provisioner, name: str, hint: str) -> None:
+    with pytest.raises(InvalidRequest, match=f"names no file '{name}' .{re.escape(hint)}"):
+        provisioner.store(SCHEMA, (*FILES, File(name, b"3")))
+    assert provisioner.stored() == []
+
+
+def test_a_file_may_have_each_name_by_which_it_is_looked_for(provisioner: Provisioner) -> None:
+    schema = """
+config:
+  name: sent
+  type: full
+  modules: {one: {}, two: {bitstream: second.bin}}
+  overlays: [base]
+  modes: {default: {modules: [one]}}
+"""
+    names = {"sent.bit", "one.bit", "one.bin", "one.bit.bin", "one.dtbo", "second.bin", "two.dtbo", "base.dtbo"}
+    provisioner.store(schema, tuple(File(name, b"1") for name in sorted(names)))
+    assert content(provisioner).keys() == {SCHEMA_FILE, *names}
 
 
 def test_a_bad_schema_or_a_refusal_leaves_the_old_one(provisioner: Provisioner) -> None:
