@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from cm.cli.common import add_json_option, answer, print_json, print_table
+from cm.cli.failures import code_and_sentence, tell
 from cm.cli.region import check_region
 from cm.errors import CmError, InvalidRequest, NotFound
 from cm.formats.bitstream import (
@@ -156,7 +157,7 @@ def _add_inspect(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser = actions.add_parser(
         "inspect",
         help="describe bitstreams",
-        description="Describe bitstreams. Exit status 1 if one is damaged.",
+        description="Describe bitstreams. Exit status 1 if one is damaged or cannot be read.",
     )
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="a .bit, .bin, .bit.bin or boot image")
     parser.add_argument("--frames", action="store_true", help="list the footprint column by column")
@@ -183,15 +184,26 @@ def _add_convert(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 
 def run_inspect(args: argparse.Namespace) -> int:
-    """Print reports; 0 if all bitstreams are sound."""
-    reports = [(path, inspect(path)) for path in args.files]
-    if args.json:
-        found = [{"path": str(path), **report.to_json()} for path, report in reports]
-        print_json(found[0] if len(found) == 1 else found)
-    else:
-        for path, report in reports:
+    """Print reports, and errors instead where a file cannot be read; 0 if all bitstreams are sound."""
+    told = []
+    sound = True
+    for path in args.files:
+        try:
+            report = inspect(path)
+        except (CmError, OSError) as error:
+            sound = False
+            code, message = code_and_sentence(error)
+            told.append({"path": str(path), "error": {"code": code, "message": message}})
+            if not args.json:
+                tell(code, message)
+            continue
+        sound = sound and not report.problems
+        told.append({"path": str(path), **report.to_json()})
+        if not args.json:
             _print_report(path, report, args.frames)
-    return 1 if any(report.problems for _, report in reports) else 0
+    if args.json:
+        print_json(told[0] if len(told) == 1 else told)
+    return 0 if sound else 1
 
 
 def _print_report(path: Path, report: Report, frames: bool) -> None:

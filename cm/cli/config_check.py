@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
         print_json(settings_schema() if args.settings else json_schema())
         return 0
     if args.settings:
-        results = [_check_settings(path) for path in args.paths or [SETTINGS_FILE]]
+        results = [each for path in args.paths or [SETTINGS_FILE] for each in _readable(path, _check_settings)]
     elif args.paths:
         results = check_files(args.paths)
     else:
@@ -52,8 +52,20 @@ def check_files(paths: Iterable[Path]) -> list[Checked]:
     """Every file of `paths`, folders opened out; a name that two files of a folder share is a problem."""
     results: list[Checked] = []
     for path in paths:
-        results += _check_folder(path) if path.is_dir() else [_check_file(path)]
+        results += _readable(path, _check_path)
     return results
+
+
+def _readable(path: Path, check: Callable[[Path], list[Checked]]) -> list[Checked]:
+    """What `check` says; where it may not look there, that is what is wrong with `path`, and others are checked too."""
+    try:
+        return check(path)
+    except OSError as error:
+        return [Checked(path, None, (_problem(path, "unreadable", error.strerror or str(error)),))]
+
+
+def _check_path(path: Path) -> list[Checked]:
+    return _check_folder(path) if path.is_dir() else [_check_file(path)]
 
 
 def _check_file(path: Path) -> Checked:
@@ -65,15 +77,15 @@ def _check_file(path: Path) -> Checked:
         return Checked(path, None, (_problem(path, "not_found", "no such file"),))
 
 
-def _check_settings(path: Path) -> Checked:
+def _check_settings(path: Path) -> list[Checked]:
     """Check a settings file, but not the files that it names."""
     try:
         good = parse_settings(sys.stdin.read(), path) if path == _STDIN else load_settings(path)
     except SettingsError as error:
-        return Checked(path, None, error.problems)
+        return [Checked(path, None, error.problems)]
     except SettingsMissing as error:
-        return Checked(path, None, (_problem(path, "not_found", str(error).removeprefix(f"{path}: ")),))
-    return Checked(path, None, (), good)
+        return [Checked(path, None, (_problem(path, "not_found", str(error).removeprefix(f"{path}: ")),))]
+    return [Checked(path, None, (), good)]
 
 
 def _check_folder(folder: Path) -> list[Checked]:

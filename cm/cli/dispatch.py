@@ -14,7 +14,7 @@ import sys
 from collections.abc import Sequence
 from typing import TextIO
 
-from cm.cli.colours import as_told, colours_of, painted
+from cm.cli.colours import as_told, colours_of
 from cm.cli.commands import EXIT_INTERRUPTED, understood
 from cm.cli.parser import build_parser, chosen_command, refuse_unknown
 from cm.errors import CmError
@@ -65,7 +65,7 @@ def _ended(words: list[str]) -> int:
         return EXIT_PIPE
     except OSError as error:
         _drop(sys.stdout)
-        return _fail(f"standard output: {_sentence(error)}", "io", as_json=False)
+        return _failed(error, as_json=False, place="standard output: ")
 
 
 def _outcome(words: list[str], as_json: bool) -> int:
@@ -73,19 +73,19 @@ def _outcome(words: list[str], as_json: bool) -> int:
     try:
         return _run(words)
     except CmError as error:
-        return _fail(str(error), error.code, as_json)
+        return _failed(error, as_json)
     except ModuleNotFoundError as error:
         part = (error.name or "").split(".")
         if part[0] != "cm" or len(part) < 2:
             raise
         absent = ".".join(part[1:3]) if part[1] == "tools" else part[1]
-        return _fail(_absent(absent), "not_installed", as_json)
+        return _fail("not_installed", _absent(absent), as_json)
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
     except BrokenPipeError:
         raise
     except OSError as error:
-        return _fail(_sentence(error), "io", as_json)
+        return _failed(error, as_json)
 
 
 def _absent(part: str) -> str:
@@ -117,21 +117,24 @@ def _run_without(parser: argparse.ArgumentParser, words: list[str]) -> int:
     return EXIT_USAGE
 
 
-def _fail(message: str, code: str, as_json: bool) -> int:
+def _failed(error: CmError | OSError, as_json: bool, place: str = "") -> int:
+    from cm.cli.failures import code_and_sentence
+
+    code, sentence = code_and_sentence(error)
+    return _fail(code, f"{place}{sentence}", as_json)
+
+
+def _fail(code: str, message: str, as_json: bool) -> int:
     """Say what went wrong: to people on stderr, to scripts on stdout."""
     if as_json:
         from cm.cli.common import print_json
 
         print_json({"error": {"code": code, "message": message}})
     else:
-        named = "" if code == "io" else painted(f" [{code}]", "dim", sys.stderr)
-        print(f"{painted('cm:', 'red', sys.stderr)} {message}{named}", file=sys.stderr)
+        from cm.cli.failures import tell
+
+        tell(code, message)
     return EXIT_FAILED
-
-
-def _sentence(error: OSError) -> str:
-    reason = error.strerror or str(error)
-    return f"{error.filename}: {reason}" if error.filename else reason
 
 
 def _finish_errors() -> None:

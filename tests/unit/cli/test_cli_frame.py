@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -246,6 +248,17 @@ def test_check_refuses_a_missing_file(tmp_path: Path, capsys: pytest.CaptureFixt
     out = capsys.readouterr().out.splitlines()
     assert out[0] == f"{tmp_path}/none.yaml: no such file"
     assert "no runtime schema here" in out[1]
+
+
+@pytest.mark.parametrize("settings", [(), ("--settings",)])
+def test_check_goes_on_behind_a_file_that_may_not_be_read(
+    settings: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    too_long = "x" * 300  # refused to root, too
+    assert main(["check", *settings, too_long, "none.yaml"]) == 1
+    first, second = capsys.readouterr().out.splitlines()
+    assert first.startswith(f"{too_long}: {os.strerror(errno.ENAMETOOLONG)}")
+    assert second.startswith("none.yaml: ")
 
 
 def test_check_without_a_file_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
