@@ -8,9 +8,10 @@ import contextlib
 import shutil
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
-from cm.cli.common import add_json_option, answer, print_json, print_table
+from cm.cli.common import add_json_option, answer, parsed, print_json, print_table
 from cm.cli.failures import code_and_sentence, tell
 from cm.cli.region import check_region
 from cm.errors import CmError, InvalidRequest, NotFound
@@ -56,7 +57,8 @@ def add_verify(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         metavar="FILE",
         help="another bitstream of the same region, whose frames are taken as the region's",
     )
-    parser.add_argument("--device", metavar="NAME", help="the device, such as xc7z020")
+    device = parsed("a device", str.strip, bool)  # not an unset variable, which would let every device pass
+    parser.add_argument("--device", type=device, metavar="NAME", help="the device, such as xc7z020")
     parser.add_argument("--idcode", type=_idcode, metavar="HEX", help="its IDCODE in bitstreams, for an unknown device")
     parser.add_argument("--sha256", metavar="HEX", help="the file's expected hash")
     kind = parser.add_mutually_exclusive_group()
@@ -66,11 +68,7 @@ def add_verify(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     parser.set_defaults(run=run_verify)
 
 
-def _idcode(text: str) -> int:
-    value = int(text, 16)
-    if not 0 < value <= 0xFFFFFFFF:
-        raise argparse.ArgumentTypeError(f"{text} is not an IDCODE: up to eight hexadecimal digits are")
-    return value
+_idcode = parsed("an IDCODE: up to eight hexadecimal digits", partial(int, base=16), lambda code: 0 < code < 1 << 32)
 
 
 def run_verify(args: argparse.Namespace) -> int:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from cm.formats.bitstream.container import NO_USER_ID
-from cm.formats.bitstream.devices import REVISION_MASK, base_name, device_by_name, package_of
+from cm.formats.bitstream.devices import DEVICES, REVISION_MASK, base_name, device_by_name, package_of
 from cm.formats.bitstream.errors import (
     Encrypted,
     FootprintOutside,
@@ -22,6 +22,7 @@ from cm.formats.bitstream.footprint import describe, outside
 from cm.formats.bitstream.report import Refusal, Report
 from cm.frozen import dataclass
 from cm.schema.model import Config, FrameRange, Module
+from cm.schema.problems import did_you_mean
 
 _SHOWN = 4  # footprint entries named in a sentence
 
@@ -57,6 +58,14 @@ def _expected_idcode(expect: Expectation) -> int | None:
     return known.idcode if known else None
 
 
+def _not_known(expect: Expectation) -> str:
+    """What may be wrong with a device's name that says nothing to us; empty if it does, or an IDCODE says more."""
+    if expect.idcode is not None or expect.device is None or device_by_name(expect.device) is not None:
+        return ""
+    hint = did_you_mean(base_name(expect.device), [device.name for device in DEVICES])
+    return f", whose IDCODE is not known ({hint})"
+
+
 def _device(report: Report, expect: Expectation) -> Iterator[Refusal]:
     wanted = expect.device or (f"IDCODE {expect.idcode:08X}" if expect.idcode is not None else None)
     if wanted is None:
@@ -68,7 +77,7 @@ def _device(report: Report, expect: Expectation) -> Iterator[Refusal]:
             yield Refusal.of(WrongDevice, f"built for {found}, meant for {wanted} (IDCODE {idcode:08X})")
     elif expect.device and report.device:
         if base_name(expect.device) != report.device:
-            yield Refusal.of(WrongDevice, f"built for {found}, meant for {wanted}")
+            yield Refusal.of(WrongDevice, f"built for {found}, meant for {wanted}{_not_known(expect)}")
     elif not (report.encrypted and expect.allow_encrypted):  # it may hide its IDCODE; who permits that, knows
         yield Refusal.of(UnknownDevice, f"cannot tell whether {found} is {wanted}: give the device's IDCODE, or a .bit")
 

@@ -125,6 +125,29 @@ def test_verify_refuses_another_device(tmp_path: Path) -> None:
     assert main(["bitstream", "verify", str(path), *arguments]) == 1
 
 
+@pytest.mark.parametrize(("name", "hint"), [("nonsense", "known: xc7z007s, "), ("xc7z0200", "did you mean xc7z020?")])
+def test_verify_says_of_a_device_that_is_not_known_which_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, hint: str
+) -> None:
+    path = str(module(tmp_path, "edge"))
+    assert main(["bitstream", "verify", path, "--device", name]) == 1
+    assert f"meant for {name}, whose IDCODE is not known ({hint}" in capsys.readouterr().out
+    assert main(["bitstream", "verify", path, "--device", "xc7z010"]) == 1
+    assert "not known" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "wanted"),
+    [("device", "", "a device"), ("idcode", "xc7z020", "an IDCODE"), ("idcode", "103722093", "an IDCODE")],
+)
+def test_verify_says_what_a_device_is_named_by(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str, value: str, wanted: str
+) -> None:
+    with pytest.raises(SystemExit):
+        main(["bitstream", "verify", str(module(tmp_path, "edge")), f"--{option}", value])
+    assert f"--{option}: {value!r} is not {wanted}" in capsys.readouterr().err
+
+
 def test_verify_compares_with_a_bitstream_of_the_same_region(tmp_path: Path) -> None:
     first, same, other = (module(tmp_path, name, column) for name, column in (("a", 3), ("b", 3), ("c", 9)))
     assert main(["bitstream", "verify", str(same), "--like", str(first), "--partial"]) == 0
