@@ -178,15 +178,6 @@ def project_data(path: Path | str) -> dict[str, Any]:
     return _loading(path, None).values()
 
 
-def check_project(path: Path | str) -> list[Problem]:
-    """Return the problems of the build schema in `path`; empty if there are none."""
-    try:
-        load_project(path)
-    except SchemaError as error:
-        return list(error.problems)
-    return []
-
-
 def _loading(path: Path, text: str | None) -> DesignFile:
     try:
         text = path.read_text(encoding="utf-8") if text is None else text

@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 from build_support import EXAMPLES, MINIMAL, NAMES, project
 
-from cm.design.project.load import SCHEMA_FILE, check_project, load_project
+from cm.design.project.load import SCHEMA_FILE, load_project
 from cm.schema import SchemaError
 from cm.schema.model import Access, LoaderKind
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_shipped_examples_are_good(name: str) -> None:
-    assert check_project(EXAMPLES / name / "build.yaml") == []
+    load_project(EXAMPLES / name / "build.yaml")
 
 
 def test_a_small_schema_gets_its_defaults(tmp_path: Path) -> None:
@@ -101,7 +101,9 @@ MISTAKES = {
 @pytest.mark.parametrize("name", MISTAKES)
 def test_a_mistake_is_reported_at_its_line(name: str, tmp_path: Path) -> None:
     text, line, code, words = MISTAKES[name]
-    problems = check_project(project(tmp_path, text))
+    with pytest.raises(SchemaError) as caught:
+        load_project(project(tmp_path, text))
+    problems = caught.value.problems
     assert [(p.line, p.code) for p in problems] == [(line, code)], [str(p) for p in problems]
     assert words in str(problems[0])
     assert problems[0].path == tmp_path / "build.yaml"
@@ -116,8 +118,8 @@ def test_all_mistakes_are_reported_in_the_order_of_the_file(tmp_path: Path) -> N
 
 def test_a_module_must_say_where_it_goes_when_there_are_several_regions(tmp_path: Path) -> None:
     text = MINIMAL.replace("  prr0: {pblock: auto}", "  prr0: {}\n  prr1: {}")
-    messages = [str(problem) for problem in check_project(project(tmp_path, text))]
-    assert any("with several regions, a module must say which of them it fits" in message for message in messages)
+    with pytest.raises(SchemaError, match="with several regions, a module must say which of them it fits"):
+        load_project(project(tmp_path, text))
 
 
 @pytest.mark.parametrize("name", NAMES)
