@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 
 from cm.cli.commands import EXIT_INTERRUPTED
 from cm.cli.common import Run, add_board_options, add_lease_option, answer, completes, print_json, print_table
-from cm.cli.connection import connected, plain, where
+from cm.cli.connection import connected, where
 from cm.errors import CmError, Timeout
+from cm.wire.messages.plain import plain
 
 if TYPE_CHECKING:
     _Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cm.cli.common import add_board_options, add_json_option, answer, answer_table, completes, print_json
-from cm.cli.connection import connected, plain
+from cm.cli.connection import connected
+from cm.wire.messages.plain import plain
 
 if TYPE_CHECKING:
     from cm.wire.messages.status import ConfigEntry

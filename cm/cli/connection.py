@@ -9,9 +9,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import asdict
-from enum import Enum
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from cm.errors import CmError, NotFound, Timeout
 
@@ -59,17 +57,6 @@ def settled(board: Board, seconds: float) -> Status:
     """The first status that tells of no change under way. Raises Timeout after `seconds` without a new one."""
     with board.watch(timeout=seconds) as statuses:
         return next(status for status in statuses if not status.fpga_busy)
-
-
-def plain(value: Any) -> Any:
-    """A frozen message as what JSON knows."""
-    return asdict(value, dict_factory=lambda pairs: {k: _known(v) for k, v in pairs})
-
-
-def _known(value: Any) -> Any:
-    if isinstance(value, tuple) and value and hasattr(value[0], "_asdict"):
-        return [part._asdict() for part in value]
-    return value.value if isinstance(value, Enum) else value
 
 
 def where(status: Status) -> str:

@@ -134,7 +134,7 @@ def _leg(leg: Leg) -> str:
 
 def as_json(course: Course) -> dict[str, Any]:
     """For scripts."""
-    from cm.cli.connection import plain
+    from cm.wire.messages.plain import plain
 
     return {
         "change": course.id,

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cm.cli.common import Run, add_json_option, answer_table, seconds
-from cm.cli.connection import plain
 from cm.cli.parser import Parser
+from cm.wire.messages.plain import plain
 
 if TYPE_CHECKING:
     from cm.networks.fleet.blocking import Fleet

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from cm.cli.common import number, print_json, print_table
-from cm.cli.connection import plain
 from cm.cli.fleet_options import add_fleet_options, answer_boards, connected_fleet
+from cm.wire.messages.plain import plain
 
 if TYPE_CHECKING:
     from cm.wire.messages.fleet import BoardStatus

@@ -7,7 +7,8 @@ import argparse
 from itertools import islice
 
 from cm.cli.common import add_board_options, answer, answer_table, completes, natural, seconds
-from cm.cli.connection import connected, followed, plain
+from cm.cli.connection import connected, followed
+from cm.wire.messages.plain import plain
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -13,10 +13,11 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from cm.cli.common import add_board_options, answer, answer_table, completes, seconds
-from cm.cli.connection import connected, plain, window_use
+from cm.cli.connection import connected, window_use
 from cm.cli.parser import Parser
 from cm.client.core import calls, leases
 from cm.errors import CmError, NotFound
+from cm.wire.messages.plain import plain
 from cm.wire.messages.requests import TakeLease
 
 if TYPE_CHECKING:

@@ -22,8 +22,9 @@ from cm.cli.common import (
     parsed,
     print_json,
 )  # fmt: skip
-from cm.cli.connection import connected, plain
+from cm.cli.connection import connected
 from cm.errors import InvalidRequest
+from cm.wire.messages.plain import plain
 from cm.wire.messages.status import MemoryInfo
 
 _LINE = 16  # bytes of a line of the dump

@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cm.cli.common import add_board_options, completes, print_json, print_table
-from cm.cli.connection import connected, plain
+from cm.cli.connection import connected
 from cm.errors import InvalidRequest, NotFound
 from cm.frozen import dataclass
+from cm.wire.messages.plain import plain
 
 if TYPE_CHECKING:
     from cm.client.board import Board

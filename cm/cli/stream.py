@@ -21,10 +21,11 @@ from cm.cli.common import (
     print_json,
     print_table,
 )  # fmt: skip
-from cm.cli.connection import connected, plain
+from cm.cli.connection import connected
 from cm.cli.stream_capture import add_arguments, run_capture
 from cm.errors import InvalidRequest
 from cm.wire.lazy_numpy import np
+from cm.wire.messages.plain import plain
 from cm.wire.messages.status import StreamStatus
 
 

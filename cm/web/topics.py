@@ -5,22 +5,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable
-from dataclasses import asdict
-from enum import Enum
 from typing import Any
 
 Listener = Callable[[str], None]
-
-
-def plain(message: Any) -> Any:
-    """A frozen message as plain data for JSON."""
-    return asdict(message, dict_factory=lambda pairs: {k: _known(v) for k, v in pairs})
-
-
-def _known(value: Any) -> Any:
-    if isinstance(value, tuple) and value and hasattr(value[0], "_asdict"):
-        return [part._asdict() for part in value]
-    return value.value if isinstance(value, Enum) else value
 
 
 class Topics:
