@@ -105,7 +105,7 @@ def write(name: str, data: Any, offset: int, lease: str) -> Generator[Call[Any],
 
 def _converted(data: Any, info: MemoryInfo) -> Any:
     """Values as elements of the memory. Raises InvalidRequest if a value would be changed by this."""
-    dtype, given = dtype_of(info.dtype), np.asarray(data)
+    dtype, given = dtype_of(info.dtype), np.atleast_1d(data)
     if not np.can_cast(given.dtype, dtype, "same_kind") and given.dtype.kind not in "iub":
         raise InvalidRequest(f"memory {info.name!r} has {info.dtype}, not {given.dtype}: convert with astype()")
     with np.errstate(all="ignore"):

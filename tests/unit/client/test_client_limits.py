@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from cm.client.address import Keys, load_keys, resolve
-from cm.client.core import calls, memory
+from cm.client.core import calls
 from cm.client.core.effects import DEFAULT, Ask, Deadline, seconds
 from cm.client.core.events import InterruptEvents
 from cm.client.core.remote_stream import reading_next
@@ -24,7 +24,7 @@ from cm.networks.fleet.errors import FleetRefused
 from cm.schema.problems import Problem, SchemaError
 from cm.wire.encode import encode_request
 from cm.wire.messages.requests import ReadData, RegWrite
-from cm.wire.messages.status import ErrorInfo, MemoryInfo
+from cm.wire.messages.status import ErrorInfo
 
 
 @pytest.mark.parametrize(
@@ -124,20 +124,6 @@ def test_what_is_no_writes_is_refused_in_a_sentence(given: Any) -> None:
 def test_what_no_message_can_hold_is_refused_as_any_request(call: calls.Call[Any]) -> None:
     with pytest.raises(InvalidRequest):
         encode_request(call.request)
-
-
-@pytest.mark.parametrize(("dtype", "value"), [("float32", 1e300), ("float16", 70000), ("complex64", 1e300)])
-def test_a_number_beyond_the_range_of_a_memory_is_refused(dtype: str, value: float) -> None:
-    flow = memory.write("table", [value, 1.0], 0, "")
-    next(flow)
-    with pytest.raises(InvalidRequest, match="beyond its range"):
-        flow.send(MemoryInfo("table", 0, 64, "rw", dtype))
-
-
-def test_infinity_is_a_number_of_a_memory_that_has_it() -> None:
-    flow = memory.write("table", [float("inf"), float("nan")], 0, "")
-    next(flow)
-    assert flow.send(MemoryInfo("table", 0, 64, "rw", "float32")) is not None
 
 
 def test_a_folder_may_be_a_path(tmp_path: Path) -> None:
