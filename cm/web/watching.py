@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Hashable
 from typing import Any
 
+from cm.client.aio.stream import Stream
 from cm.client.frame import Frame
 from cm.errors import CmError
 from cm.web import pictures
@@ -107,11 +108,15 @@ class Watching:
             watched.problem = "the hardware waits for every reader of this stream: a page would hold it up"
             self._tell()
             return
-        making: asyncio.Task[None] | None = None
-        due = 0.0
         async with board.stream(stream, timeout=None, newest=True) as opened:
             watched.problem = ""
             self._tell()
+            await self._show(stream, watched, opened)
+
+    async def _show(self, stream: str, watched: _Watched, opened: Stream) -> None:
+        making: asyncio.Task[None] | None = None
+        due = 0.0
+        try:
             while True:
                 frame = await opened.read()
                 now = time.monotonic()
@@ -122,6 +127,9 @@ class Watching:
                     making.result()
                 due = max(due + _EVERY, now)
                 making = asyncio.create_task(self._make(stream, watched, frame))
+        finally:
+            if making is not None:
+                await asyncio.gather(making, return_exceptions=True)  # to its end: a thread reads the frame
 
     async def _make(self, stream: str, watched: _Watched, frame: Frame) -> None:
         about: dict[str, Any] = {"sequence": frame.sequence, "mode": frame.info.mode}
