@@ -177,7 +177,7 @@ class StreamStatus:
     direction: str
     shape: tuple[int, ...] = ()
     dtype: str = "uint8"
-    slots: int = 0
+    slots: int = 0  # frame buffers that it has; while it is closed: those it begins with, as they were set
     open: bool = False
     frames: int = 0
     dropped: int = 0
