@@ -6,10 +6,12 @@ from __future__ import annotations
 import argparse
 import getpass
 import os
+import signal
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 from cm.cli.common import add_board_options, answer, answer_table, completes, seconds
@@ -38,7 +40,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="hold part of the board",
         description="Hold part of the board, so that others cannot change it: while COMMAND runs (behind --, with "
         "the lease's id in $CM_LEASE, which `cm` passes on), or until Ctrl-C. With --seconds, print the id and end: "
-        "export CM_LEASE=$(cm lease take board --seconds 600).",
+        "export CM_LEASE=$(cm lease take board --seconds 600). If cm is killed (SIGKILL), COMMAND goes on without the "
+        "lease; -- setpriv --pdeathsig TERM COMMAND ends with it.",
     )
     scope = taking.add_argument(
         "scope", metavar="SCOPE", help="board, config, region:NAME, registers:NAME or memories:NAME"
@@ -113,12 +116,8 @@ def _leave(board: Board, args: argparse.Namespace, holder: str) -> int:
 
 def _during(command: list[str], lease: BoardLease) -> int:
     """Run `command` and renew the lease until it ends; its exit status, as a shell would give it."""
-    try:
-        process = subprocess.Popen(command, env={**os.environ, _VARIABLE: lease.id})
-    except FileNotFoundError:
-        raise NotFound(f"no command {command[0]!r}") from None
     kept = True
-    with process:
+    with _started(command, {**os.environ, _VARIABLE: lease.id}) as process:
         while True:
             try:
                 status = process.wait(_HELD / 3)
@@ -128,6 +127,28 @@ def _during(command: list[str], lease: BoardLease) -> int:
                 continue
             else:
                 return status if status >= 0 else 128 - status
+
+
+@contextmanager
+def _started(command: list[str], variables: dict[str, str]) -> Iterator[subprocess.Popen[bytes]]:
+    """Start it. Signals that would end us are for it: it would go on without the lease, beside the next holder."""
+    there = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]  # Windows has one
+    numbers = [number for number in there if signal.getsignal(number) is signal.SIG_DFL]  # nohup ignores the other
+    early: list[int] = []
+    take: Callable[[int], None] = early.append
+    for number in numbers:
+        signal.signal(number, lambda n, _: take(n))
+    try:
+        with subprocess.Popen(command, env=variables) as process:
+            take = process.send_signal
+            for number in early:
+                process.send_signal(number)
+            yield process
+    except FileNotFoundError:
+        raise NotFound(f"no command {command[0]!r}") from None
+    finally:
+        for number in numbers:
+            signal.signal(number, signal.SIG_DFL)
 
 
 def _renewed(lease: BoardLease) -> bool:

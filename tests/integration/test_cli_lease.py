@@ -3,17 +3,22 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
+from shutil import which
 
 import pytest
 from manager_process import REPOSITORY, Manager, environment, until
 
 import cm
+from cm import child
 from cm.cli.main import main
 from cm.client.errors import RequestBusy
 
+SETPRIV = ["setpriv", "--pdeathsig", "TERM"]
 AS_HOLDER_AND_AS_ANOTHER = """
 import os, sys
 from cm.cli.main import main
@@ -79,3 +84,27 @@ def test_a_command_that_does_not_exist_holds_nothing(
     assert main(["lease", "take", "board", "--runtime-dir", str(manager.runtime), "--", "no-such-command"]) == 1
     assert "no command 'no-such-command'" in capsys.readouterr().err
     assert not board.status.leases
+
+
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [
+        (signal.SIGTERM, []),
+        (signal.SIGHUP, []),
+        pytest.param(signal.SIGKILL, SETPRIV, marks=pytest.mark.skipif(not which("setpriv"), reason="needs setpriv")),
+    ],
+)
+def test_what_ends_the_holder_ends_the_command(
+    board: cm.Board, manager: Manager, tmp_path: Path, number: int, words: list[str]
+) -> None:
+    place = ["--runtime-dir", str(manager.runtime)]
+    ends = tmp_path / "ends"  # its reader learns when the command, which holds the other end, has ended
+    os.mkfifo(ends)
+    program = [*words, "sh", "-c", f"exec sleep 600 > '{ends}'"]
+    command = child.command("cm", "lease", "take", "board", *place, "--", *program)
+    with subprocess.Popen(command, env=environment()) as holder, ends.open("rb") as left:
+        assert [lease.scope for lease in board.status.leases] == ["board"]
+        holder.send_signal(number)
+        assert left.read() == b""
+    assert holder.returncode == (-number if words else 128 + number)
+    until(lambda: not board.status.leases)
