@@ -1,36 +1,70 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frozen dataclasses that compile nothing when they are imported.
+"""Dataclasses with slots, frozen or not, that compile nothing when they are imported.
 
 The standard library's ``dataclass(frozen=True, slots=True)`` compiles six methods of each class, which was more than a
-third of the manager's start. Here `__init__` is compiled when the first instance is made, two are closures over the
-fields, and the others are the same functions for all classes; all else (`fields`, `replace`, `asdict`, patterns) is
-the standard library's. Checkers of types see its decorator.
+third of the manager's start, and its module imports five others, 1 MiB. Here `__init__` is compiled when the first
+instance is made, two methods are closures over the fields, and the others are the same functions for all classes. The
+standard library's own functions (`fields`, `asdict`, `is_dataclass`) work too: what they look for is made when they do.
+Checkers of types see its decorator.
 """
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import MISSING, FrozenInstanceError, fields
+from functools import partial
 from operator import attrgetter
 from types import FunctionType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+
+_ABSENT: Any = object()
+
+
+class _Field(NamedTuple):
+    """How a field gets its value if none is given, and whether it is shown."""
+
+    default: Any = _ABSENT
+    default_factory: Any = _ABSENT
+    repr: bool = True
+
+
+_REQUIRED = _Field()
 
 if TYPE_CHECKING:
     from dataclasses import dataclass as dataclass
+    from dataclasses import field as field
+    from dataclasses import replace as replace
 else:
 
-    def dataclass(**kind: bool) -> Any:
-        """As `dataclasses.dataclass`, which makes all kinds but the frozen one with slots."""
-        return _made if kind == {"frozen": True, "slots": True} else dataclasses.dataclass(**kind)
+    def dataclass(*, frozen: bool = False, eq: bool = True, slots: bool = False) -> Any:
+        """As `dataclasses.dataclass`, which makes those without slots."""
+        if slots:
+            return partial(_made, frozen=frozen, eq=eq)
+        import dataclasses
+
+        return dataclasses.dataclass(frozen=frozen, eq=eq)
+
+    def field(**described: Any) -> Any:
+        """As `dataclasses.field`."""
+        return _Field(**described)
+
+    def replace(instance: Any, /, **changes: Any) -> Any:
+        """As `dataclasses.replace`."""
+        kept = {name: getattr(instance, name) for name in instance.__match_args__ if name not in changes}
+        return instance.__class__(**kept, **changes)
 
 
-def _made(given: Any) -> Any:
+def names(cls: Any) -> tuple[str, ...]:
+    """The fields of a class, or of an instance's."""
+    found: tuple[str, ...] = cls.__match_args__
+    return found
+
+
+def _made(given: Any, frozen: bool, eq: bool) -> Any:
     """The class with slots, and with the methods that it does not define itself."""
-    own = set(vars(given))
-    cls = dataclasses.dataclass(init=False, repr=False, eq=False, slots=True)(given)
-    found = fields(cls)
-    names = tuple(field.name for field in found)
-    values = attrgetter(*names, *("__class__", "__class__")[len(names) :])  # a tuple, also of fewer than two fields
+    own = dict(vars(given))
+    mine = [name for name, kind in given.__annotations__.items() if "ClassVar" not in str(kind)]
+    new = {name: _described(own.pop(name, _REQUIRED)) for name in mine}
+    known = _inherited(given) | new
+    values = attrgetter(*known, *("__class__", "__class__")[len(known) :])  # a tuple, also of fewer than two fields
 
     def __init__(self: Any, *arguments: Any, **named: Any) -> None:
         made = _init(cls)
@@ -43,18 +77,39 @@ def _made(given: Any) -> Any:
     def __hash__(self: Any) -> int:
         return hash(values(self))
 
-    methods = {"__init__": __init__, "__eq__": __eq__, "__hash__": __hash__, **_METHODS}
-    for name in methods.keys() - own:
-        setattr(cls, name, methods[name])
+    methods = {"__init__": __init__, "__repr__": _shown, "__match_args__": tuple(known), **_LOOKED_FOR}
+    methods |= {"__eq__": __eq__} if eq else {}
+    methods |= {"__hash__": __hash__} if eq and frozen else {}
+    methods |= _FROZEN if frozen else {}
+    apart = {"__fields__": known, "__slots__": tuple(new), "__qualname__": given.__qualname__}
+    for name in ("__dict__", "__weakref__"):
+        own.pop(name, None)
+    cls = type(given)(given.__name__, given.__bases__, methods | own | apart)
     return cls
 
 
-class _Alike:
-    """What all classes share: closures for these, too, would take 0.2 MiB of a manager."""
+def _described(value: Any) -> _Field:
+    if isinstance(value, _Field):
+        return value
+    if type(value).__module__ == "dataclasses" or type(value).__hash__ is None:
+        raise TypeError(f"{value!r} is no default: a field of cm.frozen, with a factory, may be one")
+    return _Field(value)
 
-    def __repr__(self: Any) -> str:
-        shown = (f"{field.name}={getattr(self, field.name)!r}" for field in fields(self) if field.repr)
-        return f"{type(self).__qualname__}({', '.join(shown)})"
+
+def _inherited(cls: Any) -> dict[str, _Field]:
+    found: dict[str, _Field] = {}
+    for base in reversed(cls.__mro__[1:]):
+        found |= vars(base).get("__fields__", {})
+    return found
+
+
+def _shown(self: Any) -> str:
+    shown = (f"{name}={getattr(self, name)!r}" for name, one in self.__fields__.items() if one.repr)
+    return f"{type(self).__qualname__}({', '.join(shown)})"
+
+
+class _Frozen:
+    """What all frozen classes share: closures for these, too, would take 0.2 MiB of a manager."""
 
     def __setattr__(self: Any, name: str, value: object) -> None:
         _refuse(self, "assign to", name)
@@ -65,34 +120,66 @@ class _Alike:
         object.__delattr__(self, name)
 
     def __getstate__(self: Any) -> list[Any]:
-        return [getattr(self, field.name) for field in fields(self)]
+        return [getattr(self, name) for name in self.__fields__]
 
     def __setstate__(self: Any, state: list[Any]) -> None:
-        for field, value in zip(fields(self), state, strict=True):
-            object.__setattr__(self, field.name, value)
+        for name, value in zip(self.__fields__, state, strict=True):
+            object.__setattr__(self, name, value)
 
 
-_METHODS = {name: method for name, method in vars(_Alike).items() if isinstance(method, FunctionType)}
+_FROZEN = {name: method for name, method in vars(_Frozen).items() if isinstance(method, FunctionType)}
 
 
 def _refuse(instance: Any, what: str, name: str) -> None:
     """Any name of such a class itself; of one that inherits without being one, only the fields."""
-    if "__dataclass_fields__" in vars(type(instance)) or name in type(instance).__dataclass_fields__:
-        raise FrozenInstanceError(f"cannot {what} field {name!r}")
+    if "__fields__" in vars(type(instance)) or name in instance.__fields__:
+        _refused(f"cannot {what} field {name!r}")
+
+
+def _refused(sentence: str) -> NoReturn:
+    from dataclasses import FrozenInstanceError
+
+    raise FrozenInstanceError(sentence)
+
+
+class _LookedFor:
+    """An attribute by which the standard library's functions know a dataclass."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, instance: object, cls: Any) -> Any:
+        from dataclasses import field as described
+        from dataclasses import make_dataclass
+
+        kinds: dict[str, Any] = {}
+        for base in reversed(cls.__mro__):
+            kinds |= getattr(base, "__annotations__", {})
+        fields = []
+        for name, one in cls.__fields__.items():
+            said: dict[str, Any] = {key: value for key, value in one._asdict().items() if value is not _ABSENT}
+            fields.append((name, kinds[name], described(**said)))
+        made = make_dataclass(cls.__name__, fields, init=False, repr=False, eq=False)
+        for name in _LOOKED_FOR:
+            setattr(cls, name, getattr(made, name))
+        return getattr(cls, self._name)
+
+
+_LOOKED_FOR = {name: _LookedFor(name) for name in ("__dataclass_fields__", "__dataclass_params__")}
 
 
 def _init(cls: Any) -> Any:
     """Compile it: each field is set through its slot, which knows nothing of being frozen."""
-    known: dict[str, Any] = {"__name__": cls.__module__, "absent": MISSING}
+    known: dict[str, Any] = {"__name__": cls.__module__, "absent": _ABSENT}
     parameters, body = [], []
-    for number, field in enumerate(fields(cls)):
-        name, value = field.name, field.name
+    for number, (name, one) in enumerate(cls.__fields__.items()):
+        value = name
         known[f"set{number}"] = getattr(cls, name).__set__
-        if field.default is not MISSING:
-            known[f"default{number}"] = field.default
+        if one.default is not _ABSENT:
+            known[f"default{number}"] = one.default
             parameters.append(f"{name}=default{number}")
-        elif field.default_factory is not MISSING:
-            known[f"make{number}"] = field.default_factory
+        elif one.default_factory is not _ABSENT:
+            known[f"make{number}"] = one.default_factory
             parameters.append(f"{name}=absent")
             value = f"make{number}() if {name} is absent else {name}"
         else:

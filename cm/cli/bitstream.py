@@ -7,7 +7,6 @@ import argparse
 import contextlib
 import shutil
 import sys
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -30,6 +29,7 @@ from cm.formats.bitstream import (
     outside,
     refusals,
 )
+from cm.frozen import replace
 from cm.schema import load
 from cm.schema.files import bitstream_path
 from cm.schema.model import Config, ConfigType, FrameRange, Module

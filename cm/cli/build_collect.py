@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 import os
 import time
-from dataclasses import replace
 from pathlib import Path
 
 from cm.cli.common import add_json_option, answer
@@ -16,6 +15,7 @@ from cm.design.errors import BuildError
 from cm.design.generate.tree import ANSWERS, load_design, output_folder
 from cm.design.run.steps import Flow
 from cm.design.runtime.answers import load_answers
+from cm.frozen import replace
 
 
 def add_collect_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

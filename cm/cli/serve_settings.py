@@ -8,11 +8,11 @@ import grp
 import os
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cm.errors import CmError, InvalidRequest
+from cm.frozen import replace
 from cm.server.rights.keys import FOLDER, OLD_FOLDER
 from cm.server.settings.model import FILE as SETTINGS_FILE
 from cm.server.settings.model import FORMER_LIMITS, LimitSettings

@@ -7,7 +7,6 @@ The methods of numpy's arrays that look at an array's bytes must not be called o
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import wraps
 from typing import Any, TypeVar
 
@@ -17,6 +16,7 @@ import numpy.typing as npt
 from cm.client.picture import has_rows, png
 from cm.client.pixel_formats import AS_IT_IS, KNOWN, to_rgb
 from cm.errors import InvalidRequest
+from cm.frozen import replace
 from cm.wire.messages.status import FrameInfo
 
 _T = TypeVar("_T", bound=type)

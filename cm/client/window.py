@@ -13,7 +13,6 @@ import socket
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import replace
 from operator import index
 from pathlib import Path
 from types import MappingProxyType, TracebackType
@@ -28,6 +27,7 @@ from cm.device.native.window import read as read_wide
 from cm.device.native.window import read32, write_plain
 from cm.device.window import MappedWindow, WindowEnd
 from cm.errors import InvalidRequest, Timeout
+from cm.frozen import replace
 from cm.wire import plane_packets as packets
 from cm.wire.encode import decode_table
 from cm.wire.messages.status import ConfigInfo, ErrorInfo, MemoryInfo, RegisterInfo

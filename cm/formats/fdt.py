@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+
+from cm.frozen import dataclass, field
 
 MAGIC = 0xD00DFEED
 MAX_DEPTH = 64  # nodes within nodes; the kernel's unflatten_dt_nodes() has the same limit

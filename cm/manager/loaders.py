@@ -9,13 +9,12 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import replace
 from types import MappingProxyType
 from typing import Protocol
 from weakref import WeakKeyDictionary
 
 from cm.errors import Busy, CmError
-from cm.frozen import dataclass
+from cm.frozen import dataclass, replace
 from cm.manager.errors import LoadFailed, LoadUnsupported, NoPort, StepTimeout, WrongDevice
 from cm.manager.interfaces import (
     ConfigPort,

@@ -8,10 +8,9 @@ immutable values that are swapped (`cm.manager.state.record`).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from cm.frozen import dataclass
+from cm.frozen import dataclass, replace
 from cm.manager import planner
 from cm.manager.access.leases import Leases, leases_concerned
 from cm.manager.access.memory_service import MemoryService

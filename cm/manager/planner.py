@@ -11,11 +11,10 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import field, replace
 from types import MappingProxyType
 
 from cm.errors import InvalidRequest
-from cm.frozen import dataclass
+from cm.frozen import dataclass, field, replace
 from cm.manager.errors import ClockRate, NothingLoaded, StaticUnknown, UnknownConfig, UnknownMode, hint, listed
 from cm.manager.interfaces import Devices, Files, Image, PlClock
 from cm.manager.state import steps as s

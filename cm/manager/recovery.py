@@ -8,11 +8,10 @@ under way when the manager died. Touches nothing but leftover overlays of a step
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from types import MappingProxyType
 
 from cm.errors import CmError
-from cm.frozen import dataclass
+from cm.frozen import dataclass, replace
 from cm.manager.access.register_bus import RegisterBus, is_cut
 from cm.manager.errors import NothingToUndo
 from cm.manager.execution.worker import Change

@@ -7,13 +7,12 @@ import threading
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from itertools import accumulate
 from operator import is_
 from types import MappingProxyType
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from cm.frozen import dataclass
+from cm.frozen import dataclass, replace
 from cm.manager.interfaces import Observer
 from cm.manager.state.board_state import BoardState, RegionState
 from cm.manager.state.record import ManagerState

@@ -7,12 +7,11 @@ The values have passed the JSON Schema; what is reported here is what a schema c
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from cm.frozen import dataclass
+from cm.frozen import dataclass, field, replace
 from cm.schema.model import (
     Access,
     BitField,

@@ -6,12 +6,12 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from cm.errors import NotFound
+from cm.frozen import replace
 from cm.schema.construct import Context, build_config
 from cm.schema.model import Config
 from cm.schema.problems import KeyPath, Problem, SchemaError, key_path

@@ -8,13 +8,12 @@ Nothing here knows YAML, files of the host or devices. Mappings are read-only
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import field
 from enum import Enum
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar
 
-from cm.frozen import dataclass
+from cm.frozen import dataclass, field
 from cm.schema.pictures import CameraInfo
 
 _K = TypeVar("_K")

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import fields
 
 from cm.schema.construct import IMAGE_KEYS, STATIC, Context
 from cm.schema.model import (
@@ -112,11 +111,12 @@ def _check_top(config: Config, context: Context) -> None:
 
 def _check_no_image(config: Config, context: Context) -> None:
     """A partial configuration has no image of the whole device, so nothing can be said about one."""
-    for field in fields(config):
-        if field.name in IMAGE_KEYS and getattr(config, field.name) != field.default:
+    without = Config(config.name)
+    for name in IMAGE_KEYS:
+        if getattr(config, name) != getattr(without, name):
             hint = "type: full, or the same key at a module or region"
-            message = f"{field.name} is of the image of the whole device, which a partial configuration does not have"
-            context.report((*_TOP, field.name), "not_applicable", message, hint)
+            message = f"{name} is of the image of the whole device, which a partial configuration does not have"
+            context.report((*_TOP, name), "not_applicable", message, hint)
 
 
 def _check_static(static: StaticIdentity, context: Context) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -13,6 +12,7 @@ import zmq
 from zmq import zmq_poll
 
 from cm.errors import Busy, CmError, InvalidRequest
+from cm.frozen import dataclass, field
 from cm.manager.access.leases import scopes_written
 from cm.manager.execution.worker import Change
 from cm.manager.manager import Manager

@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from functools import partial
 from typing import TypeVar
 
 from cm.errors import Busy, CmError, InvalidRequest
-from cm.frozen import dataclass
+from cm.frozen import dataclass, replace
 from cm.manager.access.leases import check_scope_names_something
 from cm.manager.access.memory_service import MemoryService, Transfer
 from cm.manager.access.register_service import AT_ONCE, ReadPieces, RegisterService, WritePieces

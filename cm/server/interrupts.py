@@ -12,10 +12,10 @@ import logging
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 from cm.device import Root, Uio, find_uio
 from cm.errors import CmError
+from cm.frozen import dataclass, field
 from cm.manager.manager import Manager
 from cm.schema.model import Config, Interrupt
 from cm.server.sockets import Loop

@@ -4,11 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import field
 from pathlib import Path
 
 from cm.device import Root
-from cm.frozen import dataclass
+from cm.frozen import dataclass, field
 from cm.manager.manager import Settings
 from cm.schema.model import Config
 from cm.server.publisher import BYTES

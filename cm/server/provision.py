@@ -10,11 +10,10 @@ import logging
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 from cm.errors import Busy, CmError, Forbidden, InvalidRequest
-from cm.frozen import dataclass
+from cm.frozen import dataclass, replace
 from cm.manager.errors import UnknownConfig, listed
 from cm.manager.planner import checked_name
 from cm.schema import load, loads

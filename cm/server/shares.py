@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 from time import monotonic_ns
 from typing import ClassVar, Generic, Protocol, TypeVar
 
 from cm.errors import Busy
+from cm.frozen import replace
 from cm.wire.messages.status import ClientStatus, LeaseStatus, Reply, StreamStatus
 
 _K = TypeVar("_K", bound=Hashable)

@@ -21,7 +21,6 @@ import logging
 import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -31,7 +30,7 @@ from zmq import zmq_poll
 from zmq.utils import z85
 
 from cm.errors import InvalidRequest
-from cm.frozen import dataclass
+from cm.frozen import dataclass, names
 from cm.loop import Callback
 from cm.loop import Loop as EventLoop
 from cm.server.folders import share
@@ -196,7 +195,8 @@ class Sockets:
 
     def announce(self, metrics: str = "") -> None:
         """Write where this manager listens, for clients and people."""
-        listens = {"ipc": asdict(self.ipc), "tcp": [asdict(e) for e in self.tcp], "data": str(self._folder / SOCKET)}
+        ipc, *tcp = ({name: getattr(ends, name) for name in names(ends)} for ends in (self.ipc, *self.tcp))
+        listens = {"ipc": ipc, "tcp": tcp, "data": str(self._folder / SOCKET)}
         beside = {"metrics": metrics} if metrics else {}
         text = json.dumps({"pid": os.getpid(), **listens, **beside}, indent=1)
         new = self._folder / (ENDPOINTS_FILE + ".new")

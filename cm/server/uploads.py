@@ -7,11 +7,11 @@ import mmap
 import os
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
 from cm.errors import Busy, CmError, InvalidRequest, NotFound
+from cm.frozen import replace
 from cm.server.replies import Respond
 from cm.server.settings.model import Limits
 from cm.server.shares import Client

@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import lru_cache
 
 from cm.errors import InvalidRequest
+from cm.frozen import replace
 from cm.wire import bodies, bounds, parse, text, topics
 from cm.wire import cm_pb2 as pb
 from cm.wire.messages import requests as rq

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
@@ -42,6 +41,8 @@ def encode_request(request: rq.Request) -> list[Frame]:
 
 def _no_text(request: Any) -> str:
     """What is no text where a text is wanted, in words; empty if that is not the mistake."""
+    import dataclasses  # here: only who errs needs it
+
     for field in dataclasses.fields(request):
         value = getattr(request, field.name)
         if field.type == "str" and not isinstance(value, str):

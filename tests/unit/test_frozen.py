@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Our frozen dataclasses do what the standard library's do, and compile nothing when a module is imported."""
+"""Our dataclasses do what the standard library's do; importing a module of them compiles and imports nothing."""
 
 from __future__ import annotations
 
 import copy
 import dataclasses
 import pickle
+import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import field
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 
-from cm.frozen import dataclass
+from cm.frozen import dataclass, field, names, replace
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +38,22 @@ class Named(Point):
 
     def __repr__(self) -> str:
         return self.name
+
+
+@dataclass(slots=True)
+class Free:
+    """One that may change; its mark is no field."""
+
+    x: int
+    seen: list[int] = field(default_factory=list)
+    mark: ClassVar[str] = "m"
+
+
+@dataclass(slots=True, eq=False)
+class Alone:
+    """One that is equal to itself only."""
+
+    x: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,16 +109,65 @@ def test_the_standard_librarys_functions_work() -> None:
             assert y == 7
 
 
+def test_our_own_functions_do_what_those_do() -> None:
+    assert replace(Named(1), x=5, name="m") == Named(5, name="m")
+    assert names(Named) == names(Named(1)) == tuple(f.name for f in dataclasses.fields(Named))
+    with pytest.raises(TypeError, match="z"):
+        replace(Point(1), z=3)
+
+
+def test_defaults_are_seen_by_the_standard_library() -> None:
+    x, y, named, data = dataclasses.fields(Point)
+    assert (x.default, y.default, named.default_factory, data.repr) == (dataclasses.MISSING, 2, list, False)
+    assert [f.type for f in (x, named)] == ["int", "list[str]"]
+    assert dataclasses.is_dataclass(One)
+    assert dataclasses.is_dataclass(Nothing())
+
+
+def test_one_that_is_not_frozen_may_change() -> None:
+    free = Free(1)
+    free.x = 2
+    free.seen.append(3)
+    assert (free, repr(free), names(Free), Free.mark) == (Free(2, [3]), "Free(x=2, seen=[3])", ("x", "seen"), "m")
+    assert copy.deepcopy(free) == pickle.loads(pickle.dumps(free)) == free
+    with pytest.raises(TypeError, match="unhashable"):
+        hash(free)
+    with pytest.raises(AttributeError):
+        free.z = 1  # type: ignore[attr-defined]
+
+
+def test_one_without_equality_is_equal_to_itself() -> None:
+    alone = Alone(1)
+    assert alone == alone
+    assert alone != Alone(1)
+    assert {alone: 1}[alone] == 1
+
+
 def test_other_kinds_are_the_standard_librarys() -> None:
-    @dataclass(slots=True)
-    class Free:
-        """One that may change."""
+    @dataclass(frozen=True)
+    class Open:
+        """One without slots."""
 
         x: int
 
-    free = Free(1)
-    free.x = 2
-    assert free == Free(2)
+    assert vars(Open(1)) == {"x": 1}
+    assert Open(1) == Open(1)
+
+
+@pytest.mark.parametrize("default", [[], dataclasses.field(default=1)])
+def test_what_instances_would_share_and_another_librarys_field_are_refused(default: Any) -> None:
+    with pytest.raises(TypeError, match="is no default"):
+
+        @dataclass(frozen=True, slots=True)
+        class Wrong:
+            """Its default is none."""
+
+            x: Any = default
+
+
+def test_a_manager_does_not_import_the_standard_librarys_dataclasses() -> None:
+    code = "import sys, cm.cli.serve, cm.server.server\nprint('dataclasses' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True).stdout == b"False\n"
 
 
 def test_no_method_is_compiled_before_the_first_instance() -> None:

@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import os
-from dataclasses import replace
 from typing import Any, TypeVar
 
 from cm.client.core.calls import Call
 from cm.client.find_manager import Place
 from cm.errors import InvalidRequest
+from cm.frozen import replace
 from cm.wire.messages.requests import ReleaseLease, RenewLease, TakeLease
 
 _T = TypeVar("_T")

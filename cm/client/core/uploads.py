@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from cm.client.core import calls
 from cm.client.core.calls import Call
 from cm.client.core.effects import Flow
 from cm.client.errors import RequestFailed, RequestInvalid
+from cm.frozen import replace
 from cm.wire.messages import requests as rq
 from cm.wire.messages.status import PIXEL_FORMAT, ConfigInfo, FrameInfo
 

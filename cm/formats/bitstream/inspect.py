@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import replace
 
 from cm.device.native import bitstream as native
 from cm.formats.bitstream import frames
@@ -15,6 +14,7 @@ from cm.formats.bitstream.geometry import geometry_of
 from cm.formats.bitstream.packets import Register, packet_events
 from cm.formats.bitstream.report import Report, Section
 from cm.formats.bitstream.rules import Rules
+from cm.frozen import replace
 
 
 def _take(image: Image) -> tuple[Rules, native.Events, list[int]]:

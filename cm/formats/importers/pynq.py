@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import field
 from pathlib import Path
 
 from cm.formats import fdt
@@ -19,7 +18,7 @@ from cm.formats.bitstream.devices import base_name
 from cm.formats.hwh import DecouplerInfo, Hwh, HwhError
 from cm.formats.importers.registers import RegisterBank, decoupler_of, memories, within
 from cm.formats.importers.result import Imported, ImportRefused, Names, frozen, static_of, to_name
-from cm.frozen import dataclass
+from cm.frozen import dataclass, field
 from cm.schema.model import (
     Clock,
     Config,

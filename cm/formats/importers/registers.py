@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 
 from cm.formats import hwh as handoff
 from cm.formats.hwh import DecouplerInfo, Hwh, MemoryRange, RegisterField, RegisterInfo
 from cm.formats.importers.result import Names, frozen
+from cm.frozen import replace
 from cm.schema.model import Access, BitField, Decoupler, GpioLine, Memory, Register, Stream
 
 _ACCESS = {"read-only": Access.RO, "write-only": Access.WO, "read-write": Access.RW}

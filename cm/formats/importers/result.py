@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TypeVar
 
 from cm.errors import CmError
 from cm.formats.bitstream import Report
-from cm.frozen import dataclass
+from cm.frozen import dataclass, field, replace
 from cm.schema import dump, loads
 from cm.schema.model import Config, Mode, Overlay, StaticIdentity
 

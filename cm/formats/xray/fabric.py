@@ -9,12 +9,11 @@ follows the tiles beside them (masks of Project X-Ray's database).
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from itertools import groupby
 
 from cm.formats.xray.database import Database
 from cm.formats.xray.frames import ECC_MASK, ECC_WORD, Frames
-from cm.frozen import dataclass
+from cm.frozen import dataclass, replace
 
 ROWS = 50  # of tiles in a row of clock regions
 SWITCHES = 26  # frames of a column that configure switches

@@ -10,12 +10,11 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
 from itertools import count
 from math import inf
 
 from cm.errors import Busy, InvalidRequest, NotFound
-from cm.frozen import dataclass
+from cm.frozen import dataclass, replace
 from cm.manager.errors import HeldBy, hint
 from cm.manager.interfaces import TimeSource
 from cm.schema.model import Config, Memory, Mode, Module

@@ -12,11 +12,11 @@ import mmap
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from itertools import count
 from typing import NamedTuple, NoReturn
 
 from cm.errors import Busy, CmError, InvalidRequest, NotFound
+from cm.frozen import dataclass
 from cm.manager.access.leases import Leases
 from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_service import RegisterService, value_of

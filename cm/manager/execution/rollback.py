@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import replace
 
 from cm.errors import CmError
-from cm.frozen import dataclass
+from cm.frozen import dataclass, replace
 from cm.manager.access.register_bus import drive
 from cm.manager.errors import RecordFailed, StaticUnknown, StepFailed, UndoFailed
 from cm.manager.execution.transaction import StepContext, Tools

@@ -11,12 +11,11 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping
-from dataclasses import field, replace
 from types import MappingProxyType
 from typing import Any
 
 from cm.errors import Busy
-from cm.frozen import dataclass
+from cm.frozen import dataclass, field, replace
 from cm.manager.access.register_bus import RegisterBus, drive, is_cut
 from cm.manager.errors import Cancelled, IdentityMismatch, NoPort, RecordFailed, VerifyFailed, WrongStatic
 from cm.manager.interfaces import DataPlane, Devices, Files, TimeSource

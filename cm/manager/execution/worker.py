@@ -7,9 +7,9 @@ import functools
 import queue
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
 
 from cm.errors import CmError
+from cm.frozen import dataclass, field, replace
 from cm.manager import planner
 from cm.manager.access.leases import Leases
 from cm.manager.errors import Cancelled, ChangeBusy, RegionWrong
@@ -27,7 +27,7 @@ QUEUE_LENGTH = 8
 SCANS = 16  # that may wait or run
 
 
-@dataclass(eq=False)
+@dataclass(slots=True, eq=False)
 class Change:
     """A requested change; waited for, cancelled, and called back at its end from the worker's thread."""
 

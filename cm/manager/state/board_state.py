@@ -8,12 +8,11 @@ diagram that `diagram()` generates.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import field, replace
 from enum import Enum
 from types import MappingProxyType
 from typing import Any
 
-from cm.frozen import dataclass
+from cm.frozen import dataclass, field, replace
 
 
 class RegionPhase(str, Enum):

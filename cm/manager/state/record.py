@@ -21,14 +21,13 @@ import os
 import threading
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import field, replace
 from functools import lru_cache
 from operator import is_
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from cm.frozen import dataclass
+from cm.frozen import dataclass, field, replace
 from cm.manager.errors import RecordFailed, StateInUse, StoreCorrupt
 from cm.manager.state.board_state import BoardState, OverlayState, RegionPhase, RegionState
 from cm.manager.state.steps import ApplyOverlay, Choice, Place, RemoveOverlay, SetClock, Step

@@ -6,8 +6,8 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
+from cm.frozen import dataclass
 from cm.server.rights.principal import Principal, printable
 from cm.wire.messages import requests as rq
 

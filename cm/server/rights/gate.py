@@ -6,10 +6,9 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 
 from cm.errors import Forbidden
-from cm.frozen import dataclass
+from cm.frozen import dataclass, replace
 from cm.server.rights import policy
 from cm.server.rights.audit import Audit, described
 from cm.server.rights.model import Access, Need, Rights, Role

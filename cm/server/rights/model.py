@@ -4,12 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import field, replace
 from enum import IntEnum
 from fnmatch import fnmatchcase
 from types import MappingProxyType
 
-from cm.frozen import dataclass
+from cm.frozen import dataclass, field, replace
 
 ALL = ("*",)
 

@@ -4,10 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from typing import Any
 
-from cm.frozen import dataclass
+from cm.frozen import dataclass, replace
 from cm.schema.model import Config, ConfigType
 from cm.server.rights.model import Need, Role
 from cm.wire.messages import requests as rq

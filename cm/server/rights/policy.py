@@ -8,10 +8,9 @@ import os
 import pwd
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import replace
 from fnmatch import fnmatchcase
 
-from cm.frozen import dataclass
+from cm.frozen import dataclass, replace
 from cm.server.rights.model import Access, Grant, Need, Rights, Role, role_named
 from cm.server.rights.principal import CURVE, DATA, IPC, TCP, Principal
 

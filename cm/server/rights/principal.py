@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-from cm.frozen import dataclass
+from cm.frozen import dataclass, replace
 
 IPC, CURVE, TCP, DATA = "ipc", "curve", "tcp", "data"  # kinds of connection; `data`: frames without copies
 GUEST = "for"  # begins the id of a guest: a client that a bridge speaks for

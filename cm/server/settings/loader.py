@@ -6,13 +6,13 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import fields, replace
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar
 
 from cm.errors import CmError
+from cm.frozen import names, replace
 from cm.schema.problems import KeyPath, Problem, SchemaError, did_you_mean, key_path
 from cm.schema.reader import Refused, read
 from cm.schema.structure import Structure
@@ -118,7 +118,7 @@ def settings_schema() -> dict[str, Any]:
 
 def _settings(values: Mapping[str, Any]) -> Settings:
     known: dict[str, Any] = {name: _value(name, values[name]) for name in values}
-    assert known.keys() <= {field.name for field in fields(Settings)}  # schema and data name the same keys
+    assert known.keys() <= set(names(Settings))  # schema and data name the same keys
     return replace(Settings(), **known)
 
 

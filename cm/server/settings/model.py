@@ -4,11 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import field
 from pathlib import Path
 from types import MappingProxyType
 
-from cm.frozen import dataclass
+from cm.frozen import dataclass, field
 from cm.server.rights.model import Grant
 
 FILE = Path("/etc/cm/cm.yaml")

@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 from cm.device import DmaCaps, DmaInfo, DmaType
 from cm.device.data_plane import StreamSetup
 from cm.errors import InvalidRequest
+from cm.frozen import replace
 from cm.schema.model import ITEM_BYTES, Direction, Stream
 from cm.schema.pictures import format_misfit, pixel_shape
 from cm.wire.messages.requests import ConfigureStream

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from importlib.util import find_spec
 
 from cm.errors import InvalidRequest
+from cm.frozen import replace
 from cm.server.sockets import Loop
 from cm.server.streams.stream import Frame
 from cm.wire.messages.status import FrameInfo

@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
 from types import MappingProxyType
 
 from cm.device import AxiDma, Root, list_dma
 from cm.device import Direction as ChannelDirection
 from cm.errors import CmError
+from cm.frozen import replace
 from cm.schema.model import Config, Direction, Stream
 
 _LOG = logging.getLogger(__name__)

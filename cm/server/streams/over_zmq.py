@@ -13,10 +13,10 @@ import socket
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 
 from cm.device.data_plane import Plane, StreamSetup
 from cm.errors import Busy, CmError, InvalidRequest, Timeout
+from cm.frozen import replace
 from cm.loop import Timer
 from cm.server.sockets import Loop
 from cm.server.streams.channel_setup import frame_bytes

@@ -16,14 +16,13 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from typing import Protocol
 
 from cm.device import AxiDma, DeviceTimeout
 from cm.device.data_plane import ClientGone, ClientLeaves, Plane
 from cm.errors import Busy, CmError
-from cm.frozen import dataclass
+from cm.frozen import dataclass, replace
 from cm.manager.access.leases import Leases
 from cm.manager.reporting import stream_status
 from cm.schema.model import Config, Direction, Stream

@@ -11,13 +11,12 @@ import errno
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 from cm.device import AxiDma, DmaBuffer, DmaInfo, DmaType
 from cm.device.data_plane import Plane, StreamCounts, StreamSetup
 from cm.errors import CmError
-from cm.frozen import dataclass
+from cm.frozen import dataclass, replace
 from cm.manager.reporting import stream_status
 from cm.schema.model import Direction, Stream
 from cm.server.settings.model import USUAL

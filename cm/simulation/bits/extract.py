@@ -4,10 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import field
 
 from cm.formats.xray import Database, Feature, Wires
-from cm.frozen import dataclass
+from cm.frozen import dataclass, field
 from cm.simulation.bits.blocks import HALVES, Half
 from cm.simulation.bits.cells import (
     ONE,

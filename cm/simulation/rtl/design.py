@@ -12,7 +12,6 @@ other, with TDEST.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 
 from cm.design.generate.inputs import RTL, library, module_files
@@ -26,7 +25,7 @@ from cm.design.plan.dma_engines import Dma, Engine, EngineKind
 from cm.design.plan.system import Implementation, RegionPlan, StreamBus, System, used_clocks
 from cm.design.render import Renderer
 from cm.design.runtime.answers import Answers
-from cm.frozen import dataclass
+from cm.frozen import dataclass, replace
 from cm.schema.model import Direction
 from cm.simulation.rtl.compile import Unit
 from cm.simulation.rtl.errors import RtlError

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+
+from cm.frozen import dataclass
 
 # What can be injected, and what the target is.
 KINDS: Mapping[str, str] = {

@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-from dataclasses import field
 from enum import Enum
 
-from cm.frozen import dataclass
+from cm.frozen import dataclass, field
 from cm.wire.messages.status import ErrorInfo, Status
 
 

@@ -6,9 +6,7 @@ Several of them share a topic and a message on the wire (`cm.wire.decode` tells 
 
 from __future__ import annotations
 
-from dataclasses import field
-
-from cm.frozen import dataclass
+from cm.frozen import dataclass, field
 
 
 @dataclass(frozen=True, slots=True)

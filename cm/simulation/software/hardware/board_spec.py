@@ -9,12 +9,11 @@ import re
 import zlib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import field, replace
 from typing import TYPE_CHECKING
 
 from cm.formats.bitstream.devices import DEVICES, Device, device_by_name
 from cm.formats.bitstream.module import default_footprint
-from cm.frozen import dataclass
+from cm.frozen import dataclass, field, replace
 from cm.schema.model import (
     Access,
     Config,

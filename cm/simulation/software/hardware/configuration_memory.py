@@ -11,7 +11,6 @@ import logging
 import random
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
 
 from cm.device.native.bitstream import swap
 from cm.formats.bitstream.assemble import FrameRun, assemble_stream
@@ -19,6 +18,7 @@ from cm.formats.bitstream.devices import Device
 from cm.formats.bitstream.geometry import FrameAddress, decode_far, frame_order
 from cm.formats.bitstream.module import ModuleIdentity
 from cm.formats.bitstream.packets import PIPELINE
+from cm.frozen import dataclass, field
 from cm.schema.model import FrameRange
 from cm.simulation.software.hardware.board_spec import BoardSpec, ModuleSpec, RegionSpec
 from cm.simulation.software.hardware.configuration_port import Arrival

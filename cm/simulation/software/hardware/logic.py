@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import field
 from typing import Protocol
 
-from cm.frozen import dataclass
+from cm.frozen import dataclass, field
 from cm.loop import Loop
 from cm.schema.model import Direction
 from cm.simulation.software.errors import NodeError

@@ -6,8 +6,8 @@ from __future__ import annotations
 import os
 import sys
 import uuid
-from dataclasses import replace
 
+from cm.frozen import replace
 from cm.loop import Loop
 from cm.schema.model import LoaderKind
 from cm.simulation.software.errors import SimError
