@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import fields
 from enum import Enum
 from pathlib import PurePath
 from typing import Any
 
 import yaml
 
-from cm.frozen import fields
 from cm.schema.construct import IMAGE_KEYS, STATIC, default_region, only_region
 from cm.schema.model import BitField, Config, Decoupler, Memory, Mode, Module, Overlay, Region, Register, Stream
 from cm.schema.pictures import CameraInfo, camera_file

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from cm.frozen import 
-
 from dataclasses import asdict
 from enum import Enum
 from typing import Any
