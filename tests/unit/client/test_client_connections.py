@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from types import SimpleNamespace
 from typing import Any
@@ -14,6 +15,7 @@ from zmq.utils.monitor import recv_monitor_message
 
 from cm.client.address import Keys
 from cm.client.connections import Sockets
+from cm.client.core.handshake import Handshake
 from cm.wire.topics import Endpoints, ipc_endpoints, tcp_endpoints
 
 
@@ -81,3 +83,51 @@ def test_a_client_tries_to_connect_again_sooner_over_ipc_than_over_tcp() -> None
     with short_folder() as folder:
         assert 10 <= next_try(ipc_endpoints(folder)) < 20  # ZeroMQ adds some of its own
     assert next_try(tcp_endpoints("tcp://127.0.0.1:1")) >= 100
+
+
+AUTH, MECHANISM = zmq.EVENT_HANDSHAKE_FAILED_AUTH, zmq.PROTOCOL_ERROR_ZMTP_MECHANISM_MISMATCH
+PROTOCOL, NO_DETAIL = zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL, zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
+ENDED, ADMITTED = zmq.EVENT_DISCONNECTED, zmq.EVENT_HANDSHAKE_SUCCEEDED
+
+
+@pytest.mark.parametrize(
+    ("keys", "event", "value", "words"),
+    [
+        (True, AUTH, 400, "does not know this key, or it has expired or has no role"),
+        (False, AUTH, 400, "gives this user no role"),
+        (True, PROTOCOL, MECHANISM, r"has no keys \(--insecure\): connect without keys"),
+        (False, PROTOCOL, MECHANISM, r"wants keys: connect\(keys=…\)"),
+        (True, PROTOCOL, zmq.PROTOCOL_ERROR_ZMTP_UNSPECIFIED, None),
+    ],
+)
+def test_a_handshake_that_is_refused_says_what_is_missing(
+    keys: bool, event: int, value: int, words: str | None
+) -> None:
+    handshake = Handshake("tcp://kria:5560", keys)
+    handshake.take(event, value)
+    assert (handshake.refused is None) == (words is None)
+    assert re.search(f"the manager at tcp://kria:5560 {words}", str(handshake.refused)) or words is None
+    assert not handshake.lost
+
+
+@pytest.mark.parametrize(
+    ("keys", "events", "suspected", "lost"),
+    [
+        (True, [NO_DETAIL, NO_DETAIL], False, False),
+        (True, [NO_DETAIL, NO_DETAIL, NO_DETAIL], True, False),
+        (False, [NO_DETAIL, NO_DETAIL, NO_DETAIL], False, False),
+        (True, [NO_DETAIL, ENDED, NO_DETAIL, ENDED], False, False),  # it was never established
+        (True, [NO_DETAIL, NO_DETAIL, NO_DETAIL, ADMITTED], False, False),
+        (True, [NO_DETAIL, NO_DETAIL, ADMITTED, NO_DETAIL], False, False),
+        (True, [ADMITTED, ENDED], False, True),
+    ],
+)
+def test_a_manager_with_another_key_is_suspected_after_some_attempts(
+    keys: bool, events: list[int], suspected: bool, lost: bool
+) -> None:
+    handshake = Handshake("tcp://kria:5560", keys)
+    for event in events:
+        handshake.take(event, 0)
+    assert (handshake.suspected is not None, handshake.lost, handshake.refused) == (suspected, lost, None)
+    if suspected:
+        assert "at tcp://kria:5560 is ended: it has another key than" in str(handshake.suspected)

@@ -5,16 +5,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
-from cm.client.core import calls, uploads
+from cm.client.core import calls, memory, registers, uploads
 from cm.client.core.change import ChangeWatch, loading
-from cm.client.core.effects import Ask, AskBeside, Flow, Receive
+from cm.client.core.effects import DEFAULT, Ask, AskBeside, Flow, Receive
 from cm.client.core.events import InterruptEvents, RegisterEvents, StatusEvents
-from cm.client.core.remote_stream import NewestReader, PublishedReader, Wanted
+from cm.client.core.generations import FirstAfter, Written
+from cm.client.core.remote_stream import Arrivals, NewestReader, PublishedReader, Wanted
 from cm.client.errors import RequestBusy, RequestInvalid, request_error
 from cm.errors import InvalidRequest, Timeout
 from cm.wire.encode import encode_frame_info, encode_irq, encode_registers, encode_status
@@ -58,6 +59,82 @@ def test_a_manager_without_uploads_gets_everything_in_one_message() -> None:
     with pytest.raises(StopIteration) as ended:
         flow.throw(RequestInvalid(ErrorInfo("invalid_request", "unknown topic 'cm_upload'; topics are cm_status")))
     assert ended.value.value == ""
+
+
+@pytest.mark.parametrize("length", [0, 1, uploads.PART, 2 * uploads.PART + 5])
+def test_an_upload_is_sent_in_parts_that_say_where_they_belong(length: int) -> None:
+    data = np.random.default_rng(1).bytes(length)
+    flow, sent = uploads.upload(data), b""
+    name, waits = went(flow, *[told.UploadInfo("", length, 0)] * max(1, -(-length // uploads.PART)))
+    for part in [wait.request for wait in waits]:
+        assert (part.id, part.length, part.offset) == (name, length, len(sent))
+        assert len(part.data) <= uploads.PART
+        sent += part.data
+    assert sent == data
+    assert name
+    assert name != went(uploads.upload(b""), told.UploadInfo("", 0, 0))[0]
+
+
+OLD = RequestInvalid(ErrorInfo("invalid_request", "unknown topic 'cm_upload'; topics are cm_status"))
+TAKEN = told.UploadInfo("", 0, 0)
+
+
+def test_what_is_too_long_for_a_message_is_named_in_it_by_its_upload(tmp_path: Path) -> None:
+    (tmp_path / "a.yaml").write_text("config: {}")
+    (tmp_path / "a.bit").write_bytes(bytes(uploads.PART))
+    (tmp_path / "b.bit").write_bytes(bytes(uploads.WHOLE - uploads.PART))
+    files = [tmp_path / "a.bit", tmp_path / "b.bit"]
+    whole, asked = went(uploads.provision(tmp_path / "a.yaml", files, "l"))
+    assert (whole.request.files, asked) == (
+        (rq.File("a.bit", files[0].read_bytes()), rq.File("b.bit", files[1].read_bytes())),
+        [],
+    )
+    files[1].write_bytes(bytes(uploads.WHOLE - uploads.PART + 1))
+    call, asked = went(uploads.provision(tmp_path / "a.yaml", files, "l"), *[TAKEN] * 5)
+    assert [file.name for file in call.request.files] == ["a.bit", "b.bit"]
+    assert not any(file.data for file in call.request.files)
+    assert [file.upload for file in call.request.files] == list(dict.fromkeys(wait.request.id for wait in asked))
+    assert call.request.lease == "l"
+    forgotten = went(uploads.discarding(call), TAKEN, TAKEN)[1]
+    assert [wait.request for wait in forgotten] == [rq.Upload(file.upload, discard=True) for file in call.request.files]
+    assert went(uploads.provision(tmp_path / "a.yaml", files, "l"), OLD, OLD)[0].request.files == tuple(
+        rq.File(file.name, file.read_bytes()) for file in files
+    )
+
+
+def test_a_long_frame_is_uploaded_where_the_manager_takes_uploads() -> None:
+    frame = np.arange(uploads.WHOLE + 1).astype(np.uint8)
+    whole, asked = went(uploads.write_data("to_pl", frame[1:], "l"))
+    assert (bytes(whole.request.data), asked) == (frame[1:].tobytes(), [])
+    assert went(uploads.discarding(whole)) == (None, [])
+    call, asked = went(uploads.write_data("to_pl", frame, "l"), *[TAKEN] * 5)
+    assert call.request == rq.WriteData("to_pl", b"", "l", upload=asked[0].request.id)
+    assert [wait.request for wait in went(uploads.discarding(call), TAKEN)[1]] == [
+        rq.Upload(call.request.upload, discard=True)
+    ]
+    assert bytes(went(uploads.write_data("to_pl", frame, "l"), OLD)[0].request.data) == frame.tobytes()
+    assert went(uploads.discarding(calls.status())) == (None, [])
+
+
+@pytest.mark.parametrize(
+    ("parts", "refusal"),
+    [(0, "no more than 64 MiB"), (1, "unknown topic 'cm_upload'")],
+    ids=["of the first part", "of a later part"],
+)
+def test_a_refusal_of_an_upload_is_the_callers(parts: int, refusal: str) -> None:
+    error = RequestInvalid(ErrorInfo("invalid_request", refusal))
+    with pytest.raises(RequestInvalid, match=refusal):
+        went(uploads.upload(bytes(2 * uploads.PART)), *[TAKEN] * parts, error)
+
+
+def test_a_picture_is_sent_again_in_the_streams_format_if_it_was_refused_for_it() -> None:
+    picture = np.arange(6, dtype=np.uint8).reshape(1, 2, 3)
+    form = request_error(ErrorInfo("pixel_format", "yuv"))
+    call, asked = went(uploads.recoded(form, "to_pl", picture, "l"), replace(STREAM, format="bgr"))
+    assert [wait.request for wait in asked] == [rq.DescribeData("to_pl")]
+    assert (bytes(call.request.data), call.request.lease) == (bytes([2, 1, 0, 5, 4, 3]), "l")
+    with pytest.raises(RequestBusy):
+        went(uploads.recoded(request_error(ErrorInfo("busy", "")), "to_pl", picture, "l"))
 
 
 LISTED = told.ConfigInfo(names=("camera",), entries=(told.ConfigEntry("camera"),))
@@ -146,6 +223,31 @@ def test_a_frame_and_a_piece_of_memory_are_the_payload_beside_their_description(
 def test_a_stream_is_no_memory() -> None:
     with pytest.raises(InvalidRequest, match=r"'to_pl' is a stream, not a memory: board\.stream\('to_pl'\)"):
         calls.describe_memory("to_pl").result(Reply(STREAM))
+
+
+REGISTERS = (
+    told.RegisterInfo("focus", 0x1000, 32, "rw"),
+    told.RegisterInfo("gain", 0x1004, 32, "rw", modes=("edge",), fields=(told.FieldInfo("red", 0, 7),)),
+    told.RegisterInfo("blur", 0x1008, 32, "rw", modes=("default",)),
+)
+
+
+def test_registers_and_memories_are_those_of_the_mode() -> None:
+    memories = (MEMORY, replace(MEMORY, name="taps", modes=("default",)), replace(MEMORY, name="log", modes=("edge",)))
+    config = told.ConfigInfo("camera", mode="edge", registers=REGISTERS, memories=memories)
+    assert list(registers.visible(config)) == ["focus", "gain"]
+    assert memory.visible(config) == {"table": MEMORY, "log": memories[2]}
+
+
+@pytest.mark.parametrize(
+    ("name", "there"),
+    [("focus", True), ("gain.red", True), ("gain", True)]
+    + [(none, False) for none in ("gain.", "gain.blue", "blur", "focus.red", ".red", 3, None)],
+)
+def test_registers_and_their_fields_have_names(name: object, there: bool) -> None:
+    info = {register.name: register for register in REGISTERS[:2]}
+    assert registers.has(info, name) == there
+    assert (name in registers.names(info)) == there
 
 
 @pytest.mark.parametrize(
@@ -328,3 +430,64 @@ def test_the_newest_frame_is_asked_for_again_while_the_stream_is_stopped() -> No
     assert {wait.call.request for wait in waits if isinstance(wait, Ask)} == {rq.ReadData("camera", 5.0)}
     with pytest.raises(RequestBusy):
         went(reader.reading(None), request_error(ErrorInfo("busy", "")))
+
+
+class Numbered(NamedTuple):
+    """A frame of a generation, and whether it was given back."""
+
+    generation: int
+    released: list[int]
+
+    def release(self) -> None:
+        self.released.append(self.generation)
+
+
+def test_the_frame_after_a_write_is_the_first_of_its_generation() -> None:
+    released: list[int] = []
+    written = Written(told.RegValues((told.RegValue("focus", 7),), generation=4))
+    assert (written, written.generation) == ({"focus": 7}, 4)
+    for write in (written, 4):
+        wanted = FirstAfter("camera", write, None, 0.0)
+        for left, generation in zip(wanted.limits(), (0, 3, 4, 5), strict=False):
+            assert left is None
+            if wanted.has(Numbered(generation, released)):  # type: ignore[arg-type]
+                break
+        assert generation == 4
+    assert released == [0, 3, 0, 3]
+    with pytest.raises(Timeout, match=r"stream 'camera' gave no frame of generation 4 within 0 s"):
+        next(FirstAfter("camera", 4, 0.0, None).limits())
+    limits = FirstAfter("camera", 4, DEFAULT, 60.0).limits()
+    assert 0 < (next(limits) or 0) <= 60
+    assert "within 60 s" in str(FirstAfter("camera", 4, DEFAULT, 60.0).nothing())
+
+
+@pytest.mark.parametrize("write", [-1, True, 1.0, "4", None])
+def test_what_is_no_generation_is_refused(write: Any) -> None:
+    with pytest.raises(InvalidRequest, match=r"it takes what registers\.write\(\) returned, or a generation"):
+        FirstAfter("camera", write, None, None)
+
+
+def compressed(data: bytes, length: int, compression: str = "lz4") -> list[Any]:
+    info = told.FrameInfo("camera", 4, 5, 6, (2, 3), compression=compression)
+    return [b"cm_lz4/camera", encode_frame_info(replace(info, length=length)), data]
+
+
+def test_a_compressed_frame_is_what_it_claims_to_be() -> None:
+    lz4 = pytest.importorskip("lz4.frame")
+    packed = lz4.compress(b"abcdef")
+    assert Arrivals().frame(compressed(packed, 6)).tobytes() == b"abcdef"
+    for message, words in (
+        (compressed(packed, 5), "frame 4 of 'camera' has not the 5 bytes that it claims"),
+        (compressed(packed, 7), "frame 4 of 'camera' has not the 7 bytes that it claims"),
+        (compressed(packed[:-6], 6), "frame 4 of 'camera' has not the 6 bytes that it claims"),
+        (compressed(b"abcdef" * 9, 6), "frame 4 of 'camera' is not an lz4 frame: "),
+        (compressed(packed, 6, "zstd"), "frame 4 of 'camera' is compressed with 'zstd'"),
+        (compressed(packed, 6)[:2], "FrameInfo in 2 parts came on a stream's topic"),
+        (message_of_another_kind(), "Status in 3 parts came on a stream's topic"),
+    ):
+        with pytest.raises(InvalidRequest, match=words):
+            Arrivals().frame(message)
+
+
+def message_of_another_kind() -> list[Any]:
+    return [*message(ENDED), b""]

@@ -9,6 +9,7 @@ import pickle
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from cm.client.address import Keys, load_keys, resolve
@@ -16,6 +17,7 @@ from cm.client.core import calls
 from cm.client.core.effects import DEFAULT, Ask, Deadline, seconds
 from cm.client.core.events import InterruptEvents
 from cm.client.core.remote_stream import reading_next
+from cm.client.core.values import mode_name
 from cm.client.errors import ConnectionLost, FrameReleased, NoAnswer, request_error
 from cm.device.errors import device_error
 from cm.errors import CmError, InvalidRequest, NotFound
@@ -103,6 +105,42 @@ def test_pairs_write_a_register_several_times() -> None:
     pairs: list[tuple[str, int | str]] = [("start", 1), ("focus", 2), ("start", 0)]
     request: Any = calls.write_registers(pairs).request
     assert request.writes == (RegWrite("start", 1), RegWrite("focus", 2), RegWrite("start", 0))
+
+
+@pytest.mark.parametrize("value", [0, 7, (1 << 64) - 1, np.uint8(7), np.int64(7)])
+def test_a_register_takes_an_integer(value: Any) -> None:
+    request: Any = calls.write_registers({"focus": value}).request
+    assert request.writes == (RegWrite("focus", int(value)),)
+    assert type(request.writes[0].value) is int
+
+
+def test_a_fields_value_may_be_named() -> None:
+    request: Any = calls.write_registers({"control.mode": "fast"}).request
+    assert request.writes == (RegWrite("control.mode", 0, named="fast"),)
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (True, "an integer, not True: write 1"),
+        (np.bool_(False), r"an integer, not .*False.*: write 0"),
+        (1.0, r"an integer, not 1\.0 \(float\)"),
+        ("", r"an integer, not '' \(str\)"),
+        (None, r"an integer, not None \(NoneType\)"),
+        (-1, r"an integer from 0 to 2\*\*64 - 1, not -1$"),
+        (1 << 64, r"an integer from 0 to 2\*\*64 - 1, not 18446744073709551616$"),
+    ],
+)
+def test_what_is_no_integer_of_a_register_is_refused(value: Any, words: str) -> None:
+    with pytest.raises(InvalidRequest, match=f"^register 'focus' takes {words}"):
+        calls.write_registers({"focus": value})
+
+
+@pytest.mark.parametrize("mode", ["", None, 3, b"edge"])
+def test_a_mode_is_named_by_a_word(mode: Any) -> None:
+    assert mode_name("edge") == "edge"
+    with pytest.raises(InvalidRequest, match=rf"a mode is named by a word, not {mode!r}; load\(config\) goes to its"):
+        mode_name(mode)
 
 
 @pytest.mark.parametrize("given", ["focus", 3, [("focus",)], [3]])
