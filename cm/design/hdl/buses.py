@@ -53,7 +53,7 @@ def make_protocol(
 
 
 def _pattern(prefix: str, spellings: Iterable[str]) -> re.Pattern[str]:
-    names = "|".join(re.escape(spelling) for spelling in sorted(spellings, key=len, reverse=True))
+    names = "|".join(re.escape(spelling) for spelling in sorted(spellings, reverse=True))
     return re.compile(rf"(?P<prefix>{prefix})(?P<signal>{names})(?P<tail>(?:_(?:i|o|in|out|\d+))*)", re.IGNORECASE)
 
 

@@ -172,7 +172,7 @@ def _systemrdl(path: Path, module: str) -> Registers:
     compiler = RDLCompiler(message_printer=Printer())
     try:
         compiler.compile_file(str(path))
-        root = compiler.elaborate(top_def_name=module) if module in _maps(compiler) else compiler.elaborate()
+        root = compiler.elaborate(module if module in compiler.root.comp_defs else None)
     except RDLCompileError as error:
         raise BuildError(next((line for line in said if ": error: " in line), f"{path}: {error}")) from None
     return {
@@ -181,10 +181,6 @@ def _systemrdl(path: Path, module: str) -> Registers:
         if isinstance(node, RegNode)
         for spec in [_rdl_register(node, root.top)]
     }
-
-
-def _maps(compiler: Any) -> list[str]:
-    return list(compiler.root.comp_defs) if getattr(compiler, "root", None) else []
 
 
 def _rdl_register(node: Any, top: Any) -> Register:

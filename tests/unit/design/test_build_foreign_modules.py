@@ -197,6 +197,25 @@ COMPONENT = """\
 """
 
 
+@pytest.mark.parametrize(
+    ("library", "named"), [("", False), ("work", False), ("xil_defaultlib", False), ("filters", True)]
+)
+def test_vhdl_of_a_component_is_in_the_library_that_it_names(library: str, named: bool, tmp_path: Path) -> None:
+    text = COMPONENT.replace("verilogSource:vivado", "vhdlSource:vivado")
+    kind = "<spirit:fileType>vhdlSource</spirit:fileType>"
+    text = text.replace(kind, f"{kind}<spirit:logicalName>{library}</spirit:logicalName>")
+    (tmp_path / "component.xml").write_text(text)
+    with pytest.raises(HdlError, match=r"component\.xml: lists hdl/one\.v, which is not there"):
+        component_files(tmp_path / "component.xml")
+    (tmp_path / "hdl").mkdir()
+    for name in ("one.v", "w.vh", "one.vhd"):
+        (tmp_path / "hdl" / name).touch()
+    found = component_files(tmp_path / "component.xml")
+    verilog, vhdl = tmp_path / "hdl/one.v", tmp_path / "hdl/one.vhd"
+    assert (found.sources, found.libraries) == (([verilog], {library: [vhdl]}) if named else ([verilog, vhdl], {}))
+    assert found.include_dirs == [tmp_path / "hdl"]
+
+
 def test_init_takes_a_component_with_the_files_of_its_synthesis(tmp_path: Path) -> None:
     (tmp_path / "ip/hdl").mkdir(parents=True)
     (tmp_path / "ip/component.xml").write_text(COMPONENT)

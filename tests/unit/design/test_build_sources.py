@@ -10,9 +10,12 @@ import pytest
 from build_support import MINIMAL, STREAM_MODULE, needs, project
 
 from cm.cli.main import main
+from cm.design.boundary.analyse import analyse
 from cm.design.generate.outputs import render_all
 from cm.design.generate.tree import load_design
 from cm.design.hdl.ipxact import load_component_xml
+from cm.design.hdl.model import Polarity
+from cm.design.project.load import load_project
 from cm.design.runtime.answers import Answers
 from cm.schema.problems import SchemaError
 
@@ -59,6 +62,10 @@ def test_vhdl_goes_to_the_library_that_the_build_schema_says(tmp_path: Path) -> 
     ("libraries", "said"),
     [
         ("{filters: kernels.vhd}", "one.vhd:11: no file of library filters has core; add its file to libraries:"),
+        (
+            "{other: core.vhd}",
+            "one.vhd:2: no file of library filters has kernels; add its file to libraries:",
+        ),
         ("{filters: core.vhd, other: kernels.vhd}", "library filters has kernels; it is in other: move its file"),
     ],
 )
@@ -115,6 +122,18 @@ def test_an_ip_instance_tells_its_ports_and_its_name(tmp_path: Path) -> None:
     assert "fifo_8 inner (" in wrapper
     assert ".s_axis_tdata(s_axis_tdata)" in wrapper
     assert 'read_ip "$cm_source/fifo_8.xci"' in files["tcl/step_synth_one.tcl"]
+
+
+def test_the_build_schema_says_the_clock_and_the_reset_of_what_no_hdl_describes(tmp_path: Path) -> None:
+    (tmp_path / "fifo_8.xci").write_text(XCI.replace('"s_axis_aclk"', '"b_clk": [{"direction": "in"}], "a_clk"'))
+    text = MINIMAL.replace("sources: [one.v]", "ip: [fifo_8.xci]")
+    text += "    clocks: {a_clk: {interfaces: [s_axis]}, b_clk: {interfaces: [m_axis]}}\n"
+    text += "    resets: {s_axis_aresetn: {clock: b_clk, polarity: high}}\n"
+    found = analyse(load_project(project(tmp_path, text))).modules["one"]
+    assert (found.interface("s_axis").clock, found.interface("m_axis").clock) == ("a_clk", "b_clk")
+    assert [(r.port, r.clock, r.polarity, r.why, r.may_be) for r in found.resets] == [
+        ("s_axis_aresetn", "b_clk", Polarity.HIGH, "stated", ())
+    ]
 
 
 @needs("iverilog")

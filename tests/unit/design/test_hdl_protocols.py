@@ -42,7 +42,8 @@ def test_binding_names_every_port_and_the_clock() -> None:
 def test_binding_to_a_port_that_is_not_there_is_fatal(tmp_path: Path) -> None:
     found = ports(tmp_path, "input clk", protocols=parse_protocols(PIXELS + _binding("m", "nope")))
     assert not found.usable
-    assert "module m has no port nope" in str(found.problems[0])
+    assert "module m has no port nope" in found.problems[0].message
+    assert (found.problems[0].file, found.problems[0].line) == (found.file, found.line)
 
 
 def _binding(module: str, port: str) -> str:
@@ -98,6 +99,19 @@ def test_component_is_read_with_buses_clocks_resets_and_widths() -> None:
     assert component.clocks[0].frequency_hz == 100_000_000
     assert [left.port for left in component.leftovers] == ["gone"]
     assert component.parameters[0].value == 8
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "width"), [("7", "4", 4), ("4", "7", 4), ("0", "0", 1), ("WIDTH", "0", None), ("7", "LOW", None)]
+)
+def test_a_range_of_a_component_begins_anywhere(left: str, right: str, width: int | None, tmp_path: Path) -> None:
+    text = (DATA / "tagged.xml").read_text(encoding="utf-8")
+    begin = text.index("<spirit:left")
+    end = text.index("</spirit:right>", begin)
+    vector = f"<spirit:left>{left}</spirit:left><spirit:right>{right}"
+    (tmp_path / "component.xml").write_text(text[:begin] + vector + text[end:], encoding="utf-8")
+    (port,) = [port for port in load_component_xml(tmp_path / "component.xml").ports if port.range]
+    assert (port.range, port.width) == (f"[{left}:{right}]", width)
 
 
 def test_comment_before_the_xml_declaration_is_forgiven(tmp_path: Path) -> None:

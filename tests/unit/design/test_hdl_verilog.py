@@ -41,7 +41,7 @@ def test_module_with_registers_streams_and_an_interrupt_is_read_completely() -> 
     ]
     assert camera.interface("s_axi").ports["AWADDR"] == "s_axi_awaddr"
     assert camera.interface("s_axi").reset_polarity is Polarity.LOW
-    assert [i.port for i in camera.interrupts] == ["irq_frame_done"]
+    assert [(i.port, i.sensitivity) for i in camera.interrupts] == [("irq_frame_done", "")]
     assert [left.port for left in camera.leftovers] == ["status_leds"]
     assert camera.instantiates == ("camera_edge_kernel",)
     assert camera.problems == ()
@@ -97,6 +97,26 @@ def test_attribute_on_some_ports_is_completed_by_the_names_of_the_others(tmp_pat
     text = f"input [7:0] s_axis_tdata; {info} input s_axis_tvalid; output s_axis_tready; input s_axis_tlast; input clk"
     (video,) = ports(tmp_path, text).interfaces
     assert (video.name, set(video.ports)) == ("video", {"TDATA", "TVALID", "TREADY", "TLAST"})
+
+
+@pytest.mark.parametrize(
+    ("bus", "port", "mode"),
+    [
+        *((bus, "input a", Mode.MASTER) for bus in ("M_thing", "master_0", "source", "initiator_x")),
+        *((bus, "output a", Mode.SLAVE) for bus in ("s_thing", "Slave_0", "sink", "target_x")),
+        ("thing_m", "input a", Mode.SLAVE),
+        ("thing_s", "output a", Mode.MASTER),
+    ],
+)
+def test_the_mode_of_an_unknown_protocol_is_guessed_by_name_then_by_direction(
+    bus: str, port: str, mode: Mode, tmp_path: Path
+) -> None:
+    info = f'(* X_INTERFACE_INFO = "acme.com:user:thing:1.0 {bus} A" *)'
+    found = ports(tmp_path, f"{info} {port}; input clk")
+    assert [(i.name, i.mode, i.protocol) for i in found.interfaces] == [(bus, mode, "thing")]
+    (problem,) = found.problems
+    assert f"the mode of {bus} (acme.com:user:thing:1.0) is a guess" in problem.message
+    assert f": {mode.value}; state it with X_INTERFACE_MODE" in problem.message
 
 
 def test_malformed_attribute_is_reported_and_names_still_count(tmp_path: Path) -> None:
@@ -178,6 +198,8 @@ def test_read_only_master_is_a_bus(tmp_path: Path) -> None:
         ("input s_clk; input m_clk", ("s_clk", "m_clk")),
         ("input ap_clk; input ref_clk", ("ap_clk", "ap_clk")),
         ("input one_clk; input two_clk", (None, None)),
+        ("input s_axis_aclk; input s_axis_video_aclk; input m_axis_aclk", ("s_axis_aclk", "m_axis_aclk")),
+        ("input one_clk; output two_clk", (None, None)),
     ],
 )
 def test_a_clock_is_recognised_by_name_or_not_at_all(

@@ -15,7 +15,7 @@ from hdl_support import DATA, extract
 
 from cm.design.hdl.errors import HdlError
 from cm.design.hdl.model import Language, ModuleInfo, PortDirection
-from cm.design.hdl.vhdl_expr import Unknown, evaluate
+from cm.design.hdl.vhdl_expr import NotFlat, Unknown, evaluate, width_of
 
 
 def entity(path: Path, ports: str, generics: str = "", before: str = "") -> ModuleInfo:
@@ -115,6 +115,19 @@ def test_both_languages_in_one_call_keep_the_order_of_the_files() -> None:
         ("not (2 > 1 and true)", False),
         ('"ab" & "cd"', "abcd"),
         ("abs (2 - 5)", 3),
+        ("7 / (-2) + (-7) / (-2)", 0),
+        ("7.0 / 2.0", 3.5),
+        ("integer(2.5) + natural(1.4)", 4),
+        ("floor(2.7) + log2(8.0) + ieee.math_real.ceil(1.2)", 7.0),
+        ("minimum(2, 3) * 100 + max(2, 3) * 10 + ceil_log2(9)", 234),
+        ("n >= 4 and n <= 4 and not (n < 4) and not (n > 4)", True),
+        ("5 = 5 xor 5 /= 5", True),
+        ("FALSE or (true and false)", False),
+        ("-n + (+n)", 0),
+        ("2.0**2", 4.0),
+        ("2#1_0# + 1.5e1", 17.0),
+        ('O"17" & B"1_0" & X""', "00111110"),
+        ("""'"' & "a""b" & 1""", '"a"b1'),
     ],
 )
 def test_expression_has_the_value_that_the_standard_gives_it(text: str, value: object) -> None:
@@ -122,11 +135,65 @@ def test_expression_has_the_value_that_the_standard_gives_it(text: str, value: o
 
 
 @pytest.mark.parametrize(
-    "text", ["", "1 +", "f(2)", "a'length", "n n", "(1", "1/0", "10**99999", "$", "2**0.5**900000"]
+    ("text", "why"),
+    [
+        ("", "a value is missing"),
+        *((text, f"{text!r} is not understood") for text in ("1 +", "n n", "(1", "$", 'x"g"')),
+        ("f(2)", "the function f is not evaluated"),
+        ("work.p.n(3)", "the function n is not evaluated"),
+        ("a'length", "a'length is not evaluated"),
+        ("work.p.m", "the value of work.p.m is not known"),
+        ("1/0", "1/0: integer division or modulo by zero"),
+        ("log2(0.0)", "log2(0.0): math domain error"),
+        ("clog2(0)", "logarithm of a number below 1"),
+        ("10**99999", "power too large"),
+        ("2**0.5**900000", "power too large"),
+        ("1e99999", "1e99999 is too large"),
+        ('-"a"', "- of 'a'"),
+        ("not 3", "not of 3"),
+        ("1 sll 2", "sll of 1 and 2"),
+        ("true and 1", "and of True and 1"),
+    ],
 )
-def test_expression_without_a_value_is_unknown(text: str) -> None:
-    with pytest.raises(Unknown):
+def test_expression_without_a_value_is_unknown(text: str, why: str) -> None:
+    with pytest.raises(Unknown) as unknown:
         evaluate(text, {"n": 1})
+    assert str(unknown.value) == why
+
+
+@pytest.mark.parametrize(
+    ("indication", "width"),
+    [
+        ("ieee.std_logic_1164.STD_LOGIC", 1),
+        ("std_logic_vector(7 downto n)", 4),
+        ("unsigned (n TO 7)", 4),
+        ("signed(3 downto 4)", 0),
+        ("byte", 8),
+        ("std_logic_vector(16777215 downto 0)", 1 << 24),
+    ],
+)
+def test_a_subtype_has_the_width_of_its_range(indication: str, width: int) -> None:
+    assert width_of(indication, {"n": 4}, {"byte": "octet", "octet": "bit_vector(0 to 7)"}) == width
+
+
+@pytest.mark.parametrize(
+    ("indication", "flat", "why"),
+    [
+        ("std_logic_vector(16777216 downto 0)", True, "its range 16777216 downto 0 is too wide"),
+        ("std_logic_vector(m downto 0)", True, "the value of m is not known"),
+        ("std_logic_vector(1.5 downto 0)", True, "1.5 is not an integer"),
+        ("std_logic_vector(true downto 0)", True, "true is not an integer"),
+        ("std_logic_vector", False, "its type std_logic_vector has no range that could be evaluated"),
+        ("std_logic_vector(index)", False, "has no range that could be evaluated: needs a flat wrapper"),
+        ("work.types.pixel", False, "its type work.types.pixel is not a vector of std_logic: needs a flat wrapper"),
+        ("loop_", False, "its type loop_ needs a flat wrapper"),
+    ],
+)
+def test_a_subtype_without_a_width_says_whether_any_generic_gives_it_one(indication: str, flat: bool, why: str) -> None:
+    with pytest.raises(Unknown) as unknown:
+        width_of(indication, {}, {"loop_": "loop_"})
+    assert why in str(unknown.value)
+    assert isinstance(unknown.value, NotFlat) != flat
 
 
 @given(st.text(alphabet="0123456789()+-*/ ndownto'\"#&=<>,.xX_e", max_size=40))
