@@ -43,6 +43,14 @@ def test_numbers_of_any_width_keep_their_order_and_the_last_beat_its_length(boar
     assert np.array_equal(through(board, 64, wide), ~wide)
 
 
+def test_a_frame_of_a_module_without_tlast_ends_where_it_is_full(board: cm.Board) -> None:
+    samples = np.arange(32, dtype=np.uint16)
+    with board.stream("from_12", timeout=60) as back, board.writer("to_12", timeout=60) as out:
+        for begin in (0, 1000):
+            out.write(samples + begin)
+            assert back.read().tolist() == [*range(begin, begin + 32, 4)]
+
+
 def test_red_is_where_xilinx_cores_have_it_and_a_frame_has_its_start_and_lines(board: cm.Board) -> None:
     """Through VDMA: TUSER with the first beat, TLAST with the last of each line; the module turns bits 16 to 23."""
     picture = rgb(6, 8)

@@ -199,16 +199,11 @@ def _channel(
         pins[f"{stream}_{signal}"] = port if port in ports else missing
     yield f"{way.upper()}_BYTES", dma.width // 8
     if not dma.sends:
-        yield "S2MM_LAST", int(_ends(_bus(system, dma)))
+        yield "S2MM_LAST", int(_bus(system, dma).ends)
 
 
 def _bus(system: System, dma: Dma) -> StreamBus:
     return next(bus for bus in system.streams if bus.dma == dma)
-
-
-def _ends(bus: StreamBus) -> bool:
-    """Whether a stream to memory marks where its packets end; a switch's always does."""
-    return "TLAST" in bus.interface.ports or not bus.interface.ports
 
 
 TOP, MODULE_TOP = "cm_open_top", "cm_open_module"

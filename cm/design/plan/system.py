@@ -53,6 +53,11 @@ class StreamBus:
         return self.dma.width if self.dma else self.switched
 
     @property
+    def ends(self) -> bool:
+        """Whether it marks where its packets end; a switch's always does."""
+        return "TLAST" in self.interface.ports or not self.interface.ports
+
+    @property
     def external(self) -> bool:
         """Whether it goes to ports of the top."""
         return self.dma is None and not self.switched

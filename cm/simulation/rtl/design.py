@@ -80,6 +80,7 @@ class StreamEnd:
     clock: str
     channel: str | None
     prefix: str  # of its ports
+    ends: bool  # whether its packets do, by TLAST
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,7 +177,8 @@ def _wiring(design: RtlDesign, static: Path, seed: int) -> Iterator[str]:
         yield f"bus s_axi_{domain.clock} {clocks.index(domain.clock)} {windows}"
     for stream in design.streams:
         kind = "source" if stream.sends else "sink" if stream.channel else "drain"
-        yield f"{kind} {stream.prefix} {clocks.index(stream.clock)}"
+        ends = f" {stream.ends:d}" if kind == "sink" else ""
+        yield f"{kind} {stream.prefix} {clocks.index(stream.clock)}{ends}"
     for region in system.regions:
         for interface in region.memory:
             yield f"memory m_axi_{region.name}_{interface.name} {clocks.index(region.clock_of(interface))}"
@@ -223,7 +225,7 @@ def _stream(region: str, own: str, bus: StreamBus) -> StreamEnd:
     if bus.dma and (bus.dma.direction is Direction.MM2S) != sends:
         raise RtlError(f"{bus.name}: its DMA engine goes the other way")
     prefix = prefix_of(bus.dma) if bus.dma else f"axis_{bus.name}"
-    return StreamEnd(bus.name, region, sends, clock, channel, prefix)
+    return StreamEnd(bus.name, region, sends, clock, channel, prefix, bus.ends)
 
 
 def _outputs(static: Netlist, system: System) -> Iterator[Output]:

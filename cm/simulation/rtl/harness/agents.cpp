@@ -162,9 +162,9 @@ void Source::edge()
 	finished = true;
 }
 
-Sink::Sink(const Instance &part, const std::string &prefix)
+Sink::Sink(const Instance &part, const std::string &prefix, bool ends)
     : tdata(part.need(prefix + "_tdata")), tkeep(part.find(prefix + "_tkeep")),
-      tlast(part.find(prefix + "_tlast")), tuser(part.find(prefix + "_tuser")),
+      tlast(ends ? part.find(prefix + "_tlast") : Pin()), tuser(part.find(prefix + "_tuser")),
       tvalid(part.need(prefix + "_tvalid")), tready(part.find(prefix + "_tready")),
       width((tdata.bits + 7) / 8)
 {

@@ -82,13 +82,14 @@ class Source
 	bool offered = false, taken = false, finished = false;
 };
 
-// Stream to memory: fills the room that it was given until TLAST; without room it is not ready. For a VDMA (PG020) a
+// Stream to memory: fills the room that it was given until TLAST, or until it is full where the module's packets have
+// no end; without room it is not ready. For a VDMA (PG020) a
 // frame begins with TUSER[0] and has as many lines as fit the room: what comes before it is dropped, and so is the rest
 // of a line that is too long; a line that is too short ends in zeros, and a frame that is cut short begins anew.
 class Sink
 {
       public:
-	Sink(const Instance &part, const std::string &prefix);
+	Sink(const Instance &part, const std::string &prefix, bool ends = true);
 
 	void receive(uint8_t *to, uint64_t capacity, uint64_t line = 0);
 	void cancel();

@@ -49,11 +49,14 @@ void Harness::wire(const std::string &line)
 		fabric->clock(clock).masters.push_back(&bus->master);
 		buses.push_back(std::move(bus));
 	} else if (kind == "source" || kind == "sink") {
+		bool source = kind == "source", ends = true;
 		words >> name >> clock;
-		bool source = kind == "source";
+		if (!source)
+			words >> ends;
 		sources.push_back(source ? std::make_unique<Source>(fabric->part(), name)
 					 : nullptr);
-		sinks.push_back(source ? nullptr : std::make_unique<Sink>(fabric->part(), name));
+		sinks.push_back(source ? nullptr
+				       : std::make_unique<Sink>(fabric->part(), name, ends));
 		if (source)
 			fabric->clock(clock).sources.push_back(sources.back().get());
 		else
