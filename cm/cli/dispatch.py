@@ -36,12 +36,21 @@ def run(arguments: Sequence[str] | None = None) -> int:
         from cm.cli.completion import answer
 
         return answer()
+    if arguments is None:
+        _open_closed()
     words, colours = colours_of(list(sys.argv[1:] if arguments is None else arguments))
     with as_told(colours):
         status = _ended(words)
     if arguments is None and _ends_at_once(words):
         os._exit(status)
     return status
+
+
+def _open_closed() -> None:
+    """Open what the shell has closed, at nothing: Python has no object for it, and its number is the next file's."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115, PTH123 (until the end)
 
 
 def _ends_at_once(words: list[str]) -> bool:

@@ -94,6 +94,26 @@ def test_a_command_without_standard_output_still_does_its_work(board: cm.Board, 
     assert board.registers["focus"] == 7
 
 
+@pytest.mark.parametrize(
+    ("line", "status"),
+    [
+        ("stream capture camera - --count 1 >&-", 0),
+        ("view camera --count 1 --as blocks >&-", 0),
+        ("config check - <&-", 1),
+        ("mem write scratchpad - <&-", 1),
+        ("nonsense 2>&-", 2),
+    ],
+)
+def test_what_the_shell_has_closed_is_as_what_leads_nowhere(
+    board: cm.Board, manager: Manager, line: str, status: int
+) -> None:
+    board.mode = "default"
+    done = shell(f"cm {line}", manager)
+    assert done.returncode == status, done.stderr
+    assert "Traceback" not in done.stderr
+    assert "usage" not in done.stdout
+
+
 IMPOSSIBLE = """
 stream set camera --shape=-4x4
 mem read scratchpad --offset -4
