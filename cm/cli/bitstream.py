@@ -10,7 +10,7 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from cm.cli.common import add_json_option, answer, parsed, print_json, print_table
+from cm.cli.common import add_json_option, answer, naming, parsed, print_json, print_table
 from cm.cli.failures import code_and_sentence, tell
 from cm.cli.region import check_region
 from cm.errors import CmError, InvalidRequest, NotFound
@@ -259,16 +259,18 @@ def _refuse_loss(source: Path, output: Path, form: Container) -> None:
 def _write(output: Path, data: bytes) -> None:
     """Write whole or not at all, if the output is a file, since it may be the input."""
     if _is_no_file(output):
-        output.write_bytes(data)
+        with naming(output):
+            output.write_bytes(data)
         return
     if not output.parent.is_dir():
         raise InvalidRequest(f"{output}: there is no folder {output.parent}")
     aside = output.with_name(f".{output.name}.new")
     try:
-        aside.write_bytes(data)
-        if output.exists():
-            shutil.copymode(output, aside)
-        aside.replace(output.resolve())
+        with naming(output):
+            aside.write_bytes(data)
+            if output.exists():
+                shutil.copymode(output, aside)
+            aside.replace(output.resolve())
     finally:
         aside.unlink(missing_ok=True)
 
@@ -332,7 +334,7 @@ def run_relocate(args: argparse.Namespace) -> int:
     moves = column_moves(device, config.regions[here].footprint, config.regions[args.to].footprint)
     data = relocate(args.file, moves, blank, Database.open(device.name))
     out = args.out or args.file.with_name(f"{args.file.stem}_{args.to}{args.file.suffix}")
-    out.write_bytes(data)
+    _write(out, data)
     told = {"file": str(out), "from": here, "to": args.to, "bytes": len(data)}
     return answer(args, told, f"{out}: moved from {here} to {args.to}, {len(data)} bytes")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cm.cli.build_schema import add_schema_argument
-from cm.cli.common import add_json_option, digits, parsed, print_json, print_table
+from cm.cli.common import add_json_option, digits, naming, parsed, print_json, print_table
 from cm.design.boundary.analyse import analyse
 from cm.design.errors import BuildError
 from cm.design.generate.tree import output_folder
@@ -113,7 +113,8 @@ def _write(path: Path, folder: Path, text: str) -> None:
         raise BuildError(f"{path} must lie in {folder}: paths in a build schema are relative to its folder")
     if path.exists():
         raise BuildError(f"{path} exists already: name another file, or move it away")
-    path.write_text(text, encoding="utf-8")
+    with naming(path):
+        path.write_text(text, encoding="utf-8")
 
 
 def _dict(found: Partition) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from cm.cli.common import add_json_option, answer, print_json
+from cm.cli.common import add_json_option, answer, naming, print_json
 from cm.design.boundary.analyse import analyse
 from cm.design.check.rules import check_system
 from cm.design.errors import BuildError
@@ -77,7 +77,8 @@ def run_init(args: argparse.Namespace) -> int:
     else:
         text = init_text(args.files, folder, args.name or folder.name, args.part, args.top, args.cores)
     folder.mkdir(parents=True, exist_ok=True)
-    output.write_text(text, encoding="utf-8")
+    with naming(output):
+        output.write_text(text, encoding="utf-8")
     editor = folder / SCHEMA_FILE.name
     if not editor.exists():
         editor.write_bytes(SCHEMA_FILE.read_bytes())

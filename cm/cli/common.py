@@ -7,8 +7,8 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -146,6 +146,21 @@ def _plain(value: object) -> Any:
     if hasattr(value, "keys") and hasattr(value, "__getitem__"):
         return {key: value[key] for key in value.keys()}  # noqa: SIM118 - a mapping proxy, or the like
     return str(value)
+
+
+@contextmanager
+def naming(file: Path | str) -> Iterator[None]:
+    """Name `file` in an error of the system: a full disk names none, and what is written aside has another name."""
+    try:
+        yield
+    except OSError as error:
+        raise named(error, file) from None
+
+
+def named(error: OSError, file: Path | str) -> OSError:
+    """The same error, about `file`."""
+    error.filename = str(file)
+    return error
 
 
 def binary_output() -> IO[bytes]:

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cm.cli.common import add_json_option, print_json
+from cm.cli.common import add_json_option, naming, print_json
 from cm.errors import CmError, InvalidRequest
 from cm.server.rights.keys import FOLDER, OLD_FOLDER, authorized, pairs_of
 
@@ -31,9 +31,13 @@ def write_key_file(path: Path, keys: Mapping[str, bytes], comment: str) -> None:
         fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     except FileExistsError:
         raise InvalidRequest(f"{path} exists already; keys are never overwritten") from None
-    with os.fdopen(fd, "w", encoding="ascii") as file:
-        file.write(f"# {comment}\n")
-        file.writelines(f"{name}: {value.decode()}\n" for name, value in keys.items())
+    lines = [f"# {comment}", *(f"{name}: {value.decode()}" for name, value in keys.items()), ""]
+    try:
+        with naming(path), os.fdopen(fd, "w", encoding="ascii") as file:
+            file.write("\n".join(lines))
+    except OSError:  # of a full disk: half a file would be in the way of a whole one
+        path.unlink()
+        raise
 
 
 def read_key_file(path: Path) -> dict[str, bytes]:
@@ -41,13 +45,21 @@ def read_key_file(path: Path) -> dict[str, bytes]:
     return {name: value.encode() for name, value in pairs_of(path.read_text(encoding="ascii")).items()}
 
 
+def _server_keys(path: Path) -> dict[str, bytes]:
+    try:
+        keys = read_key_file(path)
+    except UnicodeDecodeError:
+        keys = {}
+    if not {"public", "secret"} <= keys.keys() or "server-public" in keys:
+        raise InvalidRequest(f"{path} is not a server key file; 'cm keygen' makes one")
+    return keys
+
+
 def load_server_keys(path: Path) -> Security:
     """A server's keys. Raises InvalidRequest for another file, ReadableKey for one that others may read."""
     from cm.server.sockets import Security
 
-    keys = read_key_file(path)
-    if not {"public", "secret"} <= keys.keys() or "server-public" in keys:
-        raise InvalidRequest(f"{path} is not a server key file; 'cm keygen' makes one")
+    keys = _server_keys(path)
     status = path.stat()
     if stat.S_IMODE(status.st_mode) & 0o077:
         raise ReadableKey(
@@ -127,7 +139,7 @@ def run(args: argparse.Namespace) -> int:
         write_key_file(server, {"public": public, "secret": secret}, "server: keep it on the board")
         if not args.json:
             print(f"{server}: for cm serve --keys")
-    server_public = read_key_file(server)["public"]
+    server_public = _server_keys(server)["public"]
     for name in args.client:
         public, secret = zmq.curve_keypair()
         path = args.folder / f"{name}.key"
@@ -136,7 +148,11 @@ def run(args: argparse.Namespace) -> int:
         said = {"public": public, "role": args.role.encode()}
         if args.expires:
             said["expires"] = args.expires.encode()
-        write_key_file(args.folder / FOLDER / f"{name}.pub", said, f"client {name}")
+        try:
+            write_key_file(args.folder / FOLDER / f"{name}.pub", said, f"client {name}")
+        except (InvalidRequest, OSError):
+            path.unlink()  # one half is in the way of the next try
+            raise
         if not args.json:
             print(f"{path}: for the client; cm.connect('tcp://...', keys='{path.name}')")
     if args.json:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Protocol, TypeVar
 
 from cm.cli.commands import EXIT_INTERRUPTED
-from cm.cli.common import add_lease_option, binary_output, natural, print_json
+from cm.cli.common import add_lease_option, binary_output, named, natural, print_json
 from cm.cli.connection import connected
 from cm.errors import CmError, InvalidRequest, Timeout
 
@@ -238,7 +238,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run_capture(args: argparse.Namespace) -> int:
     """Write frames; the exit status. Frames that came before a failure or Ctrl-C are in the files."""
     to = sink(args.file, args.format, args.count == 1, binary_output() if args.file == "-" else sys.stdout.buffer)
-    capture = _Capture(to)
+    capture = _Capture(to, "standard output" if args.file == "-" else args.file)
     try:
         with connected(args) as board, board.stream(args.stream, lease=args.lease) as stream, _Interrupt() as interrupt:
             try:
@@ -277,8 +277,8 @@ def _why_flat(board: Board, name: str, like: tuple[Any, ...]) -> str:
 class _Capture:
     """What was written so far."""
 
-    def __init__(self, to: Sink) -> None:
-        self._to = to
+    def __init__(self, to: Sink, file: str) -> None:
+        self._to, self._file = to, file
         self.sequences: list[int] = []
         self._remarks: list[str] = []
         self.like: tuple[Any, ...] = ()
@@ -290,7 +290,10 @@ class _Capture:
                 frame = interrupt.during(stream.read)
             except KeyboardInterrupt:
                 return True
-            self.note(self._to.add(np.asarray(frame)))
+            try:
+                self.note(self._to.add(np.asarray(frame)))
+            except OSError as error:
+                raise named(error, self._file) from None
             self.sequences.append(frame.sequence)
             self.like = self.like or (frame.shape, frame.dtype)
             frame.release()

@@ -13,6 +13,7 @@ from manager_process import Manager, environment
 
 import cm
 from cm.cli.main import main
+from cm.simulation.software import Board as SimBoard
 
 PROGRAM = f"{sys.executable} -m cm"
 
@@ -112,6 +113,31 @@ def test_what_the_shell_has_closed_is_as_what_leads_nowhere(
     assert done.returncode == status, done.stderr
     assert "Traceback" not in done.stderr
     assert "usage" not in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("line", "file"),
+    [
+        ("stream capture camera x.npy", "x.npy"),
+        ("stream capture camera x.png", "x.png"),
+        ("stream capture camera x.raw", "x.raw"),
+        ("mem read scratchpad -o x.npy", "x.npy"),
+        ("region map prr0 --svg x.svg", "x.svg"),
+        ("bitstream convert edge.bit x.bin", "x.bin"),
+        ("keygen keys anna", "keys/server.key"),
+    ],
+)
+def test_the_file_for_which_there_is_no_room_is_named(
+    board: cm.Board, shared: tuple[Manager, SimBoard], tmp_path: Path, line: str, file: str
+) -> None:
+    manager, sim = shared
+    board.mode = "edge_detection"
+    (tmp_path / "edge.bit").write_bytes((sim.root / "lib/firmware/cm/camera/edge.bit").read_bytes())
+    done = shell(f"cd '{tmp_path}'; ulimit -f 0; cm {line}", manager)  # no file may have a byte
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1), done.stderr
+    assert done.stderr.startswith(f"cm: {file}")
+    assert "File too large" in done.stderr
+    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] in (["edge.bit"], ["edge.bit", file])
 
 
 IMPOSSIBLE = """

@@ -88,3 +88,26 @@ def test_keys_of_an_older_version_count_with_the_usual_role(keys: Path) -> None:
     (keys / "clients/old.pub").write_text("# client old\npublic: " + "k" * 40 + "\n")
     found, _ = authorized_keys(keys / "server.key", None)
     assert {key.name: key.roles for key in found}["old"] == ("provision",)
+
+
+def test_keygen_that_fails_leaves_nothing_in_the_way_of_the_next_try(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "keys"
+    in_the_way = folder / "authorized_keys.d/laptop.pub"
+    in_the_way.mkdir(parents=True)
+    assert main(["keygen", str(folder), "laptop"]) == 1
+    assert str(in_the_way) in capsys.readouterr().err
+    in_the_way.rmdir()
+    assert main(["keygen", str(folder), "laptop"]) == 0
+
+
+@pytest.mark.parametrize("held", [b"", b"\xff\xfe"])
+def test_keygen_and_serve_say_what_is_no_server_key(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], held: bytes
+) -> None:
+    (tmp_path / "server.key").write_bytes(held)
+    assert main(["keygen", str(tmp_path), "laptop"]) == 1
+    assert f"{tmp_path}/server.key is not a server key file" in capsys.readouterr().err
+    with pytest.raises(InvalidRequest, match="not a server key file"):
+        load_server_keys(tmp_path / "server.key")
