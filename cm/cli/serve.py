@@ -204,6 +204,8 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
     from cm.server.options import Options
     from cm.server.settings.model import Limits
 
+    if args.sim == "rtl" and not args.build and Path("build.yaml").is_file():
+        _say("cm serve: --sim=rtl runs the shipped camera; for the design of this folder: --build build.yaml")
     configs, left_out = configs_of(paths, settings)
     if not configs and sys.stderr.isatty():
         _say("cm serve: no configuration was found: --config DIR names some, --sim brings a simulated board with one")

@@ -13,7 +13,8 @@ def hint(name: str, known: Iterable[str]) -> str:
     import difflib  # only those who err need it
 
     known = list(known)
-    close = difflib.get_close_matches(name, known, n=2)
+    folded = {one.lower(): one for one in known}  # PYNQ's names are in capitals
+    close = [folded[one] for one in difflib.get_close_matches(name.lower(), folded, n=2)]
     return f"; did you mean {' or '.join(map(repr, close))}?" if close else f"; there are {listed(known)}"
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -84,6 +85,20 @@ def test_without_a_compiler_the_software_models_serve_and_the_log_says_so(tmp_pa
     finally:
         manager.stop()
     assert b"models in software" in manager.log
+
+
+def test_who_has_a_design_but_does_not_name_it_is_told_that_another_runs(
+    board: cm.Board, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "build.yaml").touch()
+    streams = "streams: {samples: {direction: mm2s, shape: [8]}}"
+    (tmp_path / "fir.yaml").write_text(f"config: {{name: fir, modes: {{on: {{}}}}, {streams}}}\n")
+    monkeypatch.chdir(tmp_path)
+    command = [sys.executable, "-m", "cm", "serve", "--sim=rtl", "--config", "fir.yaml", "--runtime-dir", "run"]
+    ended = subprocess.run(command, env=environment(), capture_output=True, text=True, timeout=120, check=False)
+    assert ended.returncode == 1
+    assert "--sim=rtl runs the shipped camera; for the design of this folder: --build build.yaml" in ended.stderr
+    assert "the design has no stream samples; it has camera (--build names another design)" in ended.stderr
 
 
 def test_a_design_that_no_build_takes_is_simulated_and_the_log_says_what_a_build_refuses(tmp_path: Path) -> None:

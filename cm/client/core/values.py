@@ -21,7 +21,8 @@ def register_value(name: str, value: Any) -> int:
     except TypeError:
         raise InvalidRequest(f"register {name!r} takes an integer, not {value!r} ({type(value).__name__})") from None
     if not 0 <= number <= _MOST:
-        raise InvalidRequest(f"register {name!r} takes an integer from 0 to 2**64 - 1, not {number}")
+        bits = f"; in 32 bits that is {number & 0xFFFFFFFF:#x}" if -(1 << 31) <= number < 0 else ""
+        raise InvalidRequest(f"register {name!r} takes an integer from 0 to 2**64 - 1, not {number}{bits}")
     return number
 
 

@@ -216,6 +216,8 @@ def _few(names: Iterable[object]) -> str:
 def _read_text(path: Path) -> str:
     try:
         return path.read_bytes().decode("utf-8", errors="replace")
+    except IsADirectoryError:
+        raise HdlError(f"{path} is a folder: name the files in it ({path}/*)") from None
     except OSError as error:
         raise HdlError(f"{path}: cannot be read: {error.strerror}") from error
 

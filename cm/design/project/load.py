@@ -183,7 +183,8 @@ def _loading(path: Path, text: str | None) -> DesignFile:
         text = path.read_text(encoding="utf-8") if text is None else text
     except (OSError, UnicodeDecodeError) as error:
         message = f"cannot be read: {getattr(error, 'strerror', None) or error}"
-        raise SchemaError([Problem(path, 1, 1, "", "unreadable", message)]) from None
+        hint = "cm build init FILE… writes a first one from HDL" if isinstance(error, FileNotFoundError) else ""
+        raise SchemaError([Problem(path, 1, 1, "", "unreadable", message, hint)]) from None
     return DesignFile(text, path, SCHEMA_FILE, "project: (or with cm build init)")
 
 

@@ -74,7 +74,8 @@ class RtlLogic(Logic):
         links: dict[str, Link] = {}
         for name, channel in channels.items():
             if name not in streams and named:
-                raise SimError(f"the design has no stream {name}; it has {', '.join(sorted(streams)) or 'none'}")
+                there = ", ".join(sorted(streams)) or "none"
+                raise SimError(f"the design has no stream {name}; it has {there} (--build names another design)")
             links[name] = self._link(channel, streams.get(name))
             channel.kick = links[name].kick
         return links

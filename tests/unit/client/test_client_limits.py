@@ -127,7 +127,8 @@ def test_a_fields_value_may_be_named() -> None:
         (1.0, r"an integer, not 1\.0 \(float\)"),
         ("", r"an integer, not '' \(str\)"),
         (None, r"an integer, not None \(NoneType\)"),
-        (-1, r"an integer from 0 to 2\*\*64 - 1, not -1$"),
+        (-1, r"an integer from 0 to 2\*\*64 - 1, not -1; in 32 bits that is 0xffffffff$"),
+        (-(1 << 31) - 1, r"an integer from 0 to 2\*\*64 - 1, not -2147483649$"),
         (1 << 64, r"an integer from 0 to 2\*\*64 - 1, not 18446744073709551616$"),
     ],
 )

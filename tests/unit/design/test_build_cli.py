@@ -49,6 +49,14 @@ def test_a_mistake_in_the_schema_ends_every_command(tmp_path: Path, capsys: pyte
         assert f"{path}:3:10: regions.prr0.pblok: unknown key 'pblok' (did you mean pblock?)" in capsys.readouterr().err
 
 
+def test_without_a_build_schema_it_is_said_what_writes_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["build", "check"]) == 1
+    assert "build.yaml:1:1: cannot be read: No such file or directory (cm build init FILE…" in capsys.readouterr().err
+
+
 def test_a_mode_cannot_change_a_stream_that_does_not_exist(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     schema = copy_examples(tmp_path) / "camera/build.yaml"
     schema.write_text(schema.read_text().replace("streams: {camera:", "streams: {camra:"))

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -285,6 +286,11 @@ def test_what_cannot_be_read_is_refused_with_what_there_is(
         (tmp_path / "m.v").write_text(text)
     with pytest.raises(HdlError, match=said):
         extract([tmp_path / "m.v"], **options)
+
+
+def test_a_folder_in_place_of_its_files_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(HdlError, match=rf"^{re.escape(str(tmp_path))} is a folder: name the files in it"):
+        extract([tmp_path])
 
 
 def test_syntax_error_is_a_problem_of_the_module_with_its_line(tmp_path: Path) -> None:

@@ -161,6 +161,7 @@ def test_parts_that_are_not_whole_elements_are_bytes(made: Rig) -> None:
         ("big", 0, 0, OutOfRange, "parts by offset"),
         ("key", 0, 4, AccessDenied, "write-only"),
         ("tabs", 0, 4, UnknownMemory, "did you mean 'taps'"),
+        ("TAPS", 0, 4, UnknownMemory, "did you mean 'taps'"),
         ("twiddle", 0, 4, UnknownMemory, r"\(default\); modes both have it"),
     ],
 )
