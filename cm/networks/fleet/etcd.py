@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A store on etcd (3.4 and later), over its JSON gateway: one connection at a time for requests, one for each watch.
+"""A store on etcd (3.4 and later), over its JSON gateway: HTTP/1.1, one connection for each request or watch at a time.
 
 The gateway: https://etcd.io/docs/v3.4/dev-guide/api_grpc_gateway/. Its keys and values are base64, its numbers text.
 """
@@ -8,21 +8,17 @@ from __future__ import annotations
 
 import asyncio
 import base64
-import contextlib
-import http.client
 import json
-import socket
 import ssl
-import threading
 import time
-from collections.abc import AsyncIterator, Iterable, Iterator, Mapping
+from collections.abc import AsyncIterator, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
 from cm.errors import InvalidRequest
-from cm.networks.fleet.network import in_loop
 from cm.networks.fleet.store import BOARDS, Entry, Put, StoreAway, StoreRefused, key
 
 PREFIX = "cm/"  # of all our keys: others may use the same cluster
@@ -34,6 +30,8 @@ _QUIET = 15.0  # seconds without a word after which a watch asks another member
 _ANOTHER_MEMBER = (4, 14)  # gRPC's DEADLINE_EXCEEDED, UNAVAILABLE: another member may do it
 _UNAUTHENTICATED = 16
 _NOT_FOUND = 5
+_LOGIN = "auth/authenticate"
+_BROKEN = (OSError, EOFError, ValueError, asyncio.TimeoutError)  # a member that hangs, or speaks no HTTP
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +61,18 @@ class Cluster:
             fields = ", ".join(cls.__slots__)
             raise InvalidRequest(f"{said}: JSON with {fields} is wanted, members at least ({error})") from None
 
+    def tls(self) -> ssl.SSLContext | None:
+        """None without https. Raises InvalidRequest for files that cannot be used."""
+        if not any(member.startswith("https") for member in self.members):
+            return None
+        try:
+            context = ssl.create_default_context(cafile=self.cacert or None)
+            if self.cert:
+                context.load_cert_chain(self.cert, self.key or None)
+        except OSError as error:
+            raise InvalidRequest(f"etcd's certificates ({self.cacert}, {self.cert}): {error}") from None
+        return context
+
 
 def _url(text: str) -> str:
     parts = urlsplit(text.strip())
@@ -81,27 +91,56 @@ class _Failed(Exception):
         self.code = code
 
 
+class _Connection:
+    """To one member: a request, and after its whole answer the next."""
+
+    def __init__(self, member: str, tls: ssl.SSLContext | None) -> None:
+        self.member, self._tls = member, tls
+
+    async def posted(self, path: str, body: bytes, token: str) -> AsyncIterator[bytes]:
+        """The pieces of the answer as they come. Raises those of `_BROKEN`."""
+        where = urlsplit(self.member)
+        if not hasattr(self, "_writer"):
+            tls = self._tls if where.scheme == "https" else None
+            self._reader, self._writer = await asyncio.open_connection(where.hostname, where.port or 2379, ssl=tls)
+        head = (
+            f"POST /v3/{path} HTTP/1.1", f"Host: {where.netloc}", "Content-Type: application/json",
+            f"Content-Length: {len(body)}", *((f"Authorization: {token}",) if token else ()), "\r\n",
+        )  # fmt: skip
+        self._writer.write("\r\n".join(head).encode() + body)
+        said = (await self._reader.readuntil(b"\r\n\r\n")).decode("latin-1").lower()
+        _, _, length = said.partition("\r\ncontent-length:")
+        if length:
+            yield await self._reader.readexactly(int(length.split()[0]))
+            return
+        size = -1  # "transfer-encoding: chunked"
+        while size:
+            size = int(await self._reader.readline(), 16)
+            yield (await self._reader.readexactly(size + 2))[:-2]
+
+    def close(self) -> None:
+        """Twice is fine."""
+        if hasattr(self, "_writer"):
+            self._writer.close()
+
+
 class Etcd:
-    """The store of `cm.networks.fleet.store`. Requests run in threads; each member is tried until one answers."""
+    """The store of `cm.networks.fleet.store`; each member is tried until one answers."""
 
     def __init__(self, cluster: Cluster) -> None:
         """Raises InvalidRequest for files that cannot be used; nothing is connected yet."""
-        self._cluster = cluster
-        self._tls = _tls(cluster)
-        self._idle: list[tuple[str, http.client.HTTPConnection]] = []
-        self._lock = threading.Lock()  # of what is idle: requests run in several threads
+        self._cluster, self._tls = cluster, cluster.tls()
+        self._idle: list[_Connection] = []
         self._first = 0  # the member that answered last
         self._token = ""
-        self._over = threading.Event()
-        self._streams: set[_Stream] = set()
+        self._closed = False
 
     async def get(self, prefix: str) -> dict[str, Entry]:
-        """As Store has it."""
         found = await self._ask("kv/range", _range(prefix), 0.0 if prefix.endswith("/") and prefix != BOARDS else _MANY)
         return _entries(found.get("kvs", ()))
 
     async def txn(self, expect: Mapping[str, int], puts: Mapping[str, Put | None]) -> int:
-        """As Store has it. A repetition after a lost answer fails if the compares name a key that it puts."""
+        """A repetition after a lost answer fails if the compares name a key that it puts."""
         compare = [
             {"key": _key(k), "target": "MOD", "result": "EQUAL", "mod_revision": str(revision)}
             for k, revision in expect.items()
@@ -110,175 +149,117 @@ class Etcd:
         return int(found["header"]["revision"]) if found.get("succeeded") else 0
 
     async def join(self, board: str, settings: str) -> None:
-        """As Store has it; the role of a board's user lets it write that key only."""
+        """The role of a board's user lets it write that key only."""
         await self.txn({}, {key(board, "settings"): Put(settings)})
 
     async def grant(self, seconds: int) -> str:
-        """As Store has it."""
         return str((await self._ask("lease/grant", {"TTL": str(seconds)}))["ID"])
 
     async def keep(self, lease: str) -> bool:
-        """As Store has it."""
         return int((await self._ask("lease/keepalive", {"ID": lease})).get("result", {}).get("TTL", 0)) > 0
 
     async def revoke(self, lease: str) -> None:
-        """As Store has it."""
-        with contextlib.suppress(_Gone):
+        with suppress(_Gone):
             await self._ask("lease/revoke", {"ID": lease})
 
     async def close(self) -> None:
-        """As Store has it."""
-        self._over.set()
-        for stream in tuple(self._streams):
-            stream.end()
+        self._closed = True
         while self._idle:
-            self._idle.pop()[1].close()
+            self._idle.pop().close()
 
     async def watch(self, prefix: str) -> AsyncIterator[dict[str, Entry]]:
-        """As Store has it."""
-        stream = _Stream(self, prefix)
-        self._streams.add(stream)
-        try:
-            while not self._over.is_set():
-                yield await stream.changes.get()
-        finally:
-            stream.end()
-            self._streams.discard(stream)
+        """It resumes where it was, at another member if one is silent."""
+        revision, number = 0, self._first
+        while not self._closed:
+            asked = {**_range(prefix), **({"start_revision": str(revision + 1)} if revision else {})}
+            connection = self._connected(self._cluster.members[number % len(self._cluster.members)])
+            number += 1
+            try:
+                async for found in self._told(connection, {"create_request": asked}):
+                    if found.get("canceled"):  # compacted: what was missed is read anew
+                        revision = 0
+                        break
+                    if found.get("events") or not revision:
+                        yield _entries(event["kv"] for event in found["events"]) if revision else {}
+                    revision = int(found["header"]["revision"])
+            except asyncio.TimeoutError:
+                pass
+            except (*_BROKEN, KeyError, _Failed):
+                yield {}
+                await asyncio.sleep(0.5)
+            finally:
+                connection.close()
+
+    async def _told(self, connection: _Connection, asked: Mapping[str, Any]) -> AsyncIterator[dict[str, Any]]:
+        """The messages of a stream, each a line. Raises `asyncio.TimeoutError` if there is none for long."""
+        pieces, left = connection.posted("watch", _json(asked), await self._logged_in(connection)), b""
+        with suppress(StopAsyncIteration):
+            while True:
+                *lines, left = (left + await asyncio.wait_for(anext(pieces), _QUIET)).split(b"\n")
+                for line in lines:
+                    yield _parsed(line)["result"]
 
     # ---- requests -------------------------------------------------------------------------
 
     async def _ask(self, path: str, body: Mapping[str, Any], slow: float = 0.0) -> dict[str, Any]:
-        return await asyncio.to_thread(self._asked, path, json.dumps(body).encode(), slow)
-
-    def _asked(self, path: str, body: bytes, slow: float) -> dict[str, Any]:
-        slow += len(body) / _PACE
-        end, said = time.monotonic() + _ALL + 2 * slow, ""
+        data, members = _json(body), self._cluster.members
+        slow += len(data) / _PACE
+        end, said, number = time.monotonic() + _ALL + 2 * slow, "", self._first
         while True:
-            for number in range(len(self._cluster.members)):
-                place = (self._first + number) % len(self._cluster.members)
-                try:
-                    found = self._of_member(self._cluster.members[place], path, body, slow)
-                except (OSError, http.client.HTTPException) as error:
-                    said = str(error) or type(error).__name__
-                except _Failed as error:
-                    said = str(error)
-                    if error.code == _UNAUTHENTICATED and self._cluster.user and path != "auth/authenticate":
-                        self._token = ""
-                    elif error.code not in _ANOTHER_MEMBER:
-                        raise (_Gone if error.code == _NOT_FOUND else StoreRefused)(_explained(said)) from None
-                else:
-                    self._first = place
-                    return found
-                if time.monotonic() > end or self._over.is_set():
-                    break
-            if time.monotonic() > end or self._over.is_set():
-                raise StoreAway(f"etcd does not answer at {', '.join(self._cluster.members)}: {said}")
-            time.sleep(0.1)
+            try:
+                found = await asyncio.wait_for(self._of_member(members[number], path, data), _ONE + slow)
+            except _BROKEN as error:
+                said = str(error) or type(error).__name__
+            except _Failed as error:
+                said = str(error)
+                if error.code == _UNAUTHENTICATED and self._token:
+                    self._token = ""
+                elif error.code not in _ANOTHER_MEMBER:
+                    raise (_Gone if error.code == _NOT_FOUND else StoreRefused)(_explained(said)) from None
+            else:
+                self._first = number
+                return found
+            if time.monotonic() > end or self._closed:
+                raise StoreAway(f"etcd does not answer at {', '.join(members)}: {said}")
+            number = (number + 1) % len(members)
+            if number == self._first:  # all of them
+                await asyncio.sleep(0.1)
 
-    def _of_member(self, member: str, path: str, body: bytes, slow: float = 0.0) -> dict[str, Any]:
-        headers = self._headers(member, path)
-        connection = self._connection(member)
+    async def _of_member(self, member: str, path: str, data: bytes) -> dict[str, Any]:
+        """On a connection that is idle, or a new one: one that was closed meanwhile is as a member that is away."""
+        connection = next((each for each in self._idle if each.member == member), None)
+        if connection is None:
+            connection = self._connected(member)
+        else:
+            self._idle.remove(connection)
         try:
-            connection.timeout = _ONE + slow
-            if connection.sock is not None:
-                connection.sock.settimeout(_ONE + slow)
-            connection.request("POST", f"/v3/{path}", body, headers)
-            answer = connection.getresponse()
-            data = answer.read()
+            token = "" if path == _LOGIN else await self._logged_in(connection)
+            answer = b"".join([piece async for piece in connection.posted(path, data, token)])
         except BaseException:
             connection.close()
             raise
-        self._idle.append((member, connection))
-        return _parsed(data, answer.status)
+        self._idle.append(connection)
+        return _parsed(answer)
 
-    def _headers(self, member: str, path: str) -> dict[str, str]:
-        """With the user's token, which is fetched where there is none."""
-        if self._cluster.user and not self._token and path != "auth/authenticate":
-            words = Path(self._cluster.password_file).read_text(encoding="utf-8").strip()
-            asked = json.dumps({"name": self._cluster.user, "password": words}).encode()
-            self._token = self._of_member(member, "auth/authenticate", asked)["token"]
-        return {"Content-Type": "application/json", **({"Authorization": self._token} if self._token else {})}
+    def _connected(self, member: str) -> _Connection:
+        return _Connection(member, self._tls)
 
-    def _connection(self, member: str) -> http.client.HTTPConnection:
-        """One that is idle, or a new one: a request on one that has been closed meanwhile is repeated on another."""
-        with self._lock:
-            for number, (whose, connection) in enumerate(self._idle):
-                if whose == member:
-                    del self._idle[number]
-                    return connection
-        return self.connected(member, _ONE)
-
-    def connected(self, member: str, timeout: float) -> http.client.HTTPConnection:
-        """A new connection; it begins with its first request."""
-        parts = urlsplit(member)
-        assert parts.hostname
-        if parts.scheme == "https":
-            return http.client.HTTPSConnection(parts.hostname, parts.port or 2379, timeout=timeout, context=self._tls)
-        return http.client.HTTPConnection(parts.hostname, parts.port or 2379, timeout=timeout)
-
-    def opened(self, number: int, body: bytes) -> tuple[http.client.HTTPConnection, http.client.HTTPResponse]:
-        """A stream of the watch, at the member of that number. Raises what a request does."""
-        member = self._cluster.members[number % len(self._cluster.members)]
-        headers = self._headers(member, "watch")
-        connection = self.connected(member, _QUIET)
-        connection.request("POST", "/v3/watch", body, headers)
-        return connection, connection.getresponse()
+    async def _logged_in(self, connection: _Connection) -> str:
+        """The user's token, which is fetched where there is none."""
+        if self._cluster.user and not self._token:
+            word = Path(self._cluster.password_file).read_text(encoding="utf-8").strip()
+            asked = _json({"name": self._cluster.user, "password": word})
+            self._token = (await self._of_member(connection.member, _LOGIN, asked))["token"]
+        return self._token
 
 
 class _Gone(StoreRefused):
     """A lease that has ended."""
 
 
-class _Stream:
-    """A watch in a thread of its own: puts what it is told into `changes`, in the loop."""
-
-    def __init__(self, etcd: Etcd, prefix: str) -> None:
-        self.changes: asyncio.Queue[dict[str, Entry]] = asyncio.Queue()
-        self._etcd, self._prefix, self._tell = etcd, prefix, in_loop(self.changes.put_nowait)
-        self._over = threading.Event()
-        self._connection: http.client.HTTPConnection | None = None
-        self._thread = threading.Thread(target=self._run, name="cm-etcd-watch", daemon=True)
-        self._thread.start()
-
-    def end(self) -> None:
-        """The thread ends soon."""
-        self._over.set()
-        if self._connection is not None and self._connection.sock is not None:
-            with contextlib.suppress(OSError):
-                self._connection.sock.shutdown(socket.SHUT_RDWR)
-
-    def _run(self) -> None:
-        revision, number = 0, self._etcd._first
-        while not self._over.is_set():
-            try:
-                for found in self._answers(number, revision):
-                    if found.get("canceled"):  # compacted: what was missed is read anew
-                        revision = 0
-                        break
-                    if found.get("events") or not revision:
-                        self._tell(_entries(event["kv"] for event in found["events"]) if revision else {})
-                    revision = int(found["header"]["revision"])
-            except (OSError, http.client.HTTPException, ValueError, KeyError, StoreRefused, _Failed) as error:
-                if not isinstance(error, TimeoutError):
-                    self._tell({})
-                    self._over.wait(0.5)
-            number += 1
-
-    def _answers(self, number: int, revision: int) -> Iterator[dict[str, Any]]:
-        asked = {**_range(self._prefix), **({"start_revision": str(revision + 1)} if revision else {})}
-        self._connection, answer = self._etcd.opened(number, json.dumps({"create_request": asked}).encode())
-        try:
-            while not self._over.is_set() and (line := answer.readline()):
-                yield _parsed(line, answer.status)["result"]
-        finally:
-            self._connection.close()
-
-
-def _parsed(data: bytes, status: int) -> dict[str, Any]:
-    try:
-        found = json.loads(data)
-    except ValueError:
-        raise _Failed(_ANOTHER_MEMBER[1], f"HTTP {status}: {data[:80]!r}") from None
+def _parsed(data: bytes) -> dict[str, Any]:
+    """Raises _Failed, ValueError."""
+    found = json.loads(data)
     failed = found.get("error")
     if failed:
         about = failed if isinstance(failed, dict) else found
@@ -293,16 +274,8 @@ def _explained(said: str) -> str:
     return said
 
 
-def _tls(cluster: Cluster) -> ssl.SSLContext | None:
-    if not any(member.startswith("https") for member in cluster.members):
-        return None
-    try:
-        context = ssl.create_default_context(cafile=cluster.cacert or None)
-        if cluster.cert:
-            context.load_cert_chain(cluster.cert, cluster.key or None)
-    except OSError as error:
-        raise InvalidRequest(f"etcd's certificates ({cluster.cacert}, {cluster.cert}): {error}") from None
-    return context
+def _json(asked: Mapping[str, Any]) -> bytes:
+    return json.dumps(asked).encode()
 
 
 def _key(text: str) -> str:
