@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import queue
 import secrets
 import sqlite3
 import threading
@@ -21,7 +22,7 @@ from typing import Any
 from cm.errors import Busy, CmError, InvalidRequest
 from cm.networks.fleet import queries
 from cm.networks.fleet.keys import STORE
-from cm.networks.fleet.network import in_loop
+from cm.networks.fleet.network import in_loop, is_alive, zenoh_module
 from cm.networks.fleet.store import BOARDS, Entry, Put, StoreAway, StoreRefused, key
 
 _TIMEOUT = 3.0  # seconds for an answer
@@ -44,7 +45,6 @@ class Ledger:
     ) -> None:
         """`changed` is told of each transaction as `Store.watch` does. Raises StoreRefused if the file is no store."""
         self._changed, self._now = changed, now
-        self._put_now: dict[str, Entry] = {}
         try:
             self._file = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
         except sqlite3.Error as error:
@@ -64,15 +64,14 @@ class Ledger:
         self._file.close()
 
     def get(self, prefix: str) -> dict[str, Entry]:
-        """As Store has it."""
         found = self._file.execute(
             "SELECT key, value, revision FROM entries WHERE substr(key, 1, ?) = ?", (len(prefix), prefix)
         )
         return {k: Entry(value, revision) for k, value, revision in found}
 
     def txn(self, expect: Mapping[str, int], puts: Mapping[str, Put | None]) -> int:
-        """As Store has it."""
-        with self._whole():
+        with self._file:
+            self._file.execute("BEGIN IMMEDIATE")
             for name, revision in expect.items():
                 row = self._file.execute("SELECT revision FROM entries WHERE key = ?", (name,)).fetchone()
                 if (row[0] if row else 0) != revision:
@@ -80,9 +79,11 @@ class Ledger:
             unknown = {put.lease for put in puts.values() if put and put.lease} - set(self._ends)
             if unknown:
                 raise StoreRefused(f"lease {unknown.pop()} has ended")
-            return self._put(puts)
+            revision, changes = self._put(puts)
+        self._changed(changes)
+        return revision
 
-    def _put(self, puts: Mapping[str, Put | None]) -> int:
+    def _put(self, puts: Mapping[str, Put | None]) -> tuple[int, dict[str, Entry]]:
         self._file.execute("UPDATE counter SET revision = revision + 1")
         revision = int(self._file.execute("SELECT revision FROM counter").fetchone()[0])
         for name, put in puts.items():
@@ -91,18 +92,15 @@ class Ledger:
             else:
                 row = (name, put.value, revision, put.lease)
                 self._file.execute("INSERT OR REPLACE INTO entries VALUES (?, ?, ?, ?)", row)
-        self._put_now = {name: Entry(put.value if put else "", revision) for name, put in puts.items()}
-        return revision
+        return revision, {name: Entry(put.value if put else "", revision) for name, put in puts.items()}
 
     def grant(self, seconds: float) -> str:
-        """As Store has it."""
-        lease = secrets.token_hex(8)
+        lease, end = secrets.token_hex(8), self._now() + seconds
         self._file.execute("INSERT INTO leases VALUES (?, ?)", (lease, seconds))
-        self._ends[lease] = (self._now() + seconds, seconds)
+        self._ends[lease] = (end, seconds)
         return lease
 
     def keep(self, lease: str) -> bool:
-        """As Store has it."""
         self.expire()
         found = self._ends.get(lease)
         if found:
@@ -110,45 +108,33 @@ class Ledger:
         return found is not None
 
     def revoke(self, lease: str) -> None:
-        """As Store has it."""
-        with self._whole():
+        with self._file:
+            self._file.execute("BEGIN IMMEDIATE")
             keys = [row[0] for row in self._file.execute("SELECT key FROM entries WHERE lease = ?", (lease,))]
             self._file.execute("DELETE FROM leases WHERE id = ?", (lease,))
-            if keys:
-                self._put(dict.fromkeys(keys))
+            changes = self._put(dict.fromkeys(keys))[1] if keys else {}
         self._ends.pop(lease, None)
+        self._changed(changes)
 
     def expire(self) -> None:
         """End the leases whose time is over."""
         for lease in [lease for lease, (end, _) in self._ends.items() if self._now() >= end]:
             self.revoke(lease)
 
-    @contextlib.contextmanager
-    def _whole(self) -> Any:
-        self._file.execute("BEGIN IMMEDIATE")
-        try:
-            yield
-        except BaseException:
-            self._file.execute("ROLLBACK")
-            raise
-        self._file.execute("COMMIT")
-        put, self._put_now = self._put_now, {}
-        self._changed(put)
-
 
 class Keeper:
     """Offers a ledger in a zenoh session, from a thread of its own. Raises Busy if the fleet has a keeper."""
 
     def __init__(self, session: Any, path: Path) -> None:
-        if any(reply.ok is not None for reply in session.liveliness().get(_ALIVE, timeout=2.0)):
+        if is_alive(session, _ALIVE):
             raise Busy("this fleet has a keeper already: one only keeps the wanted state")
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         self._session = session
-        self._told: dict[str, Entry] = {}
-        self._lock, self._over = threading.Lock(), threading.Event()
-        self._ledger = Ledger(path, self._told.update)
-        self._queryable = session.declare_queryable(f"{STORE}/*/*", self._came, complete=True)
-        self._thread = threading.Thread(target=self._tick, name="cm-keeper", daemon=True)
+        self._ledger = Ledger(path, self._tell)
+        self._queries: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        came = zenoh_module().handlers.Callback(self._queries.put, indirect=False)
+        self._queryable = session.declare_queryable(f"{STORE}/*/*", came, complete=True)
+        self._thread = threading.Thread(target=self._run, name="cm-keeper", daemon=True)
         self._thread.start()
         self._token = session.liveliness().declare_token(_ALIVE)
 
@@ -156,53 +142,43 @@ class Keeper:
         """Offer nothing more."""
         self._token.undeclare()
         self._queryable.undeclare()
-        self._over.set()
+        self._queries.put(None)
         self._thread.join()
-        with self._lock:
-            self._ledger.close()
+        self._ledger.close()
 
-    def _tick(self) -> None:
-        while not self._over.wait(_TICK):
-            with self._lock:
-                self._ledger.expire()
-                self._tell()
+    def _run(self) -> None:
+        while True:
+            with contextlib.suppress(queue.Empty):
+                query = self._queries.get(timeout=_TICK)
+                if query is None:
+                    return
+                with query:
+                    answer = json.dumps(self._answer(str(query.key_expr), query.payload)).encode()
+                    query.reply(str(query.key_expr), answer, encoding="application/json")
+            self._ledger.expire()
 
-    def _tell(self) -> None:
-        for name, entry in self._told.items():
-            self._session.put(f"{_CHANGED}/{name}", json.dumps([entry.value, entry.revision]).encode())
-        self._told.clear()
+    def _tell(self, changes: dict[str, Entry]) -> None:
+        for name, entry in changes.items():
+            self._session.put(f"{_CHANGED}/{name}", json.dumps(entry).encode())
 
-    def _came(self, query: Any) -> None:
-        """In zenoh's thread."""
-        with query:
-            where = str(query.key_expr)
-            try:
-                operation, caller = where.split("/")[1:]
-                asked = json.loads(bytes(query.payload)) if query.payload is not None else {}
-                with self._lock:
-                    answer: Any = {"ok": self._done(operation, caller, asked)}
-                    self._tell()
-            except CmError as error:
-                answer = {"code": error.code, "error": str(error)}
-            except (ValueError, KeyError, TypeError, AttributeError, sqlite3.Error) as error:
-                answer = {"code": "invalid_request", "error": f"{type(error).__name__}: {error}"}
-            query.reply(where, json.dumps(answer).encode(), encoding="application/json")
+    def _answer(self, where: str, payload: Any) -> dict[str, Any]:
+        try:
+            operation, caller = where.split("/")[1:]
+            return {"ok": self._done(operation, caller, json.loads(bytes(payload)) if payload is not None else {})}
+        except CmError as error:
+            return {"code": error.code, "error": str(error)}
+        except (ValueError, KeyError, TypeError, AttributeError, sqlite3.Error) as error:
+            return {"code": "invalid_request", "error": f"{type(error).__name__}: {error}"}
 
-    def _done(self, operation: str, caller: str, asked: Mapping[str, Any]) -> Any:
-        ledger = self._ledger
-        if operation == "get":
-            return {k: [entry.value, entry.revision] for k, entry in ledger.get(asked["prefix"]).items()}
+    def _done(self, operation: str, caller: str, asked: dict[str, Any]) -> Any:
+        if operation not in OPERATIONS:
+            raise InvalidRequest(f"the keeper has {', '.join(OPERATIONS)}, and no {operation}")
         if operation == "join":
-            return ledger.txn({}, {key(caller, "settings"): Put(str(asked["settings"]))})
+            operation, asked = "txn", {"expect": {}, "puts": {key(caller, "settings"): [asked["settings"], ""]}}
         if operation == "txn":
-            puts = {k: None if put is None else Put(*map(str, put)) for k, put in asked["puts"].items()}
-            _check_names(puts, caller)
-            return ledger.txn({k: int(revision) for k, revision in asked["expect"].items()}, puts)
-        if operation == "grant":
-            return ledger.grant(float(asked["seconds"]))
-        if operation in ("keep", "revoke"):
-            return getattr(ledger, operation)(str(asked["lease"]))
-        raise InvalidRequest(f"the keeper has {', '.join(OPERATIONS)}, and no {operation}")
+            asked["puts"] = {k: None if put is None else Put(*map(str, put)) for k, put in asked["puts"].items()}
+            _check_names(asked["puts"], caller)
+        return getattr(self._ledger, operation)(**asked)
 
 
 def _check_names(puts: Mapping[str, Put | None], caller: str) -> None:
@@ -221,28 +197,21 @@ class KeeperStore:
         self._session, self._caller = session, caller
 
     async def get(self, prefix: str) -> dict[str, Entry]:
-        """As Store has it."""
         return {k: Entry(*entry) for k, entry in (await self._ask("get", prefix=prefix)).items()}
 
     async def txn(self, expect: Mapping[str, int], puts: Mapping[str, Put | None]) -> int:
-        """As Store has it."""
-        plain = {k: None if put is None else [put.value, put.lease] for k, put in puts.items()}
-        return int(await self._ask("txn", expect=dict(expect), puts=plain))
+        return int(await self._ask("txn", expect=dict(expect), puts=dict(puts)))
 
     async def join(self, board: str, settings: str) -> None:  # noqa: ARG002 (the caller's name is the board's)
-        """As Store has it."""
         await self._ask("join", settings=settings)
 
     async def grant(self, seconds: int) -> str:
-        """As Store has it."""
         return str(await self._ask("grant", seconds=seconds))
 
     async def keep(self, lease: str) -> bool:
-        """As Store has it."""
         return bool(await self._ask("keep", lease=lease))
 
     async def revoke(self, lease: str) -> None:
-        """As Store has it."""
         await self._ask("revoke", lease=lease)
 
     async def close(self) -> None:

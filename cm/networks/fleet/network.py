@@ -93,6 +93,11 @@ def session(network: Network) -> Any:
         raise NoNetwork(_unreachable(asked) if "timeout" in why.lower() else f"{_where(network)}: {why}") from None
 
 
+def is_alive(session: Any, key: str) -> bool:
+    """Whether somebody has a token of that name."""
+    return any(reply.ok is not None for reply in session.liveliness().get(key, timeout=2.0))
+
+
 def settings_of(path: Path) -> Any:
     """zenoh's settings in a file. Raises NoNetwork."""
     zenoh = zenoh_module()

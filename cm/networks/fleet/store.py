@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 from collections.abc import AsyncIterator, Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from cm.errors import CmError, InvalidRequest
 
@@ -34,16 +34,14 @@ class StoreRefused(CmError):
     code = "store_refused"
 
 
-@dataclass(frozen=True, slots=True)
-class Entry:
+class Entry(NamedTuple):
     """A value, and the revision of the transaction that put it; where changes are told, "" is one that was deleted."""
 
     value: str
     revision: int
 
 
-@dataclass(frozen=True, slots=True)
-class Put:
+class Put(NamedTuple):
     """A value to put; with a lease it vanishes when that ends."""
 
     value: str

@@ -26,7 +26,7 @@ from cm.networks.fleet.bridge.managed import ManagedBoard, NotesFile
 from cm.networks.fleet.bridge.publishing import BEAT, Publications
 from cm.networks.fleet.bridge.queries import Commands, Queries, Reader
 from cm.networks.fleet.keeper import Keeper
-from cm.networks.fleet.network import Network, NoNetwork, opened_store, session
+from cm.networks.fleet.network import Network, NoNetwork, is_alive, opened_store, session
 from cm.networks.fleet.store import BOARDS, Settings, Store, StoreAway, StoreRefused, packed, views
 from cm.wire import fleet as wire
 from cm.wire import topics
@@ -235,16 +235,11 @@ async def _alone(board: str, network: Any, lease: float) -> None:
     After a loss of power the old token stays for as long as a process may hang: `lease` seconds.
     """
     end = time.monotonic() + 1.5 * lease + 1
-    while await asyncio.to_thread(_is_there, board, network):
+    while await asyncio.to_thread(is_alive, network, keys.key(board, "alive")):
         if time.monotonic() > end:
             raise Busy(f"a board called {board!r} is in this fleet already: give this one another --name")
         _LOG.warning("a board called %s is in this fleet: if that was this one, it will be gone soon", board)
         await asyncio.sleep(_RECONNECT)
-
-
-def _is_there(board: str, network: Any) -> bool:
-    replies = network.liveliness().get(keys.key(board, "alive"), timeout=2.0)
-    return any(reply.ok is not None for reply in list(replies))
 
 
 def default_state() -> Path:
