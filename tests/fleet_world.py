@@ -16,14 +16,11 @@ from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequenc
 from typing import Any
 
 from cm.errors import Busy, CmError
-from cm.networks.fleet import keys
 from cm.networks.fleet.board import Board, Notes, NotUndone, Part, Place, Planned, Seen, Unsettled
 from cm.networks.fleet.bridge.managed import packed, unpacked
-from cm.networks.fleet.bridge.queries import Commands
 from cm.networks.fleet.change import Coordinator, Course
 from cm.networks.fleet.keeper import Ledger
 from cm.networks.fleet.store import LEASE, Entry, Put, StoreAway, StoreRefused, View, views
-from cm.wire.fleet import decode_answer, encode_step
 from cm.wire.messages.fleet import FleetState, FleetStep, Policy
 from cm.wire.messages.status import ErrorInfo
 
@@ -107,7 +104,6 @@ class SimBoard:
 
     def _begin(self) -> None:
         self.board = Board(self.name, SimStore(self.world), self, self, lambda: self.world.now)
-        self.commands = Commands(None, self.board, self, None)  # type: ignore[arg-type]
 
     def start(self, work: Coroutine[Any, Any, Any]) -> asyncio.Task[Any]:
         task = asyncio.get_running_loop().create_task(work)
@@ -117,8 +113,9 @@ class SimBoard:
 
     async def hear(self, changes: Mapping[str, Entry]) -> None:
         await self.world.turn()
-        if self.board.told(changes):
-            await self.commands.look()
+        self.board.told(changes)
+        if self.board.wake.is_set():
+            await self.board.look()
 
     def kill(self) -> None:
         """The bridge; it is there again at once."""
@@ -283,12 +280,14 @@ class World:
         there = self.boards[board]
         if there.gone:
             return SILENT
-        work = there.start(there.commands.do(keys.Command(verb, caller), encode_step(step), []))
+        work = there.start(there.board.step(verb, step, caller))
         await asyncio.wait([work])
         if work.cancelled():
             return SILENT
-        found = decode_answer(work.result())
-        assert isinstance(found, (FleetState, ErrorInfo))
+        error = work.exception()
+        if isinstance(error, CmError):
+            return ErrorInfo(error.code, str(error))
+        found: FleetState = work.result()
         return found
 
     async def change(
@@ -331,7 +330,7 @@ class World:
         """The bridge looks, as it does each second or when something has changed."""
         board = self.boards[name]
         if not board.gone:
-            board.start(board.commands.look())
+            board.start(board.board.look())
 
     async def run(self, *work: asyncio.Task[Any], meanwhile: Callable[[], None] = lambda: None) -> None:
         for _ in range(6000):

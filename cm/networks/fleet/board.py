@@ -8,11 +8,13 @@ its manager, its disk) are ports, so that a death at every point can be tested.
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 from cm.errors import Busy, CmError, InvalidRequest
+from cm.networks.fleet.keys import AGAIN
 from cm.networks.fleet.store import BOARDS, Entry, Store, StoreAway, StoreRefused, View, views
 from cm.wire.messages.fleet import FleetState, FleetStep
 from cm.wire.messages.status import ErrorInfo
@@ -107,7 +109,7 @@ class OwnManager(Protocol):
 
 
 class Board:
-    """One board. The caller ensures that no two of its coroutines run at a time."""
+    """One board: what it does for its fleet, it does one after the other."""
 
     def __init__(
         self, name: str, store: Store, manager: OwnManager, disk: Disk, now: Callable[[], float], follow: str = "fleet"
@@ -115,6 +117,8 @@ class Board:
         """`now` is monotonic; nothing that it says is written down."""
         self._name, self._store, self._manager, self._disk, self._now = name, store, manager, disk, now
         self._follow = follow
+        self.wake = asyncio.Event()  # set: it has to be looked at, if no step does that meanwhile
+        self._one = asyncio.Lock()
         self._notes = disk.read()
         self._entries: dict[str, Entry] = {}
         self._view = View()
@@ -159,18 +163,28 @@ class Board:
 
     # ---- what a coordinator asks for ----------------------------------------------------------
 
-    async def prepare(self, step: FleetStep, caller: str) -> FleetState:
-        """Check everything for a change, keep others off the board, and write down where it is.
+    async def step(self, verb: str, step: FleetStep, caller: str) -> FleetState:
+        """prepare: check everything for a change, keep others off the board, and write down where it is.
 
-        Raises NotNow if the store has no such change open here, Busy, and the manager's refusals.
+        apply: go to the new mode; the answer says whether the board is there. reconcile: as `look`. Raises NotNow if
+        the store has no such change open here, or it was not prepared, Busy, Unsettled, and the manager's refusals.
         """
-        await self.look(step=step)
+        async with self._one:
+            self.wake.clear()
+            if verb == "apply":
+                await self._apply(step)
+            else:
+                await self._look(step.id == AGAIN, step)
+            if verb == "prepare":
+                await self._prepare(step, caller)
+            return self.state
+
+    async def _prepare(self, step: FleetStep, caller: str) -> None:
         known = self._notes.part
         if known is not None and known.change != step.id:
             raise Busy(f"change {known.change} of {known.caller} is {known.phase} here, and not ended yet")
         if known is None:
             await self._begin(step, caller)
-        return self.state
 
     async def _begin(self, step: FleetStep, caller: str) -> None:
         claim = self._view.open
@@ -183,13 +197,12 @@ class Board:
         await self._manager.hold(part)
         self._write(part=part)
 
-    async def apply(self, step: FleetStep) -> FleetState:
-        """Go to the new mode; the answer says whether the board is there. Raises NotNow, Unsettled."""
+    async def _apply(self, step: FleetStep) -> None:
         part = self._notes.part
         if part is None or part.change != step.id:
             raise NotNow(f"{self._name} has not prepared change {step.id}, or has gone back already")
         if part.phase != "prepared":
-            return self.state
+            return
         self._write(part=replace(part, phase="changing"))
         try:
             seconds = await self._manager.load(part.goal, part.caller, part.change)
@@ -199,11 +212,25 @@ class Board:
             self._write(part=replace(part, phase="failing", error=ErrorInfo(error.code, str(error))))
         else:
             self._write(part=replace(part, phase="changed", seconds=seconds))
-        return self.state
 
     # ---- what it does by itself -----------------------------------------------------------------
 
-    async def look(self, again: bool = False, step: FleetStep | None = None) -> FleetState:
+    async def look(self) -> str:
+        """Do what is wanted of it now; returns why that is not possible yet, empty if all is done."""
+        async with self._one:
+            self.wake.clear()
+            try:
+                await self._look()
+            except (CmError, OSError) as error:
+                return str(error)
+            return self._store_error
+
+    def remind(self) -> None:
+        """Have it looked at, if there is something to do and nobody is at it."""
+        if self.unsettled and not self._one.locked():
+            self.wake.set()
+
+    async def _look(self, again: bool = False, step: FleetStep | None = None) -> None:
         """Read what is wanted, and do it. `again`: also what failed before, or was changed by hand. Raises Unsettled.
 
         `step`: what a coordinator asks for; if the store has told of that already, it is not read.
@@ -215,22 +242,22 @@ class Board:
                 self._know(await self._store.get(f"{BOARDS}{self._name}/"))
             except (StoreAway, StoreRefused) as error:
                 self._store_error = str(error)
-                return self.state
+                return
             self._store_error = ""
         if again:
             self._again = 0.0
         await self._reconcile(again, asked=step is not None)
-        return self.state
 
-    def told(self, changes: Mapping[str, Entry]) -> bool:
-        """Take what the store's watch says has changed; whether there is something to look at then."""
+    def told(self, changes: Mapping[str, Entry]) -> None:
+        """Take what the store's watch says has changed."""
         known = self._entries
         newer = {k: entry for k, entry in changes.items() if k not in known or entry.revision > known[k].revision}
         try:
             self._know({k: entry for k, entry in {**known, **newer}.items() if entry.value})
         except InvalidRequest:  # who looks is told
-            return True
-        return not changes or self.unsettled
+            self.wake.set()
+        if not changes or self.unsettled:
+            self.wake.set()
 
     def _know(self, entries: dict[str, Entry]) -> None:
         self._entries, self._view = entries, views(entries).get(self._name, View())
@@ -253,9 +280,10 @@ class Board:
         """Whether it is in the inventory, as far as is known."""
         return self._view.settings is not None
 
-    def elsewhere(self, place: Place) -> bool:
-        """Whether that is news: its manager says so, and nothing that is done here explains it."""
-        return self._notes.part is None and not self._going and place != self.place
+    def seen(self, place: Place) -> None:
+        """Take what its manager says; if nothing that is done here explains it, somebody has taken it elsewhere."""
+        if self._notes.part is None and not self._going and place != self.place:
+            self.wake.set()
 
     @property
     def unsettled(self) -> bool:

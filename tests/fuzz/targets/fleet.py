@@ -16,7 +16,7 @@ from pieces import join, split
 from cm.errors import CmError
 from cm.networks.fleet import keys
 from cm.networks.fleet.board import Board, Notes, Part, Place, Planned, Seen
-from cm.networks.fleet.bridge.queries import Commands, Queries, Reader
+from cm.networks.fleet.bridge.queries import Queries
 from cm.networks.fleet.store import Claim, Entry, Wanted, packed
 from cm.wire import cm_pb2 as pb
 from cm.wire.fleet import encode_answer, encode_fetch, encode_step
@@ -42,6 +42,10 @@ class _Disk:
 
 class _Manager:
     """What the bridge has of its manager and its fleet: everything works, and nothing is known."""
+
+    @property
+    def relay(self) -> _Manager:
+        return self
 
     def guest(self, caller: str) -> str:
         return f"zenoh:{caller}"
@@ -133,14 +137,12 @@ def one(data: bytes) -> None:
 async def _answered(query: _Query) -> None:
     manager: Any = _Manager()
     board = Board("b1", manager, manager, _Disk(), lambda: 0.0)
-    commands = Commands(manager, board, manager, _no_bundle)
     session: Any = SimpleNamespace(declare_queryable=lambda *_, **__: None)
 
     async def status() -> bytes:
         return pb.Status(config_name="camera", mode="default").SerializeToString()
 
-    queries = Queries("b1", session, Reader("b1", manager, status), commands)
-    await queries._answer(query)
+    await Queries("b1", session, board, manager, status, _no_bundle).answer(query)
     assert query.answers or keys.WILD & set(str(query.key_expr)), "nobody was told anything"
     await board.look()  # whatever was written down can be gone on from
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cm.client.aio.relay import Relay
 from cm.client.core import calls
 from cm.client.errors import RequestNotFound
 from cm.errors import CmError
@@ -36,7 +35,6 @@ class Bundles:
     session: Any
     folder: Path
     take: Import | None
-    relay: Relay
     managed: ManagedBoard
 
     async def fetch(self, bundle: FetchBundle, caller: str) -> BundleState:
@@ -46,25 +44,17 @@ class Bundles:
         """
         if self.take is None:
             raise NoBundles("this board's bridge takes no archives: start it with --import-to DIR")
-        await self._may(caller)
+        with contextlib.suppress(RequestNotFound):  # raises RequestForbidden, if the manager's policy does not let it
+            await self.managed.relay.ask(calls.remove_config(_NO_CONFIG, ""), self.managed.guest(caller))
         self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         archive = self.folder / f"{bundle.sha256}.tar"
         try:
             await asyncio.to_thread(fetched, self.session, bundle, archive)
-            config, signer = await asyncio.to_thread(self._put_in_force, self.take, archive)
+            try:
+                config, signer = await asyncio.to_thread(self.take, archive)
+            finally:
+                archive.unlink()
         except CmError as error:
             have = archive.stat().st_size if archive.exists() else 0
             return BundleState(bundle.sha256, bundle.length, have, error=ErrorInfo(error.code, str(error)))
         return BundleState(bundle.sha256, bundle.length, bundle.length, config, signer)
-
-    async def _may(self, caller: str) -> None:
-        """Whether the manager's policy lets the caller provision. Raises RequestForbidden."""
-        with contextlib.suppress(RequestNotFound):
-            await self.relay.ask(calls.remove_config(_NO_CONFIG, ""), self.managed.guest(caller))
-
-    @staticmethod
-    def _put_in_force(take: Import, archive: Path) -> tuple[str, str]:
-        try:
-            return take(archive)
-        finally:
-            archive.unlink()

@@ -28,7 +28,7 @@ class ManagedBoard:
 
     def __init__(self, relay: Relay, folder: Path, own_name: bool, told: Callable[[], Seen | None]) -> None:
         """`told`: where it is, as it said by itself; None if that is not known."""
-        self._relay, self._told = relay, told
+        self.relay, self._told = relay, told
         self._lease_file = folder / "lease"  # by its id the next process can give it back, or use it
         with contextlib.suppress(FileNotFoundError):
             self._lease = self._lease_file.read_text(encoding="utf-8")
@@ -40,11 +40,10 @@ class ManagedBoard:
         return "" if self._own_name else f"zenoh:{caller}"
 
     async def where(self, known: Seen | None = None) -> Seen:
-        """As OwnManager has it."""
         if known is not None and self._told() == known:
             return known
         try:
-            status = await self._relay.ask(calls.status())
+            status = await self.relay.ask(calls.status())
         except (ConnectionLost, NoAnswer) as error:
             raise Unsettled(str(error)) from error
         if status.fpga_busy:
@@ -52,44 +51,41 @@ class ManagedBoard:
         return Seen((status.config_name, status.mode), status.started_ns)
 
     async def plan(self, step: FleetStep, caller: str) -> Planned:
-        """As OwnManager has it; all files are read and checked for that."""
-        plan = await self._relay.ask(calls.plan(step.mode, step.config_name), self.guest(caller), timeout=60.0)
+        """All files are read and checked for that."""
+        plan = await self.relay.ask(calls.plan(step.mode, step.config_name), self.guest(caller), timeout=60.0)
         return Planned((plan.config_name, plan.mode), plan.seconds, plan.bytes)
 
     async def hold(self, part: Part) -> None:
-        """As OwnManager has it."""
         if time.monotonic() - self._held < HOLD / 3:
             return
         if not (self._lease and await self._renewed(part.caller)):
             holder = f"fleet change {part.change} of {part.caller}"
             taking = rq.TakeLease("board", True, HOLD, holder, 0)
-            lease = await self._relay.ask(calls.lease(taking), self.guest(part.caller))
+            lease = await self.relay.ask(calls.lease(taking), self.guest(part.caller))
             self._lease_file.write_text(lease.id, encoding="utf-8")
             self._lease = lease.id
         self._held = time.monotonic()
 
     async def _renewed(self, caller: str) -> bool:
         try:
-            await self._relay.ask(calls.lease(rq.RenewLease(self._lease, HOLD, 0)), self.guest(caller))
+            await self.relay.ask(calls.lease(rq.RenewLease(self._lease, HOLD, 0)), self.guest(caller))
         except RequestFailed:  # the manager was restarted meanwhile, or the lease ran out
             return False
         return True
 
     async def release(self, part: Part) -> None:
-        """As OwnManager has it; if it cannot be given back, it runs out."""
+        """If it cannot be given back, it runs out."""
         if self._lease:
             with contextlib.suppress(CmError):
-                await self._relay.ask(calls.lease(rq.ReleaseLease(self._lease)), self.guest(part.caller))
+                await self.relay.ask(calls.lease(rq.ReleaseLease(self._lease)), self.guest(part.caller))
             self._lease_file.unlink(missing_ok=True)
             self._lease = ""
         self._held = 0.0
 
     async def load(self, place: Place, caller: str, undoable: str = "") -> float:
-        """As OwnManager has it."""
         return await self._change(place, caller, undoable=undoable)
 
     async def undo(self, part: Part) -> None:
-        """As OwnManager has it."""
         try:
             await self._change(part.old, part.caller, undo=part.change)
         except RequestFailed as error:
@@ -98,7 +94,7 @@ class ManagedBoard:
     async def _change(self, place: Place, caller: str, undoable: str = "", undo: str = "") -> float:
         call = calls.load(*place, wait=True, queue=True, force=False, lease=self._lease, undoable=undoable, undo=undo)
         try:
-            return (await self._relay.ask(call, self.guest(caller), timeout=None)).seconds
+            return (await self.relay.ask(call, self.guest(caller), timeout=None)).seconds
         except (ConnectionLost, NoAnswer) as error:
             raise Unsettled(str(error)) from error
 
@@ -121,7 +117,6 @@ class NotesFile:
             return Notes()
 
     def write(self, notes: Notes) -> None:
-        """As Disk has it."""
         self._new.write_bytes(packed(notes))
         self._new.replace(self._path)
 

@@ -7,32 +7,33 @@ import asyncio
 import logging
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from cm.client.aio.relay import Relay
 from cm.client.core import calls
 from cm.client.errors import NotAdmitted
-from cm.errors import Busy, CmError, NotFound
+from cm.errors import Busy, CmError, NotInstalled
 from cm.networks.fleet import keys
 from cm.networks.fleet.board import Board, Seen
 from cm.networks.fleet.bridge import clock
 from cm.networks.fleet.bridge.bundles import Bundles, Import
 from cm.networks.fleet.bridge.managed import ManagedBoard, NotesFile
 from cm.networks.fleet.bridge.publishing import BEAT, Publications
-from cm.networks.fleet.bridge.queries import Commands, Queries, Reader
+from cm.networks.fleet.bridge.queries import Queries
 from cm.networks.fleet.keeper import Keeper
-from cm.networks.fleet.network import Network, NoNetwork, is_alive, opened_store, session
+from cm.networks.fleet.network import Network, is_alive, opened_store, session
 from cm.networks.fleet.store import BOARDS, Settings, Store, StoreAway, StoreRefused, packed, views
 from cm.wire import fleet as wire
 from cm.wire import topics
 from cm.wire.messages.fleet import ClockSync
 from cm.wire.messages.status import ErrorInfo
 
+_T = TypeVar("_T")
 _LOG = logging.getLogger("cm.fleet")
 _RECONNECT = 1.0  # seconds between two tries to reach a manager, or the network
 _TOGETHER = 0.25  # seconds in which whoever changes the fleet asks anyway: then nothing is left to be looked at
@@ -69,10 +70,10 @@ class Bridge:
 
     async def run(self) -> None:
         """Raises NotAdmitted if the manager does not admit us, Busy if the board's name is taken."""
-        relay = await self._reach()
+        relay = await _tried(self._reached)
         try:
             board = keys.check(self.options.name or (await relay.ask(calls.status())).board, "board")
-            network = await self._joined()
+            network = await _tried(partial(asyncio.to_thread, session, self.options.network))
             try:
                 await self._serve(board, relay, network)
             finally:
@@ -80,33 +81,14 @@ class Bridge:
         finally:
             await relay.close()
 
-    async def _reach(self) -> Relay:
-        said = ""
-        while True:
-            try:
-                relay = Relay(self.options.endpoint, self.options.runtime_dir, self.options.keys, self._manager_changed)
-            except NotFound as error:
-                said = _once(said, error)
-            else:
-                try:
-                    await relay.ask(calls.status())
-                    return relay
-                except NotAdmitted:
-                    await relay.close()
-                    raise
-                except CmError as error:
-                    said = _once(said, error)
-                    await relay.close()
-            await asyncio.sleep(_RECONNECT)
-
-    async def _joined(self) -> Any:
-        said = ""
-        while True:
-            try:
-                return await asyncio.to_thread(session, self.options.network)
-            except NoNetwork as error:
-                said = _once(said, error)
-            await asyncio.sleep(_RECONNECT)
+    async def _reached(self) -> Relay:
+        relay = Relay(self.options.endpoint, self.options.runtime_dir, self.options.keys, self._manager_changed)
+        try:
+            await relay.ask(calls.status())
+        except BaseException:
+            await relay.close()
+            raise
+        return relay
 
     def _manager_changed(self, up: bool) -> None:
         self._status, self._seen = b"", None
@@ -119,19 +101,16 @@ class Bridge:
         store = opened_store(self.options.network, network, board)
         managed = ManagedBoard(relay, folder, self.options.own_name, lambda: self._seen)
         self._board = Board(board, store, managed, NotesFile(folder), time.monotonic, self.options.follow)
-        bundles = Bundles(network, folder / "bundles", self.options.take, relay, managed)
-        commands = Commands(relay, self._board, managed, bundles.fetch)
-        self._wake = commands.wake
-        reader = Reader(board, relay, lambda: self._status_now(relay))
+        bundles = Bundles(network, folder / "bundles", self.options.take, managed)
         publications = Publications(board, network, relay, self._with_extras)
-        queries = Queries(board, network, reader, commands)
+        queries = Queries(board, network, self._board, managed, partial(self._status_now, relay), bundles.fetch)
         self._clock = await asyncio.to_thread(clock.read)
         token = network.liveliness().declare_token(keys.key(board, "alive"))  # last: who sees it may ask
         self.ready(board)
         told = relay.subscribe(topics.STATUS, topics.READ_REG, topics.IRQ, take=partial(self._told, publications))
         work = (
-            relay.refused(), self._beat(publications, commands), self._look_at_clock(),
-            self._reconcile(publications, commands), self._follow_store(board, store),
+            relay.refused(), self._beat(publications), self._look_at_clock(), self._reconcile(publications),
+            self._follow_store(board, store),
         )  # fmt: skip
         tasks = [asyncio.create_task(each) for each in work]
         try:
@@ -170,28 +149,25 @@ class Bridge:
             self._status = message
             streams, seen = wire.glance(message)
             self._seen = Seen(*seen) if seen else None
-            if self._seen is not None and self._board.elsewhere(self._seen.place):
-                self._wake.set()  # somebody has taken the board elsewhere
+            if self._seen is not None:
+                self._board.seen(self._seen.place)
             publications.offer_streams(streams)
             publications.tell_status()
-        elif topic == topics.READ_REG:
-            publications.tell_registers(message)
-        elif topic == topics.IRQ:
-            publications.tell_interrupt(message)
+        else:
+            publications.tell(topic, message)
 
-    async def _beat(self, publications: Publications, commands: Commands) -> None:
+    async def _beat(self, publications: Publications) -> None:
         while True:
             if self._status:
                 publications.beat()
-            commands.remind()
+            self._board.remind()
             await asyncio.sleep(BEAT)
 
     async def _follow_store(self, board: str, store: Store) -> None:
         """Look whenever something of this board changes in the store; be in its inventory first."""
         own, said = Settings(self.options.labels, self.options.follow), False
         async for changes in store.watch(f"{BOARDS}{board}/"):
-            if self._board.told(changes):
-                self._wake.set()
+            self._board.told(changes)
             if said and self._board.listed:
                 continue
             with suppress(StoreAway, StoreRefused):
@@ -201,15 +177,15 @@ class Bridge:
                     await store.join(board, packed(own))
                 said = True
 
-    async def _reconcile(self, publications: Publications, commands: Commands) -> None:
+    async def _reconcile(self, publications: Publications) -> None:
         said = ""
         while True:
-            await commands.wake.wait()
+            await self._board.wake.wait()
             await asyncio.sleep(_TOGETHER)
-            if not commands.wake.is_set():
+            if not self._board.wake.is_set():
                 continue
             before = self._board.state
-            problem = await commands.look()
+            problem = await self._board.look()
             if problem and problem != said:
                 _LOG.warning("what the fleet wants: %s", problem)
             said = problem
@@ -222,11 +198,19 @@ class Bridge:
             self._clock = await asyncio.to_thread(clock.read)
 
 
-def _once(before: str, error: CmError) -> str:
-    """Log the obstacle, but only when it changes, since this is called every second."""
-    if str(error) != before:
-        _LOG.warning("%s; it is tried again", error)
-    return str(error)
+async def _tried(work: Callable[[], Awaitable[_T]]) -> _T:
+    """Until it is done; each new obstacle is logged. Raises NotAdmitted, NotInstalled."""
+    said = ""
+    while True:
+        try:
+            return await work()
+        except (NotAdmitted, NotInstalled):
+            raise
+        except CmError as error:
+            if str(error) != said:
+                _LOG.warning("%s; it is tried again", error)
+            said = str(error)
+        await asyncio.sleep(_RECONNECT)
 
 
 async def _alone(board: str, network: Any, lease: float) -> None:

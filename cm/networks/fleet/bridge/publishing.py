@@ -45,14 +45,13 @@ class Publications:
         if time.monotonic() - self._told >= BEAT * 0.9:
             self.tell_status()
 
-    def tell_registers(self, message: bytes) -> None:
-        """Registers that were written."""
-        for name, value in wire.each_register(message):
-            self._put(f"reg/{name}", "RegValues", partial(bytes, value))
-
-    def tell_interrupt(self, message: bytes) -> None:
-        """An interrupt."""
-        self._put(f"irq/{wire.irq_name(message)}", "Irq", lambda: message)
+    def tell(self, topic: bytes, message: bytes) -> None:
+        """Registers that were written, or an interrupt."""
+        if topic == topics.READ_REG:
+            for name, value in wire.each_register(message):
+                self._put(f"reg/{name}", "RegValues", partial(bytes, value))
+        elif topic == topics.IRQ:
+            self._put(f"irq/{wire.irq_name(message)}", "Irq", lambda: message)
 
     def _put(self, rest: str, kind: str, message: Callable[[], bytes]) -> None:
         publisher = self._publishers.get(rest)
