@@ -18,7 +18,7 @@ from typing import Any
 from cm.errors import Busy, CmError
 from cm.networks.fleet.board import Board, Notes, NotUndone, Part, Place, Planned, Seen, Unsettled
 from cm.networks.fleet.bridge.managed import packed, unpacked
-from cm.networks.fleet.change import Coordinator, Course
+from cm.networks.fleet.change import Coordinator, Course, Opening
 from cm.networks.fleet.keeper import Ledger
 from cm.networks.fleet.store import LEASE, Entry, Put, StoreAway, StoreRefused, View, views
 from cm.wire.messages.fleet import FleetState, FleetStep, Policy
@@ -293,12 +293,13 @@ class World:
     async def change(
         self, caller: str, goal: Place, members: Sequence[str], policy: Policy, away: Sequence[str] = ()
     ) -> Course | None:
+        store = SimStore(self)
         coordinator = Coordinator(
-            SimStore(self), lambda b, v, s: self.ask(b, v, s, caller), caller, f"{caller}-{goal[1]}",
+            store, lambda b, v, s: self.ask(b, v, s, caller), caller, f"{caller}-{goal[1]}",
             sorted(members), *goal, policy, dict.fromkeys(away, SILENT), clock=lambda: self.now, sleep=self.sleep,
         )  # fmt: skip
         try:
-            course = await coordinator.run()
+            course = await coordinator.run(await Opening.of(store, lambda: self.now))
         except (Busy, StoreAway, StoreRefused):
             return None
         self.told.append(course)

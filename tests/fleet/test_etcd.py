@@ -13,10 +13,12 @@ import pytest
 from fleet_etcd import EtcdCluster
 from manager_process import until
 
+from cm.networks.fleet.change import Coordinator, Opening
 from cm.networks.fleet.etcd import Cluster, Etcd
 from cm.networks.fleet.security.certificates import authority, issued
-from cm.networks.fleet.store import Put, Settings, StoreRefused, key, packed
+from cm.networks.fleet.store import Put, Settings, StoreRefused, key, packed, views
 from cm.tools.demo.boards import free_ports
+from cm.wire.messages.fleet import Decision, FleetState, FleetStep
 
 
 def test_keys_under_a_lease_go_when_it_is_not_kept() -> None:
@@ -33,6 +35,23 @@ def test_keys_under_a_lease_go_when_it_is_not_kept() -> None:
 
     with EtcdCluster() as etcd:
         asyncio.run(asyncio.wait_for(run(Cluster((etcd.urls,))), 30.0))
+
+
+def test_127_boards_are_changed_at_once_without_an_option_of_etcd() -> None:
+    async def there(board: str, verb: str, step: FleetStep) -> FleetState:
+        state = {"prepare": "prepared", "apply": "changed"}.get(verb, "there")
+        return FleetState(state, step.generation, config_name="camera", mode="edge")
+
+    async def run(cluster: Cluster) -> None:
+        store = Etcd(cluster)
+        boards = [f"b{number:03}" for number in range(127)]
+        course = await Coordinator(store, there, "anna", "c1", boards, mode="edge").run(await Opening.of(store))
+        assert course.decision is Decision.KEEP
+        assert {view.generation for view in views(await store.get("")).values()} == {1}
+        await store.close()
+
+    with EtcdCluster() as etcd:
+        asyncio.run(asyncio.wait_for(run(Cluster((etcd.urls,))), 60.0))
 
 
 def test_a_watch_goes_on_when_its_member_was_killed_and_is_there_again() -> None:

@@ -8,6 +8,7 @@ import fnmatch
 import getpass
 import os
 import secrets
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Generator, Iterable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import replace
@@ -22,21 +23,10 @@ from cm.errors import InvalidRequest
 from cm.networks.fleet import bundles, keys, queries
 from cm.networks.fleet.change import Coordinator, Course, Opening, Progress, nothing
 from cm.networks.fleet.errors import ChangeFailed, FleetRefused, NoSuchBoard
-from cm.networks.fleet.network import Network, from_environment, member_of, opened_store, session
+from cm.networks.fleet.network import Network, from_environment, in_loop, member_of, opened_store, session
 from cm.networks.fleet.presence import Presence
 from cm.networks.fleet.queries import Answer, absent
-from cm.networks.fleet.store import (
-    BOARDS,
-    Entry,
-    Put,
-    Settings,
-    StoreAway,
-    StoreRefused,
-    View,
-    key,
-    packed,
-    views,
-)
+from cm.networks.fleet.store import BOARDS, Entry, Put, Settings, StoreAway, StoreRefused, View, key, packed, views
 from cm.wire import fleet as wire
 from cm.wire import topics
 from cm.wire.encode import decode_event, decode_plan, decode_registers, decode_reply, encode_request
@@ -46,6 +36,8 @@ from cm.wire.messages.status import ErrorInfo, FrameInfo, PlanInfo, RegValues
 _T = TypeVar("_T")
 ALL = ("*",)  # boards
 ABSENT = ("refuse", "wait", "go-on")
+_WAITING = 1000  # statuses
+_LOOK = 0.05  # seconds between two looks at who is there
 
 
 def connect(
@@ -188,9 +180,38 @@ class Fleet:
 
     @asynccontextmanager
     async def watch(self, boards: str = "*") -> AsyncIterator[AsyncIterator[tuple[str, BoardStatus | None]]]:
-        """Statuses of boards as they change, and each second; None when a board has gone. One name or ``*``."""
-        async with queries.statuses(self.session, boards, self._presence) as told:
-            yield told
+        """Statuses of boards as they change, and each second; None when a board has gone. One name or ``*``.
+
+        If more than a thousand wait to be read, the oldest are lost.
+        """
+        queue: asyncio.Queue[tuple[str, bytes | None]] = asyncio.Queue()
+
+        def put(board: str, status: bytes | None) -> None:
+            if queue.qsize() >= _WAITING:
+                queue.get_nowait()
+            queue.put_nowait((board, status))
+
+        tell = in_loop(put)
+
+        def came(sample: Any) -> None:
+            tell(keys.board_of(str(sample.key_expr)), bytes(sample.payload))
+
+        def came_or_went(board: str, there: bool) -> None:
+            if not there and boards in ("*", board):
+                tell(board, None)
+
+        async def each() -> AsyncIterator[tuple[str, BoardStatus | None]]:
+            while True:
+                board, status = await queue.get()
+                yield board, None if status is None else wire.board_status(status)
+
+        subscriber = self.session.declare_subscriber(keys.key(boards, "status"), came)
+        end = self._presence.listen(came_or_went)
+        try:
+            yield each()
+        finally:
+            end()
+            subscriber.undeclare()
 
     async def _each(self, rest: str, boards: Iterable[str], timeout: float = 0.0) -> dict[str, Answer]:
         """An answer for each board; one that is absent or does not answer gets an error that says so."""
@@ -342,19 +363,19 @@ class Fleet:
         there; its course names each). If this is cancelled or killed at any moment, boards go on by themselves.
         """
         rule = wire.policy(policy)
+        absent = absent or ("refuse" if rule is Policy.ALL else "go-on")
+        if absent == "wait":
+            await self._all_there(await self.chosen(boards), timeout)
         opening = await Opening.of(self._store)
         chosen = self._matching(boards, _listed(opening.found))
-        away = await self._away(chosen, absent or ("refuse" if rule is Policy.ALL else "go-on"), timeout)
+        away = self._away(chosen, absent)
 
         async def ask(board: str, verb: str, step: FleetStep) -> FleetState | ErrorInfo:
             return await self._step(board, verb, step, timeout)
 
         change = f"{self.caller}-{secrets.token_hex(4)}"
-        coordinator = Coordinator(
-            self._store, ask, self.caller, change, chosen, config, mode, rule, away, tell,
-            None if absent == "wait" else opening,
-        )  # fmt: skip
-        course = await coordinator.run()
+        coordinator = Coordinator(self._store, ask, self.caller, change, chosen, config, mode, rule, away, tell)
+        course = await coordinator.run(opening)
         if course.decision is Decision.REVERT and not course.touched:
             raise FleetRefused(course.causes)
         if course.differing or course.decision is not Decision.KEEP:
@@ -374,14 +395,16 @@ class Fleet:
         """Take boards to a mode of what they have loaded, or none; as `load`."""
         return await self.load("", mode, boards, policy=policy, absent=absent, timeout=timeout, tell=tell)
 
-    async def _away(self, chosen: Iterable[str], absent: str, timeout: float) -> dict[str, ErrorInfo]:
+    async def _all_there(self, wanted: Iterable[str], timeout: float) -> None:
+        end = time.monotonic() + timeout
+        while not {*wanted} <= {*self._presence.boards()} and time.monotonic() < end:
+            await asyncio.sleep(_LOOK)
+
+    def _away(self, chosen: Iterable[str], absent: str) -> dict[str, ErrorInfo]:
         """Boards that are not there, under the policy about them. Raises FleetRefused, InvalidRequest."""
         if absent not in ABSENT:
             raise InvalidRequest(f"boards that are away: one of {', '.join(ABSENT)} is wanted, not {absent!r}")
-        wanted = set(chosen)
-        if absent == "wait":
-            await self._presence.all_there(wanted, timeout)
-        gone = {name: queries.absent(False) for name in sorted(wanted - {*await self.boards()})}
+        gone = {name: queries.absent(False) for name in sorted({*chosen} - {*self._presence.boards()})}
         if gone and absent != "go-on":
             raise FleetRefused(gone)
         return gone

@@ -121,8 +121,7 @@ class Opening:
 class Coordinator:
     """One change, once. `members` are all its boards; those of `away` are not asked, and go there when they are back.
 
-    `caller` wants it; `opening`: if the store was asked just now. It may be cancelled at any moment: then it stops
-    where it is.
+    `caller` wants it. It may be cancelled at any moment: then it stops where it is.
     """
 
     store: Store
@@ -135,7 +134,6 @@ class Coordinator:
     policy: Policy = Policy.ALL
     away: Mapping[str, ErrorInfo] = field(default_factory=dict)
     tell: Progress = nothing
-    opening: Opening | None = None
     clock: Callable[[], float] = time.monotonic
     sleep: Callable[[float], Awaitable[None]] = asyncio.sleep
     _lost: bool = False  # the lease has ended
@@ -146,62 +144,56 @@ class Coordinator:
         self._opened = 0
         self._goals: dict[str, tuple[str, str]] = {}
 
-    async def run(self) -> Course:
+    async def run(self, opening: Opening) -> Course:
         """Raises Busy, StoreAway, StoreRefused: then nothing was changed."""
-        opening = self.opening or await Opening.of(self.store, self.clock)
-        lease = await self._open(opening.found, opening.lease)
-        self.course.legs.append(Leg("open", self.clock() - opening.begun))
-        keeping = asyncio.ensure_future(self._keep(lease))
+        keeping = asyncio.ensure_future(self._keep(opening.lease))
         try:
-            there = await self._there()
-        except BaseException:  # cancelled, before anything was decided: the boards need not wait for the lease's end
-            keeping.cancel()
-            await self._revoke(lease)
-            raise
-        try:
-            await self._decide(lease, there)
+            try:
+                await self._open(opening)
+                there = await self._there()
+            except (
+                BaseException
+            ):  # cancelled, before anything was decided: the boards need not wait for the lease's end
+                await self._revoke(opening.lease)
+                raise
+            await self._decide(opening.lease, there)
         finally:
             keeping.cancel()
         if self.course.decision is Decision.KEEP:  # claims that are decided hold nobody up
-            await asyncio.gather(self._revoke(lease), self._reconcile())
+            await asyncio.gather(self._revoke(opening.lease), self._reconcile())
         else:
             await self._reconcile()
         return self.course
 
     # ---- opening ----------------------------------------------------------------------------
 
-    async def _open(self, found: Mapping[str, Entry], lease: str) -> str:
-        """Claim the boards; returns the lease under which they are claimed."""
-        end = self.clock() + _OPENING
+    async def _open(self, opening: Opening) -> None:
+        """Claim the boards."""
+        end, found = self.clock() + _OPENING, opening.found
         while True:
             self._views = views(found)
             taken = {n: claim for n in self.members if (claim := self._view(n).open) is not None}
-            if not taken:
-                lease = lease or await self.store.grant(LEASE)
-                if await self._claimed(lease, found.get(GENERATION, Entry("0", 0))):
-                    return lease
-            elif self.clock() > end:
+            if not taken and await self._claimed(opening.lease, found.get(GENERATION, Entry("0", 0))):
+                break
+            if taken and self.clock() > end:
                 name, claim = next(iter(taken.items()))
                 raise Busy(f"change {claim.change} of {claim.by} is open on {name}: try again when it has ended")
-            lease = ""
             await self.sleep(0.1)
             found = await self.store.get("")
+        self.course.legs.append(Leg("open", self.clock() - opening.begun))
 
     async def _claimed(self, lease: str, newest: Entry) -> bool:
         self.course.generation = int(newest.value) + 1
         claim = Put(packed(Claim(self._generation, self.change, self.caller)), lease)
         puts: dict[str, Put | None] = {key(name, "claim"): claim for name in self.members}
         puts[GENERATION] = Put(str(self._generation))
-        self._opened = await self.store.txn({GENERATION: newest.revision}, puts)  # every opening changes it
+        expect = {key(name, "wanted"): self._view(name).expected()["wanted"] for name in self.members}
+        expect[GENERATION] = newest.revision  # every opening changes it
+        self._opened = await self.store.txn(expect, puts)
         return bool(self._opened)
 
     def _view(self, name: str) -> View:
         return self._views.get(name, View())
-
-    def _expected(self) -> dict[str, int]:
-        """What has to stand in the store for the decision: the generations that were read, and our own claims."""
-        wanted = {key(name, "wanted"): self._view(name).expected()["wanted"] for name in self.members}
-        return wanted | {key(name, "claim"): self._opened for name in self.members}
 
     async def _keep(self, lease: str) -> None:
         while not self._lost:
@@ -287,10 +279,13 @@ class Coordinator:
         for name in self.members:
             config, mode = self._goals[name]
             puts[key(name, "wanted")] = Put(packed(Wanted(self._generation, config, mode, self.caller, self.change)))
+        first = self.members[0]  # where a repetition finds that it was done; while claims stand, nobody else wants more
+        expect = {key(name, "claim"): self._opened for name in self.members}
+        expect[key(first, "wanted")] = self._view(first).expected()["wanted"]
         end = self.clock() + _DECIDING
         while True:
             try:
-                if await self.store.txn(self._expected(), puts):
+                if await self.store.txn(expect, puts):
                     return Decision.KEEP
                 return await self._told()
             except StoreAway as error:

@@ -9,14 +9,13 @@ complete.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import threading
 import time
 from collections.abc import Callable
 from typing import Any
 
 from cm.networks.fleet import keys
-from cm.networks.fleet.network import in_loop, zenoh_module
+from cm.networks.fleet.network import zenoh_module
 
 _FIRST = 2.0  # seconds for the tokens that existed before
 Listener = Callable[[str, bool], None]  # a board, and whether it is there now
@@ -62,21 +61,6 @@ class Presence:
         """The boards that are present, sorted."""
         with self._lock:
             return tuple(sorted(self._boards))
-
-    async def all_there(self, wanted: set[str], timeout: float) -> None:
-        """Wait until all of them are, at most `timeout` seconds."""
-        changed = asyncio.Event()
-        end = self.listen(in_loop(lambda *_: changed.set()))
-        until = time.monotonic() + timeout
-        try:
-            while (left := until - time.monotonic()) > 0:
-                changed.clear()
-                if wanted <= set(self.boards()):
-                    break
-                with contextlib.suppress(asyncio.TimeoutError):
-                    await asyncio.wait_for(changed.wait(), left)
-        finally:
-            end()
 
     def listen(self, tell: Listener) -> Callable[[], None]:
         """Be told which boards are present, come and go, in any thread; call the returned function to end this."""

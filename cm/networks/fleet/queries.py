@@ -4,22 +4,17 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
-from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from cm.errors import CmError, InvalidRequest
 from cm.networks.fleet import keys
 from cm.networks.fleet.network import in_loop, zenoh_module
-from cm.networks.fleet.presence import Presence
 from cm.wire import fleet as wire
 from cm.wire.encode import decode_reply
-from cm.wire.messages.fleet import BoardStatus
 from cm.wire.messages.status import ErrorInfo, RegValues
 
 ABSENT = "no_answer"
-_WAITING = 1000  # statuses
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,38 +102,3 @@ def registers(answer: Answer) -> RegValues | ErrorInfo:
     if reply.error is not None:
         return reply.error
     return reply.body if isinstance(reply.body, RegValues) else ErrorInfo("network", "no registers came back")
-
-
-@contextlib.asynccontextmanager
-async def statuses(
-    session: Any, boards: str, presence: Presence
-) -> AsyncIterator[AsyncIterator[tuple[str, BoardStatus | None]]]:
-    """What boards publish, one or ``*``; None where one has gone. If more than a thousand wait, the oldest are lost."""
-    queue: asyncio.Queue[tuple[str, bytes | None]] = asyncio.Queue()
-
-    def put(board: str, status: bytes | None) -> None:
-        if queue.qsize() >= _WAITING:
-            queue.get_nowait()
-        queue.put_nowait((board, status))
-
-    tell = in_loop(put)
-
-    def came(sample: Any) -> None:
-        tell(keys.board_of(str(sample.key_expr)), bytes(sample.payload))
-
-    def came_or_went(board: str, there: bool) -> None:
-        if not there and boards in ("*", board):
-            tell(board, None)
-
-    async def each() -> AsyncIterator[tuple[str, BoardStatus | None]]:
-        while True:
-            board, status = await queue.get()
-            yield board, None if status is None else wire.board_status(status)
-
-    subscriber = session.declare_subscriber(keys.key(boards, "status"), came)
-    end = presence.listen(came_or_went)
-    try:
-        yield each()
-    finally:
-        end()
-        subscriber.undeclare()

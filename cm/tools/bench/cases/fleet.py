@@ -200,7 +200,7 @@ async def _in_turns(local: LocalFleet, bench: Run, client: float) -> dict[str, f
     time: `client`, in seconds.
     """
     from cm.networks.fleet import aio, queries
-    from cm.networks.fleet.change import Coordinator
+    from cm.networks.fleet.change import Coordinator, Opening
     from cm.networks.fleet.network import Network, opened_store
     from cm.wire.fleet import encode_step
     from cm.wire.messages.fleet import FleetState, FleetStep
@@ -222,7 +222,8 @@ async def _in_turns(local: LocalFleet, bench: Run, client: float) -> dict[str, f
                 return said
 
             mode = ("edge_detection", "default")[number % 2]
-            course = await Coordinator(store, ask, "bench", f"turns-{number}", sorted(local.boards), "", mode).run()
+            change = Coordinator(store, ask, "bench", f"turns-{number}", sorted(local.boards), "", mode)
+            course = await change.run(await Opening.of(store))
             legs = {leg.phase: leg.seconds for leg in course.legs} | {
                 verb: statistics.median(each) for verb, each in took.items()
             }
