@@ -265,16 +265,23 @@ class World:
     def later(self, work: Callable[[Ledger], Any]) -> None:
         self.again.append(work)
 
-    async def ask(self, board: str, verb: str, step: FleetStep, caller: str) -> FleetState | ErrorInfo:
+    async def ask(
+        self, boards: Sequence[str], verb: str, step: FleetStep, caller: str
+    ) -> AsyncIterator[tuple[str, FleetState | ErrorInfo]]:
+        carried = [asyncio.ensure_future(self._carried(board, verb, step, caller)) for board in boards]
+        for each in asyncio.as_completed(carried):
+            yield await each
+
+    async def _carried(self, board: str, verb: str, step: FleetStep, caller: str) -> tuple[str, FleetState | ErrorInfo]:
         """As the network carries it: late, twice, or not at all."""
         await self.turn()
         if self.lost():
-            return SILENT
+            return board, SILENT
         answer = await self._delivered(board, verb, step, caller)
         if self.lossy and self.chance.random() < 0.03:
             self.boards[board].start(self._delivered(board, verb, step, caller))
         await self.turn()
-        return SILENT if self.lost() else answer
+        return board, SILENT if self.lost() else answer
 
     async def _delivered(self, board: str, verb: str, step: FleetStep, caller: str) -> FleetState | ErrorInfo:
         there = self.boards[board]
@@ -295,7 +302,7 @@ class World:
     ) -> Course | None:
         store = SimStore(self)
         coordinator = Coordinator(
-            store, lambda b, v, s: self.ask(b, v, s, caller), caller, f"{caller}-{goal[1]}",
+            store, lambda *asked: self.ask(*asked, caller), caller, f"{caller}-{goal[1]}",
             sorted(members), *goal, policy, dict.fromkeys(away, SILENT), clock=lambda: self.now, sleep=self.sleep,
         )  # fmt: skip
         try:

@@ -12,6 +12,7 @@ import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Generator, Iterable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
@@ -215,25 +216,42 @@ class Fleet:
 
     async def _each(self, rest: str, boards: Iterable[str], timeout: float = 0.0) -> dict[str, Answer]:
         """An answer for each board; one that is absent or does not answer gets an error that says so."""
-        limit, groups = timeout or self.timeout, tuple(boards) or ALL
-        if groups != ALL:
-            return await self._each_by_name(rest, await self.meant(groups), limit)
-        asked = queries.get(self.session, keys.key("*", rest), timeout=limit)
-        answers, there = await asyncio.gather(asked, self.boards())
-        found = {answer.board: answer for answer in answers}
-        # Rules match by inclusion: a caller that may query some boards but not all gets nothing at all for "*".
-        left = await self._each_by_name(rest, tuple(name for name in there if name not in found), limit)
-        return dict(sorted({**found, **left}.items()))
+        found = self._answers(rest, await self.meant(boards), timeout=timeout or self.timeout)
+        return dict(sorted([(answer.board, answer) async for answer in found]))
 
-    async def _each_by_name(self, rest: str, boards: tuple[str, ...], limit: float) -> dict[str, Answer]:
-        return await _all(boards, lambda name: self._one(name, keys.key(name, rest), timeout=limit))
+    async def _answers(
+        self, rest: str, boards: Iterable[str], payload: bytes = b"", *, timeout: float
+    ) -> AsyncIterator[Answer]:
+        """The same, as they come: of all that are there, asked for with one query.
+
+        Who does not answer that is asked by name. Rules match by inclusion: a caller that may query some boards but not
+        all gets nothing at all for ``*``.
+        """
+        end, left = time.monotonic() + timeout, {*boards}
+        if len(left) > 1 and left == {*self._presence.boards()}:
+            async for answer in queries.answers(self.session, keys.key("*", rest), payload, timeout=timeout):
+                if answer.board in left:
+                    left.remove(answer.board)
+                    yield answer
+        until = max(_LOOK, end - time.monotonic())
+        asked = [
+            asyncio.ensure_future(self._one(name, keys.key(name, rest), payload, timeout=until))
+            for name in sorted(left)
+        ]
+        try:
+            for each in asyncio.as_completed(asked):
+                yield await each
+        finally:
+            for task in asked:
+                task.cancel()
 
     async def _one(
         self, board: str, where: str, payload: bytes = b"", beside: bytes | None = None, *, timeout: float
     ) -> Answer:
         """A board's answer, or an error that says why there is none."""
-        found = await queries.get(self.session, where, payload, beside, timeout)
-        return found[0] if found else Answer(board, "", b"", error=absent(board in await self.boards()))
+        async for answer in queries.answers(self.session, where, payload, beside, timeout):
+            return replace(answer, board=board)
+        return Answer(board, "", b"", error=absent(board in self._presence.boards()))
 
     # ---- the inventory --------------------------------------------------------------------------
 
@@ -296,8 +314,8 @@ class Fleet:
 
         Returns each board's state, or its error. Raises NoSuchBoard.
         """
-        step, limit = FleetStep(keys.AGAIN), max(60.0, self.timeout)
-        return await _all(await self.meant(boards), lambda name: self._step(name, "reconcile", step, limit))
+        found = self._steps(max(60.0, self.timeout), await self.meant(boards), "reconcile", FleetStep(keys.AGAIN))
+        return dict(sorted([each async for each in found]))
 
     # ---- changing -------------------------------------------------------------------------------
 
@@ -308,7 +326,7 @@ class Fleet:
 
         The answer's payload is a Reply; it has an error if none came within `timeout` seconds (0: the fleet's).
         """
-        where = keys.command_key(keys.check(board, "board"), verb, self.caller)
+        where = keys.key(keys.check(board, "board"), keys.command(verb, self.caller))
         payload, attachment = (message, None) if data is None else (data, message)
         return await self._one(board, where, payload, attachment, timeout=timeout or self.timeout)
 
@@ -370,10 +388,7 @@ class Fleet:
         chosen = self._matching(boards, _listed(opening.found))
         away = self._away(chosen, absent)
 
-        async def ask(board: str, verb: str, step: FleetStep) -> FleetState | ErrorInfo:
-            return await self._step(board, verb, step, timeout)
-
-        change = f"{self.caller}-{secrets.token_hex(4)}"
+        change, ask = f"{self.caller}-{secrets.token_hex(4)}", partial(self._steps, timeout)
         coordinator = Coordinator(self._store, ask, self.caller, change, chosen, config, mode, rule, away, tell)
         course = await coordinator.run(opening)
         if course.decision is Decision.REVERT and not course.touched:
@@ -409,8 +424,13 @@ class Fleet:
             raise FleetRefused(gone)
         return gone
 
-    async def _step(self, board: str, verb: str, step: FleetStep, timeout: float) -> FleetState | ErrorInfo:
-        return queries.said(await self.do(verb, board, wire.encode_step(step), timeout=timeout), FleetState)
+    async def _steps(
+        self, timeout: float, boards: Iterable[str], verb: str, step: FleetStep
+    ) -> AsyncIterator[tuple[str, FleetState | ErrorInfo]]:
+        """A step of each board, which may be asked twice for it: nothing is done twice."""
+        command, message = keys.command(verb, self.caller), wire.encode_step(step)
+        async for answer in self._answers(command, boards, message, timeout=timeout):
+            yield answer.board, queries.said(answer, FleetState)
 
     async def push(
         self, archive: str | os.PathLike[str], boards: Iterable[str] = ALL, *, timeout: float = 600.0

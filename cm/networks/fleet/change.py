@@ -16,7 +16,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
-from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from cm.errors import Busy
@@ -38,7 +38,9 @@ from cm.networks.fleet.store import (
 from cm.wire.messages.fleet import Decision, FleetState, FleetStep, Policy
 from cm.wire.messages.status import ErrorInfo
 
-Ask = Callable[[str, str, FleetStep], Awaitable[FleetState | ErrorInfo]]  # board, verb → its answer, or "no_answer"
+Ask = Callable[  # boards, verb → each board's answer, or "no_answer", as it comes
+    [Sequence[str], str, FleetStep], AsyncIterator[tuple[str, FleetState | ErrorInfo]]
+]
 Progress = Callable[[str, str, FleetState | ErrorInfo], None]  # phase, board, its answer
 _OPENING = LEASE + 3.0  # seconds for another's change to end: it may be one whose coordinator is dead
 _DECIDING = LEASE + 5.0  # seconds in which a store that does not answer is asked again for the decision
@@ -231,22 +233,18 @@ class Coordinator:
     def _generation(self) -> int:
         return self.course.generation
 
-    async def _leg(self, phase: str, boards: Iterable[str], step: FleetStep) -> dict[str, FleetState | ErrorInfo]:
+    async def _leg(self, phase: str, boards: Sequence[str], step: FleetStep) -> dict[str, FleetState | ErrorInfo]:
         """Ask all at once."""
         begun, last = self.clock(), Leg(phase, 0.0)
         found: dict[str, FleetState | ErrorInfo] = {}
-
-        async def one(board: str) -> None:
-            nonlocal last
-            answer = found[board] = await self.ask(board, phase, step)
+        async for board, answer in self.ask(boards, phase, step):
+            found[board] = answer
             last = Leg(phase, 0.0, board, self.clock() - begun)
             self.tell(phase, board, answer)
-
-        await asyncio.gather(*map(one, boards))
         self.course.legs.append(replace(last, seconds=self.clock() - begun))
         return found
 
-    async def _step(self, phase: str, boards: Iterable[str], step: FleetStep) -> dict[str, FleetState]:
+    async def _step(self, phase: str, boards: Sequence[str], step: FleetStep) -> dict[str, FleetState]:
         """A leg before the decision: the states of the boards that answered with one; what went wrong is a cause."""
         answers = await self._leg(phase, boards, step)
         errors = {n: answer if isinstance(answer, ErrorInfo) else answer.error for n, answer in answers.items()}

@@ -40,9 +40,9 @@ def board_of(key_expression: str) -> str:
     return key_expression.split("/")[1]
 
 
-def command_key(board: str, verb: str, caller: str) -> str:
-    """The key of a command in a caller's name."""
-    return key(board, "do", verb, caller) if caller else key(board, "do", verb)
+def command(verb: str, caller: str) -> str:
+    """The part of a key behind the board, of a command in a caller's name."""
+    return f"do/{verb}/{caller}" if caller else f"do/{verb}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -38,18 +39,14 @@ def absent(there: bool) -> ErrorInfo:
     return ErrorInfo(ABSENT, "it is not in the fleet now")
 
 
-async def get(
+async def answers(
     session: Any, selector: str, payload: bytes = b"", attachment: bytes | None = None, timeout: float = 10.0
-) -> list[Answer]:
-    """All answers to a query, once all boards have answered or gone, or the time (seconds) is over."""
-    zenoh, found, over = zenoh_module(), list[Answer](), asyncio.get_running_loop().create_future()
-
-    def ended() -> None:
-        if not over.done():
-            over.set_result(None)
-
+) -> AsyncIterator[Answer]:
+    """Those to a query, as they come, until all boards have answered or gone, or the time (seconds) is over."""
+    zenoh, come = zenoh_module(), asyncio.Queue[Answer | None]()
+    tell = in_loop(come.put_nowait)
     handler = zenoh.handlers.Callback(  # in zenoh's own thread: a thread for each query costs more than the query
-        lambda reply: found.append(_answer(reply)), in_loop(ended), indirect=False
+        lambda reply: tell(_answer(reply)), lambda: tell(None), indirect=False
     )
     session.get(
         selector,
@@ -60,8 +57,9 @@ async def get(
         attachment=attachment,
         timeout=timeout,
     )
-    await over
-    return [answer for answer in found if answer.error is None or answer.error.message != "Timeout"]
+    while (answer := await come.get()) is not None:
+        if answer.error is None or answer.error.message != "Timeout":
+            yield answer
 
 
 def _answer(reply: Any) -> Answer:

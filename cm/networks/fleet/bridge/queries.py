@@ -97,7 +97,7 @@ class Queries:
         wanted = str(query.key_expr)
         command = keys.command_of(wanted)
         if command is not None:
-            key = keys.command_key(self.name, command.verb, command.caller)
+            key = self._key(keys.command(command.verb, command.caller))
             return [Sample(key, "Reply", await self._command(command, query, as_json))]
         parts = wanted.split("/")
         if len(parts) == 4 and parts[2] in ("reg", "irq", "frames") and not keys.WILD & set(parts[3]):

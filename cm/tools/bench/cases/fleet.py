@@ -8,7 +8,7 @@ import importlib
 import os
 import statistics
 import time
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -208,18 +208,20 @@ async def _in_turns(local: LocalFleet, bench: Run, client: float) -> dict[str, f
     found: dict[str, list[float]] = {}
     where = local.store or "keeper"
     async with aio.connect(local.router, caller="bench", timeout=60.0, store=where) as fleet:
-        store, one = opened_store(Network(store=where), fleet.session, "bench"), asyncio.Lock()
+        store = opened_store(Network(store=where), fleet.session, "bench")
         for number in range(2 if bench.quick else 8):
             took: dict[str, list[float]] = {}
 
-            async def ask(board: str, verb: str, step: FleetStep, took: dict[str, list[float]] = took) -> Any:
-                async with one:
+            async def ask(
+                boards: Sequence[str], verb: str, step: FleetStep, took: dict[str, list[float]] = took
+            ) -> AsyncIterator[tuple[str, Any]]:
+                for board in boards:
                     begun = time.monotonic()
                     said = queries.said(await fleet.do(verb, board, encode_step(step)), FleetState)
                     took.setdefault(verb, []).append(time.monotonic() - begun)
                     if verb == "apply" and isinstance(said, FleetState):
                         took[verb][-1] -= said.seconds
-                return said
+                    yield board, said
 
             mode = ("edge_detection", "default")[number % 2]
             change = Coordinator(store, ask, "bench", f"turns-{number}", sorted(local.boards), "", mode)
