@@ -15,7 +15,7 @@ from typing import Protocol
 
 from cm.errors import Busy, CmError, InvalidRequest
 from cm.networks.fleet.keys import AGAIN
-from cm.networks.fleet.store import BOARDS, Entry, Store, StoreAway, StoreRefused, View, views
+from cm.networks.fleet.store import BOARDS, Entry, Store, StoreAway, StoreRefused, View, Wanted, views
 from cm.wire.messages.fleet import FleetState, FleetStep
 from cm.wire.messages.status import ErrorInfo
 
@@ -131,15 +131,11 @@ class Board:
     @property
     def state(self) -> FleetState:
         """As it is told."""
-        wanted, part = self._view.wanted, self._notes.part
+        wanted, part = self._view.wanted or Wanted(0, "", "", "", ""), self._notes.part
         found = FleetState(
-            self._word(), self._notes.reached, error=self._error, store_error=self._store_error
+            self._word(), self._notes.reached, wanted.generation, wanted.config, wanted.mode, wanted.by,
+            error=self._error, store_error=self._store_error,
         )  # fmt: skip
-        if wanted:
-            found = replace(
-                found, wanted_generation=wanted.generation, wanted_config=wanted.config, wanted_mode=wanted.mode,
-                wanted_by=wanted.by,
-            )  # fmt: skip
         if part is None:
             return found
         return replace(
@@ -180,14 +176,11 @@ class Board:
             return self.state
 
     async def _prepare(self, step: FleetStep, caller: str) -> None:
-        known = self._notes.part
-        if known is not None and known.change != step.id:
-            raise Busy(f"change {known.change} of {known.caller} is {known.phase} here, and not ended yet")
-        if known is None:
-            await self._begin(step, caller)
-
-    async def _begin(self, step: FleetStep, caller: str) -> None:
-        claim = self._view.open
+        known, claim = self._notes.part, self._view.open
+        if known is not None:
+            if known.change != step.id:
+                raise Busy(f"change {known.change} of {known.caller} is {known.phase} here, and not ended yet")
+            return
         if claim is None or (claim.change, claim.generation) != (step.id, step.generation):
             raise NotNow(f"the store has no change {step.id} open on {self._name}: it came too late")
         if self.place == NOTHING:

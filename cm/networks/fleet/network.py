@@ -84,13 +84,16 @@ def session(network: Network) -> Any:
     zenoh = zenoh_module()
     config = settings_of(network.config) if network.config else zenoh.Config()
     try:
-        for name, value in _settings(network):
+        for name, value in _settings(network).items():
             config.insert_json5(name, json.dumps(value))
         return zenoh.open(config)
     except (zenoh.ZError, OSError) as error:
         why = said(error)
-        asked = tuple(json.loads(config.get_json("connect/endpoints")) or ()) if not network.listen else ()
-        raise NoNetwork(_unreachable(asked) if "timeout" in why.lower() else f"{_where(network)}: {why}") from None
+        if "timeout" in why.lower():
+            asked = tuple(json.loads(config.get_json("connect/endpoints")) or ()) if not network.listen else ()
+            raise NoNetwork(_unreachable(asked)) from None
+        where = ", ".join((*network.connect, *network.listen)) or str(network.config or "zenoh")
+        raise NoNetwork(f"{where}: {why}") from None
 
 
 def is_alive(session: Any, key: str) -> bool:
@@ -136,16 +139,9 @@ def _unreachable(routers: tuple[str, ...]) -> str:
     """For each of these causes, zenoh only says that time is over."""
     if not routers:
         return "nobody answers on this network: name the fleet's router (--router HOST, or $CM_FLEET)"
-    what = "there is none, or one of us does not take the other's certificate" if _with_tls(routers) else "is it there?"
+    tls = any(router.startswith(("tls/", "quic/")) for router in routers)
+    what = "there is none, or one of us does not take the other's certificate" if tls else "is it there?"
     return f"no router answers at {', '.join(routers)}: {what}"
-
-
-def _with_tls(routers: tuple[str, ...]) -> bool:
-    return any(router.startswith(("tls/", "quic/")) for router in routers)
-
-
-def _where(network: Network) -> str:
-    return ", ".join((*network.connect, *network.listen)) or str(network.config or "zenoh")
 
 
 def said(error: Exception) -> str:
@@ -153,17 +149,17 @@ def said(error: Exception) -> str:
     return " ".join(str(error).split(" at ", maxsplit=1)[0].split()) or type(error).__name__
 
 
-def _settings(network: Network) -> list[tuple[str, Any]]:
+def _settings(network: Network) -> dict[str, Any]:
     """The settings; those given here override those of the file."""
-    found: list[tuple[str, Any]] = []
+    found: dict[str, Any] = {}
     if network.config is None:
-        found += [("mode", network.mode), ("scouting/multicast/enabled", not network.connect and not network.listen)]
+        multicast = not network.connect and not network.listen
+        found = {"mode": network.mode, "scouting/multicast/enabled": multicast}
         if network.mode == "client":
-            found.append(("connect/timeout_ms", _TRY))
+            found["connect/timeout_ms"] = _TRY
     if network.config is None or network.lease != LEASE:
-        found.append(("transport/link/tx/lease", int(network.lease * 1000)))
-    if network.connect:
-        found.append(("connect/endpoints", list(network.connect)))
-    if network.listen:
-        found.append(("listen/endpoints", list(network.listen)))
+        found["transport/link/tx/lease"] = int(network.lease * 1000)
+    for name, endpoints in (("connect", network.connect), ("listen", network.listen)):
+        if endpoints:
+            found[f"{name}/endpoints"] = list(endpoints)
     return found

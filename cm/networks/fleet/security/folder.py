@@ -10,7 +10,6 @@ from __future__ import annotations
 import base64
 import json
 import os
-from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -45,17 +44,15 @@ class KeyFolder:
         ca = authority(f"cm fleet of {hosts[0]}")
         _write(self.folder / _CA_KEY, ca.key, 0o600)
         _write(self.folder / _CA, ca.certificate, 0o644)
-        endpoint = f"tls/{hosts[0]}:{port}"
-        identity = issued(ca, ROUTER, days, hosts)
-        self._save(endpoint, (), store)
-        return self._write_router(
-            {
-                "mode": "router",
-                "listen": {"endpoints": [f"tls/[::]:{port}"]},
-                "scouting": {"multicast": {"enabled": False}},
-                "transport": {"link": {"tls": _tls("listen", identity, ca.certificate)}},
-            }
-        )
+        settings = {
+            "mode": "router",
+            "listen": {"endpoints": [f"tls/[::]:{port}"]},
+            "scouting": {"multicast": {"enabled": False}},
+            "transport": {"link": {"tls": _tls("listen", issued(ca, ROUTER, days, hosts), ca.certificate)}},
+        }
+        _write(self._router, _json(settings), 0o600)
+        self._save({"router": f"tls/{hosts[0]}:{port}", "store": store, "members": []})
+        return self._router
 
     def add(self, member: Member, days: int) -> Path:
         """A certificate for a member, in a file of its own. Raises InvalidRequest, Busy for a name that is taken."""
@@ -63,67 +60,58 @@ class KeyFolder:
         if member.name in _RESERVED or not member.name.isascii():
             raise InvalidRequest(f"{member.name!r} cannot be the name of a {member.kind}: take another")
         verbs_of(member.role)
-        endpoint, members, store = self._load()
-        if member.name in {other.name for other in members}:
+        fleet = self._load()
+        if member.name in {other["name"] for other in fleet["members"]}:
             raise Busy(f"{member.name} has a certificate already; `remove` it first, and it is worth nothing any more")
-        identity = issued(self._authority(), member.name, days)
+        ca = Identity((self.folder / _CA).read_bytes(), (self.folder / _CA_KEY).read_bytes())
+        where = {"store": fleet["store"]} if fleet.get("store") else {}
+        settings: dict[str, Any] = {
+            "mode": "client",
+            "metadata": {"name": member.name, "kind": member.kind, **where},
+            "connect": {"endpoints": [fleet["router"]], "timeout_ms": 3000},
+            "scouting": {"multicast": {"enabled": False}},
+            "transport": {"link": {"tls": _tls("connect", issued(ca, member.name, days), ca.certificate)}},
+        }
         path = self.folder / f"{member.name}.json5"
-        _write(path, _json(_member_settings(member, identity, self._ca(), endpoint, store)), 0o600)
-        self._save(endpoint, (*members, member), store)
-        self._write_router()
+        _write(path, _json(settings), 0o600)
+        self._save({**fleet, "members": [*fleet["members"], asdict(member)]})
         return path
 
     def remove(self, name: str) -> None:
         """Remove a member's rights: its certificate then means nothing to the router. Raises NotFound."""
-        endpoint, members, store = self._load()
-        left = tuple(member for member in members if member.name != name)
-        if len(left) == len(members):
-            raise NotFound(f"nobody has the name {name}; there are {', '.join(m.name for m in members) or 'none'}")
-        self._save(endpoint, left, store)
-        self._write_router()
+        fleet = self._load()
+        names = [member["name"] for member in fleet["members"]]
+        if name not in names:
+            raise NotFound(f"nobody has the name {name}; there are {', '.join(names) or 'none'}")
+        self._save({**fleet, "members": [member for member in fleet["members"] if member["name"] != name]})
         (self.folder / f"{name}.json5").unlink(missing_ok=True)
 
     def members(self) -> tuple[Member, ...]:
         """The members that have a certificate. Raises NotFound."""
-        return self._load()[1]
+        return _members(self._load())
 
     # ---- files ------------------------------------------------------------------------------
 
-    def _load(self) -> tuple[str, tuple[Member, ...], str]:
+    @property
+    def _router(self) -> Path:
+        return self.folder / f"{ROUTER}.json5"
+
+    def _load(self) -> dict[str, Any]:
         try:
-            said = json.loads((self.folder / _MEMBERS).read_text(encoding="utf-8"))
+            return dict(json.loads((self.folder / _MEMBERS).read_text(encoding="utf-8")))
         except FileNotFoundError:
             raise NotFound(f"{self.folder} has no keys of a fleet: begin with `cm fleet keys DIR router`") from None
-        members = tuple(Member(**{**m, "boards": tuple(m["boards"])}) for m in said["members"])
-        return said["router"], members, said.get("store", "")
 
-    def _save(self, endpoint: str, members: Iterable[Member], store: str) -> None:
-        text = json.dumps({"router": endpoint, "store": store, "members": [asdict(m) for m in members]}, indent=2)
-        _write(self.folder / _MEMBERS, text.encode(), 0o600)
-
-    def _authority(self) -> Identity:
-        return Identity(self._ca(), (self.folder / _CA_KEY).read_bytes())
-
-    def _ca(self) -> bytes:
-        return (self.folder / _CA).read_bytes()
-
-    def _write_router(self, settings: dict[str, Any] | None = None) -> Path:
-        """The router's file, with the rules of now; `settings` are those of a new one."""
-        path = self.folder / f"{ROUTER}.json5"
+    def _save(self, fleet: dict[str, Any]) -> None:
+        """The members, and the rules for them."""
+        _write(self.folder / _MEMBERS, _json(fleet), 0o600)
         nobody = Member(keys.NOBODY, "client", boards=(keys.NOBODY,))  # gives rules before there are members
-        settings = settings or json.loads(path.read_bytes())
-        _write(path, _json({**settings, "access_control": access_control(self.members() or (nobody,))}), 0o600)
-        return path
+        rules = access_control(_members(fleet) or (nobody,))
+        _write(self._router, _json({**json.loads(self._router.read_bytes()), "access_control": rules}), 0o600)
 
 
-def _member_settings(member: Member, identity: Identity, ca: bytes, endpoint: str, store: str) -> dict[str, Any]:
-    return {
-        "mode": "client",
-        "metadata": {"name": member.name, "kind": member.kind, **({"store": store} if store else {})},
-        "connect": {"endpoints": [endpoint], "timeout_ms": 3000},
-        "scouting": {"multicast": {"enabled": False}},
-        "transport": {"link": {"tls": _tls("connect", identity, ca)}},
-    }
+def _members(fleet: dict[str, Any]) -> tuple[Member, ...]:
+    return tuple(Member(**{**member, "boards": tuple(member["boards"])}) for member in fleet["members"])
 
 
 def _tls(end: str, identity: Identity, ca: bytes) -> dict[str, Any]:

@@ -9,7 +9,7 @@ rules needs a restart of the router.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +20,7 @@ from cm.networks.fleet.keys import BUNDLES, STORE, VERBS
 ROLES = ("observe", "operate", "provision")
 _READ = ("status", "config", "reg/**", "irq/**", "frames/**")
 ALL_BOARDS = ("*",)
+_Rule = tuple[str, str, Sequence[str]]  # flow, messages, keys
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,93 +48,87 @@ def verbs_of(role: str) -> tuple[str, ...]:
 
 def access_control(members: Iterable[Member]) -> dict[str, Any]:
     """The part `access_control` of the router's settings: what is not allowed here is dropped."""
-    rules: list[dict[str, Any]] = []
-    subjects: list[dict[str, Any]] = []
-    policies: list[dict[str, Any]] = []
-    for member in members:
-        if member.kind not in _RULES:  # the router; a cache, of which earlier versions had some
-            continue
-        made = _RULES[member.kind](member)
-        for number, rule in enumerate(made):
-            rules.append({"id": f"{member.name}-{number}", "permission": "allow", **rule})
-        subjects.append({"id": member.name, "cert_common_names": [member.name]})
-        policies.append({"subjects": [member.name], "rules": [f"{member.name}-{n}" for n in range(len(made))]})
+    made = {
+        m.name: _RULES[m.kind](m) for m in members if m.kind in _RULES
+    }  # not the router, nor an earlier version's cache
     return {
-        "enabled": bool(subjects),
+        "enabled": bool(made),
         "default_permission": "deny",
-        "rules": rules,
-        "subjects": subjects,
-        "policies": policies,
-    }
+        "rules": [
+            {
+                "id": f"{name}-{number}", "permission": "allow", "flows": [flow], "messages": messages.split(),
+                "key_exprs": list(keys),
+            }
+            for name, rules in made.items()
+            for number, (flow, messages, keys) in enumerate(rules)
+        ],
+        "subjects": [{"id": name, "cert_common_names": [name]} for name in made],
+        "policies": [
+            {"subjects": [name], "rules": [f"{name}-{number}" for number in range(len(rules))]}
+            for name, rules in made.items()
+        ],
+    }  # fmt: skip
 
 
-def _rule(flow: str, messages: Iterable[str], keys: Iterable[str]) -> dict[str, Any]:
-    return {"flows": [flow], "messages": list(messages), "key_exprs": list(keys)}
-
-
-def _board(member: Member) -> list[dict[str, Any]]:
+def _board(member: Member) -> list[_Rule]:
     """Rules for a board: it may speak only under its own name; any query of others for it reaches it.
 
     It may read the keeper's store, and put its own settings there; and it may be the keeper.
     """
-    own, store = f"cm/{member.name}/**", [f"{STORE}/{operation}/{member.name}" for operation in ("get", "join")]
+    alive, store = [f"cm/{member.name}/alive"], [f"{STORE}/{operation}/{member.name}" for operation in ("get", "join")]
     return [
-        _rule("ingress", ("put", "declare_queryable", "reply", "liveliness_token"), [own]),
-        _rule("ingress", ("query",), [*store, f"{BUNDLES}/**"]),
-        _rule("ingress", ("liveliness_query",), [f"cm/{member.name}/alive"]),
-        _rule("egress", ("query", "declare_subscriber"), ["cm/**"]),
-        _rule("egress", ("reply", "declare_queryable"), [*store, "cm/*/**", f"{BUNDLES}/**"]),
-        _rule("egress", ("liveliness_token",), [f"cm/{member.name}/alive"]),
+        ("ingress", "put declare_queryable reply liveliness_token", [f"cm/{member.name}/**"]),
+        ("ingress", "query", [*store, f"{BUNDLES}/**"]),
+        ("ingress", "liveliness_query", alive),
+        ("egress", "query declare_subscriber", ["cm/**"]),
+        ("egress", "reply declare_queryable", [*store, "cm/*/**", f"{BUNDLES}/**"]),
+        ("egress", "liveliness_token", alive),
         *_follows_store(f"boards/{member.name}/**"),
-        *(_keeper() if member.keeper else ()),
+        *(_KEEPER if member.keeper else ()),
     ]
 
 
-def _keeper() -> list[dict[str, Any]]:
-    """Whoever keeps the store answers for it, and tells what has changed."""
-    offered, alive = [f"{STORE}/*/*"], [f"{STORE}/alive"]
-    return [
-        _rule("ingress", ("declare_queryable", "reply"), offered),
-        _rule("ingress", ("put",), [f"{STORE}/changed/**"]),
-        _rule("ingress", ("liveliness_token", "liveliness_query"), alive),
-        _rule("egress", ("query",), offered),
-        _rule("egress", ("declare_subscriber",), [f"{STORE}/**"]),
-    ]
+_KEEPER: tuple[_Rule, ...] = (  # whoever keeps the store answers for it, and tells what has changed
+    ("ingress", "declare_queryable reply", [f"{STORE}/*/*"]),
+    ("ingress", "put", [f"{STORE}/changed/**"]),
+    ("ingress", "liveliness_token liveliness_query", [f"{STORE}/alive"]),
+    ("egress", "query", [f"{STORE}/*/*"]),
+    ("egress", "declare_subscriber", [f"{STORE}/**"]),
+)
 
 
-def _follows_store(what: str) -> list[dict[str, Any]]:
+def _follows_store(what: str) -> list[_Rule]:
     """Being told of changes in it, and whether its keeper is there."""
     changed, alive = [f"{STORE}/changed/{what}"], [f"{STORE}/alive"]
     return [
-        _rule("ingress", ("declare_subscriber",), changed),
-        _rule("ingress", ("declare_liveliness_subscriber", "liveliness_query"), alive),
-        _rule("egress", ("put",), changed),
-        _rule("egress", ("liveliness_token",), alive),
-        _rule("egress", ("declare_queryable",), [f"{STORE}/**"]),
+        ("ingress", "declare_subscriber", changed),
+        ("ingress", "declare_liveliness_subscriber liveliness_query", alive),
+        ("egress", "put", changed),
+        ("egress", "liveliness_token", alive),
+        ("egress", "declare_queryable", [f"{STORE}/**"]),
     ]
 
 
-def _client(member: Member) -> list[dict[str, Any]]:
+def _client(member: Member) -> list[_Rule]:
     read = [f"cm/{board}/{part}" for board in member.boards for part in _READ]
     commands = [f"cm/{b}/do/{verb}/{member.name}" for b in member.boards for verb in verbs_of(member.role)]
-    alive = [f"cm/{board}/alive" for board in member.boards]
-    seen = [f"cm/{board}/**" for board in member.boards]
     # A transaction may be about any boards: who is limited to some may read the store, and write nothing there.
     writes = member.role != "observe" and member.boards == ALL_BOARDS
     commands += [f"{STORE}/{each}/{member.name}" for each in (OPERATIONS if writes else OPERATIONS[:1])]
     # Tokens are queried with one expression, which has to be allowed as a whole; they reveal only names.
-    found = [
-        _rule("ingress", ("query",), [*read, *commands]),
-        _rule("ingress", ("declare_subscriber",), read),
-        _rule("ingress", ("liveliness_query", "declare_liveliness_subscriber"), ["cm/*/alive", *alive]),
-        _rule("egress", ("put", "reply"), [*read, *commands]),
-        _rule("egress", ("declare_queryable",), seen),
-        _rule("egress", ("liveliness_token",), ["cm/*/alive"]),
+    alive = ["cm/*/alive", *(f"cm/{board}/alive" for board in member.boards)]
+    found: list[_Rule] = [
+        ("ingress", "query", [*read, *commands]),
+        ("ingress", "declare_subscriber", read),
+        ("ingress", "liveliness_query declare_liveliness_subscriber", alive),
+        ("egress", "put reply", [*read, *commands]),
+        ("egress", "declare_queryable", [f"cm/{board}/**" for board in member.boards]),
+        ("egress", "liveliness_token", ["cm/*/alive"]),
         *_follows_store("boards/**"),
     ]
     if member.role == "provision":
-        found.append(_rule("ingress", ("declare_queryable", "reply"), [f"{BUNDLES}/origin/**"]))
-        found.append(_rule("egress", ("query",), [f"{BUNDLES}/**"]))
+        found.append(("ingress", "declare_queryable reply", [f"{BUNDLES}/origin/**"]))
+        found.append(("egress", "query", [f"{BUNDLES}/**"]))
     return found
 
 
