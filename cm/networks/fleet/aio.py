@@ -9,13 +9,13 @@ import getpass
 import os
 import secrets
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable, Generator, Iterable, Mapping
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Generator, Iterable, Mapping
+from contextlib import asynccontextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Any, TypeVar
+from typing import Any
 
 from cm.client.core.calls import write_data, write_registers
 from cm.client.errors import request_error
@@ -34,7 +34,6 @@ from cm.wire.encode import decode_event, decode_plan, decode_registers, decode_r
 from cm.wire.messages.fleet import BoardStatus, BundleState, Decision, FleetState, FleetStep, Policy
 from cm.wire.messages.status import ErrorInfo, FrameInfo, PlanInfo, RegValues
 
-_T = TypeVar("_T")
 ALL = ("*",)  # boards
 ABSENT = ("refuse", "wait", "go-on")
 _WAITING = 1000  # statuses
@@ -156,11 +155,9 @@ class Fleet:
         """
         found = await self._each("status", boards)
         if tuple(boards) in ((), ALL):
-            try:
-                away = set(await self.inventory()) - set(found)
-            except (StoreAway, StoreRefused):
-                away = set()
-            found = dict(sorted({**{n: Answer(n, "", b"", error=absent(False)) for n in away}, **found}.items()))
+            with suppress(StoreAway, StoreRefused):
+                away = {name: Answer(name, "", b"", error=absent(False)) for name in await self.inventory()}
+                found = dict(sorted({**away, **found}.items()))
         return {n: a.error or wire.board_status(a.payload) for n, a in found.items()}
 
     async def plan(
@@ -185,29 +182,27 @@ class Fleet:
 
         If more than a thousand wait to be read, the oldest are lost.
         """
-        queue: asyncio.Queue[tuple[str, bytes | None]] = asyncio.Queue()
+        come: asyncio.Queue[tuple[str, bytes | None]] = asyncio.Queue()
 
         def put(board: str, status: bytes | None) -> None:
-            if queue.qsize() >= _WAITING:
-                queue.get_nowait()
-            queue.put_nowait((board, status))
+            if come.qsize() >= _WAITING:
+                come.get_nowait()
+            come.put_nowait((board, status))
 
-        tell = in_loop(put)
-
-        def came(sample: Any) -> None:
-            tell(keys.board_of(str(sample.key_expr)), bytes(sample.payload))
-
-        def came_or_went(board: str, there: bool) -> None:
+        def there_or_gone(board: str, there: bool) -> None:
             if not there and boards in ("*", board):
                 tell(board, None)
 
         async def each() -> AsyncIterator[tuple[str, BoardStatus | None]]:
             while True:
-                board, status = await queue.get()
+                board, status = await come.get()
                 yield board, None if status is None else wire.board_status(status)
 
-        subscriber = self.session.declare_subscriber(keys.key(boards, "status"), came)
-        end = self._presence.listen(came_or_went)
+        tell = in_loop(put)
+        subscriber = self.session.declare_subscriber(
+            keys.key(boards, "status"), lambda each: tell(keys.board_of(str(each.key_expr)), bytes(each.payload))
+        )
+        end = self._presence.listen(there_or_gone)
         try:
             yield each()
         finally:
@@ -234,10 +229,7 @@ class Fleet:
                     left.remove(answer.board)
                     yield answer
         until = max(_LOOK, end - time.monotonic())
-        asked = [
-            asyncio.ensure_future(self._one(name, keys.key(name, rest), payload, timeout=until))
-            for name in sorted(left)
-        ]
+        asked = [asyncio.ensure_future(self._one(n, keys.key(n, rest), payload, timeout=until)) for n in sorted(left)]
         try:
             for each in asyncio.as_completed(asked):
                 yield await each
@@ -295,16 +287,17 @@ class Fleet:
         other = opened_store(replace(self._network, store=to), self.session, self.caller)
         try:
             found = await self._store.get("")
-            if any(view.open for view in views(found).values()):
+            known = views(found)
+            if any(view.open for view in known.values()):
                 raise StoreRefused("a change is open: wait for its end")
             if await other.get(""):
                 raise StoreRefused(f"{to} has wanted state already")
-            kept = {k: Put(e.value) for k, e in found.items() if not k.endswith(("/claim", "/wanted"))}
-            for name, view in views(found).items():  # in the name of who moves it: a keeper lets nobody else's in
+            kept = {k: entry.value for k, entry in found.items() if not k.endswith(("/claim", "/wanted"))}
+            for name, view in known.items():  # in the name of who moves it: a keeper lets nobody else's in
                 if view.wanted:
-                    kept[key(name, "wanted")] = Put(packed(replace(view.wanted, by=self.caller)))
-            for name, put in kept.items():  # one by one: a store bounds the length of a transaction
-                await other.txn({name: 0}, {name: put})
+                    kept[key(name, "wanted")] = packed(replace(view.wanted, by=self.caller))
+            for name, value in kept.items():  # one by one: a store bounds the length of a transaction
+                await other.txn({name: 0}, {name: Put(value)})
             return len(kept)
         finally:
             await other.close()
@@ -338,8 +331,9 @@ class Fleet:
         Raises NoSuchBoard.
         """
         message = bytes(encode_request(write_registers(values).request)[1])
-        said = await _all(await self.meant(boards), lambda name: self.do("reg", name, message))
-        return {name: queries.registers(answer) for name, answer in said.items()}
+        names = await self.meant(boards)
+        answers = await asyncio.gather(*(self.do("reg", name, message) for name in names))
+        return {name: queries.registers(answer) for name, answer in zip(names, answers, strict=True)}
 
     async def frame(self, board: str, stream: str) -> Frame:
         """The next frame of a stream of one board, as an array of the stream's shape. Raises RequestFailed."""
@@ -444,15 +438,9 @@ class Fleet:
         bundle = await asyncio.to_thread(bundles.described, path)
         chosen = await self.meant(boards)
         with bundles.offered(self.session, path, bundle):
-            message = wire.encode_fetch(bundle)
-            said = await _all(chosen, lambda name: self.do("bundle", name, message, timeout=timeout))
-        return {name: queries.said(answer, BundleState) for name, answer in said.items()}
-
-
-async def _all(boards: Iterable[str], ask: Callable[[str], Awaitable[_T]]) -> dict[str, _T]:
-    """Ask boards at one time; what each says."""
-    names = tuple(boards)
-    return dict(zip(names, await asyncio.gather(*map(ask, names)), strict=True))
+            command, message = keys.command("bundle", self.caller), wire.encode_fetch(bundle)
+            found = [a async for a in self._answers(command, chosen, message, timeout=timeout)]
+        return {a.board: queries.said(a, BundleState) for a in sorted(found, key=lambda a: a.board)}
 
 
 def _listed(found: Mapping[str, Entry]) -> dict[str, View]:

@@ -20,37 +20,13 @@ _T = TypeVar("_T")
 _P = ParamSpec("_P")
 
 
-class _Loop:
-    """An event loop in a thread that ends with the process."""
-
-    def __init__(self) -> None:
-        self.loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self.loop.run_forever, name="cm-fleet", daemon=True)
-        self._thread.start()
-
-    def wait_for(self, coroutine: Coroutine[Any, Any, _T]) -> _T:
-        future = asyncio.run_coroutine_threadsafe(coroutine, self.loop)
-        try:
-            return future.result()
-        except BaseException:
-            future.cancel()
-            raise
-
-    def end(self) -> None:
-        """Twice is fine."""
-        if not self.loop.is_closed():
-            self.loop.call_soon_threadsafe(self.loop.stop)
-            self._thread.join()
-            self.loop.close()
-
-
 def _blocking(
     method: Callable[Concatenate[aio.Fleet, _P], Coroutine[Any, Any, _T]],
 ) -> Callable[Concatenate[Fleet, _P], _T]:
     """The same method, waited for."""
 
     def waited(self: Fleet, /, *args: _P.args, **kwargs: _P.kwargs) -> _T:
-        return self._loop.wait_for(method(self._fleet, *args, **kwargs))
+        return self._wait(method(self._fleet, *args, **kwargs))
 
     functools.update_wrapper(waited, method)
     return waited
@@ -72,13 +48,22 @@ class Fleet:
     """Many boards, with calls that block. Groups of boards are names, globs (``line1-*``) and labels (``@camera``)."""
 
     def __init__(self, fleet: aio.Fleet) -> None:
-        self._loop = _Loop()
-        self._fleet = fleet
-        self._end = weakref.finalize(self, self._loop.end)
+        self._fleet, self._loop = fleet, asyncio.new_event_loop()
+        thread = threading.Thread(target=self._loop.run_forever, name="cm-fleet", daemon=True)
+        thread.start()
+        self._end = weakref.finalize(self, _ended, self._loop, thread)
         try:
-            self._loop.wait_for(fleet.__aenter__())
+            self._wait(fleet.__aenter__())
         except BaseException:
             self._end()
+            raise
+
+    def _wait(self, coroutine: Coroutine[Any, Any, _T]) -> _T:
+        future = asyncio.run_coroutine_threadsafe(coroutine, self._loop)
+        try:
+            return future.result()
+        except BaseException:
+            future.cancel()
             raise
 
     def __enter__(self) -> Fleet:
@@ -90,7 +75,7 @@ class Fleet:
     def close(self) -> None:
         """Disconnect; twice is fine."""
         if self._end.alive:
-            self._loop.wait_for(self._fleet.close())
+            self._wait(self._fleet.close())
             self._end()
 
     @property
@@ -118,18 +103,20 @@ class Fleet:
 
     @contextmanager
     def watch(self, boards: str = "*") -> Iterator[Iterator[tuple[str, BoardStatus | None]]]:
-        """Statuses of boards as they change, and each second; None when a board has gone. One name, or ``*``.
-
-        ``with fleet.watch() as statuses: for name, status in statuses: ...``. If more than a thousand wait to be
-        read, the oldest are lost.
-        """
+        """As that of `aio`: ``with fleet.watch() as statuses: for name, status in statuses: ...``."""
         context = self._fleet.watch(boards)
-        statuses = self._loop.wait_for(context.__aenter__())
+        statuses = self._wait(context.__aenter__())
         try:
             yield self._each(statuses)
         finally:
-            self._loop.wait_for(context.__aexit__(None, None, None))
+            self._wait(context.__aexit__(None, None, None))
 
     def _each(self, statuses: Any) -> Iterator[tuple[str, BoardStatus | None]]:
         while True:
-            yield self._loop.wait_for(anext(statuses))
+            yield self._wait(anext(statuses))
+
+
+def _ended(loop: asyncio.AbstractEventLoop, thread: threading.Thread) -> None:
+    loop.call_soon_threadsafe(loop.stop)
+    thread.join()
+    loop.close()

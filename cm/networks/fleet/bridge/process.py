@@ -121,7 +121,7 @@ class Bridge:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
             told.close()
-            publications.end()
+            publications.offer_streams(())
             queries.end()
             await store.close()
             if keeper is not None:

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from functools import partial
+from dataclasses import dataclass, field
 from typing import Any
 
 from cm.client.aio.relay import Relay, Subscribed
 from cm.networks.fleet import keys
-from cm.networks.fleet.network import in_loop
+from cm.networks.fleet.network import in_loop, zenoh_module
 from cm.wire import fleet as wire
 from cm.wire import topics
 
@@ -23,21 +23,45 @@ def encoding(kind: str) -> str:
     return f"application/protobuf;cm.{kind}"
 
 
-class Publications:
-    """The publications of one board; `session` is zenoh's."""
+class Publisher:
+    """Of one key; `heard` while anyone listens, of which it is told: asking for it costs more than a status."""
 
-    def __init__(self, board: str, session: Any, relay: Relay, status: Callable[[], bytes]) -> None:
-        self._board = board
-        self._session = session
-        self._relay = relay
-        self._status = status  # the last one, with what the bridge adds
-        self._publishers: dict[str, Any] = {}
-        self._streams: dict[str, Stream] = {}
-        self._told = 0.0
+    def __init__(self, session: Any, key: str, changed: Callable[[bool], None] = lambda _: None) -> None:
+        self._publisher, self._changed, self.heard = session.declare_publisher(key), changed, False
+        self.put = self._publisher.put
+        told = zenoh_module().handlers.Callback(in_loop(lambda status: self._follow(status.matching)), indirect=False)
+        self._listener = self._publisher.declare_matching_listener(told)
+        self._follow(self._publisher.matching_status.matching)
+
+    def _follow(self, heard: bool) -> None:
+        if heard != self.heard:
+            self.heard = heard
+            self._changed(heard)
+
+    def end(self) -> None:
+        """Whoever listens."""
+        self._follow(False)
+        self._listener.undeclare()
+        self._publisher.undeclare()
+
+
+@dataclass
+class Publications:
+    """Those of one board; `session` is zenoh's, `status` the last one, with what the bridge adds."""
+
+    board: str
+    session: Any
+    relay: Relay
+    status: Callable[[], bytes]
+    _publishers: dict[str, Publisher] = field(default_factory=dict)
+    _streams: dict[str, Stream] = field(default_factory=dict)
+    _told: float = 0.0
 
     def tell_status(self) -> None:
         """Now, to whoever listens."""
-        self._put("status", "Status", self._status)
+        publisher = self._publisher("status")
+        if publisher.heard:
+            publisher.put(self.status(), encoding=encoding("Status"))
         self._told = time.monotonic()
 
     def beat(self) -> None:
@@ -49,57 +73,39 @@ class Publications:
         """Registers that were written, or an interrupt."""
         if topic == topics.READ_REG:
             for name, value in wire.each_register(message):
-                self._put(f"reg/{name}", "RegValues", partial(bytes, value))
+                self._publisher(f"reg/{name}").put(value, encoding=encoding("RegValues"))
         elif topic == topics.IRQ:
-            self._put(f"irq/{wire.irq_name(message)}", "Irq", lambda: message)
+            self._publisher(f"irq/{wire.irq_name(message)}").put(message, encoding=encoding("Irq"))
 
-    def _put(self, rest: str, kind: str, message: Callable[[], bytes]) -> None:
-        publisher = self._publishers.get(rest)
-        if publisher is None:
-            publisher = self._session.declare_publisher(keys.key(self._board, rest))
-            self._publishers[rest] = publisher
-        if publisher.matching_status.matching:
-            publisher.put(message(), encoding=encoding(kind))
+    def _publisher(self, rest: str) -> Publisher:
+        if rest not in self._publishers:
+            self._publishers[rest] = Publisher(self.session, keys.key(self.board, rest))
+        return self._publishers[rest]
 
     def offer_streams(self, wanted: tuple[str, ...]) -> None:
         """Offer the streams of the mode; each runs while anyone listens."""
         for name in set(self._streams) - set(wanted):
-            self._streams.pop(name).end()
-        for name in wanted:
-            if name not in self._streams:
-                publisher = self._session.declare_publisher(keys.key(self._board, "frames", name))
-                self._streams[name] = Stream(name, publisher, self._relay)
-
-    def end(self) -> None:
-        """Tell nothing more."""
-        self.offer_streams(())
+            self._streams.pop(name).publisher.end()
+        for name in set(wanted) - set(self._streams):
+            self._streams[name] = Stream(self.session, keys.key(self.board, "frames", name), self.relay)
 
 
 class Stream:
     """A stream of the board, subscribed to at the manager as long as anyone subscribes to it here."""
 
-    def __init__(self, name: str, publisher: Any, relay: Relay) -> None:
-        self._topic = topics.STREAM_PREFIX + name.encode()
-        self._publisher = publisher
+    def __init__(self, session: Any, key: str, relay: Relay) -> None:
+        self._topic = topics.STREAM_PREFIX + key.split("/")[-1].encode()
         self._relay = relay
         self._subscribed: Subscribed | None = None
-        self._listener = publisher.declare_matching_listener(in_loop(lambda status: self._follow(status.matching)))
-        self._follow(publisher.matching_status.matching)
+        self.publisher = Publisher(session, key, self._follow)
 
     def _follow(self, wanted: bool) -> None:
-        if wanted and self._subscribed is None:
+        if wanted:
             self._subscribed = self._relay.subscribe(self._topic, take=self._came, depth=_WAITING)
-        elif not wanted and self._subscribed is not None:
+        elif self._subscribed is not None:
             self._subscribed.close()
-            self._subscribed = None
 
     def _came(self, frames: list[bytes]) -> None:
         if frames[0] == self._topic:  # ZeroMQ matches by prefix
             payload = frames[2] if len(frames) > 2 else b""
-            self._publisher.put(payload, encoding="zenoh/bytes", attachment=frames[1])
-
-    def end(self) -> None:
-        """Stop, whoever listens."""
-        self._follow(False)
-        self._listener.undeclare()
-        self._publisher.undeclare()
+            self.publisher.put(payload, encoding="zenoh/bytes", attachment=frames[1])
