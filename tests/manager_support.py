@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from cm.device import DeviceError, GpioLine, PlClock, PlClocks, Root
-from cm.manager.interfaces import Window
+from cm.manager.inputs import Window
 from cm.manager.manager import Environment, Manager, Settings
 from cm.manager.state.record import Journal
 from cm.schema import loads

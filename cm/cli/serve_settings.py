@@ -22,7 +22,7 @@ from cm.wire.topics import split_tcp
 if TYPE_CHECKING:
     from cm.schema.model import Config
     from cm.server.reload import Reloaded
-    from cm.server.rights.model import Access
+    from cm.server.rights.model import Access, AuthorizedKey
     from cm.server.settings import Settings
     from cm.server.sockets import Security
 
@@ -67,8 +67,6 @@ def configs_of(paths: Sequence[Path], settings: Settings | None) -> tuple[dict[s
 
     A schema named on the command line must be valid; one on the search path may be left out.
     """
-    from cm.cli.signatures import policy_of, signed_only
-
     left_out: tuple[str, ...] = ()
     if not paths and settings is not None:
         from cm.server.settings import find_configs
@@ -77,10 +75,11 @@ def configs_of(paths: Sequence[Path], settings: Settings | None) -> tuple[dict[s
         configs, left_out = along.configs, along.left_out
     else:
         configs = load_configs(paths)
-    policy = policy_of(settings)
-    if policy.signatures == "off":
+    if settings is None or settings.policy.signatures == "off":
         return configs, left_out
-    signed, told = signed_only(configs, policy)
+    from cm.cli.signatures import policy_of, signed_only
+
+    signed, told = signed_only(configs, policy_of(settings))
     return signed, (*left_out, *told)
 
 
@@ -117,11 +116,15 @@ def security_of(listen: Sequence[str], keys: Path | None, insecure: bool) -> Sec
 
 def access_of(settings: Settings | None, keys: Path | None) -> tuple[Access, tuple[str, ...]]:
     """Who may do what, and a sentence for each key that was left out."""
-    from cm.cli.keys import authorized_keys
     from cm.server.rights.model import Access
 
     said = (settings or Defaults()).access
-    known, left_out = authorized_keys(keys, said.keys) if keys else ((), ())
+    known: tuple[AuthorizedKey, ...] = ()
+    left_out: tuple[str, ...] = ()
+    if keys:
+        from cm.cli.keys import authorized_keys
+
+        known, left_out = authorized_keys(keys, said.keys)
     policy = Access(said.group, said.local, said.insecure, said.users, said.groups, said.guests, said.roles, known)
     roles = {role for key in known for role in key.roles} - policy.names
     notes = tuple(f"no role {role!r}, which a key names: it gives no right" for role in sorted(roles))

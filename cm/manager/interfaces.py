@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the manager is given: devices, files, a data plane, the time and an observer. Protocols only.
+"""What the manager is given: devices, files, a data plane, the time and an observer. Protocols only: they are
+for checkers of types, and a manager that runs does not import them.
 
 `cm.device` has all that is asked for here, and `cm.server` puts it together; nothing of either is imported, so
 the manager runs, and is tested, where no shim was compiled.
@@ -8,57 +9,11 @@ the manager runs, and is tested, where no shim was compiled.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from pathlib import Path
 from typing import Any, Protocol
 
-from cm.frozen import dataclass
+from cm.manager.inputs import Image, Window
 from cm.schema.model import Config, Module, Overlay
 from cm.wire.messages.status import RegionColumn, RegValues
-
-
-class AddressRange(Protocol):
-    """A run of physical addresses."""
-
-    @property
-    def address(self) -> int:
-        """The first one."""
-
-    @property
-    def size(self) -> int:
-        """Bytes."""
-
-
-class RegisterDevice(Protocol):
-    """Maps of registers, read and written by accesses of 8 to 64 bits. All raise DeviceError."""
-
-    @property
-    def maps(self) -> Sequence[AddressRange]:
-        """What is mapped, in order."""
-
-    @property
-    def present(self) -> bool:
-        """Whether it is still there, and not another one in its place."""
-
-    def read(self, offset: int, width: int = 32, map: int = 0) -> int:  # noqa: A002 (as in `cm.device.Uio`)
-        """The value at an offset (bytes) of a map; `width` in bits."""
-
-    def write(self, offset: int, value: int, width: int = 32, map: int = 0) -> None:  # noqa: A002
-        """Write to an offset of a map."""
-
-    def read_block(self, offset: int, length: int, map: int = 0) -> bytearray:  # noqa: A002
-        """`length` bytes by accesses of 32 bits."""
-
-    def write_block(self, offset: int, data: memoryview, map: int = 0) -> None:  # noqa: A002
-        """Write bytes by accesses of 32 bits."""
-
-
-@dataclass(frozen=True, slots=True)
-class Window:
-    """A register's place: a device, the number of its map and the offset in it (bytes)."""
-
-    device: RegisterDevice
-    map: int
-    offset: int
 
 
 class RegisterTable(Protocol):
@@ -405,18 +360,6 @@ class KernelLoader(Protocol):
 
     def load(self, firmware_name: str, partial: bool = False, encrypted: bool = False) -> None:
         """Load a file below /lib/firmware; returns when the kernel is done. Raises DeviceError."""
-
-
-@dataclass(frozen=True, slots=True)
-class Image:
-    """A validated bitstream: where it lies, its hash, and what is asked of it before a load."""
-
-    path: Path
-    sha256: str
-    length: int  # bytes of the stream, as the port takes it
-    idcode: int | None  # of the device that it was made for, where it says so
-    partial: bool
-    encrypted: bool
 
 
 class Files(Protocol):

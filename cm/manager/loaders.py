@@ -10,27 +10,31 @@ from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from types import MappingProxyType
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 from weakref import WeakKeyDictionary
 
 from cm.errors import Busy, CmError
 from cm.frozen import dataclass, replace
 from cm.manager.errors import LoadFailed, LoadUnsupported, NoPort, StepTimeout, WrongDevice
-from cm.manager.interfaces import (
-    ConfigPort,
-    Devices,
-    Files,
-    Image,
-    KernelLoader,
-    OverlayFolder,
-    PortBuffer,
-    PortCompletion,
-    PortInfo,
-    TimeSource,
-)
+from cm.manager.inputs import Image
 from cm.manager.state.board_state import loading_overlay
 from cm.manager.state.steps import Choice
 from cm.schema.model import Config, LoaderKind, Module, Region
+
+if TYPE_CHECKING:
+    from cm.manager.interfaces import (
+        ConfigPort,
+        Devices,
+        Files,
+        KernelLoader,
+        OverlayFolder,
+        PortBuffer,
+        PortCompletion,
+        PortInfo,
+        TimeSource,
+    )
+
+    _Key = tuple[ConfigPort, str]  # an open port, whose a buffer is: it may go, and come back as another; and a hash
 
 OnBytes = Callable[[int], None]
 Start = Callable[[OnBytes], None]  # loads, telling how far it is; returns when the port is done
@@ -65,7 +69,6 @@ class Loader(Protocol):
 _POLL = 0.05  # seconds between two looks at a load's progress; most loads are shorter, and looking slows none
 _REVISION = 0xF0000000  # bits of an IDCODE that differ between revisions of one device
 _PAGE = 4096
-_Key = tuple[ConfigPort, str]  # an open port, whose a buffer is: it may go, and come back as another; and a hash
 
 
 @dataclass(frozen=True, slots=True)

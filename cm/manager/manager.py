@@ -20,7 +20,6 @@ from cm.manager.errors import ChangeBusy, NothingLoaded, UnknownRegion, hint
 from cm.manager.execution.scan import Checked, Outcome, Pace, Scan, checked_region, loaded_map
 from cm.manager.execution.transaction import Tools, plan_to
 from cm.manager.execution.worker import Change, Worker
-from cm.manager.interfaces import DataPlane, Devices, Files, Observer, RegisterTable, TimeSource
 from cm.manager.loaders import Loaders
 from cm.manager.planner import Goal
 from cm.manager.recovery import destination, is_whole, repair, take_stock, undo, way_back
@@ -42,6 +41,7 @@ from cm.wire.messages.status import (
 
 if TYPE_CHECKING:
     from cm.manager.access.windows import Windows
+    from cm.manager.interfaces import DataPlane, Devices, Files, Observer, RegisterTable, TimeSource
 
 
 @dataclass(frozen=True, slots=True)

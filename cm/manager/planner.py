@@ -12,11 +12,12 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 from cm.errors import InvalidRequest
 from cm.frozen import dataclass, field, replace
 from cm.manager.errors import ClockRate, NothingLoaded, StaticUnknown, UnknownConfig, UnknownMode, hint, listed
-from cm.manager.interfaces import Devices, Files, Image, PlClock
+from cm.manager.inputs import Image
 from cm.manager.state import steps as s
 from cm.manager.state.board_state import BoardState, OverlayState, RegionPhase, loading_overlay
 from cm.manager.state.record import Throughput
@@ -25,6 +26,9 @@ from cm.schema.clock_rates import allowed, rate_problem
 from cm.schema.model import Access, Clock, Config, ConfigType, LoaderKind, Mode, Module, Region, Register
 from cm.wire.messages.requests import ChangeMode
 from cm.wire.messages.status import ClockStatus, PlanInfo, PlanStep
+
+if TYPE_CHECKING:
+    from cm.manager.interfaces import Devices, Files, PlClock
 
 
 def target(request: ChangeMode, configs: Mapping[str, Config], loaded: str | None) -> tuple[Config, str]:

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 from cm.errors import CmError
 from cm.frozen import dataclass, replace
 from cm.manager.access.register_bus import RegisterBus, is_cut
 from cm.manager.errors import NothingToUndo
 from cm.manager.execution.worker import Change
-from cm.manager.interfaces import Devices
 from cm.manager.loaders import resolved
 from cm.manager.planner import place_of
 from cm.manager.state.board_state import (
@@ -30,6 +30,9 @@ from cm.manager.state.board_state import (
 from cm.manager.state.record import ManagerState, Pending, Record
 from cm.manager.state.steps import Place, hertz
 from cm.schema.model import Access, Config, ConfigType, LoaderKind, Module, Region, Register
+
+if TYPE_CHECKING:
+    from cm.manager.interfaces import Devices
 
 _EMPTY = ("power off", "reset")  # states of an fpga_manager whose device holds nothing
 

@@ -10,10 +10,9 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import accumulate
 from operator import is_
 from types import MappingProxyType
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 from cm.frozen import dataclass, replace
-from cm.manager.interfaces import Observer
 from cm.manager.state.board_state import BoardState, RegionState
 from cm.manager.state.record import ManagerState
 from cm.manager.state.steps import Choice
@@ -35,6 +34,9 @@ from cm.wire.messages.status import (
     Status,
     StreamStatus,
 )
+
+if TYPE_CHECKING:
+    from cm.manager.interfaces import Observer
 
 _T = TypeVar("_T")
 _UNKNOWN = RegionState()  # of which nothing is known

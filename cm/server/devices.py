@@ -31,7 +31,7 @@ from cm.device import (
 from cm.errors import NotFound
 from cm.frozen import dataclass
 from cm.manager.errors import NoWindow
-from cm.manager.interfaces import Window
+from cm.manager.inputs import Window
 
 if TYPE_CHECKING:
     from cm.device.window import Windows

@@ -20,7 +20,7 @@ import threading
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cm.errors import CmError, InvalidRequest
 from cm.formats import fdt
@@ -40,11 +40,14 @@ from cm.formats.bitstream.cache import Inspected
 from cm.formats.bitstream.errors import BadContainer, BitstreamError, Sha256Mismatch
 from cm.frozen import dataclass
 from cm.manager.errors import BadOverlay
-from cm.manager.interfaces import Image, LoadedFrames
+from cm.manager.inputs import Image
 from cm.schema.files import bitstream_path, find_file, overlay_path
 from cm.schema.model import Config, FrameRange, Module, Overlay, Region
 from cm.server.folders import own_folder
 from cm.wire.messages.status import RegionColumn
+
+if TYPE_CHECKING:
+    from cm.manager.interfaces import LoadedFrames
 
 MAX_BYTES = 512 << 20  # more than the largest device of the supported families needs
 

@@ -51,3 +51,23 @@ def test_the_clients_import_where_only_linux_things_are_missing(system: str, tmp
         env={**os.environ, "PYTHONPATH": str(PACKAGE.parent)},
     )
     assert done.returncode == 0, done.stderr
+
+
+_SERVES = """
+import sys
+from cm.cli.main import main
+from cm.server.server import Server
+
+def serve(self, ready):
+    print([name for name in sys.argv[3:] if name in sys.modules])
+
+Server.serve = serve
+sys.exit(main(["serve", "--runtime-dir", sys.argv[1], "--root", sys.argv[1], "--config", sys.argv[2]]))
+"""
+_NOT_NEEDED = ("dataclasses", "cm.manager.interfaces", "cm.formats.signing", "cm.cli.keys", "fastjsonschema", "numpy")
+
+
+def test_a_manager_that_starts_imports_nothing_that_only_some_need(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", _SERVES, tmp_path, PACKAGE / "data/camera", *_NOT_NEEDED]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "[]\n"), done.stderr

@@ -83,23 +83,19 @@ def _counts(text: str) -> list[int]:
     return [int(count) for count, _, times in pairs for _ in range(int(times or 1))]
 
 
-@cache
-def _dies() -> Mapping[str, Geometry]:
-    found = json.loads(_COLUMNS.read_text("utf-8"))
-    result = {}
-    for die in found["dies"]:
-        rows = {}
-        for block_type, kinds in die["columns"].items():
-            for kind in kinds:
-                row = Row(tuple(accumulate(_counts(kind["frames"]), initial=0)))
-                rows.update({(int(block_type), number): row for number in kind["rows"]})
-        result.update(dict.fromkeys(die["devices"], Geometry(rows)))
-    return result
-
-
+@cache  # of that die alone: a board has one, and a manager keeps what it has asked for
 def geometry_of(device: str | None) -> Geometry | None:
     """Return the geometry of a device by its name (`xc7z020`); None if it is not known."""
-    return _dies().get(device) if device else None
+    dies = json.loads(_COLUMNS.read_text("utf-8"))["dies"]
+    columns = next((die["columns"] for die in dies if device in die["devices"]), None)
+    if columns is None:
+        return None
+    rows = {}
+    for block_type, kinds in columns.items():
+        for kind in kinds:
+            row = Row(tuple(accumulate(_counts(kind["frames"]), initial=0)))
+            rows.update({(int(block_type), number): row for number in kind["rows"]})
+    return Geometry(rows)
 
 
 IN_ROWS = (0, 1)  # block types of frames that belong to a place: logic and routing, contents of block RAM

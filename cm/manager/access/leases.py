@@ -12,11 +12,11 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from itertools import count
 from math import inf
+from typing import TYPE_CHECKING
 
 from cm.errors import Busy, InvalidRequest, NotFound
 from cm.frozen import dataclass, replace
 from cm.manager.errors import HeldBy, hint
-from cm.manager.interfaces import TimeSource
 from cm.schema.model import Config, Memory, Mode, Module
 from cm.wire.messages.requests import (
     BreakLease,
@@ -29,6 +29,9 @@ from cm.wire.messages.requests import (
     WriteReg,
 )
 from cm.wire.messages.status import LeaseInfo, LeaseStatus
+
+if TYPE_CHECKING:
+    from cm.manager.interfaces import TimeSource
 
 
 def scopes_written(request: Request, config: Config | None, mode: str | None, memory: Memory | None) -> Iterator[str]:

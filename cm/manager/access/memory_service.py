@@ -13,7 +13,7 @@ from cm.manager.access.leases import Leases
 from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_service import RegisterService
 from cm.manager.errors import AccessDenied, NothingLoaded, OutOfRange, RegionBusy, UnknownMemory, hint, listed
-from cm.manager.interfaces import AddressRange
+from cm.manager.inputs import AddressRange
 from cm.manager.reporting import memory_info
 from cm.manager.state.board_state import RegionState
 from cm.manager.state.record import ManagerState

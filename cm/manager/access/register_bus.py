@@ -6,11 +6,15 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from cm.manager.access.register_view import Place, in_range
 from cm.manager.errors import AccessDenied, VerifyFailed
-from cm.manager.interfaces import Devices, RegisterTable, Window
+from cm.manager.inputs import Window
 from cm.schema.model import Access, Decoupler, GpioLine, IsolationStep, Memory, Register
+
+if TYPE_CHECKING:
+    from cm.manager.interfaces import Devices, RegisterTable
 
 _WO = Access.WO
 _BETWEEN = 0.001  # seconds between two reads of a register that is waited for

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
 from time import monotonic_ns
+from typing import TYPE_CHECKING
 
 from cm.errors import CmError
 from cm.manager.access.leases import Leases
@@ -23,11 +24,13 @@ from cm.manager.access.register_view import (
     split_name,
 )
 from cm.manager.errors import AccessDenied, NothingLoaded, RegionBusy, listed
-from cm.manager.interfaces import RegisterTable
 from cm.manager.state.record import ManagerState
 from cm.schema.model import Access, Config, FieldAccess, Register
 from cm.wire.messages.requests import RegWrite
 from cm.wire.messages.status import RegValue, RegValues
+
+if TYPE_CHECKING:
+    from cm.manager.interfaces import RegisterTable
 
 AT_ONCE = 32  # most registers of a request that is served in one go
 _SOME = 16  # in a piece of a longer one, at most

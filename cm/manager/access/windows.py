@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from itertools import count
-from typing import NamedTuple, NoReturn
+from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 from cm.errors import Busy, CmError, InvalidRequest, NotFound
 from cm.frozen import dataclass
@@ -22,11 +22,13 @@ from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_service import RegisterService, value_of
 from cm.manager.access.register_view import is_free
 from cm.manager.errors import HeldBy, ModuleAbsent, NothingLoaded, NoWindow, RegionBusy, hint
-from cm.manager.interfaces import Devices, TimeSource, WindowLender
 from cm.manager.reporting import memory_info, register_info
 from cm.manager.state.record import LockedRegions, ManagerState
 from cm.schema.model import Access, Config, Memory, Mode, Module, Register
 from cm.wire.messages.status import ConfigInfo, RegValues, WindowStatus
+
+if TYPE_CHECKING:
+    from cm.manager.interfaces import Devices, TimeSource, WindowLender
 
 STATIC = "static"  # the name of the part outside all regions
 _RELEASED, _CALL, _GONE = 0, 1, 4  # why one ended: as `cm.device.WindowEnd`

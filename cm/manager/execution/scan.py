@@ -10,25 +10,20 @@ import contextlib
 import functools
 import itertools
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 from cm.errors import Busy
 from cm.frozen import dataclass
 from cm.manager.errors import NoReadback, RegionBusy, StepTimeout, UnknownRegion, hint
-from cm.manager.interfaces import (
-    ConfigPort,
-    Devices,
-    Files,
-    FrameSlice,
-    Image,
-    LoadedFrames,
-    PortBuffer,
-    WrongFrame,
-)
+from cm.manager.inputs import Image
 from cm.manager.loaders import resolved
 from cm.manager.state.board_state import BoardState, RegionPhase
 from cm.manager.state.record import ManagerState
 from cm.schema.model import Config, LoaderKind, Module, Region
 from cm.wire.messages.status import FrameError, RegionCheck, RegionMap
+
+if TYPE_CHECKING:
+    from cm.manager.interfaces import ConfigPort, Devices, Files, FrameSlice, LoadedFrames, PortBuffer, WrongFrame
 
 SLICE_SECONDS = 0.001  # that a slice may keep the port from a change
 _SLOWEST = 100e6  # bytes per second of a port whose clock the driver does not know: a Zynq's PCAP has 145e6

@@ -12,13 +12,12 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cm.errors import Busy
 from cm.frozen import dataclass, field, replace
 from cm.manager.access.register_bus import RegisterBus, drive, is_cut
 from cm.manager.errors import Cancelled, IdentityMismatch, NoPort, RecordFailed, VerifyFailed, WrongStatic
-from cm.manager.interfaces import DataPlane, Devices, Files, TimeSource
 from cm.manager.loaders import Job, Loaders, Start, resolved
 from cm.manager.planner import Goal, Plan, check_rate, image_bytes, make_plan, place_of
 from cm.manager.reporting import StatusReporter
@@ -36,6 +35,9 @@ from cm.manager.state.record import ManagerState
 from cm.manager.state.steps import Step
 from cm.schema.model import Access, Config, LoaderKind, Register
 from cm.wire.messages.status import Progress
+
+if TYPE_CHECKING:
+    from cm.manager.interfaces import DataPlane, Devices, Files, TimeSource
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from cm.frozen import dataclass
-from cm.manager.interfaces import Image
+from cm.manager.inputs import Image
 from cm.schema.clock_rates import hertz as hertz
 from cm.schema.model import Clock, LoaderKind, Module, Overlay, Region, Register, StaticIdentity
 

@@ -18,7 +18,7 @@ from cm.errors import CmError
 from cm.formats.bitstream import assemble_module
 from cm.manager.errors import ChangeBusy, NothingLoaded, RegionBusy, UnknownMode
 from cm.manager.execution.worker import Change
-from cm.manager.interfaces import Image
+from cm.manager.inputs import Image
 from cm.manager.loaders import Job, Loaders
 from cm.manager.planner import target
 from cm.schema import loads

@@ -23,7 +23,7 @@ from cm.errors import InvalidRequest
 from cm.formats.bitstream import Container, assemble_module, convert
 from cm.formats.bitstream.errors import BadContainer, FootprintOutside, Sha256Mismatch, UnknownDevice
 from cm.manager.errors import BadOverlay
-from cm.manager.interfaces import Image
+from cm.manager.inputs import Image
 from cm.schema import loads
 from cm.schema.model import Config, FrameRange, Overlay
 from cm.server.files import MAX_BYTES, BoardFiles, Footprints, LearnedFootprint

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from cm.manager.access.register_bus import RegisterBus
-from cm.manager.interfaces import Window
+from cm.manager.inputs import Window
 from cm.manager.recovery import Destination, destination
 from cm.manager.state.board_state import BoardState
 from cm.manager.state.record import Pending

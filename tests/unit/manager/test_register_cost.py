@@ -9,7 +9,7 @@ from typing import Any
 from cm.manager.access.leases import Leases
 from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_service import RegisterService
-from cm.manager.interfaces import Window
+from cm.manager.inputs import Window
 from cm.manager.state.board_state import BoardState
 from cm.manager.state.record import ManagerState
 from cm.schema import loads

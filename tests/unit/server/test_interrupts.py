@@ -19,7 +19,7 @@ from cm.manager.access.leases import Leases
 from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_service import RegisterService
 from cm.manager.errors import HeldBy, RegionBusy
-from cm.manager.interfaces import Window
+from cm.manager.inputs import Window
 from cm.manager.state.board_state import BoardState, RegionPhase, RegionState
 from cm.manager.state.record import ManagerState
 from cm.schema import loads

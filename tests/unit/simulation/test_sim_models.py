@@ -9,6 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from cm.schema.model import Config, Module, Region
 from cm.simulation.software import SimError
 from cm.simulation.software.hardware import camera
 from cm.simulation.software.hardware.models import Colorise, Models, default, edge
@@ -74,6 +75,20 @@ def test_colorise_gives_three_bytes_of_the_documented_palette(palette):
 
 def test_an_unknown_model_passes_data_unchanged():
     assert Models.standard().get("nobody_knows") is default
+
+
+def test_what_packages_offer_is_looked_for_only_where_a_model_is_not_here(monkeypatch):
+    looked = []
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda **group: looked.append(group) or [])
+    models = Models.standard()
+    models.load_entry_points()
+    regions = {"left": Region("left"), "right": Region("right")}
+    modules = {"edge": Module("edge", "left", model="edge"), "turn_right": Module("turn_right", "right", model="turn")}
+    models.check([Config("here", regions=regions, modules=modules), Config("none", regions=regions)])
+    assert not looked
+    with pytest.raises(SimError, match="no model is called 'egde', did you mean 'edge'"):
+        models.check([Config("there", regions=regions, modules={"egde": Module("egd", "left", model="egde")})])
+    assert len(looked) == 1
 
 
 def test_models_of_a_users_file_are_added(tmp_path):

@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from cm.device.native.bitstream import swap
 from cm.formats.bitstream.assemble import FrameRun, assemble_stream
 from cm.formats.bitstream.devices import Device
-from cm.formats.bitstream.geometry import FrameAddress, decode_far, frame_order
+from cm.formats.bitstream.geometry import FrameAddress, FrameOrder, decode_far, frame_order
 from cm.formats.bitstream.module import ModuleIdentity
 from cm.formats.bitstream.packets import PIPELINE
 from cm.frozen import dataclass, field
@@ -40,12 +40,15 @@ class Frames:
 
     def __init__(self, device: Device) -> None:
         self.device = device
-        self._order = frame_order(device.name, device.family)
         self._size = 4 * device.family.frame_words
         self._frames: dict[int, int] = {}
         self._waiting: dict[tuple[tuple[int, int], ...], bytearray] = {}
         self._random = random.Random(1)
         self.upset: dict[int, int] = {}  # frames that were hit since they were written: the bits, as a number
+
+    @property
+    def _order(self) -> FrameOrder | None:  # made when it is asked for, and kept: most boards are never read back
+        return frame_order(self.device.name, self.device.family)
 
     def loaded(self, stream: bytearray, key: tuple[tuple[int, int], ...]) -> None:
         """A load has ended, well or not; one with the same `key` has written the same frames. `stream` is kept."""
@@ -71,8 +74,9 @@ class Frames:
         """What the port gives for a read of FDRO, as for DMA: words ahead, a frame of padding, frames from `far` on."""
         there = self._sorted()
         count = max(0, (words - PIPELINE[self.device.family]) // (self._size // 4) - 1)
-        begin = None if self._order is None else self._order.place.get(far)
-        places = [] if begin is None or self._order is None else self._order.order[begin : begin + count]
+        order = self._order
+        begin = None if order is None else order.place.get(far)
+        places = [] if begin is None or order is None else order.order[begin : begin + count]
         frames = (0 if place is None else there.get(place, 0) for place in places)
         data = b"".join(frame.to_bytes(self._size, "little") for frame in frames)
         return bytes(4 * words - count * self._size) + data.ljust(count * self._size, b"\0")
@@ -115,7 +119,8 @@ class Frames:
     def _of(self, stream: memoryview) -> Mapping[int, int]:
         from cm.formats.bitstream.memory import dma_image, frames_of  # here: most boards are never read back
 
-        return {} if self._order is None else frames_of(dma_image(stream), self._order)
+        order = self._order
+        return {} if order is None else frames_of(dma_image(stream), order)
 
 
 @dataclass(slots=True)

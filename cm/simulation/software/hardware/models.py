@@ -203,10 +203,13 @@ class Models:
         That of ``turn_left`` in region ``left`` may be ``turn`` without there being one: it is a module's own name,
         of which `cm build` made one for each of several regions.
         """
+        here = self._standard.keys() | self._added.keys()  # what packages offer takes long to find
         for config in configs:
             for module in config.modules.values():
                 own = module.name == f"{module.model}_{module.region}"
-                if module.model is not None and module.model not in self._all and not own:
+                if module.model is None or module.model in here or own:
+                    continue
+                if module.model not in self._all:
                     close = difflib.get_close_matches(module.model, self._all, 1)
                     raise SimError(
                         f"module {module.name} of {config.name}: no model is called {module.model!r}"
