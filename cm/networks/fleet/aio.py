@@ -81,9 +81,9 @@ class Fleet:
     async def __aenter__(self) -> Fleet:
         self.session = await asyncio.to_thread(session, self._network)
         self._store = opened_store(self._network, self.session, self.caller)
-        self._presence = Presence(self.session)
+        self._presence = Presence()
         try:
-            await self._presence.begin(self.timeout)
+            await self._presence.begin(self.session, self.timeout)
         except BaseException:
             await self.close()
             raise
@@ -107,7 +107,7 @@ class Fleet:
 
     async def boards(self) -> tuple[str, ...]:
         """Names of all boards whose bridges are running, sorted."""
-        return self._presence.boards()
+        return tuple(sorted(self._presence.boards))
 
     async def inventory(self) -> dict[str, View]:
         """The boards of the fleet, there or away, sorted: each with its settings and with what is wanted of it.
@@ -122,7 +122,7 @@ class Fleet:
 
     def _matching(self, boards: Iterable[str], known: Mapping[str, View], exist: bool = True) -> tuple[str, ...]:
         """`exist`: False: also those that are there and not in the inventory, and any that are given by name."""
-        there = {*known} if exist else {*known, *self._presence.boards()}
+        there = {*known} if exist else {*known, *self._presence.boards}
         found: set[str] = set()
         for group in tuple(boards) or ALL:
             if group.startswith("@"):
@@ -130,7 +130,7 @@ class Fleet:
             else:
                 members = set(fnmatch.filter(there, group)) or ({group} if not exist and _is_name(group) else set())
             if not members:
-                loose = ", ".join(sorted({*self._presence.boards()} - {*known}))
+                loose = ", ".join(sorted(self._presence.boards - {*known}))
                 raise NoSuchBoard(
                     f"no board of the inventory is called or labelled {group}; it has {', '.join(known) or 'none'}"
                     + (f" (there, but not in it: {loose}; `cm fleet add` puts them in)" if loose else "")
@@ -189,9 +189,9 @@ class Fleet:
                 come.get_nowait()
             come.put_nowait((board, status))
 
-        def there_or_gone(board: str, there: bool) -> None:
-            if not there and boards in ("*", board):
-                tell(board, None)
+        def gone(board: str) -> None:
+            if boards in ("*", board):
+                put(board, None)
 
         async def each() -> AsyncIterator[tuple[str, BoardStatus | None]]:
             while True:
@@ -202,11 +202,11 @@ class Fleet:
         subscriber = self.session.declare_subscriber(
             keys.key(boards, "status"), lambda each: tell(keys.board_of(str(each.key_expr)), bytes(each.payload))
         )
-        end = self._presence.listen(there_or_gone)
+        self._presence.gone.add(gone)
         try:
             yield each()
         finally:
-            end()
+            self._presence.gone.discard(gone)
             subscriber.undeclare()
 
     async def _each(self, rest: str, boards: Iterable[str], timeout: float = 0.0) -> dict[str, Answer]:
@@ -223,7 +223,7 @@ class Fleet:
         all gets nothing at all for ``*``.
         """
         end, left = time.monotonic() + timeout, {*boards}
-        if len(left) > 1 and left == {*self._presence.boards()}:
+        if len(left) > 1 and left == self._presence.boards:
             async for answer in queries.answers(self.session, keys.key("*", rest), payload, timeout=timeout):
                 if answer.board in left:
                     left.remove(answer.board)
@@ -241,9 +241,10 @@ class Fleet:
         self, board: str, where: str, payload: bytes = b"", beside: bytes | None = None, *, timeout: float
     ) -> Answer:
         """A board's answer, or an error that says why there is none."""
-        async for answer in queries.answers(self.session, where, payload, beside, timeout):
-            return replace(answer, board=board)
-        return Answer(board, "", b"", error=absent(board in self._presence.boards()))
+        found = [each async for each in queries.answers(self.session, where, payload, beside, timeout)]
+        if found:
+            return replace(found[0], board=board)
+        return Answer(board, "", b"", error=absent(board in self._presence.boards))
 
     # ---- the inventory --------------------------------------------------------------------------
 
@@ -268,7 +269,7 @@ class Fleet:
         found = self._matching(boards, known)
         for name in found:
             view = known[name]
-            expect = {key(name, part): revision for part, revision in view.expected().items()}
+            expect = {key(name, part): view.revision(part) for part in ("wanted", "claim")}
             if view.open or not await self._store.txn(
                 expect, {key(name, part): None for part in ("settings", "wanted")}
             ):
@@ -406,14 +407,14 @@ class Fleet:
 
     async def _all_there(self, wanted: Iterable[str], timeout: float) -> None:
         end = time.monotonic() + timeout
-        while not {*wanted} <= {*self._presence.boards()} and time.monotonic() < end:
+        while not {*wanted} <= self._presence.boards and time.monotonic() < end:
             await asyncio.sleep(_LOOK)
 
     def _away(self, chosen: Iterable[str], absent: str) -> dict[str, ErrorInfo]:
         """Boards that are not there, under the policy about them. Raises FleetRefused, InvalidRequest."""
         if absent not in ABSENT:
             raise InvalidRequest(f"boards that are away: one of {', '.join(ABSENT)} is wanted, not {absent!r}")
-        gone = {name: queries.absent(False) for name in sorted({*chosen} - {*self._presence.boards()})}
+        gone = {name: queries.absent(False) for name in sorted({*chosen} - self._presence.boards)}
         if gone and absent != "go-on":
             raise FleetRefused(gone)
         return gone

@@ -189,7 +189,7 @@ class Coordinator:
         claim = Put(packed(Claim(self._generation, self.change, self.caller)), lease)
         puts: dict[str, Put | None] = {key(name, "claim"): claim for name in self.members}
         puts[GENERATION] = Put(str(self._generation))
-        expect = {key(name, "wanted"): self._view(name).expected()["wanted"] for name in self.members}
+        expect = {key(name, "wanted"): self._view(name).revision("wanted") for name in self.members}
         expect[GENERATION] = newest.revision  # every opening changes it
         self._opened = await self.store.txn(expect, puts)
         return bool(self._opened)
@@ -279,7 +279,7 @@ class Coordinator:
             puts[key(name, "wanted")] = Put(packed(Wanted(self._generation, config, mode, self.caller, self.change)))
         first = self.members[0]  # where a repetition finds that it was done; while claims stand, nobody else wants more
         expect = {key(name, "claim"): self._opened for name in self.members}
-        expect[key(first, "wanted")] = self._view(first).expected()["wanted"]
+        expect[key(first, "wanted")] = self._view(first).revision("wanted")
         end = self.clock() + _DECIDING
         while True:
             try:

@@ -239,10 +239,11 @@ class KeeperStore:
     async def _ask(self, operation: str, **what: Any) -> Any:
         asked = json.dumps(what).encode()
         where = f"{STORE}/{operation}/{self._caller}"
-        async for found in queries.answers(self._session, where, asked, timeout=_TIMEOUT):
-            answer = json.loads(found.payload or b"{}")
-            if "error" in answer:
-                raise StoreRefused(str(answer["error"]))
-            return answer["ok"]
-        raise StoreAway("the fleet's keeper does not answer: `cm bridge fleet --keeper` runs on one board, or the "
-                        "router's rules keep us off")  # fmt: skip
+        found = [each async for each in queries.answers(self._session, where, asked, timeout=_TIMEOUT)]
+        if not found:
+            raise StoreAway("the fleet's keeper does not answer: `cm bridge fleet --keeper` runs on one board, or the "
+                            "router's rules keep us off")  # fmt: skip
+        answer = json.loads(found[0].payload or b"{}")
+        if "error" in answer:
+            raise StoreRefused(str(answer["error"]))
+        return answer["ok"]

@@ -109,7 +109,7 @@ class Claim:
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """A board as the store has it; `revisions` by the last part of its keys, 0 for one that is absent."""
+    """A board as the store has it; `revisions` by the last part of its keys."""
 
     settings: Settings | None = None
     wanted: Wanted | None = None
@@ -126,9 +126,9 @@ class View:
         """The change that is not decided here: one whose generation is wanted already is."""
         return self.claim if self.claim and self.claim.generation > self.generation else None
 
-    def expected(self) -> dict[str, int]:
-        """What a transaction compares that must find a board as it is here; to be put behind its key."""
-        return {part: (self.revisions or {}).get(part, 0) for part in ("wanted", "claim")}
+    def revision(self, part: str) -> int:
+        """What a transaction compares that must find that part as it is here."""
+        return (self.revisions or {}).get(part, 0)
 
 
 _KINDS: dict[str, Any] = {"settings": Settings, "wanted": Wanted, "claim": Claim}
