@@ -10,7 +10,7 @@ from cm.wire import bodies
 from cm.wire import cm_pb2 as pb
 from cm.wire.encode import parsed
 from cm.wire.messages import fleet as fl
-from cm.wire.messages.status import ErrorInfo
+from cm.wire.messages.status import ErrorInfo, RegValues
 
 _CLOCK = bodies.Twin(fl.ClockSync, pb.ClockSync)
 _STEP = bodies.Twin(fl.FleetStep, pb.FleetStep)
@@ -127,8 +127,8 @@ def encode_answer(body: fl.FleetState | fl.BundleState | ErrorInfo) -> bytes:
     return message.SerializeToString()
 
 
-def decode_answer(data: bytes) -> fl.FleetState | fl.BundleState | ErrorInfo:
-    """The inverse of `encode_answer`. Raises InvalidRequest for a Reply with another body."""
+def decode_answer(data: bytes) -> fl.FleetState | fl.BundleState | RegValues | ErrorInfo:
+    """Of a Reply of the bridge, or of a manager about registers. Raises InvalidRequest for one with another body."""
     reply: Any = parsed(pb.Reply, data)
     if not reply.ok:
         return bodies.ERROR.from_pb(reply.error)
@@ -136,4 +136,8 @@ def decode_answer(data: bytes) -> fl.FleetState | fl.BundleState | ErrorInfo:
         return _STATE.from_pb(reply.fleet)
     if reply.HasField("bundle"):
         return _BUNDLE.from_pb(reply.bundle)
-    raise InvalidRequest(f"the bridge answered with {reply.WhichOneof('body')}, not with a state or a bundle")
+    if reply.HasField("registers"):
+        return bodies.registers_from_pb(reply.registers)
+    raise InvalidRequest(
+        f"the bridge answered with {reply.WhichOneof('body')}, not with a state, a bundle or registers"
+    )

@@ -26,7 +26,7 @@ from cm.networks.fleet.change import Coordinator, Course, Opening, Progress, not
 from cm.networks.fleet.errors import ChangeFailed, FleetRefused, NoSuchBoard
 from cm.networks.fleet.network import Network, from_environment, in_loop, member_of, opened_store, session
 from cm.networks.fleet.presence import Presence
-from cm.networks.fleet.queries import Answer, absent
+from cm.networks.fleet.queries import AWAY, SILENT, Answer
 from cm.networks.fleet.store import BOARDS, Entry, Put, Settings, StoreAway, StoreRefused, View, key, packed, views
 from cm.wire import fleet as wire
 from cm.wire import topics
@@ -156,7 +156,7 @@ class Fleet:
         found = await self._each("status", boards)
         if tuple(boards) in ((), ALL):
             with suppress(StoreAway, StoreRefused):
-                away = {name: Answer(name, "", b"", error=absent(False)) for name in await self.inventory()}
+                away = {name: Answer(name, error=AWAY) for name in await self.inventory()}
                 found = dict(sorted({**away, **found}.items()))
         return {n: a.error or wire.board_status(a.payload) for n, a in found.items()}
 
@@ -244,7 +244,7 @@ class Fleet:
         found = [each async for each in queries.answers(self.session, where, payload, beside, timeout)]
         if found:
             return replace(found[0], board=board)
-        return Answer(board, "", b"", error=absent(board in self._presence.boards))
+        return Answer(board, error=SILENT if board in self._presence.boards else AWAY)
 
     # ---- the inventory --------------------------------------------------------------------------
 
@@ -334,7 +334,7 @@ class Fleet:
         message = bytes(encode_request(write_registers(values).request)[1])
         names = await self.meant(boards)
         answers = await asyncio.gather(*(self.do("reg", name, message) for name in names))
-        return {name: queries.registers(answer) for name, answer in zip(names, answers, strict=True)}
+        return {name: queries.said(answer, RegValues) for name, answer in zip(names, answers, strict=True)}
 
     async def frame(self, board: str, stream: str) -> Frame:
         """The next frame of a stream of one board, as an array of the stream's shape. Raises RequestFailed."""
@@ -414,7 +414,7 @@ class Fleet:
         """Boards that are not there, under the policy about them. Raises FleetRefused, InvalidRequest."""
         if absent not in ABSENT:
             raise InvalidRequest(f"boards that are away: one of {', '.join(ABSENT)} is wanted, not {absent!r}")
-        gone = {name: queries.absent(False) for name in sorted({*chosen} - self._presence.boards)}
+        gone = dict.fromkeys(sorted({*chosen} - self._presence.boards), AWAY)
         if gone and absent != "go-on":
             raise FleetRefused(gone)
         return gone

@@ -12,10 +12,12 @@ from cm.errors import CmError, InvalidRequest
 from cm.networks.fleet import keys
 from cm.networks.fleet.network import in_loop, zenoh_module
 from cm.wire import fleet as wire
-from cm.wire.encode import decode_reply
-from cm.wire.messages.status import ErrorInfo, RegValues
+from cm.wire.messages.status import ErrorInfo
 
-ABSENT = "no_answer"
+AWAY = ErrorInfo("no_answer", "it is not in the fleet now")
+SILENT = ErrorInfo(  # a denied query looks like an absent board, so this says what can be told apart
+    "no_answer", "it is in the fleet but did not answer: it hangs, is too slow, or the router's rules keep us off"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,20 +25,9 @@ class Answer:
     """What a board answered: a message, or data with the message beside it; or an error."""
 
     board: str
-    key: str
-    payload: bytes
+    payload: bytes = b""
     attachment: bytes = b""
     error: ErrorInfo | None = None
-
-
-def absent(there: bool) -> ErrorInfo:
-    """Why a board did not answer: a denied query looks like an absent board, so this says what can be told apart."""
-    if there:
-        return ErrorInfo(
-            ABSENT,
-            "it is in the fleet but did not answer: it hangs, is too slow, or the router's rules keep us off",
-        )
-    return ErrorInfo(ABSENT, "it is not in the fleet now")
 
 
 async def answers(
@@ -65,8 +56,7 @@ async def answers(
 def _answer(reply: Any) -> Answer:
     if reply.ok is not None:
         attachment = bytes(reply.ok.attachment) if reply.ok.attachment is not None else b""
-        key = str(reply.ok.key_expr)
-        return Answer(keys.board_of(key), key, bytes(reply.ok.payload), attachment)
+        return Answer(keys.board_of(str(reply.ok.key_expr)), bytes(reply.ok.payload), attachment)
     data = bytes(reply.err.payload)
     try:
         error = wire.body(data)
@@ -75,7 +65,7 @@ def _answer(reply: Any) -> Answer:
     if not isinstance(error, ErrorInfo):
         error = ErrorInfo("network", "an error without a reason")
     board, colon, message = error.message.partition(": ")
-    return Answer(board, "", b"", error=ErrorInfo(error.code, message) if colon else error)
+    return Answer(board, error=ErrorInfo(error.code, message) if colon else error)
 
 
 _Body = TypeVar("_Body")
@@ -90,13 +80,3 @@ def said(answer: Answer, kind: type[_Body]) -> _Body | ErrorInfo:
     except CmError as error:
         return ErrorInfo(error.code, str(error))
     return found if isinstance(found, (kind, ErrorInfo)) else ErrorInfo("network", f"no {kind.__name__} came back")
-
-
-def registers(answer: Answer) -> RegValues | ErrorInfo:
-    """Values that were read back, or the refusal."""
-    if answer.error is not None:
-        return answer.error
-    reply = decode_reply([b"", answer.payload])
-    if reply.error is not None:
-        return reply.error
-    return reply.body if isinstance(reply.body, RegValues) else ErrorInfo("network", "no registers came back")

@@ -49,12 +49,15 @@ class Bundles:
         self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         archive = self.folder / f"{bundle.sha256}.tar"
         try:
-            await asyncio.to_thread(fetched, self.session, bundle, archive)
-            try:
-                config, signer = await asyncio.to_thread(self.take, archive)
-            finally:
-                archive.unlink()
+            config, signer = await asyncio.to_thread(self._taken, self.take, bundle, archive)
         except CmError as error:
             have = archive.stat().st_size if archive.exists() else 0
             return BundleState(bundle.sha256, bundle.length, have, error=ErrorInfo(error.code, str(error)))
         return BundleState(bundle.sha256, bundle.length, bundle.length, config, signer)
+
+    def _taken(self, take: Import, bundle: FetchBundle, archive: Path) -> tuple[str, str]:
+        fetched(self.session, bundle, archive)
+        try:
+            return take(archive)
+        finally:
+            archive.unlink()
