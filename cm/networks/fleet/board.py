@@ -176,12 +176,12 @@ class Board:
             return self.state
 
     async def _prepare(self, step: FleetStep, caller: str) -> None:
-        known, claim = self._notes.part, self._view.open
+        known = self._notes.part
         if known is not None:
             if known.change != step.id:
                 raise Busy(f"change {known.change} of {known.caller} is {known.phase} here, and not ended yet")
             return
-        if claim is None or (claim.change, claim.generation) != (step.id, step.generation):
+        if not self._claimed_for(step):
             raise NotNow(f"the store has no change {step.id} open on {self._name}: it came too late")
         if self.place == NOTHING:
             raise NotNow("nothing is loaded on this board, so there would be no way back: load something first")
@@ -255,18 +255,16 @@ class Board:
     def _know(self, entries: dict[str, Entry]) -> None:
         self._entries, self._view = entries, views(entries).get(self._name, View())
 
+    def _claimed_for(self, step: FleetStep) -> bool:
+        claim = self._view.open
+        return claim is not None and (claim.change, claim.generation) == (step.id, step.generation)
+
     def _told_of(self, step: FleetStep) -> bool:
         """Whether it is known that this change is open here, or that it was decided: what was told may be old."""
-        part, claim, wanted = self._notes.part, self._view.open, self._view.wanted
-        if self._store_error:
-            return False
+        part, wanted = self._notes.part, self._view.wanted
         if part is None:
-            return (
-                not self.unsettled
-                and claim is not None
-                and (claim.change, claim.generation) == (step.id, step.generation)
-            )
-        return wanted is not None and wanted.change == part.change == step.id
+            return not self.unsettled and self._claimed_for(step)
+        return not self._store_error and wanted is not None and wanted.change == part.change == step.id
 
     @property
     def listed(self) -> bool:
@@ -310,7 +308,7 @@ class Board:
         seen = await self._manager.where(Seen(part.goal, self._notes.manager) if there else None)
         if there and seen.place == part.goal:
             await self._manager.release(part)
-            self._write(place=seen.place, manager=seen.manager, part=None, reached=part.generation)
+            self._is_at(seen, part=None, reached=part.generation)
             return seen
         changes: dict[str, object] = {}  # where it is now is found out by `_notice`, which knows where it was
         if not kept and part.phase != "prepared" and self._still_ours(part, seen):
@@ -344,15 +342,13 @@ class Board:
         After a restart of the manager nobody can tell an operator from a loss of power: what is wanted counts then.
         """
         notes, wanted = self._notes, self._view.wanted
-        self.place = seen.place
         reached = notes.reached
         if (seen.place, seen.manager) != (notes.place, notes.manager) and wanted is not None:
             by_hand = seen.manager == notes.manager and seen.place != (wanted.config, wanted.mode)
             reached = max(reached, wanted.generation) if by_hand else min(reached, wanted.generation - 1)
         if again and wanted is not None and seen.place != (wanted.config, wanted.mode):
             reached = min(reached, wanted.generation - 1)
-        if (reached, seen.place, seen.manager) != (notes.reached, notes.place, notes.manager):
-            self._write(place=seen.place, manager=seen.manager, reached=reached)
+        self._is_at(seen, reached=reached)
 
     async def _go(self, place: Place, by: str, generation: int) -> None:
         """Go to what is wanted; a failure is told, and tried again later."""
@@ -360,22 +356,23 @@ class Board:
         try:
             if self.place != place:
                 await self._manager.load(place, by)
-            seen = await self._manager.where()
-            self._write(place=seen.place, manager=seen.manager, reached=generation)
-            self.place, self._error, self._pause = seen.place, None, _FIRST
+            self._is_at(await self._manager.where(), reached=generation)
+            self._error, self._pause = None, _FIRST
         except Unsettled:
             raise
         except CmError as error:
             self._error = ErrorInfo(error.code, str(error))
             self._again = self._now() + self._pause
             self._pause = min(2 * self._pause, _LONGEST)
-            seen = await self._manager.where()
-            self._write(place=seen.place, manager=seen.manager)
-            self.place = seen.place
+            self._is_at(await self._manager.where())
         finally:
             self._going = False
 
     # ---- the disk -------------------------------------------------------------------------------
+
+    def _is_at(self, seen: Seen, **changes: object) -> None:
+        self.place = seen.place
+        self._write(place=seen.place, manager=seen.manager, **changes)
 
     def _write(self, **changes: object) -> None:
         notes = replace(self._notes, **changes)  # type: ignore[arg-type]
