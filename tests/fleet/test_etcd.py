@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 import json
 import subprocess
+from collections.abc import AsyncIterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -38,9 +39,10 @@ def test_keys_under_a_lease_go_when_it_is_not_kept() -> None:
 
 
 def test_127_boards_are_changed_at_once_without_an_option_of_etcd() -> None:
-    async def there(board: str, verb: str, step: FleetStep) -> FleetState:
+    async def there(boards: Sequence[str], verb: str, step: FleetStep) -> AsyncIterator[tuple[str, FleetState]]:
         state = {"prepare": "prepared", "apply": "changed"}.get(verb, "there")
-        return FleetState(state, step.generation, config_name="camera", mode="edge")
+        for board in boards:
+            yield board, FleetState(state, step.generation, config_name="camera", mode="edge")
 
     async def run(cluster: Cluster) -> None:
         store = Etcd(cluster)
