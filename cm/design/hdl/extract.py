@@ -51,8 +51,8 @@ class Reading:
     """All modules asked for, and the problems of files that declare none of them.
 
     `outside`: what the modules instantiate, at any depth, that no file declares (known for Verilog only); `files`:
-    by module, its file, those of what it instantiates, and those without a module, such as packages and macros, in
-    order; `twice`: whether several files declare one module.
+    by module, its file, those of what it instantiates, and those of their languages without a module, such as packages
+    and macros, in order; `twice`: whether several files declare one module.
     """
 
     modules: tuple[ModuleInfo, ...]
@@ -113,7 +113,7 @@ class _Files:
         if _ENCRYPTED.search(text):
             what = "parts of this file are encrypted (`protect) and cannot be read: a component.xml describes more"
             self.problems.append(Problem(what, str(path)))
-        if path.suffix.lower() in VHDL_SUFFIXES:
+        if _is_vhdl(path):
             self._vhdl = self._vhdl or VhdlReader()
             entities = self._vhdl.parse(path, text)
             self._register([(entity.name, ()) for entity in entities], Language.VHDL, path)
@@ -159,7 +159,9 @@ class _Files:
         """The files that synthesis of `module` needs."""
         reached = self._reached([module], self._below | self._vhdl_below)[0]
         homes = {path for name, (_, path) in self._found.items() if name.lower() in reached}
-        return tuple(path for path in self._paths if path in homes or path not in self._optional)
+        vhdl = {_is_vhdl(path) for path in homes}
+        shared = {path for path in self._paths if path not in self._optional and _is_vhdl(path) in vhdl}
+        return tuple(path for path in self._paths if path in homes | shared)
 
     def _reached(
         self, modules: Iterable[str], below: Mapping[str, tuple[str, ...]] | None = None
@@ -205,6 +207,10 @@ class _Files:
         self.problems += [error for path, errors in self._errors.items() if path not in asked for error in errors]
         order = {name: number for number, name in enumerate(self._found)}
         return sorted(modules, key=lambda module: order[module.name])
+
+
+def _is_vhdl(path: Path) -> bool:
+    return path.suffix.lower() in VHDL_SUFFIXES
 
 
 def _few(names: Iterable[object]) -> str:

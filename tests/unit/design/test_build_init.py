@@ -71,6 +71,25 @@ def test_files_of_packages_and_macros_go_with_every_module(tmp_path: Path) -> No
     assert main(["build", "check", str(schema)]) == 0
 
 
+def test_a_package_of_one_language_is_no_source_of_a_module_in_the_other(tmp_path: Path) -> None:
+    """`cm serve --sim=rtl` refuses modules that are in both."""
+    ports = "clk: in std_logic; m_axis_tdata: out std_logic_vector(31 downto 0); m_axis_tvalid: out std_logic;"
+    ports += " m_axis_tready: in std_logic; m_axis_tlast: out std_logic"
+    files = {
+        "sizes.sv": "package sizes;\n    localparam int HIGH = 31;\nendpackage\n",
+        "words.vhd": "package words is\n    constant HIGH: integer := 31;\nend package;\n",
+        "one.v": STREAM_MODULE.format(name="one", high=31),
+        "two.vhd": f"library ieee; use ieee.std_logic_1164.all;\nentity two is port ({ports}); end entity;\n"
+        "architecture rtl of two is begin end architecture;\n",
+    }
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    schema = tmp_path / "build.yaml"
+    assert main(["build", "init", *(str(tmp_path / name) for name in files), "-o", str(schema)]) == 0
+    sources = {name: [path.name for path in module.sources] for name, module in load_project(schema).modules.items()}
+    assert sources == {"one": ["sizes.sv", "one.v"], "two": ["words.vhd", "two.vhd"]}
+
+
 def test_the_board_that_is_proposed_has_the_part(tmp_path: Path) -> None:
     schema = tmp_path / "build.yaml"
     assert main(["build", "init", *map(str, CAMERA), "-o", str(schema), "--part", "xck26-sfvc784-2LV-c"]) == 0
