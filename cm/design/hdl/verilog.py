@@ -27,12 +27,14 @@ _NUMBER = re.compile(r"[-+~(\d'].*", re.DOTALL)
 _HINTS = {
     "DiagCode(CouldNotOpenIncludeFile)": ": name its folder (include_dirs:, or -I)",
     "DiagCode(UnknownDirective)": ": define it (defines:, or -D), or give the file that does before this one",
+    "DiagCode(AssignmentRequiresParens)": ": == compares",
 }
-# errors inside a module that stop synthesis, with Vivado's numbers
+# errors inside a module that stop synthesis, with Vivado's numbers where they are known
 _SEMANTIC = {
     "DiagCode(PortDoesNotExist)": "Synth 8-448",
     "DiagCode(UndeclaredIdentifier)": "Synth 8-1031",
     "DiagCode(ImplicitNetPortNoDefault)": "Synth 8-6735",
+    "DiagCode(AssignmentRequiresParens)": "",  # `=` for `==`: the grammar of IEEE 1800 has it in parentheses only
 }
 _COMMENTS = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
 _NETTYPE = re.compile(r"`default_nettype\s+(\w+)")
@@ -196,7 +198,8 @@ class VerilogReader:
             name = names.get(str(Path(said).resolve()))
             if name is not None:  # not of modules that are unused
                 line = self._sources.getLineNumber(diagnostic.location)
-                problems[Problem(f"{self._message(diagnostic)} [{number}]", name, line, breaks=True)] = None
+                message = self._message(diagnostic) + (f" [{number}]" if number else "")
+                problems[Problem(message, name, line, breaks=True)] = None
         return tuple(problems)
 
     def elaborate(self, name: str, parameters: Mapping[str, str]) -> Any:

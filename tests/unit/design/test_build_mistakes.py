@@ -167,6 +167,10 @@ def test_the_error_for_an_empty_schema_says_how_to_begin(tmp_path: Path, capsys:
         (ONE.replace("clk,", "clk"), "problem: one.v:2: expected ','"),
         ('`include "defs.vh"\n' + ONE, "one.v:1: 'defs.vh': No such file or directory: name its folder (include_dirs:"),
         (ONE.replace("[31:0]", "[`W-1:0]"), "one.v:4: unknown macro or compiler directive '`W': define it (defines:, "),
+        (
+            ONE.replace("endmodule", "reg r; always @(posedge clk) if (r = 1) r <= 0;\nendmodule"),
+            "assignment expressions must be parenthesized: == compares\n",
+        ),
         ("// nothing\n", "build.yaml:12:9: modules.one.sources: no module and no entity in one.v"),
         ("entity one is\nend;\n", "build.yaml:12:9: modules.one.sources: no module and no entity in one.v: one.v:1: "),
         (
