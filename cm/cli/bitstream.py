@@ -187,7 +187,8 @@ def run_inspect(args: argparse.Namespace) -> int:
     sound = True
     for path in args.files:
         try:
-            report = inspect(path)
+            with naming(path):
+                report = inspect(path)
         except (CmError, OSError) as error:
             sound = False
             code, message = code_and_sentence(error)

@@ -15,7 +15,7 @@ from types import MappingProxyType
 from typing import IO, Any, TypeVar
 
 from cm.cli.colours import painted
-from cm.errors import InvalidRequest
+from cm.errors import CmError, InvalidRequest
 
 _T = TypeVar("_T")
 Run = Callable[[argparse.Namespace], int]  # a command; returns the exit status
@@ -158,8 +158,9 @@ def naming(file: Path | str) -> Iterator[None]:
 
 
 def named(error: OSError, file: Path | str) -> OSError:
-    """The same error, about `file`."""
-    error.filename = str(file)
+    """The same error, about `file`; one of ours says enough."""
+    if not isinstance(error, CmError):
+        error.filename = str(file)
     return error
 
 

@@ -61,6 +61,15 @@ class Parser(argparse.ArgumentParser):
     def _known(self, args: list[str], namespace: Any) -> tuple[Any, list[str]]:
         return super().parse_known_args(args, namespace)
 
+    def _get_value(self, action: argparse.Action, arg_string: str) -> Any:
+        """Refuse an empty word, as of an unset variable, for a file: `Path` takes it for the current folder."""
+        if not arg_string:
+            from pathlib import Path
+
+            if action.type is Path:
+                raise argparse.ArgumentError(action, "'' is no path")
+        return super()._get_value(action, arg_string)
+
     def error(self, message: str) -> NoReturn:
         """Where an argument is missing, an option that there is none of is what went wrong."""
         if message.startswith("the following arguments are required"):

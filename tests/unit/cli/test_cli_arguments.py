@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from cm.cli.main import main
@@ -45,3 +47,15 @@ def test_what_cannot_be_meant_is_wrong_usage(
         main(words.split())
     assert end.value.code == 2
     assert why in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [["keygen"], ["config", "check"], ["status", "--runtime-dir"], ["build", "check"]])
+def test_an_unset_variable_does_not_stand_for_the_current_folder(
+    words: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as end:
+        main([*words, ""])
+    assert end.value.code == 2
+    assert "'' is no path" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

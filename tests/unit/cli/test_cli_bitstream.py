@@ -72,15 +72,16 @@ def test_inspect_of_something_else_names_the_file(tmp_path: Path, capsys: pytest
 def test_inspect_goes_on_behind_files_that_cannot_be_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     absent, notes, good = tmp_path / "absent.bit", tmp_path / "notes.txt", module(tmp_path, "edge")
     notes.write_text("no bitstream")
-    files = [str(path) for path in (absent, notes, good)]
+    memory = Path("/proc/self/mem")  # which is opened, and cannot be read at its beginning
+    files = [str(path) for path in (absent, notes, memory, good)]
     assert main(["bitstream", "inspect", *files]) == 1
     said = capsys.readouterr()
-    assert [line.split(": ")[1] for line in said.err.splitlines()] == files[:2]
+    assert [line.split(": ")[1] for line in said.err.splitlines()] == files[:3]
     assert said.out.startswith(f"{good}: bit, partial")
     assert main(["bitstream", "inspect", "--json", *files]) == 1
     found = json.loads(capsys.readouterr().out)
     assert [each["path"] for each in found] == files
-    assert [each.get("error", {}).get("code") for each in found] == ["io", "no_sync", None]
+    assert [each.get("error", {}).get("code") for each in found] == ["io", "no_sync", "io", None]
 
 
 def test_verify_takes_a_module_that_fits(tmp_path: Path) -> None:
