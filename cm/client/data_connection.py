@@ -135,6 +135,10 @@ class DataConnection:
         """As `receive`, but never waits. Raises BlockingIOError if nothing is there."""
         return self.receive(_DONTWAIT)
 
+    def waiting(self) -> bool:
+        """Whether a packet is there, or the end of the connection."""
+        return bool(self._readable.poll(0))
+
     def _await_packet(self, seconds: float) -> None:
         if not self._readable.poll(math.ceil(seconds * 1000)):
             raise BlockingIOError(errno.EAGAIN, f"no packet within {seconds:g} s")

@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -75,13 +75,28 @@ class Writer:
         self._collect()
         return True
 
-    @contextmanager
-    def slot(self, length: int = 0, timeout: Limit = DEFAULT) -> Iterator[npt.NDArray[Any]]:
+    def catch_up(self) -> None:
+        """Process what has come: a change of mode takes all slots back, and what is sent in them then goes nowhere."""
+        self._check()
+        try:
+            while self._connection.waiting():
+                self.poll()
+        except _BROKEN:
+            self._check()
+            raise
+
+    def slot(self, length: int = 0, timeout: Limit = DEFAULT) -> AbstractContextManager[npt.NDArray[Any]]:
         """A free slot as an array to fill; it is sent when the block ends, unless the block raises.
 
         `length` bytes of it, as flat uint8; a whole frame in the stream's shape if 0. Waits for a slot.
         Raises Timeout, TransferFailed of an earlier frame.
         """
+        self.catch_up()
+        return self.lend(length, timeout)
+
+    @contextmanager
+    def lend(self, length: int = 0, timeout: Limit = DEFAULT) -> Iterator[npt.NDArray[Any]]:
+        """As `slot`, for those who have just caught up."""
         try:
             grant, memory = self._borrow(timeout)
             array = memory.slot_array(grant.slot, length)
@@ -107,6 +122,11 @@ class Writer:
 
         An array (rows, columns, 3) for a stream with a `format` is RGB; all else is sent as it is.
         """
+        self.catch_up()
+        self.send(data, timeout)
+
+    def send(self, data: npt.ArrayLike, timeout: Limit = DEFAULT) -> None:
+        """As `write`, for those who have just caught up."""
         plain = isinstance(data, (bytes, bytearray, memoryview))
         array = np.frombuffer(data, np.uint8) if plain else np.asarray(data)  # type: ignore[arg-type]
         geometry = self.geometry
@@ -117,7 +137,7 @@ class Writer:
                 f"stream {self.name!r} takes frames of {geometry.frame_length} bytes; this one has {array.nbytes}"
             )
         length = 0 if geometry is not None and geometry.frame_length else array.nbytes
-        with self.slot(length, timeout) as slot:
+        with self.lend(length, timeout) as slot:
             slot[...] = self._fitted(array, slot, as_bytes=bool(length) or array.dtype == np.uint8)
 
     def _fitted(self, array: npt.NDArray[Any], slot: npt.NDArray[Any], as_bytes: bool) -> npt.NDArray[Any]:

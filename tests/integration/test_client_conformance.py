@@ -577,6 +577,20 @@ def test_slots_are_borrowed_filled_and_sent(board: Any, reach: tuple[str, dict[s
         assert echo.round_trip() is not None
 
 
+def test_a_writer_goes_on_in_the_next_mode_and_loses_nothing(board: Any, reach: tuple[str, dict[str, Any]]) -> None:
+    if "endpoint" in reach[1]:
+        return  # has no writers
+    board.set_mode("loopback")
+    with board.stream("from_pl", timeout=60) as frames, board.writer("to_pl", timeout=60) as sender:
+        for mode in ("loopback_edge", "loopback"):
+            board.set_mode(mode)  # its slots are others now
+            sender.write(PICTURE)
+            assert frames.read().info.mode == mode
+            with sender.slot() as slot:
+                slot[...] = PICTURE
+            assert frames.read().info.mode == mode
+
+
 def test_memory_for_the_pl_is_an_array_with_an_address(board: Any, reach: tuple[str, dict[str, Any]]) -> None:
     if "endpoint" in reach[1]:
         with pytest.raises(InvalidRequest, match="only its own machine has"):
@@ -780,7 +794,7 @@ ONLY = {  # for mappings, for event loops, and for what a thread has to do itsel
     "Memories": {"get", "items", "keys", "values"},
     "EventStream": {"open"},
     "Stream": {"aclose"},
-    "Writer": {"poll", "fileno", "open"},
+    "Writer": {"poll", "fileno", "open", "catch_up", "lend", "send"},
 }
 
 

@@ -75,14 +75,14 @@ class AsyncWriter:
         """A free slot as an array to fill; it is sent when the block ends."""
         writer = self._entered()
         await self._until(lambda: writer.free > 0, timeout)
-        with writer.slot(length) as array:
+        with writer.lend(length) as array:
             yield array
 
     async def write(self, data: npt.ArrayLike, timeout: Limit = DEFAULT) -> None:
         """Copy a frame into a slot and send it. Raises as `slot` does."""
         writer = self._entered()
         await self._until(lambda: writer.free > 0, timeout)
-        writer.write(data)
+        writer.send(data)
 
     @property
     def under_way(self) -> int:
@@ -113,6 +113,7 @@ class AsyncWriter:
 
     async def _until(self, ready: Callable[[], bool], timeout: Limit) -> None:
         writer, limit = self._entered(), seconds(timeout, self._timeout)
+        writer.catch_up()
 
         async def wait() -> None:
             while not ready():
