@@ -35,13 +35,13 @@ architecture a of one is begin
   core : entity filters.core port map (aclk => aclk);
 end architecture;
 """
-KERNELS = "package kernels is\n  constant TAPS : integer := 3;\nend package;\n"
+KERNELS = "-- écrit en Latin-1\npackage kernels is\n  constant TAPS : integer := 3;\nend package;\n"
 CORE = "entity core is port (aclk : in bit); end entity;\narchitecture a of core is begin end architecture;\n"
 
 
 def vhdl_project(folder: Path, libraries: str) -> Path:
     for name, text in (("one", ENTITY), ("kernels", KERNELS), ("core", CORE)):
-        (folder / f"{name}.vhd").write_text(text)
+        (folder / f"{name}.vhd").write_text(text, encoding="latin-1")
     return project(folder, MINIMAL.replace("sources: [one.v]", f"sources: [one.vhd]\n    libraries: {libraries}"))
 
 

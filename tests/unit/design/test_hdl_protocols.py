@@ -40,9 +40,9 @@ def test_binding_names_every_port_and_the_clock() -> None:
 
 
 def test_binding_to_a_port_that_is_not_there_is_fatal(tmp_path: Path) -> None:
-    found = ports(tmp_path, "input clk", protocols=parse_protocols(PIXELS + _binding("m", "nope")))
+    found = ports(tmp_path, "input clk", protocols=parse_protocols(PIXELS + _binding("m", "nope"), "p.yaml"))
     assert not found.usable
-    assert "module m has no port nope" in found.problems[0].message
+    assert found.problems[0].message == "p.yaml:6:9: x: module m has no port nope"
     assert (found.problems[0].file, found.problems[0].line) == (found.file, found.line)
 
 

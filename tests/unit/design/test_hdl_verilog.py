@@ -127,6 +127,23 @@ def test_malformed_attribute_is_reported_and_names_still_count(tmp_path: Path) -
     assert any("X_INTERFACE_INFO is not" in str(problem) for problem in found.problems)
 
 
+def test_modules_inside_generate_constructs_are_instantiated(tmp_path: Path) -> None:
+    found = module(
+        tmp_path,
+        """
+        module m #(parameter N = 1) (input clk);
+          plain a (clk);
+          generate
+            if (N == 1) one b (clk); else if (N == 2) begin : two_ two c (clk); end else other d (clk);
+            case (N) 1: first e (clk); default: rest f (clk); endcase
+            for (genvar k = 0; k < N; k = k + 1) begin : each lane g (clk); end
+          endgenerate
+        endmodule
+        """,
+    )
+    assert found.instantiates == ("plain", "one", "two", "other", "first", "rest", "lane")
+
+
 @pytest.mark.parametrize("name", ["do", "bit", "final", "logic", "priority"])
 def test_systemverilog_keywords_are_names_in_verilog_files(tmp_path: Path, name: str) -> None:
     found = ports(tmp_path, f"input {name}; output [3:0] q")

@@ -74,6 +74,13 @@ def test_directions_buffers_and_defaults_are_read(tmp_path: Path) -> None:
     ]
 
 
+def test_an_attribute_may_be_of_several_signals_and_its_value_in_pieces(tmp_path: Path) -> None:
+    said = 'attribute X_INTERFACE_PARAMETER of a_clk, B_CLK : signal is "FREQ_HZ " & "100";'
+    (tmp_path / "e.vhd").write_text(f"entity e is port (a_clk, b_clk : in bit);\n{said}\nend entity;\n")
+    (found,) = extract([tmp_path / "e.vhd"])
+    assert [(clock.port, clock.frequency_hz) for clock in found.clocks] == [("a_clk", 100), ("b_clk", 100)]
+
+
 def test_line_of_a_port_is_that_of_the_source(tmp_path: Path) -> None:
     found = entity(tmp_path, "a : in bit;\n b : in bit", before="-- first\n-- second")
     assert [port.line for port in found.ports] == [5, 6]
