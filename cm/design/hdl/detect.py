@@ -219,7 +219,7 @@ class _Detection:
     def _clocks(self) -> list[ModuleClock]:
         found, stated = [port for port in self._unrejected() if is_clock(port)], vivado_attributes.parameters
         self._take(port.name for port in found)
-        return [vivado_attributes.clock_of(port.name, port, stated(port), FoundBy.NAME) for port in found]
+        return [vivado_attributes.clock_of(port.name, port, stated(port)) for port in found]
 
     def _resets(self) -> list[Reset]:
         found = [port for port in self._unrejected() if is_reset(port)]

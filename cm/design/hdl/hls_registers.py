@@ -131,7 +131,7 @@ def _register(name: str, offset: int, title: str, parts: list[re.Match[str]]) ->
     readable, writable = any(one[0] for one in said), any(one[1] for one in said)
     access = Access.RO if readable and not writable else Access.WO if writable and not readable else Access.RW
     changing = name in _VOLATILE or any(one[2] for one in said) or access is Access.RO
-    single = len(parts) <= 1 and _SLICE.match(parts[0][3] if parts else "a[0]")
+    single = len(parts) == 1 and _SLICE.match(parts[0][3])
     fields = {} if single else dict(_fields(parts, whole[1] if whole else ""))
     plain = "" if _OF.match(title) else re.sub(r"\s*\([^()]*\)\s*$", "", title)
     doc = "; ".join(filter(None, (plain, _said(whole[1])[2] if whole else "")))

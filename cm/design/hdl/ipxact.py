@@ -130,13 +130,13 @@ class _Component:
             found = self._ports.get(port, Port(port, PortDirection.UNKNOWN, None))
             name, stated = text_of(bus, "name"), _bus_parameters(bus)
             if _signal(bus) == "clock":
-                clock = clock_of(name, found, stated, FoundBy.IPXACT)
+                clock = clock_of(name, found, stated)
                 clocks.append(replace(clock, reset=next(iter(clock.resets), None)))
             elif _signal(bus) == "reset":
-                resets.append(Reset(name, port, polarity_of(stated), found.direction, FoundBy.IPXACT))
+                resets.append(Reset(name, port, polarity_of(stated), found.direction))
             else:
                 sense = stated.get("SENSITIVITY", "")
-                irqs.append(Interrupt(name, port, _mode(bus), found.width, sense, FoundBy.IPXACT))
+                irqs.append(Interrupt(name, port, _mode(bus), found.width, sense))
         done = associate(interfaces, clocks, resets, self._file)
         used = {port for interface in interfaces for port in interface.ports.values()}
         used |= {clock.port for clock in clocks} | {reset.port for reset in resets} | {irq.port for irq in irqs}

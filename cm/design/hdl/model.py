@@ -153,7 +153,6 @@ class ModuleClock:
     frequency_hz: int | None = None
     interfaces: tuple[str, ...] = ()
     reset: str | None = None  # port of the associated reset
-    found_by: FoundBy = FoundBy.NAME
     resets: tuple[str, ...] = ()  # ports that an attribute associates
 
 
@@ -168,7 +167,6 @@ class Reset:
     port: str
     polarity: Polarity | None = None
     direction: PortDirection = PortDirection.IN
-    found_by: FoundBy = FoundBy.NAME
     clock: str | None = None
     why: str = ""
     may_be: tuple[str, ...] = ()
@@ -196,7 +194,6 @@ class Interrupt:
     mode: Mode = Mode.MASTER
     width: int | None = 1
     sensitivity: str = ""
-    found_by: FoundBy = FoundBy.NAME
 
 
 @dataclass(frozen=True, slots=True)

@@ -59,7 +59,7 @@ def names(parameters: Mapping[str, str], key: str) -> tuple[str, ...]:
     return tuple(name for name in parameters.get(key, "").split(":") if name)
 
 
-def clock_of(name: str, port: Port, stated: Mapping[str, str], found_by: FoundBy) -> ModuleClock:
+def clock_of(name: str, port: Port, stated: Mapping[str, str]) -> ModuleClock:
     """A clock with what its parameters say of it."""
     frequency = stated.get("FREQ_HZ", "")
     return ModuleClock(
@@ -69,7 +69,6 @@ def clock_of(name: str, port: Port, stated: Mapping[str, str], found_by: FoundBy
         int(frequency) if frequency.isdigit() else None,
         names(stated, "ASSOCIATED_BUSIF"),
         None,
-        found_by,
         names(stated, "ASSOCIATED_RESET"),
     )
 
@@ -145,14 +144,14 @@ def read_tags(ports: Iterable[Port], protocols: Mapping[str, Protocol]) -> Tagge
 def _signal(kind: str, name: str, port: Port, result: Tagged) -> None:
     stated = parameters(port)
     if kind == "clock":
-        result.clocks.append(clock_of(name, port, stated, FoundBy.ATTRIBUTE))
+        result.clocks.append(clock_of(name, port, stated))
     elif kind == "reset":
         polarity = polarity_of(stated) or reset_polarity(port.name)
-        result.resets.append(Reset(name, port.name, polarity, port.direction, FoundBy.ATTRIBUTE))
+        result.resets.append(Reset(name, port.name, polarity, port.direction))
     else:
         mode = Mode.MASTER if port.direction is PortDirection.OUT else Mode.SLAVE
         sense = stated.get("SENSITIVITY", "")
-        result.interrupts.append(Interrupt(name, port.name, mode, port.width, sense, FoundBy.ATTRIBUTE))
+        result.interrupts.append(Interrupt(name, port.name, mode, port.width, sense))
 
 
 def _bus(vlnv: str, bus: str, ports: dict[str, Port], protocols: Mapping[str, Protocol], result: Tagged) -> None:

@@ -216,6 +216,13 @@ def test_vhdl_of_a_component_is_in_the_library_that_it_names(library: str, named
     assert found.include_dirs == [tmp_path / "hdl"]
 
 
+def test_a_component_that_needs_other_ip_says_what_to_give_instead(tmp_path: Path) -> None:
+    other = '<spirit:componentRef spirit:vendor="xilinx.com" spirit:name="fifo_generator"/></spirit:fileSet>'
+    (tmp_path / "component.xml").write_text(COMPONENT.replace("</spirit:fileSet>", other, 1))
+    with pytest.raises(HdlError, match=r"component\.xml: needs other IP \(fifo_generator\): make an instance of it in"):
+        component_files(tmp_path / "component.xml")
+
+
 def test_init_takes_a_component_with_the_files_of_its_synthesis(tmp_path: Path) -> None:
     (tmp_path / "ip/hdl").mkdir(parents=True)
     (tmp_path / "ip/component.xml").write_text(COMPONENT)

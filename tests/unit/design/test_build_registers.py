@@ -125,7 +125,7 @@ addrmap filter {
 def test_ip_xact(tmp_path: Path) -> None:
     (tmp_path / "component.xml").write_text(IPXACT)
     found = read_register_map(tmp_path / "component.xml", "any")["status_word"]
-    assert (found.offset, found.width, found.access, found.reset) == (0x108, 32, Access.RO, 5)
+    assert (found.base_address, found.offset, found.width, found.access, found.reset) == (0, 0x108, 32, Access.RO, 5)
     assert (found.fields["done"].lsb, found.fields["done"].width) == (3, 2)
     assert found.doc == "What happened"
 

@@ -13,7 +13,8 @@ from cm.cli.main import main
 from cm.design.boundary.analyse import analyse
 from cm.design.generate.outputs import render_all
 from cm.design.generate.tree import load_design
-from cm.design.hdl.ipxact import load_component_xml
+from cm.design.hdl.errors import HdlError
+from cm.design.hdl.ipxact import load_component_xml, load_xci
 from cm.design.hdl.model import Polarity
 from cm.design.project.load import load_project
 from cm.design.runtime.answers import Answers
@@ -168,6 +169,22 @@ def test_an_ip_instance_without_ports_says_how_to_provide_them(tmp_path: Path) -
     path = project(tmp_path, MINIMAL.replace("sources: [one.v]", "ip: [old.xci]"))
     with pytest.raises(SchemaError, match=r"give component: \(IP-XACT\) or sim_sources"):
         load_design(path)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["<spirit:design/>", "[]", "{}", XCI.replace("json_instance", "xml_instance"), XCI.replace('"ports"', '"pins"')],
+)
+def test_an_instance_that_lists_no_ports_says_why_that_may_be(text: str, tmp_path: Path) -> None:
+    (tmp_path / "old.xci").write_text(text)
+    with pytest.raises(HdlError) as refused:
+        load_xci(tmp_path / "old.xci")
+    assert str(refused.value) == (
+        f"{tmp_path / 'old.xci'}: has no list of ports (it is of a Vivado before 2020.2, or its output products were "
+        "never generated): give component: or sim_sources:"
+    )
+    with pytest.raises(HdlError, match=r"none\.xci: cannot be read: No such file or directory$"):
+        load_xci(tmp_path / "none.xci")
 
 
 COMPONENT = """\

@@ -120,6 +120,21 @@ def test_the_mode_of_an_unknown_protocol_is_guessed_by_name_then_by_direction(
     assert f": {mode.value}; state it with X_INTERFACE_MODE" in problem.message
 
 
+def test_ports_of_the_other_direction_are_not_of_the_attributes_bus(tmp_path: Path) -> None:
+    info = '(* X_INTERFACE_INFO = "xilinx.com:interface:axis:1.0 video TVALID" *)'
+    text = f"output [7:0] s_axis_tdata; {info} input s_axis_tvalid; output s_axis_tready; input clk"
+    assert [(i.name, set(i.ports)) for i in ports(tmp_path, text).interfaces] == [("video", {"TVALID"})]
+
+
+def test_an_associated_reset_is_its_buses_whatever_others_are_called(tmp_path: Path) -> None:
+    said = '(* X_INTERFACE_PARAMETER = "ASSOCIATED_RESET nothing:init_rst" *) input s_axis_aclk'
+    found = ports(tmp_path, f"{stream('s_axis_', 'slave')}; {said}; input s_axis_aresetn; input init_rst")
+    assert [(i.clock, i.reset, i.reset_polarity) for i in found.interfaces] == [
+        ("s_axis_aclk", "init_rst", Polarity.HIGH)
+    ]
+    assert [(clock.reset, clock.resets) for clock in found.clocks] == [("init_rst", ("init_rst",))]
+
+
 def test_malformed_attribute_is_reported_and_names_still_count(tmp_path: Path) -> None:
     text = '(* X_INTERFACE_INFO = "axis s TDATA" *) input [7:0] s_tdata; input s_tvalid; output s_tready; input clk'
     found = ports(tmp_path, text)
