@@ -30,7 +30,7 @@ class Clocks:
 
 
 def make_clocks(modules: Sequence[ModuleInfo]) -> Clocks:
-    """One clock `aclk` if no module has more than one; otherwise by name, or the only choice."""
+    """One clock `aclk` if no module has more than one; otherwise by name."""
     inputs = {m.name: [c.port for c in m.clocks if c.direction is IN] for m in modules}
     result = Clocks()
     if all(len(ports) <= 1 for ports in inputs.values()):
@@ -39,18 +39,15 @@ def make_clocks(modules: Sequence[ModuleInfo]) -> Clocks:
         return result
     for name, ports in sorted(inputs.items(), key=lambda item: -len(item[1])):
         for port in ports:
-            result.of[name, port] = _clock(port, ports, name, result)
+            result.of[name, port] = _clock(port, name, result)
     return result
 
 
-def _clock(port: str, ports: Sequence[str], module: str, result: Clocks) -> str:
+def _clock(port: str, module: str, result: Clocks) -> str:
     taken = [clock for (owner, _), clock in result.of.items() if owner == module]
     name = identifier(port)
-    free = [clock for clock in result.names if clock not in taken]
-    if name in free:
+    if name in result.names and name not in taken:
         return name
-    if len(ports) == 1 and len(free) == 1:
-        return free[0]
     name = unique(name, result.names)
     result.names.append(name)
     return name

@@ -13,7 +13,7 @@ from hdl_support import extract, lite, stream
 
 from cm.design.boundary import make as making
 from cm.design.boundary.model import Adaptation, Boundary, Connection, Fit, Role
-from cm.design.hdl.model import ModuleInfo, Polarity
+from cm.design.hdl.model import FoundBy, Mode, ModuleInfo, Polarity
 from cm.design.hdl.protocols import parse_protocols
 
 CLOCKED = "input aclk; input aresetn; "
@@ -60,6 +60,14 @@ def test_equal_modules_connect_straight(make) -> None:
     assert all(c.fit is Fit.CONNECT for a in result.adaptations for c in a.connections)
     assert result.interfaces[0].ports["AWADDR"] == "s_axi_awaddr"
     assert {(i.clock, i.reset, i.reset_polarity) for i in result.interfaces} == {("aclk", "aresetn", Polarity.LOW)}
+    assert dict(result.interfaces[1].widths) == {"TDATA": 8, "TVALID": 1, "TREADY": 1}
+    assert [(i.protocol, i.mode, i.vlnv, i.found_by) for i in result.interfaces[:2]] == [
+        ("axi4lite", Mode.SLAVE, "xilinx.com:interface:aximm:1.0", FoundBy.NAME),
+        ("axis", Mode.SLAVE, "xilinx.com:interface:axis:1.0", FoundBy.NAME),
+    ]
+    assert [(p.logical, p.direction.value, p.idle) for p in result.ports if p.interface == "m_axis"] == [
+        ("TDATA", "out", 0), ("TVALID", "out", 0), ("TREADY", "in", 1),
+    ]  # fmt: skip
 
 
 def test_every_boundary_port_is_connected_once_and_every_module_port_too(make) -> None:
@@ -80,9 +88,12 @@ def test_module_without_an_interface_has_its_outputs_tied_idle(make) -> None:
     assert (at(adaptation, "m_axis_tvalid").fit, at(adaptation, "m_axis_tvalid").value) == (Fit.TIE, 0)
     assert (at(adaptation, "s_axis_tready").fit, at(adaptation, "s_axis_tready").value) == (Fit.TIE, 1)
     assert at(adaptation, "s_axis_tdata").fit is Fit.OPEN
-    assert not any("answers accesses with an error" in note for note in adaptation.notes)
+    assert adaptation.notes == (
+        "has no s_axis: data sent there is dropped, so that the sender does not hang",
+        "has no m_axis: it stays idle",
+    )
     notes = boundary([bare, make("three", "input clk")]).adaptation("three").notes
-    assert any("answers accesses with an error" in note for note in notes)
+    assert notes == ("has no s_axi: the generated wrapper answers accesses with an error, so that none hangs the bus",)
 
 
 def test_only_interface_of_a_kind_is_paired_whatever_its_name(make) -> None:
@@ -163,6 +174,9 @@ def test_sideband_takes_the_widest_width(make, mode: str) -> None:
     assert (widths(result)["s_tuser"], widths(result)["s_tid"]) == (4, 8)
     expected = Fit.TRUNCATE if mode == "slave" else Fit.EXTEND
     assert at(result.adaptation("narrow"), "s_tuser").fit is expected
+    said = "are read, the rest is dropped" if mode == "slave" else "are driven, the rest is 0"
+    assert set(result.adaptation("narrow").notes) == {f"s.TUSER: 1 of 4 bits {said}", f"s.TID: 2 of 8 bits {said}"}
+    assert result.adaptation("wide").notes == ()
 
 
 def test_missing_sideband_and_keep_are_tied_as_the_standard_says(make) -> None:
@@ -184,6 +198,7 @@ def test_slave_gives_back_every_bit_of_an_id(make) -> None:
     assert result.ok
     assert widths(result)["x_awid"] == 2
     wide = result.adaptation("wide")
+    assert wide.notes == ()
     assert (at(wide, "x_awid").fit, at(wide, "x_bid").fit) == (Fit.EXTEND, Fit.TRUNCATE)
 
 
@@ -193,6 +208,9 @@ def test_slave_without_ids_takes_them_from_the_boundary(make) -> None:
     assert "x_awid" not in widths(result)
     loose = {c.module: c.fit for c in result.adaptation("with_ids").connections if not c.boundary}
     assert loose == {"x_awid": Fit.TIE, "x_bid": Fit.OPEN, "x_arid": Fit.TIE, "x_rid": Fit.OPEN}
+    assert result.adaptation("with_ids").notes == tuple(
+        f"x.{name} is 0: another module of the region has none" for name in ("AWID", "ARID")
+    )
 
 
 def test_masters_ids_are_as_wide_as_the_widest(make) -> None:
@@ -228,6 +246,48 @@ def test_two_clocks_keep_their_names_and_their_resets(make) -> None:
     assert result.ok
     assert [(i.clock, i.reset) for i in result.interfaces] == [("s_clk", "s_clk_resetn"), ("m_clk", "m_clk_resetn")]
     assert at(result.adaptation("fifo"), "m_clk_resetn").module == "m_rst"
+
+
+def test_clocks_meet_by_name_where_a_module_has_several(make) -> None:
+    modules = [
+        make("one", "input z_clk; input z_rst"),
+        make("two", "input s_clk; input m_clk"),
+        make("three", "input M_CLK"),
+    ]
+    result = boundary(modules)
+    assert [port.name for port in result.ports if port.role is Role.CLOCK] == ["s_clk", "m_clk", "z_clk"]
+    assert {a.module: {c.boundary: c.module for c in a.connections if c.module} for a in result.adaptations} == {
+        "one": {"z_clk": "z_clk", "z_clk_resetn": "z_rst"},
+        "two": {"s_clk": "s_clk", "m_clk": "m_clk"},
+        "three": {"m_clk": "M_CLK"},
+    }
+    assert result.ok
+
+
+UNKNOWN = "the clock of s is not known: write clocks: {{{}: {{interfaces: [s]}}}} under the module, with the right one"
+
+
+@pytest.mark.parametrize(
+    ("declarations", "said"),
+    [
+        (stream("s_", "slave") + "input one_clk; input two_clk", UNKNOWN.format("one_clk")),
+        (stream("s_", "slave"), UNKNOWN.format("CLOCK")),
+        ('input clk; (* X_INTERFACE_INFO = "xilinx.com:signal:clock:1.0 pix CLK" *) output pix_clk',
+         "pix_clk is a clock that the module drives: clocks do not cross a region's boundary outwards"),
+        ("input rst", "the reset rst belongs to no clock: the region has none"),
+    ],
+)  # fmt: skip
+def test_a_module_that_fits_no_boundary_says_why(make, declarations: str, said: str) -> None:
+    assert said in boundary([make("one", declarations)]).adaptation("one").refused
+
+
+def test_a_signal_called_as_a_port_of_a_bus_gets_another_name(make) -> None:
+    one = make("one", CLOCKED + stream("s_axis_", "slave") + "output [3:0] _leds_; output aresetn_")
+    two = make("two", "input clk; output [1:0] LEDS")
+    result = boundary([one, two])
+    assert {p.name: p.width for p in result.ports if p.role is Role.SIGNAL} == {"leds": 4, "aresetn_signal": 1}
+    assert "LEDS: 2 of 4 bits are driven, the rest is 0" in result.adaptation("two").notes
+    assert (at(result.adaptation("two"), "aresetn_signal").fit, result.ok) == (Fit.TIE, True)
 
 
 def test_single_interrupts_share_a_line_and_several_keep_names(make) -> None:
