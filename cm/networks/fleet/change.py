@@ -153,9 +153,9 @@ class Coordinator:
             try:
                 await self._open(opening)
                 there = await self._there()
-            except (
-                BaseException
-            ):  # cancelled, before anything was decided: the boards need not wait for the lease's end
+            except StoreAway:  # nor would it hear that the lease is to end
+                raise
+            except BaseException:  # cancelled before anything was decided: boards need not wait for the lease's end
                 await self._revoke(opening.lease)
                 raise
             await self._decide(opening.lease, there)
