@@ -68,15 +68,10 @@ class Fleet:
     """Many boards. Groups of them are given by name, glob (``line1-*``) or label (``@camera``); by default all."""
 
     def __init__(self, network: Network, caller: str, timeout: float) -> None:
-        self._caller = keys.check(caller, "caller")
+        self.caller = keys.check(caller, "caller")  # requests are made under it: managers know it as zenoh:<name>
         self.timeout = timeout
         self._network = network
         self.session: Any = None
-
-    @property
-    def caller(self) -> str:
-        """The name under which requests are made: each board's manager knows it as its guest ``zenoh:<name>``."""
-        return self._caller
 
     async def __aenter__(self) -> Fleet:
         self.session = await asyncio.to_thread(session, self._network)
@@ -114,7 +109,7 @@ class Fleet:
 
         Raises StoreAway.
         """
-        return _listed(await self._store.get(BOARDS))
+        return _listed(views(await self._store.get(BOARDS)))
 
     async def chosen(self, boards: Iterable[str] = ALL) -> tuple[str, ...]:
         """The boards of a group, sorted, from the inventory. Raises NoSuchBoard for a part of it that matches none."""
@@ -380,7 +375,7 @@ class Fleet:
         if absent == "wait":
             await self._all_there(await self.chosen(boards), timeout)
         opening = await Opening.of(self._store)
-        chosen = self._matching(boards, _listed(opening.found))
+        chosen = self._matching(boards, _listed(opening.views))
         away = self._away(chosen, absent)
 
         change, ask = f"{self.caller}-{secrets.token_hex(4)}", partial(self._steps, timeout)
@@ -444,9 +439,9 @@ class Fleet:
         return {a.board: queries.said(a, BundleState) for a in sorted(found, key=lambda a: a.board)}
 
 
-def _listed(found: Mapping[str, Entry]) -> dict[str, View]:
-    """The boards of the inventory, of what lies in the store."""
-    return {name: view for name, view in views(found).items() if view.settings is not None}
+def _listed(known: Mapping[str, View]) -> dict[str, View]:
+    """The boards of the inventory, of those of the store."""
+    return {name: view for name, view in known.items() if view.settings is not None}
 
 
 def _named(board: str, error: ErrorInfo) -> ErrorInfo:

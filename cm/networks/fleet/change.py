@@ -43,6 +43,7 @@ Ask = Callable[  # boards, verb → each board's answer, or "no_answer", as it c
 ]
 Progress = Callable[[str, str, FleetState | ErrorInfo], None]  # phase, board, its answer
 _OPENING = LEASE + 3.0  # seconds for another's change to end: it may be one whose coordinator is dead
+_NONE = Entry("0", 0)
 _DECIDING = LEASE + 5.0  # seconds in which a store that does not answer is asked again for the decision
 
 
@@ -106,17 +107,19 @@ class Course:
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """What a change begins with: everything that was in the store, and a lease, under which nothing lies yet."""
+    """What a change begins with: what was in the store, and a lease, under which nothing lies yet."""
 
     begun: float
-    found: Mapping[str, Entry]
+    views: Mapping[str, View]
+    newest: Entry  # generation
     lease: str
 
     @classmethod
     async def of(cls, store: Store, clock: Callable[[], float] = time.monotonic) -> Opening:
         """Asked for together: a store syncs its disk for a lease. One that is not used runs out by itself."""
         begun = clock()
-        return cls(begun, *await asyncio.gather(store.get(""), store.grant(LEASE)))
+        found, lease = await asyncio.gather(store.get(""), store.grant(LEASE))
+        return cls(begun, views(found), found.get(GENERATION, _NONE), lease)
 
 
 @dataclass
@@ -171,17 +174,17 @@ class Coordinator:
 
     async def _open(self, opening: Opening) -> None:
         """Claim the boards."""
-        end, found = self.clock() + _OPENING, opening.found
+        end, newest, self._views = self.clock() + _OPENING, opening.newest, opening.views
         while True:
-            self._views = views(found)
             taken = {n: claim for n in self.members if (claim := self._view(n).open) is not None}
-            if not taken and await self._claimed(opening.lease, found.get(GENERATION, Entry("0", 0))):
+            if not taken and await self._claimed(opening.lease, newest):
                 break
             if taken and self.clock() > end:
                 name, claim = next(iter(taken.items()))
                 raise Busy(f"change {claim.change} of {claim.by} is open on {name}: try again when it has ended")
             await self.sleep(0.1)
             found = await self.store.get("")
+            newest, self._views = found.get(GENERATION, _NONE), views(found)
         self.course.legs.append(Leg("open", self.clock() - opening.begun))
 
     async def _claimed(self, lease: str, newest: Entry) -> bool:

@@ -96,32 +96,34 @@ class _Connection:
 
     def __init__(self, member: str, tls: ssl.SSLContext | None) -> None:
         self.member, self._tls = member, tls
+        self._stream: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
 
     async def posted(self, path: str, body: bytes, token: str) -> AsyncIterator[bytes]:
         """The pieces of the answer as they come. Raises those of `_BROKEN`."""
         where = urlsplit(self.member)
-        if not hasattr(self, "_writer"):
+        if self._stream is None:
             tls = self._tls if where.scheme == "https" else None
-            self._reader, self._writer = await asyncio.open_connection(where.hostname, where.port or 2379, ssl=tls)
+            self._stream = await asyncio.open_connection(where.hostname, where.port or 2379, ssl=tls)
+        reader, writer = self._stream
         head = (
             f"POST /v3/{path} HTTP/1.1", f"Host: {where.netloc}", "Content-Type: application/json",
             f"Content-Length: {len(body)}", *((f"Authorization: {token}",) if token else ()), "\r\n",
         )  # fmt: skip
-        self._writer.write("\r\n".join(head).encode() + body)
-        said = (await self._reader.readuntil(b"\r\n\r\n")).decode("latin-1").lower()
+        writer.write("\r\n".join(head).encode() + body)
+        said = (await reader.readuntil(b"\r\n\r\n")).decode("latin-1").lower()
         _, _, length = said.partition("\r\ncontent-length:")
         if length:
-            yield await self._reader.readexactly(int(length.split()[0]))
+            yield await reader.readexactly(int(length.split()[0]))
             return
         size = -1  # "transfer-encoding: chunked"
         while size:
-            size = int(await self._reader.readline(), 16)
-            yield (await self._reader.readexactly(size + 2))[:-2]
+            size = int(await reader.readline(), 16)
+            yield (await reader.readexactly(size + 2))[:-2]
 
     def close(self) -> None:
         """Twice is fine."""
-        if hasattr(self, "_writer"):
-            self._writer.close()
+        if self._stream is not None:
+            self._stream[1].close()
 
 
 class Etcd:

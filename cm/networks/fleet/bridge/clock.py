@@ -30,7 +30,8 @@ class _Timex(ctypes.Structure):
 
 def read() -> ClockSync:
     """The state now; asks chronyd or ptp4l if their tools are installed."""
-    return _chrony() or _ptp() or kernel()
+    chrony = parse_chrony(_said("chronyc", "-n", "-c", "tracking"))
+    return chrony or parse_ptp(_said("pmc", "-u", "-b", "0", "GET TIME_STATUS_NP")) or kernel()
 
 
 def kernel() -> ClockSync:
@@ -54,11 +55,6 @@ def _said(*command: str) -> str:
     return done.stdout if done.returncode == 0 else ""
 
 
-def _chrony() -> ClockSync | None:
-    text = _said("chronyc", "-n", "-c", "tracking")
-    return parse_chrony(text) if text else None
-
-
 def parse_chrony(text: str) -> ClockSync | None:
     """``chronyc -c tracking``: the error is at most |system time| + root dispersion + half the root delay.
 
@@ -73,11 +69,6 @@ def parse_chrony(text: str) -> ClockSync | None:
     synchronised = leap != "Not synchronised" and stratum > 0
     bound = abs(offset) + dispersion + delay / 2
     return ClockSync("chrony", synchronised, int(bound * 1e9) if synchronised else 0, name, time.time_ns())
-
-
-def _ptp() -> ClockSync | None:
-    text = _said("pmc", "-u", "-b", "0", "GET TIME_STATUS_NP")
-    return parse_ptp(text) if text else None
 
 
 def parse_ptp(text: str) -> ClockSync | None:
