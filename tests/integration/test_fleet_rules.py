@@ -33,7 +33,7 @@ class Closed:
     def connected(self, name: str, caller: str = "", patience: float = 60.0) -> cm.fleet.Fleet:
         """`patience`: seconds to wait for an answer, all of which pass if there is none."""
         found = cm.fleet.connect(config=self.keys.folder / f"{name}.json5", caller=caller, timeout=patience)
-        until(found.boards, 60.0)
+        until(lambda: len(found.boards()) == 2, 60.0)
         return found
 
 
@@ -43,6 +43,7 @@ def closed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Closed]:
     keys.create(("127.0.0.1",), port, 30)
     for member in (
         Member("b1", "board", keeper=True),
+        Member("b2", "board"),
         Member("anna", "client", "operate"),
         Member("olga", "client"),
         Member("nina", "client", "operate", ("b1",)),
@@ -50,9 +51,12 @@ def closed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Closed]:
     ):
         keys.add(member, 30)
     router = Router(keys.folder / "router.json5", listen=False)
-    bridge = ("--zenoh-config", str(keys.folder / "b1.json5"), "--keeper")
     guests = '{"zenoh:anna": operate, "zenoh:nina": observe}'
-    with fleet_board("b1", bridge, guests=guests) as board:
+    bridges = {name: ("--zenoh-config", str(keys.folder / f"{name}.json5")) for name in ("b1", "b2")}
+    with (
+        fleet_board("b1", (*bridges["b1"], "--keeper"), guests=guests) as board,
+        fleet_board("b2", bridges["b2"], guests=guests),
+    ):
         yield Closed(keys, board)
     router.kill()
 
@@ -67,6 +71,7 @@ def test_an_operator_changes_modes_and_registers_under_the_name_in_its_certifica
     with closed.connected("anna") as fleet:
         assert fleet.caller == "anna"
         fleet.mode("edge_detection")
+        assert all(status.status.mode == "edge_detection" for status in fleet.status().values())
         assert isinstance(fleet.write({"led": 1})["b1"], RegValues)
         fleet.mode("default")
 
@@ -74,7 +79,7 @@ def test_an_operator_changes_modes_and_registers_under_the_name_in_its_certifica
 def test_who_may_operate_some_boards_only_reads_the_wanted_state_and_writes_none(closed: Closed) -> None:
     """A transaction may be about any boards. A board puts its own settings there, and nothing else."""
     with closed.connected("nina", patience=5.0) as fleet:
-        assert set(fleet.inventory()) == {"b1"}  # with a certificate it has joined by itself
+        assert set(fleet.inventory()) == {"b1", "b2"}  # with a certificate it has joined by itself
         with pytest.raises(StoreAway, match="rules keep us off"):
             fleet.mode("edge_detection")
 
@@ -83,7 +88,7 @@ def test_an_observer_sees_everything_and_the_router_drops_its_commands(closed: C
     with closed.connected("olga") as fleet:
         assert isinstance(fleet.status()["b1"], BoardStatus)
         with fleet.watch() as statuses:
-            assert next(statuses)[0] == "b1"
+            assert next(statuses)[0] in ("b1", "b2")
     with closed.connected("olga", patience=5.0) as fleet:
         assert "rules keep us off" in error_of(fleet.write({"led": 2})).message
 
