@@ -58,6 +58,9 @@ class Part:
     error: ErrorInfo | None = None
 
 
+_NOWHERE, _NO_PART = Wanted(0, "", "", "", ""), Part("", 0, "", NOTHING, NOTHING)
+
+
 @dataclass(frozen=True, slots=True)
 class Notes:
     """What lies on the board's disk."""
@@ -131,16 +134,11 @@ class Board:
     @property
     def state(self) -> FleetState:
         """As it is told."""
-        wanted, part = self._view.wanted or Wanted(0, "", "", "", ""), self._notes.part
-        found = FleetState(
-            self._word(), self._notes.reached, wanted.generation, wanted.config, wanted.mode, wanted.by,
-            error=self._error, store_error=self._store_error,
-        )  # fmt: skip
-        if part is None:
-            return found
-        return replace(
-            found, change=part.change, config_name=part.goal[0], mode=part.goal[1], error=part.error,
-            plan_seconds=part.plan_seconds, plan_bytes=part.plan_bytes, seconds=part.seconds,
+        wanted, part = self._view.wanted or _NOWHERE, self._notes.part or _NO_PART
+        error = self._error if part is _NO_PART else part.error
+        return FleetState(
+            self._word(), self._notes.reached, wanted.generation, wanted.config, wanted.mode, wanted.by, part.change,
+            *part.goal, error, self._store_error, part.plan_seconds, part.plan_bytes, part.seconds,
         )  # fmt: skip
 
     def _word(self) -> str:

@@ -146,7 +146,7 @@ class Coordinator:
     def __post_init__(self) -> None:
         self.course = Course(self.change, causes=dict(self.away), silent=dict(self.away))
         self._views: Mapping[str, View] = {}
-        self._opened = 0
+        self._generation = self._opened = 0
         self._goals: dict[str, tuple[str, str]] = {}
 
     async def run(self, opening: Opening) -> Course:
@@ -188,7 +188,7 @@ class Coordinator:
         self.course.legs.append(Leg("open", self.clock() - opening.begun))
 
     async def _claimed(self, lease: str, newest: Entry) -> bool:
-        self.course.generation = int(newest.value) + 1
+        self._generation = self.course.generation = int(newest.value) + 1
         claim = Put(packed(Claim(self._generation, self.change, self.caller)), lease)
         puts: dict[str, Put | None] = {key(name, "claim"): claim for name in self.members}
         puts[GENERATION] = Put(str(self._generation))
@@ -231,10 +231,6 @@ class Coordinator:
         """Under the policy `all`, boards that are known to be away do not count."""
         among = len(self.members) - (len(self.away) if self.policy is Policy.ALL else 0)
         return not self._lost and enough(self.policy, among, len(there))
-
-    @property
-    def _generation(self) -> int:
-        return self.course.generation
 
     async def _leg(self, phase: str, boards: Sequence[str], step: FleetStep) -> dict[str, FleetState | ErrorInfo]:
         """Ask all at once."""

@@ -82,21 +82,18 @@ class ManagedBoard:
             self._lease = ""
         self._held = 0.0
 
-    async def load(self, place: Place, caller: str, undoable: str = "") -> float:
-        return await self._change(place, caller, undoable=undoable)
-
-    async def undo(self, part: Part) -> None:
-        try:
-            await self._change(part.old, part.caller, undo=part.change)
-        except RequestFailed as error:
-            raise NotUndone(str(error)) if error.code == NotUndone.code else error from None
-
-    async def _change(self, place: Place, caller: str, undoable: str = "", undo: str = "") -> float:
+    async def load(self, place: Place, caller: str, undoable: str = "", undo: str = "") -> float:
         call = calls.load(*place, wait=True, queue=True, force=False, lease=self._lease, undoable=undoable, undo=undo)
         try:
             return (await self.relay.ask(call, self.guest(caller), timeout=None)).seconds
         except (ConnectionLost, NoAnswer) as error:
             raise Unsettled(str(error)) from error
+
+    async def undo(self, part: Part) -> None:
+        try:
+            await self.load(part.old, part.caller, undo=part.change)
+        except RequestFailed as error:
+            raise NotUndone(str(error)) if error.code == NotUndone.code else error from None
 
 
 class NotesFile:
