@@ -52,6 +52,7 @@ def add_init_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]
     parser.add_argument("--name", help="name of the configuration (default: that of the folder)")
     parser.add_argument("--part", default=DEFAULT_PART, help=f"full part (default: {DEFAULT_PART})")
     parser.add_argument("--top", metavar="NAME", help="only this module")
+    parser.add_argument("-I", "--include", action="append", default=[], type=Path, metavar="DIR", help="include folder")
     parser.add_argument(
         "--cores",
         type=Path,
@@ -75,7 +76,8 @@ def run_init(args: argparse.Namespace) -> int:
             raise BuildError("--from zypr takes one project file")
         text = zypr_text(args.files[0], folder)
     else:
-        text = init_text(args.files, folder, args.name or folder.name, args.part, args.top, args.cores)
+        name = args.name or folder.name
+        text = init_text(args.files, folder, name, args.part, args.top, args.cores, args.include)
     folder.mkdir(parents=True, exist_ok=True)
     with naming(output):
         output.write_text(text, encoding="utf-8")

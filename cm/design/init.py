@@ -66,6 +66,7 @@ def init_text(
     part: str = DEFAULT_PART,
     top: str | None = None,
     cores: Sequence[Path] = (),
+    include_dirs: Sequence[Path] = (),
 ) -> str:
     """Return the text of a build schema in `folder` for the modules in `files`.
 
@@ -74,8 +75,8 @@ def init_text(
     with `top`, only that module does. Raises BuildError if there is none.
     """
     platform = platform_of(part)
-    given = read_inputs(Sources(files, top), cores=cores)[0]
-    read = [(one.flat, _keys(one, folder, cores)) for one in given]
+    given = read_inputs(Sources(files, top, include_dirs), cores=cores)[0]
+    read = [(one.flat, _keys(one, folder, cores, include_dirs)) for one in given]
     modules = [Proposal(identifier(info.name), info, keys) for info, keys in read if info.interfaces and info.usable]
     if not modules:
         names = "; ".join(_why_not(info) for info, _ in read) or f"no module {top}"
@@ -97,7 +98,7 @@ def init_text(
     return Renderer(folder, folder, "").render("build.yaml.j2", context)
 
 
-def _keys(given: Given, folder: Path, cores: Sequence[Path]) -> dict[str, Any]:
+def _keys(given: Given, folder: Path, cores: Sequence[Path], include_dirs: Sequence[Path]) -> dict[str, Any]:
     """The keys that a build schema in `folder` needs for a module."""
 
     def listed(paths: Iterable[Path]) -> list[str]:
@@ -107,6 +108,7 @@ def _keys(given: Given, folder: Path, cores: Sequence[Path]) -> dict[str, Any]:
     if origin is None:
         sources = compile_order(given.files)
         keys: dict[str, Any] = {"sources": listed(sources), "register_map": listed(_register_map(sources))}
+        keys["include_dirs"] = listed(include_dirs)
     elif origin.suffix.lower() == ".core":
         keys = {"top": given.info.name, "core": listed([origin]), "core_roots": listed(cores)}
     elif origin.suffix.lower() == ".xci":

@@ -90,6 +90,19 @@ def test_a_package_of_one_language_is_no_source_of_a_module_in_the_other(tmp_pat
     assert sources == {"one": ["sizes.sv", "one.v"], "two": ["words.vhd", "two.vhd"]}
 
 
+def test_folders_of_included_files_are_named_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    (tmp_path / "include").mkdir()
+    (tmp_path / "include/width.vh").write_text("`define WIDTH 16\n")
+    text = STREAM_MODULE.format(name="one", high="`WIDTH-1")
+    (tmp_path / "one.v").write_text(f'`include "width.vh"\n{text}')
+    schema = tmp_path / "build.yaml"
+    files = [str(tmp_path / "one.v"), "-I", str(tmp_path / "include")]
+    assert main(["build", "init", *files, "-o", str(schema)]) == 0
+    assert "not known" not in capsys.readouterr().err
+    assert load_project(schema).modules["one"].include_dirs == (tmp_path / "include",)
+    assert main(["build", "check", str(schema)]) == 0
+
+
 def test_the_board_that_is_proposed_has_the_part(tmp_path: Path) -> None:
     schema = tmp_path / "build.yaml"
     assert main(["build", "init", *map(str, CAMERA), "-o", str(schema), "--part", "xck26-sfvc784-2LV-c"]) == 0
