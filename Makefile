@@ -26,7 +26,7 @@ ROUNDS ?= 8
 STOPPED ?= 4
 
 .DEFAULT_GOAL := help
-.PHONY: help help-all setup docs web-picture notebooks demo demo-authors demo-open demo-scrub demo-ros demo-fleet device-suite test test-bare $(FURTHER:%=test-%) test-c test-node test-go test-rtl test-open test-bench test-ros test-fleet etcd test-vm vm strangers soak fuzz mutation bench bench-compare bench-counts lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
+.PHONY: help help-all setup docs web-picture notebooks demo demo-authors demo-open demo-scrub demo-ros demo-fleet device-suite test test-bare test-lowest $(FURTHER:%=test-%) test-c test-node test-go test-rtl test-open test-bench test-ros test-fleet etcd test-vm vm strangers soak fuzz mutation bench bench-compare bench-counts lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
 
 help: ## the targets that most people need
 	@awk -F':[^#]*## ' '/^[a-z-]+:[^#]*## /{printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -93,6 +93,14 @@ RUN_TESTS = $(PYTEST) $(if $(STRICT),--no-skips) -n $(JOBS) --dist $(SHARE)
 test: $(VENV)/.installed-test test-c ## all tests that need no board and no further tools (SANITIZE=1: the C tests with sanitizers)
 	$(RUN_TESTS) $(SUITES) --board=sim --suite=plain $(PYTEST_ARGS)
 	@echo "What needs further tools: $(FURTHER:%=make test-%), make test-rtl test-open test-node test-go test-bench test-vm"
+
+# Python 3.11 at most: numpy's oldest has no wheel for a newer one.
+LOWEST := build/lowest
+test-lowest: | check-system ### `make test` of the last commit with the oldest version of each package that pyproject.toml allows (PYTHON=python3.11 or 3.10)
+	@rm -rf $(LOWEST) && git clone -q . $(LOWEST) && $(PYTHON) -m venv $(LOWEST)/.venv
+	@.ci/pip-install $(LOWEST)/.venv uv
+	@cd $(LOWEST) && .venv/bin/uv pip install --quiet --python .venv --resolution lowest-direct --editable '.[test]'
+	cd $(LOWEST) && .venv/bin/python -m pytest -n $(JOBS) --dist $(SHARE) $(SUITES) --board=sim --suite=plain $(PYTEST_ARGS)
 
 test-design: ### the tests that read HDL, generate projects and run Tcl (apt: tcl device-tree-compiler)
 test-networks: ### those of zenoh and ROS 2 (apt: python3-rosidl python3-empy)

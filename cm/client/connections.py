@@ -193,8 +193,8 @@ class Sockets:
         """Close a socket and its monitor; twice is fine."""
         if self._disowned:
             return
-        if not socket.closed:
-            with suppress(zmq.ZMQError):  # the board is being closed by another thread
+        with suppress(zmq.ZMQError):  # the board is being closed by another thread; pyzmq 24's `closed` raises then
+            if not socket.closed:
                 socket.disable_monitor()
         self.end(monitor, socket)
 

@@ -64,7 +64,7 @@ class Subscription:
         return None
 
     def _check_open(self) -> None:
-        if self.socket.closed or self._sockets.closed:
+        if self._sockets.closed or self.socket.closed:
             raise self._sockets.gone()
 
     def fileno(self) -> int:
@@ -107,7 +107,7 @@ class Link:
         if self._sockets.closed:  # before the turn too: after a fork it may never come
             raise self._sockets.gone()
         with self._turn:
-            if self._socket.closed or self._sockets.closed:
+            if self._sockets.closed or self._socket.closed:
                 raise self._sockets.gone()
             try:
                 reply = self._exchange(call, timeout, beside)

@@ -19,7 +19,7 @@ from cm.cli.main import main
 from cm.device import AxiDma, DeviceError, DmaCaps
 from cm.errors import InvalidRequest
 from cm.schema.model import Direction, Stream
-from cm.server.streams.channel_setup import setup
+from cm.server.streams import channel_setup
 from cm.simulation.software import Board as SimBoard
 from cm.wire.messages.status import StreamStatus
 
@@ -59,8 +59,8 @@ def test_a_stream_without_a_shape_is_refused_and_told_why(root: Path) -> None:
         info = channel.info
     stream = Stream("packets", "from_pl", Direction.S2MM)
     with pytest.raises(InvalidRequest, match=r"cannot tell how many bytes arrived.*each of which must end with TLAST"):
-        setup(info, stream)
-    assert setup(replace(info, caps=DmaCaps.RESIDUE), stream).length == LONGEST
+        channel_setup.setup(info, stream)
+    assert channel_setup.setup(replace(info, caps=DmaCaps.RESIDUE), stream).length == LONGEST
 
 
 def test_frames_of_a_known_shape_come_one_after_the_other(board: cm.Board) -> None:

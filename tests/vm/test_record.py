@@ -18,7 +18,7 @@ from vmboard.tiers import TIERS
 def tree(tmp_path: Path) -> Path:
     """A tree that has all that boards test."""
     for part in {*record.TESTED, record.SHIM, "csrc/client", *(part for own in record.OWN.values() for part in own)}:
-        (tmp_path / part).mkdir(parents=True)
+        (tmp_path / part).mkdir(parents=True, exist_ok=True)
         (tmp_path / part / "file.c").write_text("before")
     return tmp_path
 

@@ -48,7 +48,7 @@ class Subscription:
 
     async def receive(self, timeout: float | None) -> list[bytes] | None:
         """The next message; None if there is none within `timeout` seconds. Raises BoardClosed, NotAdmitted."""
-        if self.socket.closed or self._sockets.closed:
+        if self._sockets.closed or self.socket.closed:
             raise self._sockets.gone()
         with suppress(zmq.Again):  # what has come needs no poll, which takes several times as long
             frames: list[bytes] = await self.socket.recv_multipart(zmq.NOBLOCK)

@@ -1,19 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a request costs the manager's loop, in calls of Python functions; `cm bench` measures time."""
+"""What a request costs the manager's loop, in calls of its Python functions; `cm bench` measures time."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 from types import CodeType, FrameType
 from typing import Any
 
 import pytest
 from daemon_thread import Daemon, Subscriber, daemon
 
+import cm
 from cm.server.dispatcher import Dispatcher
 from cm.wire.messages import requests as rq
 
+OURS = str(Path(cm.__file__).parent)  # how many functions a library calls is its own, and each version's
 ARRIVED: CodeType = Dispatcher.on_request.__code__
 
 
@@ -31,7 +34,7 @@ class Calls:
             self._thread, self._inside, self._called = threading.get_ident(), frame, []
         elif self._inside is None or threading.get_ident() != self._thread:
             return
-        elif event == "call":
+        elif event == "call" and frame.f_code.co_filename.startswith(OURS):
             self._called.append(frame.f_code.co_name)
         elif event == "return" and frame is self._inside:
             self.messages.append(self._called)

@@ -12,7 +12,8 @@ from cm.device import Direction as ChannelDirection
 from cm.device import DmaCaps, DmaInfo, DmaType
 from cm.errors import InvalidRequest
 from cm.schema.model import Direction, Stream
-from cm.server.streams.channel_setup import changed, frame_bytes, setup
+from cm.server.streams import channel_setup
+from cm.server.streams.channel_setup import changed, frame_bytes
 from cm.wire.messages.requests import ConfigureStream
 
 READ = Stream("camera", "ch0", Direction.S2MM, shape=(480, 640))
@@ -98,82 +99,82 @@ def test_a_request_may_name_a_dtype_in_any_way_that_numpy_knows(dtype: str, leng
 
 
 def test_a_frame_of_an_axi_dma_is_one_transfer() -> None:
-    made = setup(channel(), replace(READ, limit=4.0, backpressure=True))
+    made = channel_setup.setup(channel(), replace(READ, limit=4.0, backpressure=True))
     assert (made.write, made.length, made.backpressure, made.cyclic) == (False, 480 * 640, True, False)
     assert (made.lines, made.line_bytes, made.stride) == (0, 0, 0)
     assert made.period_ns == 250_000_000
-    assert setup(channel(), READ).period_ns == 0
-    assert setup(channel(), WRITE).write
+    assert channel_setup.setup(channel(), READ).period_ns == 0
+    assert channel_setup.setup(channel(), WRITE).write
 
 
 def test_lines_that_lie_apart_are_a_video_frame() -> None:
-    made = setup(channel(), replace(READ, stride=1024))
+    made = channel_setup.setup(channel(), replace(READ, stride=1024))
     assert (made.lines, made.line_bytes, made.stride) == (480, 640, 1024)
     assert made.length == 479 * 1024 + 640
     with pytest.raises(InvalidRequest, match="has a stride, but channel ch0 knows no lines"):
-        setup(channel(caps=DmaCaps.RESIDUE), replace(READ, stride=1024))
-    assert setup(channel(caps=DmaCaps.RESIDUE), replace(READ, stride=640)).lines == 0
+        channel_setup.setup(channel(caps=DmaCaps.RESIDUE), replace(READ, stride=1024))
+    assert channel_setup.setup(channel(caps=DmaCaps.RESIDUE), replace(READ, stride=640)).lines == 0
 
 
 def test_every_frame_of_a_vdma_is_a_video_frame() -> None:
     vdma = channel(type=DmaType.VDMA, caps=DmaCaps.VIDEO)
-    made = setup(vdma, READ)
+    made = channel_setup.setup(vdma, READ)
     assert (made.lines, made.line_bytes, made.stride, made.length) == (480, 640, 640, 480 * 640)
     for shape in (None, (640,)):
         with pytest.raises(InvalidRequest, match="channel ch0 is a VDMA's: its frames have a shape of lines"):
-            setup(vdma, replace(READ, shape=shape))
+            channel_setup.setup(vdma, replace(READ, shape=shape))
 
 
 def test_a_written_frame_is_repeated_if_the_channel_can() -> None:
     cyclic = replace(WRITE, cyclic=True)
-    assert setup(channel(), cyclic).cyclic
-    assert setup(channel(caps=DmaCaps.VIDEO), replace(cyclic, stride=1024)).cyclic, "a video frame repeats by itself"
-    assert not setup(channel(), replace(READ, cyclic=True)).cyclic
+    assert channel_setup.setup(channel(), cyclic).cyclic
+    assert channel_setup.setup(channel(caps=DmaCaps.VIDEO), replace(cyclic, stride=1024)).cyclic  # a frame repeats
+    assert not channel_setup.setup(channel(), replace(READ, cyclic=True)).cyclic
     with pytest.raises(InvalidRequest, match="cannot be cyclic: channel ch0 cannot repeat a transfer"):
-        setup(channel(caps=DmaCaps.VIDEO), cyclic)
+        channel_setup.setup(channel(caps=DmaCaps.VIDEO), cyclic)
 
 
 def test_a_channel_that_cannot_tell_lengths_needs_a_shape() -> None:
     blind = channel(caps=BOTH)
-    assert setup(blind, READ).length == 480 * 640
-    assert setup(blind, replace(WRITE, shape=None)).write
-    assert setup(channel(caps=BOTH, frame_length=100), replace(READ, shape=None)).length == 100
+    assert channel_setup.setup(blind, READ).length == 480 * 640
+    assert channel_setup.setup(blind, replace(WRITE, shape=None)).write
+    assert channel_setup.setup(channel(caps=BOTH, frame_length=100), replace(READ, shape=None)).length == 100
     with pytest.raises(InvalidRequest, match="cannot tell how many bytes arrived: give the stream the shape"):
-        setup(blind, replace(READ, shape=None))
+        channel_setup.setup(blind, replace(READ, shape=None))
 
 
 def test_a_slot_without_a_known_length_is_a_mebibyte_or_what_the_channel_moves() -> None:
     flat = replace(READ, shape=None)
-    assert setup(channel(), flat).length == 1 << 20
-    assert setup(channel(max_length=4096), flat).length == 4096
-    assert setup(channel(frame_length=2048), flat).length == 2048
+    assert channel_setup.setup(channel(), flat).length == 1 << 20
+    assert channel_setup.setup(channel(max_length=4096), flat).length == 4096
+    assert channel_setup.setup(channel(frame_length=2048), flat).length == 2048
 
 
 def test_a_frame_longer_than_the_length_register_is_refused_with_the_width_that_it_needs() -> None:
-    assert setup(channel(max_length=480 * 640), READ).length == 480 * 640
+    assert channel_setup.setup(channel(max_length=480 * 640), READ).length == 480 * 640
     with pytest.raises(InvalidRequest) as refused:
-        setup(channel(max_length=480 * 640 - 1), READ)
+        channel_setup.setup(channel(max_length=480 * 640 - 1), READ)
     assert str(refused.value) == (
         "stream 'camera': a frame has 307200 bytes, channel ch0 moves 307199 at most; "
         "its design would need a 'Width of Buffer Length Register' of 19 bits or more"
     )
     with pytest.raises(InvalidRequest) as refused:
-        setup(channel(max_length=639), replace(READ, stride=1024))
+        channel_setup.setup(channel(max_length=639), replace(READ, stride=1024))
     assert "a line has 640 bytes, channel ch0 moves 639 at most" in str(refused.value)
     with pytest.raises(InvalidRequest) as refused:
-        setup(channel(max_length=639, type=DmaType.VDMA, caps=DmaCaps.VIDEO), READ)
+        channel_setup.setup(channel(max_length=639, type=DmaType.VDMA, caps=DmaCaps.VIDEO), READ)
     assert str(refused.value).endswith("639 at most")
     with pytest.raises(InvalidRequest) as refused:
-        setup(channel(), replace(READ, shape=(1 << 27,)))
+        channel_setup.setup(channel(), replace(READ, shape=(1 << 27,)))
     assert str(refused.value).endswith("at most"), "no register is that wide"
 
 
 def test_what_is_not_a_multiple_of_the_alignment_is_refused() -> None:
-    assert setup(channel(alignment=4), READ).length == 480 * 640
-    assert setup(channel(alignment=0), replace(READ, shape=(3,))).length == 3
+    assert channel_setup.setup(channel(alignment=4), READ).length == 480 * 640
+    assert channel_setup.setup(channel(alignment=0), replace(READ, shape=(3,))).length == 3
     with pytest.raises(InvalidRequest, match="frames of 6 bytes; channel ch0 takes multiples of 4"):
-        setup(channel(alignment=4), replace(READ, shape=(6,)))
+        channel_setup.setup(channel(alignment=4), replace(READ, shape=(6,)))
     with pytest.raises(InvalidRequest, match="lines of 6 bytes; channel ch0 takes multiples of 4"):
-        setup(channel(alignment=4), replace(READ, shape=(2, 6), stride=8))
+        channel_setup.setup(channel(alignment=4), replace(READ, shape=(2, 6), stride=8))
     with pytest.raises(InvalidRequest, match="a stride of 10 bytes; channel ch0 takes multiples of 4"):
-        setup(channel(alignment=4), replace(READ, shape=(2, 8), stride=10))
+        channel_setup.setup(channel(alignment=4), replace(READ, shape=(2, 8), stride=10))
