@@ -6,6 +6,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from cm.client.aio.relay import Relay, Subscribed
@@ -24,7 +25,7 @@ def encoding(kind: str) -> str:
 
 
 class Publisher:
-    """Of one key; `heard` while anyone listens, of which it is told: asking for it costs more than a status."""
+    """Of one key; `heard` while anyone listens: of that it is told, and does not ask with each status."""
 
     def __init__(self, session: Any, key: str, changed: Callable[[bool], None] = lambda _: None) -> None:
         self._publisher, self._changed, self.heard = session.declare_publisher(key), changed, False
@@ -59,9 +60,7 @@ class Publications:
 
     def tell_status(self) -> None:
         """Now, to whoever listens."""
-        publisher = self._publisher("status")
-        if publisher.heard:
-            publisher.put(self.status(), encoding=encoding("Status"))
+        self._put("status", "Status", self.status)
         self._told = time.monotonic()
 
     def beat(self) -> None:
@@ -73,14 +72,16 @@ class Publications:
         """Registers that were written, or an interrupt."""
         if topic == topics.READ_REG:
             for name, value in wire.each_register(message):
-                self._publisher(f"reg/{name}").put(value, encoding=encoding("RegValues"))
+                self._put(f"reg/{name}", "RegValues", partial(bytes, value))
         elif topic == topics.IRQ:
-            self._publisher(f"irq/{wire.irq_name(message)}").put(message, encoding=encoding("Irq"))
+            self._put(f"irq/{wire.irq_name(message)}", "Irq", lambda: message)
 
-    def _publisher(self, rest: str) -> Publisher:
+    def _put(self, rest: str, kind: str, message: Callable[[], bytes]) -> None:
         if rest not in self._publishers:
             self._publishers[rest] = Publisher(self.session, keys.key(self.board, rest))
-        return self._publishers[rest]
+        publisher = self._publishers[rest]
+        if publisher.heard:
+            publisher.put(message(), encoding=encoding(kind))
 
     def offer_streams(self, wanted: tuple[str, ...]) -> None:
         """Offer the streams of the mode; each runs while anyone listens."""
