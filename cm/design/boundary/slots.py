@@ -36,7 +36,7 @@ class Slots:
 
 def identifier(name: str) -> str:
     """A name as a Verilog identifier in lower case."""
-    text = re.sub(r"\W", "_", name.lower()).strip("_")
+    text = re.sub(r"\W", "_", name.lower(), flags=re.ASCII).strip("_")
     return text if text and not text[0].isdigit() else f"p_{text}"
 
 

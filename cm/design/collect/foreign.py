@@ -96,6 +96,16 @@ def _with_image(config: Config, image: Image) -> tuple[Config, dict[str, bytes]]
     return replace(config, type=ConfigType.FULL, bitstream=Path(file), sha256=digest, modes=modes), {file: data}
 
 
+def _by_name(images: list[Image]) -> dict[str, Image]:
+    """By the names of their modules. BuildError if two have the same."""
+    found: dict[str, Image] = {}
+    for image in images:
+        first = found.setdefault(identifier(image.name), image)
+        if first is not image:
+            raise BuildError(f"{first.path} and {image.path} are both module {identifier(image.name)}: rename one")
+    return found
+
+
 def _with_modules(
     config: Config, inputs: Inputs, partial: list[Image], static: Image | None, notes: list[str]
 ) -> tuple[Config, dict[str, bytes]]:
@@ -103,7 +113,7 @@ def _with_modules(
     whole = inputs.whole.design if inputs.whole else None
     groups = _named_groups(partial, whole)
     notes += check_regions(groups)
-    files = {f"{identifier(image.name)}.bin": to_bin(image) for image in partial}
+    files = {f"{name}.bin": to_bin(image) for name, image in _by_name(partial).items()}
     regions, modules = {}, {}
     for name, images in groups.items():
         decoupler = _decoupler(name, whole, len(groups))

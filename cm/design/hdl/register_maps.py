@@ -59,7 +59,7 @@ def _hls_config(path: Path, module: str) -> Registers:
 
 def identifier(name: str) -> str:
     """`name` as a name of the runtime schema: lower case, other characters as underscores."""
-    text = re.sub(r"\W+", "_", name).strip("_").lower()
+    text = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_").lower()
     return text if text and not text[0].isdigit() else f"r_{text}"
 
 

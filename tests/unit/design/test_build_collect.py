@@ -97,6 +97,20 @@ def test_a_bitstream_for_another_device_is_refused(theirs: Path) -> None:
         collect([theirs])
 
 
+def test_a_file_of_any_name_gives_a_module_with_a_name(theirs: Path) -> None:
+    (theirs / "Größe 2.bit").write_bytes(partial("x"))
+    assert "gr_e_2" in collect([theirs]).config.modules
+
+
+@pytest.mark.parametrize("other", ["pr 0 add.bit", "again/pr_0_add.bit"])
+def test_two_bitstreams_of_one_module_are_refused(theirs: Path, other: str) -> None:
+    """Not one of them taken, and the other left out without a word."""
+    (theirs / other).parent.mkdir(exist_ok=True)
+    (theirs / other).write_bytes(partial("pr_0_add"))
+    with pytest.raises(BuildError, match=r"are both module pr_0_add: rename one"):
+        collect([theirs, theirs / other])
+
+
 def test_a_damaged_bitstream_is_refused(theirs: Path) -> None:
     data = bytearray((theirs / "pr_0_add.bit").read_bytes())
     data[1000] ^= 1
