@@ -8,7 +8,7 @@ import os
 import time
 from pathlib import Path
 
-from cm.cli.common import add_json_option, answer
+from cm.cli.common import add_json_option, answer, naming
 from cm.design.collect.collected import Collected
 from cm.design.collect.collection import collect, collect_ours, write
 from cm.design.errors import BuildError
@@ -59,7 +59,8 @@ def run_collect(args: argparse.Namespace) -> int:
     if args.sign:
         found = _signed(found, args.sign, args.bundle_version)
     args.target.mkdir(parents=True, exist_ok=True)
-    folder, packed = write(found, args.target)
+    with naming(args.target):
+        folder, packed = write(found, args.target)
     config, files = found.config, sorted(found.files)
     counts = ((len(config.modules), "module"), (len(config.modes), "mode"), (len(found.files), "file"))
     contents = ", ".join(f"{count} {what}{'' if count == 1 else 's'}" for count, what in counts if count)

@@ -150,7 +150,7 @@ def _plain(value: object) -> Any:
 
 @contextmanager
 def naming(file: Path | str) -> Iterator[None]:
-    """Name `file` in an error of the system: a full disk names none, and what is written aside has another name."""
+    """Name `file` in an error of the system that names none, such as a full disk's."""
     try:
         yield
     except OSError as error:
@@ -158,8 +158,8 @@ def naming(file: Path | str) -> Iterator[None]:
 
 
 def named(error: OSError, file: Path | str) -> OSError:
-    """The same error, about `file`; one of ours says enough."""
-    if not isinstance(error, CmError):
+    """The same error, about `file` if it names none; one of ours says enough."""
+    if error.filename is None and not isinstance(error, CmError):
         error.filename = str(file)
     return error
 

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cm.cli.common import add_board_options, add_json_option, answer, answer_table, completes, print_json
+from cm.cli.common import add_board_options, add_json_option, answer, answer_table, completes, naming, print_json
 from cm.cli.connection import connected
 from cm.wire.messages.plain import plain
 
@@ -146,7 +146,8 @@ def run_rollback(args: argparse.Namespace) -> int:
     """Roll back; the exit status."""
     from cm.formats.importers import back
 
-    done = back(args.out / args.config, args.to)
+    with naming(args.out):
+        done = back(args.out / args.config, args.to)
     told = {"config": done.config.name, "folder": str(done.folder), "files": list(done.files)}
     text = f"{done.folder}: an earlier version of {done.config.name} is in force, {len(done.files)} files"
     return answer(args, told, text)

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cm.cli.common import add_json_option, answer, digits, parsed, print_json
+from cm.cli.common import add_json_option, answer, digits, naming, parsed, print_json
 from cm.formats.importers import Imported, import_dfx_mgr, import_pynq, unpack, write
 from cm.schema import dump
 from cm.server.settings.model import Settings
@@ -58,7 +58,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Import; 0 unless the package is refused."""
     imported: Imported = args.importer(args.source)
-    files = write(imported, args.out) if args.out else []
+    files = []
+    if args.out:
+        with naming(args.out):
+            files = write(imported, args.out)
     if args.json:
         print_json(_report(imported, files))
         return 0
@@ -73,7 +76,8 @@ def run(args: argparse.Namespace) -> int:
 
 def run_archive(args: argparse.Namespace) -> int:
     """Unpack; 0 unless the archive is refused."""
-    done, found = unpack_signed(args.source, args.out, args.settings, args.keep)
+    with naming(args.out):
+        done, found = unpack_signed(args.source, args.out, args.settings, args.keep)
     told = {key: value for key, value in (("signer", found.signer), ("warning", found.warning)) if value}
     if not args.json and found.warning:
         print(f"warning: {found.warning}", file=sys.stderr)

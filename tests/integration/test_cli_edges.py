@@ -140,6 +140,13 @@ def test_the_file_for_which_there_is_no_room_is_named(
     assert [path.name for path in tmp_path.rglob("*") if path.is_file()] in (["edge.bit"], ["edge.bit", file])
 
 
+def test_the_folder_for_which_there_is_no_room_is_named(shared: tuple[Manager, SimBoard], tmp_path: Path) -> None:
+    (tmp_path / "edge.bit").write_bytes((shared[1].root / "lib/firmware/cm/camera/edge.bit").read_bytes())
+    assert shell(f"cd '{tmp_path}'; cm build collect edge.bit --name a --target made").returncode == 0
+    done = shell(f"cd '{tmp_path}'; ulimit -f 0; cm import archive made/a.tar.gz --out here")
+    assert (done.returncode, done.stderr) == (1, "cm: here: File too large\n")
+
+
 IMPOSSIBLE = """
 stream set camera --shape=-4x4
 mem read scratchpad --offset -4
