@@ -190,6 +190,28 @@ def test_a_member_without_a_leader_is_passed_over_and_a_refusal_is_not() -> None
         assert len(member.asked) == 1
 
 
+def test_an_answer_in_chunks_is_read_whole_and_a_connection_that_was_closed_is_made_anew() -> None:
+    data = json.dumps({"header": {}, "kvs": [{"key": b64("cm/a"), "mod_revision": "3"}]}).encode()
+
+    async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        head = await reader.readuntil(b"\r\n\r\n")
+        await reader.readexactly(int(head.split(b"Content-Length: ")[1].split()[0]))
+        writer.write(b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n")
+        for piece in (data[:10], data[10:], b""):
+            writer.write(b"%x\r\n%s\r\n" % (len(piece), piece))
+        writer.close()
+
+    async def run() -> None:
+        server = await asyncio.start_server(answer, "127.0.0.1", 0)
+        store = Etcd(Cluster((f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}",)))
+        for _ in range(3):
+            assert await store.get("") == {"a": Entry("", 3)}
+        await store.close()
+        server.close()
+
+    asyncio.run(run())
+
+
 def test_a_users_token_is_fetched_and_fetched_again_when_it_has_ended(tmp_path: Path) -> None:
     tokens = iter(("old", "new"))
 
