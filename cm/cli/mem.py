@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from cm.cli.arrays import array_of
 from cm.cli.common import (
     add_board_options,
     answer,
@@ -156,12 +157,14 @@ def _values(texts: list[str], dtype: str) -> np.ndarray[Any, Any]:
 
 
 def _loaded(path: Path) -> Any:
+    if path == _STDOUT:
+        return sys.stdin.buffer.read()
+    if path.suffix == ".npy":
+        return array_of(path)
     try:
-        if path == _STDOUT:
-            return sys.stdin.buffer.read()
-        return np.load(path, allow_pickle=False) if path.suffix == ".npy" else path.read_bytes()
-    except (OSError, ValueError) as error:
-        raise InvalidRequest(f"{path} cannot be read: {error}") from error
+        return path.read_bytes()
+    except OSError as error:
+        raise InvalidRequest(f"{path} cannot be read: {error.strerror or error}") from error
 
 
 def run_define(args: argparse.Namespace) -> int:

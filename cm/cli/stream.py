@@ -9,6 +9,7 @@ import time
 from itertools import islice
 from pathlib import Path
 
+from cm.cli.arrays import array_of
 from cm.cli.common import (
     add_board_options,
     add_lease_option,
@@ -23,7 +24,6 @@ from cm.cli.common import (
 )  # fmt: skip
 from cm.cli.connection import connected
 from cm.cli.stream_capture import add_arguments, run_capture
-from cm.errors import InvalidRequest
 from cm.wire.lazy_numpy import np
 from cm.wire.messages.plain import plain
 from cm.wire.messages.status import StreamStatus
@@ -160,10 +160,7 @@ def _flow(stream: StreamStatus) -> tuple[str, ...]:
 
 def run_play(args: argparse.Namespace) -> int:
     """Send frames; the exit status."""
-    try:
-        data = np.load(args.file, allow_pickle=False)
-    except (OSError, ValueError) as error:
-        raise InvalidRequest(f"{args.file} cannot be read as .npy: {error}") from error
+    data = array_of(args.file)
     with connected(args) as board:
         shape = next((s.shape for s in board.status.streams if s.name == args.stream), ())
         frames = data if data.ndim == len(shape) + 1 else data[np.newaxis]

@@ -267,7 +267,16 @@ def test_the_command_speaks_json(mem: Command, board: cm.Board) -> None:
 
 
 def test_the_command_says_what_it_cannot_read_or_write(mem: Command, tmp_path: Path) -> None:
+    named, empty, huge = (tmp_path / f"{name}.npy" for name in ("named", "empty", "huge"))
+    named.write_text("only named so")
+    empty.touch()
+    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000000,)}\n"
+    huge.write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
     for arguments, words in (
+        (("write", "scratch", str(named)), b"named.npy cannot be read as .npy: the magic string is not correct"),
+        (("write", "scratch", str(empty)), b"empty.npy cannot be read as .npy"),
+        (("write", "scratch", str(huge)), b"huge.npy cannot be read as .npy"),
+        (("write", "scratch", str(tmp_path)), b"cannot be read: Is a directory"),
         (("write", "scratch", str(tmp_path / "none.npy")), b"none.npy cannot be read"),
         (("write", "scratch", "--values", "one"), b"the memory has uint8"),
         (("read", "scratch", "-o", str(tmp_path / "no" / "file")), b"cannot be written"),
