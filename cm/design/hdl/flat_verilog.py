@@ -65,9 +65,9 @@ def _interface(top: str, port: Any) -> tuple[str, str, int | None]:
 def _ties(top: str, name: str, body: Any, ports: list[FlatPort]) -> dict[str, str]:
     """What the interface's own ports are tied to: the module's clock and reset, or ports of the wrapper for them."""
     found = {}
-    plain = [Port(port.name, port.direction, port.width, "") for port in ports if not port.inner]
+    plain = [Port(port.name, port.direction, port.width) for port in ports if not port.inner]
     for own in body.portList:
-        port = Port(own.name, PortDirection(own.direction.name.lower()), own.type.bitWidth, "")
+        port = Port(own.name, PortDirection(own.direction.name.lower()), own.type.bitWidth)
         kind = next((kind for kind in (is_clock, is_reset) if kind(port)), None)
         if kind is None:
             message = f"the interface of {name} has a port {port.name} that is no clock or reset"

@@ -223,6 +223,24 @@ def test_a_component_that_needs_other_ip_says_what_to_give_instead(tmp_path: Pat
         component_files(tmp_path / "component.xml")
 
 
+def test_constraints_of_a_component_are_those_of_its_synthesis(tmp_path: Path) -> None:
+    view = """<spirit:view><spirit:name>c</spirit:name>
+     <spirit:envIdentifier>:vivado.xilinx.com:synthesis.constraints</spirit:envIdentifier>
+     <spirit:fileSetRef><spirit:localName>c</spirit:localName></spirit:fileSetRef></spirit:view></spirit:views>"""
+    files = "".join(
+        f"<spirit:file><spirit:name>{name}.xdc</spirit:name><spirit:userFileType>{kind}</spirit:userFileType></spirit:file>"
+        for name, kind in (("timing", "xdc"), ("places", "USED_IN_implementation"))
+    )
+    held = f"<spirit:fileSet><spirit:name>c</spirit:name>{files}</spirit:fileSet></spirit:fileSets>"
+    text = COMPONENT.replace("</spirit:views>", view).replace("</spirit:fileSets>", held)
+    (tmp_path / "component.xml").write_text(text)
+    (tmp_path / "hdl").mkdir()
+    for name in ("hdl/one.v", "hdl/w.vh", "timing.xdc", "places.xdc"):
+        (tmp_path / name).touch()
+    found = component_files(tmp_path / "component.xml")
+    assert (found.sources, found.constraints) == ([tmp_path / "hdl/one.v"], [tmp_path / "timing.xdc"])
+
+
 def test_init_takes_a_component_with_the_files_of_its_synthesis(tmp_path: Path) -> None:
     (tmp_path / "ip/hdl").mkdir(parents=True)
     (tmp_path / "ip/component.xml").write_text(COMPONENT)
