@@ -13,6 +13,7 @@ from hdl_support import extract, lite, stream
 
 from cm.design.boundary import make as making
 from cm.design.boundary.model import Adaptation, Boundary, Connection, Fit, Role
+from cm.design.boundary.slots import identifier, unique
 from cm.design.hdl.model import FoundBy, Mode, ModuleInfo, Polarity
 from cm.design.hdl.protocols import parse_protocols
 
@@ -286,6 +287,7 @@ def test_a_signal_called_as_a_port_of_a_bus_gets_another_name(make) -> None:
     two = make("two", "input clk; output [1:0] LEDS")
     result = boundary([one, two])
     assert {p.name: p.width for p in result.ports if p.role is Role.SIGNAL} == {"leds": 4, "aresetn_signal": 1}
+    assert at(result.adaptation("two"), "leds").module == "LEDS"
     assert "LEDS: 2 of 4 bits are driven, the rest is 0" in result.adaptation("two").notes
     assert (at(result.adaptation("two"), "aresetn_signal").fit, result.ok) == (Fit.TIE, True)
 
@@ -315,6 +317,8 @@ def test_user_protocol_meets_by_name_and_its_missing_signals_read_zero(make) -> 
     result = boundary([one, two])
     assert result.ok
     assert result.interfaces[0].protocol == "pix"
+    (bare,) = boundary([make("bare", "output [9:0] cam_d; output cam_v", **options)]).interfaces
+    assert (bare.clock, bare.reset, bare.reset_polarity) == (None, None, None)
     assert (at(result.adaptation("two"), "cam_err").fit, at(result.adaptation("two"), "cam_err").value) == (Fit.TIE, 0)
 
 
@@ -327,3 +331,8 @@ def test_modules_of_one_top_are_told_apart_by_the_names_given(make) -> None:
         ("slow", Fit.EXTEND),
         ("fast", Fit.CONNECT),
     ]
+
+
+def test_names_that_are_taken_are_numbered() -> None:
+    assert [unique("a", taken) for taken in ([], ["a"], ["a", "a_2"], ["a_2"])] == ["a", "a_2", "a_3", "a"]
+    assert [identifier(name) for name in ("S_AXIS", "_x.y_", "8b", "")] == ["s_axis", "x_y", "p_8b", "p_"]

@@ -78,6 +78,16 @@ def test_a_unit_that_no_file_of_its_library_has_is_named(
     assert said in capsys.readouterr().out
 
 
+def test_a_unit_may_come_with_the_ip_of_the_module(tmp_path: Path) -> None:
+    pytest.importorskip("tree_sitter_vhdl", reason="needs tree-sitter-vhdl: the extra [build] is not installed")
+    path = vhdl_project(tmp_path, "{filters: kernels.vhd}")
+    (problem,) = analyse(load_project(path)).modules["one"].problems
+    assert problem.breaks
+    (tmp_path / "core.xci").write_text(XCI)
+    path.write_text(path.read_text().replace("sources: [one.vhd]", "sources: [one.vhd]\n    ip: [core.xci]"))
+    assert analyse(load_project(path)).modules["one"].problems == ()
+
+
 def test_a_table_that_readmemh_reads_is_an_input_of_synthesis(tmp_path: Path) -> None:
     source = STREAM_MODULE.format(name="one", high=31).replace(
         "endmodule", '    reg [7:0] t [0:3];\n    initial $readmemh("table.hex", t);\nendmodule'

@@ -113,6 +113,7 @@ def test_the_build_schema_says_what_runs_on_a_clock(tmp_path: Path) -> None:
             "clocks: {rd_clk: {interfaces: [axis]}}",
             "build.yaml:7:14: modules.one.clocks.rd_clk: one has no interface axis",
         ),
+        ("parameters: {DEPTH: 1}", "build.yaml:7:18: modules.one.parameters.DEPTH: "),
         ("resets: {video_rst: {polarity: down}}", "build.yaml:7:26: modules.one.resets.video_rst.polarity"),
     ],
 )
