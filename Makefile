@@ -190,7 +190,7 @@ soak: strangers $(FURTHER:%=$(VENV)/.installed-test-%) ### what strangers tried,
 fuzz: $(VENV)/.installed-fuzz $(VENV)/.installed-test-networks ### ten minutes of search for bad input to every reader of bytes from outside (MINUTES=…, TARGETS=…, SEED=…)
 	nice $(BIN)/python tests/fuzz/fuzz.py $(TARGETS) --minutes $(MINUTES) --jobs $(JOBS) $(if $(filter command,$(origin SEED)),--seed $(SEED))
 
-mutation: $(VENV)/.installed-mutation $(VENV)/.installed-test ### whether the unit tests notice defects: 100 mutants of each package, with a fixed seed (COUNT=…, SEED=…, PACKAGES=…)
+mutation: $(VENV)/.installed-mutation $(VENV)/.installed-test-design ### whether the unit tests notice defects: 100 mutants of each package, with a fixed seed (COUNT=…, SEED=…, PACKAGES=…)
 	nice $(BIN)/python tests/mutation/sample.py $(PACKAGES) --count $(COUNT) --seed $(SEED)
 
 bench: $(VENV)/.installed-bench ## measure latency and throughput beside the alternatives

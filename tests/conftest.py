@@ -3,11 +3,8 @@
 
 from __future__ import annotations
 
-import functools
-import gc
 import os
 import re
-import sys
 from collections.abc import Generator
 from pathlib import Path
 from typing import TypeVar
@@ -53,25 +50,6 @@ def pytest_make_parametrize_id(config: pytest.Config, val: object) -> str | None
     if isinstance(val, bytes):
         return f"{len(val)} bytes"
     return re.sub(r"[^ -~]|\\", " ", val[:40]) if isinstance(val, str) else None
-
-
-def _caches() -> list[functools._lru_cache_wrapper[object]]:
-    wrappers = [thing for thing in gc.get_objects() if isinstance(thing, functools._lru_cache_wrapper)]
-    return [cache for cache in wrappers if str(cache.__module__).startswith("cm.")]
-
-
-class Forgetful:
-    """For mutmut, before each test: what an earlier one has cached hides which tests enter a function, and mutants."""
-
-    _known = 0
-    _found: tuple[functools._lru_cache_wrapper[object], ...] = ()
-
-    def pytest_runtest_setup(self) -> None:
-        """Look for caches again when there are more modules."""
-        if len(sys.modules) != self._known:
-            self._known, self._found = len(sys.modules), tuple(_caches())
-        for cache in self._found:
-            cache.cache_clear()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -120,12 +98,6 @@ def _suite(item: pytest.Item) -> str:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave those of other suites.
-
-    mutmut names tests one by one, in the order of their times: a module's fixtures are made once all the same."""
+    """Leave those of other suites."""
     if suite := config.getoption("suite"):
         items[:] = [item for item in items if _suite(item) == suite]
-    if "MUTANT_UNDER_TEST" in os.environ:
-        config.pluginmanager.register(Forgetful())
-        modules = {path: number for number, path in enumerate(dict.fromkeys(item.path for item in items))}
-        items.sort(key=lambda item: modules[item.path])
