@@ -31,6 +31,9 @@ _NAMES = 1024  # of which that is remembered
 _FLAGS = int(socket.MSG_DONTWAIT) | int(socket.MSG_NOSIGNAL)
 _DONTWAIT = int(socket.MSG_DONTWAIT)
 _pack, _unpack = DESCRIPTOR.pack, DESCRIPTOR.unpack_from
+_ANSWER = (
+    DESCRIPTOR.size
+)  # bytes; what follows says why there is no value, which the request that is made then says too
 
 
 class LocalReads:
@@ -65,7 +68,7 @@ class LocalReads:
                 number = next(self._numbers)
                 sock.send(_pack(0, READ, 0, 0, 0, number, 0) + text, _FLAGS)
                 while True:
-                    _, kind, _, _, value, answered, _ = _unpack(sock.recv(PACKET_MAX))
+                    _, kind, _, _, value, answered, _ = _unpack(sock.recv(_ANSWER))
                     if answered == number:  # others came too late
                         break
         except BlockingIOError:
