@@ -216,13 +216,14 @@ class Loop:
 
     def _run_timers(self) -> int:
         """Make the calls that are due; returns the milliseconds until the next timer, -1 if there is none."""
-        timers, now = self._timers, time.monotonic()
-        while timers and (timers[0][0] <= now or timers[0][2].callback is None):
+        timers, started = self._timers, time.monotonic()
+        now = started
+        while timers and (timers[0][0] <= started or timers[0][2].callback is None):
             timer = heapq.heappop(timers)[2]
             if timer.callback is not None:
                 self._guarded(timer.callback)
-        # by the clock of now: what the calls took is not waited for again
-        return max(0, ceil((timers[0][0] - time.monotonic()) * 1000)) if timers else -1
+                now = time.monotonic()  # what the calls took is not waited for again
+        return max(0, ceil((timers[0][0] - now) * 1000)) if timers else -1
 
     def _guarded(self, callback: Callback) -> None:
         try:
