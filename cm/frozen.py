@@ -47,9 +47,9 @@ else:
         return _Field(**described)
 
     def replace(instance: Any, /, **changes: Any) -> Any:
-        """As `dataclasses.replace`."""
-        kept = {name: getattr(instance, name) for name in instance.__match_args__ if name not in changes}
-        return instance.__class__(**kept, **changes)
+        """As `dataclasses.replace`, which looks at each field anew: a fifth of what Python did in a change of mode."""
+        cls = instance.__class__
+        return cls(**{**dict(zip(cls.__match_args__, cls.__values__(instance), strict=False)), **changes})
 
 
 def names(cls: Any) -> tuple[str, ...]:
@@ -81,7 +81,7 @@ def _made(given: Any, frozen: bool, eq: bool) -> Any:
     methods |= {"__eq__": __eq__} if eq else {}
     methods |= {"__hash__": __hash__} if eq and frozen else {}
     methods |= _FROZEN if frozen else {}
-    apart = {"__fields__": known, "__slots__": tuple(new), "__qualname__": given.__qualname__}
+    apart = {"__fields__": known, "__slots__": tuple(new), "__qualname__": given.__qualname__, "__values__": values}
     for name in ("__dict__", "__weakref__"):
         own.pop(name, None)
     cls = type(given)(given.__name__, given.__bases__, methods | own | apart)
