@@ -34,12 +34,13 @@ def find_file(config: Config, candidates: Iterable[str | Path], root: Path | str
     Raises `FileMissing` with the places that were searched.
     """
     names = list(candidates)
-    folders = _folders(config, Path(root))
+    folders = _folders(config, root)
     for folder in folders:
         for name in names:
-            if _is_file(os.path.join(folder, name)):  # noqa: PTH118 (a Path for each takes ten times as long)
-                return folder / name
-    looked = ", ".join(dict.fromkeys(str(folder / name) for folder in folders for name in names))
+            place = os.path.join(folder, name)  # noqa: PTH118 (a Path for each takes ten times as long)
+            if _is_file(place):
+                return Path(place)
+    looked = ", ".join(dict.fromkeys(str(Path(folder, name)) for folder in folders for name in names))
     raise FileMissing(f"configuration {config.name}: no file {' or '.join(map(str, names))}; looked for {looked}")
 
 
@@ -96,7 +97,7 @@ def _module(config: Config, name: str) -> Module:
     return config.modules[name]
 
 
-def _folders(config: Config, root: Path) -> list[Path]:
-    beside = [] if config.source is None else [config.source.parent]
-    firmware = root / "lib" / "firmware"
-    return [*beside, firmware / "cm" / config.name, firmware]
+def _folders(config: Config, root: Path | str) -> list[str]:
+    beside = [] if config.source is None else [os.path.dirname(config.source)]  # noqa: PTH120
+    firmware = os.path.join(root, "lib/firmware")  # noqa: PTH118
+    return [*beside, f"{firmware}/cm/{config.name}", firmware]
