@@ -369,7 +369,7 @@ class Manager:
         return result
 
     def flush(self) -> None:
-        """Record register values that were written since the last record."""
+        """Record what was noted since the last record: values of registers, and how long steps took."""
         self.reporter.note(self._state.flush())
 
     def note_error(self, error: ErrorInfo) -> None:

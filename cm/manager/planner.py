@@ -143,7 +143,7 @@ class Plan:
     @property
     def bytes(self) -> int:
         """Bytes that go through configuration ports."""
-        return sum(map(image_bytes, (*self.steps, *self.then)))
+        return sum([step.length for step in (*self.steps, *self.then)])
 
     @property
     def regions(self) -> frozenset[str]:
@@ -153,7 +153,7 @@ class Plan:
     def info(self, throughput: Throughput) -> PlanInfo:
         """As it is shown."""
         rows = tuple(
-            PlanStep(step.kind, step.subject, step.text, image_bytes(step), _seconds(step, throughput))
+            PlanStep(step.kind, step.subject, step.text, step.length, _seconds(step, throughput))
             for step in (*self.steps, *self.then)
         )
         seconds = sum(r.seconds for r in rows)
@@ -164,11 +164,6 @@ class Plan:
     def clocks(self) -> Iterator[s.SetClock]:
         """The clocks that are set."""
         return (step for step in (*self.steps, *self.then) if isinstance(step, s.SetClock))
-
-
-def image_bytes(step: s.Step) -> int:
-    """Bytes that a step sends through a configuration port."""
-    return step.image.length if isinstance(step, s.Load | s.LoadStatic) else 0
 
 
 def _seconds(step: s.Step, throughput: Throughput) -> float:

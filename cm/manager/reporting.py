@@ -6,14 +6,14 @@ from __future__ import annotations
 import threading
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import accumulate
-from operator import is_
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from cm.frozen import dataclass, replace
 from cm.manager.state.board_state import BoardState, RegionState
+from cm.manager.state.kept import Kept
 from cm.manager.state.record import ManagerState
 from cm.manager.state.steps import Choice
 from cm.schema.model import BitField, Config, Memory, Register, Stream
@@ -38,7 +38,6 @@ from cm.wire.messages.status import (
 if TYPE_CHECKING:
     from cm.manager.interfaces import Observer
 
-_T = TypeVar("_T")
 _UNKNOWN = RegionState()  # of which nothing is known
 
 
@@ -58,22 +57,6 @@ class Moment(NamedTuple):
     health: Mapping[str, RegionHealth]
 
 
-class _Kept(Generic[_T]):
-    """Results that are kept as long as their inputs are the same objects."""
-
-    def __init__(self, make: Callable[..., _T]) -> None:
-        self._make = make
-        self._last: tuple[tuple[object, ...], _T | None] = ((), None)
-
-    def of(self, *things: object) -> _T:
-        """`make` of them."""
-        before, made = self._last
-        if made is None or not all(map(is_, things, before)):
-            made = self._make(*things)
-            self._last = things, made
-        return made
-
-
 class StatusReporter:
     """Puts the status together, and tells the observer when it differs."""
 
@@ -90,8 +73,8 @@ class StatusReporter:
         self._notice_read = False
         self._failed = False
         self._last: tuple[int, float] = (0, 0.0)  # number and seconds of the last change
-        self._regions, self._clocks = _Kept(region_states), _Kept(clock_states)
-        self._configs = _Kept(lambda configs: tuple(sorted(configs)))
+        self._regions, self._clocks = Kept(region_states), Kept(clock_states)
+        self._configs = Kept(lambda configs: tuple(sorted(configs)))
 
     def begun(self, number: int, config: str, mode: str, full: bool) -> None:
         """A change runs from now on; `full` if it loads a whole image."""
@@ -403,8 +386,8 @@ class ChangeTotals:
     def took(self, step: str, seconds: float) -> None:
         """A step went well."""
         with self._lock:
-            so_far = self._steps.get(step, Times())
-            self._steps[step] = Times(so_far.number + 1, so_far.seconds + seconds)
+            number, before = self._steps.get(step, (0, 0.0))
+            self._steps[step] = Times(number + 1, before + seconds)
 
     def loaded(self, port: str, length: int, seconds: float) -> None:
         """An image of `length` bytes went through a port."""

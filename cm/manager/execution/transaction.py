@@ -19,7 +19,7 @@ from cm.frozen import dataclass, field, replace
 from cm.manager.access.register_bus import RegisterBus, drive, is_cut
 from cm.manager.errors import Cancelled, IdentityMismatch, NoPort, RecordFailed, VerifyFailed, WrongStatic
 from cm.manager.loaders import Job, Loaders, Start, resolved
-from cm.manager.planner import Goal, Plan, check_rate, image_bytes, make_plan, place_of
+from cm.manager.planner import Goal, Plan, check_rate, make_plan, place_of
 from cm.manager.reporting import StatusReporter
 from cm.manager.state import steps as s
 from cm.manager.state.board_state import (
@@ -71,7 +71,8 @@ class StepContext:
     cancelled: Callable[[], bool]
     best_effort: bool = False
     at: int = -1  # index of the step that is being taken
-    loaded: int = 0  # bytes of the images of steps before it
+    length: int = 0  # bytes of that step's image
+    loaded: int = 0  # and of those of steps before it
     whole: int = 0  # and of all that go through a port
     port_seconds: float = 0.0  # that a port took for that step's image
     written: dict[str, int] = field(default_factory=dict)  # registers, by name
@@ -120,7 +121,7 @@ class StepContext:
         """Publish the step under way; `done` bytes of its image have gone through the port."""
         step, goal = self.plan.steps[self.at], self.plan.goal
         fraction = (self.loaded + done) / self.whole if self.whole else self.at / len(self.plan.steps)
-        subject = step.subject, done, image_bytes(step), min(fraction, 1.0)
+        subject = step.subject, done, self.length, min(fraction, 1.0)
         self.tools.reporter.progress(Progress(self.number, goal.config.name, goal.mode, step.kind, *subject))
 
 
@@ -162,9 +163,9 @@ def take_steps(run: StepContext, goal: Goal) -> None:
 def _take_all(run: StepContext) -> None:
     run.loaded, run.whole = 0, run.plan.bytes
     for at, step in enumerate(run.plan.steps):
-        run.at = at
+        run.at, run.length = at, step.length
         _take(run, step, ACTIONS[type(step)])
-        run.loaded += image_bytes(step)
+        run.loaded += run.length
 
 
 def _take(run: StepContext, step: Step, action: Callable[[StepContext, Any], None]) -> None:

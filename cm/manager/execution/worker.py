@@ -52,17 +52,12 @@ class Change:
     repairs: str = ""  # a region that it compares with what was loaded, and repairs; it goes nowhere else
     reloads: bool = False  # that region as a whole
     checked: RegionCheck | None = None  # what came of that
-    _cancel: threading.Event = field(default_factory=threading.Event)
+    cancelled: bool = False  # `cancel` was called
     _done: threading.Event = field(default_factory=threading.Event)
 
     def cancel(self) -> None:
         """Ask it to stop before its next load; it goes back to the mode before."""
-        self._cancel.set()
-
-    @property
-    def cancelled(self) -> bool:
-        """Whether `cancel` was called."""
-        return self._cancel.is_set()
+        self.cancelled = True
 
     @property
     def done(self) -> bool:
@@ -188,6 +183,7 @@ class Worker:
             change.finish(ErrorInfo("cancelled", "the configuration manager is stopping"), 0.0)
             return
         self._run(change)
+        self._tools.state.keep_times()
         if change.error is None and self._prefetches and not self.busy:
             self._tools.loaders.prefetch_modules(self._tools.state.loaded_config(), lambda: not self.busy)
 
@@ -206,7 +202,7 @@ class Worker:
         state.pending, self.running = None, None
         reporter.ended(change.number, error, seconds)
         state.release_regions()
-        reporter.note(state.try_record())
+        reporter.note(state.settle())
         self._ended()
         reporter.changed()
         change.finish(error, seconds)

@@ -20,9 +20,8 @@ import json
 import os
 import threading
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import lru_cache
-from operator import is_
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -30,6 +29,7 @@ from typing import Any
 from cm.frozen import dataclass, field, replace
 from cm.manager.errors import RecordFailed, StateInUse, StoreCorrupt
 from cm.manager.state.board_state import BoardState, OverlayState, RegionPhase, RegionState
+from cm.manager.state.kept import Kept
 from cm.manager.state.steps import ApplyOverlay, Choice, Place, RemoveOverlay, SetClock, Step
 from cm.schema.model import Config, LoaderKind, Memory, Region
 from cm.wire.messages.status import ErrorInfo
@@ -144,25 +144,83 @@ class Texts:
     """JSON of immutable parts of a record, kept until others stand in their place: most stay for many records."""
 
     def __init__(self) -> None:
-        self._kept: dict[str, tuple[Sequence[object], str]] = {}
+        self._begin, self._values = Kept(_begin), Kept(_values)
+        self._changes = (Kept(_change_begin), Kept(_change_rest)), (Kept(_change_begin), Kept(_change_rest))
+        self._measured = Kept(_all_measured)
 
-    def of(self, place: str, parts: Mapping[str, Mapping[str, Any] | tuple[Any, ...]]) -> str:
-        """The members of an object, and its end."""
-        before, text = self._kept.get(place, ((), ""))
-        values = [*parts.values()]
-        if not (before and all(map(is_, values, before))):
-            text = _json({name: dict(x) if isinstance(x, Mapping) else x for name, x in parts.items()})[1:]
-            self._kept[place] = values, text
-        return text
+    def of(self, r: Record) -> str:
+        """An object."""
+        s = r.state
+        static = s.static_sha256, s.static_config, s.static_lost
+        begin = self._begin.of(r.boot_id, r.number, s.config, s.mode, *static, s.regions, s.overlays)
+        values = self._values.of(s.values, s.clocks)
+        pending, back = "null", ""
+        if r.pending is not None:
+            pending = _change(r.pending, *self._changes[0])
+        if r.way_back is not None:
+            back = f',"way_back":[{_json(r.way_back.name)},{_change(r.way_back.change, *self._changes[1])}]'
+        return f'{{{begin},{values}}},"pending":{pending}{back},{self._measured.of(r.throughput)}}}'
+
+
+def _change(x: Pending, begin: Kept[str], rest: Kept[str]) -> str:
+    """An object; all but the step stays as it is."""
+    text = begin.of(x.number, x.config, x.mode, x.from_config, x.from_mode)
+    overlay = "null" if x.overlay is None else _json(x.overlay)
+    step = f'"step":{_json(x.step)},"subject":{_json(x.subject)},"overlay":{overlay}'
+    return f"{{{text},{step},{rest.of(x.from_static, x.held, x.values, x.found, x.rates)}}}"
 
 
 def encode(record: Record, texts: Texts) -> bytes:
     """A line; it begins with a line end, so that a torn line before it does no harm."""
-    plain = _text(record, texts)
-    rates = ",".join([_measured(kind.value, rates) for kind, rates in record.throughput.measured.items()])
-    seconds = ",".join([_measured(kind, took) for kind, took in record.throughput.steps.items()])
-    body = f'{plain},"throughput":{{{rates}}},"seconds":{{{seconds}}}}}'.encode()
+    body = texts.of(record).encode()
     return b"\n%08x %b\n" % (zlib.crc32(body), body)
+
+
+def _members(plain: Mapping[str, Any]) -> str:
+    return _json(plain)[1:-1]
+
+
+def _begin(
+    boot_id: str,
+    number: int,
+    config: str | None,
+    mode: str | None,
+    static_sha256: str | None,
+    static_config: str | None,
+    static_lost: bool,
+    regions: Mapping[str, RegionState],
+    overlays: tuple[OverlayState, ...],
+) -> str:
+    state = {
+        "config": config,
+        "mode": mode,
+        "static": [static_sha256, static_config, static_lost],
+        "regions": {n: [x.phase.value, x.module, x.sha256] for n, x in regions.items()},
+        "overlays": [[o.name, o.sha256] for o in overlays],
+    }
+    return _members({"version": _VERSION, "boot_id": boot_id, "number": number, "state": state})[:-1]
+
+
+def _values(values: Mapping[str, int], clocks: Mapping[str, int]) -> str:
+    return _members({"values": {**values}, "clocks": {**clocks}})
+
+
+def _change_begin(number: int, config: str, mode: str, from_config: str | None, from_mode: str | None) -> str:
+    return _members(
+        {"number": number, "config": config, "mode": mode, "from_config": from_config, "from_mode": from_mode}
+    )
+
+
+def _change_rest(
+    static: str | None, held: Mapping[str, str], values: Mapping[str, int], found: object, rates: Mapping[str, int]
+) -> str:
+    return _members({"from_static": static, "held": {**held}, "values": {**values}, "found": found, "rates": {**rates}})
+
+
+def _all_measured(known: Throughput) -> str:
+    rates = ",".join([_measured(kind.value, rates) for kind, rates in known.measured.items()])
+    seconds = ",".join([_measured(kind, took) for kind, took in known.steps.items()])
+    return f'"throughput":{{{rates}}},"seconds":{{{seconds}}}'
 
 
 @lru_cache(64)
@@ -200,35 +258,6 @@ def _understood(body: bytes) -> Record:
         return _from_plain(json.loads(body))
     except (ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
         raise OtherVersion(str(error)) from None
-
-
-def _text(r: Record, texts: Texts) -> str:
-    """All but what was measured, and the end."""
-    state = {
-        "config": r.state.config,
-        "mode": r.state.mode,
-        "static": [r.state.static_sha256, r.state.static_config, r.state.static_lost],
-        "regions": {n: [x.phase.value, x.module, x.sha256] for n, x in r.state.regions.items()},
-        "overlays": [[o.name, o.sha256] for o in r.state.overlays],
-    }
-    begin = _json({"version": _VERSION, "boot_id": r.boot_id, "number": r.number, "state": state})[:-2]
-    rest = texts.of("state", {"values": r.state.values, "clocks": r.state.clocks})
-    pending = "null" if r.pending is None else _pending_text(r.pending, texts, "pending")
-    back = "" if r.way_back is None else _back_text(r.way_back, texts)
-    return f'{begin},{rest},"pending":{pending}{back}'
-
-
-def _back_text(back: WayBack, texts: Texts) -> str:
-    return f',"way_back":[{_json(back.name)},{_pending_text(back.change, texts, "back")}]'
-
-
-_SHORT = ("number", "config", "mode", "from_config", "from_mode", "step", "subject", "overlay", "from_static")
-
-
-def _pending_text(x: Pending, texts: Texts, place: str) -> str:
-    short = _json({name: getattr(x, name) for name in _SHORT})[:-1]
-    rest = texts.of(place, {"held": x.held, "values": x.values, "found": x.found, "rates": x.rates})
-    return f"{short},{rest}"
 
 
 def _pending_from_plain(plain: Mapping[str, Any]) -> Pending:
@@ -462,7 +491,7 @@ class ManagerState:
         self._boot_id = ""
         self._number = 0
         self.generation = 0  # of the registers
-        self._recorded: Pending | None = None  # as it stands in the record
+        self._recorded: Record | None = None  # the last one that was written
         self._took: list[tuple[str, float]] = []  # by steps of the change that runs
         self._dirty = False
         self.urgent = False  # something was noted that is nowhere but here
@@ -563,7 +592,7 @@ class ManagerState:
         self.throughput = self.throughput.observed(kind, length, seconds)
 
     def took(self, step: str, seconds: float, port_seconds: float) -> None:
-        """Keep how long a kind of step took, without the time of the port, for plans; recorded when no change runs."""
+        """Keep how long a kind of step took, without the time of the port; `keep_times` makes use of it."""
         with self.lock:
             self._took.append((step, seconds - port_seconds))
 
@@ -592,28 +621,38 @@ class ManagerState:
                 self.pending = _about_to(self.pending, step)
             self._write(None if step is None else self.pending)
 
-    def _write(self, pending: Pending | None) -> None:
-        if pending is None and self._took:
-            self.throughput, self._took = self.throughput.took(*self._took), []
+    def _write(self, pending: Pending | None, again: bool = True) -> None:
+        known = Record(self._boot_id, self.board, pending, self.throughput, self._number, self.way_back)
+        if not again and known == self._recorded:
+            return
         try:
-            known = Record(self._boot_id, self.board, pending, self.throughput, self._number, self.way_back)
             self._journal.write(known)
         except OSError as error:
             raise RecordFailed(f"the state record could not be written: {error}") from error
-        self._recorded, self._dirty, self.urgent = pending, False, False
+        self._recorded, self._dirty, self.urgent = known, False, False
 
     def try_record(self) -> ErrorInfo | None:
         """Write that no change is under way; what went wrong, if it could not be written."""
         return self._tried(None)
 
-    def flush(self) -> ErrorInfo | None:
-        """Write values of registers that requests wrote; a change that runs meanwhile stays under way."""
-        return self._tried(self._recorded) if self._dirty else None
+    def settle(self) -> ErrorInfo | None:
+        """The same, unless the last record says just what this one would."""
+        return self._tried(None, again=False)
 
-    def _tried(self, pending: Pending | None) -> ErrorInfo | None:
+    def keep_times(self) -> None:
+        """Use how long steps took for plans from now on; the next `flush` records it, as nobody waits for that."""
+        with self.lock:
+            self.throughput, self._took = self.throughput.took(*self._took), []
+            self._dirty = True
+
+    def flush(self) -> ErrorInfo | None:
+        """Write what was noted since the last record; a change that runs meanwhile stays under way."""
+        return self._tried(self._recorded.pending if self._recorded else None) if self._dirty else None
+
+    def _tried(self, pending: Pending | None, again: bool = True) -> ErrorInfo | None:
         try:
             with self.lock:
-                self._write(pending)
+                self._write(pending, again)
         except RecordFailed as problem:
             return ErrorInfo(problem.code, str(problem))
         return None
@@ -623,10 +662,9 @@ def _about_to(pending: Pending, step: Step) -> Pending:
     rates = pending.rates
     if isinstance(step, SetClock) and step.before:
         rates = {step.clock.name: step.before, **rates}
-    return replace(pending, step=step.kind, subject=step.subject, overlay=_overlay_name(step), rates=rates)
-
-
-def _overlay_name(step: Step) -> str | None:
+    overlay = None
     if isinstance(step, ApplyOverlay):
-        return step.overlay.name
-    return step.name if isinstance(step, RemoveOverlay) else None
+        overlay = step.overlay.name
+    elif isinstance(step, RemoveOverlay):
+        overlay = step.name
+    return replace(pending, step=step.kind, subject=step.subject, overlay=overlay, rates=rates)

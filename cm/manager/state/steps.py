@@ -20,7 +20,16 @@ class Choice:
 Place = tuple[int, int]  # of a register: physical address, and width in bits
 
 
-class _OfRegion:
+class _Step:
+    __slots__ = ()
+
+    @property
+    def length(self) -> int:
+        """Bytes that go through a configuration port."""
+        return 0
+
+
+class _OfRegion(_Step):
     __slots__ = ()
     region: Region
 
@@ -30,7 +39,7 @@ class _OfRegion:
 
 
 @dataclass(frozen=True, slots=True)
-class Validate:
+class Validate(_Step):
     """Everything this plan loads was read and found good before the first step touches anything."""
 
     images: tuple[Image, ...]
@@ -46,7 +55,7 @@ class Validate:
 
 
 @dataclass(frozen=True, slots=True)
-class CheckStatic:
+class CheckStatic(_Step):
     """Read the static part's identity, before a partial bitstream is loaded into it."""
 
     config: str
@@ -70,7 +79,7 @@ class CheckStatic:
 
 
 @dataclass(frozen=True, slots=True)
-class Quiesce:
+class Quiesce(_Step):
     """Stop streams whose region or shape changes."""
 
     streams: tuple[str, ...]
@@ -86,7 +95,7 @@ class Quiesce:
 
 
 @dataclass(frozen=True, slots=True)
-class RemoveOverlay:
+class RemoveOverlay(_Step):
     """Take a device-tree overlay off."""
 
     name: str
@@ -125,6 +134,10 @@ class Load(_OfRegion):
     kind = "load"
 
     @property
+    def length(self) -> int:
+        return self.image.length
+
+    @property
     def port_kind(self) -> LoaderKind:
         return self.region.loader
 
@@ -134,7 +147,7 @@ class Load(_OfRegion):
 
 
 @dataclass(frozen=True, slots=True)
-class LoadStatic:
+class LoadStatic(_Step):
     """Load a whole image; every region's content is lost."""
 
     image: Image
@@ -142,6 +155,10 @@ class LoadStatic:
     config: str  # whose image it is
     loader: LoaderKind
     kind = "load_full"
+
+    @property
+    def length(self) -> int:
+        return self.image.length
 
     @property
     def port_kind(self) -> LoaderKind:
@@ -157,7 +174,7 @@ class LoadStatic:
 
 
 @dataclass(frozen=True, slots=True)
-class ApplyOverlay:
+class ApplyOverlay(_Step):
     """Put a device-tree overlay on."""
 
     overlay: Overlay
@@ -201,7 +218,7 @@ class CheckIdentity(_OfRegion):
 
 
 @dataclass(frozen=True, slots=True)
-class SetRegister:
+class SetRegister(_Step):
     """Write a register and, where it can be, read it back."""
 
     register: Register
@@ -219,7 +236,7 @@ class SetRegister:
 
 
 @dataclass(frozen=True, slots=True)
-class SetClock:
+class SetClock(_Step):
     """Set a clock and read it back."""
 
     clock: Clock  # with the rate that is wanted
@@ -259,7 +276,7 @@ class Repair(_OfRegion):
 
 
 @dataclass(frozen=True, slots=True)
-class Publish:
+class Publish(_Step):
     """The board is in the new mode: say so, and let the streams run."""
 
     config: str
