@@ -13,17 +13,20 @@ from __future__ import annotations
 from functools import partial
 from operator import attrgetter
 from types import FunctionType
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 _ABSENT: Any = object()
 
 
-class _Field(NamedTuple):
+class _Field:
     """How a field gets its value if none is given, and whether it is shown."""
 
-    default: Any = _ABSENT
-    default_factory: Any = _ABSENT
-    repr: bool = True
+    __slots__ = ("default", "default_factory", "repr")
+
+    def __init__(self, default: Any = _ABSENT, default_factory: Any = _ABSENT, repr: bool = True) -> None:  # noqa: A002
+        self.default = default
+        self.default_factory = default_factory
+        self.repr = repr
 
 
 _REQUIRED = _Field()
@@ -157,8 +160,9 @@ class _LookedFor:
             kinds |= getattr(base, "__annotations__", {})
         fields = []
         for name, one in cls.__fields__.items():
-            said: dict[str, Any] = {key: value for key, value in one._asdict().items() if value is not _ABSENT}
-            fields.append((name, kinds[name], described(**said)))
+            said = {key: getattr(one, key) for key in one.__slots__}
+            given = {key: value for key, value in said.items() if value is not _ABSENT}
+            fields.append((name, kinds[name], described(**given)))
         made = make_dataclass(cls.__name__, fields, init=False, repr=False, eq=False)
         for name in _LOOKED_FOR:
             setattr(cls, name, getattr(made, name))
