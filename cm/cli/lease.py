@@ -41,7 +41,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description="Hold part of the board, so that others cannot change it: while COMMAND runs (behind --, with "
         "the lease's id in $CM_LEASE, which `cm` passes on), or until Ctrl-C. With --seconds, print the id and end: "
         "export CM_LEASE=$(cm lease take board --seconds 600). If cm is killed (SIGKILL), COMMAND goes on without the "
-        "lease; -- setpriv --pdeathsig TERM COMMAND ends with it.",
+        "lease, unless it begins with setpriv(1) (docs/cli.md).",
     )
     scope = taking.add_argument(
         "scope", metavar="SCOPE", help="board, config, region:NAME, registers:NAME or memories:NAME"
