@@ -52,7 +52,13 @@ else:
     def replace(instance: Any, /, **changes: Any) -> Any:
         """As `dataclasses.replace`, which looks at each field anew: a fifth of what Python did in a change of mode."""
         cls = instance.__class__
-        return cls(**{**dict(zip(cls.__match_args__, cls.__values__(instance), strict=False)), **changes})
+        try:
+            values = cls.__values__
+        except AttributeError:  # not made here
+            import dataclasses
+
+            return dataclasses.replace(instance, **changes)
+        return cls(**{**dict(zip(cls.__match_args__, values(instance), strict=False)), **changes})
 
 
 def names(cls: Any) -> tuple[str, ...]:
