@@ -21,8 +21,12 @@ CLOCKED = "input aclk; input aresetn; "
 
 
 def boundary(modules: list[ModuleInfo]) -> Boundary:
-    """The boundary of modules by their own names."""
-    return making.boundary({module.name: module for module in modules})
+    """The boundary of modules by their own names; what is connected to a port knows its width."""
+    found = making.boundary({module.name: module for module in modules})
+    for adaptation in found.adaptations:
+        known = {c.boundary: c.boundary_width for c in adaptation.connections if c.boundary}
+        assert known == {name: width for name, width in widths(found).items() if name in known}
+    return found
 
 
 @pytest.fixture
@@ -275,6 +279,7 @@ UNKNOWN = "the clock of s is not known: write clocks: {{{}: {{interfaces: [s]}}}
         (stream("s_", "slave"), UNKNOWN.format("CLOCK")),
         ('input clk; (* X_INTERFACE_INFO = "xilinx.com:signal:clock:1.0 pix CLK" *) output pix_clk',
          "pix_clk is a clock that the module drives: clocks do not cross a region's boundary outwards"),
+        (_with_ids("slave", 2).replace("[1:0] x_awid", "[W-1:0] x_awid"), "the width of x.AWID could not be evaluated"),
         ("input rst", "the reset rst belongs to no clock: the region has none"),
     ],
 )  # fmt: skip

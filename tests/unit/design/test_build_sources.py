@@ -11,6 +11,7 @@ from build_support import MINIMAL, STREAM_MODULE, needs, project
 
 from cm.cli.main import main
 from cm.design.boundary.analyse import analyse
+from cm.design.errors import BuildError
 from cm.design.generate.outputs import render_all
 from cm.design.generate.tree import load_design
 from cm.design.hdl.errors import HdlError
@@ -145,6 +146,23 @@ def test_the_build_schema_says_the_clock_and_the_reset_of_what_no_hdl_describes(
     assert [(r.port, r.clock, r.polarity, r.why, r.may_be) for r in found.resets] == [
         ("s_axis_aresetn", "b_clk", Polarity.HIGH, "stated", ())
     ]
+
+
+def test_protocols_of_ones_own_are_found_at_an_ip_instance(tmp_path: Path) -> None:
+    (tmp_path / "fifo_8.xci").write_text(
+        XCI.replace('"s_axis_tlast"', '"cam_pix": [{"direction": "out"}], "s_axis_tlast"')
+    )
+    (tmp_path / "own.yaml").write_text("protocols: [{name: pixels, signals: {pix: out}}]\n")
+    text = MINIMAL.replace("sources: [one.v]", "ip: [fifo_8.xci]") + "protocols: [own.yaml]\n"
+    found = analyse(load_project(project(tmp_path, text))).modules["one"]
+    assert found.interface("cam").protocol == "pixels"
+
+
+def test_a_component_that_cannot_be_read_is_named_at_its_line(tmp_path: Path) -> None:
+    (tmp_path / "component.xml").write_text("<a/>")
+    path = project(tmp_path, MINIMAL.replace("sources: [one.v]", "sources: [one.v]\n    component: component.xml"))
+    with pytest.raises(BuildError, match=r"build\.yaml:7:5: modules\.one\.component: .*its root is <a>"):
+        analyse(load_project(path))
 
 
 @needs("iverilog")
