@@ -126,6 +126,12 @@ def test_data_of_another_width_is_refused_for_the_minority(make) -> None:
     assert widths(result)["s_axis_tdata"] == 32
     assert [a.ok for a in result.adaptations] == [False, True, True]
     assert "s_axis.TDATA has 8 bits, the region's s_axis 32" in result.adaptation("a").refused[0]
+    others = [
+        make(name, CLOCKED + stream("s_axis_", "slave", width)) for name, width in (("d", 8), ("e", 8), ("f", 32))
+    ]
+    assert widths(boundary(others))["s_axis_tdata"] == 8
+    with pytest.raises(KeyError, match="none"):
+        result.adaptation("none")
 
 
 BOTH = stream("s_axis_", "slave") + stream("m_axis_", "master")
@@ -236,7 +242,7 @@ def test_master_without_write_channels_writes_nothing(make) -> None:
 
 def test_resets_of_both_polarities_share_one(make) -> None:
     result = boundary([make("low", "input clk; input rst_n"), make("high", "input clk; input rst; input reset")])
-    assert [(p.name, p.role) for p in result.ports] == [("aclk", Role.CLOCK), ("aresetn", Role.RESET)]
+    assert [(p.name, p.role, p.idle) for p in result.ports] == [("aclk", Role.CLOCK, 0), ("aresetn", Role.RESET, 1)]
     assert [(c.module, c.fit) for c in result.adaptation("high").connections] == [
         ("clk", Fit.CONNECT),
         ("rst", Fit.INVERT),
@@ -311,7 +317,10 @@ def test_leftover_signals_are_shared_by_name_where_they_agree(make) -> None:
     result = boundary([one, two])
     assert widths(result)["leds"] == 8
     assert at(result.adaptation("one"), "leds").fit is Fit.EXTEND
-    assert len(result.adaptation("two").refused) == 2
+    assert result.adaptation("two").refused == (
+        "port mode is out, another module's mode is in",
+        "port gain has 4 bits, another module's gain 8: give them different names",
+    )
 
 
 def test_user_protocol_meets_by_name_and_its_missing_signals_read_zero(make) -> None:
