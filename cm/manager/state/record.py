@@ -22,14 +22,14 @@ import threading
 import zlib
 from collections.abc import Callable, Mapping
 from functools import lru_cache
+from operator import is_
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from cm.frozen import dataclass, field, replace
 from cm.manager.errors import RecordFailed, StateInUse, StoreCorrupt
 from cm.manager.state.board_state import BoardState, OverlayState, RegionPhase, RegionState
-from cm.manager.state.kept import Kept
 from cm.manager.state.steps import ApplyOverlay, Choice, Place, RemoveOverlay, SetClock, Step
 from cm.schema.model import Config, LoaderKind, Memory, Region
 from cm.wire.messages.status import ErrorInfo
@@ -41,6 +41,7 @@ _GRACE = 2.0  # seconds that any load may take
 _RECENT = 5  # measurements of a kind that count
 
 _VERSION = 2
+_T = TypeVar("_T")
 _json = json.JSONEncoder(separators=(",", ":")).encode
 
 
@@ -138,6 +139,24 @@ class Record:
 
 class OtherVersion(ValueError):
     """A whole line that another version of this program wrote."""
+
+
+class Kept(Generic[_T]):
+    """The last result of a function, true as long as its inputs are the same objects. Any thread."""
+
+    __slots__ = ("_last", "_make")
+
+    def __init__(self, make: Callable[..., _T]) -> None:
+        self._make = make
+        self._last: tuple[tuple[object, ...], _T | None] = ((), None)
+
+    def of(self, *things: object) -> _T:
+        """`make` of them, not None."""
+        before, made = self._last
+        if made is None or not all(map(is_, things, before)):
+            made = self._make(*things)
+            self._last = things, made
+        return made
 
 
 class Texts:
