@@ -97,7 +97,7 @@ test: $(VENV)/.installed-test test-c ## all tests that need no board and no furt
 # Python 3.11 at most: numpy's oldest has no wheel for a newer one.
 LOWEST := build/lowest
 test-lowest: | check-system ### `make test` of the last commit with the oldest version of each package that pyproject.toml allows (PYTHON=python3.11 or 3.10)
-	@rm -rf $(LOWEST) && git clone -q . $(LOWEST) && $(PYTHON) -m venv $(LOWEST)/.venv
+	@rm -rf $(LOWEST) && git -c safe.directory='*' clone -q . $(LOWEST) && $(PYTHON) -m venv $(LOWEST)/.venv
 	@.ci/pip-install $(LOWEST)/.venv uv
 	@cd $(LOWEST) && .venv/bin/uv pip install --quiet --python .venv --resolution lowest-direct --editable '.[test]'
 	cd $(LOWEST) && .venv/bin/python -m pytest -n $(JOBS) --dist $(SHARE) $(SUITES) --board=sim --suite=plain $(PYTEST_ARGS)
