@@ -169,6 +169,24 @@ def display(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Display]:
     server.communicate(timeout=60)
 
 
+# A terminal that has just begun may answer its first question late, and textual-image waits for 0.1 s.
+AWAKE = """
+import os, sys, termios, tty
+before = termios.tcgetattr(0)
+tty.setraw(0)
+os.write(1, b"\\x1b[c")
+while os.read(0, 1) != b"c":
+    pass
+termios.tcsetattr(0, termios.TCSANOW, before)
+os.execv(sys.argv[1], sys.argv[1:])
+"""
+
+
+def in_awake_terminal(command: Sequence[str]) -> list[str]:
+    """The same, once the terminal has answered a question (DA1)."""
+    return [sys.executable, "-c", AWAKE, *command]
+
+
 @contextlib.contextmanager
 def running(command: Sequence[str], display: Display) -> Iterator[None]:
     until(lambda: display.picture().size <= 3, WAIT)  # what was there before has gone
@@ -184,7 +202,7 @@ def running(command: Sequence[str], display: Display) -> Iterator[None]:
 @needs("xterm", "xterm")
 def test_xterm_says_that_it_has_sixels_and_shows_the_frame(manager: Manager, frame: Any, display: Display) -> None:
     terminal = ["xterm", "-ti", "vt340", "-geometry", "100x30+0+0", "-bg", "black", "-b", "0", "-bw", "0", "-e"]
-    with running([*terminal, *view(manager)], display):
+    with running([*terminal, *in_awake_terminal(view(manager))], display):
         until(lambda: display.shows(frame), WAIT)
 
 
@@ -201,7 +219,7 @@ def test_kitty_is_known_and_shows_the_frame(
         "placement_strategy=top-left",
     )
     words = [word for option in (*options, "update_check_interval=0") for word in ("-o", option)]
-    with running(["kitty", "--config", "NONE", *words, *view(manager)], display):
+    with running(["kitty", "--config", "NONE", *words, *in_awake_terminal(view(manager))], display):
         until(lambda: display.shows(frame), WAIT)
 
 
