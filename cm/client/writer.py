@@ -24,6 +24,7 @@ from cm.wire.plane_packets import Descriptor, Geometry, Open
 
 # What memory and socket raise if another thread closes the writer meanwhile; then that is what is said.
 _BROKEN = (CmError, OSError, LookupError, ValueError, AttributeError)
+_JUST_NOW = 0.001  # seconds; what is sent while a change of mode begins is lost in any case
 
 
 class Writer:
@@ -39,6 +40,7 @@ class Writer:
         self._connection = DataConnection(folder, wanted)
         self.name: str = wanted.name
         self._next = 0
+        self._heard = 0.0
         self._under_way: set[int] = set()  # sequences
         self._failed: list[Descriptor] = []
 
@@ -76,7 +78,9 @@ class Writer:
         return True
 
     def catch_up(self) -> None:
-        """Process what has come: a change of mode takes all slots back, and what is sent in them then goes nowhere."""
+        """Process what has come, if nothing did just now: a frame in a slot that a change of mode took goes nowhere."""
+        if time.monotonic() - self._heard < _JUST_NOW:
+            return
         self._check()
         try:
             while self._connection.waiting():
@@ -163,6 +167,7 @@ class Writer:
         connection.set_timeout(self._timeout)
         while number in self._under_way:
             connection.receive()
+            self._heard = time.monotonic()
             self._collect()
         self._raise_failures()
         return grant
@@ -197,6 +202,7 @@ class Writer:
             while not ready():
                 self._connection.set_timeout(left)
                 self._connection.receive()
+                self._heard = time.monotonic()
                 self._collect()
                 left = None if until is None else max(0.0, until - time.monotonic())
         except BlockingIOError:
