@@ -24,7 +24,6 @@ from cm.wire.plane_packets import Descriptor, Geometry, Open
 
 # What memory and socket raise if another thread closes the writer meanwhile; then that is what is said.
 _BROKEN = (CmError, OSError, LookupError, ValueError, AttributeError)
-_JUST_NOW = 0.001  # seconds; what is sent while a change of mode begins is lost in any case
 
 
 class Writer:
@@ -39,8 +38,8 @@ class Writer:
         self._timeout = timeout = time_limit(timeout)
         self._connection = DataConnection(folder, wanted)
         self.name: str = wanted.name
+        self._stands = wanted.echo  # no hardware is behind an echo: nothing takes its slots back
         self._next = 0
-        self._heard = 0.0
         self._under_way: set[int] = set()  # sequences
         self._failed: list[Descriptor] = []
 
@@ -78,9 +77,7 @@ class Writer:
         return True
 
     def catch_up(self) -> None:
-        """Process what has come, if nothing did just now: a frame in a slot that a change of mode took goes nowhere."""
-        if time.monotonic() - self._heard < _JUST_NOW:
-            return
+        """Process what has come: a change of mode takes all slots back, and what is sent in them then goes nowhere."""
         self._check()
         try:
             while self._connection.waiting():
@@ -95,7 +92,8 @@ class Writer:
         `length` bytes of it, as flat uint8; a whole frame in the stream's shape if 0. Waits for a slot.
         Raises Timeout, TransferFailed of an earlier frame.
         """
-        self.catch_up()
+        if not self._stands:
+            self.catch_up()
         return self.lend(length, timeout)
 
     @contextmanager
@@ -126,7 +124,8 @@ class Writer:
 
         An array (rows, columns, 3) for a stream with a `format` is RGB; all else is sent as it is.
         """
-        self.catch_up()
+        if not self._stands:
+            self.catch_up()
         self.send(data, timeout)
 
     def send(self, data: npt.ArrayLike, timeout: Limit = DEFAULT) -> None:
@@ -167,7 +166,6 @@ class Writer:
         connection.set_timeout(self._timeout)
         while number in self._under_way:
             connection.receive()
-            self._heard = time.monotonic()
             self._collect()
         self._raise_failures()
         return grant
@@ -202,7 +200,6 @@ class Writer:
             while not ready():
                 self._connection.set_timeout(left)
                 self._connection.receive()
-                self._heard = time.monotonic()
                 self._collect()
                 left = None if until is None else max(0.0, until - time.monotonic())
         except BlockingIOError:
