@@ -90,17 +90,19 @@ demo-scrub: $(VENV)/.installed-build ### a bit of a running module's configurati
 # The slow files first, so that no worker is left with one at the end.
 SHARE := loadfile --no-loadscope-reorder
 RUN_TESTS = $(PYTEST) $(if $(STRICT),--no-skips) -n $(JOBS) --dist $(SHARE)
+RUN_PLAIN = $(RUN_TESTS) $(SUITES) --board=sim --suite=plain $(PYTEST_ARGS)
 test: $(VENV)/.installed-test test-c ## all tests that need no board and no further tools (SANITIZE=1: the C tests with sanitizers)
-	$(RUN_TESTS) $(SUITES) --board=sim --suite=plain $(PYTEST_ARGS)
+	$(RUN_PLAIN)
 	@echo "What needs further tools: $(FURTHER:%=make test-%), make test-rtl test-open test-node test-go test-bench test-vm"
 
 # Python 3.11 at most: numpy's oldest has no wheel for a newer one.
 LOWEST := build/lowest
+test-lowest: BIN := .venv/bin
 test-lowest: | check-system ### `make test` of the last commit with the oldest version of each package that pyproject.toml allows (PYTHON=python3.11 or 3.10)
 	@rm -rf $(LOWEST) && git -c safe.directory='*' clone -q . $(LOWEST) && $(PYTHON) -m venv $(LOWEST)/.venv
 	@.ci/pip-install $(LOWEST)/.venv uv
 	@cd $(LOWEST) && .venv/bin/uv pip install --quiet --python .venv --resolution lowest-direct --editable '.[test]'
-	cd $(LOWEST) && .venv/bin/python -m pytest -n $(JOBS) --dist $(SHARE) $(SUITES) --board=sim --suite=plain $(PYTEST_ARGS)
+	cd $(LOWEST) && $(RUN_PLAIN)
 
 test-design: ### the tests that read HDL, generate projects and run Tcl (apt: tcl device-tree-compiler)
 test-networks: ### those of zenoh and ROS 2 (apt: python3-rosidl python3-empy)

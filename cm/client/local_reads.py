@@ -31,9 +31,8 @@ _NAMES = 1024  # of which that is remembered
 _FLAGS = int(socket.MSG_DONTWAIT) | int(socket.MSG_NOSIGNAL)
 _DONTWAIT = int(socket.MSG_DONTWAIT)
 _pack, _unpack = DESCRIPTOR.pack, DESCRIPTOR.unpack_from
-_ANSWER = (
-    DESCRIPTOR.size
-)  # bytes; what follows says why there is no value, which the request that is made then says too
+# Bytes; what follows says why there is no value, which the request that is made then says too.
+_ANSWER = DESCRIPTOR.size
 
 
 class LocalReads:

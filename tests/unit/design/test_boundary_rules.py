@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 
 from cm.design.boundary.rules import Missing, Policy, lacks_input, lacks_output, policy
@@ -70,20 +72,15 @@ def filled(rule: Missing, signal: str) -> Missing:
     return Missing(rule.value, rule.note.format(signal), rule.refusal.format(signal))
 
 
-@pytest.mark.parametrize(("protocol", "mode", "present", "signals", "rule"), OUTPUTS)
-def test_an_output_that_a_module_lacks_is_tied_or_refused(
-    protocol: str, mode: Mode, present: str, signals: str, rule: Missing
+@pytest.mark.parametrize(
+    ("lacks", "protocol", "mode", "present", "signals", "rule"),
+    [*((lacks_output, *row) for row in OUTPUTS), *((lacks_input, *row) for row in INPUTS)],
+)
+def test_a_signal_that_a_module_lacks_is_tied_or_left_or_refused(
+    lacks: Callable[..., Missing], protocol: str, mode: Mode, present: str, signals: str, rule: Missing
 ) -> None:
     for signal in signals.split():
-        assert lacks_output(protocol, mode, signal, present.split()) == filled(rule, signal)
-
-
-@pytest.mark.parametrize(("protocol", "mode", "present", "signals", "rule"), INPUTS)
-def test_an_input_that_a_module_lacks_is_left_or_refused(
-    protocol: str, mode: Mode, present: str, signals: str, rule: Missing
-) -> None:
-    for signal in signals.split():
-        assert lacks_input(protocol, mode, signal, present.split()) == filled(rule, signal)
+        assert lacks(protocol, mode, signal, present.split()) == filled(rule, signal)
 
 
 @pytest.mark.parametrize(
