@@ -9,7 +9,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from cm.cli.commands import EXIT_INTERRUPTED
-from cm.cli.common import Run, add_board_options, add_lease_option, answer, completes, print_json, print_table
+from cm.cli.common import Run, add_board_options, add_lease_option, answer, completes, print_json, print_table, slashed
 from cm.cli.connection import connected, where
 from cm.errors import CmError, Timeout
 from cm.wire.messages.plain import plain
@@ -31,9 +31,9 @@ def add_load(subparsers: _Subparsers) -> None:
         description="Go to a mode, as status prints it (camera/edge_detection), or to a configuration's default mode "
         "(camera).",
     )
-    target = parser.add_argument("target", metavar="CONFIG[/MODE]", help="a configuration, and its mode")
+    target = parser.add_argument("target", type=slashed, metavar="CONFIG[/MODE]", help="a configuration, and its mode")
     completes(target, "<config>", "<config/mode>")
-    completes(parser.add_argument("mode", nargs="?", default="", help=argparse.SUPPRESS), "<mode of target>")
+    completes(parser.add_argument("mode", type=slashed, nargs="?", help=argparse.SUPPRESS), "<mode of target>")
     _add_options(parser, run_load)
 
 
@@ -41,7 +41,7 @@ def add_mode(subparsers: _Subparsers) -> None:
     """Add ``cm mode``."""
     parser = subparsers.add_parser("mode", help="change the mode")
     target = parser.add_argument(
-        "target", metavar="[CONFIG/]MODE", help="a mode, or the module that exactly one mode consists of"
+        "target", type=slashed, metavar="[CONFIG/]MODE", help="a mode, or the module that exactly one mode consists of"
     )
     completes(target, "<mode>", "<config/mode>")
     _add_options(parser, run_mode)
@@ -51,10 +51,10 @@ def add_plan(subparsers: _Subparsers) -> None:
     """Add ``cm plan``."""
     parser = subparsers.add_parser("plan", help="show what a change of mode would do")
     target = parser.add_argument(
-        "target", metavar="[CONFIG/]MODE", nargs="?", default="", help="default: the configuration's default mode"
+        "target", type=slashed, metavar="[CONFIG/]MODE", nargs="?", help="default: the configuration's default mode"
     )
     completes(target, "<mode>", "<config/mode>")
-    completes(parser.add_argument("mode", nargs="?", default="", help=argparse.SUPPRESS), "<mode of target>")
+    completes(parser.add_argument("mode", type=slashed, nargs="?", help=argparse.SUPPRESS), "<mode of target>")
     completes(parser.add_argument("--config", default="", help=argparse.SUPPRESS), "<config>")
     add_board_options(parser, run_plan)
 
@@ -91,7 +91,7 @@ def run_load(args: argparse.Namespace) -> int:
     config, slash, mode = args.target.partition("/")
     with connected(args) as board:
         try:
-            return _go(board, args, config, mode or args.mode)
+            return _go(board, args, config, mode or args.mode or "")
         except CmError as error:
             if error.code != "unknown_config" or slash or args.mode or not _has_mode(board, config):
                 raise
@@ -174,7 +174,7 @@ def _say(sentence: str) -> None:
 
 def run_plan(args: argparse.Namespace) -> int:
     """Print the steps; the exit status."""
-    config, mode = (args.target, args.mode) if args.mode else _split(args.target)
+    config, mode = (args.target, args.mode) if args.mode else _split(args.target or "")
     config = config or args.config
     with connected(args) as board:
         try:

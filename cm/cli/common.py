@@ -44,6 +44,7 @@ def add_connection_options(parser: argparse.ArgumentParser) -> None:
     )
     choice.add_argument(
         "--connect",
+        type=parsed("an endpoint, such as tcp://kria.local", str, bool),
         metavar="ENDPOINT",
         help="a manager on another machine, such as tcp://kria.local (default: $CM_CONNECT)",
     )
@@ -106,6 +107,7 @@ def digits(text: str) -> int:
 
 natural = parsed("a whole number, 0 or more", digits, lambda value: value >= 0)
 positive = parsed("a whole number, 1 or more", digits, lambda value: value > 0)
+slashed = parsed("a name, or CONFIG/MODE", str, lambda text: all(text.split("/")))  # not "", as of an unset variable
 seconds = parsed("a time in seconds", float, lambda value: 0 <= value < 1e9)
 
 

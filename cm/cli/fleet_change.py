@@ -7,7 +7,7 @@ import argparse
 import sys
 from typing import TYPE_CHECKING, Any
 
-from cm.cli.common import print_json, print_table, seconds
+from cm.cli.common import print_json, print_table, seconds, slashed
 from cm.cli.fleet_options import add_fleet_options, answer_boards, connected_fleet
 
 if TYPE_CHECKING:
@@ -19,10 +19,10 @@ _PHASES = {"open": "opened", "prepare": "prepared", "apply": "changed", "decide"
 def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the actions."""
     mode = actions.add_parser("mode", help="change the mode of all boards, or of none")
-    mode.add_argument("mode", metavar="MODE")
+    mode.add_argument("mode", type=slashed, metavar="MODE")
     mode.set_defaults(config="")
     load = actions.add_parser("load", help="load a configuration on all boards, or on none")
-    load.add_argument("config", metavar="CONFIG")
+    load.add_argument("config", type=slashed, metavar="CONFIG")
     load.add_argument("mode", metavar="MODE", help="mode of the configuration; '' for its default mode")
     for parser in (mode, load):
         add_fleet_options(parser, run)

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cm.cli.common import parsed
+from cm.cli.common import digits, natural, parsed
 from cm.cli.serve_settings import (
     access_of,
     configs_of,
@@ -91,20 +91,22 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         metavar="[HOST:]PORT",
         help="serve metrics for Prometheus there; without HOST, for this machine only",
     )
-    parser.add_argument(
-        "--prefetch", type=int, metavar="MIB", help="DMA memory for bitstreams kept ready (default: 64)"
-    )
     mebibytes = parsed("a number of MiB from 0 to 1048576", float, lambda value: 0 <= value <= 1 << 20)
+    whole = parsed("a whole number of MiB from 0 to 1048576", digits, lambda value: 0 <= value <= 1 << 20)
+    parser.add_argument(
+        "--prefetch", type=whole, metavar="MIB", help="DMA memory for bitstreams kept ready (default: 64)"
+    )
     parser.add_argument("--stream-queue", type=mebibytes, metavar="MIB",
         help="memory for frames queued for each subscriber over ZeroMQ (default: 32)")  # fmt: skip
     parser.add_argument("--images", type=Path, metavar="DIR", help="with --sim: photographs for its camera")
     parser.add_argument("--models", action="append", default=[], metavar="FILE",
         help="with --sim: your own models, a .py file or module with a mapping MODELS")  # fmt: skip
+    rate = parsed("a number, 0 or more", float, lambda value: 0 <= value < float("inf"))
     parser.add_argument(
-        "--sim-icap-rate", type=float, metavar="BYTES", help="with --sim: speed of its ICAP in bytes per second"
+        "--sim-icap-rate", type=rate, metavar="BYTES", help="with --sim: speed of its ICAP in bytes per second"
     )
     parser.add_argument(
-        "--sim-hold", type=int, metavar="FRAMES", help="with --sim: for how many frames each photograph stays"
+        "--sim-hold", type=natural, metavar="FRAMES", help="with --sim: for how many frames each photograph stays"
     )
     parser.add_argument("-v", "--verbose", action="store_true", help="log more")
     parser.set_defaults(run=run)

@@ -85,6 +85,8 @@ def resolve(endpoint: str | os.PathLike[str] | None, runtime_dir: str | os.PathL
     if endpoint is not None and runtime_dir is not None:
         raise InvalidRequest("give an endpoint or a runtime folder, not both")
     endpoint = os.fspath(endpoint) if endpoint is not None else None
+    if endpoint == "":
+        raise InvalidRequest("endpoint '': it is tcp://host[:port], or a runtime folder; none at all: this machine's")
     if endpoint is not None and endpoint.startswith("tcp://"):
         if not _can_be_host(split_tcp(endpoint)[0]):
             raise InvalidRequest(

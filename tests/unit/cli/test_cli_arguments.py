@@ -36,6 +36,15 @@ TIME = "is not a time in seconds"
         ("lease give", "which lease?"),
         ("sim inject hang camera --count -1", WHOLE),
         ("sim step camera 0", "is not a whole number, 1 or more"),
+        ("sim --hold -1", WHOLE),
+        ("sim --rate nan", "is not a number, 0 or more"),
+        ("sim --memory 0", "is not a whole number, 1 or more"),
+        ("sim --static-identity x", "'x' is not a number such as 0xca4e0002"),
+        ("serve --sim --sim-hold -1", WHOLE),
+        ("serve --sim --sim-icap-rate -5", "is not a number, 0 or more"),
+        ("serve --sim --prefetch -1", "is not a whole number of MiB from 0 to 1048576"),
+        ("mode /edge", "'/edge' is not a name, or CONFIG/MODE"),
+        ("load camera/", "'camera/' is not a name, or CONFIG/MODE"),
     ],
 )
 def test_what_cannot_be_meant_is_wrong_usage(
@@ -59,3 +68,17 @@ def test_an_unset_variable_does_not_stand_for_the_current_folder(
     assert end.value.code == 2
     assert "'' is no path" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["mode", ""], ["load", ""], ["load", "camera", ""], ["plan", ""], ["fleet", "mode", ""], ["status", "--connect", ""]],
+)
+def test_an_unset_variable_stands_for_no_mode_and_no_board(
+    words: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CM_RUNTIME_DIR", "/nonexistent")
+    with pytest.raises(SystemExit) as end:
+        main(words)
+    assert end.value.code == 2
+    assert "'' is not a" in capsys.readouterr().err
