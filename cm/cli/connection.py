@@ -24,7 +24,7 @@ _PAUSE = 0.1  # seconds between two tries
 def connected(args: argparse.Namespace, timeout: float = 5.0) -> Board:
     """The manager that ``--runtime-dir`` or ``--connect`` names, or this machine's; `timeout` in seconds.
 
-    Raises what `connect` does; NoAnswer says so where the host's name does not resolve.
+    Raises what `connect` does; NoAnswer says so where the host's name does not resolve, or the host refuses.
     """
     from cm.client.board import connect  # here: a completed name or a help text needs no client
     from cm.client.errors import NoAnswer
@@ -32,10 +32,10 @@ def connected(args: argparse.Namespace, timeout: float = 5.0) -> Board:
     try:
         return connect(args.connect, runtime_dir=args.runtime_dir, timeout=timeout, keys=args.keys)
     except NoAnswer as error:
-        from cm.client.address import unresolved
+        from cm.client.address import unreached
         from cm.client.find_manager import find
 
-        why = unresolved(find(args.connect, args.runtime_dir, args.keys).endpoints.pub)
+        why = unreached(find(args.connect, args.runtime_dir, args.keys).endpoints.pub)
         if why:
             raise NoAnswer(f"{error}: {why}") from None
         raise

@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import re
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 from cm.client.errors import NotAdmitted
@@ -139,20 +140,41 @@ def _group(folder: Path) -> str:
     return grp.getgrgid(folder.stat().st_gid).gr_name
 
 
-def unresolved(endpoint: str) -> str:
-    """Why no answer can come from ``tcp://host[:port]``: a host that does not resolve; or "".
+def unreached(endpoint: str) -> str:
+    """Why no answer can come from ``tcp://host[:port]``: it does not resolve, or refuses connections; or "".
 
-    Asks the resolver, which may take seconds: for when no answer came.
+    Asks the resolver, and the host, which may take seconds: for when no answer came.
     """
     import socket  # here: a connection that works needs none
 
     if not endpoint.startswith("tcp://"):
         return ""
-    host = split_tcp(endpoint)[0].rpartition(";")[2].strip("[]")  # behind libzmq's own address, if there is one
+    host, port = split_tcp(endpoint)
+    host = host.rpartition(";")[2].strip("[]")  # behind libzmq's own address, if there is one
     try:
         socket.getaddrinfo(host, None)
     except (OSError, UnicodeError) as error:
         return f"the name {host!r} does not resolve ({getattr(error, 'strerror', None) or error})"
+    with suppress(OSError):
+        try:
+            socket.create_connection((host, port), 1.0).close()
+        except ConnectionRefusedError:
+            return f"nothing listens on port {port} there, as a manager with 'listen' does"
+    return ""
+
+
+def deserted(endpoint: str) -> str:
+    """Why no answer comes from a socket of this machine that a killed manager has left; or ""."""
+    if sys.platform == "win32" or not endpoint.startswith("ipc://"):
+        return ""
+    import socket
+
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe, suppress(OSError):
+        probe.setblocking(False)
+        try:
+            probe.connect(endpoint.removeprefix("ipc://"))
+        except ConnectionRefusedError:
+            return "nobody serves that socket any more, the manager was killed; start it again"
     return ""
 
 

@@ -11,6 +11,7 @@ from typing import Any, Protocol, TypeVar
 import zmq
 from zmq import zmq_poll
 
+from cm.client.address import deserted
 from cm.client.connections import Socket, Sockets, not_subscribed
 from cm.client.core.calls import Call
 from cm.client.core.effects import DEFAULT, AskBeside, Flow, Limit, Pause, Receive, seconds
@@ -174,7 +175,7 @@ class Link:
                 if self._handshake.lost:
                     raise self._requests.lost()
             elif not ready and left == 0:
-                raise self._handshake.suspected or self._requests.no_answer(timeout)
+                raise self._handshake.suspected or self._requests.no_answer(timeout, deserted(self._requests.address))
 
     def _send(self, frames: Sequence[Any]) -> None:
         """Raise if it cannot be sent: a socket that was not admitted has no peer, and would wait for ever."""

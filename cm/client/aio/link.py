@@ -12,6 +12,7 @@ from typing import Any, Protocol, TypeVar
 import zmq.asyncio
 from zmq.utils.monitor import parse_monitor_message
 
+from cm.client.address import deserted
 from cm.client.aio.waiting import wake
 from cm.client.connections import Sockets, not_subscribed
 from cm.client.core.calls import Call
@@ -176,7 +177,7 @@ class Link:
             reply = await asyncio.wait_for(waiting, timeout)
         except asyncio.TimeoutError:
             suspected = self._handshake.suspected if self._handshake else None
-            raise suspected or self._requests.no_answer(timeout) from None
+            raise suspected or self._requests.no_answer(timeout, deserted(self._requests.address)) from None
         finally:
             self._pending.pop(number, None)
             sending.cancel()

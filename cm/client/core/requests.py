@@ -41,9 +41,10 @@ class Requests:
         """The reply, without the frames of the request that came back."""
         return frames[self._envelope :]
 
-    def no_answer(self, limit: float | None) -> NoAnswer:
+    def no_answer(self, limit: float | None, why: str = "") -> NoAnswer:
         """Nothing came within `limit` seconds."""
-        return NoAnswer(f"no answer from a configuration manager at {self.address} within {limit or 0:g} s")
+        reason = f": {why}" if why else ""
+        return NoAnswer(f"no answer from a configuration manager at {self.address} within {limit or 0:g} s{reason}")
 
     def lost(self) -> ConnectionLost:
         """The manager went away."""

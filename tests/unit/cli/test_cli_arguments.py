@@ -72,7 +72,14 @@ def test_an_unset_variable_does_not_stand_for_the_current_folder(
 
 @pytest.mark.parametrize(
     "words",
-    [["mode", ""], ["load", ""], ["load", "camera", ""], ["plan", ""], ["fleet", "mode", ""], ["status", "--connect", ""]],
+    [
+        ["mode", ""],
+        ["load", ""],
+        ["load", "camera", ""],
+        ["plan", ""],
+        ["fleet", "mode", ""],
+        ["status", "--connect", ""],
+    ],
 )
 def test_an_unset_variable_stands_for_no_mode_and_no_board(
     words: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

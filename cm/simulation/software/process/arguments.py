@@ -51,7 +51,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--config", type=Path, action="append", default=[], metavar="PATH",
         help="runtime schema, or folder of them; may be repeated (default: the shipped camera example)")  # fmt: skip
     add("--images", type=Path, metavar="DIR", help="pictures for the camera (default: three photographs)")
-    add("--hold", type=_natural, default=150, metavar="FRAMES", help="for how many frames each picture stays; 0: for ever")
+    add(
+        "--hold",
+        type=_natural,
+        default=150,
+        metavar="FRAMES",
+        help="for how many frames each picture stays; 0: for ever",
+    )
     add("--rate", type=_number, metavar="FPS", help="frames per second of every camera; 0: as fast as they are taken")
     add(
         "--icap-rate",
