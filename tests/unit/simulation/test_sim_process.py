@@ -57,6 +57,25 @@ def test_a_board_that_is_stopped_removes_all_it_made(tmp_path):
     ]
 
 
+def test_a_forked_child_that_leaves_a_boards_block_leaves_the_board_to_its_parent():
+    with Board(arguments=FAST) as board:
+        child = os.fork()
+        if not child:
+            board.close()  # as sys.exit() and an error in a `with` block do
+            os._exit(0)
+        assert os.waitpid(child, 0)[1] == 0
+        assert board.alive
+        assert board.control.state()["pid"] == board.pid
+    assert not board.root.exists()
+
+
+def test_a_single_schema_needs_no_list(tmp_path):
+    schema = tmp_path / "one.yaml"
+    schema.write_text("config: {name: one, modules: {default: {}}, modes: {m: {modules: [default]}}}\n")
+    with Board(str(schema), arguments=FAST) as board:
+        assert list(board.control.state()["regions"]) == ["prr0"]
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_it_with_status_zero_and_removes_a_root_of_its_own(tmp_path, number):
     root = tmp_path / "root"

@@ -99,13 +99,15 @@ class Board:
 
     def __init__(
         self,
-        configs: Iterable[Path | str] = (),
+        configs: Iterable[Path | str] | Path | str = (),
         root: Path | str | None = None,
         arguments: Iterable[str] = (),
         timeout: float = 60.0,
         program: str = "cm.simulation.software",
     ) -> None:
-        self._configs = [str(path) for path in configs]
+        given = [configs] if isinstance(configs, (str, Path)) else configs  # the letters of a path are no paths
+        self._configs = [str(path) for path in given]
+        self._owner = os.getpid()
         self._arguments = list(arguments)
         self._timeout = timeout
         self._program = program
@@ -149,7 +151,9 @@ class Board:
         return self.start()
 
     def close(self) -> None:
-        """Stop it if it runs, and remove a root that was made here."""
+        """Stop it if it runs, and remove a root that was made here; in a process that was forked, leave it as it is."""
+        if os.getpid() != self._owner:
+            return
         if self._process is not None:
             try:
                 self.stop()
