@@ -119,5 +119,8 @@ def _ready(request: pytest.FixtureRequest, kind: str, configs: tuple[str, ...], 
         boards[key] = Served(kind, configs, build, str(Path(coverage).absolute()) if coverage else "")
     served = boards["now"] = boards[key]
     served.begin(str(request.config.getini("cm_load")))
-    with connect(str(served.runtime), timeout=60.0) as connected:
+    with pytest.MonkeyPatch.context() as patch, connect(str(served.runtime), timeout=60.0) as connected:
+        for name in ("CM_CONNECT", "CM_KEYS", "CM_LEASE"):
+            patch.delenv(name, raising=False)
+        patch.setenv("CM_RUNTIME_DIR", str(served.runtime))  # an application that connects by itself finds this one
         yield connected

@@ -56,9 +56,14 @@ class Served:
         return Control(self.runtime / "board")
 
     def begin(self, load: str) -> None:
-        """Put the board into the state after power-up, and load `load` ("CONFIG[/MODE]"; empty: what there is)."""
+        """Put the board into the state after power-up, and load `load` ("CONFIG[/MODE]"; empty: what there is).
+
+        Leases that the test before has left are broken.
+        """
         self.control.clear()
         with connect(str(self.runtime), timeout=60.0) as board:
+            for lease in board.status.leases:
+                board.break_lease(lease.number)
             config, _, mode = load.partition("/")
             config = config or self._only(board)
             board.load(config, mode, progress=False, force=True)

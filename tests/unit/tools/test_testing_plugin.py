@@ -24,6 +24,13 @@ def test_a_register(board):
 def test_each_test_begins_anew(board):
     assert board.registers["focus"] == 1
 
+def test_an_application_that_connects_by_itself_finds_the_board_of_the_test(board):
+    import cm
+    board.registers["focus"] = 5
+    own = cm.connect()
+    assert own.registers["focus"] == 5
+    own.lease("board", seconds=600).take()  # and forgets it
+
 def test_a_fault(board, inject):
     inject("icap_crc")
     try:
@@ -43,8 +50,9 @@ def test_ten_lines_test_an_application(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:randomly"]
     if "cm" not in {point.name for point in _plugins()}:
         command += ["-p", "cm.tools.testing.plugin"]
-    done = subprocess.run(command, cwd=tmp_path, env=environment(), capture_output=True, text=True, check=False)
-    assert "4 passed" in done.stdout, done.stdout + done.stderr
+    elsewhere = environment() | {"CM_CONNECT": "tcp://board.invalid", "CM_RUNTIME_DIR": "/nonexistent"}
+    done = subprocess.run(command, cwd=tmp_path, env=elsewhere, capture_output=True, text=True, check=False)
+    assert "5 passed" in done.stdout, done.stdout + done.stderr
 
 
 def _plugins() -> list[object]:
