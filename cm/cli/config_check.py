@@ -85,6 +85,9 @@ def _check_settings(path: Path) -> list[Checked]:
         return [Checked(path, None, error.problems)]
     except SettingsMissing as error:
         return [Checked(path, None, (_problem(path, "not_found", str(error).removeprefix(f"{path}: ")),))]
+    if good.listen and not good.keys and not good.insecure:  # what the service refuses, where no option gives keys
+        said = "listens on TCP without keys, which the service refuses: 'keys: FILE' ('cm keygen'), or 'insecure: true'"
+        return [Checked(path, None, (_problem(path, "insecure_listen", said),))]
     return [Checked(path, None, (), good)]
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar
 
-from cm.errors import CmError
+from cm.errors import CmError, InvalidRequest
 from cm.frozen import names, replace
 from cm.schema.problems import KeyPath, Problem, SchemaError, did_you_mean, key_path
 from cm.schema.reader import Refused, read
@@ -29,9 +29,11 @@ from cm.server.settings.model import (
     Settings,
     StreamSettings,
 )
+from cm.wire.topics import split_tcp
 
 _PEOPLE = ("users", "groups", "guests")
 _LISTS = ("local", "insecure")
+_LAST_PORT = 65535
 
 
 def access(values: Mapping[str, Any]) -> AccessSettings:
@@ -67,6 +69,26 @@ def _named(values: Mapping[str, Any]) -> Iterator[tuple[KeyPath, list[str]]]:
     for name in _PEOPLE:
         for who, roles in values.get(name, {}).items():
             yield (name, who), roles
+
+
+def impossible(values: Mapping[str, Any]) -> Iterator[tuple[KeyPath, str, str]]:
+    """Values of the right form that cannot be: where they stand, and what would be right."""
+    for index, address in enumerate(values.get("listen", ())):
+        try:
+            split_tcp(address)
+        except InvalidRequest as error:
+            yield ("listen", index), str(error), ""
+    port = str(values.get("metrics", "")).rpartition(":")[2]
+    if port and int(port) > _LAST_PORT:
+        yield ("metrics",), f"there is no port {port}", f"at most {_LAST_PORT}"
+    for region, said in values.get("scrub", {}).items():
+        budget = (said or {}).get("budget", "1%")
+        if not 0 < _percent(budget) <= 100:
+            yield ("scrub", region, "budget"), f"{budget!r} is no share of the time", "more than 0 %, at most 100 %"
+
+
+def _percent(said: str) -> float:
+    return float(said.rstrip("% "))
 
 
 SCHEMA = Path(__file__).with_name("settings.schema.json")
@@ -131,6 +153,8 @@ def _value(name: str, value: Any) -> Any:
         return _GROUPS[name](**{key: Path(part) if key in _PATHS else part for key, part in value.items()})
     if name in _PATHS:
         return Path(value)
+    if name == "metrics":
+        return str(value)
     return tuple(value) if isinstance(value, list) else value
 
 
@@ -141,7 +165,7 @@ def _scrub(said: Mapping[str, str]) -> ScrubSettings:
         number, unit = re.fullmatch(r"([\d.]+) ?(\w+)", said["every"]).groups()  # type: ignore[union-attr]
         known["every"] = max(0.1, float(number) * _SECONDS[unit])
     if "budget" in said:
-        known["budget"] = min(1.0, max(0.0001, float(said["budget"].rstrip("% ")) / 100))
+        known["budget"] = max(0.0001, _percent(said["budget"]) / 100)
     return ScrubSettings(**known)
 
 
@@ -171,8 +195,11 @@ class _Reading:
         for path, code, message, hint in structure.values(self._root):
             self._report_at(locate(self._root, path), path, code, message, hint)
         found: dict[str, Any] = plain(self._root)
-        for path, message, hint in () if self._problems else unknown_roles(found.get("access", {})):
-            self._report_at(locate(self._root, path), path, "unknown_role", message, hint)
+        if not self._problems:
+            for path, message, hint in unknown_roles(found.get("access", {})):
+                self._report_at(locate(self._root, path), path, "unknown_role", message, hint)
+            for path, message, hint in impossible(found):
+                self._report_at(locate(self._root, path), path, "value_range", message, hint)
         if self._problems:
             raise SettingsError(sorted(self._problems, key=lambda problem: (problem.line, problem.column)))
         return found

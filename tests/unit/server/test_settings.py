@@ -91,6 +91,12 @@ def test_one_address_may_stand_without_a_list() -> None:
     assert parse_settings("listen: tcp://0.0.0.0:5560\n").listen == ("tcp://0.0.0.0:5560",)
 
 
+def test_a_port_for_metrics_is_a_number_or_text() -> None:
+    assert [parse_settings(f"metrics: {said}").metrics for said in ("9469", "'9469'", "kria:9469")] == [
+        "9469", "9469", "kria:9469",
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("text", "found"),
     [
@@ -99,6 +105,11 @@ def test_one_address_may_stand_without_a_list() -> None:
         ("\nkeys: server.key\n", (2, 1, "keys", "bad_value")),
         ("listen: ['udp://x']\n", (1, 10, "listen[0]", "bad_value")),
         ("streams: {queue_mib: -1}\n", (1, 11, "streams.queue_mib", "value_range")),
+        ("listen: [tcp://a:5560, 'tcp://a:70000']\n", (1, 24, "listen[1]", "value_range")),
+        ("metrics: 'kria:99999'\n", (1, 1, "metrics", "value_range")),
+        ("metrics: 99999\n", (1, 1, "metrics", "value_range")),
+        ("scrub: {prr0: {budget: 200 %}}\n", (1, 16, "scrub.prr0.budget", "value_range")),
+        ("scrub: {prr0: {budget: 0 %}}\n", (1, 16, "scrub.prr0.budget", "value_range")),
         ("imports: {keep: '3'}\n", (1, 11, "imports.keep", "bad_type")),
         ("- listen\n", (1, 1, "", "bad_type")),
         ("log: [\n", (2, 1, "", "yaml_syntax")),
@@ -156,6 +167,13 @@ def test_check_settings_prints_what_is_wrong_like_a_compiler(
     file.write_text("lissten: []\n")
     assert main(["check", "--settings", str(file)]) == 1
     assert capsys.readouterr().out.startswith(f"{file}:1:1: lissten: unknown key 'lissten' (did you mean listen?)")
+
+
+def test_check_settings_tells_what_the_service_would_refuse(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "cm.yaml"
+    file.write_text("listen: [tcp://0.0.0.0]\n")
+    assert main(["check", "--settings", str(file)]) == 1
+    assert capsys.readouterr().out.startswith(f"{file}: listens on TCP without keys, which the service refuses: 'keys:")
 
 
 def test_check_settings_prints_the_schema_for_editors(capsys: pytest.CaptureFixture[str]) -> None:
