@@ -28,7 +28,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
             "cm.client.interrupts",
             "cm.client.memories", "cm.client.stream", "cm.client.frame", "cm.client.mapping", "cm.client.writer",
             "cm.client.allocation", "cm.client.change", "cm.client.lease", "cm.client.events", "cm.client.picture",
-            "cm.client.address", "cm.wire.plane_packets:Geometry Descriptor",
+            "cm.client.find_manager", "cm.wire.plane_packets:Geometry Descriptor",
         ),
     ),
     "aio": (
@@ -87,7 +87,7 @@ INTERNAL = {
     "cm.client.allocation": {"allocated"},
     "cm.client.core.generations": {"FirstAfter", "number"},
     "cm.client.picture": {"has_rows"},
-    "cm.client.address": {"default_runtime_dir", "resolve", "SYSTEM_DIR"},
+    "cm.client.find_manager": {"default_runtime_dir", "find", "resolve", "Place", "SYSTEM_DIR"},
     "cm.client.frame": {"frame_of"},
     "cm.client.errors": {"request_error"},
     "cm.client.stream": {"NewestStream", "RemoteStream"},

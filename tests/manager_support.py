@@ -20,8 +20,8 @@ from cm.manager.manager import Environment, Manager, Settings
 from cm.manager.state.record import Journal
 from cm.schema import loads
 from cm.schema.model import Config
+from cm.server.bitstream_and_overlay_files import BoardFiles
 from cm.server.devices import BoardDevices
-from cm.server.files import BoardFiles
 from cm.wire.messages.requests import ChangeMode, CheckRegion
 from cm.wire.messages.status import RegValues
 

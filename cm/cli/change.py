@@ -8,9 +8,9 @@ import sys
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from cm.cli.commands import EXIT_INTERRUPTED
 from cm.cli.common import Run, add_board_options, add_lease_option, answer, completes, print_json, print_table, slashed
 from cm.cli.connection import connected, where
+from cm.cli.failures import EXIT_INTERRUPTED
 from cm.errors import CmError, Timeout
 from cm.wire.messages.plain import plain
 

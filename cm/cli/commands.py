@@ -36,8 +36,6 @@ class CommandMissing(CmError):
     code: ClassVar[str] = "command_missing"
 
 
-EXIT_INTERRUPTED = 130  # of a command that Ctrl-C ended, as shells report it
-
 # The ten of a person's day; `cm --help` begins with them, and has the others below, by what they are for.
 DAY = ("serve", "status", "watch", "load", "mode", "plan", "reg", "stream", "bitstream", "build")
 

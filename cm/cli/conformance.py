@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _of_client(args: argparse.Namespace) -> Iterator[Outcome]:
-    from cm.tools.conformance.cases import cases
+    from cm.tools.conformance.client_cases import cases
     from cm.tools.conformance.runner import run as run_cases
 
     if shutil.which(args.driver[0]) is None:
@@ -73,15 +73,15 @@ def _of_client(args: argparse.Namespace) -> Iterator[Outcome]:
 
 
 def _of_manager(args: argparse.Namespace) -> Iterator[Outcome]:
-    from cm.client.address import load_keys, resolve
-    from cm.tools.conformance.manager import run as run_promises
+    from cm.client.find_manager import load_keys, resolve
+    from cm.tools.conformance.manager_checks import run as run_promises
 
     keys = load_keys(args.keys) if args.keys else None
     return run_promises(resolve(args.connect, args.runtime_dir), keys, args.act)
 
 
 def _list(as_json: bool) -> int:
-    from cm.tools.conformance.cases import cases
+    from cm.tools.conformance.client_cases import cases
 
     known = [(case.name, case.says) for case in cases()]
     if as_json:

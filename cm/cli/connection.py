@@ -32,8 +32,7 @@ def connected(args: argparse.Namespace, timeout: float = 5.0) -> Board:
     try:
         return connect(args.connect, runtime_dir=args.runtime_dir, timeout=timeout, keys=args.keys)
     except NoAnswer as error:
-        from cm.client.address import unreached
-        from cm.client.find_manager import find
+        from cm.client.find_manager import find, unreached
 
         why = unreached(find(args.connect, args.runtime_dir, args.keys).endpoints.pub)
         if why:

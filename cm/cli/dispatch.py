@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Finds the command, runs it, and turns errors into a sentence and an exit status.
-
-Exit status: 0 done, 1 refused or failed, 2 wrong usage; 130 after Ctrl-C and 141 when the reader of
-our output went away, as shells report a program that these signals ended.
-"""
+"""Finds the command and runs it; `cm.cli.failures` tells what went wrong."""
 
 from __future__ import annotations
 
@@ -15,16 +11,13 @@ from collections.abc import Sequence
 from typing import TextIO
 
 from cm.cli.colours import as_told, colours_of
-from cm.cli.commands import EXIT_INTERRUPTED, understood
+from cm.cli.commands import understood
+from cm.cli.failures import EXIT_INTERRUPTED, EXIT_PIPE, EXIT_USAGE, failed, not_installed
 from cm.cli.parser import build_parser, chosen_command, refuse_unknown
 from cm.errors import CmError
 
-EXIT_FAILED = 1
-EXIT_USAGE = 2
-EXIT_PIPE = 141
 # zenoh's threads may still call Python after its session was closed, and abort a process that is shutting Python down
 _AT_ONCE = ("bridge", "fleet")
-_PACKAGES = {"data": "sim", "simulation": "sim", "design": "build", "networks": "bridge", "tools.demo": "sim"}
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
@@ -74,7 +67,7 @@ def _ended(words: list[str]) -> int:
         return EXIT_PIPE
     except OSError as error:
         _drop(sys.stdout)
-        return _failed(error, as_json=False, place="standard output: ")
+        return failed(error, as_json=False, place="standard output: ")
 
 
 def _outcome(words: list[str], as_json: bool) -> int:
@@ -82,25 +75,17 @@ def _outcome(words: list[str], as_json: bool) -> int:
     try:
         return _run(words)
     except CmError as error:
-        return _failed(error, as_json)
+        return failed(error, as_json)
     except ModuleNotFoundError as error:
-        part = (error.name or "").split(".")
-        if part[0] != "cm" or len(part) < 2:
+        if not (error.name or "").startswith("cm."):
             raise
-        absent = ".".join(part[1:3]) if part[1] == "tools" else part[1]
-        return _fail("not_installed", _absent(absent), as_json)
+        return not_installed(error.name or "", as_json)
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
     except BrokenPipeError:
         raise
     except OSError as error:
-        return _failed(error, as_json)
-
-
-def _absent(part: str) -> str:
-    """The error for a missing part: distributions split the package, and say which of their packages has it."""
-    name = _PACKAGES.get(part, part.removeprefix("tools."))
-    return f"cm.{part} is not installed here: on Debian it is in fpga-cm-{name}, on Yocto in python3-fpga-cm-{name}"
+        return failed(error, as_json)
 
 
 def _print_anything() -> None:
@@ -124,26 +109,6 @@ def _run_without(parser: argparse.ArgumentParser, words: list[str]) -> int:
     parser.parse_args(words)  # --help and --version end here
     parser.print_help(sys.stderr)
     return EXIT_USAGE
-
-
-def _failed(error: CmError | OSError, as_json: bool, place: str = "") -> int:
-    from cm.cli.failures import code_and_sentence
-
-    code, sentence = code_and_sentence(error)
-    return _fail(code, f"{place}{sentence}", as_json)
-
-
-def _fail(code: str, message: str, as_json: bool) -> int:
-    """Say what went wrong: to people on stderr, to scripts on stdout."""
-    if as_json:
-        from cm.cli.common import print_json
-
-        print_json({"error": {"code": code, "message": message}})
-    else:
-        from cm.cli.failures import tell
-
-        tell(code, message)
-    return EXIT_FAILED
 
 
 def _finish_errors() -> None:

@@ -106,7 +106,7 @@ def _curve() -> Finding:
 
 def _manager(args: argparse.Namespace) -> Finding:
     """Whether a manager answers, and in which mode it is."""
-    from cm.client.address import default_runtime_dir
+    from cm.client.find_manager import default_runtime_dir
     from cm.errors import CmError, NotFound
     from cm.wire.messages.status import PrMode
 

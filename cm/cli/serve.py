@@ -134,7 +134,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _ready(sentence: str) -> None:
     """What there is by now stays; and no thread waits for long while another, which works aside, has Python's lock."""
-    from cm.server.service import keep
+    from cm.server.garbage import keep
 
     keep()
     sys.setswitchinterval(_SWITCH)
@@ -155,7 +155,7 @@ def _level(args: argparse.Namespace, settings: Settings | None) -> int:
 
 def _log_to(level: int, service: bool) -> None:
     """Log to the journal with its fields if it listens, otherwise as lines on stderr."""
-    from cm.server.service import journal_handler
+    from cm.server.systemd import journal_handler
 
     handler = journal_handler() or logging.StreamHandler(sys.stderr)
     handler.setFormatter(Lines(f"{'cm serve: ' if isinstance(handler, logging.StreamHandler) else ''}%(message)s"))

@@ -161,7 +161,7 @@ def default_runtime_dir() -> Path:
     given = os.environ.get("RUNTIME_DIRECTORY", "").split(":")[0]
     if given:
         return Path(given)
-    from cm.client.address import default_runtime_dir as clients_default
+    from cm.client.find_manager import default_runtime_dir as clients_default
 
     return clients_default()
 

@@ -135,7 +135,7 @@ def _served() -> Path:
     named = os.environ.get("CM_ROOT")
     if named:
         return Path(named)
-    from cm.client.address import default_runtime_dir
+    from cm.client.find_manager import default_runtime_dir
     from cm.simulation.software.transport.protocol import CONTROL_PATH
 
     folder = default_runtime_dir() / "board"

@@ -14,9 +14,9 @@ from contextlib import redirect_stdout, suppress
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Protocol, TypeVar
 
-from cm.cli.commands import EXIT_INTERRUPTED
 from cm.cli.common import add_lease_option, binary_output, named, natural, print_json
 from cm.cli.connection import connected
+from cm.cli.failures import EXIT_INTERRUPTED
 from cm.errors import CmError, InvalidRequest, Timeout
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from typing import Any, TextIO
 import numpy as np
 import numpy.typing as npt
 
-from cm.client.pixels import Bytes, coloured, picture
+from cm.client.rendering import Bytes, coloured, picture
 from cm.errors import InvalidRequest
 
 WAYS = ("kitty", "sixel", "blocks")

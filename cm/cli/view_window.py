@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cm.client.pixels import coloured, picture
+from cm.client.rendering import coloured, picture
 
 _SIGNAL = (1024, 384)
 

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import zmq
 
-from cm.client.address import Keys
 from cm.client.change import ChangeHandle
 from cm.client.connections import ByName, Sockets
 from cm.client.core import calls, change, leases, uploads
@@ -23,7 +22,7 @@ from cm.client.core.leases import HeldLeases
 from cm.client.core.values import mode_name
 from cm.client.errors import RequestFailed
 from cm.client.events import EventStream
-from cm.client.find_manager import find
+from cm.client.find_manager import Keys, find
 from cm.client.guard import Guarded
 from cm.client.interrupts import Interrupts
 from cm.client.lease import BoardLease

@@ -12,9 +12,9 @@ from typing import Any, Protocol, TypeVar
 
 import zmq
 
-from cm.client.address import Keys
 from cm.client.core.handshake import EVENTS, Handshake
 from cm.client.errors import BoardClosed, NotAdmitted
+from cm.client.find_manager import Keys
 from cm.client.forks import not_for_children
 from cm.wire.topics import Endpoints
 

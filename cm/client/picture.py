@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cm.client.pixels import scaled
+from cm.client.rendering import scaled
 from cm.errors import InvalidRequest
 
 Array = npt.NDArray[Any]

@@ -1,19 +1,44 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the board is there, and still the same one: it may go, or be restarted, while the manager runs."""
+"""Whether the board is there, and still the same one: it may go, be restarted, or sleep, while the manager runs.
+
+A suspend shows as CLOCK_BOOTTIME going on while CLOCK_MONOTONIC does not.
+"""
 
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable
 
 from cm.device import DeviceGone
 from cm.errors import CmError
 from cm.manager.manager import Manager
 from cm.server.interrupts import InterruptWatch
-from cm.server.service import Sleep
 from cm.server.streams.running import Streams
 
 _LOG = logging.getLogger("cm")
+_LEAST = 0.2  # seconds; the clocks are not read at one instant
+
+
+def _asleep() -> float:
+    """Seconds that the machine has slept since it was started."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - time.clock_gettime(time.CLOCK_MONOTONIC)
+
+
+class Sleep:
+    """Notices sleeps since it was made, or since the last that was `noted()`."""
+
+    def __init__(self, asleep: Callable[[], float] = _asleep) -> None:
+        self._asleep = asleep
+        self._noted = asleep()
+
+    def slept(self) -> bool:
+        """Whether there was one."""
+        return self._asleep() - self._noted > _LEAST
+
+    def noted(self) -> None:
+        """It was dealt with."""
+        self._noted = self._asleep()
 
 
 class BoardWatch:

@@ -14,8 +14,8 @@ from cm.manager.access.leases import Leases
 from cm.manager.manager import Manager
 from cm.schema.model import Config
 from cm.server.rights.model import Access
-from cm.server.service import ServiceManager
 from cm.server.settings.model import USUAL, Limits
+from cm.server.systemd import ServiceManager
 
 _LOG = logging.getLogger("cm")
 

@@ -15,12 +15,12 @@ from cm.manager.access.leases import Leases
 from cm.manager.manager import Environment, Manager
 from cm.manager.state.record import Journal
 from cm.schema.model import Config
+from cm.server.bitstream_and_overlay_files import BoardFiles, Footprints
 from cm.server.board_watch import BoardWatch
 from cm.server.client_work import ClientJobs, Steps
 from cm.server.connections import Connections, Sessions, raise_descriptors
 from cm.server.devices import BoardDevices
 from cm.server.dispatcher import Dispatcher
-from cm.server.files import BoardFiles, Footprints
 from cm.server.folders import Locks, own_folder
 from cm.server.handlers import Handlers, MemoryTransfers, Services
 from cm.server.interrupts import InterruptWatch
@@ -33,12 +33,12 @@ from cm.server.reload import ReloadContext, Reloader, renewal
 from cm.server.rights.gate import Gate
 from cm.server.rights.policy import system_users
 from cm.server.sensor_watch import SensorWatch
-from cm.server.service import ServiceManager
 from cm.server.shares import Clients
 from cm.server.sockets import Authenticator, Loop, Sockets
 from cm.server.streams.data_socket import DataSocket
 from cm.server.streams.discovery import with_channels
 from cm.server.streams.running import Streams
+from cm.server.systemd import ServiceManager
 from cm.server.uploads import Uploads
 from cm.wire.messages.requests import ChangeMode
 from cm.wire.messages.status import ErrorInfo

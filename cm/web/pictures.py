@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cm.client.pixels import Bytes, Outline, outline, visible
+from cm.client.rendering import Bytes, Outline, outline, visible
 
 SIDE = 1280  # pixels at most; of a larger frame every second, third, … pixel is shown
 COLUMNS = 1024  # of a signal; a longer one is shown as the least and the greatest value in each

@@ -13,7 +13,7 @@ from manager_process import REPOSITORY, Manager
 
 import cm
 from cm.cli.main import main
-from cm.tools.conformance.cases import cases
+from cm.tools.conformance.client_cases import cases
 from cm.tools.conformance.driver import ACTIONS
 
 OURS = [sys.executable, "-m", "cm.tools.conformance.driver"]

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy.typing as npt
 import zmq.asyncio
 
-from cm.client.address import Keys
 from cm.client.aio.change import ChangeHandle
 from cm.client.aio.events import EventStream
 from cm.client.aio.interrupts import Interrupts
@@ -33,7 +32,7 @@ from cm.client.core.leases import HeldLeases
 from cm.client.core.remote_stream import Wanted, check_compression
 from cm.client.core.values import mode_name
 from cm.client.errors import RequestFailed
-from cm.client.find_manager import find
+from cm.client.find_manager import Keys, find
 from cm.client.frame import Frame
 from cm.client.guard import Guarded
 from cm.client.progress import OnProgress, Shown

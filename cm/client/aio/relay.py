@@ -13,12 +13,11 @@ from typing import Any, TypeVar
 import zmq
 from zmq.utils.monitor import parse_monitor_message
 
-from cm.client.address import Keys
 from cm.client.connections import Sockets, not_subscribed
 from cm.client.core.calls import Call
 from cm.client.core.requests import result
 from cm.client.errors import ConnectionLost, NoAnswer
-from cm.client.find_manager import find
+from cm.client.find_manager import Keys, find
 from cm.wire.encode import encode_request
 from cm.wire.envelope import GUEST
 

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import zmq
 
-from cm.client.address import Keys
+from cm.client.find_manager import Keys
 from cm.errors import Timeout
 from cm.wire import cm_pb2 as pb
 from cm.wire.topics import Endpoints

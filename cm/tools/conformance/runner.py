@@ -16,7 +16,7 @@ import zmq
 
 from cm.errors import CmError
 from cm.tools.conformance.acting_manager import ActingManager, ServerKeys
-from cm.tools.conformance.cases import AnyError, Case
+from cm.tools.conformance.client_cases import AnyError, Case
 
 _HUNG = 60.0  # seconds beyond a case's own time-outs
 

@@ -15,7 +15,7 @@ from hypothesis.extra import numpy as arrays
 from PIL import Image
 
 from cm.cli.view_terminal import WAYS, Drawer, half_blocks
-from cm.client.pixels import fitted, outline, plotted, resized, visible
+from cm.client.rendering import fitted, outline, plotted, resized, visible
 from cm.errors import InvalidRequest
 
 SHADES = np.add.outer(np.arange(60), np.arange(96)).astype(np.uint8)

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cm.client.address import Keys, load_keys, resolve
 from cm.client.core import calls
 from cm.client.core.effects import DEFAULT, Ask, Deadline, seconds
 from cm.client.core.events import InterruptEvents
 from cm.client.core.remote_stream import reading_next
 from cm.client.core.values import mode_name
 from cm.client.errors import ConnectionLost, FrameReleased, NoAnswer, request_error
+from cm.client.find_manager import Keys, load_keys, resolve
 from cm.device.errors import device_error
 from cm.errors import CmError, InvalidRequest, NotFound
 from cm.networks.bridge.commands import BridgeEnds

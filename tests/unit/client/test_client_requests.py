@@ -16,11 +16,11 @@ import zmq
 from manager_process import short_folder
 
 from cm.client import aio
-from cm.client.address import Keys
 from cm.client.aio.relay import Relay
 from cm.client.board import Board
 from cm.client.core import calls
 from cm.client.errors import NoAnswer, RequestBusy
+from cm.client.find_manager import Keys
 from cm.errors import InvalidRequest, Timeout
 from cm.wire.decode import decode_request
 from cm.wire.encode import encode_reply

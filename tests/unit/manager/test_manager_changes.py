@@ -23,7 +23,7 @@ from cm.manager.loaders import Job, Loaders
 from cm.manager.planner import target
 from cm.schema import loads
 from cm.schema.model import Config, LoaderKind, Module
-from cm.server.files import BoardFiles
+from cm.server.bitstream_and_overlay_files import BoardFiles
 from cm.simulation.software import Board as SimBoard
 from cm.wire.messages.requests import ChangeMode, RegWrite
 

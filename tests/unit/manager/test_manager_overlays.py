@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from cm.formats import fdt
 from cm.manager.errors import BadOverlay
-from cm.server.files import FirmwareLoad, checked_overlay, firmware_loads, loading_nothing, naming
+from cm.server.bitstream_and_overlay_files import FirmwareLoad, checked_overlay, firmware_loads, loading_nothing, naming
 
 BLOB = fdt.pack(fdt.overlay("/fpga-region", fdt.FdtNode("", {"firmware-name": b"cm/x/a.bin\0", "empty": b""})))
 

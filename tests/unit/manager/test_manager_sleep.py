@@ -11,7 +11,7 @@ from manager_support import Rig, rig
 
 from cm.manager.errors import ChangeBusy
 from cm.schema.model import Config
-from cm.server.service import Sleep
+from cm.server.board_watch import Sleep
 from cm.simulation.software import Board as SimBoard
 
 

@@ -11,7 +11,7 @@ from bitstream_support import HERE, frames, small, two_sections
 from cm.formats.bitstream import Container, FrameAddress, FrameRun, assemble, convert
 from cm.formats.bitstream.errors import Sha256Mismatch
 from cm.manager.inputs import Image
-from cm.server.files import BitstreamReader, image_of
+from cm.server.bitstream_and_overlay_files import BitstreamReader, image_of
 
 NOP, ZEROS, DUMMY = b"\x00\x00\x00\x20", bytes(4), b"\xff\xff\xff\xff"
 

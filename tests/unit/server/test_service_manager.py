@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from cm.server.service import JournalHandler, ServiceManager, journal_handler
+from cm.server.systemd import JournalHandler, ServiceManager, journal_handler
 
 
 @pytest.fixture

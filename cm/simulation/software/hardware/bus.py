@@ -12,8 +12,8 @@ from cm.frozen import dataclass
 from cm.schema.model import Access, Decoupler
 from cm.simulation.software.errors import NodeError
 from cm.simulation.software.faults import Faults
-from cm.simulation.software.hardware.fabric import EMPTY_WORD, Fabric
-from cm.simulation.software.hardware.register_windows import Area, Cell, Region, Window, answers
+from cm.simulation.software.hardware.fabric import Fabric
+from cm.simulation.software.hardware.register_windows import Area, Region, Window, answers, unanswered
 from cm.simulation.software.transport.protocol import BLOCK_MAX
 
 _WIDTHS = (8, 16, 32, 64)
@@ -167,18 +167,10 @@ def _read_piece(window: Window, at: int, part: int) -> int:
     place = window.cell_at(at) or window.area_at(at)
     if place is not None:
         if not answers(place):
-            return _garbage(place, at, part)
+            return unanswered(place, at, part)
         if place.access is Access.WO:
             return 0
     return int.from_bytes(window.memory[at : at + part], "little")
-
-
-def _garbage(place: Cell | Area, at: int, part: int) -> int:
-    region = place.region
-    if region is not None and not region.loading and not region.decoupled:
-        word = EMPTY_WORD.to_bytes(4, "little") * 2
-        return int.from_bytes(word[at % 4 : at % 4 + part], "little")
-    return (1 << 8 * part) - 1
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,6 @@ else:
     from cm.wire.lazy_numpy import np
 
 
-EMPTY_WORD = 0xDEADBEEF  # what a region without a module reads as
 FUNCTIONAL_RESETS: Mapping[str, int] = {"focus": 1, "zoom": 1}
 _GARBAGE = 1 << 22
 

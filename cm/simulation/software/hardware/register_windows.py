@@ -12,6 +12,7 @@ from cm.schema.model import Memory, Register
 from cm.simulation.software.errors import NodeError
 from cm.simulation.software.hardware.board_spec import ModuleSpec, RegionSpec, WindowSpec
 
+EMPTY_WORD = 0xDEADBEEF  # what a region without a module reads as
 _SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW
 
 
@@ -136,6 +137,15 @@ def answers(place: Cell | Area) -> bool:
     """Whether a register or memory is on the bus: its region runs and is not cut off."""
     region = place.region
     return region is None or (region.running and not region.decoupled)
+
+
+def unanswered(place: Cell | Area, at: int, part: int) -> int:
+    """What `part` bytes read as where nothing answers: all ones while the region is loaded or cut off."""
+    region = place.region
+    if region is not None and not region.loading and not region.decoupled:
+        word = EMPTY_WORD.to_bytes(4, "little") * 2
+        return int.from_bytes(word[at % 4 : at % 4 + part], "little")
+    return (1 << 8 * part) - 1
 
 
 def same_place(one: Register | None, other: Register) -> bool:

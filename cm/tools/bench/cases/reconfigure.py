@@ -20,8 +20,8 @@ from cm.manager.manager import Environment, Manager, Settings
 from cm.manager.state.record import Journal
 from cm.schema import load
 from cm.schema.model import Config, FrameRange
+from cm.server.bitstream_and_overlay_files import BoardFiles
 from cm.server.devices import BoardDevices
-from cm.server.files import BoardFiles
 from cm.simulation.software.process.child import Board
 from cm.tools.bench.c_programs import TimedPort
 from cm.tools.bench.peer import Unavailable

@@ -1,22 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a service has to do with its machine: systemd, the journal, sleep, and Python's collector of garbage.
+"""What a service has to do with systemd: signs of life, and records in the journal.
 
 sd_notify(3) tells systemd, and others with its protocol, that the manager is ready; records go to journald with fields
-of their own (systemd.journal-fields(7)). A suspend shows as CLOCK_BOOTTIME going on while CLOCK_MONOTONIC does not.
-The collector stops all threads while it searches all objects: what is there once the manager is ready is left out.
+of their own (systemd.journal-fields(7)).
 """
 
 from __future__ import annotations
 
-import gc
 import logging
 import os
 import socket
 import struct
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 
 
@@ -125,49 +123,3 @@ def _encoded(name: str, value: str) -> bytes:
     if b"\n" not in data:
         return name.encode() + b"=" + data + b"\n"
     return name.encode() + b"\n" + struct.pack("<Q", len(data)) + data + b"\n"
-
-
-_LEAST = 0.2  # seconds; the clocks are not read at one instant
-
-
-def _asleep() -> float:
-    """Seconds that the machine has slept since it was started."""
-    return time.clock_gettime(time.CLOCK_BOOTTIME) - time.clock_gettime(time.CLOCK_MONOTONIC)
-
-
-class Sleep:
-    """Notices sleeps since it was made, or since the last that was `noted()`."""
-
-    def __init__(self, asleep: Callable[[], float] = _asleep) -> None:
-        self._asleep = asleep
-        self._noted = asleep()
-
-    def slept(self) -> bool:
-        """Whether there was one."""
-        return self._asleep() - self._noted > _LEAST
-
-    def noted(self) -> None:
-        """It was dealt with."""
-        self._noted = self._asleep()
-
-
-_NEVER = 1 << 30  # collections of young objects until one of all
-
-
-def keep() -> None:
-    """Exclude all present objects from later searches."""
-    gc.freeze()
-
-
-@contextmanager
-def keeping() -> Iterator[None]:
-    """For making objects that will stay: young garbage is collected, but not everything is searched. One at a time."""
-    gc.collect()  # quick, since most objects are excluded already
-    young, middle, old = gc.get_threshold()
-    gc.set_threshold(young, middle, _NEVER)
-    try:
-        yield
-        gc.collect(1)
-        keep()
-    finally:
-        gc.set_threshold(young, middle, old)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from cm.tools.conformance import scripts
+from cm.tools.conformance import client_scripts as scripts
 from cm.tools.conformance.acting_manager import ActingManager, Play, Taken
 from cm.wire.messages import requests as rq
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from cm.client.address import Keys
+from cm.client.find_manager import Keys
 from cm.errors import Timeout
 from cm.tools.conformance.peer import Broken, Peer, check, refused, until
 from cm.tools.conformance.runner import Outcome
