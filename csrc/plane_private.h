@@ -17,7 +17,9 @@ struct slot {
 	int fd;		 /* what clients get */
 	uint32_t handle; /* of the channel */
 	uint32_t holders;
-	bool queued;			  /* at the hardware, or waits for it */
+	bool queued;	  /* at the hardware, or waits for it */
+	uint32_t outcome; /* of what is queued, if its stream ends now: 0, or errno */
+	uint64_t ended_ns;
 	struct client *owner;		  /* a writer's */
 	struct cm_plane_descriptor frame; /* what it holds, or carries */
 	uint64_t generation;		  /* of the registers when that began */

@@ -190,6 +190,7 @@ void stream_queue(struct cm_plane *plane, struct stream *stream, uint32_t number
 	uint32_t place = (stream->first + stream->count) % CM_PLANE_SLOTS_MAX;
 
 	slot->queued = true;
+	slot->outcome = ECANCELED;
 	if (!stream->dma) {
 		written(stream, slot, 0, (uint64_t)cm_clock_ns());
 		return;
@@ -314,27 +315,45 @@ void stream_stop_queueing(struct stream *stream)
 		epoll_ctl(stream->plane->epoll_fd, EPOLL_CTL_DEL, stream->event_fd, NULL);
 }
 
+/* What ended before it could be cancelled: tell_writers() says so. */
+static void note_end(struct stream *stream, const struct cm_dma_completion *completion)
+{
+	struct slot *slot;
+
+	if (completion->cookie >= stream->slots || completion->status == -ECANCELED)
+		return;
+	slot = &stream->slot[completion->cookie];
+	slot->outcome = (uint32_t)-completion->status;
+	slot->ended_ns = completion->timestamp_ns;
+}
+
 void stream_cancel(struct stream *stream)
 {
 	struct cm_dma_completion completions[TAKE_AT_ONCE];
+	ssize_t taken;
 
 	if (stream->aside)
 		pthread_join(stream->replacer, NULL);
 	stream->aside = false;
-	if (stream->dma && !cm_dma_cancel(stream->dma))
-		while (cm_dma_take(stream->dma, completions, TAKE_AT_ONCE) > 0)
-			;
+	if (!stream->dma || cm_dma_cancel(stream->dma))
+		return;
+	while ((taken = cm_dma_take(stream->dma, completions, TAKE_AT_ONCE)) > 0)
+		for (ssize_t i = 0; i < taken; i++)
+			note_end(stream, &completions[i]);
 }
 
 /* Tell writers about transfers that were under way. */
 static void tell_writers(struct stream *stream)
 {
+	uint64_t now = (uint64_t)cm_clock_ns();
+
 	if (stream->cycling >= 0 && stream->announced)
 		stream->slot[stream->cycling].queued =
 			false; /* its writer knows that it was taken */
-	for (uint32_t i = 0; i < stream->slots && stream->setup.write; i++)
-		if (stream->slot[i].queued)
-			written(stream, &stream->slot[i], ECANCELED, (uint64_t)cm_clock_ns());
+	for (struct slot *slot = stream->slot; slot < stream->slot + stream->slots; slot++)
+		if (slot->queued && stream->setup.write)
+			written(stream, slot, slot->outcome,
+				slot->outcome == ECANCELED ? now : slot->ended_ns);
 }
 
 void stream_end(struct cm_plane *plane, struct stream *stream, int error)

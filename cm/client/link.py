@@ -11,7 +11,7 @@ from typing import Any, Protocol, TypeVar
 import zmq
 from zmq import zmq_poll
 
-from cm.client.address import deserted
+from cm.client.find_manager import deserted
 from cm.client.connections import Socket, Sockets, not_subscribed
 from cm.client.core.calls import Call
 from cm.client.core.effects import DEFAULT, AskBeside, Flow, Limit, Pause, Receive, seconds

@@ -26,6 +26,7 @@ struct fake_node {
 	pthread_t thread;
 	int listener, stop_fd[2];
 	enum misdeed misdeed;
+	struct cm_dma_submit last;
 	atomic_uint requests;
 	sem_t speak;
 	uint32_t words[FAKE_NODE_WORDS];
@@ -258,8 +259,14 @@ static void answer_request(struct fake_node *fake, const struct packet *request,
 		answer_import(body, fd, answer);
 		break;
 	case CM_DMA_IOC_SUBMIT:
-		complete_dma(fake, events, body);
+		fake->last = *(const struct cm_dma_submit *)body;
+		if (fake->misdeed != END_AT_CANCEL)
+			complete_dma(fake, events, &fake->last);
 		answer->header.length = 0; /* as _IOW may */
+		break;
+	case CM_DMA_IOC_CANCEL:
+		if (fake->misdeed == END_AT_CANCEL)
+			complete_dma(fake, events, &fake->last);
 		break;
 	case CM_ICAP_IOC_LOAD:
 		complete_load(events, body);

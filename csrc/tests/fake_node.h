@@ -46,6 +46,8 @@ enum misdeed {
 	ANSWER_LATE,
 	/* each cancel of a channel */
 	ANSWER_CANCEL_LATE,
+	/* not a misdeed: the last transfer of a channel ends well just before it would have been cancelled */
+	END_AT_CANCEL,
 };
 
 #define FAKE_NODE_WORDS (40 * 1024) /* more than fit into two messages */

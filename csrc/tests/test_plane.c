@@ -591,6 +591,36 @@ static void a_frame_that_is_long_in_being_replaced_holds_up_no_other_stream(void
 	fake_root_remove(root);
 }
 
+/* What the hardware took just before its stream ended, the writer is told it took. */
+static void a_frame_that_ends_as_its_stream_does_was_taken(void)
+{
+	char *root = fake_root_make();
+	struct fake_node *fake = fake_node_start(root, "dev/cm_dma/quick", END_AT_CANCEL);
+	struct cm_dma *dma = cm_dma_open(root, "quick");
+	struct cm_plane_setup setup = { .write = true, .queue_depth = 4, .length = LENGTH };
+	struct cm_plane *plane = cm_plane_new();
+	unsigned char geometry[CM_PLANE_PACKET_MAX];
+	int memory = memfd_create("slot", MFD_CLOEXEC), pair[2], stream;
+
+	CHECK(dma && plane && !ftruncate(memory, LENGTH));
+	stream = cm_plane_start(plane, dma, &setup);
+	CHECK(cm_plane_add_slot(plane, stream, memory, 1) == 0);
+	CHECK(!socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, pair));
+	CHECK(!cm_plane_attach(plane, cm_plane_adopt(plane, pair[1]), stream, 1, geometry,
+			       geometry_packet(geometry, true)));
+	send_frame(pair[0], await_kind(pair[0], CM_PLANE_GRANT));
+	while (!fake_node_requests(fake)) /* it is at the hardware */
+		poll(NULL, 0, 1);
+	CHECK(!cm_plane_stop(plane, stream, 0));
+	CHECK(await_kind(pair[0], CM_PLANE_DONE).offset == 0);
+	cm_plane_close(plane);
+	close(pair[0]);
+	close(memory);
+	cm_dma_close(dma);
+	fake_node_stop(fake);
+	fake_root_remove(root);
+}
+
 /* What a client says again and again is reported once, or not at all; others hear nothing of it. */
 static void a_packet_that_is_repeated_without_end_is_reported_once(void)
 {
@@ -665,6 +695,7 @@ int main(void)
 	RUN(a_packet_that_is_repeated_without_end_is_reported_once);
 	RUN(numbers_begin_anew_and_leave_out_those_in_use);
 	RUN(a_frame_that_is_long_in_being_replaced_holds_up_no_other_stream);
+	RUN(a_frame_that_ends_as_its_stream_does_was_taken);
 	RUN(readers_come_and_go);
 	RUN(streams_end_under_their_readers);
 	RUN(the_plane_ends_under_its_readers);

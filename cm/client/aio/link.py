@@ -12,7 +12,7 @@ from typing import Any, Protocol, TypeVar
 import zmq.asyncio
 from zmq.utils.monitor import parse_monitor_message
 
-from cm.client.address import deserted
+from cm.client.find_manager import deserted
 from cm.client.aio.waiting import wake
 from cm.client.connections import Sockets, not_subscribed
 from cm.client.core.calls import Call
