@@ -11,12 +11,12 @@ from typing import Any, Protocol, TypeVar
 import zmq
 from zmq import zmq_poll
 
-from cm.client.find_manager import deserted
 from cm.client.connections import Socket, Sockets, not_subscribed
 from cm.client.core.calls import Call
 from cm.client.core.effects import DEFAULT, AskBeside, Flow, Limit, Pause, Receive, seconds
 from cm.client.core.requests import Requests, result
 from cm.client.errors import ConnectionLost, NotAdmitted
+from cm.client.find_manager import deserted
 from cm.wire import multipart
 
 _T = TypeVar("_T")
