@@ -12,11 +12,11 @@ from cm.cli.common import add_json_option, digits, naming, parsed, print_json, p
 from cm.design.boundary.analyse import analyse
 from cm.design.errors import BuildError
 from cm.design.generate.tree import output_folder
-from cm.design.partition.advise import problem_of, static_report, todays_groups, with_reports
+from cm.design.partition.advise import problem_of, todays_groups
 from cm.design.partition.advisor import SECONDS
 from cm.design.partition.model import Partition, evaluate
 from cm.design.partition.proposal import proposal
-from cm.design.partition.utilisation import read_utilisation
+from cm.design.partition.utilisation import read_utilisation, static_report, with_reports
 from cm.design.project.load import load_project
 
 

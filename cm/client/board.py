@@ -31,7 +31,7 @@ from cm.client.memories import Memories, Memory
 from cm.client.progress import OnProgress, Shown
 from cm.client.registers import Registers
 from cm.frozen import replace
-from cm.wire.messages import html
+from cm.wire.messages import notebook
 from cm.wire.messages import requests as rq
 from cm.wire.messages.requests import ConfigureStream, DefineMemory
 from cm.wire.messages.status import (
@@ -476,7 +476,7 @@ class Board(Guarded):
 
     def _repr_html_(self) -> str:
         """For notebooks: where it is, and its status now."""
-        return html.paragraph(repr(self)) + ("" if self._sockets.closed else html.status(self.status))
+        return notebook.paragraph(repr(self)) + ("" if self._sockets.closed else notebook.status(self.status))
 
     def __repr__(self) -> str:
         return f"<board at {self._place.endpoints.req}{', closed' if self._sockets.closed else ''}>"

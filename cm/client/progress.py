@@ -9,7 +9,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Any, TextIO
 
-from cm.wire.messages import html
+from cm.wire.messages import notebook
 from cm.wire.messages.status import Progress
 
 OnProgress = Callable[[Progress], None]
@@ -77,7 +77,7 @@ class NotebookBar(TextBar):
 
     def update(self, fraction: float, note: str = "") -> None:
         """As `TextBar.update`."""
-        text = _Html(html.progress(fraction, f"{self._label} {note}"))
+        text = _Html(notebook.progress(fraction, f"{self._label} {note}"))
         if self._shown is not None:
             self._shown.update(text)
         elif self._clock() >= self._begin:

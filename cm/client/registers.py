@@ -12,7 +12,7 @@ from cm.client.core.events import RegisterEvents
 from cm.client.core.generations import Written
 from cm.client.errors import RequestNotFound
 from cm.client.events import EventStream
-from cm.wire.messages import html
+from cm.wire.messages import notebook
 from cm.wire.messages.status import RegisterInfo, RegValues
 from cm.wire.plane_packets import Open
 
@@ -160,7 +160,7 @@ class Registers(MutableMapping[str, int]):
 
     def _repr_html_(self) -> str:
         """For notebooks: what the schema says of each, and what it holds now."""
-        return html.registers(self.info.values(), self.read())
+        return notebook.registers(self.info.values(), self.read())
 
     def _ipython_key_completions_(self) -> list[str]:
         return registers.names(self.info)

@@ -16,6 +16,7 @@ from cm.design.check.rules import check_system
 from cm.design.compile_order import compile_order
 from cm.design.errors import BuildError
 from cm.design.generate.tree import load_design
+from cm.design.hdl.clock_reset_names import REGION_CLOCK
 from cm.design.hdl.extract import Sources
 from cm.design.hdl.hls_registers import HDL
 from cm.design.hdl.ipxact import component_files
@@ -144,7 +145,7 @@ def _why_not(info: ModuleInfo) -> str:
 def _further_clocks(found: Boundary) -> list[str]:
     """The clock ports of the region that do not get its own clock by themselves."""
     ports = [port.name for port in found.ports if port.role is Role.CLOCK]
-    return [name for name in ports if name != "aclk"] if len(ports) > 1 else []
+    return [name for name in ports if name != REGION_CLOCK] if len(ports) > 1 else []
 
 
 def what_is_missing(path: Path) -> list[str]:

@@ -16,6 +16,7 @@ from cm.device.axidma import FOLDER as DMA_FOLDER
 from cm.device.axidma import list_dma
 from cm.device.base import AnyRoot
 from cm.device.checks import board_checks
+from cm.device.checks.kernel import modules
 from cm.device.errors import DeviceError
 from cm.device.finding import Finding, State
 from cm.device.fpga_manager import CLASS as FPGA_CLASS
@@ -26,10 +27,6 @@ from cm.device.overlays import Overlays
 from cm.device.paths import Root
 from cm.device.uio import list_uio
 from cm.frozen import dataclass
-
-# Modules that provide what is looked for here; those built into the kernel do not show in /proc/modules.
-MODULES = ("uio", "uio_pdrv_genirq", "xilinx_dma", "cm_dma", "cm_icap", "cm_overlay", "fpga_mgr", "fpga_region")
-_MODULES_ADVICE = "modprobe it, unless it is built into the kernel or the board does not need it (docs/kernel.md)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +52,7 @@ class Survey:
 def survey(root: AnyRoot = None) -> Survey:
     """Look at everything there is under ``root``; never raises for what is missing or denied."""
     base = Root.of(root)
-    findings = (*_uio(base), *_dma(base), *_icap(base), _overlays(base), *_fpga_managers(base), *_modules(base))
+    findings = (*_uio(base), *_dma(base), *_icap(base), _overlays(base), *_fpga_managers(base), *modules(base))
     findings = (*findings, *board_checks(base))
     return Survey(base.path, base.simulated, findings)
 
@@ -145,19 +142,3 @@ def _fpga_manager(root: Root, name: str) -> Finding:
     if not os.access(path / "firmware", os.W_OK):
         return Finding("fpga_manager", name, str(path), State.DENIED, detail, advice.permission(path / "firmware"))
     return Finding("fpga_manager", name, str(path), State.OK, detail)
-
-
-def _modules(root: Root) -> Iterator[Finding]:
-    """A simulated board has no kernel of its own, so there is nothing to say about modules."""
-    path = root.join("proc/modules")
-    if root.simulated and not path.exists():
-        return
-    try:
-        loaded = {line.split(" ", 1)[0] for line in path.read_text(encoding="ascii", errors="replace").splitlines()}
-    except OSError:
-        loaded = set()
-    for name in MODULES:
-        if name in loaded:
-            yield Finding("module", name, str(path), State.OK, "loaded")
-        else:
-            yield Finding("module", name, str(path), State.MISSING, "not loaded", _MODULES_ADVICE)

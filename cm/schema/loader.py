@@ -14,14 +14,13 @@ from cm.errors import NotFound
 from cm.frozen import replace
 from cm.schema.construct import Context, build_config
 from cm.schema.model import Config
-from cm.schema.problems import KeyPath, Problem, SchemaError, key_path
+from cm.schema.problems import MAX_PROBLEMS, KeyPath, Problem, SchemaError, key_path
 from cm.schema.reader import Refused, read
 from cm.schema.rules import check_rules
 from cm.schema.structure import SCHEMA_FILE, Structure, load_structure
 from cm.schema.tree import Mark, Node, Table, locate, plain
 
 MAX_FILE_BYTES = 1 << 20
-MAX_PROBLEMS = 100  # a file with that many is not a schema
 _CONFIG = re.compile(rb"^[{ ]*[\"']?config[\"']?\s*:", re.MULTILINE)
 _SURELY = re.compile(rb"^config:", re.MULTILINE)  # at the beginning of a line: a key of the whole
 SUFFIXES = (".yaml", ".yml")

@@ -10,6 +10,7 @@ from typing import ClassVar
 from cm.errors import CmError
 from cm.frozen import dataclass
 
+MAX_PROBLEMS = 100  # a file with that many is not a schema
 KeyPath = tuple[str | int, ...]
 _LONGEST_NAME = 64
 _MOST_NAMES = 40  # that a hint lists

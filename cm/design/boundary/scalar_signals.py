@@ -14,6 +14,7 @@ from cm.design.boundary.buses import IN, OUT, Fitting
 from cm.design.boundary.model import BoundaryPort, Connection, Fit, Role
 from cm.design.boundary.slots import identifier, unique
 from cm.design.hdl.associate import undecided
+from cm.design.hdl.clock_reset_names import REGION_CLOCK
 from cm.design.hdl.model import Mode, ModuleInfo, Polarity, Port, PortDirection, Reset
 
 
@@ -26,7 +27,7 @@ class Clocks:
 
     def reset(self, clock: str) -> str:
         """The reset that belongs to a clock of the boundary."""
-        return "aresetn" if clock == "aclk" else f"{clock}_resetn"
+        return "aresetn" if clock == REGION_CLOCK else f"{clock}_resetn"
 
 
 def make_clocks(modules: Sequence[ModuleInfo]) -> Clocks:
@@ -34,8 +35,8 @@ def make_clocks(modules: Sequence[ModuleInfo]) -> Clocks:
     inputs = {m.name: [c.port for c in m.clocks if c.direction is IN] for m in modules}
     result = Clocks()
     if all(len(ports) <= 1 for ports in inputs.values()):
-        result.names = ["aclk"] if any(inputs.values()) else []
-        result.of = {(name, port): "aclk" for name, ports in inputs.items() for port in ports}
+        result.names = [REGION_CLOCK] if any(inputs.values()) else []
+        result.of = {(name, port): REGION_CLOCK for name, ports in inputs.items() for port in ports}
         return result
     for name, ports in sorted(inputs.items(), key=lambda item: -len(item[1])):
         for port in ports:

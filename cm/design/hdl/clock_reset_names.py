@@ -16,6 +16,7 @@ def _words(text: str) -> frozenset[str]:
 
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 _CLOCK = re.compile(r"(?!sclk)(?:[a-z]{0,5}clk|[a-z]?clock|ck)(?:in|i|x|p|n)?(?:\d+(?:m|mhz|k|khz)?)?[a-z]?")
+REGION_CLOCK = "aclk"  # of several clock ports of a region, the one that gets its clock without a word
 # what is left of a word that says clock or reset: pixclk → pix, clk100 → 100; a (of AMBA's aclk) says nothing
 _CLOCK_CORE = re.compile(r"(?P<before>[a-z]{0,5}?)(?:clk|clock|(?<![a-z])ck)(?:in|i|x|p|n)?(?P<after>\d\w*|[a-mo-z])?")
 _RESET_CORE = re.compile(r"n?(?P<before>[a-z]{0,5}?|peripheral|interconnect)(?:rst|reset)(?:n|b|ni)?(?P<after>\d\w*)?")

@@ -6,15 +6,13 @@ Modules that share something outside their region, such as pins of the board.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import replace
-from pathlib import Path
+from collections.abc import Iterator
 
 from cm.design.boundary.analyse import Analysis
 from cm.design.boundary.model import Boundary, Role
 from cm.design.errors import BuildError
 from cm.design.partition.model import Group, Problem, Unit, UsedMode, group_of
-from cm.design.partition.utilisation import part_of, read_utilisation
+from cm.design.partition.utilisation import part_of
 from cm.design.platforms import device_of, platform_of
 from cm.design.project.model import ModuleSpec, Project, RegionSpec, Resources
 
@@ -96,28 +94,6 @@ def problem_of(
     part = part_of(device_of(project.part))
     together = [frozenset(unit_name(project.modules[m], r) for m, r in places) for places in tied]
     return Problem(part, units, modes, rate or limit, static or Resources(), budget, regions, together)
-
-
-def with_reports(project: Project, folders: Iterable[Path]) -> tuple[Project, dict[str, Path]]:
-    """Return `project` with the resources in Vivado's reports, and the report that was read for each module.
-
-    `resources:` in the build schema takes precedence. A module's report is that of the generated flow,
-    ``synth_<module>.utilization.rpt``, or ``<module>.rpt``, in the first folder that has one.
-    """
-    listed = list(folders)
-    modules, read = dict(project.modules), {}
-    for name, spec in project.modules.items():
-        names = (f"synth_{name}.utilization.rpt", f"{name}.utilization.rpt", f"{name}.rpt")
-        path = next((folder / file for folder in listed for file in names if (folder / file).is_file()), None)
-        if path is not None and not spec.resources:
-            modules[name], read[name] = replace(spec, resources=read_utilisation(path)), path
-    return replace(project, modules=modules), read
-
-
-def static_report(folders: Iterable[Path]) -> Path | None:
-    """The generated flow's report on the static part, in the first folder that has one."""
-    paths = (folder / "static_synth.utilization.rpt" for folder in folders)
-    return next((path for path in paths if path.is_file()), None)
 
 
 def todays_groups(project: Project, problem: Problem) -> list[Group]:

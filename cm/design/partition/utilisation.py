@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads resources from the text of Vivado's ``report_utilization``.
+"""Finds Vivado's reports of ``report_utilization``, and reads resources from their text.
 
 It reads the tables of 7 series (``Slice LUTs``) and UltraScale+ (``CLB LUTs``), for a module synthesised out of
 context and for a whole design. Rows are found by name and columns by heading, because the number of columns
@@ -9,13 +9,14 @@ differs between versions.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from cm.design.errors import BuildError
 from cm.design.partition.model import Part
 from cm.design.platforms import PARTS
-from cm.design.project.model import Resources
+from cm.design.project.model import Project, Resources
+from cm.frozen import replace
 
 
 def part_of(device: str) -> Part:
@@ -77,3 +78,25 @@ def _number(text: str, site: str, name: str) -> float:
     if not re.fullmatch(r"\d+(\.\d+)?", text, re.ASCII):
         raise BuildError(f"{name}: {site}: {text!r} is not a number of sites used")
     return float(text)
+
+
+def with_reports(project: Project, folders: Iterable[Path]) -> tuple[Project, dict[str, Path]]:
+    """Return `project` with the resources in Vivado's reports, and the report that was read for each module.
+
+    `resources:` in the build schema takes precedence. A module's report is that of the generated flow,
+    ``synth_<module>.utilization.rpt``, or ``<module>.rpt``, in the first folder that has one.
+    """
+    listed = list(folders)
+    modules, read = dict(project.modules), {}
+    for name, spec in project.modules.items():
+        names = (f"synth_{name}.utilization.rpt", f"{name}.utilization.rpt", f"{name}.rpt")
+        path = next((folder / file for folder in listed for file in names if (folder / file).is_file()), None)
+        if path is not None and not spec.resources:
+            modules[name], read[name] = replace(spec, resources=read_utilisation(path)), path
+    return replace(project, modules=modules), read
+
+
+def static_report(folders: Iterable[Path]) -> Path | None:
+    """The generated flow's report on the static part, in the first folder that has one."""
+    paths = (folder / "static_synth.utilization.rpt" for folder in folders)
+    return next((path for path in paths if path.is_file()), None)

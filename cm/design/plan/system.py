@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from cm.design.boundary.model import Boundary, BoundaryPort, Role
+from cm.design.hdl.clock_reset_names import REGION_CLOCK
 from cm.design.hdl.model import Interface
 from cm.design.plan.addresses import Window
 from cm.design.plan.dma_engines import Dma, Engine, engines_of
@@ -94,10 +95,12 @@ class Line:
 def clock_sources(spec: RegionSpec, boundary: Boundary) -> dict[str, str | None]:
     """The source of each clock port of a boundary: a clock, ``external``, or None if it is not given.
 
-    The only clock, or the one called ``aclk``, is the region's own.
+    The only clock, or `REGION_CLOCK`, is the region's own.
     """
     ports = [port.name for port in boundary.ports if port.role is Role.CLOCK]
-    return {name: spec.clocks.get(name, spec.clock if len(ports) == 1 or name == "aclk" else None) for name in ports}
+    return {
+        name: spec.clocks.get(name, spec.clock if len(ports) == 1 or name == REGION_CLOCK else None) for name in ports
+    }
 
 
 def clock_of(spec: RegionSpec, boundary: Boundary, interface: Interface) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The kernel and its tree: symbols, UIO's compatible string, contiguous memory, firmware."""
+"""The kernel and its tree: symbols, UIO's compatible string, contiguous memory, firmware, modules."""
 
 from __future__ import annotations
 
@@ -8,10 +8,14 @@ from collections.abc import Iterator
 
 from cm.device.checks.machine import Machine
 from cm.device.finding import Finding, State
+from cm.device.paths import Root
 
 _UIO = "uio_pdrv_genirq"
 _OUR_UIO = ("fpga-cm,uio", "generic-uio")
 _LEAST_CMA = 64 << 10  # KiB: eight frames of 1080p in RGBA
+# Modules that provide what is looked for here; those built into the kernel do not show in /proc/modules.
+MODULES = ("uio", "uio_pdrv_genirq", "xilinx_dma", "cm_dma", "cm_icap", "cm_overlay", "fpga_mgr", "fpga_region")
+_MODULES_ADVICE = "modprobe it, unless it is built into the kernel or the board does not need it (docs/kernel.md)"
 
 
 def checks(machine: Machine) -> Iterator[Finding]:
@@ -114,3 +118,19 @@ def _firmware(machine: Machine) -> Finding:
         "and refuses to select the ICAP: build it with -DSECURE_ACCESS, or use loader: auto or fpga_manager"
     )
     return Finding("pmufw", "PMU firmware", path, State.WRONG, "the ICAP's driver is not bound", advice)
+
+
+def modules(root: Root) -> Iterator[Finding]:
+    """Which are loaded. A simulated board has no kernel of its own, so there is nothing to say about modules."""
+    path = root.join("proc/modules")
+    if root.simulated and not path.exists():
+        return
+    try:
+        loaded = {line.split(" ", 1)[0] for line in path.read_text(encoding="ascii", errors="replace").splitlines()}
+    except OSError:
+        loaded = set()
+    for name in MODULES:
+        if name in loaded:
+            yield Finding("module", name, str(path), State.OK, "loaded")
+        else:
+            yield Finding("module", name, str(path), State.MISSING, "not loaded", _MODULES_ADVICE)

@@ -23,7 +23,6 @@ from cm.errors import Busy
 from cm.networks.fleet.store import (
     BOARDS,
     GENERATION,
-    LEASE,
     Claim,
     Entry,
     Put,
@@ -42,6 +41,7 @@ Ask = Callable[  # boards, verb → each board's answer, or "no_answer", as it c
     [Sequence[str], str, FleetStep], AsyncIterator[tuple[str, FleetState | ErrorInfo]]
 ]
 Progress = Callable[[str, str, FleetState | ErrorInfo], None]  # phase, board, its answer
+LEASE = 5  # seconds that a coordinator may be silent: then others may close its change
 _OPENING = LEASE + 3.0  # seconds for another's change to end: it may be one whose coordinator is dead
 _NONE = Entry("0", 0)
 _DECIDING = LEASE + 5.0  # seconds in which a store that does not answer is asked again for the decision

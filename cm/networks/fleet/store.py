@@ -18,7 +18,6 @@ from typing import Any, NamedTuple, Protocol
 
 from cm.errors import CmError, InvalidRequest
 
-LEASE = 5  # seconds that a coordinator may be silent
 GENERATION, BOARDS = "generation", "boards/"
 
 

@@ -270,9 +270,9 @@ class Status:
     windows: tuple[WindowStatus, ...] = ()
 
     def _repr_html_(self) -> str:
-        from cm.wire.messages import html  # only notebooks need it
+        from cm.wire.messages import notebook  # only notebooks need it
 
-        return html.status(self)
+        return notebook.status(self)
 
 
 class RegValue(NamedTuple):
@@ -415,9 +415,9 @@ class PlanInfo:
         return "\n".join([*steps, f"{self.config_name}/{self.mode}: {total}"])
 
     def _repr_html_(self) -> str:
-        from cm.wire.messages import html
+        from cm.wire.messages import notebook
 
-        return html.plan(self)
+        return notebook.plan(self)
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 import io
-from html.parser import HTMLParser
 from typing import Any
 
 import numpy as np
 import pytest
+from notebook.parser import HTMLParser
 from PIL import Image
 
 import cm
@@ -16,7 +16,7 @@ from cm.client.frame import frame_of
 from cm.client.picture import png
 from cm.client.progress import NotebookBar
 from cm.errors import InvalidRequest
-from cm.wire.messages import html
+from cm.wire.messages import notebook
 from cm.wire.messages.status import (
     ErrorInfo,
     FieldInfo,
@@ -154,7 +154,7 @@ def test_a_plan_is_shown_with_what_it_costs() -> None:
 def test_registers_are_shown_with_their_fields_and_names_of_values() -> None:
     blink = FieldInfo("blink", 4, 2, values=(("steady", 0), ("fast", 2)))
     info = [RegisterInfo("led", 0x1018, 32, "rw", maximum=255, fields=(blink,)), RegisterInfo("key", 0x20, 32, "wo")]
-    shown = Cells(html.registers(info, {"led": 0x2F})).rows
+    shown = Cells(notebook.registers(info, {"led": 0x2F})).rows
     assert shown[1][:5] == ["led", "0x1018", "rw", "47 (0x2f)", "0 to 255"]
     assert [cell.strip() for cell in shown[2][:5]] == [".blink", "bit 4", "", "2 fast", "steady=0, fast=2"]
     assert shown[3][3] == "-"
