@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 import io
+from html.parser import HTMLParser
 from typing import Any
 
 import numpy as np
 import pytest
-from notebook.parser import HTMLParser
 from PIL import Image
 
 import cm
