@@ -17,6 +17,8 @@ from collections.abc import Sized
 from contextlib import suppress
 from itertools import count
 from pathlib import Path
+from queue import Empty, SimpleQueue
+from threading import get_ident
 
 from cm.client.data_socket import LIMITS_ARE_KNOWN, connect, limit
 from cm.client.errors import BoardClosed
@@ -30,13 +32,21 @@ _NAMES = 1024  # of which that is remembered
 # as plain numbers: operators of the enumerations they come from cost more than the system call
 _FLAGS = int(socket.MSG_DONTWAIT) | int(socket.MSG_NOSIGNAL)
 _DONTWAIT = int(socket.MSG_DONTWAIT)
-_pack, _unpack = DESCRIPTOR.pack, DESCRIPTOR.unpack_from
+_unpack = struct.Struct("=2xB5xQQ8x").unpack  # of a descriptor its kind, length and sequence
 # Bytes; what follows says why there is no value, which the request that is made then says too.
 _ANSWER = DESCRIPTOR.size
 
+_Questions = dict[str, tuple[bytes, int]]  # by name, with their numbers
+_Turn = tuple[socket.socket, _Questions]
+
 
 class LocalReads:
-    """One connection; threads take turns."""
+    """One connection; threads take turns.
+
+    There is one turn, and who has it reads. It comes back after an answer, and the same question can be asked again.
+    Where none came, a new turn takes its place, whose questions have other numbers, so that an answer that comes too
+    late is to none of them.
+    """
 
     def __init__(self, folder: Path, unanswered: Sized, patience: float) -> None:
         """`unanswered`: requests of this client that may still take effect, behind which a read would have to wait.
@@ -45,10 +55,11 @@ class LocalReads:
         """
         self._folder, self._unanswered, self._patience = folder, unanswered, patience
         self._process = os.getpid()
-        self._turn = threading.RLock()  # again for a signal handler in a thread that has it
+        self._beginning = threading.RLock()  # again for a signal handler in a thread that has it
         self._numbers = count(1)
         self._socket: socket.socket | None = None
-        self._ready: socket.socket | None = None  # the same, while it can be used
+        self._ready: SimpleQueue[_Turn] | None = None  # holds the turn; None: the connection cannot be used
+        self._reader = 0  # the thread that has the turn, or had it last
         self._admitted = self._over = False
         self._pause, self._until = _SHORTEST, 0.0  # nothing is tried before that time
         self._missed: dict[str, tuple[int, int]] = {}  # names that led elsewhere: reads to skip, left and in all
@@ -56,33 +67,69 @@ class LocalReads:
 
     def read(self, name: str) -> int | None:
         """What a register or field holds; None if it has to be asked for."""
-        sock = self._ready or self._begin()
-        if sock is None or self._unanswered or (name in self._missed and self._skips(name)):
+        ready = self._ready or self._begin()
+        if ready is None or self._unanswered:
             return None
+        value: int | None
         try:
-            text = name.encode()
-            if len(text) > NAME_MAX:
-                return None
-            with self._turn:
-                number = next(self._numbers)
-                sock.send(_pack(0, READ, 0, 0, 0, number, 0) + text, _FLAGS)
-                while True:
-                    _, kind, _, _, value, answered, _ = _unpack(sock.recv(_ANSWER))
-                    if answered == number:  # others came too late
-                        break
+            try:
+                turn = ready.get_nowait()
+            except Empty:
+                waited = self._await(ready)
+                if waited is None:
+                    return None
+                turn = waited
+            self._reader = get_ident()
+            sock, questions = turn
+            try:
+                packet, number = questions[name]
+            except KeyError:
+                question = self._question(name)
+                if question is None:
+                    ready.put(turn)
+                    return None
+                packet, number = questions[name] = question
+            sock.send(packet, _FLAGS)
+            kind, value, answered = _unpack(sock.recv(_ANSWER))
+            while answered != number:  # others came too late
+                kind, value, answered = _unpack(sock.recv(_ANSWER))
+            if kind != VALUE:
+                self._miss(name, questions)
+                value = None
+            ready.put(turn)
         except BlockingIOError:
             self._late()
             return None
         except (OSError, struct.error):  # hung up on, or closed by another thread
             self._hang_up()
             return None
+        except BaseException:  # of a signal handler: the turn may be lost
+            self._ready = None
+            raise
+        return value
+
+    def _await(self, ready: SimpleQueue[_Turn]) -> _Turn | None:
+        """The turn, as soon as another thread gives it back; None if none does in time."""
+        if self._reader == get_ident():  # a signal handler's read within a read, which goes on after it
+            return None
+        try:
+            return ready.get(timeout=self._patience)
+        except Empty:
+            self._ready = None
+            return None
+
+    def _question(self, name: str) -> tuple[bytes, int] | None:
+        """With a number that none had before; None for a name that has to be asked for."""
+        if name in self._missed and self._skips(name):
+            return None
+        try:
+            text = name.encode()
         except (AttributeError, UnicodeEncodeError):  # no name at all
             return None
-        if kind != VALUE:
-            self._miss(name)
+        if len(text) > NAME_MAX:
             return None
-        found: int = value
-        return found
+        number = next(self._numbers)
+        return DESCRIPTOR.pack(0, READ, 0, 0, 0, number, 0) + text, number
 
     def _skips(self, name: str) -> bool:
         left, most = self._missed[name]
@@ -90,8 +137,9 @@ class LocalReads:
             self._missed[name] = left - 1, most
         return left > 0
 
-    def _miss(self, name: str) -> None:
+    def _miss(self, name: str, questions: _Questions) -> None:
         """It led elsewhere, for now or always: it is tried more seldom each time."""
+        del questions[name]
         most = self._missed.get(name, (0, 0))[1]
         if len(self._missed) >= _NAMES:
             self._missed.clear()
@@ -99,16 +147,17 @@ class LocalReads:
 
     # ---- the connection ------------------------------------------------------------------------
 
-    def _begin(self) -> socket.socket | None:
+    def _begin(self) -> SimpleQueue[_Turn] | None:
         """Take the next step towards a connection that can be used; never waits."""
         if self._over or time.monotonic() < self._until:
             return None
-        with self._turn:
+        with self._beginning:
             try:
-                if self._socket is None:
+                sock = self._socket
+                if sock is None:
                     self._open()
-                elif self._admitted or self._is_admitted(self._socket):
-                    self._ready = self._socket
+                elif self._ready is None and (self._admitted or self._is_admitted(sock)):
+                    self._ready = _first_turn(sock)
             except BlockingIOError:  # not yet
                 pass
             except (CmError, OSError, struct.error):
@@ -134,7 +183,7 @@ class LocalReads:
 
     def _is_admitted(self, sock: socket.socket) -> bool:
         """Raises BlockingIOError as long as there is no answer."""
-        _, kind, *_ = _unpack(sock.recv(PACKET_MAX, _DONTWAIT))
+        _, kind, *_ = DESCRIPTOR.unpack_from(sock.recv(PACKET_MAX, _DONTWAIT))
         if kind != REGISTERS:
             raise OSError("refused, as by a manager that has no such reads")
         sock.settimeout(None if LIMITS_ARE_KNOWN else self._patience)
@@ -177,3 +226,9 @@ class LocalReads:
         """This process was forked: the connection is its parent's, and its board says so."""
         self._over = True
         self._hang_up()
+
+
+def _first_turn(sock: socket.socket) -> SimpleQueue[_Turn]:
+    ready: SimpleQueue[_Turn] = SimpleQueue()
+    ready.put((sock, {}))
+    return ready

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -322,6 +322,61 @@ def test_threads_share_a_board(board: cm.Board, manager: Manager) -> None:
     for thread in threads:
         thread.join()
     assert wrong == []
+
+
+@contextmanager
+def interrupted(handler: Callable[[], object]) -> Iterator[None]:
+    """Again and again, by a signal handler."""
+
+    def soon(*_: object) -> None:
+        signal.setitimer(signal.ITIMER_REAL, 0.001)
+
+    def now(*_: object) -> None:
+        handler()
+        soon()
+
+    before = signal.signal(signal.SIGALRM, now)
+    try:
+        soon()
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def test_a_read_after_one_that_an_exception_ended_has_its_own_answer(board: cm.Board, manager: Manager) -> None:
+    values = {"led": 5, "scratch": 77}
+    board.registers.write(values)
+    local(manager, board)
+    ended = 0
+
+    class Ended(Exception):
+        pass
+
+    def end() -> None:
+        raise Ended
+
+    while ended < 200:
+        try:
+            with interrupted(end):
+                while True:
+                    for name, value in values.items():
+                        assert board.registers[name] == value
+        except Ended:
+            ended += 1
+    assert {name: board.registers[name] for name in values} == values
+    local(manager, board)
+
+
+def test_a_signal_handler_reads_within_a_read(board: cm.Board, manager: Manager) -> None:
+    values = {"led": 5, "scratch": 77}
+    board.registers.write(values)
+    local(manager, board)
+    found = []
+    with interrupted(lambda: found.append(board.registers["scratch"])):
+        while len(found) < 20:
+            assert board.registers["led"] == 5
+    assert set(found) == {77}
 
 
 def test_a_forked_child_reads_nothing_and_its_parent_goes_on(board: cm.Board, manager: Manager) -> None:
