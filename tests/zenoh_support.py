@@ -13,7 +13,7 @@ from ros_peer import PATIENCE, BridgeProcess, ListeningPeer
 from cm import child
 from cm.networks.fleet.network import Network, session
 from cm.networks.rmw_zenoh import cdr
-from cm.networks.rmw_zenoh.keys import Attachment, End
+from cm.networks.rmw_zenoh.key_expressions import Attachment, End
 from cm.networks.rmw_zenoh.transport import ZenohTransport
 from cm.networks.ros.node import NodeName
 from cm.networks.ros.transport import SERVICES

@@ -59,7 +59,7 @@ COMMANDS = (
     Command("stream", "cm.cli.stream", "list, set, capture and play data streams", "data"),
     Command("view", "cm.cli.view", "show a stream in the terminal or a window", "data"),
     Command("lease", "cm.cli.lease", "take, list and break leases", "sharing"),
-    Command("keygen", "cm.cli.keys", "make keys for connections over TCP", "sharing"),
+    Command("keygen", "cm.cli.keygen", "make keys for connections over TCP", "sharing"),
     Command("config", "cm.cli.config", "list, send, check and roll back configurations", "designs"),
     Command(
         "import",

@@ -20,10 +20,10 @@ from cm.manager.manager import Manager
 from cm.manager.reporting import config_list, is_long
 from cm.schema.model import Config, Stream
 from cm.server.board_watch import BoardWatch
-from cm.server.client_work import ClientJobs, Done, Result, Steps
 from cm.server.connections import Connections, Sessions
 from cm.server.interrupts import InterruptWatch
 from cm.server.lease_watch import LeaseWatch
+from cm.server.long_work import ClientJobs, Done, Result, Steps
 from cm.server.provision import Provisioner, Sender
 from cm.server.replies import Respond, error_info, refusal
 from cm.server.rights.gate import Gate, check

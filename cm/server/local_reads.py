@@ -16,7 +16,7 @@ from cm.device.register_reads import RegisterReads
 from cm.errors import CmError
 from cm.loop import Timer
 from cm.manager.manager import Manager
-from cm.server.client_work import Steps
+from cm.server.long_work import Steps
 from cm.server.sockets import Loop
 from cm.server.streams.peer import Peer
 

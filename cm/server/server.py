@@ -17,7 +17,6 @@ from cm.manager.state.record import Journal
 from cm.schema.model import Config
 from cm.server.bitstream_and_overlay_files import BoardFiles, Footprints
 from cm.server.board_watch import BoardWatch
-from cm.server.client_work import ClientJobs, Steps
 from cm.server.connections import Connections, Sessions, raise_descriptors
 from cm.server.devices import BoardDevices
 from cm.server.dispatcher import Dispatcher
@@ -25,6 +24,7 @@ from cm.server.folders import Locks, own_folder
 from cm.server.handlers import Handlers, MemoryTransfers, Services
 from cm.server.interrupts import InterruptWatch
 from cm.server.lease_watch import LeaseWatch
+from cm.server.long_work import ClientJobs, Steps
 from cm.server.options import NO_METRICS, Options
 from cm.server.provision import Provisioner
 from cm.server.publisher import Publisher, StatusTold, mark

@@ -20,8 +20,8 @@ from cm.client.errors import RequestFailed
 from cm.errors import CmError
 from cm.networks.bridge.commands import WRITES, Commands
 from cm.networks.bridge.follower import Follower
-from cm.networks.bridge.frames import FrameReader
 from cm.networks.bridge.records import Caller, ConfigRecord, FrameRecord, InterruptRecord, RegistersRecord, StatusRecord
+from cm.networks.bridge.streams import FrameReader
 from cm.simulation.software import Board as SimBoard
 
 US = Caller()

@@ -22,7 +22,7 @@ from manager_process import CAMERA, environment, until
 
 from cm.manager.execution.worker import Change, Worker
 from cm.manager.manager import Manager
-from cm.server.client_work import ClientJobs
+from cm.server.long_work import ClientJobs
 from cm.wire.encode import decode_reply, encode_request
 from cm.wire.messages import requests as rq
 from cm.wire.messages.status import ConfigInfo, Reply

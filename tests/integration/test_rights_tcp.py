@@ -18,7 +18,7 @@ from manager_process import CAMERA, Manager, short_folder, until
 
 import cm
 import cm.aio
-from cm.cli.keys import read_key_file, write_key_file
+from cm.cli.keygen import read_key_file, write_key_file
 from cm.cli.main import main
 from cm.client.stream import NewestStream
 from cm.errors import CmError, Forbidden, InvalidRequest, Timeout

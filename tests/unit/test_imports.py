@@ -64,7 +64,7 @@ def serve(self, ready):
 Server.serve = serve
 sys.exit(main(["serve", "--runtime-dir", sys.argv[1], "--root", sys.argv[1], "--config", sys.argv[2]]))
 """
-_NOT_NEEDED = ("dataclasses", "cm.manager.interfaces", "cm.formats.signing", "cm.cli.keys", "fastjsonschema", "numpy")
+_NOT_NEEDED = ("dataclasses", "cm.manager.interfaces", "cm.formats.signing", "cm.cli.keygen", "fastjsonschema", "numpy")
 
 
 def test_a_manager_that_starts_imports_nothing_that_only_some_need(tmp_path: Path) -> None:

@@ -19,8 +19,8 @@ from cm.client.core.calls import Call
 from cm.client.core.values import register_write
 from cm.client.errors import BoardClosed
 from cm.errors import CmError, Forbidden, InvalidRequest
-from cm.networks.bridge.frames import FrameWriter
 from cm.networks.bridge.records import Caller
+from cm.networks.bridge.streams import FrameWriter
 from cm.wire.messages.requests import WriteReg
 from cm.wire.messages.status import ConfigEntry, ConfigInfo, PlanInfo, Progress, RegValues, Status
 

@@ -16,7 +16,7 @@ import zenoh
 from cm.errors import CmError, InvalidRequest
 from cm.networks.bridge.records import FrameRecord
 from cm.networks.rmw_zenoh import cdr
-from cm.networks.rmw_zenoh.keys import Attachment, EndKey
+from cm.networks.rmw_zenoh.key_expressions import Attachment, EndKey
 from cm.networks.rmw_zenoh.threads import Inbox, Workers
 from cm.networks.ros.transport import Body, Values
 

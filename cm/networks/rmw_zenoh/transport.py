@@ -12,7 +12,7 @@ import zenoh
 from cm.networks.rmw_zenoh import cdr
 from cm.networks.rmw_zenoh.endpoints import Service, ZenohPublisher, ZenohSubscription, hand_on
 from cm.networks.rmw_zenoh.interfaces import type_hash
-from cm.networks.rmw_zenoh.keys import End, EndKey, NodeKey
+from cm.networks.rmw_zenoh.key_expressions import End, EndKey, NodeKey
 from cm.networks.rmw_zenoh.session import opened
 from cm.networks.rmw_zenoh.threads import Inbox, Workers
 from cm.networks.ros.node import NodeName

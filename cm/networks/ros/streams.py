@@ -13,8 +13,8 @@ import numpy.typing as npt
 from cm.client.board import Board
 from cm.errors import CmError, InvalidRequest
 from cm.networks.bridge.commands import Commands
-from cm.networks.bridge.frames import FrameReader, FrameWriter
 from cm.networks.bridge.records import Caller, ConfigRecord, FrameRecord, StreamFormat
+from cm.networks.bridge.streams import FrameReader, FrameWriter
 from cm.networks.ros import messages
 from cm.networks.ros.transport import Body, Closing, Publisher, Qos, Transport
 from cm.schema.pictures import misfit

@@ -17,8 +17,8 @@ from typing import Protocol
 
 from cm.errors import Busy, CmError
 from cm.loop import Timer
-from cm.server.client_work import Steps
 from cm.server.folders import share
+from cm.server.long_work import Steps
 from cm.server.sockets import Loop
 from cm.server.streams.memory import Allocations, Echoes
 from cm.server.streams.peer import Peer

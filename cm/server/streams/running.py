@@ -26,8 +26,8 @@ from cm.frozen import dataclass, replace
 from cm.manager.access.leases import Leases
 from cm.manager.reporting import stream_status
 from cm.schema.model import Config, Direction, Stream
-from cm.server.client_work import Steps
 from cm.server.devices import BoardDevices
+from cm.server.long_work import Steps
 from cm.server.settings.model import USUAL, Limits
 from cm.server.sockets import Loop
 from cm.server.streams.channel_setup import changed, setup

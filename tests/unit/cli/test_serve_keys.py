@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from cm.cli.keys import ReadableKey, authorized_keys, load_server_keys
+from cm.cli.keygen import ReadableKey, authorized_keys, load_server_keys
 from cm.cli.main import main
 from cm.cli.serve_settings import InsecureListen, security_of
 from cm.errors import InvalidRequest

@@ -17,7 +17,7 @@ import zenoh
 from cm.errors import InvalidRequest
 from cm.networks.rmw_zenoh import cdr
 from cm.networks.rmw_zenoh.interfaces import type_hash
-from cm.networks.rmw_zenoh.keys import Attachment, End, EndKey, NodeKey
+from cm.networks.rmw_zenoh.key_expressions import Attachment, End, EndKey, NodeKey
 from cm.networks.ros.transport import EVENTS, FRAMES, LATCHED, SERVICES, Qos
 
 STRING, IMAGE = "std_msgs/msg/String", "sensor_msgs/msg/Image"

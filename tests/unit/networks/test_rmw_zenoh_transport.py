@@ -19,7 +19,7 @@ from zenoh_support import PATIENCE, Peer, Router
 
 from cm.networks.bridge.records import FrameRecord
 from cm.networks.rmw_zenoh import cdr
-from cm.networks.rmw_zenoh.keys import Attachment
+from cm.networks.rmw_zenoh.key_expressions import Attachment
 from cm.networks.rmw_zenoh.threads import Inbox
 from cm.networks.ros.messages import image_head
 from cm.networks.ros.transport import EVENTS, LATCHED, Qos

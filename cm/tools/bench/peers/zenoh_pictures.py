@@ -28,7 +28,7 @@ from cm.networks.bridge.records import StreamFormat, frame_record
 from cm.networks.rmw_zenoh import cdr
 from cm.networks.rmw_zenoh.endpoints import ZenohPublisher, quality
 from cm.networks.rmw_zenoh.interfaces import type_hash
-from cm.networks.rmw_zenoh.keys import End, EndKey, NodeKey
+from cm.networks.rmw_zenoh.key_expressions import End, EndKey, NodeKey
 from cm.networks.rmw_zenoh.session import USUAL, opened
 from cm.networks.ros.messages import image_head
 from cm.networks.ros.transport import FRAMES
