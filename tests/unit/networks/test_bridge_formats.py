@@ -165,7 +165,7 @@ def test_a_frame_that_is_not_a_picture_has_no_rows() -> None:
 def test_the_core_knows_no_network_but_the_managers() -> None:
     code = (
         "import sys\nfor name in ('rclpy', 'zenoh'): sys.modules[name] = None\n"
-        "from cm.networks.bridge import commands, follower, frames, records"
+        "from cm.networks.bridge import commands, follower, records, streams"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
