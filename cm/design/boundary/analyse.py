@@ -83,8 +83,8 @@ class Analysis:
         if spec.name in self.flat:
             flat = self.flat[spec.name]
             return replace(spec, top=flat.name, parameters={}, flat=(flat.file, flat.text))
-        known = spec.ip and not spec.readable and spec.component is None
-        return replace(spec, top=self.modules[spec.name].name) if known else spec
+        stated = spec.readable or spec.component is not None  # else it was read from its vendor IP
+        return spec if stated else replace(spec, top=self.modules[spec.name].name)
 
 
 def _with_registers(project: Project, spec: ModuleSpec) -> ModuleSpec:

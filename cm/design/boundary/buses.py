@@ -107,7 +107,7 @@ def fit_bus(slot: Slot, ports: Sequence[BoundaryPort], module: ModuleInfo, fitti
 def _loose(port: BoundaryPort, value: int, note: str = "") -> Connection:
     """A port of the boundary that the module does not have: tied where the module would drive it."""
     fit = Fit.TIE if port.direction is OUT else Fit.OPEN
-    return Connection(port.name, "", port.direction, fit, port.width, 0, value, note)
+    return Connection(port.name, "", port.direction, fit, port.width, value=value, note=note)
 
 
 def _absent_note(slot: Slot) -> list[str]:

@@ -151,6 +151,11 @@ SHORT = lite("s_axi_").replace("[11:0]", "[5:0]")
         (BOTH + "input s_clk; input m_clk", BOTH + "input m_clk", "it needs a crossing"),
         (CLOCKED + BOTH, CLOCKED + BOTH.replace("input m_axis_tready; ", ""), "has no TREADY and cannot wait"),
         (CLOCKED, "input clk; inout sda", "sda is bidirectional"),
+        (
+            CLOCKED + stream("s_axis_", "slave"),
+            CLOCKED + stream("s_axis_", "slave") + stream("S_AXIS_", "slave"),
+            "S_AXIS and s_axis share a name",
+        ),
         (CLOCKED, "input clk; input [3:0] s_axis_tdata; input [1:0] s_axis_tvalid", "side by side"),
     ],
 )

@@ -107,6 +107,10 @@ def test_the_build_schema_says_what_runs_on_a_clock(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
+        (
+            "clocks: {rd_clx: {interfaces: [s_axis]}}",
+            "build.yaml:7:14: modules.one.clocks.rd_clx: one has no port rd_clx (did you mean rd_clk?)",
+        ),
         ("resets: {rts: {clock: rd_clk}}", "build.yaml:7:14: modules.one.resets.rts: one has no port rts"),
         ("resets: {video_rst: {clock: rd_clock}}", "modules.one.resets.video_rst: one has no clock rd_clock"),
         (

@@ -70,7 +70,7 @@ def test_module_with_the_other_directions_is_the_slave(tmp_path: Path) -> None:
         (PIXELS + "  - {name: pixels, signals: {a: in}}", "is defined twice"),
         (
             PIXELS + "    bindings: [{module: m, name: x, mode: slave, ports: {q: a}}]",
-            "pixels has no signal q; it has pix",
+            r"p.yaml:5:58: protocols\[0\].bindings\[0\].ports.q: pixels has no signal q; it has pix",
         ),
         (PIXELS + "    bindings: [{module: m, name: x, mode: slave, ports: {}}]", "pix must be given too"),
         ("a: [", "not YAML"),

@@ -173,6 +173,7 @@ def test_systemverilog_in_a_verilog_file_is_read_as_such(tmp_path: Path) -> None
 def test_what_cannot_cross_a_boundary_needs_a_flat_wrapper() -> None:
     (unflat,) = extract([DATA / "unflat.sv"])
     assert {port.name for port in unflat.ports if not port.flat} == {"open", "lanes", "sample", "stream", "unknown"}
+    assert [(p.name, p.value, p.local) for p in unflat.parameters] == [("sample_t", None, False), ("DEPTH", 4, False)]
     assert not unflat.usable
     assert all("needs a flat wrapper" in problem.message for problem in unflat.problems)
     assert unflat.port("pixel").width == 24  # a packed struct is a vector
