@@ -519,7 +519,7 @@ class Handlers:
 
     def _check_region(self, request: rq.CheckRegion, respond: Respond, began: Began, connection: str) -> None:
         manager = self._s.manager
-        if request.repair or request.reload:
+        if request.repair:
             self._begin(partial(manager.repair, request), respond, began, connection)
             return
 

@@ -79,10 +79,11 @@ def test_a_client_that_does_not_read_gets_no_more_until_it_does(clients: Clients
 
 
 def test_a_client_with_little_unread_is_served_whatever_others_leave(clients: Clients) -> None:
-    for pid in (9000001, 9000002):
-        clients.of(f"ipc:0:0:{pid}").sent(Sent(), 90_000, b"%d" % pid)
     client = clients.of("ipc:0:0:9000003")
     client.sent(Sent(), LITTLE - 1, b"c")
+    for pid in (9000001, 9000002):
+        assert client.has_room(10_000)
+        clients.of(f"ipc:0:0:{pid}").sent(Sent(), 90_000, b"%d" % pid)
     assert client.reads(b"c")
     assert not client.has_room(10_000)  # though no long reply as long as others leave so much
 
@@ -93,3 +94,4 @@ def test_clients_that_are_gone_and_have_nothing_are_forgotten(clients: Clients) 
         clients.of(f"ipc:0:0:{pid}")
     assert [client.name for client in clients.told({"pid 9000002": 4})] == ["pid 9000001", "pid 9000002"]
     assert [client.connections for client in clients.told({"pid 9000002": 4})] == [0, 4]
+    assert {client.account for client in clients.told({})} == {"uid:0"}

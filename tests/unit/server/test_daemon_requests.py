@@ -154,6 +154,15 @@ def test_a_region_is_compared_and_repaired(camera: Daemon) -> None:
     mended = camera.done(rq.CheckRegion("prr0", repair=True))
     assert (mended.verdict, mended.repaired, mended.wrong_bits) == ("good", "frames", 1)
     assert camera.refused(rq.CheckRegion("prr9"))[0] == "unknown_region"
+    for mode in ("loopback", "loopback_edge", "edge_detection", "colorise", "default"):
+        camera.load(mode)
+        assert {camera.done(rq.CheckRegion(name)).verdict for name in ("prr0", "prr1")} == {"good"}
+
+
+def test_a_region_is_told_as_a_map(camera: Daemon) -> None:
+    told = camera.done(rq.MapRegion("prr0"))
+    assert (told.region, told.module, told.device, told.config_name) == ("prr0", "default", "xc7z020", "camera")
+    assert camera.refused(rq.MapRegion("prr9"))[0] == "unknown_region"
 
 
 # ---- provisioning ----------------------------------------------------------------------------------
@@ -247,7 +256,7 @@ def test_a_repeated_read_after_a_change_of_mode_is_of_the_new_mode(camera: Daemo
         (rq.DefineMemory("camera", 0x1A00, 16), "invalid_request", "'camera' is a stream of configuration 'camera'"),
         (rq.DefineMemory("scratchpad", 0x1A00, 16), "invalid_request", "'scratchpad' is a memory of configuration"),
         (written("version", 1), "access", "read-only"),
-        (written("focus", 16), "out_of_range", "15"),
+        (written("focus", 16), "out_of_range", "register 'focus': 16 (0x10) is outside 0 to 15"),
         (written("led.blink", 9, 1), "invalid_request", "give a value or a mask, not both"),
         (rq.RenewLease("none"), "unknown_lease", "none"),
         (rq.TakeLease("registers:nothing"), "not_found", "nothing"),
@@ -278,6 +287,13 @@ def test_a_lease_keeps_others_from_writing_until_it_is_given_back(camera: Daemon
     camera.done(rq.ReleaseLease(lease.id))
     camera.done(written("focus", 3))
     assert values(camera, "focus") == [3]
+
+
+def test_a_lease_on_a_region_keeps_others_from_repairing_it(camera: Daemon) -> None:
+    lease = camera.done(rq.TakeLease("region:prr0", holder="me"))
+    assert camera.refused(rq.CheckRegion("prr0", repair=True))[0] == "held_by"
+    assert camera.done(rq.CheckRegion("prr0", repair=True, lease=lease.id)).verdict == "good"
+    camera.done(rq.ReleaseLease(lease.id))
 
 
 # ---- memories ------------------------------------------------------------------------------------------

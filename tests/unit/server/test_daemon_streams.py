@@ -9,9 +9,11 @@ import signal
 from collections.abc import Callable, Iterator
 
 import pytest
+import zmq
 from daemon_thread import Daemon, Subscriber, daemon
 from data_client import Client
 from manager_process import until
+from scraping import scrape
 
 from cm.wire import plane_packets as packets
 from cm.wire import topics
@@ -26,7 +28,7 @@ PICTURE = bytes(index % 251 for index in range(FRAME))
 
 @pytest.fixture(scope="module")
 def shared() -> Iterator[Daemon]:
-    with daemon(["--rate", "200"]) as made:
+    with daemon(["--rate", "200"], metrics="0") as made:
         yield made
 
 
@@ -139,7 +141,15 @@ def test_impossible_requests_are_refused(loop: Daemon, request_: rq.Request, cod
     assert (found, words in message) == (code, True), message
 
 
+def totals(daemon: Daemon, stream: str) -> list[float]:
+    """What a stream has moved since the daemon's start."""
+    page = scrape(daemon.folder / "run")
+    names = ("frames", "bytes", "dropped", "errors")
+    return [page.value(f"cm_stream_{name}_total", stream=stream) for name in names]
+
+
 def test_a_transfer_that_fails_is_reported_to_its_writer_and_in_the_status(flowing: Daemon) -> None:
+    before = totals(flowing, "to_pl")
     write(flowing, PICTURE)
     flowing.board.control.inject("dma_error", "to_pl")
     reply = write(flowing, PICTURE)
@@ -149,6 +159,8 @@ def test_a_transfer_that_fails_is_reported_to_its_writer_and_in_the_status(flowi
     assert state.errors == 1
     assert state.last_error is not None
     assert write(flowing, PICTURE).error is None
+    after = totals(flowing, "to_pl")
+    assert [now - then for now, then in zip(after, before, strict=True)] == [2, 2 * FRAME, 0, 1]
 
 
 def test_writes_without_a_free_slot_wait_and_too_many_are_refused(loop: Daemon) -> None:
@@ -210,6 +222,14 @@ def test_frames_are_published_to_subscribers(camera: Daemon, topic: bytes) -> No
     assert camera.stream("camera").open
     seen.close()
     until(lambda: not camera.stream("camera").open)
+
+
+def test_frames_that_a_subscriber_does_not_take_are_dropped_and_counted(camera: Daemon) -> None:
+    lazy = camera.connect(zmq.SUB, "pub")
+    lazy.subscribe(b"cm_stream/camera")
+    until(lambda: camera.stream("camera").overruns)
+    assert camera.stream("from_pl").overruns == 0
+    lazy.close(linger=0)
 
 
 def test_frames_come_compressed_to_clients_that_ask(camera: Daemon) -> None:
@@ -285,7 +305,7 @@ def loop_is_open(daemon: Daemon, name: str) -> bool:
         (Open("to_pl"), "invalid_request", "cannot be used the other way"),
         (Open("camera", write=True), "invalid_request", "cannot be used the other way"),
         (Open("", echo=True, length=0), "invalid_request", "at least one byte"),
-        (Open("", echo=True, length=1 << 40), "busy", "MiB together"),
+        (Open("", echo=True, length=1 << 40), "busy", "memory of echoes is "),
         (b"x" * 40, "invalid_request", "must be an OPEN"),
         (b"short", "invalid_request", "at least 32 bytes"),
     ],
@@ -332,6 +352,24 @@ def test_registers_are_read_by_name_without_a_request(camera: Daemon, client: Ca
     assert (answer.kind, answer.sequence) == (packets.ELSEWHERE, 77)
     reader.send(packets.Descriptor(), packets.PING)
     assert reader.socket.recv(packets.PACKET_MAX) == b""  # who breaks the rules is hung up on
+
+
+def test_registers_are_lent_as_memory_until_their_module_goes(camera: Daemon, client: Callable[..., Client]) -> None:
+    camera.load("edge_detection")
+    user = client(camera, Open("edge", write=True, window=True, exclusive=True))
+    _, data, fds = user.next(packets.WINDOW)
+    pages = packets.decode_window(data)
+    assert (pages.region, pages.module, pages.mode, pages.writable) == ("prr0", "edge", "edge_detection", True)
+    (told,) = camera.status.windows
+    assert (told.module, told.address, told.length) == ("edge", pages.address, pages.length)
+    assert (told.writes, told.exclusive, told.pid) == (True, True, os.getpid())
+    assert client(camera, Open("edge", window=True, write=True)).refusal()[0] == "held_by"
+    camera.done(rq.ChangeMode("camera", "default", lease=pages.lease))
+    assert packets.decode_revoked(user.next(packets.REVOKED)[1]) == (1, "camera", "default")
+    assert camera.status.windows == ()
+    assert user.socket.recv(packets.PACKET_MAX) == b""
+    for fd in fds:  # whose end would give the pages back
+        os.close(fd)
 
 
 def test_a_writer_needs_the_lease_that_another_client_holds(loop: Daemon, client: Callable[..., Client]) -> None:
@@ -400,6 +438,15 @@ def test_what_the_channel_refuses_changes_nothing(camera: Daemon) -> None:
     assert (code, "134217728 bytes" in message) == ("invalid_request", True), message
     assert settings(camera.stream("camera")) == before
     assert not camera.stream("camera").open
+
+
+def test_a_stream_says_whether_its_frames_have_to_be_whole() -> None:
+    with daemon(["--vdma", "camera", "--simple-dma", "from_pl:14:blind"]) as made:
+        made.load("loopback")
+        for name in ("camera", "to_pl", "from_pl"):
+            made.done(ConfigureStream(name, shape=(48, 64), enable=True))
+        exact = {stream.name: stream.exact for stream in made.status.streams if stream.open}
+        assert exact == {"camera": False, "to_pl": False, "from_pl": True}
 
 
 def test_a_stride_keeps_lines_apart_in_the_slot_and_together_over_zeromq(loop: Daemon) -> None:
