@@ -16,6 +16,7 @@ from manager_support import Rig, rig
 
 from cm.errors import CmError
 from cm.formats.bitstream import assemble_module
+from cm.formats.bitstream.errors import Sha256Mismatch
 from cm.manager.errors import ChangeBusy, NothingLoaded, RegionBusy, UnknownMode
 from cm.manager.execution.worker import Change
 from cm.manager.inputs import Image
@@ -26,6 +27,7 @@ from cm.schema.model import Config, LoaderKind, Module
 from cm.server.bitstream_and_overlay_files import BoardFiles
 from cm.simulation.software import Board as SimBoard
 from cm.wire.messages.requests import ChangeMode, RegWrite
+from cm.wire.messages.status import Progress
 
 # IDCODE of the xc7z020, IV, DWC and the words that only the device can read
 ENCRYPTED = bit(0x30018001, 0x03727093, 0x30016004, 1, 2, 3, 4, 0x30034001, 4, 9, 9, 9, 9)
@@ -131,6 +133,15 @@ def test_pr_mode_says_what_kind_of_change_runs_and_that_it_failed(made: Rig, sim
     sim.control.inject("overlay_error", "whole_extra")
     assert error_of(made, "whole/full") == "device_invalid"
     assert made.manager.status().pr_mode.value == "error"
+
+
+def test_a_change_tells_where_it_goes_from_its_beginning_on(made: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[Progress | None] = []
+    monkeypatch.setattr(made.data_plane, "progressed", lambda: told.append(made.manager.status().progress))
+    at(made, "duo/default")
+    assert {(told.target_config, told.target_mode) if told else None for told in told} == {("duo", "default")}
+    assert next(told.step for told in told if told) == "validate"
+    assert made.manager.status().progress is None
 
 
 def test_a_lost_static_part_is_not_accessed_and_takes_no_partial_bitstream(made: Rig, sim: SimBoard) -> None:
@@ -595,6 +606,29 @@ def test_memory_that_runs_out_while_images_are_fetched_ahead_stops_no_change(
         assert error is not None
         assert "MemoryError" in error.message
         assert made.go("default", config="duo") is not None  # the thread lives and answers
+
+
+def test_an_image_that_cannot_be_fetched_ahead_is_an_error_of_the_change_that_needs_it(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
+    fetched = threading.Event()
+
+    class Changed(BoardFiles):
+        def port_bytes(self, image: Image) -> bytes:
+            if image.path.name == "b1.bit":
+                fetched.set()
+                raise Sha256Mismatch("b1.bit has changed")
+            return super().port_bytes(image)
+
+    with rig(sim.root, tmp_path, configs["duo"], prefetch=64 << 20, files=Changed) as made:
+        at(made, "duo/default")
+        assert fetched.wait(60)
+        checked = threading.Event()  # behind it, by the same thread
+        made.manager.check(made.manager.prepared_check("prr0"), lambda _: checked.set())
+        assert checked.wait(60)
+        assert "TypeError" not in str(made.manager.status().last_error)
+        assert error_of(made, "duo/both") == Sha256Mismatch.code
+        at(made, "duo/other")
 
 
 def test_a_plan_estimates_time_from_earlier_changes_even_after_a_restart(

@@ -142,6 +142,8 @@ def test_no_lease_lasts_for_ever(leases: Leases) -> None:
         ("region:prr1", "both", True),
         ("registers:gain", "other", True),  # lies in the region, and has a default
         ("registers:scratch", "other", False),
+        ("registers:lamp", "lit", True),  # which that mode alone writes
+        ("registers:lamp", "other", False),
     ],
 )
 def test_a_change_is_refused_for_what_it_touches(

@@ -6,6 +6,7 @@ from __future__ import annotations
 import gc
 import re
 from dataclasses import replace
+from mmap import mmap
 from pathlib import Path
 
 import pytest
@@ -66,9 +67,9 @@ def test_a_path_that_leaves_the_folder_is_refused(provisioner: Provisioner, tmp_
     assert not (tmp_path / "configs").exists()
 
 
-@pytest.mark.parametrize("name", ["../x", "/x", ".x", "", "a/b", "a\\b", SCHEMA_FILE])
+@pytest.mark.parametrize("name", ["../x", "/x", ".x", "", "a/b", "a\\b", "a\0b", "a" * 201, SCHEMA_FILE])
 def test_a_file_name_that_is_not_plain_is_refused(provisioner: Provisioner, name: str) -> None:
-    with pytest.raises(InvalidRequest):
+    with pytest.raises(InvalidRequest, match=r"a plain name without folders is expected|none may be"):
         provisioner.store(SCHEMA, (File(name, b"1"),))
     assert provisioner.stored() == []
 
@@ -77,6 +78,13 @@ def test_a_file_name_that_is_not_plain_is_refused(provisioner: Provisioner, name
 def test_a_file_that_the_schema_does_not_name_is_refused(provisioner: Provisioner, name: str, hint: str) -> None:
     with pytest.raises(InvalidRequest, match=f"names no file '{name}' .{re.escape(hint)}"):
         provisioner.store(SCHEMA, (*FILES, File(name, b"3")))
+    assert provisioner.stored() == []
+
+
+def test_files_that_are_too_much_together_are_refused(provisioner: Provisioner) -> None:
+    half = memoryview(mmap(-1, (256 << 20) + 1))  # never touched: it takes no memory
+    with pytest.raises(InvalidRequest, match="files of 'sent' have more than 512 MiB together"):
+        provisioner.store(SCHEMA, (File("one.bit", half), File("nodes.dtbo", half)))
     assert provisioner.stored() == []
 
 

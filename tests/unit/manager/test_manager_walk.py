@@ -151,6 +151,7 @@ def test_after_persistent_failures_the_status_says_what_is_known_of_the_board(
         status = made.manager.status()
         assert status.pr_mode.value == "error"
         assert status.last_error is not None
+        assert "in no mode" not in error.message or made.manager.state.mode is None
         lost = made.manager.state.static_lost
         assert lost or all(r.state in ("ready", "failed", "unknown") for r in status.regions)
         for region in status.regions:

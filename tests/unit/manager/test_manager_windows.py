@@ -157,6 +157,20 @@ def test_what_a_window_wrote_is_there_after_a_failed_change_however_busy_the_mac
     assert made.manager.registers.read(("threshold",)).values[0].value == 99
 
 
+def test_what_a_client_gives_back_is_taken_from_the_kernel_and_what_it_wrote_is_known(made: Rig) -> None:
+    loan = lend(made)
+    threshold = next(r for r in loan.place.registers if r.name == "threshold")
+    window = made.devices.window(threshold.address, threshold.width)
+    window.device.write(window.offset, 99, threshold.width, window.map)
+    made.arm(-1)
+    told = made.manager.windows.give_back(loan.number)
+    assert told is not None
+    assert [(value.name, value.value) for value in told.values] == [("threshold", 99)]
+    assert made.manager.state.values["threshold"] == 99
+    assert "window.revoke_grant" in made.fault.names
+    assert made.manager.mapped == ()
+
+
 def test_a_change_ends_where_windows_cannot_be_taken_back(made: Rig) -> None:
     """They are lent still, and the next change takes them."""
     told: list[tuple[int, str, str]] = []
