@@ -108,3 +108,5 @@ def test_a_frame_names_its_module_unless_one_byte_of_either_name_is_another() ->
     for at in (name, model):
         damaged = frame[:at] + bytes([frame[at] ^ 1]) + frame[at + 1 :]
         assert identify_bytes(damaged[begin:]) is None
+    assert identify_bytes(frame[begin:][:20]) is None
+    assert identify_bytes(frame[begin + 1 :]) is None

@@ -68,6 +68,8 @@ def test_conversion_there_and_back_is_byte_exact(form: Container) -> None:
     there = convert(original, form)
     assert open_image(there).container is form
     assert convert(there, Container.BIT, open_image(original).header) == original
+    with pytest.raises(BadContainer, match="3 bytes follow the last whole word: the file is damaged"):
+        convert(there + b"abc", Container.BIT, open_image(original).header)
 
 
 def test_swapped_bin_has_the_sync_word_that_dma_wants() -> None:

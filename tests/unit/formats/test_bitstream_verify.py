@@ -49,6 +49,11 @@ def test_device_that_is_in_no_table_is_compared_by_its_part_name() -> None:
     data = unknown.replace(b"7z020clg400", b"xczu99eg-sf")
     assert codes(data, Expectation("xczu99eg")) == []
     assert codes(data, Expectation("xczu98eg")) == ["wrong_device"]
+    nameless = bit(0x30004000 | 93, *[0] * 93, 0x30008001, 13)  # only its header says for what it is
+    said = refusals(inspect(nameless), Expectation("xc7z010"))[-1]
+    assert said.message == "built for xc7z020, meant for xc7z010"
+    said = refusals(inspect(nameless), Expectation("xc7z01"))[-1]
+    assert said.message == "built for xc7z020, meant for xc7z01, whose IDCODE is not known (did you mean xc7z015?)"
 
 
 @pytest.mark.parametrize(
@@ -95,6 +100,7 @@ def test_footprint_is_learned_from_a_good_module() -> None:
     assert learned == OWNED  # two columns of 36 frames and one of padding
     assert codes(written_to(FrameAddress(0, 0, 27)), Expectation(footprint=learned)) == []
     assert codes(written_to(FrameAddress(0, 0, 28)), Expectation(footprint=learned)) == ["footprint_outside"]
+    assert footprint_of(inspect(written_to(FrameAddress(5, 0, 9), 3))) == (FrameRange(5, 0, 9, 9),)  # of no known kind
 
 
 def test_other_file_than_recorded_is_refused() -> None:
