@@ -76,13 +76,13 @@ class Entries:
         found = self.lines.contexts_by_lineno(str((self.tree / mutant.path).resolve()))
         return sorted({test for line in mutant.lines for test in found.get(line, ()) if test})
 
-    def seconds(self, tests: list[str]) -> dict[str, float]:
-        """The files of these tests, the fastest first, and what the tests take."""
+    def seconds(self, tests: list[str], own: str) -> dict[str, float]:
+        """The files of these tests, first the package's own, the fastest first, and what the tests take."""
         chosen, seconds = set(tests), dict.fromkeys(map(file_of, tests), 0.0)
         for test, time in self.times.items():
             if test in chosen or file_of(test) in chosen:
                 seconds[file_of(test)] += time
-        return dict(sorted(seconds.items(), key=lambda file: file[1]))
+        return dict(sorted(seconds.items(), key=lambda file: (not file[0].startswith(own), file[1])))
 
 
 def file_of(test: str) -> str:
@@ -150,7 +150,8 @@ def lives(mutant: Mutant, tree: Path, entries: Entries) -> bool:
     tests = entries.of(mutant)
     if not tests:
         return True
-    chosen, changed, seconds = tree / "tests.json", tree / mutant.path, entries.seconds(tests)
+    chosen, changed = tree / "tests.json", tree / mutant.path
+    seconds = entries.seconds(tests, f"tests/unit/{Path(mutant.path).parts[1]}/")
     chosen.write_text(json.dumps(tests), encoding="utf-8")
     original = changed.rename(changed.with_suffix(".original"))
     changed.write_text(mutant.code(), encoding="utf-8")
