@@ -21,7 +21,7 @@ from typing import Any
 
 import zmq
 
-from cm.cli.keygen import read_key_file
+from cm.server.rights.keys import read_key_file
 from cm.wire import plane_packets as packets
 from cm.wire.encode import decode_reply, encode_request
 from cm.wire.messages import requests as rq

@@ -1,28 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Key files, and ``cm keygen``, which makes them."""
+"""``cm keygen``: makes key files."""
 
 from __future__ import annotations
 
 import argparse
 import os
-import stat
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from cm.cli.common import add_json_option, naming, print_json
-from cm.errors import CmError, InvalidRequest
-from cm.server.rights.keys import FOLDER, OLD_FOLDER, authorized, pairs_of
-
-if TYPE_CHECKING:
-    from cm.server.rights.model import AuthorizedKey
-    from cm.server.sockets import Security
-
-
-class ReadableKey(CmError, PermissionError):
-    """A secret key that others than its owner may read."""
-
-    code = "readable_key"
+from cm.errors import InvalidRequest
+from cm.server.rights.keys import FOLDER, authorized, server_keys
 
 
 def write_key_file(path: Path, keys: Mapping[str, bytes], comment: str) -> None:
@@ -38,66 +26,6 @@ def write_key_file(path: Path, keys: Mapping[str, bytes], comment: str) -> None:
     except OSError:  # of a full disk: half a file would be in the way of a whole one
         path.unlink()
         raise
-
-
-def read_key_file(path: Path) -> dict[str, bytes]:
-    """The keys in a file by name."""
-    return {name: value.encode() for name, value in pairs_of(path.read_text(encoding="ascii")).items()}
-
-
-def _server_keys(path: Path) -> dict[str, bytes]:
-    try:
-        keys = read_key_file(path)
-    except UnicodeDecodeError:
-        keys = {}
-    if not {"public", "secret"} <= keys.keys() or "server-public" in keys:
-        raise InvalidRequest(f"{path} is not a server key file; 'cm keygen' makes one")
-    return keys
-
-
-def load_server_keys(path: Path) -> Security:
-    """A server's keys. Raises InvalidRequest for another file, ReadableKey for one that others may read."""
-    from cm.server.sockets import Security
-
-    keys = _server_keys(path)
-    status = path.stat()
-    if stat.S_IMODE(status.st_mode) & 0o077:
-        raise ReadableKey(
-            f"{path} can be read or written by others (mode {stat.S_IMODE(status.st_mode):04o}), who could pose as "
-            f"this board: chmod 600 {path}, and make new keys if someone may have read it"
-        )
-    return Security(keys["public"], keys["secret"])
-
-
-Keys = tuple["AuthorizedKey", ...]
-
-
-def authorized_keys(server: Path, folder: Path | None) -> tuple[Keys, tuple[str, ...]]:
-    """The clients that may connect, and a sentence for each file that was left out.
-
-    Keys lie in ``authorized_keys.d/`` beside the server's, or in `folder`; where there are none, also in ``clients/``
-    beside it, as older versions of `cm keygen` wrote them.
-    """
-    place = folder or server.parent / FOLDER
-    found: dict[str, AuthorizedKey] = {}
-    left_out = []
-    for file in _files(place, server.parent / OLD_FOLDER):
-        try:
-            key = authorized(file.stem, pairs_of(file.read_text(encoding="ascii")))
-        except (InvalidRequest, OSError, UnicodeDecodeError) as error:
-            left_out.append(f"{file}: this key is left out: {error}")
-            continue
-        first = found.setdefault(key.public, key)
-        if first is not key and first.name != key.name:
-            left_out.append(f"{file}: this key is left out: it is that of {first.name} already")
-    if not found:
-        left_out.append(f"{place} holds no client's key, so that no client can connect over TCP: 'cm keygen' makes one")
-    return tuple(found.values()), tuple(left_out)
-
-
-def _files(*folders: Path) -> Iterator[Path]:
-    for folder in folders:
-        yield from sorted(path for path in folder.glob("*.pub") if not path.name.startswith("."))
 
 
 def add_keygen(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -139,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
         write_key_file(server, {"public": public, "secret": secret}, "server: keep it on the board")
         if not args.json:
             print(f"{server}: for cm serve --keys")
-    server_public = _server_keys(server)["public"]
+    server_public = server_keys(server)["public"]
     for name in args.client:
         public, secret = zmq.curve_keypair()
         path = args.folder / f"{name}.key"

@@ -100,7 +100,7 @@ def load_configs(paths: Sequence[Path]) -> dict[str, Config]:
 def security_of(listen: Sequence[str], keys: Path | None, insecure: bool) -> Security | None:
     """The keys, if there are any. Raises InsecureListen if others could reach the board without keys."""
     if keys:
-        from cm.cli.keygen import load_server_keys
+        from cm.server.rights.keys import load_server_keys
 
         return load_server_keys(keys)
     for address in listen:
@@ -122,7 +122,7 @@ def access_of(settings: Settings | None, keys: Path | None) -> tuple[Access, tup
     known: tuple[AuthorizedKey, ...] = ()
     left_out: tuple[str, ...] = ()
     if keys:
-        from cm.cli.keygen import authorized_keys
+        from cm.server.rights.keys import authorized_keys
 
         known, left_out = authorized_keys(keys, said.keys)
     policy = Access(said.group, said.local, said.insecure, said.users, said.groups, said.guests, said.roles, known)

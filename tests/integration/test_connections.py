@@ -20,7 +20,7 @@ from manager_process import served as served_board
 
 import cm
 import cm.aio
-from cm.cli.keygen import read_key_file
+from cm.server.rights.keys import read_key_file
 from cm.wire.encode import decode_reply, encode_request
 from cm.wire.messages.requests import Upload
 

@@ -18,10 +18,11 @@ from manager_process import CAMERA, Manager, short_folder, until
 
 import cm
 import cm.aio
-from cm.cli.keygen import read_key_file, write_key_file
+from cm.cli.keygen import write_key_file
 from cm.cli.main import main
 from cm.client.stream import NewestStream
 from cm.errors import CmError, Forbidden, InvalidRequest, Timeout
+from cm.server.rights.keys import read_key_file
 from cm.simulation.software import Board as SimBoard
 from cm.wire.cm_pb2 import RegWrite, Reply, WriteReg
 from cm.wire.topics import tcp_endpoints

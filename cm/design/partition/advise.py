@@ -13,7 +13,8 @@ from cm.design.boundary.model import Boundary, Role
 from cm.design.errors import BuildError
 from cm.design.partition.model import Group, Problem, Unit, UsedMode, group_of
 from cm.design.partition.utilisation import part_of
-from cm.design.platforms import device_of, platform_of
+from cm.design.parts import device_of
+from cm.design.platforms import platform_of
 from cm.design.project.model import ModuleSpec, Project, RegionSpec, Resources
 
 Place = tuple[str, str]  # module, region

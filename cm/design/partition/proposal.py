@@ -28,9 +28,10 @@ from cm.design.partition.advise import by_port, unit_name
 from cm.design.partition.advisor import SECONDS, advise
 from cm.design.partition.model import Group, Partition, Problem
 from cm.design.partition.streams import Streams, streams_of
+from cm.design.parts import device_of
 from cm.design.plan.floorplan import CLOCK_REGION, device_sites, holds, rectangle
 from cm.design.plan.planner import plan_system
-from cm.design.platforms import device_of, platform_of
+from cm.design.platforms import platform_of
 from cm.design.project.load import load_project, project_data
 from cm.design.project.model import Project
 from cm.schema.problems import SchemaError

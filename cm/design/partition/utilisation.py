@@ -14,7 +14,7 @@ from pathlib import Path
 
 from cm.design.errors import BuildError
 from cm.design.partition.model import Part
-from cm.design.platforms import PARTS
+from cm.design.parts import PARTS
 from cm.design.project.model import Project, Resources
 from cm.frozen import replace
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from cm.design.project.model import Resources
 
-DEVICES = Path(__file__).parents[1] / "data" / "devices.json"
+DEVICES = Path(__file__).parents[1] / "data" / "site_grids.json"
 CLOCK_REGION = "CLOCKREGION"
 _RANGE = re.compile(r"([A-Z0-9_]+)_X(\d+)Y(\d+)(?::\1_X(\d+)Y(\d+))?")
 # sites that may be reconfigured, by family; all else belongs to the static part (UG909, "Reconfigurable Elements")

@@ -10,6 +10,7 @@ from dataclasses import replace
 from cm.design.boundary.model import Boundary
 from cm.design.errors import BuildError
 from cm.design.hdl.model import Interface
+from cm.design.parts import device_of
 from cm.design.plan.addresses import CONTROL_SIZE, Allocator, Window
 from cm.design.plan.connections import RegionPlanner
 from cm.design.plan.dma_engines import Dma
@@ -25,7 +26,7 @@ from cm.design.plan.system import (
     SwitchPlan,
     System,
 )
-from cm.design.platforms import Platform, device_of, platform_of
+from cm.design.platforms import Platform, platform_of
 from cm.design.project.model import ConnectionSpec, Project
 from cm.design.project.source_position import fault
 from cm.schema.model import Direction, LoaderKind

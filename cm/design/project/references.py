@@ -9,7 +9,8 @@ from itertools import pairwise
 from pathlib import Path
 
 from cm.design.errors import BuildError
-from cm.design.platforms import PARTS, device_of, platform_of
+from cm.design.parts import PARTS, device_of
+from cm.design.platforms import platform_of
 from cm.design.project.model import ModeSpec, ModuleSpec, Project, RegionSpec, Resources
 from cm.schema.construct import Context
 from cm.schema.model import Register

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from cm.cli.keygen import ReadableKey, authorized_keys, load_server_keys
 from cm.cli.main import main
 from cm.cli.serve_settings import InsecureListen, security_of
 from cm.errors import InvalidRequest
+from cm.server.rights.keys import ReadableKey, authorized_keys, load_server_keys
 
 
 @pytest.fixture

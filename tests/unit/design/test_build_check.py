@@ -20,10 +20,10 @@ from cm.design.errors import BuildError
 from cm.design.generate.outputs import render_all
 from cm.design.generate.tree import generate, load_design
 from cm.design.partition.utilisation import part_of
+from cm.design.parts import device_of
 from cm.design.plan.block_design import context
 from cm.design.plan.floorplan import DEVICES, Rectangle, device_sites, rectangle
 from cm.design.plan.system import System
-from cm.design.platforms import device_of
 from cm.design.project.load import load_project
 from cm.design.runtime.answers import Answers
 from cm.schema.clock_rates import PLL, rate_problem, rounded

@@ -18,7 +18,8 @@ from cm.design.collect.handoff import streams
 from cm.design.collect.xsa import MAX_ARCHIVE, MAX_MEMBER
 from cm.design.errors import BuildError
 from cm.design.partition.utilisation import part_of
-from cm.design.platforms import ZYNQ7000, ZYNQMP, device_of, platform_of
+from cm.design.parts import device_of
+from cm.design.platforms import ZYNQ7000, ZYNQMP, platform_of
 from cm.formats import hwh as handoff
 from cm.formats.hwh import HwhError
 from cm.schema.model import Direction

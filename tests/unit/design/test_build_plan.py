@@ -15,7 +15,8 @@ from cm.design.boundary.analyse import analyse
 from cm.design.errors import BuildError
 from cm.design.generate.outputs import render_all
 from cm.design.generate.tree import Design, generate, load_design
-from cm.design.platforms import ZYNQ7000, ZYNQMP, device_of
+from cm.design.parts import device_of
+from cm.design.platforms import ZYNQ7000, ZYNQMP
 from cm.design.project.load import load_project
 from cm.design.runtime.answers import Answers
 
