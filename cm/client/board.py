@@ -30,7 +30,6 @@ from cm.client.link import Link, Subscription
 from cm.client.memories import Memories, Memory
 from cm.client.progress import OnProgress, Shown
 from cm.client.registers import Registers
-from cm.frozen import replace
 from cm.wire.messages import notebook
 from cm.wire.messages import requests as rq
 from cm.wire.messages.requests import ConfigureStream, DefineMemory
@@ -358,7 +357,6 @@ class Board(Guarded):
         from cm.client.window import RegisterWindow  # here: it needs the shim, which only Linux has
 
         limit = None if wanted.wait and timeout is DEFAULT else seconds(timeout, self.timeout)
-        wanted = replace(wanted, lease=self._leases.named(wanted.lease))
         window = self._sockets.using(RegisterWindow(folder, wanted, limit, self._leases, self, wanted.wait))
         window.open()
         return window

@@ -151,7 +151,8 @@ class RegisterWindow:
         not_for_children(self)
 
     def _take(self, wanted: Open, timeout: float | None) -> None:
-        loan = self._loan = _Loan(self._folder, wanted)
+        held = self._leases.named(wanted.lease)  # as of now: one that was taken since the last time counts
+        loan = self._loan = _Loan(self._folder, replace(wanted, lease=held))
         if self._why is not None:  # closed meanwhile, before there was anything to be closed
             loan.close()
         try:
@@ -319,6 +320,8 @@ class RegisterWindow:
     def _revoked(self, reason: int, config: str, mode: str) -> WindowRevoked:
         why = _WHY.get(reason, "it has ended")
         to = f"; the board goes to {config}/{mode}" if mode else ""
+        if reason == WindowEnd.CALL and (config, mode) == (self._pages.config_name, self._pages.mode):
+            to = f": a lease keeps it off, your own if it was taken later, or {config}/{mode} is loaded again"
         return WindowRevoked(f"the window of {self.module or self.region} is gone: {why}{to}", config, mode)
 
     def _raise_closed(self) -> NoReturn:

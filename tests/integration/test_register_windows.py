@@ -208,6 +208,19 @@ def test_a_lease_of_another_keeps_writers_off_and_takes_their_windows(edge: cm.B
             _ = regs.focus
 
 
+def test_a_lease_of_ones_own_is_taken_before_the_window(edge: cm.Board) -> None:
+    with edge.registers.window("edge") as regs, edge.lease("region:prr0"):
+        with pytest.raises(WindowRevoked, match="a lease keeps it off, your own if it was taken later"):
+            _ = regs.focus
+        with edge.registers.window("edge") as another:
+            assert another.ident == IDENTITY["edge"]
+
+
+def test_a_window_that_waits_comes_back_with_a_lease_of_its_own_board(edge: cm.Board) -> None:
+    with edge.registers.window("edge", wait=True, timeout=20) as regs, edge.lease("region:prr0", seconds=600):
+        assert regs.ident == IDENTITY["edge"]
+
+
 def test_an_exclusive_window_keeps_others_off_until_it_ends(edge: cm.Board, manager: Manager) -> None:
     with manager.connected() as other:
         with edge.registers.window("edge", exclusive=True) as regs:

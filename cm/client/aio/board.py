@@ -36,7 +36,6 @@ from cm.client.find_manager import Keys, find
 from cm.client.frame import Frame
 from cm.client.guard import Guarded
 from cm.client.progress import OnProgress, Shown
-from cm.frozen import replace
 from cm.wire.messages import requests as rq
 from cm.wire.messages.requests import ConfigureStream, DefineMemory
 from cm.wire.messages.status import (
@@ -366,7 +365,6 @@ class Board(Guarded):
         limit = None if wanted.wait and timeout is DEFAULT else seconds(timeout, self.timeout)
         from cm.client.window import RegisterWindow  # here: it needs the shim, which only Linux has
 
-        wanted = replace(wanted, lease=self._leases.named(wanted.lease))
         window = self._sockets.using(RegisterWindow(folder, wanted, limit, self._leases, owner=self))
         try:
             await asyncio.get_running_loop().run_in_executor(None, window.open)
