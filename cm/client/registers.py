@@ -65,7 +65,7 @@ class Registers(MutableMapping[str, int]):
         value = self._reads.read(name)
         return self._board.ask(calls.read_registers((name,))).values[0].value if value is None else value
 
-    def __setitem__(self, name: str, value: int | str) -> None:
+    def __setitem__(self, name: str, value: calls.Value) -> None:
         self.write({name: value})
 
     def __delitem__(self, name: str) -> None:
@@ -108,7 +108,12 @@ class Registers(MutableMapping[str, int]):
             return {names[0]: self[names[0]]}
         return registers.values(self._board.ask(calls.read_registers(names)))
 
-    def write(self, values: Mapping[str, int | str] | Iterable[tuple[str, int | str]], lease: str = "") -> Written:
+    # mypy finds no type for a dict of numbers and names where it is wanted for one of two
+    @overload
+    def write(self, values: Mapping[str, calls.Value], lease: str = "") -> Written: ...
+    @overload
+    def write(self, values: Iterable[tuple[str, calls.Value]], lease: str = "") -> Written: ...
+    def write(self, values: calls.Writes, lease: str = "") -> Written:
         """Write several registers in order; all are checked before the first is written. Returns the new values.
 
         Pairs can name a register several times: ``[("control.start", 1), ("control.start", 0)]`` is a pulse.
@@ -117,7 +122,7 @@ class Registers(MutableMapping[str, int]):
         """
         return Written(self._board.ask(calls.write_registers(values, lease)))
 
-    def update(self, values: Any = (), /, **named: int | str) -> None:
+    def update(self, values: Any = (), /, **named: calls.Value) -> None:
         """Write several registers as `write` does, in one request."""
         pairs = [*(values.items() if isinstance(values, Mapping) else values), *named.items()]
         if pairs:

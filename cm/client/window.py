@@ -16,7 +16,7 @@ from contextlib import suppress
 from operator import index
 from pathlib import Path
 from types import MappingProxyType, TracebackType
-from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, SupportsIndex, TypeVar
 
 from cm.client.data_socket import connect, descriptors
 from cm.client.errors import BoardClosed, ConnectionLost, RequestInvalid, RequestNotFound, WindowRevoked, request_error
@@ -206,7 +206,7 @@ class RegisterWindow:
             self._unknown(name)
         return reader(self)
 
-    def __setitem__(self, name: str, value: int | str) -> None:
+    def __setitem__(self, name: str, value: SupportsIndex | str) -> None:
         writer = self._writers.get(name)
         if writer is None:
             self._unknown(name)

@@ -82,9 +82,12 @@ class Registers:
             return {names[0]: value}
         return registers.values(await self._board.ask(calls.read_registers(names)))
 
-    async def write(
-        self, values: Mapping[str, int | str] | Iterable[tuple[str, int | str]], lease: str = ""
-    ) -> Written:
+    # mypy finds no type for a dict of numbers and names where it is wanted for one of two
+    @overload
+    async def write(self, values: Mapping[str, calls.Value], lease: str = "") -> Written: ...
+    @overload
+    async def write(self, values: Iterable[tuple[str, calls.Value]], lease: str = "") -> Written: ...
+    async def write(self, values: calls.Writes, lease: str = "") -> Written:
         """Write several registers in order; all are checked before the first is written. Returns the new values.
 
         Pairs can name a register several times: ``[("control.start", 1), ("control.start", 0)]`` is a pulse.

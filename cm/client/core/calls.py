@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, SupportsIndex, TypeVar
 
 from cm.client.core.values import register_value, register_write
 from cm.client.errors import request_error
@@ -36,7 +36,8 @@ if TYPE_CHECKING:
     from cm.client.frame import Frame
 
 _T = TypeVar("_T")
-Writes = Mapping[str, int | str] | Iterable[tuple[str, int | str]]  # values by name, in their order
+Value = SupportsIndex | str  # an integer, numpy's too, or the name of a field's value
+Writes = Mapping[str, Value] | Iterable[tuple[str, Value]]  # in their order
 
 
 @dataclass(frozen=True, slots=True)
