@@ -31,8 +31,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "completion",
         help="print a completion script for a shell",
-        description="Print a completion script for a shell. It asks `cm` itself at Tab, so it stays as it is when cm "
-        "is upgraded.",
+        description="Print a completion script for a shell. It asks `cm` itself at Tab,\n"
+        "so it stays as it is when cm is upgraded.",
         epilog=_EPILOG,
         formatter_class=RawHelp,
     )

@@ -21,8 +21,17 @@ class Help(argparse.HelpFormatter):
     def __init__(self, prog: str, **options: Any) -> None:
         super().__init__(prog, **{"width": _columns() - 2, **options})
 
+    def _split_lines(self, text: str, width: int) -> list[str]:
+        """Without breaks at hyphens: options, and names such as fpga-cm[view], are to be copied."""
+        import textwrap
 
-class RawHelp(Help, argparse.RawDescriptionHelpFormatter):
+        return textwrap.wrap(" ".join(text.split()), width, break_on_hyphens=False)
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        return "\n".join(indent + line for line in self._split_lines(text, width - len(indent)))
+
+
+class RawHelp(argparse.RawDescriptionHelpFormatter, Help):
     """`Help` that leaves the lines of a description as they are."""
 
 

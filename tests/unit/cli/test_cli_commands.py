@@ -72,13 +72,18 @@ def test_the_ten_of_every_day_come_first_and_the_others_by_what_they_are_for(
 
 
 @pytest.mark.parametrize("command", ALL)
-def test_every_command_has_a_help_that_says_how_to_use_it(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_command_has_a_help_that_says_how_to_use_it(
+    command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit) as end:
         main([*command.split(), "--help"])
     assert end.value.code == 0
     told = capsys.readouterr()
     assert told.out.startswith(f"usage: cm {command}")
     assert "==SUPPRESS==" not in told.out
+    assert not re.search(r"\w-\n", told.out)  # what is copied from a help is whole
+    assert max(map(len, told.out.partition("\n\n")[2].splitlines())) <= 80
     assert told.err == ""
 
 
