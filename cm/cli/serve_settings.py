@@ -22,9 +22,8 @@ from cm.wire.topics import split_tcp
 if TYPE_CHECKING:
     from cm.schema.model import Config
     from cm.server.reload import Reloaded
-    from cm.server.rights.model import Access, AuthorizedKey
+    from cm.server.rights.model import Access, AuthorizedKey, Security
     from cm.server.settings import Settings
-    from cm.server.sockets import Security
 
 Stamps = dict[str, tuple[int, int, int]]
 _LOCAL = ("127.0.0.1", "localhost", "[::1]")

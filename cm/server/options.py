@@ -12,9 +12,8 @@ from cm.manager.manager import Settings
 from cm.schema.model import Config
 from cm.server.publisher import BYTES
 from cm.server.reload import Reloaded
-from cm.server.rights.model import Access
+from cm.server.rights.model import Access, Security
 from cm.server.settings.model import USUAL, Limits, ScrubSettings
-from cm.server.sockets import Security
 
 NO_METRICS = "they need prometheus-client: pip install 'fpga-cm[metrics]', or Debian's python3-prometheus-client"
 

@@ -34,6 +34,7 @@ from cm.frozen import dataclass, names
 from cm.loop import Callback
 from cm.loop import Loop as EventLoop
 from cm.server.folders import share
+from cm.server.rights.model import Security
 from cm.server.rights.principal import CURVE, IPC, TCP
 from cm.server.settings.model import USUAL, Limits
 from cm.wire import multipart
@@ -87,14 +88,6 @@ _LAST = 65533  # the first of the last three
 _HANDSHAKE = 10_000  # milliseconds for which a connection may stay silent
 _TOPIC = 512  # bytes of a subscription, and of a handshake
 _WAITING = 16  # messages of each connection that wait to be read
-
-
-@dataclass(frozen=True, slots=True)
-class Security:
-    """CURVE keys of the server (Z85, 40 characters)."""
-
-    public_key: bytes
-    secret_key: bytes
 
 
 class Sockets:

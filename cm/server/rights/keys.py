@@ -7,13 +7,9 @@ import stat
 from collections.abc import Iterator, Mapping
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from cm.errors import CmError, InvalidRequest
-from cm.server.rights.model import AuthorizedKey
-
-if TYPE_CHECKING:
-    from cm.server.sockets import Security
+from cm.server.rights.model import AuthorizedKey, Security
 
 FOLDER = "authorized_keys.d"
 OLD_FOLDER = "clients"  # the name in older versions of `cm keygen`
@@ -78,8 +74,6 @@ def server_keys(path: Path) -> dict[str, bytes]:
 
 def load_server_keys(path: Path) -> Security:
     """A server's keys. Raises InvalidRequest for another file, ReadableKey for one that others may read."""
-    from cm.server.sockets import Security
-
     keys = server_keys(path)
     status = path.stat()
     if stat.S_IMODE(status.st_mode) & 0o077:

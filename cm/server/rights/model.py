@@ -30,6 +30,14 @@ def role_named(name: str) -> Role:
 
 
 @dataclass(frozen=True, slots=True)
+class Security:
+    """CURVE keys of the server (Z85, 40 characters)."""
+
+    public_key: bytes
+    secret_key: bytes
+
+
+@dataclass(frozen=True, slots=True)
 class Need:
     """One thing that a request touches; None where it touches nothing of that kind, ``*`` where all."""
 

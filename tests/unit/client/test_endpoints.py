@@ -14,7 +14,8 @@ import pytest
 import zmq
 
 from cm.errors import InvalidRequest
-from cm.server.sockets import ENDPOINTS_FILE, Authenticator, Security, Sockets
+from cm.server.rights.model import Security
+from cm.server.sockets import ENDPOINTS_FILE, Authenticator, Sockets
 from cm.wire import multipart
 
 WAIT = 20_000  # ms
