@@ -9,13 +9,13 @@ so they are written and checked after recoupling, while the streams are still st
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from cm.errors import InvalidRequest
 from cm.frozen import dataclass, field, replace
+from cm.hashes import sha256
 from cm.manager.errors import ClockRate, NothingLoaded, StaticUnknown, UnknownConfig, UnknownMode, hint, listed
 from cm.manager.inputs import Image
 from cm.manager.state import steps as s
@@ -202,7 +202,7 @@ def wanted_overlays(config: Config, mode: Mode, files: Files, images: Sequence[I
     """Those of a mode, in whose device `images` are. Raises what is wrong with the files."""
     named = {overlay.name: overlay for overlay in (*config.overlays, *mode.overlays)}
     data = [(overlay, files.overlay(config, overlay, images)) for overlay in named.values()]
-    return [ApplyOverlay(overlay, blob, hashlib.sha256(blob).hexdigest()) for overlay, blob in data]
+    return [ApplyOverlay(overlay, blob, sha256(blob)) for overlay, blob in data]
 
 
 def _kept(applied: Collection[OverlayState], hashes: Mapping[str, str], loading: Mapping[str, bool]) -> set[str]:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 from functools import lru_cache
@@ -12,6 +11,7 @@ from typing import Any
 
 from cm.errors import NotFound
 from cm.frozen import replace
+from cm.hashes import sha256
 from cm.schema.construct import Context, build_config
 from cm.schema.model import Config
 from cm.schema.problems import MAX_PROBLEMS, KeyPath, Problem, SchemaError, key_path
@@ -40,7 +40,7 @@ def load(path: Path | str) -> Config:
         problem = Problem(path, line, 1, "", "yaml_syntax", "not UTF-8 text", "save the file as UTF-8")
         raise SchemaError([problem]) from None
     # absolute, so that files beside it are found from any working directory
-    return replace(loads(text, path), source=path.absolute(), sha256_source=hashlib.sha256(data).hexdigest())
+    return replace(loads(text, path), source=path.absolute(), sha256_source=sha256(data))
 
 
 def loads(text: str, source: Path | str | None = None) -> Config:
@@ -51,7 +51,7 @@ def loads(text: str, source: Path | str | None = None) -> Config:
     config = build_config(data, context)
     check_rules(config, context)
     loading.stop_if_wrong()
-    return replace(config, source=path, sha256_source=hashlib.sha256(text.encode()).hexdigest())
+    return replace(config, source=path, sha256_source=sha256(text.encode()))
 
 
 def load_folder(path: Path | str) -> dict[str, Config]:

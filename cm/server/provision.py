@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import errno
-import hashlib
 import json
 import logging
 import os
@@ -14,6 +13,7 @@ from pathlib import Path
 
 from cm.errors import Busy, CmError, Forbidden, InvalidRequest
 from cm.frozen import dataclass, replace
+from cm.hashes import sha256
 from cm.manager.errors import UnknownConfig, listed
 from cm.manager.planner import checked_name
 from cm.schema import load, loads
@@ -104,7 +104,7 @@ def check_files(config: Config, files: tuple[File, ...]) -> None:
             hint = did_you_mean(name, known)
             raise InvalidRequest(f"files of {config.name!r}: the schema names no file {name!r} ({hint})")
     for file in files:
-        if file.sha256 and hashlib.sha256(file.data).hexdigest() != file.sha256.lower():
+        if file.sha256 and sha256(file.data) != file.sha256.lower():
             raise InvalidRequest(f"cm_write_config: file {file.name!r} does not have the sha256 announced for it")
     if sum(len(f.data) for f in files) > MAX_BYTES:
         raise InvalidRequest(f"files of {config.name!r} have more than {MAX_BYTES >> 20} MiB together")
@@ -208,7 +208,7 @@ class Provisioner:
             self._write(config.name, written, files, sender)
         place = self._folder / config.name
         self.owned = {**self.owned, config.name: _owned(place)}
-        return replace(config, source=place.absolute() / SCHEMA_FILE, sha256_source=hashlib.sha256(written).hexdigest())
+        return replace(config, source=place.absolute() / SCHEMA_FILE, sha256_source=sha256(written))
 
     def remove(self, name: str, sender: Sender) -> None:
         """Remove a configuration that a client sent. Raises UnknownConfig, Reserved, NotTheirs."""

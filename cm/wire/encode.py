@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 from google.protobuf.message import DecodeError, Message
 
 from cm.errors import InvalidRequest
+from cm.hashes import sha256
 from cm.wire import bodies, topics
 from cm.wire import cm_pb2 as pb
 from cm.wire.messages import requests as rq
@@ -65,14 +66,12 @@ def _change_mode(r: rq.ChangeMode) -> list[Frame]:
 
 
 def _provision(r: rq.Provision) -> list[Frame]:
-    import hashlib  # here: few requests have files
-
     if not r.schema:  # on the wire that is a change of the mode
         raise InvalidRequest("the schema is empty (begin with config:)")
     files = [
         pb.File(name=f.name, upload=f.upload, sha256=f.sha256)
         if f.upload
-        else pb.File(name=f.name, length=len(f.data), sha256=f.sha256 or hashlib.sha256(f.data).hexdigest())
+        else pb.File(name=f.name, length=len(f.data), sha256=f.sha256 or sha256(f.data))
         for f in r.files
     ]
     message = _CHANGE.to_pb(r.change) if r.change is not None else pb.WriteConfig(provision_only=True)

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import hashlib
-
 from cm.device.native import bitstream as native
 from cm.formats.bitstream import frames
 from cm.formats.bitstream.container import Image, Source, named, open_image, read_source
@@ -15,6 +13,7 @@ from cm.formats.bitstream.packets import Register, packet_events
 from cm.formats.bitstream.report import Report, Section
 from cm.formats.bitstream.rules import Rules
 from cm.frozen import replace
+from cm.hashes import sha256
 
 
 def _take(image: Image) -> tuple[Rules, native.Events, list[int]]:
@@ -73,7 +72,7 @@ def inspect(source: Source) -> Report:
 
 def inspect_image(image: Image, data: memoryview) -> Report:
     """`inspect` for a file that is open already; `data` is the whole file."""
-    return replace(analyse(image), length=len(data), sha256=hashlib.sha256(data).hexdigest())
+    return replace(analyse(image), length=len(data), sha256=sha256(data))
 
 
 def analyse(image: Image) -> Report:

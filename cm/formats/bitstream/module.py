@@ -7,7 +7,6 @@ module runs from what was really loaded, not from a file's name.
 
 from __future__ import annotations
 
-import hashlib
 import struct
 from collections.abc import Iterable, Sequence
 from itertools import accumulate
@@ -16,6 +15,7 @@ from cm.formats.bitstream.assemble import FrameRun, assemble
 from cm.formats.bitstream.devices import Device, Family, known_device
 from cm.formats.bitstream.geometry import FrameAddress, geometry_of
 from cm.frozen import dataclass
+from cm.hashes import sha256
 from cm.schema.model import FrameRange
 
 _MAGIC = b"CM-RM\0\0\1"
@@ -35,7 +35,7 @@ class ModuleIdentity:
 
 
 def _digest(name: bytes, model: bytes) -> bytes:
-    return hashlib.sha256(name + b"\0" + model).digest()
+    return bytes.fromhex(sha256(name + b"\0" + model))
 
 
 def _identity_bytes(name: str, model: str) -> bytes:
@@ -125,6 +125,8 @@ def _share(wanted: int, there: Sequence[int]) -> list[int]:
 
 def _runs(identity: bytes, frame_bytes: int, columns: Sequence[tuple[FrameAddress, int]]) -> list[FrameRun]:
     """One run for each column; each ends with a padding frame that only pushes the one before it out."""
+    import hashlib  # here: see cm.hashes
+
     total = sum(frames for _, frames in columns) * frame_bytes
     data = memoryview(identity + hashlib.shake_128(identity).digest(total)[len(identity) :])
     runs, at = [], 0

@@ -7,6 +7,7 @@ Several of them share a topic and a message on the wire (`cm.wire.decode` tells 
 from __future__ import annotations
 
 from cm.frozen import dataclass, field
+from cm.hashes import sha256
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,9 +48,7 @@ class File:
 
     def uploaded(self, name: str) -> File:
         """The same file, with its bytes sent before by uploads."""
-        import hashlib  # here: few requests have files
-
-        return File(self.name, b"", self.sha256 or hashlib.sha256(self.data).hexdigest(), name)
+        return File(self.name, b"", self.sha256 or sha256(self.data), name)
 
 
 @dataclass(frozen=True, slots=True)
