@@ -36,9 +36,7 @@ def add_interfaces_parser(subparsers: argparse._SubParsersAction[argparse.Argume
     parser.add_argument("--top", metavar="NAME", help="only this module or entity")
     parser.add_argument("--all", action="store_true", help="show every module in the files")
     parser.add_argument("-I", "--include", action="append", default=[], type=Path, metavar="DIR", help="include folder")
-    parser.add_argument(
-        "-D", "--define", action="append", default=[], type=_assignment, metavar="NAME[=VALUE]", help="define a macro"
-    )
+    add_define_option(parser)
     parser.add_argument(
         "-P", "--parameter", action="append", default=[], type=_parameter, metavar="NAME=VALUE", help="set a parameter"
     )
@@ -46,6 +44,13 @@ def add_interfaces_parser(subparsers: argparse._SubParsersAction[argparse.Argume
     parser.add_argument("--ipxact", type=Path, metavar="FILE", help="compare with this component.xml")
     add_json_option(parser)
     parser.set_defaults(run=run)
+
+
+def add_define_option(parser: argparse.ArgumentParser) -> None:
+    """Macros for the preprocessor."""
+    parser.add_argument(
+        "-D", "--define", action="append", default=[], type=_assignment, metavar="NAME[=VALUE]", help="define a macro"
+    )
 
 
 def _assignment(text: str) -> tuple[str, str]:

@@ -7,6 +7,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from cm.cli.build_interfaces import add_define_option
 from cm.cli.common import add_json_option, answer, naming, print_json
 from cm.design.boundary.analyse import analyse
 from cm.design.check.rules import check_system
@@ -53,6 +54,7 @@ def add_init_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]
     parser.add_argument("--part", default=DEFAULT_PART, help=f"full part (default: {DEFAULT_PART})")
     parser.add_argument("--top", metavar="NAME", help="only this module")
     parser.add_argument("-I", "--include", action="append", default=[], type=Path, metavar="DIR", help="include folder")
+    add_define_option(parser)
     parser.add_argument(
         "--cores",
         type=Path,
@@ -77,7 +79,7 @@ def run_init(args: argparse.Namespace) -> int:
         text = zypr_text(args.files[0], folder)
     else:
         name = args.name or folder.name
-        text = init_text(args.files, folder, name, args.part, args.top, args.cores, args.include)
+        text = init_text(args.files, folder, name, args.part, args.top, args.cores, args.include, dict(args.define))
     folder.mkdir(parents=True, exist_ok=True)
     with naming(output):
         output.write_text(text, encoding="utf-8")

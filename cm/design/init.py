@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from cm.design.boundary.make import boundary
@@ -42,6 +44,8 @@ _BOARDS = {
     "xczu9eg-ffvb1156-2-e": "xilinx.com:zcu102:part0:3.4",
     "xck26-sfvc784-2LV-c": "xilinx.com:kv260_som:part0:1.4",
 }
+_BUNDLE = re.compile(r"_s_axi\.\w+$", re.IGNORECASE)
+_NO_MACROS: Mapping[str, str] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +72,7 @@ def init_text(
     top: str | None = None,
     cores: Sequence[Path] = (),
     include_dirs: Sequence[Path] = (),
+    defines: Mapping[str, str] = _NO_MACROS,
 ) -> str:
     """Return the text of a build schema in `folder` for the modules in `files`.
 
@@ -76,8 +81,8 @@ def init_text(
     with `top`, only that module does. Raises BuildError if there is none.
     """
     platform = platform_of(part)
-    given = read_inputs(Sources(files, top, include_dirs), cores=cores)[0]
-    read = [(one.flat, _keys(one, folder, cores, include_dirs)) for one in given]
+    given = read_inputs(Sources(files, top, include_dirs, defines), cores=cores)[0]
+    read = [(one.flat, _keys(one, folder, cores, include_dirs) | _macros(one, defines)) for one in given]
     modules = [Proposal(identifier(info.name), info, keys) for info, keys in read if info.interfaces and info.usable]
     if not modules:
         names = "; ".join(_why_not(info) for info, _ in read) or f"no module {top}"
@@ -108,8 +113,9 @@ def _keys(given: Given, folder: Path, cores: Sequence[Path], include_dirs: Seque
     origin = given.origin
     if origin is None:
         sources = compile_order(given.files)
-        keys: dict[str, Any] = {"sources": listed(sources), "register_map": listed(_register_map(sources))}
-        keys["include_dirs"] = listed(include_dirs)
+        keys: dict[str, Any] = {"sources": listed(sources), "include_dirs": listed(include_dirs)}
+        registers, keys["interface"] = _register_map(given, sources)
+        keys["register_map"] = listed(registers)
     elif origin.suffix.lower() == ".core":
         keys = {"top": given.info.name, "core": listed([origin]), "core_roots": listed(cores)}
     elif origin.suffix.lower() == ".xci":
@@ -119,21 +125,31 @@ def _keys(given: Given, folder: Path, cores: Sequence[Path], include_dirs: Seque
         keys = {"top": given.info.name, "component": listed([origin])}
         keys |= {name: listed(getattr(files, name)) for name in ("sources", "include_dirs", "ip", "constraints", "tcl")}
         keys["libraries"] = {library: listed(paths) for library, paths in files.libraries.items()}
-        keys["register_map"] = listed(_register_map(files.sources, origin))
+        registers, keys["interface"] = _register_map(given, files.sources, origin)
+        keys["register_map"] = listed(registers)
     keys |= {name: keys[name][0] for name in ("core", "component", "register_map") if keys.get(name)}
     return {name: value for name, value in keys.items() if value}
 
 
-def _register_map(sources: Sequence[Path], *component: Path) -> list[Path]:
-    """The file that lists the registers: of HLS's own ones the HDL's, then a component, if it has any."""
+def _macros(given: Given, defines: Mapping[str, str]) -> dict[str, Any]:
+    return {"defines": dict(defines)} if defines and given.origin is None else {}
+
+
+def _register_map(given: Given, sources: Sequence[Path], *component: Path) -> tuple[list[Path], str]:
+    """The file that lists the registers: of HLS's own ones the HDL's, then a component, if it has any; and its bus.
+
+    Of several of HLS, which are of a bus each, that with what starts the module. No bus: the only one.
+    """
     own = [path for path in sources if HDL.match(path.name)]
-    if len(own) > 1:  # a bus each, whose offsets count from different places
-        return []
-    for path in (*own, *component):
+    for path in (*own, *(component if len(own) < 2 else ())):  # a component does not tell its buses apart
         with contextlib.suppress(BuildError):
-            if read_register_map(path, ""):
-                return [path]
-    return []
+            found = read_register_map(path, "")
+            bus = "s_axi_" + _BUNDLE.sub("", path.name.removeprefix(f"{given.info.name}_"))
+            if len(own) < 2:
+                return [path], ""
+            if "ap_ctrl" in found and bus in {interface.name for interface in given.info.interfaces}:
+                return [path], bus
+    return [], ""
 
 
 def _why_not(info: ModuleInfo) -> str:

@@ -17,7 +17,7 @@ from cm.design.hdl.errors import HdlError, ModuleNotFound, UnknownParameter
 from cm.design.hdl.extract import Sources, read
 from cm.design.hdl.flat import Flat, needs_wrapper
 from cm.design.hdl.flatten import flatten
-from cm.design.hdl.hls_registers import HDL, differences, hls_memories, is_hls
+from cm.design.hdl.hls_registers import HDL, differences, hls_memories, hls_registers, is_hls
 from cm.design.hdl.ipxact import load_component_xml, load_xci
 from cm.design.hdl.model import Language, ModuleInfo, Polarity, Problem, Stated
 from cm.design.hdl.protocols import UserProtocol, load_protocols
@@ -92,8 +92,10 @@ def _with_registers(project: Project, spec: ModuleSpec) -> ModuleSpec:
         return spec
     try:
         found = read_register_map(spec.register_map, spec.top)
-        for path in (path for path in spec.sources if HDL.match(path.name) and path != spec.register_map):
-            if wrong := differences(found, read_register_map(path, spec.top)):
+        # HLS has a file for each bus of a module: where one of them is named, the others are of other buses
+        of_hls = [] if HDL.match(spec.register_map.name) else [path for path in spec.sources if HDL.match(path.name)]
+        for path in of_hls:
+            if wrong := differences(found, hls_registers(path)):
                 raise BuildError(f"{spec.register_map.name} and {path} disagree: {'; '.join(wrong)}")
     except MissingTool:
         raise

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -221,17 +222,22 @@ def _few(names: Iterable[object]) -> str:
 
 def _read_text(path: Path) -> str:
     try:
-        return path.read_bytes().decode("utf-8", errors="replace")
+        data = path.read_bytes()
     except IsADirectoryError:
         raise HdlError(f"{path} is a folder: name the files in it ({path}/*)") from None
     except OSError as error:
         raise HdlError(f"{path}: cannot be read: {error.strerror}") from error
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise HdlError(f"{path} is UTF-16 text: save it as UTF-8")
+    return data.decode("utf-8-sig", errors="replace")
 
 
 def _check_parameters(modules: Sequence[ModuleInfo], parameters: Mapping[str, str]) -> None:
-    known = {p.name.lower() for module in modules for p in module.parameters if not p.local}
+    known = {p.name: module for module in modules for p in module.parameters if not p.local}
+    anyhow = {name.lower() for name, module in known.items() if module.language is Language.VHDL}
     for name in parameters:
-        if name.lower() not in known:
-            names = ", ".join(p.name for module in modules for p in module.parameters if not p.local) or "none"
-            text = f"no parameter {name} in {', '.join(m.name for m in modules)}; there are: {names}"
+        if name not in known and name.lower() not in anyhow:
+            text = (
+                f"no parameter {name} in {', '.join(m.name for m in modules)}; there are: {', '.join(known) or 'none'}"
+            )
             raise UnknownParameter(name, text)

@@ -23,6 +23,7 @@ from cm.design.hdl.verilog_ports import read_instance
 VERILOG_SUFFIXES = (".v", ".vh", ".vo", ".verilog")
 # Vivado reads `.v` files as Verilog-2005, where `do`, `bit`, `final` are names. On line 1, to keep line numbers.
 _VERILOG_KEYWORDS = '`begin_keywords "1364-2005" '
+_AS = " read as "  # between the name of a file and its language, where slang is told both
 _NUMBER = re.compile(r"[-+~(\d'].*", re.DOTALL)
 _HINTS = {
     "DiagCode(CouldNotOpenIncludeFile)": ": name its folder (include_dirs:, or -I)",
@@ -132,7 +133,7 @@ class VerilogReader:
         options.predefines = self._defines
         # Two readings of one file need two names in slang's source manager, and none may be the file's own: a header
         # that is included would be taken from there, with the keywords set above. The folder stays, for includes.
-        name = f"{_utf8(path)} as {language.value}"
+        name = f"{_utf8(path)}{_AS}{language.value}"
         bag = self._slang.Bag([options])
         try:
             syntax = self._slang.syntax.SyntaxTree.fromText(text, self._sources, _utf8(path), name, bag)
@@ -154,10 +155,20 @@ class VerilogReader:
         )
 
     def _problems(self, path: Path, syntax: Any) -> Iterator[Problem]:
+        # those of the files that `parse` puts before this one have been reported with themselves
+        known = {header.resolve() for header in self._headers if header != path}
         for diagnostic in syntax.diagnostics:
-            if diagnostic.isError():
+            said, own = self._file(diagnostic)
+            file = path if own else said  # which it includes
+            if diagnostic.isError() and file not in known:
                 line = self._sources.getLineNumber(diagnostic.location)
-                yield Problem(self._message(diagnostic), str(path), line, breaks=True)
+                yield Problem(self._message(diagnostic), str(file), line, breaks=True)
+
+    def _file(self, diagnostic: Any) -> tuple[Path, bool]:
+        """The file that a diagnostic is in, and whether it is one that was parsed, and not included."""
+        said = str(self._sources.getFileName(diagnostic.location))
+        name, own, _ = said.rpartition(_AS)
+        return Path(name if own else said).resolve(), bool(own)
 
     def _message(self, diagnostic: Any) -> str:
         try:
@@ -189,13 +200,12 @@ class VerilogReader:
     def _semantic(self, compilation: Any, paths: Iterable[Path]) -> tuple[Problem, ...]:
         """Errors in these files that stop synthesis, once for each place."""
         problems: dict[Problem, None] = {}
-        names = {str(path.resolve()): str(path) for path in paths}
+        names = {path.resolve(): str(path) for path in paths}
         for diagnostic in compilation.getSemanticDiagnostics() if names else ():
             number = _SEMANTIC.get(str(diagnostic.code))
             if number is None:
                 continue
-            said = str(self._sources.getFileName(diagnostic.location)).partition(" as ")[0]
-            name = names.get(str(Path(said).resolve()))
+            name = names.get(self._file(diagnostic)[0])
             if name is not None:  # not of modules that are unused
                 line = self._sources.getLineNumber(diagnostic.location)
                 message = self._message(diagnostic) + (f" [{number}]" if number else "")

@@ -256,7 +256,9 @@ class _Builder:
 
     def _libraries(self, spec: dict[str, Any], where: KeyPath) -> dict[str, tuple[Path, ...]]:
         given = spec.get("libraries") or {}
-        return {name: self._files.many(paths, (*where, "libraries", name)) for name, paths in given.items()}
+        return {
+            name: compile_order(self._files.many(paths, (*where, "libraries", name))) for name, paths in given.items()
+        }
 
     def _region(self, name: str, given: dict[str, Any] | None, clock: str) -> RegionSpec:
         spec = _said(given)
@@ -350,7 +352,7 @@ def _said(spec: dict[str, Any] | None) -> dict[str, Any]:
 
 
 def _ordered(module: ModuleSpec) -> ModuleSpec:
-    """Return a module with the files of packages before those that use them."""
+    """Return a module with its files in the order in which tools need them."""
     return replace(module, sources=compile_order(module.sources), sim_sources=compile_order(module.sim_sources))
 
 

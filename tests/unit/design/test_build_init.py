@@ -90,6 +90,16 @@ def test_a_package_of_one_language_is_no_source_of_a_module_in_the_other(tmp_pat
     assert sources == {"one": ["sizes.sv", "one.v"], "two": ["words.vhd", "two.vhd"]}
 
 
+def test_macros_are_defined_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    text = STREAM_MODULE.format(name="one", high="`HIGH").replace("    input  wire        clk", "`CLK")
+    (tmp_path / "one.v").write_text(text)
+    build = tmp_path / "build.yaml"
+    files = [str(tmp_path / "one.v"), "-D", "HIGH=31", "-D", "CLK=input wire clk"]
+    assert main(["build", "init", *files, "-o", str(build)]) == 0
+    assert "not known" not in capsys.readouterr().out
+    assert main(["build", "check", str(build)]) == 0
+
+
 def test_folders_of_included_files_are_named_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     (tmp_path / "include").mkdir()
     (tmp_path / "include/width.vh").write_text("`define WIDTH 16\n")

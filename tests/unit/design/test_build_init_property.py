@@ -85,6 +85,21 @@ def test_packages_come_before_their_users_and_the_rest_stays(tmp_path: Path, cap
     assert script.index("z_pkg.sv") < script.index("a_top.sv")
 
 
+def test_what_vhdl_refers_to_comes_before_it(tmp_path: Path) -> None:
+    (tmp_path / "a_top.vhd").write_text(
+        "-- entity work.e_sub is a comment\nlibrary work; use work.Z_types.all;\nentity a_top is end a_top;\n"
+        "architecture x of a_top is begin u: entity work.d_part(fast) port map (a => '0'); end x;\n"
+    )
+    (tmp_path / "b_body.vhd").write_text("package body z_types is end package body;\n")
+    (tmp_path / "c_fast.vhdl").write_text("architecture fast of D_Part is begin end fast;\n")
+    (tmp_path / "d_part.vhd").write_text("entity D_PART is port (a : in bit); end;\n")
+    (tmp_path / "e_sub.vhd").write_text("entity e_sub is end;\n")
+    (tmp_path / "z_types.vhd").write_text("package z_types is end package;\n")
+    files = sorted(tmp_path.iterdir())
+    order = ["z_types", "d_part", "a_top", "b_body", "c_fast", "e_sub"]
+    assert [path.stem for path in compile_order(files)] == order
+
+
 def test_packages_that_use_each_other_stay_as_they_are(tmp_path: Path) -> None:
     for name, other in (("a", "b"), ("b", "a")):
         (tmp_path / f"{name}.sv").write_text(f"package {name}; import {other}::*; endpackage\n")

@@ -272,6 +272,32 @@ def test_what_hls_wrote_needs_no_line_for_its_registers_and_two_sources_are_comp
     assert "disagree: gain is at 0x20 and at 0x10; sum is at 0x18 and at 0x24" in capsys.readouterr().err
 
 
+def test_of_a_kernel_with_two_register_buses_init_names_that_which_starts_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """Vitis HLS puts pointers to memory on a bus of their own, here one with a table only."""
+    pytest.importorskip("pyslang", reason="needs pyslang: the extra [build] is not installed")
+    from verilog_ports import AXI_LITE
+
+    from cm import schema
+    from cm.cli.main import main
+
+    both = ",\n".join(AXI_LITE.replace("s_axi_", f"s_axi_{bus}_") for bus in ("control", "control_r"))
+    inner = "one_control_s_axi a ();\none_control_r_s_axi b ();\n"
+    (tmp_path / "one.v").write_text(f"module one (input wire clk, input wire resetn,\n{both});\n{inner}endmodule\n")
+    table = "// 0x40 ~\n// 0x7f : Memory 'table' (16 * 32b)\n//        Word n : bit [31:0] - table[n]\n"
+    for bus, said in (("control", S_AXI["2019"]), ("control_r", table)):
+        (tmp_path / f"one_{bus}_s_axi.v").write_text(f"module one_{bus}_s_axi;\n{said}endmodule\n")
+    build = tmp_path / "build.yaml"
+    assert main(["build", "init", *map(str, sorted(tmp_path.glob("*.v"))), "-o", str(build)]) == 0
+    capsys.readouterr()
+    assert main(["build", "check", str(build)]) == 0
+    assert "its window is the memory one_s_axi_control_r (a module has registers by name on" in capsys.readouterr().out
+    assert main(["build", "generate", str(build)]) == 0
+    module = schema.load(next((tmp_path / "build/config").glob("*.yaml"))).modules["one"]
+    assert module.registers["ap_ctrl"].base_address != module.memories["one_s_axi_control_r"].base_address
+
+
 CONFIG_JSON = """{"scale": {"S_AXI_CONTROL": {
   "rows": {"name": "rows", "offset": "0x10", "size": "0x4", "type": "unsigned short"},
   "start at": {"name": "start at", "offset": "0x18", "size": "0x8", "type": "unsigned long"}}}}"""

@@ -307,6 +307,8 @@ def test_directions_in_names_join_the_ports_of_one_bus_and_name_two(
         ("module m (input clk); endmodule", {"top": "other"}, "no module other in .*; there are: m"),
         ("module m #(parameter WIDTH = 1) (input clk); endmodule", {"parameters": {"DEPTH": "1"}},
          "no parameter DEPTH in m; there are: WIDTH"),
+        ("module m #(parameter WIDTH = 1) (input clk); endmodule", {"parameters": {"width": "1"}},
+         "no parameter width in m; there are: WIDTH"),
         ("this is not a Verilog", {}, r"no module and no entity.*m\.v:1"),
         ("`pragma protect begin_protected\n`pragma protect end_protected\n", {}, r"encrypted.*component\.xml"),
         (None, {}, r"m\.v: cannot be read: No such file"),
@@ -330,6 +332,34 @@ def test_syntax_error_is_a_problem_of_the_module_with_its_line(tmp_path: Path) -
     found = module(tmp_path, "module m (input clk);\nassign a = = 1;\nendmodule\n")
     assert [(p.line, p.fatal) for p in found.problems] == [(2, False)]
     assert [c.port for c in found.clocks] == ["clk"]
+
+
+def test_an_error_in_an_included_file_is_reported_there(tmp_path: Path) -> None:
+    (tmp_path / "w.svh").write_text("`define W 8\n\nassign = ;\n")
+    found = module(tmp_path, '`include "w.svh"\nmodule m (input [`W-1:0] a);\nendmodule\n', name="m.sv")
+    assert {(p.file, p.line) for p in found.problems} == {(str(tmp_path.resolve() / "w.svh"), 3)}
+
+
+def test_an_error_in_a_package_is_reported_once_and_in_no_file_that_uses_it(tmp_path: Path) -> None:
+    """A package between `ifndef and `endif counts as a file of macros too, for the files after it."""
+    package, user = tmp_path / "p.sv", tmp_path / "m.sv"
+    package.write_text("`ifndef P\n`define P\npackage p;\nlocalparam int W = ;\nendpackage\n`endif\n")
+    user.write_text("module m (input [p::W-1:0] a);\nendmodule\n")
+    found = read(Sources([package, user], top="m"))
+    said = {(problem.file, problem.line) for problem in (*found.problems, *found.modules[0].problems) if problem.breaks}
+    assert said == {(str(package), 4)}
+
+
+def test_a_byte_order_mark_leaves_a_verilog_file_its_language(tmp_path: Path) -> None:
+    (tmp_path / "m.v").write_text("module m (input clk);\nwire do, bit;\nendmodule\n", encoding="utf-8-sig")
+    (found,) = extract([tmp_path / "m.v"])
+    assert (found.language, found.problems) == (Language.VERILOG, ())
+
+
+def test_a_file_in_utf_16_is_refused_in_a_line(tmp_path: Path) -> None:
+    (tmp_path / "m.v").write_text("module m (input clk);\nendmodule\n", encoding="utf-16")
+    with pytest.raises(HdlError, match=r"m\.v is UTF-16 text: save it as UTF-8$"):
+        extract([tmp_path / "m.v"])
 
 
 def test_missing_include_is_reported_and_its_ranges_cannot_be_evaluated(tmp_path: Path) -> None:
