@@ -110,7 +110,7 @@ def _register(
         reset=_integer(values.get("reset")),
         minimum=_integer(values.get("min")),
         maximum=_integer(values.get("max")),
-        fields=_fields(values.get("fields", {}), (*path, "fields"), context),
+        fields=bit_fields(values.get("fields", {}), (*path, "fields"), context),
         region=region_of(values, window, owner),
         volatile=values.get("volatile", False),
         doc=values.get("doc", ""),
@@ -128,7 +128,8 @@ def _integer(value: float | None) -> int | None:
     return None if value is None else int(value)
 
 
-def _fields(data: dict[str, Any], path: KeyPath, context: Context) -> Mapping[str, BitField]:
+def bit_fields(data: dict[str, Any], path: KeyPath, context: Context) -> Mapping[str, BitField]:
+    """The fields of a register."""
     found: dict[str, BitField] = {}
     for name, values in data.items():
         bits = _bits(values, (*path, name), context)

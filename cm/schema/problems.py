@@ -65,7 +65,8 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     import difflib  # only files that are wrong need it
 
     names = list(known)
-    near = difflib.get_close_matches(word[:_LONGEST_NAME], names, n=1, cutoff=0.6)
+    near = [name for name in names if name.lower() == word.lower()]  # as far as others, for difflib
+    near = near or difflib.get_close_matches(word[:_LONGEST_NAME], names, n=1, cutoff=0.6)
     if near:
         return f"did you mean {near[0]}?"
     if not names:

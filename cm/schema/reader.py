@@ -89,15 +89,26 @@ def read(text: str, report: Report, loader: Any = None) -> Node:
     except yaml.reader.ReaderError as error:
         raise Refused(_mark_at(text, error.position), "yaml_syntax", "a character that YAML does not allow") from None
     except yaml.MarkedYAMLError as error:
-        raise _refused(error) from None
+        raise _refused(error, text) from None
     except yaml.YAMLError as error:
         raise Refused(Mark(1, 1), "yaml_syntax", str(error)) from None
 
 
-def _refused(error: yaml.MarkedYAMLError) -> Refused:
+def _refused(error: yaml.MarkedYAMLError, text: str) -> Refused:
     mark = error.problem_mark or error.context_mark
     where = Mark(mark.line + 1, mark.column + 1) if mark else Mark(1, 1)
-    return Refused(where, "yaml_syntax", f"not YAML: {error.problem or error.context}")
+    return Refused(where, "yaml_syntax", f"not YAML: {error.problem or error.context}", _why(error, where, text))
+
+
+def _why(error: yaml.MarkedYAMLError, where: Mark, text: str) -> str:
+    """What people usually do to cause it, or where the part begins that does not end well."""
+    line = text.split("\n")[where.line - 1 : where.line]
+    if line and line[0][: where.column].strip(" ").startswith("\t"):
+        return "YAML is indented with blanks, not with tabs"
+    if "mapping values are not allowed" in str(error.problem):
+        return "text with a colon and a blank in it stands in quotes"
+    begun = error.context_mark if error.problem else None
+    return f"{error.context} that begins in line {begun.line + 1}" if begun and begun.line + 1 != where.line else ""
 
 
 def _mark_at(text: str, position: int) -> Mark:

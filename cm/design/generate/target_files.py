@@ -22,10 +22,11 @@ from cm.design.plan.block_design import memory_ports
 from cm.design.plan.dma_cells import FRAME_STORES, clock_pins
 from cm.design.plan.dma_engines import Dma, Engine, EngineKind
 from cm.design.plan.system import Implementation, RegionPlan, System, used_clocks
+from cm.design.render import c_name
 from cm.design.runtime.answers import Answers
 from cm.design.runtime.schema import REGION_BLOCK, REGION_STRIDE, runtime_config, runtime_text
 from cm.formats.bitstream import device_by_name
-from cm.schema.model import Config, Direction, LoaderKind, Register
+from cm.schema.model import Config, Direction, LoaderKind, Memory, Register
 
 _AFI_FS, _AFI_FS_128 = 14, 0xA00
 _AFI_BASE = 0xF8008000
@@ -158,13 +159,56 @@ class _DeviceTree:
         return text.replace("_", "-")
 
 
+Symbol = tuple[str, str, str]  # name behind the block's, value, what it is
+
+
 def _blocks(system: System, config: Config) -> Iterator[dict[str, Any]]:
-    """Registers with their symbols, per module and for the static part."""
-    yield {"name": "control", "doc": "static part", "base": system.control.base, "registers": _sorted(config.registers)}
+    """Registers and memories with their symbols, per module and for the static part; each symbol is there once."""
+    taken: set[str] = set()
+    parts = [("control", "static part", system.control.base, config.registers, config.memories)]
     for name, module in config.modules.items():
-        base = min((register.base_address for register in module.registers.values()), default=None)
-        yield {"name": name, "doc": module.doc, "base": base, "registers": _sorted(module.registers)}
+        bases = [register.base_address for register in module.registers.values()]
+        bases += [memory.base_address for memory in module.memories.values()]
+        parts += [(name, module.doc, min(bases), module.registers, module.memories)] if bases else []
+    for name, doc, base, registers, memories in parts:
+        block = _free(c_name(name), taken)
+        symbols = [("BASE", f"0x{base:08X}", ""), *_register_symbols(registers, base), *_memory_symbols(memories, base)]
+        yield {
+            "name": name,
+            "doc": _line(doc),
+            "symbol": block,
+            "symbols": [
+                (_free(f"{block}_{end}", taken)[len(block) + 1 :], value, what) for end, value, what in symbols
+            ],
+        }
 
 
-def _sorted(registers: Mapping[str, Register]) -> list[Register]:
-    return sorted(registers.values(), key=lambda register: (register.offset, register.name))
+def _free(name: str, taken: set[str]) -> str:
+    """`name`, or with as many underscores behind it as it takes to be a new one, which is then taken."""
+    while name in taken:
+        name += "_"
+    taken.add(name)
+    return name
+
+
+def _line(text: str) -> str:
+    """`text` as it can stand in a comment of C."""
+    return " ".join(text.split()).replace("*/", "* /").replace("/*", "/ *")
+
+
+def _register_symbols(registers: Mapping[str, Register], base: int) -> Iterator[Symbol]:
+    for register in sorted(registers.values(), key=lambda register: (register.offset, register.name)):
+        name, doc = c_name(register.name), _line(register.doc)
+        what = f"{register.width} bit, {register.access.value}{f': {doc}' if doc else ''}"
+        yield name, f"0x{register.address - base:02X}", what
+        for field in register.fields.values():
+            yield f"{name}_{c_name(field.name)}_SHIFT", str(field.lsb), ""
+            yield f"{name}_{c_name(field.name)}_MASK", f"{field.mask:#x}", ""
+            for word, number in field.values.items():
+                yield f"{name}_{c_name(field.name)}_{c_name(word)}", str(number), ""
+
+
+def _memory_symbols(memories: Mapping[str, Memory], base: int) -> Iterator[Symbol]:
+    for memory in sorted(memories.values(), key=lambda memory: (memory.address, memory.name)):
+        doc = _line(memory.doc)
+        yield c_name(memory.name), f"0x{memory.address - base:02X}", f"{memory.size} bytes{f': {doc}' if doc else ''}"

@@ -32,12 +32,15 @@ from cm.design.project.model import (
     StaticSpec,
     SwitchSpec,
 )
+from cm.schema.construct import Context, bit_fields
 from cm.schema.loader import Loading
-from cm.schema.model import Access, BitField, Clock, FieldAccess, LoaderKind, Memory, Register
+from cm.schema.model import Access, Clock, LoaderKind, Memory, Register
 from cm.schema.pictures import pixel_shape
 from cm.schema.problems import KeyPath, Problem, SchemaError
 from cm.schema.structure import Structure
 from cm.schema.tree import Mark, locate
+
+Report = Callable[[KeyPath, str, str, str], None]
 
 
 def connection(spec: dict[str, Any]) -> ConnectionSpec:
@@ -66,20 +69,16 @@ def mode_stream(spec: dict[str, Any]) -> ModeStreamSpec:
     return ModeStreamSpec(tuple(shape) if shape else None, spec.get("dtype"))
 
 
-def registers(spec: dict[str, Any]) -> dict[str, Register]:
+def registers(spec: dict[str, Any], where: KeyPath, report: Report) -> dict[str, Register]:
     """Registers by name; `base_address` is 0, as long as no window is planned."""
-    return {name: _register(name, value) for name, value in (spec.get("registers") or {}).items()}
+    given, context = spec.get("registers") or {}, Context(report)
+    return {name: _register(name, value, (*where, "registers", name), context) for name, value in given.items()}
 
 
-def _register(name: str, spec: dict[str, Any]) -> Register:
-    fields = {key: _field(key, value) for key, value in (spec.get("fields") or {}).items()}
+def _register(name: str, spec: dict[str, Any], path: KeyPath, context: Context) -> Register:
+    fields = bit_fields(spec.get("fields") or {}, (*path, "fields"), context)
     rest = {{"min": "minimum", "max": "maximum"}.get(key, key): value for key, value in spec.items()}
     return Register(name, 0, **{**rest, "access": Access(spec.get("access", "rw")), "fields": fields})
-
-
-def _field(name: str, spec: dict[str, Any]) -> BitField:
-    access = FieldAccess(spec["access"]) if "access" in spec else None
-    return BitField(name, **{"width": 1, **spec, "access": access})
 
 
 def memories(spec: dict[str, Any]) -> dict[str, Memory]:
@@ -97,9 +96,6 @@ def macro(value: object) -> str:
     if value is None or value is True:
         return "1"
     return "0" if value is False else str(value)
-
-
-Report = Callable[[KeyPath, str, str, str], None]
 
 
 class PathReader:
@@ -251,7 +247,7 @@ class _Builder:
             for key in ("sources", "include_dirs", "block_design", "constraints")
         }
         files["sources"] = compile_order(files["sources"])
-        own = {"libraries": self._libraries(spec, ("static",)), "registers": registers(spec)}
+        own = {"libraries": self._libraries(spec, ("static",)), "registers": registers(spec, ("static",), self._report)}
         return StaticSpec(**{**spec, **files, **own, "revision": str(spec.get("revision", ""))})
 
     def _libraries(self, spec: dict[str, Any], where: KeyPath) -> dict[str, tuple[Path, ...]]:
@@ -295,7 +291,7 @@ class _Builder:
             "libraries": self._libraries(spec, where),
             "regions": tuple(spec.get("regions", regions if len(regions) == 1 else ())),
             "defines": {key: macro(value) for key, value in spec.get("defines", {}).items()},
-            "registers": registers(spec),
+            "registers": registers(spec, where, self._report),
             "memories": memories(spec),
             "clocks": {key: tuple((one or {}).get("interfaces", ())) for key, one in spec.get("clocks", {}).items()},
             "resets": {key: (one.get("clock"), one.get("polarity")) for key, one in spec.get("resets", {}).items()},

@@ -126,6 +126,17 @@ def changed(*pairs: tuple[str, str]) -> str:
             "[two.v], registers: {a: {offset: 0}, b: {offset: 2, width: 16}}}",
             "modules.two.registers.b: b overlaps a (a is at 0x0, 32 bits)",
         ),
+        (
+            "[two.v]}",
+            "[two.v], registers: {a: {offset: 0, fields: {x: {lsb: 3, bits: 3}, y: }}}}",
+            "modules.two.registers.a.fields.y: where is the field? (either bits, or lsb and width)",
+        ),
+        (
+            "[two.v]}",
+            "[two.v], defines: [WIDE]}",
+            "defines: expected a map, found a list (Macros of the preprocessor, ",
+        ),
+        ("[two.v]}", "[two.v], resources: {LUT: 4}}", "two.resources.LUT: unknown key 'LUT' (did you mean lut?)"),
         ("[two.v]}", "[two.v], registers: {a: {offset: 3}}}", "registers.a.offset: offset 0x3 is not a multiple of 4"),
         (
             "[two.v]}",

@@ -9,7 +9,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from build_support import MINIMAL, NAMES, copy_examples, generated, needs, project
+from build_support import AXIL_MODULE, MINIMAL, NAMES, copy_examples, generated, needs, project
 
 from cm import schema
 from cm.design.generate.tree import generate, load_design
@@ -68,6 +68,40 @@ def test_the_python_symbols_say_the_same(built: tuple[str, Path]) -> None:
         for register in module.registers.values():
             block = getattr(symbols, module.name.upper())
             assert block.BASE + getattr(block, register.name.upper()) == register.address
+
+
+AWKWARD = (
+    MINIMAL.replace("one:", "control:", 1).replace("sources: [one.v]", "sources: [one.v]\n    top: one")
+    + """\
+    doc: 'C:\\dir "here"'
+    registers:
+      base: {offset: 0x0, fields: {shift: {bits: 0}, mask: {bits: 3:1, values: {shift: 1}}}}
+      base_shift: {offset: 0x4, doc: "first */ line\\nsecond"}
+    memories:
+      table: {offset: 0x80, size: 64, doc: coefficients}
+"""
+)
+
+
+@needs("cc")
+def test_symbols_are_there_once_whatever_names_and_words_a_schema_has(tmp_path: Path) -> None:
+    pytest.importorskip("pyslang", reason="needs pyslang: the extra [build] is not installed")
+    generate(load_design(project(tmp_path, AWKWARD, one=AXIL_MODULE)), tmp_path / "build")
+    header = tmp_path / "build/include/small_registers.h"
+    command = ["cc", "-std=c11", "-Wall", "-Wextra", "-Werror", "-fsyntax-only", "-x", "c", str(header)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    defined = dict(re.findall(r"#define SMALL_(\w+) (\w+)u", header.read_text()))
+    assert (defined["CONTROL_BASE"], defined["CONTROL__BASE"], defined["CONTROL__BASE_"]) == (
+        "0x40000000",
+        "0x40010000",
+        "0x00",
+    )
+    assert (defined["CONTROL__BASE_SHIFT_MASK"], defined["CONTROL__TABLE"]) == ("0x1", "0x80")
+    found: dict[str, type] = {}
+    exec((tmp_path / "build/python/small_registers.py").read_text(), found)
+    assert (found["CONTROL"].BASE, found["CONTROL_"].BASE, found["CONTROL_"].BASE_SHIFT) == (0x40000000, 0x40010000, 4)
+    assert found["CONTROL_"].__doc__ == 'C:\\dir "here"'
 
 
 def test_the_recipe_installs_where_the_manager_looks(built: tuple[str, Path]) -> None:

@@ -51,6 +51,23 @@ def test_text_that_is_not_a_schema_is_refused(text: str, code: str, line: int) -
     assert refusal(text) == (code, line)
 
 
+@pytest.mark.parametrize(
+    ("text", "where", "why"),
+    [
+        ('config:\n  name: "c\n  modes: {}\n', (4, 1), "while scanning a quoted scalar that begins in line 2"),
+        ("config: {name: c\nmodes:\n", (2, 6), "while parsing a flow mapping that begins in line 1"),
+        ("config:\n\tname: c\n", (2, 1), "YAML is indented with blanks, not with tabs"),
+        ("config:\n  doc: gain: 1 to 4\n", (2, 12), "text with a colon and a blank in it stands in quotes"),
+        ("config: [}", (1, 10), ""),
+    ],
+)
+def test_what_is_not_yaml_says_what_people_usually_do(text: str, where: tuple[int, int], why: str) -> None:
+    with pytest.raises(SchemaError) as caught:
+        cm.schema.loads(text)
+    (problem,) = caught.value.problems
+    assert ((problem.line, problem.column), problem.hint) == (where, why)
+
+
 @pytest.mark.parametrize("loader", [yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader)])
 def test_scalars_mean_the_same_with_and_without_libyaml(loader: Any) -> None:
     text = "[0x10, 0b11, 0o17, 1_000, -5, 1.5, 1e3, true, ~, null, no, 7:4, '5', \"0x10\", !!str 5, .inf, 1e999, 0x]"
