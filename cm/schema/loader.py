@@ -47,7 +47,7 @@ def loads(text: str, source: Path | str | None = None) -> Config:
     """The configuration in `text`; `source` names the file that it came from, for messages and look-ups."""
     path = None if source is None else Path(source)
     loading = Loading(text, path, _structure())
-    data, context = loading.values()["config"], Context(loading.report)
+    data, context = loading.usable()["config"], Context(loading.report)
     config = build_config(data, context)
     check_rules(config, context)
     loading.stop_if_wrong()
@@ -132,16 +132,27 @@ def _structure() -> Structure:
 
 
 class Loading:
-    """One text on its way to plain values; a stage runs only if the earlier ones found nothing wrong."""
+    """One text on its way to plain values, and all that is wrong with it."""
 
     def __init__(self, text: str, source: Path | None, structure: Structure) -> None:
         self._text, self.source, self._structure = text, source, structure
         self._problems: list[Problem] = []
         self.given: Node = Table(Mark(1, 1))  # as it stands in the file; `_root`: in normal form
         self._root: Node = self.given
+        self._partial = False  # what is looked at is only what is left of it
 
     def values(self) -> dict[str, Any]:
         """The values in normal form. Raises `SchemaError` with everything in which they differ from the JSON Schema."""
+        found = self.usable()
+        self.stop_if_wrong()
+        return found
+
+    def usable(self) -> dict[str, Any]:
+        """The values in normal form, without those that differ from the JSON Schema: these are reported.
+
+        After that, only what cannot come of what is missing is reported (`_sure`). Raises `SchemaError` if too little
+        is left.
+        """
         try:
             tree = read(self._text, self._report_mark)
         except Refused as refused:
@@ -150,11 +161,27 @@ class Loading:
         self.stop_if_wrong()
         self.given = tree
         self._root = self._structure.fit(tree, self.report_at)
-        for finding in self._structure.values(self._root):
+        wrong = self._structure.values(self._root)
+        for finding in wrong:
             self.report(*finding)
-        self.stop_if_wrong()
+        if self._problems:
+            self._partial = True
+            left = self._structure.usable(self._root, [finding.path for finding in wrong])
+            if left is None:
+                raise self._error()
+            self._root = left
         found: dict[str, Any] = plain(self._root)
         return found
+
+    def _sure(self, code: str, message: str) -> bool:
+        """Whether a problem is there in any case: a file, or a name that the text has nowhere else.
+
+        Not registers, which other files may define.
+        """
+        if code in ("unknown_mode", "unknown_module", "unknown_region"):
+            name = re.search(r"\w+", message.removeprefix(f"there is no {code[8:]} "))
+            return name is not None and len(re.findall(rf"\b{name[0]}\b", self._text)) == 1
+        return code == "file_not_found"
 
     def report(self, path: KeyPath, code: str, message: str, hint: str = "") -> None:
         """Report a problem with the key at `path`."""
@@ -162,6 +189,10 @@ class Loading:
 
     def report_at(self, mark: Mark, path: KeyPath, code: str, message: str, hint: str) -> None:
         """Report a problem at a position."""
+        if self._partial:
+            if not self._sure(code, message):
+                return
+            hint = "" if hint.startswith(("there are none", "known: ")) else hint  # of all, when it is mended
         problem = Problem(self.source, mark.line, mark.column, key_path(path), code, message, hint)
         self._problems.append(problem)
         if len(self._problems) >= MAX_PROBLEMS:

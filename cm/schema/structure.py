@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +60,43 @@ class Structure:
                 self._explain = _compile(without_references(for_values(self._normal)))
             return findings(data, self._explain)
         return []
+
+    def usable(self, root: Node, wrong: Iterable[KeyPath]) -> Node | None:
+        """What is left of a tree in normal form without the values at `wrong`, and all that lacks a required key."""
+        for path in wrong:
+            _cut(root, path)
+        return self._complete(root, self._normal)
+
+    def _complete(self, node: Node, schema: dict[str, Any]) -> Node | None:
+        shape = follow(self._normal, schema)
+        if shape.get("type") == "object" and not isinstance(node, Table):
+            return None  # the whole: any other is cut
+        if isinstance(node, Items):
+            kept = [self._complete(item, shape["items"]) for item in node.items]
+            return Items(node.mark, [item for item in kept if item is not None])
+        if isinstance(node, Scalar):
+            return node
+        result = Table(node.mark)
+        for key, entry in node.entries.items():
+            below = shape["properties"][key] if "properties" in shape else shape["additionalProperties"]
+            part = self._complete(entry.node, below)
+            if part is not None:
+                result.add(key, Entry(entry.mark, part))
+        return result if result.entries.keys() >= set(shape.get("required", ())) else None
+
+
+def _cut(root: Node, path: KeyPath) -> None:
+    """Take the innermost entry of a map on `path` out, as `findings` does with plain values."""
+    owner, key, node = None, "", root
+    for step in path:
+        if isinstance(node, Table) and isinstance(step, str):
+            if step not in node.entries:
+                return  # with what is around it
+            owner, key, node = node, step, node.entries[step].node
+        elif isinstance(node, Items) and isinstance(step, int):
+            node = node.items[step]
+    if owner is not None:
+        del owner.entries[key]
 
 
 def load_structure() -> Structure:

@@ -88,6 +88,8 @@ def _finding(path: KeyPath, error: Any) -> Finding:
     if rule in ("minItems", "maxItems"):
         limit = f"at {'least' if rule == 'minItems' else 'most'} {wanted} items"
         return Finding(path, "bad_value", f"{len(value)} items", joined(limit, about))
+    if rule == "minProperties":
+        return Finding(path, "bad_value", "nothing is in it", about)
     if rule == "maxProperties":
         return Finding(path, "too_large", f"{len(value)} entries", joined(f"at most {wanted}", about))
     hint = joined(about, name_form(wanted)) if rule == "pattern" else about

@@ -14,6 +14,7 @@ from cm.design.collect.collected import HEAD, Collected, Inputs, archive, compil
 from cm.design.collect.foreign import their_config
 from cm.design.collect.images import (
     Image,
+    check_different,
     check_generated,
     check_images,
     check_regions,
@@ -89,9 +90,12 @@ def _our_config(inputs: Inputs, system: System, answers: Answers, generated: Pat
         if not image.report.partial:
             raise BuildError(f"{image.path.name} is a full bitstream; module {one.name} needs a partial one")
         groups[one.region.name].append(image)
+    check_different(images[one.name] for one in system.implementations)
     notes = check_regions(groups)
     files = {f"{one.name}.bin": to_bin(images[one.name]) for one in system.implementations}
     full = images.get(system.full)
+    if full is not None and full.report.partial:
+        raise BuildError(f"{full.path.name} is a partial bitstream; it has to configure the whole device")
     mine = [images[one.name] for one in system.implementations] + ([full] if full else [])
     user_id, said = user_id_of(mine, generated)
     config = _with_images(runtime_config(system, answers), files, groups)

@@ -65,6 +65,15 @@ def check_images(images: Sequence[Image], device: str | None) -> None:
         raise BuildError("\n".join(wrong))
 
 
+def check_different(images: Iterable[Image]) -> None:
+    """Raise BuildError if two modules have the same bitstream: each contains the identity of its module."""
+    first: dict[str, Image] = {}
+    for image in images:
+        other = first.setdefault(image.report.sha256, image)
+        if other is not image:
+            raise BuildError(f"{other.path.name} and {image.path.name} are the same bitstream: one is not its module's")
+
+
 def likeness(one: Image, other: Image) -> float:
     """The columns that both write as a share of those that either writes; 1 for modules of one region."""
     union = one.columns | other.columns

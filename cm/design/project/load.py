@@ -162,7 +162,7 @@ def load_project(path: Path | str, text: str | None = None) -> Project:
     """Load the build schema in `path`, or `text` as if it were there. Raises SchemaError with every problem."""
     path = normal(Path(path))
     loading = _loading(path, text)
-    project = _Builder(path, loading.values(), loading).project()
+    project = _Builder(path, loading.usable(), loading).project()
     references.check(project, loading.report)
     loading.stop_if_wrong()
     return project

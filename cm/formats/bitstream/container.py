@@ -213,13 +213,24 @@ def _open_bit(data: memoryview) -> Image:
     return Image(Container.BIT, header, stream, offset, False, rest)
 
 
+# What lies in a bitstream's place, and what to do. A sync word whose bytes are reversed bit by bit: for an SPI flash.
+_OTHERS = (
+    (re.compile(rb"\Z"), "the file is empty"),
+    (re.compile(rb"\x1f\x8b"), "compressed by gzip: unpack it first"),
+    (re.compile(rb"PK\x03\x04"), "a zip archive: of an .xsa, cm build collect takes what is in it"),
+    (re.compile(rb"version https://git-lfs"), "a pointer of Git LFS instead of the file: git lfs pull fetches it"),
+    (re.compile(rb"(?s).*(?:\x55\x99\xaa\x66|\x66\xaa\x99\x55)"),
+     "the bits of each byte are reversed: write_cfgmem leaves them as they are with -disablebitswap"),
+)  # fmt: skip
+
+
 def _find_in_bin(data: memoryview) -> bool:
     """Return whether the words of a .bin are swapped."""
     at, swapped = find_sync(data, 0, min(len(data), SEARCH))
     if at < 0:
-        raise NoSync(
-            f"neither a .bit header nor a boot image, and no sync word in the first {min(len(data), SEARCH)} bytes"
-        )
+        searched = bytes(data[:SEARCH])
+        plain = f"neither a .bit header nor a boot image, and no sync word in the first {len(searched)} bytes"
+        raise NoSync(next((what for mark, what in _OTHERS if mark.match(searched)), plain))
     return swapped
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 import tarfile
 import zipfile
 from pathlib import Path
@@ -276,6 +277,19 @@ def test_a_full_bitstream_for_a_module_is_refused(ours: tuple[Design, Path]) -> 
     whole = assemble("xck26", [FrameRun(FrameAddress(0, 0, 0), bytes(372))], partial=False)
     (ours[1] / "bitstreams/gain.bit").write_bytes(whole)
     with pytest.raises(BuildError, match=r"gain\.bit is a full bitstream"):
+        run(*ours)
+
+
+def test_a_partial_bitstream_for_the_whole_device_is_refused(ours: tuple[Design, Path]) -> None:
+    (ours[1] / "bitstreams/two_regions_full.bit").write_bytes(partial("gain", 1, "xck26"))
+    with pytest.raises(BuildError, match=r"two_regions_full\.bit is a partial bitstream; it has to configure"):
+        run(*ours)
+
+
+def test_one_bitstream_under_two_names_is_refused(ours: tuple[Design, Path]) -> None:
+    """Each module's contains its identity, which the manager reads after a load."""
+    shutil.copy(ours[1] / "bitstreams/invert.bit", ours[1] / "bitstreams/gain.bit")
+    with pytest.raises(BuildError, match=r"gain\.bit and invert\.bit are the same bitstream|invert\.bit and gain\.bit"):
         run(*ours)
 
 

@@ -241,3 +241,19 @@ def test_generate_tells_problems_too(tmp_path: Path, capsys: pytest.CaptureFixtu
     (tmp_path / "build.yaml").write_text(SCHEMA)
     assert main(["build", "generate", str(tmp_path / "build.yaml")]) == 0
     assert "problem of one: " in capsys.readouterr().out
+
+
+def test_what_a_misspelt_key_has_no_part_in_is_reported_beside_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    schema = changed(
+        ("clock: fclk0", "clk: fclk0"), ("[two.v]}", "[tow.v]}"), ("[one]", "[oen]"), ("{modules: [two]}", "[]")
+    )
+    lines = told(tmp_path, schema + "default_mode: third\n", capsys).splitlines()
+    assert [line.removeprefix("cm: ").removeprefix("build.yaml:").partition(" (")[0] for line in lines] == [
+        "7:5: regions.prr0.clk: unknown key 'clk'",
+        "13:19: modules.two.sources[0]: tow.v does not exist",
+        "15:11: modes.first.modules.oen: there is no module 'oen'",
+        "16:11: modes.second: modules is missing",
+        "17:1: default_mode: there is no mode 'third' [schema_invalid]",
+    ]

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import gzip
 import struct
 from contextlib import suppress
 
@@ -147,6 +148,27 @@ def test_boot_images_are_not_written() -> None:
 def test_file_without_sync_is_refused() -> None:
     with pytest.raises(NoSync):
         open_image(b"MZ" * 500)
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"", "the file is empty"),
+        (gzip.compress(small()), "compressed by gzip: unpack it first"),
+        (b"PK\x03\x04" + bytes(200), "a zip archive: of an .xsa, cm build collect takes what is in it"),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:00\n", "a pointer of Git LFS instead of the file"),
+    ],
+)
+def test_what_lies_in_the_place_of_a_bitstream_is_named(data: bytes, said: str) -> None:
+    with pytest.raises(NoSync, match=f"^{said}"):
+        open_image(data)
+
+
+@pytest.mark.parametrize("container", [Container.BIN_SWAPPED, Container.BIN_STRAIGHT])
+def test_a_bin_that_was_written_for_a_flash_says_how_it_is_written_for_the_port(container: Container) -> None:
+    reversed_bits = bytes(int(f"{byte:08b}"[::-1], 2) for byte in convert(small(), container))
+    with pytest.raises(NoSync, match=r"^the bits of each byte are reversed: write_cfgmem .* -disablebitswap$"):
+        open_image(reversed_bits)
 
 
 def test_bit_header_whose_text_does_not_end_is_refused() -> None:

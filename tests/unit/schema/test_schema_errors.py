@@ -263,6 +263,29 @@ def test_many_mistakes_are_reported_at_once_in_order() -> None:
     ]
 
 
+def test_a_name_that_is_nowhere_else_is_reported_beside_a_misspelt_key() -> None:
+    """What the misspelt key may define is not: `edge`, `left`; nor what could follow from it."""
+    text = partial(
+        "modulse: [edge]\nregion: {left: {}}\ndefault_mode: othre\nstreams: {s: {direction: up, region: left}}",
+        "modes: {default: {modules: [edgy]}, other: {modules: [edge]}, third: 3}",
+    )
+    found = [(p.code, p.key.removeprefix("config."), p.hint) for p in problems(text)]
+    assert [one[:2] for one in found] == [
+        ("unknown_key", "modulse"),
+        ("unknown_key", "region"),
+        ("unknown_mode", "default_mode"),
+        ("bad_value", "streams.s.direction"),
+        ("unknown_module", "modes.default.modules[0]"),
+        ("bad_type", "modes.third"),
+    ]
+    assert (found[2][2], found[4][2]) == ("did you mean other?", "")  # not "there are none"
+
+
+@pytest.mark.parametrize("text", ["just text", "[1, 2]", "config: 3", "config: {modes: {a: {modules: [x]}}}"])
+def test_where_too_little_is_left_only_that_is_reported(text: str) -> None:
+    assert [problem.code for problem in problems(text)][1:] == []
+
+
 def test_several_mistakes_of_meaning_are_reported_at_once() -> None:
     text = partial("default_mode: x", "modes: {a: {modules: [b, c]}, d: {modules: [e]}}")
     assert [p.code for p in problems(text)] == ["unknown_mode"] + ["unknown_module"] * 3
