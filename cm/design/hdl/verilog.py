@@ -29,6 +29,7 @@ _HINTS = {
     "DiagCode(CouldNotOpenIncludeFile)": ": name its folder (include_dirs:, or -I)",
     "DiagCode(UnknownDirective)": ": define it (defines:, or -D), or give the file that does before this one",
     "DiagCode(AssignmentRequiresParens)": ": == compares",
+    "DiagCode(ExpectedIdentifier)": ": a name, and no keyword",
 }
 # errors inside a module that stop synthesis, with Vivado's numbers where they are known
 _SEMANTIC = {

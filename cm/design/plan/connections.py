@@ -67,7 +67,7 @@ class RegionPlanner:
             self._single(spec, port, boundary, lines, parts)
         if parts.undecided:
             self.notes.append(
-                f"{spec.name}: {', '.join(parts.undecided)} belong to no interface and are not connected "
+                f"{spec.name}: {', '.join(parts.undecided)}: of no interface, and not connected "
                 "(inputs are 0); `connect: external` under the region's interfaces brings one to a port of the top"
             )
         return RegionPlan(

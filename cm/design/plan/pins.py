@@ -79,7 +79,7 @@ def placements(system: System) -> tuple[list[Placement], list[PinFault]]:
         given = port.spec.pins.get(port.signal)
         if given is None:
             if not any(_matches(pattern, port.port) for pattern in elsewhere):
-                message = f"{port.port} ({port.width} bits) has no pin"
+                message = f"{port.port} ({port.width} bit{'s' if port.width > 1 else ''}) has no pin"
                 faults.append(PinFault(port.key, port.port, message, missing=True))
             continue
         try:

@@ -121,7 +121,9 @@ def _module(source: Path, one: Implementation, answers: Answers) -> Module:
             memories[own] = replace(array, name=own, base_address=window.base, region=region)
     for bus in bare_windows(source, one.region, module):
         doc = f"{bus.interface.name}, of which no registers are known"
-        memory = Memory(bare_name(name, bus), bus.window.base, bus.window.size, region=region, doc=doc)
+        bits = bus.interface.addr_width or 32  # beyond them it is the same again
+        size = min(bus.window.size, max(1 << bits, 4))
+        memory = Memory(bare_name(name, bus), bus.window.base, size, region=region, doc=doc)
         memories[memory.name] = memory
     return Module(
         name=name,
