@@ -24,6 +24,11 @@ def rounded(pll: int, hertz: int) -> int:
     return max((rate for rate in rates if rate <= hertz), default=min(rates))
 
 
+def nearest(pll: int, hertz: int) -> int:
+    """The rate of the two dividers that is nearest to `hertz`, on either side."""
+    return min(_rates(pll), key=lambda rate: (abs(rate - hertz), rate))
+
+
 @lru_cache(maxsize=4)
 def _rates(pll: int) -> frozenset[int]:
     return frozenset(pll // (first * second) for first in _DIVIDERS for second in _DIVIDERS)

@@ -24,7 +24,7 @@ from cm.design.project.source_position import Finding
 from cm.design.runtime.answers import Answers
 from cm.design.runtime.schema import bare_name, bare_windows, runtime_config
 from cm.schema import SchemaError, dump, loads
-from cm.schema.clock_rates import PLL, hertz, rate_problem, rounded
+from cm.schema.clock_rates import PLL, hertz, nearest, rate_problem, rounded
 
 
 def check_clocks(system: System) -> Iterator[Finding]:
@@ -62,7 +62,7 @@ def check_rates(system: System) -> Iterator[Finding]:
         spec = system.project.clocks[name]
         there = rounded(pll, spec.rate)
         if problem := rate_problem(spec, there):
-            hint = f"write rate: {there}, or tolerance: if another PLL of the board gives more"
+            hint = f"write rate: {nearest(pll, spec.rate)}, or tolerance: if another PLL of the board gives more"
             yield Finding("rate", ("clocks", name, "rate"), f"{problem}, with the I/O PLL at {hertz(pll)}", hint)
 
 

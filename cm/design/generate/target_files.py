@@ -50,6 +50,7 @@ def nodes(system: System) -> list[Node]:
     ]
 
 
+PAGE = 0x1000
 CHANNELS = 32  # of a node of fpga-cm,dma-client
 Entry = tuple[str, str, Mapping[str, Any]]  # path below the output folder, template, its variables
 
@@ -117,6 +118,17 @@ class _DeviceTree:
     def afi(self) -> list[Node]:
         """Nodes that set the widths of the ports between PS and PL."""
         return nodes(self._system)
+
+    @property
+    def own_windows(self) -> list[tuple[int, int]]:
+        """Where the registers under `static:` are, in whole pages: base and size of each run of them."""
+        given = self._system.project.static.registers.values()
+        pages = {register.address // PAGE for register in given}  # aligned to their width, so each is on one page
+        control = self._system.control
+        pages -= set(range(control.base // PAGE, (control.base + control.size) // PAGE))
+        begins = [page for page in sorted(pages) if page - 1 not in pages]
+        ends = [page + 1 for page in sorted(pages) if page + 1 not in pages]
+        return [(PAGE * begin, PAGE * (end - begin)) for begin, end in zip(begins, ends, strict=True)]
 
     def region(self, region: RegionPlan) -> str:
         """Name of a region's node: the kernel's binding allows ``fpga-region-<number>``."""

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -11,10 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from build_support import copy_examples, generated, needs
+from build_support import MINIMAL, copy_examples, generated, needs, project
 
 from cm import schema
 from cm.design.collect.collected import QUIET
+from cm.design.generate.tree import generate, load_design
 from cm.design.plan.system import System
 from cm.schema.model import Config
 
@@ -177,3 +179,14 @@ def test_a_region_of_loader_overlay_names_its_firmware(tmp_path: Path) -> None:
     text = (out / "dts/module_edge.dtso").read_text()
     assert 'firmware-name = "cm/camera/edge.bin";' in text
     assert "partial-fpga-config;" in text
+
+
+def test_registers_of_the_static_designs_own_part_have_devices(tmp_path: Path) -> None:
+    pytest.importorskip("pyslang", reason="needs pyslang: the extra [build] is not installed")
+    registers = "{leds: {offset: 0x41200000}, tri: {offset: 0x41201ffc}, id: {offset: 0x41300010}}"
+    design = load_design(project(tmp_path, MINIMAL + f"static: {{registers: {registers}}}\n"))
+    generate(design, tmp_path / "build")
+    for name in ("small_static.dtso", "system-user.dtsi"):
+        text = (tmp_path / "build/dts" / name).read_text()
+        found = re.findall(r"cm-registers@(\w+) \{\n.*\n\t\treg = <(\w+) (\w+)>;", text)
+        assert found == [("41200000", "0x41200000", "0x2000"), ("41300000", "0x41300000", "0x1000")]
