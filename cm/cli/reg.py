@@ -117,7 +117,8 @@ def _written(board: Board, names: tuple[str, ...]) -> Iterator[tuple[str, int]]:
     for name in names:
         if name not in known:
             near = get_close_matches(name, known, 1)
-            raise NotFound(f"no register {name!r} in this mode" + (f"; did you mean {near[0]!r}?" if near else ""))
+            said = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(sorted(board.registers.info))}"
+            raise NotFound(f"no register {name!r} in this mode; {said}")
     for event in followed(board, board.registers.events(*(name.partition(".")[0] for name in names))):
         for register in event.values:
             values = {register.name: register.value, **{f"{register.name}.{f}": v for f, v in register.fields}}

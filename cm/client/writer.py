@@ -137,7 +137,8 @@ class Writer:
             array = from_rgb(array, geometry.format)
         if geometry is not None and geometry.frame_length and array.nbytes != geometry.frame_length:
             raise InvalidRequest(
-                f"stream {self.name!r} takes frames of {geometry.frame_length} bytes; this one has {array.nbytes}"
+                f"stream {self.name!r} takes frames of {geometry.frame_length} bytes, {geometry.shape} "
+                f"{geometry.dtype}; this one has {array.nbytes}, {array.shape} {array.dtype}"
             )
         length = 0 if geometry is not None and geometry.frame_length else array.nbytes
         with self.lend(length, timeout) as slot:

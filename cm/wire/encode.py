@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 from google.protobuf.message import DecodeError, Message
 
 from cm.errors import InvalidRequest
+from cm.frozen import names, replace
 from cm.hashes import sha256
 from cm.wire import bodies, topics
 from cm.wire import cm_pb2 as pb
@@ -121,8 +122,19 @@ def _configure_stream(r: rq.ConfigureStream) -> list[Frame]:
     try:
         message = bodies.STREAM_SETTINGS.to_pb(r)
     except (TypeError, ValueError, OverflowError) as error:
-        raise InvalidRequest(f"stream {r.stream!r}: a setting is out of its range: {error}") from None
+        raise InvalidRequest(f"stream {r.stream!r}: {_wrong_setting(r)} is out of its range: {error}") from None
     return [topics.DATA_CONFIG, message.SerializeToString()]
+
+
+def _wrong_setting(r: rq.ConfigureStream) -> str:
+    """The first that cannot be encoded on its own, as it was given."""
+    for name in names(rq.ConfigureStream):
+        value = getattr(r, name)
+        try:
+            bodies.STREAM_SETTINGS.to_pb(replace(rq.ConfigureStream("s"), **{name: value}))
+        except (TypeError, ValueError, OverflowError):
+            return f"{name}={value!r}"
+    return "a setting"
 
 
 def _define_memory(r: rq.DefineMemory) -> list[Frame]:

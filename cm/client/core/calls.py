@@ -172,7 +172,10 @@ def read_data(stream: str, timeout: float, raw: bool = False) -> Call[Frame]:
 def write_data(stream: str, data: Any, lease: str) -> Call[FrameInfo]:
     """Send a frame; the reply comes when the hardware has taken it."""
     plain = isinstance(data, (bytes, bytearray, memoryview)) or not isinstance(data, np.ndarray)
-    view = memoryview(data if plain else np.ascontiguousarray(data).data).cast("B")
+    try:
+        view = memoryview(data if plain else np.ascontiguousarray(data).data).cast("B")
+    except TypeError:
+        raise InvalidRequest(f"stream {stream!r} takes an array or bytes, not {type(data).__name__}") from None
     picture = not plain and data.ndim == 3 and data.shape[2] == 3 and data.dtype == np.uint8
     return Call(rq.WriteData(stream, view, lease, format="rgb" if picture else ""), lambda r: _body(r, FrameInfo))
 

@@ -491,3 +491,9 @@ def test_a_compressed_frame_is_what_it_claims_to_be() -> None:
 
 def message_of_another_kind() -> list[Any]:
     return [*message(ENDED), b""]
+
+
+@pytest.mark.parametrize("data", [[1, 2], "text", 5])
+def test_what_is_no_frame_is_refused_in_words(data: Any) -> None:
+    with pytest.raises(InvalidRequest, match=f"stream 'to_pl' takes an array or bytes, not {type(data).__name__}"):
+        calls.write_data("to_pl", data, "")

@@ -111,6 +111,19 @@ def test_what_is_no_name_is_refused_in_words(request_: Any, said: str) -> None:
         encode_request(request_)
 
 
+@pytest.mark.parametrize(
+    ("setting", "said"),
+    [
+        ({"shape": ("x",)}, r"stream 'camera': shape=\('x',\) is out of its range"),
+        ({"slots": -1, "rate": 3.0}, "stream 'camera': slots=-1 is out of its range"),
+        ({"rate": 3.0, "dtype": 5}, "stream 'camera': dtype=5 is out of its range"),
+    ],
+)
+def test_a_setting_that_cannot_be_is_named(setting: dict[str, Any], said: str) -> None:
+    with pytest.raises(InvalidRequest, match=said):
+        encode_request(rq.ConfigureStream("camera", **setting))
+
+
 def test_a_place_before_a_memory_is_called_one() -> None:
     with pytest.raises(InvalidRequest, match=r"memory 'taps': -4 is no place or length .* 0 or more"):
         encode_request(rq.ReadData("taps", offset=-4, length=8))
