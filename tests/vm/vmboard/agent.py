@@ -52,8 +52,12 @@ class Agent:
     def answers(self, patience_s: float) -> bool:
         """Whether the agent has started; what others left unread is thrown away."""
         number = next(self._numbers)
-        self._send("guest-sync", {"id": number})
         deadline = time.monotonic() + patience_s
+        self._socket.settimeout(patience_s)
+        try:
+            self._send("guest-sync", {"id": number})
+        except TimeoutError:  # nobody has read for so long that no more questions go in
+            return False
         while (left := deadline - time.monotonic()) > 0:
             reply = self._reply(left)
             if reply is not None and reply.get("return") == number:
