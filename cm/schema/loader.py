@@ -33,14 +33,19 @@ def load(path: Path | str) -> Config:
     """
     path = Path(path)
     data = _bytes(path)
+    text = decoded(data, path)
+    # absolute, so that files beside it are found from any working directory
+    return replace(loads(text, path), source=path.absolute(), sha256_source=sha256(data))
+
+
+def decoded(data: bytes, path: Path) -> str:
+    """The text in `data` of the file at `path`. Raises `SchemaError` with the line that is not UTF-8."""
     try:
-        text = data.decode("utf-8-sig")
+        return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         problem = Problem(path, line, 1, "", "yaml_syntax", "not UTF-8 text", "save the file as UTF-8")
         raise SchemaError([problem]) from None
-    # absolute, so that files beside it are found from any working directory
-    return replace(loads(text, path), source=path.absolute(), sha256_source=sha256(data))
 
 
 def loads(text: str, source: Path | str | None = None) -> Config:

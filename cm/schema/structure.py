@@ -23,6 +23,7 @@ from cm.schema.values import Finding, findings, joined, name_form
 
 SCHEMA_FILE = Path(__file__).parent / "data" / "runtime.schema.json"
 _WINDOW = "#/definitions/window"
+_WHOLE = {"project": "this is a build schema: cm build check", "config": "this is a runtime schema: cm config check"}
 _ELSEWHERE = {
     "relocatable": "it belongs to a module of the build schema: cm build run makes a bitstream for each of its regions"
 }
@@ -163,7 +164,7 @@ class _Walk:
             if key in properties:
                 result.add(key, Entry(entry.mark, self.node(entry.node, properties[key], (*path, key))))
             elif not any(re.search(pattern, key) for pattern in shape.get("patternProperties", ())):
-                hint = _ELSEWHERE.get(key) or did_you_mean(key, properties)
+                hint = ("" if path else _WHOLE.get(key)) or _ELSEWHERE.get(key) or did_you_mean(key, properties)
                 self._report(entry.mark, (*path, key), "unknown_key", f"unknown key {key[:80]!r}", hint)
         for key in shape.get("required", ()):
             if key not in table.entries:

@@ -20,6 +20,17 @@ from cm.design.hdl.vhdl_text import VHDL_SUFFIXES
 
 _FEW = 8  # most names that a sentence lists
 _NO_FILES: Mapping[Path, str] = MappingProxyType({})
+_BESIDE = "it lies beside the file that reads it, and is not listed"
+_NETLIST = "a file under tcl: can read a netlist"
+_PROJECT = "name the files that it is made of"
+_NO_HDL = {
+    **dict.fromkeys((".xdc", ".sdc"), "write it under constraints:"),
+    ".tcl": "write it under tcl:",
+    **dict.fromkeys((".mem", ".hex", ".coe", ".mif", ".dat"), _BESIDE),
+    **dict.fromkeys((".dcp", ".edf", ".edn", ".edif", ".ngc"), _NETLIST),
+    **dict.fromkeys((".xpr", ".bd", ".xsa", ".hdf"), _PROJECT),
+    **dict.fromkeys((".md", ".txt", ".yaml", ".yml"), "leave it out"),
+}
 _ENCRYPTED = re.compile(r"(?:`|pragma\s+)protect\s+begin_protected", re.IGNORECASE)
 
 
@@ -222,6 +233,8 @@ def _few(names: Iterable[object]) -> str:
 
 def _read_text(path: Path) -> str:
     try:
+        if path.suffix.lower() in _NO_HDL:
+            raise HdlError(f"{path} is no HDL: {_NO_HDL[path.suffix.lower()]}")
         data = path.read_bytes()
     except IsADirectoryError:
         raise HdlError(f"{path} is a folder: name the files in it ({path}/*)") from None

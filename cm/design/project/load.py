@@ -33,7 +33,7 @@ from cm.design.project.model import (
     SwitchSpec,
 )
 from cm.schema.construct import Context, bit_fields
-from cm.schema.loader import Loading
+from cm.schema.loader import Loading, decoded
 from cm.schema.model import Access, Clock, LoaderKind, Memory, Register
 from cm.schema.pictures import pixel_shape
 from cm.schema.problems import KeyPath, Problem, SchemaError
@@ -176,10 +176,11 @@ def project_data(path: Path | str) -> dict[str, Any]:
 
 def _loading(path: Path, text: str | None) -> DesignFile:
     try:
-        text = path.read_text(encoding="utf-8") if text is None else text
-    except (OSError, UnicodeDecodeError) as error:
-        message = f"cannot be read: {getattr(error, 'strerror', None) or error}"
+        text = decoded(path.read_bytes(), path) if text is None else text
+    except OSError as error:
+        message = f"cannot be read: {error.strerror or error}"
         hint = "cm build init FILE… writes a first one from HDL" if isinstance(error, FileNotFoundError) else ""
+        hint = f"name the file: {path / 'build.yaml'}" if (path / "build.yaml").is_file() else hint
         raise SchemaError([Problem(path, 1, 1, "", "unreadable", message, hint)]) from None
     return DesignFile(text, path, SCHEMA_FILE, "project: (or with cm build init)")
 

@@ -217,6 +217,44 @@ def test_a_syntax_error_in_a_file_below_the_top_is_reported(tmp_path: Path, caps
     assert "1 problem that synthesis will stop at" in said
 
 
+def test_a_build_schema_in_another_encoding_is_named_with_its_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    path = tmp_path / "build.yaml"
+    path.write_bytes((SCHEMA + "# Größe\n").encode("latin-1"))
+    assert main(["build", "check", str(path)]) == 1
+    assert "build.yaml:17:1: not UTF-8 text (save the file as UTF-8)" in capsys.readouterr().err
+
+
+def test_a_runtime_schema_and_a_folder_in_its_place_are_told_what_they_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    (tmp_path / "build.yaml").write_text(SCHEMA)
+    (tmp_path / "run.yaml").write_text("config: {name: c, modes: {default: {}}}\n")
+    assert main(["build", "check", str(tmp_path / "run.yaml")]) == 1
+    assert "unknown key 'config' (this is a runtime schema: cm config check)" in capsys.readouterr().err
+    assert main(["config", "check", str(tmp_path / "build.yaml")]) == 1
+    said = capsys.readouterr()
+    assert "unknown key 'project' (this is a build schema: cm build check)" in said.out + said.err
+    assert main(["build", "check", str(tmp_path)]) == 1
+    assert f"Is a directory (name the file: {tmp_path / 'build.yaml'})" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("pins.xdc", "write it under constraints:"),
+        ("rom.mem", "it lies beside the file that reads it, and is not listed"),
+        ("design.BD", "name the files that it is made of"),
+        ("README.md", "leave it out"),
+    ],
+)
+def test_a_file_that_is_no_hdl_is_no_source(name: str, why: str, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    said = told(tmp_path, changed(("[two.v]", f"[two.v, {name}]")), capsys, **{name: "x\n"})
+    assert f"modules.two.sources: {name} is no HDL: {why}" in said
+    assert main(["build", "init", str(tmp_path / "one.v"), str(tmp_path / name), "-o", str(tmp_path / "new.yaml")]) == 1
+
+
 def test_two_modules_of_one_name_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     (tmp_path / "again.v").write_text(ONE)
     for name, text in (("one.v", ONE), ("two.v", TWO)):
