@@ -84,9 +84,10 @@ def roll_back(place: Path, number: int | None = None) -> Version:
     there = versions(place.parent, place.name)
     chosen = next((version for version in there if number in (None, version.number)), None)
     if chosen is None:
-        known = ", ".join(str(version.number) for version in there) or "none"
+        known = ", ".join(str(version.number) for version in there)
         wanted = f"version {number}" if number is not None else "version"
-        raise NoSuchVersion(f"no earlier {wanted} of configuration {place.name} in {place.parent} (there: {known})")
+        others = f" (there: {known})" if known else ""
+        raise NoSuchVersion(f"no earlier {wanted} of configuration {place.name} in {place.parent}{others}")
     if place.exists():
         _exchange(chosen.folder, place)
     else:

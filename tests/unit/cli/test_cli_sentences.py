@@ -65,9 +65,8 @@ def test_a_configuration_without_earlier_versions_is_no_silence(
 ) -> None:
     assert main(["config", "versions", "vision", "--out", str(tmp_path)]) == 0
     assert capsys.readouterr().err == f"no earlier version of configuration vision in {tmp_path}\n"
-    assert "no earlier version of configuration vision in" in said(
-        capsys, "config", "rollback", "vision", "--out", str(tmp_path)
-    )
+    told = said(capsys, "config", "rollback", "vision", "--out", str(tmp_path))
+    assert told == f"cm: no earlier version of configuration vision in {tmp_path} [no_such_version]\n"
     assert "no earlier version 7 of configuration vision" in said(
         capsys, "config", "rollback", "vision", "--to", "7", "--out", str(tmp_path)
     )

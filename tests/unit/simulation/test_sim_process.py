@@ -147,7 +147,9 @@ def test_a_board_that_cannot_start_says_why(tmp_path):
 
 
 def test_control_of_a_root_without_a_simulator_says_so(tmp_path):
-    with pytest.raises(SimError, match="no simulator"):
+    with pytest.raises(
+        SimError, match=f"no simulator serves .*: No such file or directory; start one with cm sim --root {tmp_path}"
+    ):
         Control(tmp_path).state()
 
 

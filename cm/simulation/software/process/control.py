@@ -122,7 +122,9 @@ class Control:
                 os.close(fd)
         except OSError as error:
             sock.close()
-            raise SimError(f"no simulator serves {self.root}: {error}; start one with cm sim --root") from error
+            raise SimError(
+                f"no simulator serves {self.root}: {error.strerror or error}; start one with cm sim --root {self.root}"
+            ) from error
         return sock
 
 
