@@ -76,9 +76,7 @@ def overlay_path(config: Config, overlay: Overlay | str, root: Path | str = "/")
 
 def named_files(config: Config) -> list[str]:
     """Every name that a file of `config` may have, below the folders that are searched for it."""
-    found: list[str | Path] = []
-    if config.type is ConfigType.FULL:
-        found += _candidates(config.name, config.bitstream)
+    found = _candidates(config.name, config.bitstream) if config.type is ConfigType.FULL else []
     for module in config.modules.values():
         found += [*_candidates(module.name, module.bitstream), f"{module.name}.dtbo"]
     overlays = [*config.overlays, *(overlay for mode in config.modes.values() for overlay in mode.overlays)]

@@ -199,8 +199,9 @@ def test_bitstream_of_another_family_is_refused_whatever_it_looks_like() -> None
 def test_encrypted_bitstream_is_recognised() -> None:
     cipher = [0x5A5A5A5A] * 50
     report = inspect(bit(*IDCODE, 0x30016004, 1, 2, 3, 4, 0x30034001, len(cipher), *cipher, NOP))
-    assert report.encrypted
+    assert report.encrypted is True
     assert report.problems == ()
+    assert inspect(bit(*IDCODE, 0x30016004, 1, 2, 3, 4, *DESYNC)).encrypted is True  # there is an IV
 
 
 @pytest.mark.parametrize("family", list(Family))

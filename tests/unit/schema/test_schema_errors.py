@@ -100,6 +100,8 @@ CASES = [
      "streams: {s: {direction: s2mm, §region: x}}"),
     ("region left open", "missing_key", "modules.a", "left, right", "regions: [left, right]\nmodules: {§a: {}}"),
     ("region called static", "name_clash", "regions.static", "another name", "regions: [§static]"),
+    ("decoupler without its register", "missing_key", "regions.a.decoupler", "the register, or in place of it gpio",
+     "regions: {a: {§decoupler: {base_address: 0}}}"),
     ("two regions on one decoupler", "region_conflict", "regions.b.decoupler", "same decoupler bit",
      "regions:\n  a: {decoupler: {base_address: 0, offset: 0}}\n  b: {§decoupler: {base_address: 0, offset: 0}}"),
     ("footprint backwards", "value_range", "regions.a.footprint[0].columns", "[first, last]",
