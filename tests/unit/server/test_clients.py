@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from cm.server.rights.principal import from_id
+from cm.server.rights.principal import Principal, from_id
 from cm.server.settings.model import USUAL
 from cm.server.shares import LITTLE, PENDING, Clients, RepliesUnread, Ring, TooMuchWaiting
 from cm.wire.messages.status import Reply
@@ -50,6 +50,18 @@ def test_a_client_has_so_many_requests_under_way_and_gets_room_as_they_end(clien
         client.under_way(ignore, 1)
     ends[0](Reply())
     client.under_way(ignore, 1)
+
+
+def test_it_is_found_out_once_whose_a_connection_is() -> None:
+    asked: list[str] = []
+
+    def who(connection: str) -> Principal:
+        asked.append(connection)
+        return from_id(connection)
+
+    clients = Clients(LIMITS, who)
+    assert clients.of("ipc:0:0:9000001") is clients.of("ipc:0:0:9000001")
+    assert asked == ["ipc:0:0:9000001"]
 
 
 def test_waiting_requests_are_bounded_for_one_client_and_for_all(clients: Clients) -> None:

@@ -168,7 +168,8 @@ def test_writes_without_a_free_slot_wait_and_too_many_are_refused(loop: Daemon) 
     for _ in range(36):  # nothing reads the loop's end, so the hardware takes none of them
         loop.send(rq.WriteData("to_pl", PICTURE))
     refused = [loop.reply().error for _ in range(2)]
-    assert {(error.code, "32 frames wait already" in error.message) for error in refused if error} == {("busy", True)}
+    said = "stream 'to_pl': 32 frames wait already"
+    assert {(error.code, said in error.message) for error in refused if error} == {("busy", True)}
     loop.send(ConfigureStream("from_pl", enable=True))
     codes = [reply.error.code for reply in (loop.reply() for _ in range(35)) if reply.error]
     assert set(codes) <= {"timeout"}, "those that the hardware had may have waited too long"
