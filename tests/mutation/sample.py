@@ -4,10 +4,10 @@
     python tests/mutation/sample.py [PACKAGE…] [--count N] [--seed S] [--jobs N] [--max-survivors PERCENT]
 
 mutmut says which changes there are (in functions without decorators). This draws the same number from each package
-with a fixed seed, writes each into a copy of the tree (`build/mutants/`), and runs the tests of `tests/unit/` for that
-package that enter the changed function, until one fails: in processes of their own, so that threads, caches and what
+with a fixed seed, writes each into a copy of the tree (`build/mutants/`), and runs the tests for that package
+(`PACKAGES`) that enter the changed function, until one fails: in processes of their own, so that threads, caches and what
 is computed while modules are loaded see the change too. Those that lived are printed, with what they change; one in
-a function that no unit test enters has lived. Exit status 1 with more survivors than allowed.
+a function that none of them enters has lived. Exit status 1 with more survivors than allowed.
 """
 
 from __future__ import annotations
@@ -33,12 +33,16 @@ import libcst
 from libcst.metadata import MetadataWrapper, PositionProvider
 from mutmut.mutation.file_mutation import Mutation, create_mutations, deep_replace
 
-_CORE = ("manager", "server", "formats", "schema", "wire", "client")
+_CORE = tuple(f"unit/{room}" for room in ("manager", "server", "formats", "schema", "wire", "client"))
+# a board's client is best seen beside a manager, which is a process of its own there
+_WITH_MANAGER = ("allocations", "connections", "memories", "modes", "register_windows", "remote_streams", "stream_s*")
+_CLIENT = (*_CORE, *(f"integration/test_{name}.py" for name in _WITH_MANAGER))
 _DESIGN = ("hdl_", "boundary", "clock_", "build_check", "build_flat", "build_foreign", "build_reg", "build_sources")
-# Packages below cm, and what of tests/unit is tried. Any other can be named too; its tests are then in its folder.
+# Packages below cm, and what of tests/ is tried. Any other can be named too; its tests are then in its unit tests.
 PACKAGES = {
-    **dict.fromkeys(("manager", "server", "formats.bitstream", "schema", "client"), _CORE),
-    **dict.fromkeys(("design.hdl", "design.boundary"), tuple(f"design/test_{name}*" for name in _DESIGN)),
+    **dict.fromkeys(("manager", "server", "formats.bitstream", "schema"), _CORE),
+    "client": _CLIENT,
+    **dict.fromkeys(("design.hdl", "design.boundary"), tuple(f"unit/design/test_{name}*" for name in _DESIGN)),
 }
 MUTANTS = Path("build/mutants")
 NO_TESTS = 5  # pytest's status
@@ -137,7 +141,7 @@ def pytest(tree: Path, tests: list[str], limit: float | None, under: list[str], 
 def enter(tree: Path, patterns: tuple[str, ...]) -> Entries:
     """Run all tests of these patterns."""
     lines, times = tree / f"lines-{len(patterns)}", tree / "times"
-    tests = sorted(str(path) for pattern in patterns for path in Path("tests/unit").glob(pattern))
+    tests = sorted(str(path) for pattern in patterns for path in Path("tests").glob(pattern))
     under = ["coverage", "run", f"--data-file={lines.resolve()}", "--source=cm", "-m"]
     if pytest(tree, tests, None, under, CM_TEST_TIMES=str(times.resolve())):
         sys.exit(f"the unit tests failed before anything was changed: {tree / 'pytest.log'}")
@@ -191,12 +195,12 @@ def main() -> int:
         trees.put(copy(MUTANTS / str(job)))
     total = lived = 0
     for package in args.packages or PACKAGES:
-        tests = PACKAGES.get(package, (package.partition(".")[0],))
+        tests = PACKAGES.get(package, (f"unit/{package.partition('.')[0]}",))
         drawn, entries = draw(package, args.count, args.seed), enter(MUTANTS / "0", tests)
         alive = survivors(trees, drawn, entries)
         print(f"cm.{package}: {len(alive)} of {len(drawn)} mutants lived")
         for mutant in alive:
-            print(mutant, *([] if entries.of(mutant) else ["    no unit test enters it"]), sep="\n", flush=True)
+            print(mutant, *([] if entries.of(mutant) else ["    no test enters it"]), sep="\n", flush=True)
         total, lived = total + len(drawn), lived + len(alive)
     print(f"{lived} of {total} lived: {100 * lived / total:.1f} %")
     return 0 if 100 * lived <= args.max_survivors * total else 1

@@ -254,7 +254,7 @@ def test_only_our_oldest_copies_are_removed_whatever_the_clock_says(
     (folder / "users.bin").write_bytes(b"not ours")
     future = 4_000_000_000  # a board whose clock was right before, and now starts in 1970
     for number in range(80):
-        path = folder / f"{number:064x}.bin"
+        path = folder / f"{99 - number:064x}.bin"  # the newest has the first name
         path.write_bytes(b"")
         os.utime(path, (future + number, future + number))
     (folder / ".killed.new").write_bytes(b"half")
@@ -263,8 +263,8 @@ def test_only_our_oldest_copies_are_removed_whatever_the_clock_says(
     assert first.exists()
     left = {path.name for path in folder.iterdir()}
     assert len(left) == 65
-    assert {first.name, second.name, "users.bin", f"{79:064x}.bin"} <= left
-    assert f"{17:064x}.bin" not in left
+    assert {first.name, second.name, "users.bin", f"{99 - 79:064x}.bin"} <= left
+    assert f"{99 - 17:064x}.bin" not in left
 
 
 @pytest.mark.parametrize("shadow", ["updates", os.uname().release, f"updates/{os.uname().release}"])

@@ -117,6 +117,14 @@ def test_what_is_written_comes_back_to_every_read_that_waits(loop: Daemon) -> No
     assert [bytes(reply.payload[0]) for reply in replies if reply.payload] == [PICTURE] * 2
 
 
+def test_a_frame_that_is_shorter_than_its_shape_comes_as_bytes(loop: Daemon) -> None:
+    loop.done(ConfigureStream("from_pl", dtype="uint16", force=True))
+    loop.send(rq.ReadData("from_pl", 60.0))
+    loop.send(rq.WriteData("to_pl", PICTURE))
+    (info,) = [reply.body for reply in (loop.reply(), loop.reply()) if reply.payload and bytes(reply.payload[0])]
+    assert (info.stream, info.shape, info.dtype) == ("from_pl", (FRAME,), "uint8")  # type: ignore[union-attr]
+
+
 def test_written_frames_are_numbered_and_counted(flowing: Daemon) -> None:
     numbers = [write(flowing, PICTURE).body.sequence for _ in range(6)]  # type: ignore[union-attr]
     assert numbers == list(range(numbers[0], numbers[0] + 6))
