@@ -5,9 +5,9 @@
 
 mutmut says which changes there are (in functions without decorators). This draws the same number from each package
 with a fixed seed, writes each into a copy of the tree (`build/mutants/`), and runs the tests for that package
-(`PACKAGES`) that enter the changed function, until one fails: in processes of their own, so that threads, caches and what
-is computed while modules are loaded see the change too. Those that lived are printed, with what they change; one in
-a function that none of them enters has lived. Exit status 1 with more survivors than allowed.
+(`PACKAGES`) that enter the changed function, until one fails: in processes of their own, so that threads, caches and
+what is computed while modules are loaded see the change too. Those that lived are printed, with what they change; one
+in a function that none of them enters has lived. Exit status 1 with more survivors than allowed.
 """
 
 from __future__ import annotations
@@ -35,7 +35,17 @@ from mutmut.mutation.file_mutation import Mutation, create_mutations, deep_repla
 
 _CORE = tuple(f"unit/{room}" for room in ("manager", "server", "formats", "schema", "wire", "client"))
 # a board's client is best seen beside a manager, which is a process of its own there
-_WITH_MANAGER = ("allocations", "connections", "memories", "modes", "register_windows", "remote_streams", "stream_s*")
+_WITH_MANAGER = (
+    "allocations",
+    "client_conformance",
+    "connections",
+    "local_reads",
+    "memories",
+    "modes",
+    "register_windows",
+    "remote_streams",
+    "stream_s*",
+)
 _CLIENT = (*_CORE, *(f"integration/test_{name}.py" for name in _WITH_MANAGER))
 _DESIGN = ("hdl_", "boundary", "clock_", "build_check", "build_flat", "build_foreign", "build_reg", "build_sources")
 # Packages below cm, and what of tests/ is tried. Any other can be named too; its tests are then in its unit tests.

@@ -61,7 +61,7 @@ def identify_bytes(data: bytes) -> ModuleIdentity | None:
 def default_footprint(index: int, device: str | Device, size: int = DEFAULT_SIZE) -> tuple[FrameRange, ...]:
     """Return frames for the region with this index that overlap no other index's and hold `size` bytes."""
     known = known_device(device)
-    left = -(-size // (4 * known.family.frame_words))
+    left = size / (4 * known.family.frame_words)
     last, row = 0, _row(known, index)
     while left > (here := _column_frames(known, FrameAddress(0, row, last))) and last < _COLUMNS - 1:
         left -= here

@@ -78,6 +78,13 @@ def test_another_sequence_of_columns_is_refused_at_the_first_difference(
         moves(UPPER, target)
 
 
+def test_rows_of_a_region_keep_their_order_across_the_middle() -> None:
+    device = device_by_name("xc7a50t")
+    assert device is not None
+    upper, lower = (FrameRange(0, 0, 20, 20), FrameRange(0, 1, 20, 20)), (FrameRange(0, 32, 20, 20),)
+    assert column_moves(device, upper, (*lower, *upper[:1])) == {0xA00: 0x400A00, 0x20A00: 0xA00}
+
+
 def test_only_devices_whose_columns_are_known_are_moved_within() -> None:
     device = device_by_name("xczu3eg")
     assert device is not None

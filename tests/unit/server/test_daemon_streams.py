@@ -15,6 +15,7 @@ from data_client import Client
 from manager_process import until
 from scraping import scrape
 
+from cm.server.rights.model import Access
 from cm.wire import plane_packets as packets
 from cm.wire import topics
 from cm.wire.messages import requests as rq
@@ -392,6 +393,15 @@ def test_a_writer_needs_the_lease_that_another_client_holds(loop: Daemon, client
     loop.done(ConfigureStream("from_pl", backpressure=True, force=True, lease=lease.id))
     assert client(loop, Open("from_pl")).refusal()[0] == "held_by"
     loop.done(rq.ReleaseLease(lease.id))
+
+
+def test_who_may_only_look_opens_no_writer(client: Callable[..., Client], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cm.server.connections.credentials", lambda _: (os.getpid(), 65534, 65534))
+    with daemon(access=Access(local=("observe",))) as made:
+        made.load("loopback")
+        code, message = client(made, Open("to_pl", write=True)).refusal()
+        assert (code, "to_pl" in message) == ("forbidden", True), message
+        assert client(made, Open("from_pl")).geometry().stream == "from_pl"
 
 
 def test_silent_connections_make_room_for_others(camera: Daemon, client: Callable[..., Client]) -> None:
