@@ -18,7 +18,8 @@ from cm.simulation.software.hardware.fabric import Fabric
 from cm.simulation.software.transport import protocol
 
 Through = Callable[[memoryview, bool], memoryview]  # words on their way, and whether the port signals an error
-_STEP = 0.001  # seconds of simulated time between two looks at the port
+_STEP, _LONGEST = 0.001, 0.02  # seconds of simulated time between two looks at the port:
+_PIECE = 16384  # longer than the shortest for a slow port, which takes so many bytes meanwhile
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +44,9 @@ class ConfigurationEngine:
         self.rate = rate
         self.state = protocol.STATE_IDLE
         self.errors = 0
-        self.done = 0
         self.total = 0
         self.loads = 0
+        self._done = 0
         self._run: _Run | None = None
         self._reading = False
 
@@ -53,6 +54,11 @@ class ConfigurationEngine:
     def busy(self) -> bool:
         """Whether a load or read is under way."""
         return self._run is not None or self._reading
+
+    @property
+    def done(self) -> int:
+        """Bytes of the load or read that the port has taken."""
+        return self._done if self._run is None else self._run.done
 
     def start(
         self,
@@ -103,7 +109,7 @@ class ConfigurationEngine:
             time.sleep(max(left, 0.0))
             self._reading = False
             self._ended(status, protocol.ERR_TIMEOUT if status else 0)
-            finished(LoadResult(self.done, asked_ns, time.monotonic_ns(), status, self.errors))
+            finished(LoadResult(self._done, asked_ns, time.monotonic_ns(), status, self.errors))
 
         self._loop.call_soon(begin)
 
@@ -115,14 +121,14 @@ class ConfigurationEngine:
         if asked is not None and not hangs:
             data = self._memory.frames.read(*asked)[: len(reply)]
             reply[: len(data)] = data
-            self.done = len(data)
+            self._done = len(data)
         port.feed(closing)
-        return 0 if self.done == len(reply) and port.complete else -errno.ETIMEDOUT
+        return 0 if self._done == len(reply) and port.complete else -errno.ETIMEDOUT
 
     def _begin(self, total: int) -> None:
         if self.busy:
             raise NodeError(errno.EBUSY, "the port is in use")
-        self.state, self.errors, self.done, self.total = protocol.STATE_LOADING, 0, 0, total
+        self.state, self.errors, self._done, self.total = protocol.STATE_LOADING, 0, 0, total
         self._port.reset()
 
     def _ended(self, status: int, errors: int) -> None:
@@ -140,10 +146,10 @@ class ConfigurationEngine:
             return
         stall = self._faults.take("icap_stall")
         self._feed(run, stall.value if stall else self.total)
-        self.done = min(run.fed, run.bytes_at(time.monotonic()))
-        if stall and self.done < self.total:
+        done = run.done
+        if stall and done < self.total:
             self._loop.call_later(_STEP, self._step)
-        elif self.done < self.total:
+        elif done < self.total:
             self._wait(run)
         else:
             self._finish(*self._verdict())
@@ -151,7 +157,7 @@ class ConfigurationEngine:
     def _feed(self, run: _Run, most: int) -> None:
         """Work on the words that are due before the next step, as a port does while the clock runs."""
         now = time.monotonic()
-        target = min(run.bytes_at(now + _STEP + run.took), most // 4 * 4)
+        target = min(run.bytes_at(now + run.step + run.took), most // 4 * 4)
         if target > run.fed:
             taken = words = run.data[run.fed : target]
             if run.through is not None:
@@ -168,7 +174,7 @@ class ConfigurationEngine:
             time.sleep(max(left, 0.0))
             self._loop.call_soon(self._step)
         else:
-            self._loop.call_later(min(_STEP, left - _STEP / 2), self._step)
+            self._loop.call_later(min(run.step, left - _STEP / 2), self._step)
 
     def _verdict(self) -> tuple[int, int]:
         port = self._port
@@ -192,6 +198,7 @@ class ConfigurationEngine:
         run, self._run = self._run, None
         if run is None:
             return
+        self._done = run.done
         self._ended(status, errors)
         if run.full and status == 0:
             self._fabric.reset()
@@ -199,7 +206,7 @@ class ConfigurationEngine:
             run.through(run.data[:0], bool(errors))
         sound = run.fed if self._port.sound is None else 4 * self._port.sound
         self._memory.settle(status == 0, sound, self._port.started)
-        run.finished(LoadResult(self.done, run.started_ns, time.monotonic_ns(), status, errors))
+        run.finished(LoadResult(self._done, run.started_ns, time.monotonic_ns(), status, errors))
 
 
 class _Run:
@@ -217,12 +224,18 @@ class _Run:
         self.full = full
         self.started_ns = started_ns
         self._rate = rate
+        self.step = min(max(_STEP, _PIECE / rate), _LONGEST) if rate > 0 else _STEP
 
     def bytes_at(self, now: float) -> int:
         """Bytes that the port has taken by a time of `time.monotonic()`, whole words."""
         if self._rate <= 0:
             return len(self.data)
         return min(len(self.data), int((now - self.started_ns / 1e9) * self._rate / 4) * 4)
+
+    @property
+    def done(self) -> int:
+        """Bytes that the port has taken now."""
+        return min(self.fed, self.bytes_at(time.monotonic()))
 
     @property
     def seconds_left(self) -> float:
