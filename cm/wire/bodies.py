@@ -38,11 +38,15 @@ class Twin(Generic[_D, _M]):
 
     def to_pb(self, data: _D) -> _M:
         """The message."""
+        return self._message(**self.given(data))
+
+    def given(self, data: _D) -> dict[str, Any]:
+        """What the message is made of; within it, protobuf makes the parts, without a copy of each."""
         given = dict(zip(self._names, self.values(data), strict=True))
         for name, part in self._parts.items():
             if value := given[name]:
-                given[name] = [part.to_pb(one) for one in value] if name in self._lists else part.to_pb(value)
-        return self._message(**given)
+                given[name] = [part.given(one) for one in value] if name in self._lists else part.given(value)
+        return given
 
     def from_pb(self, message: Any) -> _D:
         """The data."""
@@ -64,8 +68,8 @@ class _NamedValue:
     """A name of a value of a register's field, and the value."""
 
     @staticmethod
-    def to_pb(pair: tuple[str, int]) -> pb.FieldValue:
-        return pb.FieldValue(name=pair[0], value=pair[1])
+    def given(pair: tuple[str, int]) -> dict[str, Any]:
+        return {"name": pair[0], "value": pair[1]}
 
     @staticmethod
     def from_pb(m: pb.FieldValue) -> tuple[str, int]:
@@ -76,7 +80,7 @@ class _PrMode:
     """Their numbers are those of the enum in cm.proto, which has them in this order."""
 
     _all = tuple(st.PrMode)
-    to_pb = {mode: number for number, mode in enumerate(_all)}.__getitem__
+    given = {mode: number for number, mode in enumerate(_all)}.__getitem__
 
     @classmethod
     def from_pb(cls, number: int) -> st.PrMode:
@@ -109,6 +113,7 @@ CONFIG = Twin(
     entries=Twin(st.ConfigEntry, pb.ConfigEntry),
 )
 _LASTING = ("configs", "streams", "sensors", "clocks", "version", "started_ns", "board")
+_SELDOM = ("regions", "clients", "windows")
 _OF_STATUS: dict[str, Any] = {
     "pr_mode": _PrMode,
     "progress": Twin(st.Progress, pb.Progress),
@@ -123,27 +128,38 @@ _OF_STATUS: dict[str, Any] = {
 }
 
 
-class _StatusTwin(Twin[st.Status, pb.Status]):
-    """A status is encoded in two parts: protobuf reads messages that follow each other as one.
+class _KeptPart:
+    """Some fields of a status, encoded; kept as long as what is in them stays."""
 
-    The longer part is the same in the dozen statuses of one change of mode, and is kept.
+    def __init__(self, *names: str) -> None:
+        self._twin = Twin(st.Status, pb.Status, names, **_OF_STATUS)
+        self._last: tuple[Any, bytes] = (None, b"")
+
+    def encoded(self, status: st.Status) -> bytes:
+        value = self._twin.values(status)
+        before, encoded = self._last
+        if value != before:
+            encoded = self._twin.to_pb(status).SerializeToString()
+            self._last = value, encoded
+        return encoded
+
+
+class _StatusTwin(Twin[st.Status, pb.Status]):
+    """A status is encoded in parts: protobuf reads messages that follow each other as one.
+
+    The longest part is the same in the dozen statuses of one change of mode, and the next one in most of them.
     """
 
     def __init__(self) -> None:
         super().__init__(st.Status, pb.Status, **_OF_STATUS)
-        self._lasting = Twin(st.Status, pb.Status, _LASTING, **_OF_STATUS)
-        passing = [name for name in st.Status.__annotations__ if name not in _LASTING]
+        self._lasting, self._seldom = _KeptPart(*_LASTING), _KeptPart(*_SELDOM)
+        passing = [name for name in st.Status.__annotations__ if name not in _LASTING + _SELDOM]
         self._passing = Twin(st.Status, pb.Status, passing, **_OF_STATUS)
-        self._last: tuple[Any, bytes] = (None, b"")
 
     def encoded(self, status: st.Status) -> bytes:
         """The bytes of the message."""
-        parts = self._lasting.values(status)
-        before, encoded = self._last
-        if parts != before:
-            encoded = self._lasting.to_pb(status).SerializeToString()
-            self._last = parts, encoded
-        return bytes(encoded + self._passing.to_pb(status).SerializeToString())
+        passing = self._passing.to_pb(status).SerializeToString()
+        return b"".join((self._lasting.encoded(status), self._seldom.encoded(status), passing))
 
 
 STATUS = _StatusTwin()
