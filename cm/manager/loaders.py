@@ -66,7 +66,7 @@ class Loader(Protocol):
         """
 
 
-_POLL = 0.05  # seconds between two looks at a load's progress; most loads are shorter, and looking slows none
+_POLL = 0.1  # seconds between two looks at a load's progress; most loads are shorter, and looking slows none
 _REVISION = 0xF0000000  # bits of an IDCODE that differ between revisions of one device
 _PAGE = 4096
 

@@ -45,6 +45,7 @@ _PAUSES = (0.0001, 0.0005, 0.002, 0.01)
 _HOPELESS = 1.0  # seconds for which a queue that stayed full is not waited for again
 _NODROP, _NOBLOCK = int(zmq.XPUB_NODROP), int(zmq.NOBLOCK)
 _FLAT = 1 << 20  # bytes of a frame that no schema describes, or that may grow
+_TOGETHER = 0.02  # seconds in which the steps of a change are collected: telling each wakes more than the step does
 
 _LOG = logging.getLogger("cm")
 _AT_ONCE = 32  # subscriptions that are read before others get their turn
@@ -354,6 +355,7 @@ class StatusTold:
         self._manager: Manager
         self._interrupts: InterruptWatch
         self._moments: deque[Moment] = deque()
+        self._collecting = False  # what is put there waits, for a moment
         self.at_rest: Callable[[], None] = lambda: None  # something is different, and no change runs
 
     def begin(self, manager: Manager, interrupts: InterruptWatch) -> None:
@@ -384,13 +386,28 @@ class StatusTold:
         self._loop.call_threadsafe(self._publish_moments)
 
     def progressed(self) -> None:
-        """Most statuses of a change say only this: if no one subscribes, they are counted but not made."""
-        if not self._publisher.passes_over():
-            self.status_changed()
+        """Most statuses of a change say only this: if no one subscribes, they are counted but not made.
+
+        The first is published at once; those that follow closely are, together.
+        """
+        if self._publisher.passes_over():
+            return
+        self._moments.append(self._manager.reporter.moment())
+        if not self._collecting:
+            self._collecting = True
+            self._loop.call_threadsafe(self._publish_and_collect)
 
     def registers_changed(self, values: RegValues) -> None:
         """Registers are written in the loop's thread only."""
         self._publisher.registers(values)
+
+    def _publish_and_collect(self) -> None:
+        self._publish_moments()
+        self._loop.call_later(_TOGETHER, self._publish_collected)
+
+    def _publish_collected(self) -> None:
+        self._collecting = False  # before looking: whoever saw it set has put its moment there
+        self._publish_moments()
 
     def _publish_moments(self) -> None:
         while self._moments:
