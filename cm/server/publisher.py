@@ -369,7 +369,8 @@ class StatusTold:
         return manager.reporter.status(moment, streams=streams, **beside)
 
     def publish(self) -> None:
-        """Publish the status of now."""
+        """Publish the status of now, after those of before."""
+        self._publish_moments()
         self._publisher.status(self.status)
 
     def take_subscriptions(self) -> None:

@@ -25,6 +25,7 @@ _T = TypeVar("_T")
 Take = Callable[[list[bytes]], None]
 _CONNECTING = 2.0  # seconds that a request waits for a connection: later, its effect would be unexpected
 _AT_ONCE = 16  # messages that are taken before others have their turn
+_EVENTS, _POLLIN = int(zmq.EVENTS), int(zmq.POLLIN)  # enumerations take longer than the call
 
 
 class _Inlet:
@@ -43,7 +44,7 @@ class _Inlet:
     def drain(self) -> None:
         """Take what has come."""
         for _ in range(_AT_ONCE):
-            if self._socket.closed or not self._socket.getsockopt(zmq.EVENTS) & zmq.POLLIN:
+            if self._socket.closed or not self._socket.getsockopt(_EVENTS) & _POLLIN:
                 return
             self._take(self._socket.recv_multipart(zmq.NOBLOCK))
         self._loop.call_soon(self.drain)
@@ -51,6 +52,11 @@ class _Inlet:
     def end(self) -> None:
         """Take nothing more; the socket is closed after that. Twice is fine."""
         self._loop.remove_reader(self._descriptor)
+
+
+def _no_answer(waiting: asyncio.Future[list[bytes]], timeout: float) -> None:
+    if not waiting.done():
+        waiting.set_exception(NoAnswer(f"the manager gave no answer within {timeout:g} s"))
 
 
 class Subscribed:
@@ -102,20 +108,21 @@ class Relay:
         Raises ConnectionLost, NoAnswer after `timeout` seconds (None: never), NotAdmitted.
         """
         await self._connected()
-        number = b"%d" % next(self._numbers)
-        waiting: asyncio.Future[list[bytes]] = asyncio.get_running_loop().create_future()
+        number, loop = b"%d" % next(self._numbers), asyncio.get_running_loop()
+        waiting: asyncio.Future[list[bytes]] = loop.create_future()
         self._waiting[number] = waiting
         named = [GUEST + guest.encode()] if guest else []
+        end = None if timeout is None else loop.call_later(timeout, _no_answer, waiting, timeout)
         try:
             self._socket.send_multipart([number, *named, b"", *frames], zmq.NOBLOCK)
             self._answers.drain()
-            return await asyncio.wait_for(waiting, timeout)
+            return await waiting
         except zmq.Again:  # the connection has just ended: what cannot be sent now must not be sent later
             raise self._lost() from None
-        except asyncio.TimeoutError:
-            raise NoAnswer(f"the manager gave no answer within {timeout or 0:g} s") from None
         finally:
             self._waiting.pop(number, None)
+            if end is not None:
+                end.cancel()
 
     async def ask(self, call: Call[_T], guest: str = "", timeout: float | None = 10.0) -> _T:
         """Make a request of our own. Raises what `forward` does, and the manager's refusal."""

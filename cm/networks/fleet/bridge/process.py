@@ -65,7 +65,10 @@ class Bridge:
     options: Options
     ready: Callable[[str], None]
     _status: bytes = b""
+    _unread: bool = False  # that status, as far as it concerns us
     _seen: Seen | None = None  # as the manager told last; None while it changes, or is away
+    _streams: tuple[str, ...] = ()  # likewise
+    _gathering: bool = False
     _clock: ClockSync = field(default_factory=ClockSync)
 
     async def run(self) -> None:
@@ -91,7 +94,7 @@ class Bridge:
         return relay
 
     def _manager_changed(self, up: bool) -> None:
-        self._status, self._seen = b"", None
+        self._status, self._seen, self._unread = b"", None, False
         _LOG.info("the manager is %s", "there" if up else "away")
 
     async def _serve(self, board: str, relay: Relay, network: Any) -> None:
@@ -99,7 +102,7 @@ class Bridge:
         folder = self.options.state / board
         keeper = await asyncio.to_thread(Keeper, network, folder / "store.sqlite") if self.options.keeps else None
         store = opened_store(self.options.network, network, board)
-        managed = ManagedBoard(relay, folder, self.options.own_name, lambda: self._seen)
+        managed = ManagedBoard(relay, folder, self.options.own_name, self._seen_now)
         self._board = Board(board, store, managed, NotesFile(folder), time.monotonic, self.options.follow)
         bundles = Bundles(network, folder / "bundles", self.options.take, managed)
         publications = Publications(board, network, relay, self._with_extras)
@@ -145,16 +148,27 @@ class Bridge:
 
     def _told(self, publications: Publications, frames: list[bytes]) -> None:
         topic, message, *_ = frames
-        if topic == topics.STATUS:
-            self._status = message
-            streams, seen = wire.glance(message)
-            self._seen = Seen(*seen) if seen else None
-            if self._seen is not None:
-                self._board.seen(self._seen.place)
-            publications.offer_streams(streams)
-            publications.tell_status()
-        else:
+        if topic != topics.STATUS:
             publications.tell(topic, message)
+            return
+        if not self._gathering:
+            self._gathering = True
+            asyncio.get_running_loop().call_soon(self._pass_on, publications)
+        self._status, self._unread = message, True
+
+    def _pass_on(self, publications: Publications) -> None:
+        self._gathering = False
+        seen = self._seen_now()
+        if seen is not None:
+            self._board.seen(seen.place)
+        publications.offer_streams(self._streams)
+        publications.tell_status()
+
+    def _seen_now(self) -> Seen | None:
+        if self._unread:
+            self._streams, seen = wire.glance(self._status)
+            self._seen, self._unread = Seen(*seen) if seen else None, False
+        return self._seen
 
     async def _beat(self, publications: Publications) -> None:
         while True:
