@@ -162,15 +162,16 @@ class SimBoard:
         await self.world.turn()
         return Planned((step.config_name or self.place[0], step.mode), 0.1, 100)
 
-    async def hold(self, part: Part) -> None:
+    async def hold(self, part: Part) -> str:
         await self.world.turn()
         self.held_until = self.world.now + HOLD
+        return part.lease or part.change
 
     async def release(self, part: Part) -> None:
         await self.world.turn()
         self.held_until = 0.0
 
-    async def load(self, place: Place, caller: str, undoable: str = "") -> float:
+    async def load(self, place: Place, caller: str, lease: str = "", undoable: str = "") -> float:
         before = (self.place, self.register)
 
         def done() -> None:

@@ -56,6 +56,7 @@ class Part:
     plan_bytes: int = 0
     seconds: float = 0.0
     error: ErrorInfo | None = None
+    lease: str = ""  # the manager's, which keeps others off: by it the next process can renew it, or give it back
 
 
 _NOWHERE, _NO_PART = Wanted(0, "", "", "", ""), Part("", 0, "", NOTHING, NOTHING)
@@ -102,11 +103,11 @@ class OwnManager(Protocol):
         """`known`: it need not be asked if that is what it told last."""
 
     async def plan(self, step: FleetStep, caller: str) -> Planned: ...
-    async def hold(self, part: Part) -> None:
-        """Keep others off the board; renewed while the change is open."""
+    async def hold(self, part: Part) -> str:
+        """Keep others off the board; renewed while the change is open. The lease: the part's, or a new one."""
 
     async def release(self, part: Part) -> None: ...
-    async def load(self, place: Place, caller: str, undoable: str = "") -> float: ...
+    async def load(self, place: Place, caller: str, lease: str = "", undoable: str = "") -> float: ...
     async def undo(self, part: Part) -> None:
         """Raises NotUndone."""
 
@@ -185,8 +186,10 @@ class Board:
             raise NotNow("nothing is loaded on this board, so there would be no way back: load something first")
         plan = await self._manager.plan(step, caller)
         part = Part(step.id, step.generation, caller, self.place, plan.place, "prepared", plan.seconds, plan.bytes)
-        await self._manager.hold(part)
-        self._write(part=part)
+        await self._hold(part)
+
+    async def _hold(self, part: Part) -> None:
+        self._write(part=replace(part, lease=await self._manager.hold(part)))
 
     async def _apply(self, step: FleetStep) -> None:
         part = self._notes.part
@@ -196,7 +199,7 @@ class Board:
             return
         self._write(part=replace(part, phase="changing"))
         try:
-            seconds = await self._manager.load(part.goal, part.caller, part.change)
+            seconds = await self._manager.load(part.goal, part.caller, part.lease, part.change)
         except Unsettled:
             raise
         except CmError as error:
@@ -286,7 +289,7 @@ class Board:
         if part is not None:
             claim = self._view.open
             if claim is not None and claim.change == part.change:
-                await self._manager.hold(part)
+                await self._hold(part)
                 return
             seen = await self._end(part, kept=self._view.generation == part.generation)
         else:
@@ -328,7 +331,7 @@ class Board:
             await self._manager.undo(part)
         except NotUndone:  # the manager went back by itself, or the hardware was lost with its power
             if seen.place != part.old:
-                await self._manager.load(part.old, part.caller)
+                await self._manager.load(part.old, part.caller, part.lease)
 
     def _still_ours(self, part: Part, seen: Seen) -> bool:
         """Whether nobody took the board elsewhere meanwhile: its lock may have run out while the store was away."""

@@ -26,15 +26,9 @@ HOLD = 15.0  # seconds for which others are kept off; renewed while a change is 
 class ManagedBoard:
     """The manager. With `own_name` it is asked in the bridge's own name, whoever the caller is."""
 
-    _lease = ""
-
-    def __init__(self, relay: Relay, folder: Path, own_name: bool, told: Callable[[], Seen | None]) -> None:
+    def __init__(self, relay: Relay, own_name: bool, told: Callable[[], Seen | None]) -> None:
         """`told`: where it is, as it said by itself; None if that is not known."""
-        self.relay, self._told = relay, told
-        self._lease_file = folder / "lease"  # by its id the next process can give it back, or use it
-        with contextlib.suppress(FileNotFoundError):
-            self._lease = self._lease_file.read_text(encoding="utf-8")
-        self._own_name = own_name
+        self.relay, self._told, self._own_name = relay, told, own_name
         self._held = 0.0  # when the lease was taken or renewed last, monotonic
 
     def guest(self, caller: str) -> str:
@@ -57,35 +51,31 @@ class ManagedBoard:
         plan = await self.relay.ask(calls.plan(step.mode, step.config_name), self.guest(caller), timeout=60.0)
         return Planned((plan.config_name, plan.mode), plan.seconds, plan.bytes)
 
-    async def hold(self, part: Part) -> None:
-        if time.monotonic() - self._held < HOLD / 3:
-            return
-        if not (self._lease and await self._renewed(part.caller)):
-            holder = f"fleet change {part.change} of {part.caller}"
-            taking = rq.TakeLease("board", True, HOLD, holder, 0)
-            lease = await self.relay.ask(calls.lease(taking), self.guest(part.caller))
-            self._lease_file.write_text(lease.id, encoding="utf-8")
-            self._lease = lease.id
+    async def hold(self, part: Part) -> str:
+        if part.lease and (time.monotonic() - self._held < HOLD / 3 or await self._renewed(part)):
+            return part.lease
+        holder = f"fleet change {part.change} of {part.caller}"
+        taking = calls.lease(rq.TakeLease("board", True, HOLD, holder, 0))
+        lease = await self.relay.ask(taking, self.guest(part.caller))
         self._held = time.monotonic()
+        return lease.id
 
-    async def _renewed(self, caller: str) -> bool:
+    async def _renewed(self, part: Part) -> bool:
         try:
-            await self.relay.ask(calls.lease(rq.RenewLease(self._lease, HOLD, 0)), self.guest(caller))
+            await self.relay.ask(calls.lease(rq.RenewLease(part.lease, HOLD, 0)), self.guest(part.caller))
         except RequestFailed:  # the manager was restarted meanwhile, or the lease ran out
             return False
+        self._held = time.monotonic()
         return True
 
     async def release(self, part: Part) -> None:
         """If it cannot be given back, it runs out."""
-        if self._lease:
+        if part.lease:
             with contextlib.suppress(CmError):
-                await self.relay.ask(calls.lease(rq.ReleaseLease(self._lease)), self.guest(part.caller))
-            self._lease_file.unlink(missing_ok=True)
-            self._lease = ""
-        self._held = 0.0
+                await self.relay.ask(calls.lease(rq.ReleaseLease(part.lease)), self.guest(part.caller))
 
-    async def load(self, place: Place, caller: str, undoable: str = "", undo: str = "") -> float:
-        call = calls.load(*place, wait=True, queue=True, force=False, lease=self._lease, undoable=undoable, undo=undo)
+    async def load(self, place: Place, caller: str, lease: str = "", undoable: str = "", undo: str = "") -> float:
+        call = calls.load(*place, wait=True, queue=True, force=False, lease=lease, undoable=undoable, undo=undo)
         try:
             return (await self.relay.ask(call, self.guest(caller), timeout=None)).seconds
         except (ConnectionLost, NoAnswer) as error:
@@ -93,7 +83,7 @@ class ManagedBoard:
 
     async def undo(self, part: Part) -> None:
         try:
-            await self.load(part.old, part.caller, undo=part.change)
+            await self.load(part.old, part.caller, part.lease, undo=part.change)
         except RequestFailed as error:
             raise NotUndone(str(error)) if error.code == NotUndone.code else error from None
 

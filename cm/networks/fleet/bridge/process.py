@@ -68,7 +68,6 @@ class Bridge:
     _unread: bool = False  # that status, as far as it concerns us
     _seen: Seen | None = None  # as the manager told last; None while it changes, or is away
     _streams: tuple[str, ...] = ()  # likewise
-    _gathering: bool = False
     _clock: ClockSync = field(default_factory=ClockSync)
 
     async def run(self) -> None:
@@ -102,7 +101,7 @@ class Bridge:
         folder = self.options.state / board
         keeper = await asyncio.to_thread(Keeper, network, folder / "store.sqlite") if self.options.keeps else None
         store = opened_store(self.options.network, network, board)
-        managed = ManagedBoard(relay, folder, self.options.own_name, self._seen_now)
+        managed = ManagedBoard(relay, self.options.own_name, self._seen_now)
         self._board = Board(board, store, managed, NotesFile(folder), time.monotonic, self.options.follow)
         bundles = Bundles(network, folder / "bundles", self.options.take, managed)
         publications = Publications(board, network, relay, self._with_extras)
@@ -151,13 +150,14 @@ class Bridge:
         if topic != topics.STATUS:
             publications.tell(topic, message)
             return
-        if not self._gathering:
-            self._gathering = True
+        if not self._unread:
             asyncio.get_running_loop().call_soon(self._pass_on, publications)
         self._status, self._unread = message, True
 
     def _pass_on(self, publications: Publications) -> None:
-        self._gathering = False
+        """The newest status, of those that came together."""
+        if not self._status:  # the manager has just gone
+            return
         seen = self._seen_now()
         if seen is not None:
             self._board.seen(seen.place)
@@ -166,8 +166,9 @@ class Bridge:
 
     def _seen_now(self) -> Seen | None:
         if self._unread:
+            self._unread = False
             self._streams, seen = wire.glance(self._status)
-            self._seen, self._unread = Seen(*seen) if seen else None, False
+            self._seen = Seen(*seen) if seen else None
         return self._seen
 
     async def _beat(self, publications: Publications) -> None:
