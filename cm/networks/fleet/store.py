@@ -14,6 +14,7 @@ from __future__ import annotations
 import json
 from collections.abc import AsyncIterator, Mapping
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple, Protocol
 
 from cm.errors import CmError, InvalidRequest
@@ -157,9 +158,13 @@ def views(found: Mapping[str, Entry]) -> dict[str, View]:
 
 def _unpacked(name: str, part: str, text: str) -> Any:
     try:
-        plain = json.loads(text)
-        known = {field: plain[field] for field in _KINDS[part].__slots__ if field in plain}
-        made = _KINDS[part](**known)
+        return _read(part, text)
     except (ValueError, TypeError, KeyError) as error:
         raise InvalidRequest(f"the store has {text[:60]!r} under {name}: {error}") from None
+
+
+@lru_cache(256)  # a change puts the same on all of its boards, and what a board is told of has two parts that stay
+def _read(part: str, text: str) -> Settings | Wanted | Claim:
+    plain = json.loads(text)
+    made = _KINDS[part](**{field: plain[field] for field in _KINDS[part].__slots__ if field in plain})
     return Settings(tuple(made.labels), made.follow) if part == "settings" else made
