@@ -23,6 +23,8 @@ from cm.networks.fleet.store import BOARDS, Entry, Put, StoreAway, StoreRefused,
 
 PREFIX = "cm/"  # of all our keys: others may use the same cluster
 _ONE = 2.0  # seconds for one member's answer
+_SOON = 0.3  # and for that of one of which nothing was heard: one that is stopped takes connections, too
+_REPEATABLE = ("kv/range", "lease/grant")  # requests that may be made twice: a lease that is not used runs out
 _ALL = 8.0  # and for that of any
 _MANY = 3.0  # more for an answer with all boards
 _PACE = 200e3  # bytes a second of a large request, beyond that
@@ -134,6 +136,7 @@ class Etcd:
         self._cluster, self._tls = cluster, cluster.tls()
         self._idle: list[_Connection] = []
         self._first = 0  # the member that answered last
+        self._heard = False  # of any
         self._token = ""
         self._closed = False
 
@@ -207,9 +210,11 @@ class Etcd:
         data, members = _json(body), self._cluster.members
         slow += len(data) / _PACE
         end, said, number = time.monotonic() + _ALL + 2 * slow, "", self._first
+        hasty = path in _REPEATABLE and len(members) > 1 and not self._heard
+        patience = _SOON if hasty else _ONE + slow
         while True:
             try:
-                found = await asyncio.wait_for(self._of_member(members[number], path, data), _ONE + slow)
+                found = await asyncio.wait_for(self._of_member(members[number], path, data), patience)
             except _BROKEN as error:
                 said = str(error) or type(error).__name__
             except _Failed as error:
@@ -219,8 +224,9 @@ class Etcd:
                 elif error.code not in _ANOTHER_MEMBER:
                     raise (_Gone if error.code == _NOT_FOUND else StoreRefused)(_explained(said)) from None
             else:
-                self._first = number
+                self._first, self._heard = number, True
                 return found
+            patience = _ONE + slow
             if time.monotonic() > end or self._closed:
                 raise StoreAway(f"etcd does not answer at {', '.join(members)}: {said}")
             number = (number + 1) % len(members)

@@ -190,6 +190,30 @@ def test_a_member_without_a_leader_is_passed_over_and_a_refusal_is_not() -> None
         assert len(member.asked) == 1
 
 
+def test_a_first_read_does_not_wait_for_a_member_that_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cm.networks.fleet.etcd._ONE", 600.0)
+    going_on = threading.Event()
+
+    def hang(*_: Any) -> tuple[int, dict[str, Any]]:
+        going_on.wait()
+        return 200, {"header": {}}
+
+    with (
+        gateway(hang) as first,
+        gateway(lambda *_: (200, {"header": {}, "kvs": [{"key": b64("cm/a"), "mod_revision": "3"}]})) as second,
+    ):
+        try:
+            found = done(
+                Cluster((first.url, second.url)),
+                lambda store: asyncio.wait_for(store.get(""), 60.0),
+                lambda store: asyncio.wait_for(store.txn({}, {}), 60.0),
+            )
+        finally:
+            going_on.set()
+        assert found == [{"a": Entry("", 3)}, 0]
+        assert len(first.asked) == 1
+
+
 def test_an_answer_in_chunks_is_read_whole_and_a_connection_that_was_closed_is_made_anew() -> None:
     data = json.dumps({"header": {}, "kvs": [{"key": b64("cm/a"), "mod_revision": "3"}]}).encode()
 
