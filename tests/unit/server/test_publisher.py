@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import zmq
 from manager_process import short_folder
 
-from cm.server.publisher import Publisher
+from cm.server.publisher import Publisher, StatusTold
 from cm.server.sockets import Loop
 from cm.wire.encode import decode_event
 from cm.wire.messages.status import ErrorInfo, Irq, RegValue, RegValues, SensorStatus, Status, StreamStatus
@@ -113,3 +114,70 @@ def test_statuses_that_have_streams_and_sensors_in_common_differ_where_they_diff
         ("one", (stream,), (sensor,)),
     ]
     assert [x.sequence for x in told] == [1, 2, 3, 4]
+
+
+class Told:
+    """What is told of a manager whose change is at steps that are numbers; the loop turns when it is said."""
+
+    def __init__(self) -> None:
+        self.soon: list[Any] = []
+        self.later: list[Any] = []
+        self.published: list[int] = []
+        self.step, self.running = 0, True
+        make: Any = StatusTold
+        self.told = make(self, self, None)
+        self.told.status = lambda moment=None: moment.step if moment else 100
+        self.told.begin(self, SimpleNamespace(incomplete=False, config=None))
+        self.reporter = SimpleNamespace(moment=self._moment, was_read=lambda: None)
+
+    def call_threadsafe(self, call: Any) -> None:
+        self.soon.append(call)
+
+    def call_later(self, _: float, call: Any) -> None:
+        self.later.append(call)
+
+    def passes_over(self) -> bool:
+        return False
+
+    def status(self, make: Any) -> None:
+        self.published.append(make())
+
+    def log(self, *_: Any) -> None: ...
+
+    def loaded_config(self) -> None: ...
+
+    def _moment(self) -> Any:
+        self.step += 1
+        return SimpleNamespace(running=self.running, error=None, last=(0, 0.0), step=self.step)
+
+    def turn(self, calls: list[Any]) -> None:
+        while calls:
+            calls.pop(0)()
+
+
+def test_steps_that_follow_closely_are_published_together_and_the_end_of_a_change_at_once() -> None:
+    it = Told()
+    for _ in range(3):
+        it.told.progressed()
+    it.turn(it.soon)
+    for _ in range(2):
+        it.told.progressed()
+    assert (it.published, it.soon) == ([1, 2, 3], [])  # the loop is woken once, and then waits a while
+    it.turn(it.later)
+    assert it.published == [1, 2, 3, 4, 5]
+    for _ in range(2):
+        it.told.progressed()
+        it.turn(it.soon)
+    assert it.published == [1, 2, 3, 4, 5, 6]
+    it.told.status_changed()
+    it.turn(it.soon)
+    assert it.published == [1, 2, 3, 4, 5, 6, 7, 8]
+
+
+def test_who_asks_for_the_status_is_told_first_of_what_was_before() -> None:
+    it = Told()
+    for _ in range(2):
+        it.told.progressed()
+        it.turn(it.soon)
+    it.told.publish()
+    assert it.published == [1, 2, 100]
