@@ -140,7 +140,7 @@ class _KeptPart:
         before, encoded = self._last
         if value != before:
             encoded = self._twin.to_pb(status).SerializeToString()
-            self._last = value, encoded
+        self._last = value, encoded  # equal objects, too: the same ones are compared by identity the next time
         return encoded
 
 
