@@ -123,9 +123,9 @@ class _Connection:
             yield (await reader.readexactly(size + 2))[:-2]
 
     def close(self) -> None:
-        """Twice is fine."""
+        """At the loop's next turn, without TLS's farewell, which nobody would wait for. Twice is fine."""
         if self._stream is not None:
-            self._stream[1].close()
+            self._stream[1].transport.abort()
 
 
 class Etcd:
@@ -171,6 +171,7 @@ class Etcd:
         self._closed = True
         while self._idle:
             self._idle.pop().close()
+        await asyncio.sleep(0)
 
     async def watch(self, prefix: str) -> AsyncIterator[dict[str, Entry]]:
         """It resumes where it was, at another member if one is silent."""
