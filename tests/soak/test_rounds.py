@@ -50,7 +50,7 @@ def client_of(manager: Manager) -> subprocess.Popen[bytes]:
 WRITER = """
 import sys, cm
 from pathlib import Path
-with cm.connect(runtime_dir=Path(sys.argv[1]), timeout=60) as board:
+with cm.connect(runtime_dir=Path(sys.argv[1]), timeout=20) as board:
     value = int(sys.argv[2])
     while True:
         board.registers["led"] = value % 256
@@ -84,6 +84,7 @@ def test_no_confirmed_value_is_lost_to_a_manager_that_is_killed(request: pytest.
             time.sleep(draw.uniform(0.05, 0.6))  # anywhere in changes, which take some 30 ms each
             assert manager.process is not None
             manager.process.kill()
+            # 20 s at most, where the connection had ended before the last request: that waits for another manager
             told = int((first + writer.communicate(timeout=60)[0]).split()[-1])
             changer.kill()
             changer.communicate()
