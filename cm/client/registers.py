@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMappin
 from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from cm.client.core import calls, registers
+from cm.client.core.calls import Value, Writes
 from cm.client.core.effects import DEFAULT, Limit
 from cm.client.core.events import RegisterEvents
 from cm.client.core.generations import Written
@@ -65,7 +66,7 @@ class Registers(MutableMapping[str, int]):
         value = self._reads.read(name)
         return self._board.ask(calls.read_registers((name,))).values[0].value if value is None else value
 
-    def __setitem__(self, name: str, value: calls.Value) -> None:
+    def __setitem__(self, name: str, value: Value) -> None:
         self.write({name: value})
 
     def __delitem__(self, name: str) -> None:
@@ -110,10 +111,10 @@ class Registers(MutableMapping[str, int]):
 
     # mypy finds no type for a dict of numbers and names where it is wanted for one of two
     @overload
-    def write(self, values: Mapping[str, calls.Value], lease: str = "") -> Written: ...
+    def write(self, values: Mapping[str, Value], lease: str = "") -> Written: ...
     @overload
-    def write(self, values: Iterable[tuple[str, calls.Value]], lease: str = "") -> Written: ...
-    def write(self, values: calls.Writes, lease: str = "") -> Written:
+    def write(self, values: Iterable[tuple[str, Value]], lease: str = "") -> Written: ...
+    def write(self, values: Writes, lease: str = "") -> Written:
         """Write several registers in order; all are checked before the first is written. Returns the new values.
 
         Pairs can name a register several times: ``[("control.start", 1), ("control.start", 0)]`` is a pulse.
@@ -122,7 +123,7 @@ class Registers(MutableMapping[str, int]):
         """
         return Written(self._board.ask(calls.write_registers(values, lease)))
 
-    def update(self, values: Any = (), /, **named: calls.Value) -> None:
+    def update(self, values: Any = (), /, **named: Value) -> None:
         """Write several registers as `write` does, in one request."""
         pairs = [*(values.items() if isinstance(values, Mapping) else values), *named.items()]
         if pairs:

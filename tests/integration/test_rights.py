@@ -24,7 +24,7 @@ GROUP, ALICE, BOB, CARL, DORA, ERIN, MALLORY, FRED, GINA, HUGO = range(47110, 47
 
 
 PLAY = """
-import hashlib, json, os, sys
+import hashlib, json, os, queue, sys
 import cm, cm.aio, cm.client.board, cm.client.data_connection, cm.client.stream, cm.client.aio.stream, cm.client.window
 import encodings.idna, hashlib, numpy.linalg
 from cm.errors import CmError

@@ -18,7 +18,19 @@ pytestmark = pytest.mark.programs
 ROOT = Path(__file__).resolve().parents[2]
 
 # Type aliases: named in signatures, but never created by or given to users.
-SPELLINGS = {"Limit", "Key", "Array", "OnProgress", "AnyRoot", "Source", "Buffer", "Body", "Progress"}
+SPELLINGS = {
+    "Limit",
+    "Key",
+    "Array",
+    "OnProgress",
+    "AnyRoot",
+    "Source",
+    "Buffer",
+    "Body",
+    "Progress",
+    "Value",
+    "Writes",
+}
 # Names of a class's own methods that are builtins in its signatures, and what only `open` of a device makes.
 INSIDE = {
     "cm.device.axidma.AxiDma names cm.device.native.call.Handle",

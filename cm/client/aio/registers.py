@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from cm.client.aio.events import EventStream
 from cm.client.core import calls, registers
+from cm.client.core.calls import Value, Writes
 from cm.client.core.effects import DEFAULT, Limit
 from cm.client.core.events import RegisterEvents
 from cm.client.core.generations import Written
@@ -84,10 +85,10 @@ class Registers:
 
     # mypy finds no type for a dict of numbers and names where it is wanted for one of two
     @overload
-    async def write(self, values: Mapping[str, calls.Value], lease: str = "") -> Written: ...
+    async def write(self, values: Mapping[str, Value], lease: str = "") -> Written: ...
     @overload
-    async def write(self, values: Iterable[tuple[str, calls.Value]], lease: str = "") -> Written: ...
-    async def write(self, values: calls.Writes, lease: str = "") -> Written:
+    async def write(self, values: Iterable[tuple[str, Value]], lease: str = "") -> Written: ...
+    async def write(self, values: Writes, lease: str = "") -> Written:
         """Write several registers in order; all are checked before the first is written. Returns the new values.
 
         Pairs can name a register several times: ``[("control.start", 1), ("control.start", 0)]`` is a pulse.

@@ -89,7 +89,8 @@ CM_NEEDS_CLIENT = "python3-asyncio \
                    python3-protobuf \
                    python3-pyzmq \
                    python3-shell \
-                   python3-statistics"
+                   python3-statistics \
+                   python3-threading"
 CM_NEEDS_DAEMON = "python3-compression \
                    python3-datetime \
                    python3-fastjsonschema \
@@ -97,7 +98,6 @@ CM_NEEDS_DAEMON = "python3-compression \
                    python3-netserver \
                    python3-pyyaml \
                    python3-resource \
-                   python3-threading \
                    python3-xml"
 # the script for an older init gives the manager its user and its one capability with setpriv
 CM_NEEDS_INIT = "${@bb.utils.contains('DISTRO_FEATURES', 'systemd', '', 'util-linux-setpriv', d)}"
