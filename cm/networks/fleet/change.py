@@ -164,7 +164,10 @@ class Coordinator:
             await self._decide(opening.lease, there)
         finally:
             keeping.cancel()
-        await self._reconcile()  # claims that are decided hold nobody up, and run out with the lease
+        if self.course.decision is Decision.KEEP:  # claims that are decided hold nobody up
+            await asyncio.gather(self._revoke(opening.lease), self._reconcile())
+        else:
+            await self._reconcile()
         return self.course
 
     # ---- opening ----------------------------------------------------------------------------
