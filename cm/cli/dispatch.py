@@ -77,9 +77,9 @@ def _outcome(words: list[str], as_json: bool) -> int:
     except CmError as error:
         return failed(error, as_json)
     except ModuleNotFoundError as error:
-        if not (error.name or "").startswith("cm."):
+        if error.name is None or not error.name.startswith("cm."):
             raise
-        return not_installed(error.name or "", as_json)
+        return not_installed(error.name, as_json)
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
     except BrokenPipeError:

@@ -113,11 +113,12 @@ def run_watch(args: argparse.Namespace) -> int:
 
 def _written(board: Board, names: tuple[str, ...]) -> Iterator[tuple[str, int]]:
     """What registers hold after each write of one; names that the mode does not have are an error."""
-    known = registers.names(board.registers.info)
+    info = board.registers.info
+    known = registers.names(info)
     for name in names:
         if name not in known:
             near = get_close_matches(name, known, 1)
-            said = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(sorted(board.registers.info))}"
+            said = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(sorted(info))}"
             raise NotFound(f"no register {name!r} in this mode; {said}")
     for event in followed(board, board.registers.events(*(name.partition(".")[0] for name in names))):
         for register in event.values:
