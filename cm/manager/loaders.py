@@ -336,6 +336,7 @@ class Loaders:
     def __init__(self, devices: Devices, files: Files, time: TimeSource, prefetch_bytes: int) -> None:
         self._files, self._devices = files, devices
         self._icap = IcapLoader(devices, files, time, prefetch_bytes)
+        self._prefetched: Config | None = None
         self._all: dict[LoaderKind, Loader] = {
             LoaderKind.ICAP: self._icap,
             LoaderKind.FPGA_MANAGER: FpgaManagerLoader(devices, files),
@@ -367,12 +368,21 @@ class Loaders:
         self._icap.prefetch([j for j in jobs if j.region and j.region.loader is LoaderKind.ICAP], go_on)
 
     def prefetch_modules(self, config: Config | None, go_on: Callable[[], bool]) -> None:
-        """The same for the images of a configuration's modules. Errors in one are reported when it is used."""
-        config = resolved(config, (), self._devices)[0] if config else None
-        jobs = list(self._jobs(config, go_on)) if config else []
-        if config is not None and go_on():
+        """The same for the images of a configuration's modules. Errors in one are reported when it is used.
+
+        Once: after that, a file that was replaced is read when it is used.
+        """
+        if config is self._prefetched:
+            return
+        self._prefetched = None
+        if config is None:
+            return
+        jobs = list(self._jobs(resolved(config, (), self._devices)[0], go_on))
+        if go_on():
             with contextlib.suppress(CmError, OSError):
                 self.prefetch(jobs, go_on)
+        if go_on():
+            self._prefetched = config
 
     def _jobs(self, config: Config, go_on: Callable[[], bool]) -> Iterator[Job]:
         for module in config.modules.values():
@@ -384,6 +394,7 @@ class Loaders:
 
     def forget(self) -> None:
         """The board was lost: drop what belongs to it."""
+        self._prefetched = None
         self._icap.forget()
 
 
