@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +19,7 @@ from cm.design.errors import BuildError
 from cm.design.generate.tree import load_design
 from cm.design.hdl.clock_reset_names import REGION_CLOCK
 from cm.design.hdl.extract import Sources
-from cm.design.hdl.hls_registers import HDL
+from cm.design.hdl.hls_registers import HDL, hls_interface, hls_memories, hls_registers
 from cm.design.hdl.ipxact import component_files
 from cm.design.hdl.model import Mode, ModuleInfo
 from cm.design.hdl.register_maps import identifier, read_register_map
@@ -44,7 +43,6 @@ _BOARDS = {
     "xczu9eg-ffvb1156-2-e": "xilinx.com:zcu102:part0:3.4",
     "xck26-sfvc784-2LV-c": "xilinx.com:kv260_som:part0:1.4",
 }
-_BUNDLE = re.compile(r"_s_axi\.\w+$", re.IGNORECASE)
 _NO_MACROS: Mapping[str, str] = MappingProxyType({})
 
 
@@ -110,12 +108,11 @@ def _keys(given: Given, folder: Path, cores: Sequence[Path], include_dirs: Seque
     def listed(paths: Iterable[Path]) -> list[str]:
         return [Path(os.path.relpath(path.absolute(), folder.absolute())).as_posix() for path in paths]
 
-    origin = given.origin
+    origin, maps = given.origin, dict[str, Path]()
     if origin is None:
         sources = compile_order(given.files)
         keys: dict[str, Any] = {"sources": listed(sources), "include_dirs": listed(include_dirs)}
-        registers, keys["interface"] = _register_map(given, sources)
-        keys["register_map"] = listed(registers)
+        maps = _register_maps(given, sources)
     elif origin.suffix.lower() == ".core":
         keys = {"top": given.info.name, "core": listed([origin]), "core_roots": listed(cores)}
     elif origin.suffix.lower() == ".xci":
@@ -125,9 +122,10 @@ def _keys(given: Given, folder: Path, cores: Sequence[Path], include_dirs: Seque
         keys = {"top": given.info.name, "component": listed([origin])}
         keys |= {name: listed(getattr(files, name)) for name in ("sources", "include_dirs", "ip", "constraints", "tcl")}
         keys["libraries"] = {library: listed(paths) for library, paths in files.libraries.items()}
-        registers, keys["interface"] = _register_map(given, files.sources, origin)
-        keys["register_map"] = listed(registers)
-    keys |= {name: keys[name][0] for name in ("core", "component", "register_map") if keys.get(name)}
+        maps = _register_maps(given, files.sources, origin)
+    keys |= {name: keys[name][0] for name in ("core", "component") if keys.get(name)}
+    found = {bus: listed([path])[0] for bus, path in maps.items()}
+    keys["register_map"] = found.get("", found)
     return {name: value for name, value in keys.items() if value}
 
 
@@ -135,21 +133,25 @@ def _macros(given: Given, defines: Mapping[str, str]) -> dict[str, Any]:
     return {"defines": dict(defines)} if defines and given.origin is None else {}
 
 
-def _register_map(given: Given, sources: Sequence[Path], *component: Path) -> tuple[list[Path], str]:
-    """The file that lists the registers: of HLS's own ones the HDL's, then a component, if it has any; and its bus.
+def _register_maps(given: Given, sources: Sequence[Path], *component: Path) -> dict[str, Path]:
+    """The files that list the registers, by interface: of HLS's own ones the HDL's, then a component, if it has any.
 
-    Of several of HLS, which are of a bus each, that with what starts the module. No bus: the only one.
+    Of several of HLS, which are of an interface each, that with what starts the module is first. "": the only one.
     """
     own = [path for path in sources if HDL.match(path.name)]
-    for path in (*own, *(component if len(own) < 2 else ())):  # a component does not tell its buses apart
-        with contextlib.suppress(BuildError):
-            found = read_register_map(path, "")
-            bus = "s_axi_" + _BUNDLE.sub("", path.name.removeprefix(f"{given.info.name}_"))
-            if len(own) < 2:
-                return [path], ""
-            if "ap_ctrl" in found and bus in {interface.name for interface in given.info.interfaces}:
-                return [path], bus
-    return [], ""
+    found = {path: names for path in (*own, *component) if (names := _described(path))}
+    if len(own) < 2:
+        return {"": next(iter(found))} if found else {}
+    buses = {hls_interface(path, given.info.name): path for path in own if path in found}
+    there = [interface.name for interface in given.info.interfaces if interface.name in buses]
+    return {bus: buses[bus] for bus in sorted(there, key=lambda bus: "ap_ctrl" not in found[buses[bus]])}
+
+
+def _described(path: Path) -> set[str]:
+    """The registers and memories of a register map; none, if it has none or cannot be read."""
+    with contextlib.suppress(BuildError):
+        return {*hls_memories(path), *hls_registers(path)} if HDL.match(path.name) else {*read_register_map(path, "")}
+    return set()
 
 
 def _why_not(info: ModuleInfo) -> str:

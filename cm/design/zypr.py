@@ -17,6 +17,7 @@ from typing import Any
 from cm.design.boundary.make import boundary
 from cm.design.errors import BuildError
 from cm.design.hdl.extract import Sources
+from cm.design.hdl.hls_registers import hls_interface
 from cm.design.hdl.model import Interface, Mode, ModuleInfo
 from cm.design.hdl.register_maps import identifier
 from cm.design.input_kinds import read_inputs
@@ -103,6 +104,9 @@ def _lines(project: Mapping[str, Any], path: Path, folder: Path) -> Iterator[str
         registers = [source for source in module.sources if source.endswith("_s_axi.v")]
         if len(registers) == 1:
             yield f"    register_map: {registers[0]}"
+        elif registers:
+            yield "    register_map:"
+            yield from (f"      {hls_interface(Path(source), module.top)}: {source}" for source in registers)
     yield ""
     yield f"default_mode: {first}"
 

@@ -152,7 +152,7 @@ class _Walk:
         if isinstance(node, Scalar) and node.value is None:
             return Table(node.mark)
         if isinstance(node, Scalar) and _json_type(node.value) in short:
-            return Table(node.mark, {shape["required"][0]: Entry(node.mark, node)})
+            return Table(node.mark, {next(iter(shape.get("required", ("",)))): Entry(node.mark, node)})
         return node
 
     def _keyed(self, table: Table, shape: dict[str, Any], path: KeyPath) -> Table:

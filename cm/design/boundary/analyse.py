@@ -88,21 +88,36 @@ class Analysis:
 
 
 def _with_registers(project: Project, spec: ModuleSpec) -> ModuleSpec:
-    if spec.register_map is None:
-        return spec
-    try:
-        found = read_register_map(spec.register_map, spec.top)
-        # HLS has a file for each bus of a module: where one of them is named, the others are of other buses
-        of_hls = [] if HDL.match(spec.register_map.name) else [path for path in spec.sources if HDL.match(path.name)]
-        for path in of_hls:
-            if wrong := differences(found, hls_registers(path)):
-                raise BuildError(f"{spec.register_map.name} and {path} disagree: {'; '.join(wrong)}")
-    except MissingTool:
-        raise
-    except BuildError as error:
-        raise fault(project.source, ("modules", spec.name, "register_map"), str(error)) from None
-    memories = hls_memories(spec.register_map) if is_hls(spec.register_map) else {}
-    return replace(spec, registers={**found, **spec.registers}, memories={**memories, **spec.memories})
+    for bus, path in spec.register_maps.items():
+        try:
+            spec = _with_map(spec, bus or spec.interface or "", path)
+        except MissingTool:
+            raise
+        except BuildError as error:
+            key = ("modules", spec.name, "register_map", *([bus] if bus else ()))
+            raise fault(project.source, key, str(error)) from None
+    return spec
+
+
+def _with_map(spec: ModuleSpec, bus: str, path: Path) -> ModuleSpec:
+    """The module with what a register map says of one of its buses; what it has already, stays."""
+    memories = hls_memories(path) if is_hls(path) else {}
+    registers = {} if memories and not hls_registers(path) else read_register_map(path, spec.top)
+    # HLS has a file for each bus of a module: where one of them is named, the others are of other buses
+    for other in () if HDL.match(path.name) else (source for source in spec.sources if HDL.match(source.name)):
+        if wrong := differences(registers, hls_registers(other)):
+            raise BuildError(f"{path.name} and {other} disagree: {'; '.join(wrong)}")
+    elsewhere = {} if bus == (spec.interface or "") else dict.fromkeys((*registers, *memories), bus)
+    twice = sorted({*elsewhere} & {*spec.registers, *spec.memories})
+    if twice:
+        first = spec.interface_of.get(twice[0], spec.interface or "")
+        raise BuildError(f"{path}: {', '.join(twice)} are names on {first} too, and a register has one of its own")
+    return replace(
+        spec,
+        registers={**registers, **spec.registers},
+        memories={**memories, **spec.memories},
+        interface_of={**spec.interface_of, **elsewhere},
+    )
 
 
 def analyse(project: Project) -> Analysis:

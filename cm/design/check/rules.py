@@ -108,8 +108,8 @@ def check_windows(system: System) -> Iterator[Finding]:
             name = bare_name(one.name, bus)
             message = f"no registers are known on {bus.interface.name}: its window is the memory {name}"
             some = bool(one.module.registers or one.module.memories)
-            one_only = "a module has registers by name on one interface; interface: says on which"
-            hint = one_only if some else "write registers: or register_map: to have them by name"
+            each = f"register_map: {{{bus.interface.name}: FILE}}, beside that of the other, has them by name"
+            hint = each if some else "write registers: or register_map: to have them by name"
             yield Finding("registers", ("modules", one.module.name), message, hint, error=False)
 
 

@@ -50,6 +50,11 @@ def is_hls(path: Path) -> bool:
     return bool(HDL.match(path.name) or HEADER.match(path.name))
 
 
+def hls_interface(path: Path, top: str) -> str:
+    """The interface of a module whose registers are in a ``<top>_<bundle>_s_axi`` file."""
+    return "s_axi_" + path.name[: path.name.lower().rindex("_s_axi.")].removeprefix(f"{top}_")
+
+
 def hls_registers(path: Path) -> dict[str, Register]:
     """Read the registers of one file; empty if it has none. Arguments of more than 32 bits have a register a word.
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -287,8 +287,9 @@ class _Builder:
             key: self._files.many(spec.get(key), (*where, key))
             for key in ("sources", "include_dirs", "ip", "ip_repositories", "tcl", "constraints", "sim_sources")
         }
-        own |= {key: self._files.one(spec.get(key), (*where, key)) for key in ("component", "register_map")}
         own |= {
+            "component": self._files.one(spec.get("component"), (*where, "component")),
+            "register_maps": self._register_maps(spec.get("register_map", {}), (*where, "register_map")),
             "libraries": self._libraries(spec, where),
             "regions": tuple(spec.get("regions", regions if len(regions) == 1 else ())),
             "defines": {key: macro(value) for key, value in spec.get("defines", {}).items()},
@@ -299,8 +300,9 @@ class _Builder:
             "streams": tuple(spec["streams"]) if "streams" in spec else None,
             "resources": Resources(**spec.get("resources", {})),
         }
-        plain = {key: value for key, value in spec.items() if not key.startswith("core")}
-        module = ModuleSpec(name, **{"top": name, **plain, **own})
+        plain = {key: value for key, value in spec.items() if not key.startswith("core") and key != "register_map"}
+        first = next(iter(own["register_maps"]), "") or None  # whose registers: of the build schema are, unless it says
+        module = ModuleSpec(name, **{"top": name, "interface": first, **plain, **own})
         core = self._files.one(spec.get("core"), (*where, "core"))
         if core is None or not core.is_file():
             return _ordered(module)
@@ -311,6 +313,10 @@ class _Builder:
             self._report((*where, "core"), "bad_core", str(error), "")
             self._stop()
             raise
+
+    def _register_maps(self, given: Mapping[str, str], where: KeyPath) -> dict[str, Path]:
+        found = {bus: self._files.one(name, (*where, bus) if bus else where) for bus, name in given.items()}
+        return {bus: path for bus, path in found.items() if path is not None}
 
     def _modes(self, modules: dict[str, ModuleSpec]) -> dict[str, ModeSpec]:
         given = self._data.get("modes")

@@ -117,8 +117,9 @@ class ModuleSpec:
     model: str | None = None
     registers: Mapping[str, Register] = field(default_factory=empty)
     memories: Mapping[str, Memory] = field(default_factory=empty)
-    register_map: Path | None = None
+    register_maps: Mapping[str, Path] = field(default_factory=empty)  # by register interface; "": `interface`
     interface: str | None = None
+    interface_of: Mapping[str, str] = field(default_factory=empty)  # registers and memories of other interfaces
     clocks: Mapping[str, tuple[str, ...]] = field(default_factory=empty)  # port → interfaces on it
     resets: Mapping[str, tuple[str | None, str | None]] = field(default_factory=empty)  # port → clock, low or high
     streams: tuple[str, ...] | None = (

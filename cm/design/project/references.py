@@ -174,6 +174,6 @@ def _mode(project: Project, mode: ModeSpec, report: Report) -> None:
         for register in project.modules[name].registers
     } | set(project.static.registers)
     for register in mode.registers:
-        has_map = any(project.modules[name].register_map for name in mode.modules.values() if name in project.modules)
+        has_map = any(project.modules[name].register_maps for name in mode.modules.values() if name in project.modules)
         if register not in known and not has_map:
             unknown(report, ("modes", mode.name, "registers", register), "register", register, sorted(known))

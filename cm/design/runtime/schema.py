@@ -76,20 +76,21 @@ def _static(system: System) -> StaticIdentity | None:
     return StaticIdentity(system.static_identity, system.control.base, STATIC_ID)
 
 
-def register_window(source: Path, region: RegionPlan, module: ModuleSpec) -> Window:
-    """The window in which the module's registers are; `source`: the build schema."""
+def register_window(source: Path, region: RegionPlan, module: ModuleSpec, name: str) -> Window:
+    """The window in which a register or memory of the module is; `source`: the build schema."""
     buses = {bus.interface.name: bus for bus in region.registers}
-    if module.interface is not None:
-        if module.interface not in buses:
-            message = f"region {region.name} has no register interface {module.interface!r}"
-            hint = did_you_mean(module.interface, buses)
-            raise fault(source, ("modules", module.name, "interface"), message, hint)
-        return buses[module.interface].window
+    interface = module.interface_of.get(name, module.interface)
+    if interface is not None:
+        if interface not in buses:
+            message = f"region {region.name} has no register interface {interface!r}"
+            place = ("register_map", interface) if interface in module.register_maps else ("interface",)
+            raise fault(source, ("modules", module.name, *place), message, did_you_mean(interface, buses))
+        return buses[interface].window
     if len(buses) != 1:
         have = f"{len(buses)} register interfaces ({', '.join(buses)})" if buses else "no register interface"
         message = f"{module.name} has registers, and region {region.name} has {have}"
         hint = "write interface: in the module" if buses else "none of its modules has an AXI4-Lite slave"
-        key = "registers" if module.register_map is None else "register_map"
+        key = "register_map" if module.register_maps else "registers"
         raise fault(source, ("modules", module.name, key), message, hint)
     return next(iter(buses.values())).window
 
@@ -105,20 +106,19 @@ def _module(source: Path, one: Implementation, answers: Answers) -> Module:
     name, module, region = one.name, one.module, one.region.name
     registers: dict[str, Register] = {}
     memories: dict[str, Memory] = {}
-    if module.registers or module.memories:
-        window = register_window(source, one.region, module)
-        ends = {("registers", key): spec.offset + spec.width // 8 for key, spec in module.registers.items()}
-        ends |= {("memories", key): spec.offset + spec.size for key, spec in module.memories.items()}
-        for (kind, key), end in ends.items():
-            if end > window.size:
-                message = f"{key} ends at {end:#x}, its window has {window.size:#x} bytes"
-                place = ("modules", module.name, kind, key, "offset")
-                raise fault(source, place, message, "window: of the region says how many")
-        for key, spec in module.registers.items():
-            registers[key] = _placed(spec, window.base, region, answers.registers.get((name, key)))
-        for key, array in module.memories.items():
-            own = f"{key}_memory" if key in registers else key
-            memories[own] = replace(array, name=own, base_address=window.base, region=region)
+    windows = {key: register_window(source, one.region, module, key) for key in (*module.registers, *module.memories)}
+    ends = {("registers", key): spec.offset + spec.width // 8 for key, spec in module.registers.items()}
+    ends |= {("memories", key): spec.offset + spec.size for key, spec in module.memories.items()}
+    for (kind, key), end in ends.items():
+        if end > windows[key].size:
+            message = f"{key} ends at {end:#x}, its window has {windows[key].size:#x} bytes"
+            place = ("modules", module.name, kind, key, "offset")
+            raise fault(source, place, message, "window: of the region says how many")
+    for key, spec in module.registers.items():
+        registers[key] = _placed(spec, windows[key].base, region, answers.registers.get((name, key)))
+    for key, array in module.memories.items():
+        own = f"{key}_memory" if key in registers else key
+        memories[own] = replace(array, name=own, base_address=windows[key].base, region=region)
     for bus in bare_windows(source, one.region, module):
         doc = f"{bus.interface.name}, of which no registers are known"
         bits = bus.interface.addr_width or 32  # beyond them it is the same again
@@ -139,12 +139,12 @@ def _module(source: Path, one: Implementation, answers: Answers) -> Module:
 
 def bare_windows(source: Path, region: RegionPlan, module: ModuleSpec) -> list[RegisterBus]:
     """The windows that a module has, and no registers in them; `source`: the build schema."""
-    used = register_window(source, region, module).base if module.registers or module.memories else None
+    used = {register_window(source, region, module, name).base for name in (*module.registers, *module.memories)}
     present = {c.boundary for c in region.boundary.adaptation(module.name).connections if c.module}
     return [
         bus
         for bus in region.registers
-        if bus.window.base != used and present.intersection(bus.interface.ports.values())
+        if bus.window.base not in used and present.intersection(bus.interface.ports.values())
     ]
 
 
@@ -168,7 +168,7 @@ def _mode(system: System, mode: ModeSpec, streams: Mapping[str, Stream]) -> Mode
     for one in chosen:
         for key, value in mode.registers.items():
             if key in one.module.registers:
-                base = register_window(source, one.region, one.module).base
+                base = register_window(source, one.region, one.module, key).base
                 _in_range(source, mode.name, one.module.registers[key], value)
                 registers[key] = _placed(one.module.registers[key], base, one.region.name, value)
     registers |= _routes(system, mode)

@@ -272,32 +272,79 @@ def test_what_hls_wrote_needs_no_line_for_its_registers_and_two_sources_are_comp
     assert "disagree: gain is at 0x20 and at 0x10; sum is at 0x18 and at 0x24" in capsys.readouterr().err
 
 
-def test_of_a_kernel_with_two_register_buses_init_names_that_which_starts_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
-    """Vitis HLS puts pointers to memory on a bus of their own, here one with a table only."""
+POINTERS = """// 0x10 : Data signal of src
+//        bit 31~0 - src[31:0] (Read/Write)
+// 0x14 : Data signal of src
+//        bit 31~0 - src[63:32] (Read/Write)
+// 0x40 ~
+// 0x7f : Memory 'curve' (16 * 32b)
+"""
+
+
+@pytest.fixture
+def kernel(tmp_path: Path) -> Path:
+    """A build schema of a kernel that has its pointers on a bus of their own, as of Vitis HLS, and a third bus."""
     pytest.importorskip("pyslang", reason="needs pyslang: the extra [build] is not installed")
     from verilog_ports import AXI_LITE
 
-    from cm import schema
     from cm.cli.main import main
 
-    both = ",\n".join(AXI_LITE.replace("s_axi_", f"s_axi_{bus}_") for bus in ("control", "control_r"))
-    inner = "one_control_s_axi a ();\none_control_r_s_axi b ();\n"
-    (tmp_path / "one.v").write_text(f"module one (input wire clk, input wire resetn,\n{both});\n{inner}endmodule\n")
-    table = "// 0x40 ~\n// 0x7f : Memory 'table' (16 * 32b)\n//        Word n : bit [31:0] - table[n]\n"
-    for bus, said in (("control", S_AXI["2019"]), ("control_r", table)):
+    buses = ",\n".join(AXI_LITE.replace("s_axi_", f"s_axi_{bus}_") for bus in ("a_r", "control", "raw"))
+    inner = "one_a_r_s_axi a ();\none_control_s_axi b ();\n"
+    (tmp_path / "one.v").write_text(f"module one (input wire clk, input wire resetn,\n{buses});\n{inner}endmodule\n")
+    for bus, said in (("control", S_AXI["2019"]), ("a_r", POINTERS)):
         (tmp_path / f"one_{bus}_s_axi.v").write_text(f"module one_{bus}_s_axi;\n{said}endmodule\n")
     build = tmp_path / "build.yaml"
     assert main(["build", "init", *map(str, sorted(tmp_path.glob("*.v"))), "-o", str(build)]) == 0
+    return build
+
+
+MAPS = "      s_axi_control: one_control_s_axi.v\n      s_axi_a_r: one_a_r_s_axi.v\n"  # what starts it is first
+
+
+def test_each_register_bus_of_a_kernel_has_its_registers_by_name(kernel: Path, capsys: pytest.CaptureFixture) -> None:
+    from cm import schema
+    from cm.cli.main import main
+
+    text = kernel.read_text()
+    assert f"    register_map:\n{MAPS}" in text
     capsys.readouterr()
-    assert main(["build", "check", str(build)]) == 0
-    assert "its window is the memory one_s_axi_control_r (a module has registers by name on" in capsys.readouterr().out
-    assert main(["build", "generate", str(build)]) == 0
-    module = schema.load(next((tmp_path / "build/config").glob("*.yaml"))).modules["one"]
-    pointers = module.memories["one_s_axi_control_r"]
-    assert pointers.base_address != module.registers["ap_ctrl"].base_address
-    assert pointers.size == 256  # of its 8 address bits; its window is larger
+    assert main(["build", "check", str(kernel)]) == 0
+    said = "its window is the memory one_s_axi_raw (register_map: {s_axi_raw: FILE}, beside that of the other"
+    assert said in capsys.readouterr().out
+    text = text.replace(MAPS, f"{MAPS}    registers: {{own: {{offset: 0x90}}}}\n")
+    kernel.write_text(f"{text}\nmodes: {{default: {{modules: {{prr0: one}}, registers: {{src_0: 7, own: 8}}}}}}\n")
+    assert main(["build", "generate", str(kernel)]) == 0
+    config = schema.load(next((kernel.parent / "build/config").glob("*.yaml")))
+    module, mode = config.modules["one"], config.modes["default"]
+    base, pointers = module.registers["ap_ctrl"].base_address, module.registers["src_1"].base_address
+    assert (module.registers["gain"].base_address, module.registers["own"].base_address) == (base, base)
+    assert (module.memories["table"].base_address, module.memories["curve"].base_address) == (base, pointers)
+    assert (mode.registers["src_0"].base_address, mode.registers["own"].base_address) == (pointers, base)
+    raw = module.memories["one_s_axi_raw"]
+    assert len({base, pointers, raw.base_address}) == 3
+    assert raw.size == 256  # of its 8 address bits; its window is larger
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("s_axi_a_r: one", "s_axi_a: one", "register_map.s_axi_a: region prr0 has no register interface 's_axi_a'"),
+        ("one_a_r_s_axi.v", "missing.v", "register_map.s_axi_a_r: missing.v does not exist"),
+        ("one_a_r_s_axi.v", "one.v", "one.v: registers are read from .xml"),
+        ("s_axi_a_r: one_a_r", "s_axi_raw: one_control", "where_r_1 are names on s_axi_control too"),
+    ],
+)
+def test_what_is_wrong_with_the_register_map_of_a_bus_is_said_with_its_place(
+    kernel: Path, capsys: pytest.CaptureFixture, old: str, new: str, said: str
+) -> None:
+    from cm.cli.main import main
+
+    assert old in kernel.read_text()
+    kernel.write_text(kernel.read_text().replace(old, new))
+    capsys.readouterr()
+    assert main(["build", "check", str(kernel)]) != 0
+    assert said in capsys.readouterr().err
 
 
 CONFIG_JSON = """{"scale": {"S_AXI_CONTROL": {

@@ -96,7 +96,7 @@ class NotesFile:
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        self._path, self._new = folder / "notes.json", str(folder / ".notes.new")
+        self._path, self._new = folder / "notes.json", folder / ".notes.new"
 
     def read(self) -> Notes:
         """What was written last; nothing, if that is damaged or of another version."""
@@ -106,14 +106,14 @@ class NotesFile:
             return Notes()
 
     def write(self, notes: Notes) -> None:
-        """By system calls: what a buffered file and `Path.replace` add takes longer than they do, four times a change."""
+        """By system calls: what a buffered file adds takes longer than they do, four times a change."""
         data, new = packed(notes), os.open(self._new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
         try:
             if os.write(new, data) != len(data):
                 raise OSError(errno.ENOSPC, f"{self._new} could not be written whole: is the disk full?")
         finally:
             os.close(new)
-        os.replace(self._new, self._path)
+        self._new.replace(self._path)
 
 
 def packed(notes: Notes) -> bytes:
