@@ -6,14 +6,12 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Iterator
-from difflib import get_close_matches
 from itertools import islice
 from typing import TYPE_CHECKING
 
 from cm.cli.common import add_board_options, answer, answer_table, completes, interval, natural, number
 from cm.cli.connection import check_reader, connected, followed
 from cm.client.core import registers
-from cm.errors import NotFound
 from cm.wire.messages.plain import plain
 from cm.wire.messages.status import RegisterInfo
 
@@ -113,14 +111,9 @@ def run_watch(args: argparse.Namespace) -> int:
 
 def _written(board: Board, names: tuple[str, ...]) -> Iterator[tuple[str, int]]:
     """What registers hold after each write of one; names that the mode does not have are an error."""
-    info = board.registers.info
-    known = registers.names(info)
-    for name in names:
-        if name not in known:
-            near = get_close_matches(name, known, 1)
-            said = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(sorted(info))}"
-            raise NotFound(f"no register {name!r} in this mode; {said}")
-    for event in followed(board, board.registers.events(*(name.partition(".")[0] for name in names))):
+    if names:
+        registers.check(names, board.registers.info.values(), "in this mode")
+    for event in followed(board, board.registers.events(*names)):
         for register in event.values:
             values = {register.name: register.value, **{f"{register.name}.{f}": v for f, v in register.fields}}
             yield from ((name, values[name]) for name in (names or (register.name,)) if name in values)

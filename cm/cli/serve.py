@@ -234,7 +234,7 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
         name=args.name or said.name,
         metrics=_metrics(args) or said.metrics,
         load=args.load or said.load or ("camera" if example else ""),
-        settings=ManagerSettings(prefetch_bytes=prefetch << 20),
+        settings=ManagerSettings(prefetch_bytes=prefetch << 20, new_board=board is not None),
         scrub=said.scrub,
         queue_bytes=int(queue * (1 << 20)),
         firmware_dir=said.firmware_dir,

@@ -136,7 +136,9 @@ class Registers(MutableMapping[str, int]):
     def events(self, *names: str, timeout: float | None = None) -> EventStream[RegValues]:
         """All writes from now on, by any client, with the values afterwards; `names`: only of these registers.
 
-        Raises Timeout if none comes for `timeout` seconds (None: waits for ever).
+        Of a field: those of its register. A register of another mode is waited for; a name that no mode of the loaded
+        configuration has raises RequestNotFound. Raises Timeout if none comes for `timeout` seconds (None: waits for
+        ever).
         """
         subscription = self._board.subscribe(*RegisterEvents.topics)
         return EventStream(self._board, subscription, RegisterEvents(subscription, timeout, names))
@@ -169,4 +171,4 @@ class Registers(MutableMapping[str, int]):
         return notebook.registers(self.info.values(), self.read())
 
     def _ipython_key_completions_(self) -> list[str]:
-        return registers.names(self.info)
+        return registers.names(self.info.values())

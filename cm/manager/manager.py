@@ -49,6 +49,7 @@ class Settings:
     """What an operator may set."""
 
     prefetch_bytes: int = 64 << 20  # DMA memory that images of the loaded configuration may take
+    new_board: bool = False  # it began with us, as a simulated one does: that an earlier one has gone is no news
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,13 +144,13 @@ class Manager:
         A change that was cut short is undone: the board goes back to the mode before it, as a change
         of its own that the worker runs first.
         """
-        notes = self.reconcile()
+        notes = self.reconcile(self._env.settings.new_board)
         self._worker.start()
         return notes
 
-    def reconcile(self) -> tuple[str, ...]:
+    def reconcile(self, new_board: bool = False) -> tuple[str, ...]:
         """Compare record and board (again). Called before the worker starts, or when it is idle."""
-        finding = take_stock(self._state, self._env.devices, self._bus)
+        finding = take_stock(self._state, self._env.devices, self._bus, new_board)
         if finding.notes:
             self.reporter.set_notice(ErrorInfo("reconciled", "; ".join(finding.notes)))
         self._repair(finding.interrupted)

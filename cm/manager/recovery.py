@@ -299,10 +299,10 @@ class Destination:
     static: str | None = None
 
 
-def take_stock(state: ManagerState, devices: Devices, registers: RegisterBus) -> Finding:
-    """Compare record and board, and begin with what both say. Raises DeviceError."""
+def take_stock(state: ManagerState, devices: Devices, registers: RegisterBus, new_board: bool = False) -> Finding:
+    """Compare record and board, and begin with what both say. `new_board`: none is recorded. Raises DeviceError."""
     record, lost = state.read_record()
-    finding = reconcile(record, state.configs, devices, registers)
+    finding = reconcile(None if new_board else record, state.configs, devices, registers)
     if lost:
         finding = replace(finding, notes=(lost, *finding.notes))
     state.adopt(record, finding.state, devices.boot_id())

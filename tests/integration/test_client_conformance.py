@@ -351,6 +351,15 @@ def test_writes_are_published_to_subscribers(board: Any, other: Any) -> None:
         assert heard[-1].generation == written.generation
 
 
+def test_events_of_a_register_that_no_mode_has_are_refused_and_of_a_field_are_those_of_its_register(board: Any) -> None:
+    for name, near in (("focs", "focus"), ("led.blnk", "led.blink")):
+        with pytest.raises(RequestNotFound, match=f"{name}.*did you mean '{near}'"):
+            board.registers.events("focus", name, timeout=60).next()
+    with board.registers.events("led.blink", "threshold", timeout=60) as listening:  # the latter in another mode
+        board.registers.write({"led.blink": 3})
+        assert [v.name for v in listening.next().values] == ["led"]
+
+
 def test_several_registers_are_written_as_pairs_in_their_order(board: Any) -> None:
     with board.registers.events("focus", timeout=60) as listening:
         assert board.registers.write([("focus", 3), ("zoom", 1), ("focus", 2)]) == {"focus": 2, "zoom": 1}
@@ -493,6 +502,8 @@ def test_what_a_stream_cannot_have_is_refused_whichever_way_its_frames_come(
         board.stream("camera", compression="gzip").open()
     with pytest.raises(RequestNotFound, match="did you mean 'camera'"):
         board.stream("camra", timeout=60).open()
+    with pytest.raises(InvalidRequest, match=r"shape=480 .* \(480,\)"):
+        board.configure_stream("camera", shape=480)
     with pytest.raises(InvalidRequest, match=r"depth (of )?-1"):
         board.stream("camera", depth=-1).open()
     if "endpoint" not in reach[1]:

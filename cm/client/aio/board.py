@@ -399,8 +399,8 @@ class Board(Guarded):
         it is in use, without `force`, and InvalidRequest for impossible settings; then nothing has changed.
         """
         request = ConfigureStream(
-            stream, tuple(shape), dtype, slots, direction, rate, cyclic, enable, force, lease, backpressure, stride,
-            automatic, compression,
+            stream, calls.axes(stream, shape), dtype, slots, direction, rate, cyclic, enable, force, lease,
+            backpressure, stride, automatic, compression,
         )  # fmt: skip
         return await self.ask(calls.configure_stream(request))
 

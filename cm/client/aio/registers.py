@@ -104,7 +104,9 @@ class Registers:
     def events(self, *names: str, timeout: float | None = None) -> EventStream[RegValues]:
         """All writes after it is opened, by any client, with the values afterwards; `names`: only of these registers.
 
-        Raises Timeout if none comes for `timeout` seconds (None: waits for ever).
+        Of a field: those of its register. A register of another mode is waited for; a name that no mode of the loaded
+        configuration has raises RequestNotFound. Raises Timeout if none comes for `timeout` seconds (None: waits for
+        ever).
         """
         subscription = self._board.subscribe(*RegisterEvents.topics)
         return EventStream(self._board, subscription, RegisterEvents(subscription, timeout, names))

@@ -147,6 +147,16 @@ def write_masked(name: str, value: int, mask: int, lease: str = "") -> Call[RegV
     )
 
 
+def axes(stream: str, shape: Iterable[int]) -> tuple[int, ...]:
+    """A stream's shape, as requests have it. Raises InvalidRequest for a number alone."""
+    try:
+        return tuple(shape)
+    except TypeError:
+        raise InvalidRequest(
+            f"stream {stream!r}: shape={shape!r} is no shape: that has a length for each axis, as ({shape!r},)"
+        ) from None
+
+
 def configure_stream(request: rq.ConfigureStream) -> Call[StreamStatus]:
     """Configure a stream."""
     return Call(request, lambda r: _body(r, StreamStatus))

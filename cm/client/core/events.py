@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from typing import Any, Generic, TypeVar
 
-from cm.client.core import calls
+from cm.client.core import calls, registers
 from cm.client.core.effects import DEFAULT, Ask, Deadline, Flow, Limit, Receive, Subscription, at_least, seconds
 from cm.errors import Timeout
 from cm.wire import topics
 from cm.wire.encode import decode_event
-from cm.wire.messages.status import Irq, RegValues, Status
+from cm.wire.messages.status import ConfigInfo, Irq, RegValues, Status
 
 T = TypeVar("T")
 _ANSWER = 5.0  # least seconds that subscribing waits for the manager's answer
@@ -79,16 +79,24 @@ class StatusEvents(Events[Status]):
 
 
 class RegisterEvents(Events[RegValues]):
-    """All writes of registers from now on, by any client, with the values afterwards. `names`: only these."""
+    """All writes of registers from now on, by any client, with the values afterwards. `names`: only these, or
+    those with these fields.
+    """
 
     topics = (topics.READ_REG, topics.STATUS)
 
     def __init__(self, subscription: Subscription, timeout: float | None, names: tuple[str, ...]) -> None:
         super().__init__(subscription, timeout)
-        self._names = frozenset(names)
+        self._asked = names
+        self._names = frozenset(str(name).partition(".")[0] for name in names)
 
     def opening(self) -> Flow[None]:
+        """Raises RequestNotFound for a name that no mode of what is loaded has: nothing would ever come."""
         yield from self._settled()
+        if self._asked:
+            config: ConfigInfo = yield Ask(calls.describe())
+            if config.name:  # else what is loaded next may have them
+                registers.check(self._asked, config.registers, f"in configuration {config.name!r}")
 
     def accept(self, event: Any) -> RegValues | None:
         if not isinstance(event, RegValues):

@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
-from cm.wire.messages.status import ConfigInfo, RegisterInfo, RegValues
+from cm.client.errors import RequestNotFound
+from cm.wire.messages.status import ConfigInfo, ErrorInfo, RegisterInfo, RegValues
 
 
 def visible(config: ConfigInfo) -> dict[str, RegisterInfo]:
@@ -28,9 +29,22 @@ def has(info: Mapping[str, RegisterInfo], name: object) -> bool:
     return found is not None and (not dot or any(field == f.name for f in found.fields))
 
 
-def names(info: Mapping[str, RegisterInfo]) -> list[str]:
+def names(info: Iterable[RegisterInfo]) -> list[str]:
     """The names of all registers and their fields."""
-    return [name for r in info.values() for name in (r.name, *(f"{r.name}.{f.name}" for f in r.fields))]
+    return [name for r in info for name in (r.name, *(f"{r.name}.{f.name}" for f in r.fields))]
+
+
+def check(wanted: Iterable[str], info: Collection[RegisterInfo], where: str) -> None:
+    """Raises RequestNotFound for the first that is no register or field of `info`, which are those `where`."""
+    known = names(info)
+    for name in wanted:
+        if name not in known:
+            import difflib  # only those who err need it
+
+            near = difflib.get_close_matches(str(name), known, 1)
+            there = ", ".join(sorted({r.name for r in info})) or "none"
+            said = f"did you mean {near[0]!r}?" if near else f"there are {there}"
+            raise RequestNotFound(ErrorInfo("unknown_register", f"no register {name!r} {where}; {said}"))
 
 
 def not_by_attribute(name: str, value: Any) -> str:
