@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write the tables of keys in ``schema-keys.md`` from the JSON Schema: ``python docs/schema_tables.py``."""
+"""Write the tables of keys in ``schema-keys.md`` and ``build-keys.md`` from their JSON Schemas (`make docs`)."""
 
 from __future__ import annotations
 
@@ -8,52 +8,88 @@ from pathlib import Path
 from typing import Any
 
 DOCS = Path(__file__).parent
-PAGE = DOCS / "schema-keys.md"
-SCHEMA = DOCS.parent / "cm" / "schema" / "data" / "runtime.schema.json"
 BEGIN = "<!-- made by docs/schema_tables.py: begin -->\n"
 END = "<!-- made by docs/schema_tables.py: end -->\n"
+# Of each page the JSON Schema, and where in it is what a table's title says
 SECTIONS = {
-    "config": "config",
-    "static_identity": "static",
-    "region": "regions.NAME",
-    "decoupler": "regions.NAME.decoupler",
-    "gpio_line": "regions.NAME.decoupler.gpio",
-    "isolation_step": "regions.NAME.decoupler.sequence[]",
-    "identity": "regions.NAME.identity",
-    "frames": "regions.NAME.footprint[]",
-    "module": "modules.NAME",
-    "mode": "modes.NAME",
-    "window": "mmio[]",
-    "register": "registers.NAME",
-    "field": "registers.NAME.fields.NAME",
-    "memory": "memories.NAME",
-    "stream": "streams.NAME",
-    "camera_info": "streams.NAME.camera_info",
-    "interrupt": "interrupts.NAME",
-    "clock": "clocks.NAME",
-    "overlay": "overlays[]",
+    "schema-keys.md": (
+        "cm/schema/data/runtime.schema.json",
+        {
+            "config": "definitions/config",
+            "static": "definitions/static_identity",
+            "regions.NAME": "definitions/region",
+            "regions.NAME.decoupler": "definitions/decoupler",
+            "regions.NAME.decoupler.gpio": "definitions/gpio_line",
+            "regions.NAME.decoupler.sequence[]": "definitions/isolation_step",
+            "regions.NAME.identity": "definitions/identity",
+            "regions.NAME.footprint[]": "definitions/frames",
+            "modules.NAME": "definitions/module",
+            "modes.NAME": "definitions/mode",
+            "mmio[]": "definitions/window",
+            "registers.NAME": "definitions/register",
+            "registers.NAME.fields.NAME": "definitions/field",
+            "memories.NAME": "definitions/memory",
+            "streams.NAME": "definitions/stream",
+            "streams.NAME.camera_info": "definitions/camera_info",
+            "interrupts.NAME": "definitions/interrupt",
+            "clocks.NAME": "definitions/clock",
+            "overlays[]": "definitions/overlay",
+        },
+    ),
+    "build-keys.md": (
+        "cm/design/data/build.schema.json",
+        {
+            "project": "properties/project",
+            "clocks.NAME": "properties/clocks/additionalProperties",
+            "static": "properties/static",
+            "bitstream": "properties/bitstream",
+            "regions.NAME": "definitions/region",
+            "regions.NAME.resources": "definitions/resources",
+            "regions.NAME.interfaces.NAME": "definitions/connection",
+            "modules.NAME": "definitions/module",
+            "modules.NAME.clocks.NAME": "definitions/module/properties/clocks/additionalProperties",
+            "modules.NAME.resets.NAME": "definitions/module/properties/resets/additionalProperties",
+            "modules.NAME.registers.NAME": "definitions/registers/additionalProperties",
+            "modules.NAME.registers.NAME.fields.NAME": (
+                "definitions/registers/additionalProperties/properties/fields/additionalProperties"
+            ),
+            "modules.NAME.memories.NAME": "definitions/module/properties/memories/additionalProperties",
+            "modes.NAME": "properties/modes/additionalProperties",
+            "modes.NAME.streams.NAME": (
+                "properties/modes/additionalProperties/properties/streams/additionalProperties"
+            ),
+            "switch": "properties/switch",
+            "switch.inputs.NAME": "definitions/end",
+        },
+    ),
 }
-WORDS = {"string": "text", "integer": "integer", "number": "number", "boolean": "true or false"}
+WORDS = {"string": "text", "integer": "integer", "number": "number", "boolean": "true or false", "null": "nothing"}
 
 
-def tables(schema: dict[str, Any]) -> str:
-    """The tables of all keys, as Markdown."""
-    definitions = schema["definitions"]
-    return "\n".join(_section(title, definitions[name], definitions) for name, title in SECTIONS.items())
+def page(name: str) -> str:
+    """A page with its tables made anew."""
+    path, sections = SECTIONS[name]
+    schema = json.loads((DOCS.parent / path).read_text())
+    made = [_section(title, _at(schema, where), schema["definitions"]) for title, where in sections.items()]
+    head, rest = (DOCS / name).read_text().split(BEGIN)
+    return head + BEGIN + "\n" + "\n".join(made) + END + rest.split(END)[1]
 
 
-def page(text: str, schema: dict[str, Any]) -> str:
-    """`text` with its tables made anew."""
-    head, rest = text.split(BEGIN)
-    return head + BEGIN + "\n" + tables(schema) + END + rest.split(END)[1]
+def _at(schema: dict[str, Any], where: str) -> dict[str, Any]:
+    found = schema
+    for key in where.split("/"):
+        found = found[key]
+    return found
 
 
 def _section(title: str, shape: dict[str, Any], definitions: dict[str, Any]) -> str:
+    said = shape.get("description", "")
     shape = shape.get("anyOf", [shape])[-1]
+    said = shape.get("description", said)
     required = shape.get("required", ())
     rows = [_row(key, value, key in required, definitions) for key, value in shape["properties"].items()]
     head = ["| key | value | default | meaning |", "|---|---|---|---|"]
-    return "\n".join([f"## `{title}`", "", shape["description"], "", *head, *rows, ""])
+    return "\n".join([f"## `{title}`", "", *([said, ""] if said else []), *head, *rows, ""])
 
 
 def _row(key: str, value: dict[str, Any], required: bool, definitions: dict[str, Any]) -> str:
@@ -64,8 +100,10 @@ def _row(key: str, value: dict[str, Any], required: bool, definitions: dict[str,
 
 
 def _follow(value: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
+    """What a reference names, with what stands beside the reference."""
     while "$ref" in value:
-        value = definitions[value["$ref"].rsplit("/", 1)[1]]
+        beside = {key: each for key, each in value.items() if key != "$ref"}
+        value = _at(definitions, value["$ref"].removeprefix("#/definitions/")) | beside
     return value
 
 
@@ -88,4 +126,5 @@ def _kind(value: dict[str, Any], definitions: dict[str, Any]) -> str:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(page(PAGE.read_text(), json.loads(SCHEMA.read_text())))
+    for each in SECTIONS:
+        (DOCS / each).write_text(page(each))
