@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cm.cli.common import answer, answer_table, print_json
-from cm.cli.fleet_options import add_fleet_options, answer_boards, connected_fleet
-from cm.errors import InvalidRequest
+from cm.cli.fleet_options import ALL, add_fleet_options, answer_boards, connected_fleet
 
 if TYPE_CHECKING:
     from cm.networks.fleet.store import View
@@ -23,7 +22,9 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
         ("add", run_add, "put boards into the inventory (a board with a certificate does so by itself)"),
         ("remove", run_remove, "take boards out of the inventory, for good"),
     ):
-        add_fleet_options(actions.add_parser(name, help=text), run)
+        parser = actions.add_parser(name, help=text)
+        add_fleet_options(parser, run)
+    parser.set_defaults(boards=None)  # who names none does not mean to remove all
     store = actions.add_parser("store", help="show or move what the fleet wants of its boards")
     verbs = store.add_subparsers(dest="verb", metavar="ACTION", required=True)
     show = verbs.add_parser("show", help="everything that is in it, as it lies there")
@@ -42,7 +43,7 @@ def run_ls(args: argparse.Namespace) -> int:
     """Print the boards; the exit status."""
     with connected_fleet(args) as fleet:
         known, there = fleet.inventory(), set(fleet.boards())
-        chosen = fleet.chosen(args.boards) if args.boards else sorted({*known, *there})
+        chosen = sorted({*known, *there}) if args.boards == ALL else fleet.chosen(args.boards)
     if not chosen:
         return answer(args, [], NOBODY)
     rows = []
@@ -81,10 +82,8 @@ def run_add(args: argparse.Namespace) -> int:
 
 def run_remove(args: argparse.Namespace) -> int:
     """Remove; 0 where they are gone."""
-    if not args.boards:
-        raise InvalidRequest("say which boards to remove; '*' for all")
     with connected_fleet(args) as fleet:
-        gone = fleet.remove(args.boards)
+        gone = fleet.remove(args.boards or ())
     return answer(args, {"removed": gone}, f"removed: {', '.join(gone)}")
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from cm.cli.common import print_json, print_table, seconds, slashed
-from cm.cli.fleet_options import add_fleet_options, answer_boards, connected_fleet
+from cm.cli.fleet_options import ALL, add_fleet_options, answer_boards, connected_fleet
 
 if TYPE_CHECKING:
     from cm.networks.fleet.change import Course, Leg
@@ -19,11 +20,9 @@ _PHASES = {"open": "opened", "prepare": "prepared", "apply": "changed", "decide"
 def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the actions."""
     mode = actions.add_parser("mode", help="change the mode of all boards, or of none")
-    mode.add_argument("mode", type=slashed, metavar="MODE")
-    mode.set_defaults(config="")
+    mode.add_argument("target", type=slashed, metavar="[CONFIG/]MODE")
     load = actions.add_parser("load", help="load a configuration on all boards, or on none")
-    load.add_argument("config", type=slashed, metavar="CONFIG")
-    load.add_argument("mode", metavar="MODE", help="mode of the configuration; '' for its default mode")
+    load.add_argument("target", type=slashed, metavar="CONFIG[/MODE]", help="by default in its default mode")
     for parser in (mode, load):
         add_fleet_options(parser, run)
         parser.add_argument(
@@ -60,12 +59,13 @@ def run(args: argparse.Namespace) -> int:
     """Change; 0 where every named board is in the new mode."""
     from cm.networks.fleet.errors import ChangeFailed
 
+    config, mode, boards = _wanted(args)
     with connected_fleet(args) as fleet:
         try:
             course = fleet.load(
-                args.config,
-                args.mode,
-                args.boards,
+                config,
+                mode,
+                boards,
                 policy=args.policy,
                 absent=args.absent,
                 timeout=args.phase,
@@ -77,6 +77,16 @@ def run(args: argparse.Namespace) -> int:
             return 1
     _show(args, course)
     return 0
+
+
+def _wanted(args: argparse.Namespace) -> tuple[str, str, Sequence[str]]:
+    """Configuration, mode and boards: ``load CONFIG/MODE BOARD…``, and as it was, ``load CONFIG MODE BOARD…``."""
+    if args.action == "mode":
+        return (*args.target.rpartition("/")[::2], args.boards)
+    config, slash, mode = args.target.partition("/")
+    if slash or args.boards == ALL:
+        return config, mode, args.boards
+    return config, args.boards[0], args.boards[1:] or ALL
 
 
 def run_reconcile(args: argparse.Namespace) -> int:

@@ -8,7 +8,7 @@ import signal
 import sys
 from pathlib import Path
 
-from cm.cli.common import print_table
+from cm.cli.common import digits, parsed, print_table
 
 PORT = 7447
 
@@ -16,14 +16,22 @@ PORT = 7447
 def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the actions."""
     _add_router(actions)
+    port = parsed("a port from 1 to 65535", digits, lambda number: 0 < number < 1 << 16)
+    days = parsed("a number of days from 1 to 36500", digits, lambda number: 0 < number <= 36500)
+    word = parsed("a name", str, bool)
     keys = actions.add_parser("keys", help="make certificates, and the router's rules for them")
     keys.add_argument("folder", type=Path, metavar="DIR", help="folder of the fleet's authority; keep it safe")
     kinds = keys.add_subparsers(dest="kind", metavar="WHOSE", required=True)
     router = kinds.add_parser("router", help="begin with this: make the authority, and the router's file")
     router.add_argument(
-        "--host", action="append", default=[], metavar="NAME", help="a name under which the router is reached"
+        "--host",
+        action="append",
+        default=[],
+        type=word,
+        metavar="NAME",
+        help="a name by which the router is reached",
     )
-    router.add_argument("--port", type=int, default=PORT, help=f"port of the router ({PORT})")
+    router.add_argument("--port", type=port, default=PORT, help=f"port of the router ({PORT})")
     router.add_argument(
         "--store", default="", metavar="WHERE", help="where the wanted state is, if that is etcd: its URLs"
     )
@@ -37,7 +45,7 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
         parser.add_argument("name", metavar="NAME")
     for parser in (router, board, client):
         parser.add_argument(
-            "--days", type=int, default=825, metavar="N", help="days for which the certificate is valid (825)"
+            "--days", type=days, default=825, metavar="N", help="days for which the certificate is valid (825)"
         )
     kinds.add_parser("list", help="list who has a certificate")
     keys.set_defaults(run=run)

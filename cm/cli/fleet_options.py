@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from cm.networks.fleet.network import Network
 
 
+ALL = ["*"]  # boards, where none is named
+
+
 class Intermixed(Parser):
     """Options may stand between arguments: ``mode edge --policy quorum b1 b2``, where boards would be unknown else."""
 
@@ -74,7 +77,7 @@ def add_fleet_options(parser: argparse.ArgumentParser, run: Run, boards: bool = 
     """Add the boards, the options of `add_network_options`, the caller's name, the time-out, ``--json``, and `run`."""
     if boards:
         parser.add_argument(
-            "boards", nargs="*", default=[], metavar="BOARD", help="a name, a glob or @LABEL (default: all)"
+            "boards", nargs="*", default=ALL, metavar="BOARD", help="a name, a glob or @LABEL (default: all)"
         )
     add_network_options(parser)
     group = parser.add_argument_group("asking")

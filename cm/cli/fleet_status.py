@@ -7,8 +7,8 @@ import argparse
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from cm.cli.common import number, print_json, print_table
-from cm.cli.fleet_options import add_fleet_options, answer_boards, connected_fleet
+from cm.cli.common import number, print_json, print_table, slashed
+from cm.cli.fleet_options import ALL, add_fleet_options, answer_boards, connected_fleet
 from cm.wire.messages.plain import plain
 
 if TYPE_CHECKING:
@@ -34,10 +34,8 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 
 def _add_plan(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = actions.add_parser("plan", help="what a change of mode would do on each board")
-    parser.add_argument("mode", metavar="MODE")
-    parser.add_argument(
-        "--config", default="", metavar="CONFIG", help="configuration to look at (default: the loaded one)"
-    )
+    parser.add_argument("target", type=slashed, metavar="[CONFIG/]MODE")
+    parser.add_argument("--config", default="", help=argparse.SUPPRESS)
     add_fleet_options(parser, run_plan)
 
 
@@ -46,10 +44,9 @@ def _add_reg(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
     verbs = parser.add_subparsers(dest="verb", metavar="ACTION", required=True)
     for verb in ("read", "write"):
         each = verbs.add_parser(verb, help=f"{verb} a register, or a field, of each board")
-        each.add_argument("name", metavar="NAME")
-        if verb == "write":
-            each.add_argument("value", metavar="VALUE", help="a number, or the name of a field's value")
+        each.add_argument("name", metavar="NAME" if verb == "read" else "NAME=VALUE")
         add_fleet_options(each, run_reg)
+        each.set_defaults(refuse=each.error)
 
 
 def run_status(args: argparse.Namespace) -> int:
@@ -115,7 +112,7 @@ def clocks_line(found: Mapping[str, Any]) -> str:
 def run_watch(args: argparse.Namespace) -> int:
     """Print each change until interrupted; the exit status."""
     with connected_fleet(args) as fleet:
-        chosen = frozenset(fleet.chosen(args.boards)) if args.boards else None
+        chosen = None if args.boards == ALL else frozenset(fleet.chosen(args.boards))
         told: dict[str, tuple[object, ...]] = {}
         with fleet.watch() as statuses:
             for name, status in statuses:
@@ -142,8 +139,9 @@ def _tell(args: argparse.Namespace, told: dict[str, tuple[object, ...]], name: s
 
 def run_plan(args: argparse.Namespace) -> int:
     """Print what each board would do; 1 where one of them cannot."""
+    config, _, mode = args.target.rpartition("/")
     with connected_fleet(args) as fleet:
-        found = fleet.plan(args.mode, args.config, args.boards)
+        found = fleet.plan(mode, config or args.config, args.boards)
 
     def row(name: str, plan: Any) -> tuple[object, ...]:
         return name, len(plan.steps), plan.bytes, f"{plan.seconds * 1000:.1f}", f"{plan.config_name}/{plan.mode}"
@@ -153,22 +151,25 @@ def run_plan(args: argparse.Namespace) -> int:
 
 def run_reg(args: argparse.Namespace) -> int:
     """Read or write; 1 where a board could not."""
+    register, same, value = args.name.partition("=")
+    boards = args.boards
+    if args.verb == "write" and not same:  # NAME VALUE BOARD…, as it was
+        if boards == ALL:
+            args.refuse(f"{register!r} is not NAME=VALUE")
+        value, boards = boards[0], boards[1:] or ALL
     with connected_fleet(args) as fleet:
-        if args.verb == "read":
-            found = fleet.read(args.name, args.boards)
-        else:
-            found = fleet.write({args.name: _value(args.value)}, args.boards)
+        found = fleet.read(args.name, boards) if args.verb == "read" else fleet.write({register: _value(value)}, boards)
 
     def row(name: str, values: Any) -> tuple[object, ...]:
-        return name, _shown(args.name, values), ""
+        return name, _shown(register, values), ""
 
-    return answer_boards(args, found, ("BOARD", args.name, ""), row, as_json=_plain)
+    return answer_boards(args, found, ("BOARD", register, ""), row, as_json=_plain)
 
 
 def _shown(name: str, values: Any) -> str:
     found = values.values[0]
     field = name.partition(".")[2]
-    return f"{found.fields.get(field, found.value) if field else found.value:#x}"
+    return f"{dict(found.fields).get(field, found.value):#x}"
 
 
 def _value(text: str) -> int | str:

@@ -118,7 +118,7 @@ def _endpoint(fleet: Fleet) -> tuple[str, ...]:
 
 def test_registers_of_all_boards_are_written_and_read_and_errors_have_their_board(boards: Boards, fleet: Fleet) -> None:
     assert set(fleet.write({"led": 3}, ["b1", "b2"])) == {"b1", "b2"}
-    found = fleet.read("led", ["b1"])["b1"]
+    found = fleet.read("led", "b1")["b1"]  # a single one stands alone
     assert isinstance(found, RegValues)
     assert found.values[0].value == 3
     wrong = fleet.read("nix")
@@ -259,7 +259,7 @@ def test_the_commands_show_a_fleet_and_change_it(
     assert [line.split()[:2] for line in capsys.readouterr().out.splitlines()[1:]] == [[n, "there"] for n in boards]
     assert main(["fleet", "plan", "edge_detection", "@north", *router]) == 0
     assert "camera/edge_detection" in capsys.readouterr().out
-    assert main(["fleet", "mode", "edge_detection", "b1", "b2", "--as", "bob", *router]) == 0
+    assert main(["fleet", "mode", "camera/edge_detection", "b1", "b2", "--as", "bob", *router]) == 0
     assert "there" in capsys.readouterr().out
     assert main(["fleet", "status", "--json", *router]) == 0
     found = json.loads(capsys.readouterr().out)
@@ -267,10 +267,27 @@ def test_the_commands_show_a_fleet_and_change_it(
     assert found["b1"]["fleet"]["wanted_by"] == "bob"
     assert main(["fleet", "status", *router]) == 0
     assert "stamps:" in capsys.readouterr().out
-    assert main(["fleet", "reg", "write", "led", "0x2", "b1", *router]) == 0
-    assert main(["fleet", "reg", "read", "led", "b1", *router]) == 0
-    assert "0x2" in capsys.readouterr().out
+    for write in ("led=0x2", "b1"), ("led.blink", "3", "b1"):
+        assert main(["fleet", "reg", "write", *write, *router]) == 0
+        assert len(capsys.readouterr().out.splitlines()) == 2  # of that board alone
+    assert main(["fleet", "reg", "read", "led.blink", "b1", *router]) == 0
+    assert "0x3" in capsys.readouterr().out
+    for load in ("camera/default", "b1"), ("camera", "edge_detection", "b1"):
+        assert main(["fleet", "load", *load, *router]) == 0
+        assert len(capsys.readouterr().out.splitlines()) == 3
     assert main(["fleet", "mode", "nix", *router]) == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [(("status", "a//b"), "must not have /"), (("remove",), "no board is named"), (("add", ""), "printable")],
+)
+def test_what_no_board_can_be_called_is_refused_in_words(
+    words: tuple[str, ...], said: str, boards: Boards, fleet: Fleet, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["fleet", *words, "--router", *_endpoint(fleet)]) == 1
+    assert said in capsys.readouterr().err
+    assert set(fleet.inventory()) == set(boards)
 
 
 def test_the_examples_of_the_reference_run(

@@ -65,7 +65,10 @@ def connect(
 
 
 class Fleet:
-    """Many boards. Groups of them are given by name, glob (``line1-*``) or label (``@camera``); by default all."""
+    """Many boards. Groups of them are given by name, glob (``line1-*``) or label (``@camera``); by default all.
+
+    `boards` is one of these or several; of none InvalidRequest is raised.
+    """
 
     def __init__(self, network: Network, caller: str, timeout: float) -> None:
         self.caller = keys.check(caller, "caller")  # requests are made under it: managers know it as zenoh:<name>
@@ -111,15 +114,15 @@ class Fleet:
         """
         return _listed(views(await self._store.get(BOARDS)))
 
-    async def chosen(self, boards: Iterable[str] = ALL) -> tuple[str, ...]:
+    async def chosen(self, boards: str | Iterable[str] = ALL) -> tuple[str, ...]:
         """The boards of a group, sorted, from the inventory. Raises NoSuchBoard for a part of it that matches none."""
         return self._matching(boards, await self.inventory())
 
-    def _matching(self, boards: Iterable[str], known: Mapping[str, View], exist: bool = True) -> tuple[str, ...]:
+    def _matching(self, boards: str | Iterable[str], known: Mapping[str, View], exist: bool = True) -> tuple[str, ...]:
         """`exist`: False: also those that are there and not in the inventory, and any that are given by name."""
         there = {*known} if exist else {*known, *self._presence.boards}
         found: set[str] = set()
-        for group in tuple(boards) or ALL:
+        for group in _groups(boards):
             if group.startswith("@"):
                 members = {n for n, view in known.items() if view.settings and group[1:] in view.settings.labels}
             else:
@@ -133,30 +136,32 @@ class Fleet:
             found |= members
         return tuple(sorted(found))
 
-    async def meant(self, boards: Iterable[str]) -> tuple[str, ...]:
-        """The boards of a group for what is no change: of names, those; of none, all that are there, store or not."""
-        groups = tuple(boards) or ALL
+    async def meant(self, boards: str | Iterable[str]) -> tuple[str, ...]:
+        """The boards of a group for what is no change: of names, those; of ``*``, all that are there, store or not."""
+        groups = _groups(boards)
         if groups == ALL:
             return await self.boards()
-        return tuple(sorted(groups)) if all(map(_is_name, groups)) else await self.chosen(groups)
+        if not all(map(_is_name, groups)):
+            return await self.chosen(groups)
+        return tuple(sorted(keys.check(name, "board") for name in groups))
 
     # ---- looking ------------------------------------------------------------------------------
 
-    async def status(self, boards: Iterable[str] = ALL) -> dict[str, BoardStatus | ErrorInfo]:
+    async def status(self, boards: str | Iterable[str] = ALL) -> dict[str, BoardStatus | ErrorInfo]:
         """The status of each board, or why there is none (code ``no_answer``, or what its manager said).
 
         By default of all that are there or in the inventory; if the store is away, of those that are there. Raises
         NoSuchBoard for a glob or a label that matches none; a name that does not exist gets an error.
         """
         found = await self._each("status", boards)
-        if tuple(boards) in ((), ALL):
+        if _groups(boards) == ALL:
             with suppress(StoreAway, StoreRefused):
                 away = {name: Answer(name, error=AWAY) for name in await self.inventory()}
                 found = dict(sorted({**away, **found}.items()))
         return {n: a.error or wire.board_status(a.payload) for n, a in found.items()}
 
     async def plan(
-        self, mode: str = "", config: str = "", boards: Iterable[str] = ALL
+        self, mode: str = "", config: str = "", boards: str | Iterable[str] = ALL
     ) -> dict[str, PlanInfo | ErrorInfo]:
         """What a change would do on each board, in steps, bytes and seconds; touches nothing.
 
@@ -166,7 +171,7 @@ class Fleet:
         found = await self._each(words, boards, max(self.timeout, 30.0))
         return {n: a.error or decode_plan(a.payload) for n, a in found.items()}
 
-    async def read(self, register: str, boards: Iterable[str] = ALL) -> dict[str, RegValues | ErrorInfo]:
+    async def read(self, register: str, boards: str | Iterable[str] = ALL) -> dict[str, RegValues | ErrorInfo]:
         """A register, or ``register.field``, of each board. Raises NoSuchBoard, InvalidRequest (a name with ``/``)."""
         found = await self._each(f"reg/{keys.check(register, 'register')}", boards)
         return {n: a.error or decode_registers(a.payload) for n, a in found.items()}
@@ -204,7 +209,7 @@ class Fleet:
             self._presence.gone.discard(gone)
             subscriber.undeclare()
 
-    async def _each(self, rest: str, boards: Iterable[str], timeout: float = 0.0) -> dict[str, Answer]:
+    async def _each(self, rest: str, boards: str | Iterable[str], timeout: float = 0.0) -> dict[str, Answer]:
         """An answer for each board; one that is absent or does not answer gets an error that says so."""
         found = self._answers(rest, await self.meant(boards), timeout=timeout or self.timeout)
         return dict(sorted([(answer.board, answer) async for answer in found]))
@@ -243,7 +248,7 @@ class Fleet:
 
     # ---- the inventory --------------------------------------------------------------------------
 
-    async def add(self, boards: Iterable[str]) -> tuple[str, ...]:
+    async def add(self, boards: str | Iterable[str]) -> tuple[str, ...]:
         """Put boards into the inventory, by name or, if they are there, by glob; returns those that are new in it.
 
         Raises NoSuchBoard for a glob that matches none.
@@ -255,7 +260,7 @@ class Fleet:
             await self._store.txn({key(name, "settings"): 0}, puts)
         return tuple(found)
 
-    async def remove(self, boards: Iterable[str]) -> tuple[str, ...]:
+    async def remove(self, boards: str | Iterable[str]) -> tuple[str, ...]:
         """Take boards out of the inventory, and forget what is wanted of them. Raises NoSuchBoard, StoreRefused.
 
         A board of a certificate that is still running puts itself in again.
@@ -298,7 +303,7 @@ class Fleet:
         finally:
             await other.close()
 
-    async def reconcile(self, boards: Iterable[str] = ALL) -> dict[str, FleetState | ErrorInfo]:
+    async def reconcile(self, boards: str | Iterable[str] = ALL) -> dict[str, FleetState | ErrorInfo]:
         """Have boards go to what is wanted of them now: also if somebody took them elsewhere, or it failed before.
 
         Returns each board's state, or its error. Raises NoSuchBoard.
@@ -320,7 +325,7 @@ class Fleet:
         return await self._one(board, where, payload, attachment, timeout=timeout or self.timeout)
 
     async def write(
-        self, values: Mapping[str, int | str], boards: Iterable[str] = ALL
+        self, values: Mapping[str, int | str], boards: str | Iterable[str] = ALL
     ) -> dict[str, RegValues | ErrorInfo]:
         """Write registers on each board, in order; each board does all of it or nothing, and answers for itself.
 
@@ -353,7 +358,7 @@ class Fleet:
         self,
         config: str = "",
         mode: str = "",
-        boards: Iterable[str] = ALL,
+        boards: str | Iterable[str] = ALL,
         *,
         policy: Policy | str = Policy.ALL,
         absent: str = "",
@@ -390,7 +395,7 @@ class Fleet:
     async def mode(
         self,
         mode: str,
-        boards: Iterable[str] = ALL,
+        boards: str | Iterable[str] = ALL,
         *,
         policy: Policy | str = Policy.ALL,
         absent: str = "",
@@ -423,7 +428,7 @@ class Fleet:
             yield answer.board, queries.said(answer, FleetState)
 
     async def push(
-        self, archive: str | os.PathLike[str], boards: Iterable[str] = ALL, *, timeout: float = 600.0
+        self, archive: str | os.PathLike[str], boards: str | Iterable[str] = ALL, *, timeout: float = 600.0
     ) -> dict[str, BundleState | ErrorInfo]:
         """Have boards fetch an archive of ``cm build collect`` from here and put it in force.
 
@@ -447,6 +452,14 @@ def _listed(known: Mapping[str, View]) -> dict[str, View]:
 def _named(board: str, error: ErrorInfo) -> ErrorInfo:
     """The error with its board in the sentence, for where nothing else names it."""
     return ErrorInfo(error.code, f"{board}: {error.message}")
+
+
+def _groups(boards: str | Iterable[str]) -> tuple[str, ...]:
+    """Raises InvalidRequest for none: a program that found none to change does not mean all of them."""
+    found = (boards,) if isinstance(boards, str) else tuple(boards)
+    if not found:
+        raise InvalidRequest("no board is named; '*' are all of them")
+    return found
 
 
 def _is_name(group: str) -> bool:

@@ -181,7 +181,10 @@ class Board:
                 raise Busy(f"change {known.change} of {known.caller} is {known.phase} here, and not ended yet")
             return
         if not self._claimed_for(step):
-            raise NotNow(f"the store has no change {step.id} open on {self._name}: it came too late")
+            raise NotNow(
+                f"the store has no change {step.id} open on {self._name}: it came too late, or "
+                "this bridge's --store is another than that of who changes"
+            )
         if self.place == NOTHING:
             raise NotNow("nothing is loaded on this board, so there would be no way back: load something first")
         plan = await self._manager.plan(step, caller)

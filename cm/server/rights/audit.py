@@ -57,7 +57,7 @@ class Audit:
 
     def _end(self, burst: _Burst) -> None:
         if burst.more:
-            _LOG.log(burst.level, "%s: %d times more within %d s", burst.text, burst.more, int(BURST))
+            _LOG.log(burst.level, "%s: %d more within %d s", burst.text, burst.more, int(BURST))
 
 
 def described(who: Principal, request: rq.Request) -> str:

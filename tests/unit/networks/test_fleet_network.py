@@ -86,10 +86,11 @@ def test_without_a_router_no_board_on_this_network_is_found(tmp_path: Path) -> N
 )
 def test_options_stand_anywhere_between_the_mode_and_the_boards(words: str) -> None:
     args = build_parser("fleet").parse_args(words.split())
-    assert (args.mode, args.boards, args.policy) == ("edge", ["b1", "b2"], "quorum")
+    assert (args.target, args.boards, args.policy) == ("edge", ["b1", "b2"], "quorum")
 
 
-@pytest.mark.parametrize("words", ["fleet mode --policy quorum", "fleet reg read", "fleet mode edge --nix", "fleet"])
+@pytest.mark.parametrize("words", ["fleet mode --policy quorum", "fleet reg read", "fleet mode edge --nix", "fleet",
+    "fleet keys K board b --days 0", "fleet keys K router --host", "fleet keys K router --port 65536"])  # fmt: skip
 def test_what_is_missing_or_unknown_is_still_wrong_usage(words: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         build_parser("fleet").parse_args(words.split())
@@ -98,8 +99,8 @@ def test_what_is_missing_or_unknown_is_still_wrong_usage(words: str, capsys: pyt
 
 
 def test_registers_and_keys_have_actions_of_their_own_below() -> None:
-    args = build_parser("fleet").parse_args(["fleet", "reg", "write", "led", "3", "--timeout", "2", "b1"])
-    assert (args.name, args.value, args.boards, args.timeout) == ("led", "3", ["b1"], 2.0)
+    args = build_parser("fleet").parse_args(["fleet", "reg", "write", "led=3", "--timeout", "2", "b1"])
+    assert (args.name, args.boards, args.timeout) == ("led=3", ["b1"], 2.0)
     args = build_parser("fleet").parse_args(["fleet", "keys", "DIR", "client", "anna", "--role", "operate"])
     assert (args.name, args.role) == ("anna", "operate")
 

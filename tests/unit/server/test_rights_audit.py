@@ -43,7 +43,7 @@ def test_the_first_of_a_burst_is_reported_at_once_and_the_others_as_one(caplog: 
     clock.now += BURST
     audit.look()
     audit.look()
-    assert messages(caplog)[2:] == ["anna: WriteReg focus: 999 times more within 10 s"]
+    assert messages(caplog)[2:] == ["anna: WriteReg focus: 999 more within 10 s"]
     audit.note("a", "WriteReg", lambda: "anna: WriteReg zoom")
     assert messages(caplog)[3:] == ["anna: WriteReg zoom"]
 

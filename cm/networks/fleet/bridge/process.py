@@ -233,11 +233,13 @@ async def _alone(board: str, network: Any, lease: float) -> None:
 
     After a loss of power the old token stays for as long as a process may hang: `lease` seconds.
     """
-    end = time.monotonic() + 1.5 * lease + 1
+    end, told = time.monotonic() + 1.5 * lease + 1, False
     while await asyncio.to_thread(is_alive, network, keys.key(board, "alive")):
         if time.monotonic() > end:
             raise Busy(f"a board called {board!r} is in this fleet already: give this one another --name")
-        _LOG.warning("a board called %s is in this fleet: if that was this one, it will be gone soon", board)
+        if not told:
+            _LOG.warning("a board called %s is in this fleet: if that was this one, it will be gone soon", board)
+        told = True
         await asyncio.sleep(_RECONNECT)
 
 
