@@ -6,7 +6,7 @@ from __future__ import annotations
 import subprocess
 from pathlib import Path
 
-from cm.design.packages import PackageTree
+from cm.design.debian_packages import PackageTree
 from cm.formats.bitstream import FrameAddress, open_image
 from cm.formats.bitstream.devices import Family
 from cm.formats.bitstream.geometry import encode_far, geometry_of

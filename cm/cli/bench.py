@@ -50,14 +50,14 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(args: argparse.Namespace) -> int:
     """Measure; the exit status."""
-    from cm.tools.bench import machine, plots, report, table
+    from cm.tools.bench import catalogue, machine, plots, report
 
     if args.list:
-        print("\n".join(table.NAMES))
+        print("\n".join(catalogue.NAMES))
         return 0
     if args.compare:
         return _compare(args)
-    cases = table.chosen(args.names)
+    cases = catalogue.chosen(args.names)
     if args.plots:
         plots.require()
     found = machine.describe()
@@ -97,11 +97,11 @@ def _bench(args: argparse.Namespace, folder: Path, cpu: int | None) -> Run:
 
 
 def _measure(case: object, bench: Run, names: list[str]) -> list[Result]:
-    from cm.tools.bench import table
+    from cm.tools.bench import catalogue
 
-    assert isinstance(case, table.Case)
+    assert isinstance(case, catalogue.Case)
     print(f"cm bench: {case.module} …", file=sys.stderr, flush=True)
-    return [result for result in table.measure(case, bench) if not names or result.name in names]
+    return [result for result in catalogue.measure(case, bench) if not names or result.name in names]
 
 
 def _short() -> str | None:

@@ -31,8 +31,8 @@ from cm.formats.bitstream import (
 )
 from cm.frozen import replace
 from cm.schema import load
-from cm.schema.files import bitstream_path
 from cm.schema.model import Config, ConfigType, FrameRange, Module
+from cm.schema.named_files import bitstream_path
 
 _NO_FOOTPRINT = (
     "its frames were not compared: the footprint of region {} is not known (--like FILE names a bitstream of that "

@@ -6,10 +6,10 @@ from __future__ import annotations
 import argparse
 
 from cm.cli.build_collect import add_collect_parser
+from cm.cli.build_generate import add_check_parser, add_configure_parser, add_generate_parser, add_init_parser
 from cm.cli.build_interfaces import add_interfaces_parser
 from cm.cli.build_partition import add_partition_parser
 from cm.cli.build_run import add_pack_parsers, add_run_parser, add_tools_parser
-from cm.cli.build_schema import add_check_parser, add_configure_parser, add_generate_parser, add_init_parser
 
 _DESCRIPTION = (
     "The build tool. `init` writes a first build schema, `check` reports what it finds in "

@@ -12,8 +12,8 @@ from cm.cli.common import add_json_option, answer, naming
 from cm.design.collect.collected import Collected
 from cm.design.collect.collection import collect, collect_ours, write
 from cm.design.errors import BuildError
-from cm.design.generate.tree import ANSWERS, load_design, output_folder
-from cm.design.run.steps import Flow
+from cm.design.generate.generation import ANSWERS, load_design, output_folder
+from cm.design.run.flow import Flow
 from cm.design.runtime.answers import load_answers
 from cm.frozen import replace
 

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from cm.cli.common import add_json_option, print_json, print_table
-from cm.design.hdl.compare import Difference, compare
+from cm.design.hdl.compare_ipxact import Difference, compare
 from cm.design.hdl.extract import Sources
 from cm.design.hdl.ipxact import load_component_xml
 from cm.design.hdl.model import Interface, ModuleInfo, Problem, Reset
-from cm.design.hdl.protocols import load_protocols
+from cm.design.hdl.user_protocols import load_protocols
 from cm.design.input_kinds import read_inputs
 
 _ASSIGNMENT = re.compile(r"([A-Za-z_]\w*)(?:=(.*))?", re.DOTALL)

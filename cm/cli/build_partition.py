@@ -7,13 +7,13 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from cm.cli.build_schema import add_schema_argument
+from cm.cli.build_generate import add_schema_argument
 from cm.cli.common import add_json_option, digits, naming, parsed, print_json, print_table
 from cm.design.boundary.analyse import analyse
 from cm.design.errors import BuildError
-from cm.design.generate.tree import output_folder
-from cm.design.partition.advise import problem_of, todays_groups
+from cm.design.generate.generation import output_folder
 from cm.design.partition.advisor import SECONDS
+from cm.design.partition.from_project import problem_of, todays_groups
 from cm.design.partition.model import Partition, evaluate
 from cm.design.partition.proposal import proposal
 from cm.design.partition.utilisation import read_utilisation, static_report, with_reports

@@ -8,10 +8,10 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from cm.cli.build_schema import add_out_option, add_schema_argument
+from cm.cli.build_generate import add_out_option, add_schema_argument
 from cm.cli.common import add_json_option, answer, print_json, print_table
 from cm.design.errors import BuildError, MissingTool
-from cm.design.generate.tree import behind, load_design, output_folder
+from cm.design.generate.generation import behind, load_design, output_folder
 from cm.design.hdl.errors import ParserMissing
 from cm.design.openflow.attempt import Settings
 from cm.design.openflow.flow import OpenFlow
@@ -20,8 +20,8 @@ from cm.design.openflow.tools import fetch_tools, find_tools
 from cm.design.project.load import load_project
 from cm.design.project.model import Project
 from cm.design.run.archive import pack, unpack
+from cm.design.run.flow import Flow, Planned, State
 from cm.design.run.make import run_flow
-from cm.design.run.steps import Flow, Planned, State
 from cm.design.run.vivado import find_vivado
 
 

@@ -14,8 +14,8 @@ from cm._version import __version__
 from cm.cli.colours import painted
 from cm.cli.common import add_board_options, print_json
 from cm.cli.connection import connected, where
+from cm.device.check_result import Finding, State
 from cm.device.checks.machine import Machine
-from cm.device.finding import Finding, State
 from cm.device.paths import Root
 from cm.wire.messages.plain import plain
 

@@ -95,7 +95,7 @@ def unpack_signed(
 
     Raises what `unpack` does, and SignatureRefused.
     """
-    from cm.cli.signatures import policy_of
+    from cm.cli.signature_policy import policy_of
     from cm.formats.signing import Judgement, judge
 
     said = read_settings(settings)

@@ -145,7 +145,7 @@ def _of_files(args: argparse.Namespace) -> _Map:
     from cm.formats.bitstream.memory import frames_in
     from cm.formats.xray.fabric import fabric  # a completed name needs none of this
     from cm.schema import load
-    from cm.schema.files import bitstream_path
+    from cm.schema.named_files import bitstream_path
     from cm.wire.messages.status import RegionMap
 
     if args.check == Path("-"):

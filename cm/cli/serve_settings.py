@@ -76,7 +76,7 @@ def configs_of(paths: Sequence[Path], settings: Settings | None) -> tuple[dict[s
         configs = load_configs(paths)
     if settings is None or settings.policy.signatures == "off":
         return configs, left_out
-    from cm.cli.signatures import policy_of, signed_only
+    from cm.cli.signature_policy import policy_of, signed_only
 
     signed, told = signed_only(configs, policy_of(settings))
     return signed, (*left_out, *told)

@@ -100,6 +100,6 @@ def schema_of_build(build: Path, runtime: Path, kind: str) -> Path:
 
         folder = collected(build)
         return folder / f"{folder.name}.yaml"
-    from cm.simulation.rtl.schema import written
+    from cm.simulation.rtl.write_runtime_schema import written
 
     return written(build, runtime / "schemas")

@@ -16,7 +16,7 @@ from cm.design.boundary.model import Boundary, Role
 from cm.design.check.rules import check_system
 from cm.design.compile_order import compile_order
 from cm.design.errors import BuildError
-from cm.design.generate.tree import load_design
+from cm.design.generate.generation import load_design
 from cm.design.hdl.clock_reset_names import REGION_CLOCK
 from cm.design.hdl.extract import Sources
 from cm.design.hdl.hls_registers import HDL, hls_interface, hls_memories, hls_registers

@@ -9,8 +9,8 @@ from typing import Any
 from cm.design.boundary.analyse import Analysis
 from cm.design.boundary.model import Adaptation, Boundary, Fit, Role
 from cm.design.hdl.model import Mode, ModuleInfo
-from cm.design.plan import flow
 from cm.design.plan.dma_engines import EngineKind
+from cm.design.plan.steps import shelled
 from cm.design.plan.system import RegionPlan, StreamBus, System
 from cm.design.project.model import Project
 
@@ -109,7 +109,7 @@ def lines(project: Project, analysis: Analysis, system: System | None) -> Iterat
         yield f"{system.cover}"
         for number, run in enumerate(system.runs, 1):
             yield f"  run_{number}: " + ", ".join(f"{region}: {module}" for region, module in run.items())
-        for one in flow.shelled(system):
+        for one in shelled(system):
             yield f"  {one.module.name}: in the abstract shell of {one.region.name}"
         for note in system.notes:
             yield f"note: {note}"

@@ -15,10 +15,10 @@ from cm.device import advice
 from cm.device.axidma import FOLDER as DMA_FOLDER
 from cm.device.axidma import list_dma
 from cm.device.base import AnyRoot
+from cm.device.check_result import Finding, State
 from cm.device.checks import board_checks
 from cm.device.checks.kernel import modules
 from cm.device.errors import DeviceError
-from cm.device.finding import Finding, State
 from cm.device.fpga_manager import CLASS as FPGA_CLASS
 from cm.device.fpga_manager import FpgaManager, list_fpga_managers
 from cm.device.icap import list_icap

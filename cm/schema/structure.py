@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 from cm.schema.compiled import ready
-from cm.schema.listing import fold, lift_overlays, windows
+from cm.schema.paper_listing import fold, lift_overlays, windows
 from cm.schema.problems import KeyPath, did_you_mean
 from cm.schema.schema_forms import follow, for_values, normal_form, without_references
 from cm.schema.tree import Entry, Items, Mark, Node, Scalar, Table, plain
-from cm.schema.values import Finding, findings, joined, name_form
+from cm.schema.value_errors import Finding, findings, joined, name_form
 
 SCHEMA_FILE = Path(__file__).parent / "data" / "runtime.schema.json"
 _WINDOW = "#/definitions/window"

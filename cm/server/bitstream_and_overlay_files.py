@@ -41,8 +41,8 @@ from cm.formats.bitstream.errors import BadContainer, BitstreamError, Sha256Mism
 from cm.frozen import dataclass
 from cm.manager.errors import BadOverlay
 from cm.manager.inputs import Image
-from cm.schema.files import bitstream_path, find_file, overlay_path
 from cm.schema.model import Config, FrameRange, Module, Overlay, Region
+from cm.schema.named_files import bitstream_path, find_file, overlay_path
 from cm.server.folders import own_folder
 from cm.wire.messages.status import RegionColumn
 

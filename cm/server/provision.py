@@ -17,8 +17,8 @@ from cm.hashes import sha256
 from cm.manager.errors import UnknownConfig, listed
 from cm.manager.planner import checked_name
 from cm.schema import load, loads
-from cm.schema.files import named_files
 from cm.schema.model import Config
+from cm.schema.named_files import named_files
 from cm.schema.problems import did_you_mean
 from cm.server.folders import own_folder
 from cm.server.garbage import keeping

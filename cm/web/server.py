@@ -20,7 +20,7 @@ from cm.web.commands import Commands
 from cm.web.gate import Gate, is_loopback
 from cm.web.hub import Connect, Hub
 from cm.web.session import Session
-from cm.web.watching import Watching
+from cm.web.shown_streams import Watching
 
 if TYPE_CHECKING:
     from cm.networks.fleet.aio import Fleet

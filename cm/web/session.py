@@ -15,7 +15,7 @@ from cm.errors import CmError
 from cm.web.commands import Commands
 from cm.web.gate import Gate
 from cm.web.hub import Hub
-from cm.web.watching import Watching
+from cm.web.shown_streams import Watching
 
 _PAUSE = 0.02  # seconds between two messages, so that changes at about the same time are sent together
 _HELLO = 10.0  # seconds in which a page has to say who it is

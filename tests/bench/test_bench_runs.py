@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from cm.cli.main import main
-from cm.tools.bench.table import CASES, NAMES, Case
+from cm.tools.bench.catalogue import CASES, NAMES, Case
 
 pytestmark = pytest.mark.timeout(900)
 KEYS = {"value", "unit", "baseline", "ratio", "goal", "met", "missing", "ran"}

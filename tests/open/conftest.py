@@ -17,14 +17,14 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "unit")]
 
 from routed import TOOLS, Routed, route  # noqa: E402 - beside this file
 
-from cm.design.errors import BuildError  # noqa: E402
-from cm.design.openflow.tools import Tools, fetch_tools  # noqa: E402
-from cm.design.packages import (  # noqa: E402
+from cm.design.debian_packages import (  # noqa: E402
     PackagesUnavailable,
     PackageTree,
     default_folder,
     fetch,
 )
+from cm.design.errors import BuildError  # noqa: E402
+from cm.design.openflow.tools import Tools, fetch_tools  # noqa: E402
 
 EXAMPLES = HERE.parents[1] / "cm" / "data" / "examples"
 

@@ -11,7 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from cm.design.packages import PackageTree
+from cm.design.debian_packages import PackageTree
 from cm.formats.xray import Database, Feature, encode, read_features
 from cm.simulation.bits import Boundary
 

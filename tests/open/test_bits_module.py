@@ -14,7 +14,7 @@ from design import Design
 from netlist_simulation import Simulation
 from routed import HERE, Routed
 
-from cm.design.packages import PackageTree
+from cm.design.debian_packages import PackageTree
 from cm.formats.bitstream import device_by_name, to_dma_words
 from cm.formats.bitstream.memory import FrameMemory
 from cm.formats.xray import Feature, Wires, bits_of, decode, to_bytes, volatile_bits

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cm.design.generate.tree import load_design
+from cm.design.generate.generation import load_design
 from cm.design.openflow.job import other_lanes
 from cm.design.openflow.layout import Layout, layouts
 from cm.design.openflow.tools import Tools

@@ -16,10 +16,10 @@ from manager_process import served
 from xray_oracle import frames_read, part, read_bits, run
 
 import cm
-from cm.design.generate.tree import load_design
+from cm.design.debian_packages import PackageTree
+from cm.design.generate.generation import load_design
 from cm.design.openflow.layout import layouts
 from cm.design.openflow.tools import Tools, fetched
-from cm.design.packages import PackageTree
 from cm.formats.bitstream import footprint_of, inspect
 from cm.formats.xray import Database, decode, encode, from_bytes, read_features, set_bits, with_ecc
 from cm.formats.xray.frames import ECC_MASK

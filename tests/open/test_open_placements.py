@@ -16,7 +16,7 @@ from placements import Placement, draw
 from twins import Built, compare
 from xray_oracle import frames_read, read_bits
 
-from cm.design.generate.tree import load_design
+from cm.design.generate.generation import load_design
 from cm.design.openflow.layout import layouts
 from cm.design.openflow.tools import Tools, fetched
 from cm.formats.xray import Database, decode, from_bytes, set_bits

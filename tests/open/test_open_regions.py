@@ -14,11 +14,11 @@ from xray_oracle import frames_read, read_bits
 
 import cm
 from cm.client.board import Board, connect
-from cm.design.generate.tree import load_design
+from cm.design.generate.generation import load_design
 from cm.design.openflow.job import labels
 from cm.design.openflow.layout import Layout, layouts
 from cm.design.openflow.merge import left_out, static_features
-from cm.design.openflow.place import Files, read_side
+from cm.design.openflow.place_and_route import Files, read_side
 from cm.design.openflow.tools import Tools, fetched
 from cm.design.plan.system import System
 from cm.formats.bitstream import device_by_name

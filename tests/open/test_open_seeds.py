@@ -13,7 +13,7 @@ import pytest
 from conftest import EXAMPLES
 
 from cm.design.errors import StepFailed
-from cm.design.generate.tree import generate, load_design, output_folder
+from cm.design.generate.generation import generate, load_design, output_folder
 from cm.design.openflow.attempt import Settings, Unroutable
 from cm.design.openflow.flow import OpenFlow
 from cm.design.openflow.tools import Tool, Tools

@@ -11,7 +11,7 @@ import pytest
 from build_support import EXAMPLES, NAMES, copy_examples, generated
 from conftest import HERE, needs
 
-from cm.design.generate.tree import Design
+from cm.design.generate.generation import Design
 
 RTL = HERE.parent.parent / "cm" / "design" / "rtl"
 

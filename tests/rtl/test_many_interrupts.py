@@ -12,7 +12,7 @@ from simulation import simulate
 from test_shared_engines import RTL, lint
 
 from cm import schema
-from cm.design.generate.tree import generate, load_design, output_folder
+from cm.design.generate.generation import generate, load_design, output_folder
 
 MANY = STREAM_MODULE.format(name="one", high=31).replace(
     "    input  wire        resetn,", "    input  wire        resetn,\n    output wire [69:0] irq,"

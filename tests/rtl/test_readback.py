@@ -20,7 +20,7 @@ from conftest import HERE, needs
 from simulation import simulate
 from test_lint import lint
 
-from cm.design.generate.tree import Design
+from cm.design.generate.generation import Design
 
 READ = HERE.parent.parent / "cm/design/rtl/readback/cm_icap_read.v"
 MODELS = sorted((HERE / "models").glob("*.v"))

@@ -11,7 +11,7 @@ from build_support import MINIMAL, STREAM_MODULE, project
 from conftest import HERE, needs
 from simulation import simulate
 
-from cm.design.generate.tree import generate, load_design, output_folder
+from cm.design.generate.generation import generate, load_design, output_folder
 
 RTL = HERE.parent.parent / "cm" / "design" / "rtl"
 WIDTHS = (32, 8, 24)

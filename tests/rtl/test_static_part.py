@@ -10,7 +10,7 @@ from build_support import copy_examples, generated
 from conftest import HERE, needs
 from simulation import simulate
 
-from cm.design.generate.tree import Design
+from cm.design.generate.generation import Design
 from cm.schema import load
 
 pytestmark = [needs("iverilog"), pytest.mark.timeout(600)]

@@ -14,7 +14,7 @@ from simulation import simulate
 from test_shared_engines import adder, lint
 
 import cm
-from cm.design.generate.tree import generate, load_design, output_folder
+from cm.design.generate.generation import generate, load_design, output_folder
 
 RTL = HERE.parent.parent / "cm" / "design" / "rtl"
 CHAIN = """\

@@ -11,7 +11,7 @@ import pytest
 from conftest import HERE, needs
 from headless_rig import running
 
-from cm.design.generate.tree import generate, load_design
+from cm.design.generate.generation import generate, load_design
 
 pytestmark = [needs("verilator"), needs("g++"), pytest.mark.timeout(600)]
 SCHEMA = """\

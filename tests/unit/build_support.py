@@ -11,7 +11,7 @@ import pytest
 from verilog_ports import AXI_LITE, STREAMS
 
 import cm
-from cm.design.generate.tree import Design, generate, load_design, output_folder
+from cm.design.generate.generation import Design, generate, load_design, output_folder
 
 EXAMPLES = Path(cm.__file__).parent / "data" / "examples"
 GOLDEN = Path(__file__).parent.parent / "golden"

@@ -12,7 +12,7 @@ from cm.design.boundary.make import boundary
 from cm.design.boundary.model import Boundary
 from cm.design.errors import BuildError, MissingTool
 from cm.design.hdl.associate import restated
-from cm.design.hdl.compare import compare
+from cm.design.hdl.compare_ipxact import compare
 from cm.design.hdl.errors import HdlError, ModuleNotFound, UnknownParameter
 from cm.design.hdl.extract import Sources, read
 from cm.design.hdl.flat import Flat, needs_wrapper
@@ -20,8 +20,8 @@ from cm.design.hdl.flatten import flatten
 from cm.design.hdl.hls_registers import HDL, differences, hls_memories, hls_registers, is_hls
 from cm.design.hdl.ipxact import load_component_xml, load_xci
 from cm.design.hdl.model import Language, ModuleInfo, Polarity, Problem, Stated
-from cm.design.hdl.protocols import UserProtocol, load_protocols
 from cm.design.hdl.register_maps import read_register_map
+from cm.design.hdl.user_protocols import UserProtocol, load_protocols
 from cm.design.hdl.vhdl_text import missing_units
 from cm.design.project.model import ModuleSpec, Project, in_libraries
 from cm.design.project.source_position import fault

@@ -11,7 +11,7 @@ from types import MappingProxyType
 from cm.design.boundary.model import BoundaryPort, Connection, Fit, Role
 from cm.design.boundary.rules import Missing, Policy, lacks_input, lacks_output, policy
 from cm.design.boundary.slots import Slot
-from cm.design.hdl.buses import aximm, axis
+from cm.design.hdl.axi_signals import aximm, axis
 from cm.design.hdl.model import Interface, Mode, ModuleInfo, PortDirection
 
 IN, OUT = PortDirection.IN, PortDirection.OUT

@@ -13,12 +13,12 @@ from collections.abc import Iterator
 from cm.design.check.block_design import check_block_design
 from cm.design.check.floorplan import check_floorplan
 from cm.design.errors import BuildError
-from cm.design.hdl.buses import aximm, axis
+from cm.design.hdl.axi_signals import aximm, axis
 from cm.design.hdl.detect import NOTHING_KNOWN
 from cm.design.plan import block_design
 from cm.design.plan.dma_engines import EngineKind
-from cm.design.plan.flow import clashes
 from cm.design.plan.pins import placements
+from cm.design.plan.steps import clashes
 from cm.design.plan.system import RegionPlan, System, used_clocks
 from cm.design.project.source_position import Finding
 from cm.design.runtime.answers import Answers

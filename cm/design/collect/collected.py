@@ -18,7 +18,7 @@ from pathlib import Path
 from cm.design.collect.handoff import Handoff
 from cm.design.collect.images import Image
 from cm.design.errors import BuildError
-from cm.design.generate.manifest import write_whole
+from cm.design.generate.output_tree import write_whole
 from cm.design.run.archive import write_tar
 from cm.schema.model import Config
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cm.design.errors import BuildError
-from cm.design.generate.netlist import concat
+from cm.design.generate.verilog_module import concat
 from cm.design.hdl.model import Interface, PortDirection
 from cm.design.plan.addresses import Window
 from cm.design.plan.system import Domain

@@ -15,7 +15,8 @@ from cm.design.generate.static_part.module import static_part
 from cm.design.generate.target_files import Entry, software_outputs
 from cm.design.generate.top import top
 from cm.design.generate.wrapper import black_box, wrapper
-from cm.design.plan import block_design, flow
+from cm.design.plan import block_design
+from cm.design.plan import steps as build_steps
 from cm.design.plan.floorplan import KINDS, rectangle
 from cm.design.plan.pins import placements
 from cm.design.plan.system import System
@@ -43,7 +44,7 @@ def render_identified(system: System, out: Path, answers: Answers) -> dict[str, 
     files = {path: renderer.render(template, context) for path, template, context in entries}
     for path in inputs.library(system):
         files[f"hdl/lib/{path.name}"] = path.read_text(encoding="utf-8")
-    for step in flow.steps(system):
+    for step in build_steps.steps(system):
         paths = [renderer.relative(path) for path in inputs.of_step(system, step.name, out)]
         files[f"inputs/{step.name}.list"] = renderer.render("inputs.list.j2", {"paths": paths})
     return dict(sorted(files.items()))
@@ -91,7 +92,7 @@ def _tcl(system: System, out: Path) -> Iterator[Entry]:
     yield "tcl/step_static.tcl", "step_static.tcl.j2", inputs.static_files(system, out)
     for one in system.implementations:
         yield f"tcl/step_synth_{one.name}.tcl", "step_synth.tcl.j2", inputs.module_files(one, out)
-    runs = flow.runs(system)
+    runs = build_steps.runs(system)
     for run in runs:
         context = {"name": run.name, "run_doc": run.doc, "cells": run.cells, "greybox": run.greybox}
         template = "step_initial.tcl.j2" if run.number == 1 else "step_further.tcl.j2"
@@ -101,17 +102,17 @@ def _tcl(system: System, out: Path) -> Iterator[Entry]:
     yield "tcl/step_verify.tcl", "step_verify.tcl.j2", {"initial": runs[0].name, "further": further}
     if project.static.abstract_shells:
         yield from _shells(system)
-    steps = flow.steps(system)
-    yield "Makefile", "Makefile.j2", {"steps": steps, "last": flow.ends(steps)}
-    yield "steps.json", "json.j2", {"text": flow.steps_json(steps)}
+    steps = build_steps.steps(system)
+    yield "Makefile", "Makefile.j2", {"steps": steps, "last": build_steps.ends(steps)}
+    yield "steps.json", "json.j2", {"text": build_steps.steps_json(steps)}
 
 
 def _shells(system: System) -> Iterator[Entry]:
     """Abstract shells, and modules in them."""
     for region in system.regions:
-        context = {"region": region, "initial": flow.runs(system)[0].name}
+        context = {"region": region, "initial": build_steps.runs(system)[0].name}
         yield f"tcl/step_shell_{region.name}.tcl", "step_shell.tcl.j2", context
-    for one in flow.shelled(system):
+    for one in build_steps.shelled(system):
         module = {"name": one.name, "region": one.region, "properties": _properties(system)}
         yield f"tcl/step_module_{one.name}.tcl", "step_module.tcl.j2", module
 
@@ -120,7 +121,7 @@ def _repositories(system: System) -> list[Path]:
     return list(dict.fromkeys(path for module in system.project.modules.values() for path in module.ip_repositories))
 
 
-def _bitstreams(system: System, run: flow.Run) -> dict[str, Any]:
+def _bitstreams(system: System, run: build_steps.Run) -> dict[str, Any]:
     return {
         "run": run.name,
         "full": system.full if run.number == 1 else None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from cm.design.generate.netlist import Netlist, Signal, zeros
+from cm.design.generate.verilog_module import Netlist, Signal, zeros
 from cm.design.hdl.model import PortDirection
 from cm.design.plan.system import System
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from cm.design.boundary.model import Adaptation, Connection, Fit
 from cm.design.errors import BuildError
 from cm.design.generate import axi
-from cm.design.generate.netlist import Netlist, low_bits, ones, zeros
+from cm.design.generate.verilog_module import Netlist, low_bits, ones, zeros
 from cm.design.hdl.model import Interface, Mode, PortDirection
 from cm.design.plan.system import Implementation, RegionPlan
 from cm.design.project.model import ModuleSpec

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from cm.design.hdl import vivado_attributes
 from cm.design.hdl.associate import associate
-from cm.design.hdl.buses import Protocol, acknowledged, aximm, axis, axis_short
+from cm.design.hdl.axi_signals import Protocol, acknowledged, aximm, axis, axis_short
 from cm.design.hdl.clock_reset_names import drives_clock, interrupt_mode, is_clock, is_reset, named_low
 from cm.design.hdl.group_ports import Candidate, candidates
 from cm.design.hdl.model import (
@@ -24,7 +24,7 @@ from cm.design.hdl.model import (
     Reset,
     Stated,
 )
-from cm.design.hdl.protocols import UserProtocol
+from cm.design.hdl.user_protocols import UserProtocol
 from cm.design.hdl.validate_bus import judge, make_interface
 from cm.design.hdl.vivado_attributes import Tagged, read_tags
 

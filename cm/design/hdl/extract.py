@@ -13,7 +13,7 @@ from types import MappingProxyType
 from cm.design.hdl.detect import NOTHING_STATED, detect
 from cm.design.hdl.errors import HdlError, ModuleNotFound, UnknownParameter
 from cm.design.hdl.model import Language, ModuleInfo, Problem, Stated
-from cm.design.hdl.protocols import UserProtocol
+from cm.design.hdl.user_protocols import UserProtocol
 from cm.design.hdl.verilog import VerilogReader
 from cm.design.hdl.vhdl import VhdlReader
 from cm.design.hdl.vhdl_text import VHDL_SUFFIXES

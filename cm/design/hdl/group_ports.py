@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
-from cm.design.hdl.buses import Protocol
+from cm.design.hdl.axi_signals import Protocol
 from cm.design.hdl.model import Port, PortDirection
 
 _LEADING = re.compile(r"^(i|in|o|out)_", re.IGNORECASE)

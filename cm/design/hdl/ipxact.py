@@ -21,7 +21,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from cm.design.hdl.associate import associate
-from cm.design.hdl.buses import make_protocol
+from cm.design.hdl.axi_signals import make_protocol
 from cm.design.hdl.detect import detect
 from cm.design.hdl.errors import HdlError
 from cm.design.hdl.model import (
@@ -37,7 +37,7 @@ from cm.design.hdl.model import (
     PortDirection,
     Reset,
 )
-from cm.design.hdl.protocols import UserProtocol
+from cm.design.hdl.user_protocols import UserProtocol
 from cm.design.hdl.validate_bus import make_interface
 from cm.design.hdl.vivado_attributes import clock_of, polarity_of
 from cm.formats.hwh.reader import root_of

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from cm.design.hdl.buses import Protocol, axi_flavour
+from cm.design.hdl.axi_signals import Protocol, axi_flavour
 from cm.design.hdl.model import FoundBy, Interface, Mode, Port
 
 _TITLES = {"aximm": "AXI", "axis": "AXI4-Stream"}

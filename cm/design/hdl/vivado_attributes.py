@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
-from cm.design.hdl.buses import Protocol, make_protocol
+from cm.design.hdl.axi_signals import Protocol, make_protocol
 from cm.design.hdl.clock_reset_names import reset_polarity
 from cm.design.hdl.model import (
     FoundBy,

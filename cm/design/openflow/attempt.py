@@ -14,7 +14,7 @@ from cm.design.errors import BuildError, StepFailed
 from cm.design.openflow.job import Job, elsewhere, labels, module_job, pins_xdc, static_job, with_cells, without
 from cm.design.openflow.layout import Layout
 from cm.design.openflow.merge import CLOCK, Side, left_out, module_features, static_features, strays
-from cm.design.openflow.place import SCRIPTS, Files, cells_of, place_and_route, read_side, slacks, timing
+from cm.design.openflow.place_and_route import SCRIPTS, Files, cells_of, place_and_route, read_side, slacks, timing
 from cm.design.openflow.steps import OpenStepEndless, Steps, Tell, key_of
 from cm.design.openflow.tools import Tools
 from cm.design.plan.pins import placements

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from cm.design.errors import BuildError
 from cm.design.generate.inputs import module_files
-from cm.design.generate.manifest import write_whole
-from cm.design.generate.netlist import Netlist
+from cm.design.generate.output_tree import write_whole
+from cm.design.generate.verilog_module import Netlist
 from cm.design.openflow import images
 from cm.design.openflow.attempt import Attempt, Context, Settings, Unroutable
 from cm.design.openflow.layout import layouts

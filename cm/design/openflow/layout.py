@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from cm.design.errors import BuildError
-from cm.design.generate.netlist import Signal
+from cm.design.generate.verilog_module import Signal
 from cm.design.generate.wrapper import black_box
 from cm.design.hdl.model import PortDirection
 from cm.design.plan.floorplan import rectangle

@@ -19,8 +19,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from cm.design.generate.axi import LITE, PER_SLAVE, SHARED, decoded
-from cm.design.generate.netlist import Netlist, concat, ones, zeros
 from cm.design.generate.static_part.module import static_part
+from cm.design.generate.verilog_module import Netlist, concat, ones, zeros
 from cm.design.generate.wrapper import black_box
 from cm.design.hdl.model import PortDirection
 from cm.design.openflow.layout import BoundaryBit, boundary_bits

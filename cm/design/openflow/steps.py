@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from cm.design.errors import StepFailed
-from cm.design.generate.manifest import write_whole
+from cm.design.generate.output_tree import write_whole
 from cm.design.openflow.tools import Tool
 
 Tell = Callable[[str], None]

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from cm.design.errors import BuildError
-from cm.design.generate.manifest import write_whole
+from cm.design.generate.output_tree import write_whole
 from cm.design.openflow.merge import CLOCK
 from cm.design.openflow.netlists import ANCHOR, HARNESS
 from cm.design.openflow.rewrites import Cell, packable, separate, unchain, wires_of

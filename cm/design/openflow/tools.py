@@ -9,8 +9,8 @@ import stat
 from dataclasses import dataclass
 from pathlib import Path
 
+from cm.design.debian_packages import PackagesUnavailable, PackageTree, default_folder, fetch
 from cm.design.errors import MissingTool
-from cm.design.packages import PackagesUnavailable, PackageTree, default_folder, fetch
 from cm.formats.xray import DatabaseMissing, find_database
 
 YOSYS, NEXTPNR = "yosys", "nextpnr-himbaechel-xilinx"

@@ -24,10 +24,10 @@ from cm.design.boundary.model import Boundary
 from cm.design.boundary.slots import unique
 from cm.design.check.rules import check_system
 from cm.design.errors import BuildError
-from cm.design.partition.advise import by_port, unit_name
 from cm.design.partition.advisor import SECONDS, advise
+from cm.design.partition.from_project import by_port, unit_name
 from cm.design.partition.model import Group, Partition, Problem
-from cm.design.partition.streams import Streams, streams_of
+from cm.design.partition.stream_names import Streams, streams_of
 from cm.design.parts import device_of
 from cm.design.plan.floorplan import CLOCK_REGION, device_sites, holds, rectangle
 from cm.design.plan.planner import plan_system

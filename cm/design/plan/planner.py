@@ -14,8 +14,8 @@ from cm.design.parts import device_of
 from cm.design.plan.addresses import CONTROL_SIZE, Allocator, Window
 from cm.design.plan.connections import RegionPlanner
 from cm.design.plan.dma_engines import Dma
-from cm.design.plan.frames import check_frames
 from cm.design.plan.minimal_runs import Cover, check_shells, cover, first_run
+from cm.design.plan.stream_frames import check_frames
 from cm.design.plan.streams import READBACK, crowding, place
 from cm.design.plan.switch import own_streams, plan_switch, switch_width
 from cm.design.plan.system import (

@@ -22,9 +22,9 @@ from pathlib import Path, PurePosixPath
 from typing import Any, BinaryIO
 
 from cm.design.errors import BuildError
-from cm.design.plan.flow import Step, ends, steps_json
+from cm.design.plan.steps import Step, ends, steps_json
 from cm.design.render import Renderer
-from cm.design.run.steps import Flow, State, digest
+from cm.design.run.flow import Flow, State, digest
 from cm.formats.tar import BadTar, Limits, Member, TarStream
 
 PACK = "pack.json"

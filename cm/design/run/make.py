@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cm.design.errors import MissingTool, StepFailed
-from cm.design.run.steps import Flow, Planned, State
+from cm.design.run.flow import Flow, Planned, State
 from cm.design.run.vivado import Vivado, excerpt
 
 Tell = Callable[[str], None]

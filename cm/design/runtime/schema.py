@@ -13,7 +13,7 @@ from pathlib import Path
 
 from cm.design.errors import BuildError
 from cm.design.plan.addresses import Window
-from cm.design.plan.frames import frame_problem
+from cm.design.plan.stream_frames import frame_problem
 from cm.design.plan.switch import COMMIT, CONTROL, MUX, NONE, UPDATE, chain_of, register_name, route_values
 from cm.design.plan.system import Implementation, RegionPlan, RegisterBus, SwitchPlan, System
 from cm.design.project.model import ModeSpec, ModuleSpec

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from cm.device.check_result import Finding
 from cm.device.checks import devices, kernel, managers, ports
 from cm.device.checks.machine import Machine
-from cm.device.finding import Finding
 from cm.device.paths import Root
 
 

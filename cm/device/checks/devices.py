@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
+from cm.device.check_result import Finding, State
 from cm.device.checks.machine import Machine, PlatformDevice
-from cm.device.finding import Finding, State
 
 # compatible string → module that binds it
 DRIVERS = {

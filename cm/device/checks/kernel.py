@@ -6,8 +6,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
+from cm.device.check_result import Finding, State
 from cm.device.checks.machine import Machine
-from cm.device.finding import Finding, State
 from cm.device.paths import Root
 
 _UIO = "uio_pdrv_genirq"

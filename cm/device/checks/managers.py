@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from cm.device.check_result import Finding, State
 from cm.device.checks.machine import Machine
-from cm.device.finding import Finding, State
 
 # name of the process (its first 15 characters) → what to do
 _OTHERS = {

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from cm.device.check_result import Finding, State
 from cm.device.checks.machine import Machine
-from cm.device.finding import Finding, State
 
 _AFI = ("xlnx,afi-fpga", "xlnx,zynq-afi-fpga")
 

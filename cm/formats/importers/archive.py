@@ -16,8 +16,8 @@ from cm.formats.importers.versions import KEEP, locked, put_in_force, roll_back,
 from cm.formats.tar import BadTar, Limits, Member, TarStream
 from cm.frozen import dataclass
 from cm.schema import SchemaError, load_folder
-from cm.schema.files import FileMissing, bitstream_path, overlay_path
 from cm.schema.model import Config
+from cm.schema.named_files import FileMissing, bitstream_path, overlay_path
 
 Judge: TypeAlias = "Callable[[Path, str, Path], object]"
 LIMITS = Limits(total=1 << 30, members=4096)

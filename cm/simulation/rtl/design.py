@@ -14,11 +14,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from cm.design.generate.generation import load_design
 from cm.design.generate.inputs import RTL, library, module_files
-from cm.design.generate.netlist import Netlist, Signal, concat
 from cm.design.generate.outputs import identified, render_identified
 from cm.design.generate.static_part.module import static_part
-from cm.design.generate.tree import load_design
+from cm.design.generate.verilog_module import Netlist, Signal, concat
 from cm.design.generate.wrapper import wrapper
 from cm.design.hdl.model import PortDirection
 from cm.design.plan.dma_engines import Dma, Engine, EngineKind

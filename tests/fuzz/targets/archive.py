@@ -16,7 +16,7 @@ from pathlib import Path
 from cm.formats.importers.archive import unpack
 from cm.formats.importers.result import ImportRefused
 from cm.schema import SchemaError
-from cm.schema.files import FileMissing
+from cm.schema.named_files import FileMissing
 
 PACKAGES = ("cm.formats.importers", "cm.formats.tar")
 MAX_LENGTH = 16384

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from cm.cli.main import main
-from cm.device.finding import Finding, State
+from cm.device.check_result import Finding, State
 from cm.device.survey import survey
 
 ZYNQ_LABELS = ("intc", "clkc", "devcfg", "fpga_full", "amba")

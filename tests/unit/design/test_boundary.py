@@ -15,7 +15,7 @@ from cm.design.boundary import make as making
 from cm.design.boundary.model import Adaptation, Boundary, Connection, Fit, Role
 from cm.design.boundary.slots import identifier, unique
 from cm.design.hdl.model import FoundBy, Mode, ModuleInfo, Polarity
-from cm.design.hdl.protocols import parse_protocols
+from cm.design.hdl.user_protocols import parse_protocols
 
 CLOCKED = "input aclk; input aresetn; "
 

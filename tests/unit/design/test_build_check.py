@@ -17,8 +17,8 @@ from cm.design.boards import boards
 from cm.design.check.block_design import check_block_design
 from cm.design.check.rules import check_system
 from cm.design.errors import BuildError
+from cm.design.generate.generation import generate, load_design
 from cm.design.generate.outputs import render_all
-from cm.design.generate.tree import generate, load_design
 from cm.design.partition.utilisation import part_of
 from cm.design.parts import device_of
 from cm.design.plan.block_design import context

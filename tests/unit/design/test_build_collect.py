@@ -20,7 +20,7 @@ from cm.cli.main import main
 from cm.design.collect.collected import Collected
 from cm.design.collect.collection import collect, collect_ours, write
 from cm.design.errors import BuildError
-from cm.design.generate.tree import Design, generate, load_design
+from cm.design.generate.generation import Design, generate, load_design
 from cm.design.runtime.answers import Answers
 from cm.formats.bitstream import assemble_module, inspect
 from cm.formats.bitstream.assemble import FrameRun, assemble

@@ -11,7 +11,7 @@ from build_support import copy_examples, generated
 from cm import schema
 from cm.cli.main import main
 from cm.design.errors import BuildError
-from cm.design.generate.tree import Design
+from cm.design.generate.generation import Design
 from cm.design.runtime.configure import Question, answer_all, questions
 
 

@@ -20,7 +20,7 @@ from cm.design.check.block_design import check_block_design
 from cm.design.check.rules import check_system
 from cm.design.collect.collected import QUIET
 from cm.design.errors import BuildError
-from cm.design.generate.tree import Design, generate, load_design, output_folder
+from cm.design.generate.generation import Design, generate, load_design, output_folder
 from cm.design.plan.block_design import context
 from cm.design.plan.dma_engines import EngineKind
 from cm.schema import SchemaError

@@ -10,7 +10,7 @@ import pytest
 from build_support import MINIMAL, needs, project
 
 from cm.cli.main import main
-from cm.design.generate.tree import generate, load_design, output_folder
+from cm.design.generate.generation import generate, load_design, output_folder
 from cm.design.hdl.flat import field_name
 
 pytest.importorskip("pyslang", reason="needs pyslang: the extra [build] is not installed")

@@ -16,8 +16,8 @@ from cm import schema
 from cm.design.collect.collected import Collected
 from cm.design.collect.collection import collect_ours
 from cm.design.errors import BuildError
+from cm.design.generate.generation import Design, generate, load_design
 from cm.design.generate.outputs import identified, render_schema
-from cm.design.generate.tree import Design, generate, load_design
 from cm.design.runtime.answers import Answers
 from cm.formats.bitstream import assemble_module
 from cm.simulation.software.errors import SimError

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cm.design.errors import BuildError
-from cm.design.generate.manifest import MANIFEST, Tree
+from cm.design.generate.output_tree import MANIFEST, Tree
 
 
 def test_files_are_written_and_brought_up_to_date_and_an_unchanged_one_keeps_its_time(tmp_path: Path) -> None:

@@ -14,10 +14,10 @@ import pytest
 
 from cm.cli.main import main
 from cm.design.errors import BuildError, MissingTool, StepFailed
-from cm.design.generate.tree import load_design
+from cm.design.generate.generation import load_design
 from cm.design.openflow.images import outside, user_id
 from cm.design.openflow.netlists import bits_of_region, module_side, open_system, open_top, static_side
-from cm.design.openflow.place import Timing, read_timing, slacks
+from cm.design.openflow.place_and_route import Timing, read_timing, slacks
 from cm.design.openflow.rewrites import packable, separate, unchain, with_contents
 from cm.design.openflow.routed import read_routed
 from cm.design.openflow.rules import check_cells, check_open

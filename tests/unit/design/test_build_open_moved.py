@@ -12,7 +12,7 @@ import pytest
 from build_support import AXIL_MODULE, project
 
 from cm.design.errors import BuildError
-from cm.design.generate.tree import load_design
+from cm.design.generate.generation import load_design
 from cm.design.openflow.layout import Layout
 from cm.design.openflow.moved import check_moved, moved_image, moves_of
 from cm.design.openflow.rules import check_open

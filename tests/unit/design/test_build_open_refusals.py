@@ -9,7 +9,7 @@ import pytest
 from build_support import AXIL_MODULE, project
 from test_build_plan import MASTER
 
-from cm.design.generate.tree import load_design
+from cm.design.generate.generation import load_design
 from cm.design.openflow.rules import check_open
 
 PLAIN = """\

@@ -16,7 +16,7 @@ from build_support import MINIMAL, copy_examples, generated, needs, project
 
 from cm import schema
 from cm.design.collect.collected import QUIET
-from cm.design.generate.tree import generate, load_design
+from cm.design.generate.generation import generate, load_design
 from cm.design.plan.system import System
 from cm.schema.model import Config
 

@@ -19,8 +19,8 @@ from test_build_tcl import TCL, known_commands
 from cm.cli.main import main
 from cm.design.errors import BuildError
 from cm.design.run.archive import unpack
+from cm.design.run.flow import Flow, State
 from cm.design.run.make import run_flow
-from cm.design.run.steps import Flow, State
 from cm.design.run.vivado import Vivado
 
 VIVADO = Path(__file__).parents[1] / "vivado_replay.sh"

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from cm.design.packages import PackagesUnavailable, fetch
+from cm.design.debian_packages import PackagesUnavailable, fetch
 
 needs_apt = pytest.mark.skipif(
     not all(map(shutil.which, ("apt-get", "dpkg-deb", "gpg"))), reason="apt-get, dpkg-deb or gpg is not there"

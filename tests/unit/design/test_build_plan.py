@@ -13,8 +13,8 @@ from cm import schema
 from cm.cli.main import main
 from cm.design.boundary.analyse import analyse
 from cm.design.errors import BuildError
+from cm.design.generate.generation import Design, generate, load_design
 from cm.design.generate.outputs import render_all
-from cm.design.generate.tree import Design, generate, load_design
 from cm.design.parts import device_of
 from cm.design.platforms import ZYNQ7000, ZYNQMP
 from cm.design.project.load import load_project

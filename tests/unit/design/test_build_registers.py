@@ -232,7 +232,7 @@ def test_a_map_reaches_the_runtime_schema_and_the_build_schema_goes_first(tmp_pa
     from build_support import AXIL_MODULE
 
     from cm import schema
-    from cm.design.generate.tree import generate, load_design
+    from cm.design.generate.generation import generate, load_design
 
     (tmp_path / "xone_hw.h").write_text(HLS)
     text = MINIMAL + "    register_map: xone_hw.h\n    registers: {gain: {offset: 0x10, default: 3, max: 9}}\n"

@@ -14,9 +14,9 @@ from build_support import copy_examples, generated, needs
 
 from cm.cli.main import main
 from cm.design.errors import BuildError, MissingTool, StepFailed
-from cm.design.generate.tree import generate, load_design
+from cm.design.generate.generation import generate, load_design
+from cm.design.run.flow import Flow, State
 from cm.design.run.make import run_flow
-from cm.design.run.steps import Flow, State
 from cm.design.run.vivado import Vivado, find_vivado
 
 FAKE = Path(__file__).parents[1] / "fake_vivado.sh"

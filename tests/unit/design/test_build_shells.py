@@ -12,9 +12,9 @@ from test_build_tcl import after_all, before, replay, scripts
 
 from cm.cli.main import main
 from cm.design.errors import BuildError
-from cm.design.generate.tree import Design, generate, load_design, output_folder
+from cm.design.generate.generation import Design, generate, load_design, output_folder
+from cm.design.run.flow import Flow, State
 from cm.design.run.make import run_flow
-from cm.design.run.steps import Flow, State
 from cm.design.run.vivado import Vivado
 
 FAKE = Path(__file__).parents[1] / "fake_vivado.sh"

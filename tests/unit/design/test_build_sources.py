@@ -12,8 +12,8 @@ from build_support import MINIMAL, STREAM_MODULE, needs, project
 from cm.cli.main import main
 from cm.design.boundary.analyse import analyse
 from cm.design.errors import BuildError
+from cm.design.generate.generation import load_design
 from cm.design.generate.outputs import render_all
-from cm.design.generate.tree import load_design
 from cm.design.hdl.errors import HdlError
 from cm.design.hdl.ipxact import load_component_xml, load_xci
 from cm.design.hdl.model import Polarity

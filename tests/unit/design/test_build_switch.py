@@ -13,7 +13,7 @@ from cm import schema
 from cm.cli.main import main
 from cm.design.check.rules import check_system
 from cm.design.errors import BuildError
-from cm.design.generate.tree import Design, generate, load_design, output_folder
+from cm.design.generate.generation import Design, generate, load_design, output_folder
 from cm.schema import SchemaError
 
 CHAIN = """\

@@ -12,7 +12,7 @@ import pytest
 from build_support import AXIL_MODULE, MINIMAL, NAMES, copy_examples, generated, needs, project
 
 from cm import schema
-from cm.design.generate.tree import generate, load_design
+from cm.design.generate.generation import generate, load_design
 
 VHDL = """\
 library ieee;

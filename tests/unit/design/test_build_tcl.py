@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from build_support import NAMES, copy_examples, generated, needs, project
 
-from cm.design.generate.tree import generate, load_design, output_folder
+from cm.design.generate.generation import generate, load_design, output_folder
 from cm.design.render import tcl_word
 
 TCL = Path(__file__).parents[2] / "tcl"

@@ -12,7 +12,7 @@ import pytest
 import cm.schema
 from cm.cli.main import main
 from cm.design.errors import BuildError
-from cm.design.generate.tree import load_design
+from cm.design.generate.generation import load_design
 from cm.design.zypr import zypr_text
 from cm.simulation.rtl.design import load_rtl_design
 

@@ -14,11 +14,11 @@ pytest.importorskip("pyslang")
 
 from hdl_support import DATA, extract, ports
 
-from cm.design.hdl.compare import compare
+from cm.design.hdl.compare_ipxact import compare
 from cm.design.hdl.errors import HdlError
 from cm.design.hdl.ipxact import load_component_xml
 from cm.design.hdl.model import FoundBy, Language, Mode, Polarity
-from cm.design.hdl.protocols import load_protocols, parse_protocols
+from cm.design.hdl.user_protocols import load_protocols, parse_protocols
 from cm.schema.problems import SchemaError
 
 PIXELS = "protocols:\n  - name: pixels\n    signals:\n      pix: out\n"

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 import pytest
 from xray_oracle import DATABASE
 
-from cm.design.packages import PackagesUnavailable, fetch
+from cm.design.debian_packages import PackagesUnavailable, fetch
 from cm.formats.bitstream import CrcResult, FrameAddress, FrameRun, assemble, inspect
 from cm.formats.bitstream.errors import CannotRelocate
 from cm.formats.bitstream.memory import frames_in

@@ -16,8 +16,8 @@ from cm.formats.bitstream import to_dma_words
 from cm.formats.importers import ImportRefused, import_dfx_mgr, write
 from cm.formats.importers.dfx_mgr import overlay_info
 from cm.schema import dump, load, loads
-from cm.schema.files import bitstream_path, overlay_path
 from cm.schema.model import ConfigType, Decoupler, Direction, FrameRange, LoaderKind
+from cm.schema.named_files import bitstream_path, overlay_path
 
 SHELL = {"shell_type": "PL_DFX", "num_pl_slots": "2", "device_name": "a0100000.Manager", "uid": "0x12"}
 ACCEL = {

@@ -23,8 +23,8 @@ from cm.formats.bitstream.errors import BitstreamError
 from cm.formats.hwh import HwhError
 from cm.formats.importers import Imported, ImportRefused, import_pynq, write
 from cm.schema import load
-from cm.schema.files import bitstream_path, overlay_path
 from cm.schema.model import Access, Config, ConfigType, Decoupler, Direction, FrameRange, GpioLine, LoaderKind
+from cm.schema.named_files import bitstream_path, overlay_path
 
 PS = "processing_system7"
 FILTER = described(

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from xray_oracle import DATABASE, frames_read, part, read_bits, run
 
-from cm.design.packages import PackagesUnavailable, PackageTree, fetch
+from cm.design.debian_packages import PackagesUnavailable, PackageTree, fetch
 from cm.formats.bitstream import FrameRun, assemble
 from cm.formats.bitstream.devices import Family
 from cm.formats.bitstream.geometry import decode_far

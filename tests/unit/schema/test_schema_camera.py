@@ -13,8 +13,8 @@ import pytest
 import cm.schema
 from cm.errors import NotFound
 from cm.schema import SchemaError
-from cm.schema.files import FileMissing, bitstream_path, overlay_path
 from cm.schema.model import Access, Config, Direction, LoaderKind
+from cm.schema.named_files import FileMissing, bitstream_path, overlay_path
 
 CAMERA = Path(cm.schema.__file__).parents[1] / "data" / "camera" / "camera.yaml"
 

@@ -10,7 +10,7 @@ import pytest
 import cm.schema
 from cm.errors import NotFound
 from cm.schema import Problem, SchemaError
-from cm.schema.values import name_form
+from cm.schema.value_errors import name_form
 
 
 def problems(text: str) -> list[Problem]:

@@ -11,10 +11,10 @@ import pytest
 from cm.cli.main import main
 from cm.tools.bench import peer, report
 from cm.tools.bench.c_programs import build
+from cm.tools.bench.catalogue import NAMES, chosen
 from cm.tools.bench.peer import Peer, Unavailable
 from cm.tools.bench.result import Goal, Result, unavailable
 from cm.tools.bench.rounds import Plan, Samples, interleave
-from cm.tools.bench.table import NAMES, chosen
 
 
 def test_contestants_take_turns_and_their_warm_trips_do_not_count() -> None:

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from cm.web.shown_streams import Watching
 from cm.web.topics import Topics
-from cm.web.watching import Watching
 
 
 class SlowFrame:

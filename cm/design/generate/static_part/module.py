@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from cm.design.generate.axi import LITE, PER_SLAVE, SHARED, decoded, slave_port
-from cm.design.generate.netlist import Netlist, zeros
 from cm.design.generate.static_part.region import add_region
 from cm.design.generate.static_part.shared import add_shared
+from cm.design.generate.verilog_module import Netlist, zeros
 from cm.design.hdl.model import PortDirection
 from cm.design.plan.system import Domain, System, used_clocks
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from cm.design.generate import axi
 from cm.design.generate.axi import LITE, slave_port
-from cm.design.generate.netlist import Netlist, concat, low_bits, zeros
 from cm.design.generate.static_part.site import Site
+from cm.design.generate.verilog_module import Netlist, concat, low_bits, zeros
 from cm.design.hdl.model import Interface, PortDirection
 from cm.design.plan.system import RegionPlan, RegisterBus, System
 

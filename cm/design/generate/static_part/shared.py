@@ -10,8 +10,8 @@ from collections.abc import Iterable
 
 from cm.design.generate import axi
 from cm.design.generate.axi import LITE, slave_port
-from cm.design.generate.netlist import Netlist, concat, ones, zeros
 from cm.design.generate.static_part.site import Site
+from cm.design.generate.verilog_module import Netlist, concat, ones, zeros
 from cm.design.hdl.model import Interface, PortDirection
 from cm.design.plan.dma_engines import Engine
 from cm.design.plan.system import StreamBus, SwitchPlan, System

@@ -6,7 +6,7 @@ from __future__ import annotations
 from copy import copy
 
 from cm.design.generate import axi
-from cm.design.generate.netlist import Netlist
+from cm.design.generate.verilog_module import Netlist
 from cm.design.hdl.model import Interface
 from cm.design.plan.system import RegionPlan, System
 

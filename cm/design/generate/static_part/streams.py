@@ -8,8 +8,8 @@ side of its decoupler, so that memory holds exactly the bytes of the stream.
 from __future__ import annotations
 
 from cm.design.generate import axi
-from cm.design.generate.netlist import Netlist, concat, low_bits, ones, zeros
 from cm.design.generate.static_part.site import Site
+from cm.design.generate.verilog_module import Netlist, concat, low_bits, ones, zeros
 from cm.design.hdl.model import PortDirection
 from cm.design.plan.dma_engines import EngineKind
 from cm.design.plan.system import StreamBus

@@ -12,7 +12,7 @@ from cm.simulation.software.hardware.dma import Bytes
 from cm.simulation.software.hardware.fabric import Fabric
 from cm.simulation.software.hardware.models import Models, default
 from cm.simulation.software.hardware.register_windows import Region
-from cm.simulation.software.hardware.running import RunningModels
+from cm.simulation.software.hardware.running_models import RunningModels
 
 if TYPE_CHECKING:
     import numpy as np

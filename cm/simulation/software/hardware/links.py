@@ -14,7 +14,7 @@ from cm.simulation.software.faults import Faults
 from cm.simulation.software.hardware.camera import SHAPE, Photo, PhotoReel
 from cm.simulation.software.hardware.datapath import Datapath
 from cm.simulation.software.hardware.dma import Bytes, Channel
-from cm.simulation.software.hardware.fastpath import FastPath
+from cm.simulation.software.hardware.dma_fastpath import FastPath
 from cm.simulation.software.hardware.interrupts import InterruptWiring
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from cm.simulation.software.hardware.interrupts import InterruptWiring
 from cm.simulation.software.hardware.links import Camera, CameraLink, Link, LoopLink, SinkLink
 from cm.simulation.software.hardware.models import Models
 from cm.simulation.software.hardware.register_windows import Window
-from cm.simulation.software.hardware.running import RunningModels
+from cm.simulation.software.hardware.running_models import RunningModels
 from cm.simulation.software.transport.buffers import DmaMemory
 
 

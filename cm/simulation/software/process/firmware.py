@@ -13,8 +13,8 @@ from cm.formats.bitstream.assemble import FrameRun, assemble
 from cm.formats.bitstream.container import to_dma_words
 from cm.formats.bitstream.geometry import FrameAddress
 from cm.formats.bitstream.module import assemble_module
-from cm.schema.files import FileMissing, bitstream_path, overlay_path
 from cm.schema.model import Config, ConfigType, LoaderKind, Module, Overlay
+from cm.schema.named_files import FileMissing, bitstream_path, overlay_path
 from cm.simulation.software.hardware.board_spec import BoardSpec, ModuleSpec
 from cm.simulation.software.hardware.configuration_memory import digest
 from cm.simulation.software.transport.root import Root

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The measurements, one module each; `cm.tools.bench.table` lists them."""
+"""The measurements, one module each; `cm.tools.bench.catalogue` lists them."""

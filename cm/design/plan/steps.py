@@ -82,7 +82,7 @@ def ends(steps: Sequence[Step]) -> list[Step]:
 
 
 def steps_json(steps: Iterable[Step]) -> str:
-    """The steps as ``steps.json`` has them, which `cm.design.run.steps.Flow` reads."""
+    """The steps as ``steps.json`` has them, which `cm.design.run.flow.Flow` reads."""
     return json.dumps({"version": 1, "steps": [asdict(step) for step in steps]}, indent=2)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``python -m cm.simulation.rtl.schema BUILD FOLDER``: the runtime schema that `cm build` makes of a build schema.
+"""``python -m cm.simulation.rtl.write_runtime_schema BUILD FOLDER``: that which `cm build` makes of a build schema.
 
 A manager has it written by a process of its own: what reads the HDL is 40 MiB that it would keep.
 """
@@ -20,7 +20,7 @@ _LOG = logging.getLogger("cm")
 
 def written(build: Path, folder: Path) -> Path:
     """The file ``<project>.yaml`` in a folder. Raises RtlError with what is wrong with the build schema or its HDL."""
-    command = child.command("cm.simulation.rtl.schema", str(build), str(folder))
+    command = child.command("cm.simulation.rtl.write_runtime_schema", str(build), str(folder))
     done = subprocess.run(
         command, env=child.environment(), stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
     )
@@ -36,8 +36,8 @@ def written(build: Path, folder: Path) -> Path:
 def _write(build: Path, folder: Path) -> tuple[Path, list[str]]:
     """The file, and in a line each what `cm build generate` would refuse."""
     from cm.design.check.rules import check_system
+    from cm.design.generate.generation import load_design
     from cm.design.generate.outputs import render_schema
-    from cm.design.generate.tree import load_design
     from cm.design.runtime.answers import Answers
 
     system = load_design(build).system

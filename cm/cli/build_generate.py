@@ -12,8 +12,8 @@ from cm.cli.common import add_json_option, answer, naming, print_json
 from cm.design.boundary.analyse import analyse
 from cm.design.check.rules import check_system
 from cm.design.errors import BuildError
-from cm.design.generate.manifest import Written
-from cm.design.generate.tree import ANSWERS, generate, load_design, output_folder
+from cm.design.generate.generation import ANSWERS, generate, load_design, output_folder
+from cm.design.generate.output_tree import Written
 from cm.design.init import DEFAULT_PART, init_text, what_is_missing
 from cm.design.openflow.rules import RULE, check_open
 from cm.design.plan.planner import plan_system

@@ -19,7 +19,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from cm.design.hdl.buses import Protocol, Signal, make_protocol
+from cm.design.hdl.axi_signals import Protocol, Signal, make_protocol
 from cm.design.hdl.errors import HdlError
 from cm.design.hdl.model import Mode, PortDirection
 from cm.design.project.load import DesignFile

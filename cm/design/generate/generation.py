@@ -9,7 +9,7 @@ from pathlib import Path
 from cm.design.boundary.analyse import Analysis, analyse
 from cm.design.check.rules import refuse_errors
 from cm.design.errors import BuildError
-from cm.design.generate.manifest import Tree, Written
+from cm.design.generate.output_tree import Tree, Written
 from cm.design.generate.outputs import render_all
 from cm.design.plan.planner import plan_system
 from cm.design.plan.system import System

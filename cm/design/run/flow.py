@@ -11,7 +11,7 @@ from enum import Enum
 from pathlib import Path
 
 from cm.design.errors import BuildError
-from cm.design.plan.flow import Step, needed
+from cm.design.plan.steps import Step, needed
 
 
 class State(str, Enum):
