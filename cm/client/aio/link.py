@@ -12,7 +12,7 @@ from typing import Any, Protocol, TypeVar
 import zmq.asyncio
 from zmq.utils.monitor import parse_monitor_message
 
-from cm.client.aio.waiting import wake
+from cm.client.aio.waiting import wake, within
 from cm.client.connections import Sockets, not_subscribed
 from cm.client.core.calls import Call
 from cm.client.core.effects import DEFAULT, Ask, AskBeside, Flow, Limit, Pause, Receive, seconds
@@ -174,7 +174,7 @@ class Link:
         sending = asyncio.ensure_future(self._socket.send_multipart(frames))  # would never end if we are not admitted
         sending.add_done_callback(partial(_hand_on, waiting))
         try:
-            reply = await asyncio.wait_for(waiting, timeout)
+            reply = await within(waiting, timeout)
         except asyncio.TimeoutError:
             suspected = self._handshake.suspected if self._handshake else None
             raise suspected or self._requests.no_answer(timeout, deserted(self._requests.address)) from None

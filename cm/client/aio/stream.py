@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from cm.client.aio.link import Subscription
 from cm.client.aio.waiting import Waits
-from cm.client.core.effects import DEFAULT, Limit, seconds, time_limit
+from cm.client.core.effects import DEFAULT, Deadline, Limit, seconds, time_limit
 from cm.client.core.generations import FirstAfter, Written
 from cm.client.core.remote_stream import NewestReader, PublishedReader, Reader, Wanted
 from cm.client.errors import BoardClosed
@@ -109,23 +109,13 @@ class AsyncLocalStream(Stream):
     async def read(self, timeout: Limit = DEFAULT) -> Frame:
         if not self._stream.is_open:
             await self.open()
-        limit = seconds(timeout, self._timeout)
-        try:
-            if limit == 0:  # with which asyncio would not even look
-                return self._waiting(limit)
-            return await asyncio.wait_for(self._next(), limit)
-        except asyncio.TimeoutError:
-            raise Timeout(self._stream.nothing(limit)) from None
-
-    def _waiting(self, limit: float) -> Frame:
-        frame = self._stream.poll()
-        if frame is None:
-            raise Timeout(self._stream.nothing(limit))
-        return frame
-
-    async def _next(self) -> Frame:
+        deadline = Deadline(seconds(timeout, self._timeout))
+        await asyncio.sleep(0)  # others have their turn, however many frames come
         while (frame := self._stream.poll()) is None:
-            await self._waits.readable(self._stream.fileno())
+            try:
+                await self._waits.readable(self._stream.fileno(), deadline.left)
+            except asyncio.TimeoutError:
+                raise Timeout(self._stream.nothing(deadline.limit)) from None
         return frame
 
     async def close(self) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy.typing as npt
 
 from cm.client.aio.waiting import Waits
-from cm.client.core.effects import DEFAULT, Limit, seconds, time_limit
+from cm.client.core.effects import DEFAULT, Deadline, Limit, seconds, time_limit
 from cm.client.errors import BoardClosed
 from cm.errors import InvalidRequest, Timeout
 from cm.wire.plane_packets import Descriptor, Geometry, Open
@@ -112,23 +112,17 @@ class AsyncWriter:
         writer.flush()
 
     async def _until(self, ready: Callable[[], bool], timeout: Limit) -> None:
-        writer, limit = self._entered(), seconds(timeout, self._timeout)
+        writer, deadline = self._entered(), Deadline(seconds(timeout, self._timeout))
         writer.catch_up()
-
-        async def wait() -> None:
-            while not ready():
-                if not writer.poll():
-                    await self._waits.readable(writer.fileno())
-
-        if limit == 0:  # with which asyncio would not even look
-            while not ready() and writer.poll():
-                pass
-            if ready():
-                return
-        try:
-            await asyncio.wait_for(wait(), limit)
-        except asyncio.TimeoutError:
-            raise Timeout(f"stream {self._wanted.name!r}: the hardware took nothing within {limit or 0:g} s") from None
+        await asyncio.sleep(0)  # others have their turn, however many slots are free
+        while not ready():
+            if writer.poll():
+                continue
+            try:
+                await self._waits.readable(writer.fileno(), deadline.left)
+            except asyncio.TimeoutError:
+                limit = deadline.limit or 0
+                raise Timeout(f"stream {self._wanted.name!r}: the hardware took nothing within {limit:g} s") from None
 
     def __repr__(self) -> str:
         return f"<writer of {self.name or 'an echo'}>"

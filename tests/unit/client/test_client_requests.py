@@ -17,6 +17,7 @@ from manager_process import short_folder
 
 from cm.client import aio
 from cm.client.aio.relay import Relay
+from cm.client.aio.waiting import within
 from cm.client.board import Board
 from cm.client.core import calls
 from cm.client.errors import NoAnswer, RequestBusy
@@ -335,6 +336,19 @@ def test_a_client_with_keys_is_let_in_where_keys_are_needed(client: Callable[...
         manager.answer(Status("camera", "edge"))
         assert ended().mode == "edge"
         manager.close()
+
+
+def test_a_task_that_is_cancelled_with_its_reply_is_cancelled() -> None:
+    async def main() -> None:
+        waiting: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+        task = asyncio.ensure_future(within(waiting, 60.0))
+        await asyncio.sleep(0)
+        waiting.set_result(1)
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+
+    asyncio.run(main())
 
 
 def _status() -> Any:
