@@ -106,11 +106,10 @@ class Uploads:
 
         try:
             with tempfile.TemporaryFile(dir=self._folder, buffering=0) as file:
-                fd = os.dup(file.fileno())
-                os.truncate(fd, part.length)
+                os.truncate(file.fileno(), part.length)
+                return os.dup(file.fileno())
         except OSError as error:
             raise UploadFailed(f"upload {part.id!r}: {error.strerror}") from error
-        return fd
 
     @staticmethod
     def _check(upload: _Upload, part: rq.Upload) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterator
 from dataclasses import replace
@@ -10,12 +11,14 @@ from pathlib import Path
 
 import pytest
 
+from cm.errors import InvalidRequest
 from cm.server import uploads
 from cm.server.rights.principal import Principal, from_id
 from cm.server.settings.model import USUAL
 from cm.server.shares import Client, Clients
-from cm.server.uploads import TooMuchUploaded, Uploads
-from cm.wire.messages.requests import Upload
+from cm.server.uploads import EACH, TooMuchUploaded, UnknownUpload, UploadFailed, Uploads
+from cm.wire.messages.requests import File, Provision, Upload, WriteData
+from cm.wire.messages.status import ErrorInfo, Reply, UploadInfo
 
 GONE = 1 << 22  # no process has this number
 LIMITS = replace(USUAL, upload_bytes=256, uploads_bytes=512)
@@ -79,3 +82,116 @@ def test_uploads_of_a_process_that_is_gone_soon_make_room(kept: Uploads, now: No
     now.seconds += uploads.IDLE
     kept.forget_old()
     assert [one.upload_bytes for one in (gone, stays, elsewhere)] == [0, 0, 0]
+
+
+@pytest.fixture
+def one(clients: Clients) -> Client:
+    return process(clients, os.getpid())
+
+
+def parts(kept: Uploads, client: Client, name: str, *sent: bytes, length: int | None = None) -> UploadInfo:
+    """Send these parts of an upload, which is complete with them if no length is given."""
+    told, length = UploadInfo(name, 0, 0), sum(map(len, sent)) if length is None else length
+    for number, part in enumerate(sent):
+        told = kept.take(client, Upload(name, length, sum(map(len, sent[:number])), part))
+    return told
+
+
+def test_parts_follow_each_other_within_the_length_that_was_said(kept: Uploads, one: Client, clients: Clients) -> None:
+    other = process(clients, GONE)
+    assert parts(kept, one, "a", b"12", b"345", length=6) == UploadInfo("a", 6, 5)
+    for part, said in (
+        (Upload("a", 6, 4, b"5"), "upload 'a': byte 4 of 6 where 5 of 6 is next"),
+        (Upload("a", 7, 5, b"6"), "upload 'a': byte 5 of 7 where 5 of 6 is next"),
+        (Upload("a", 6, 5, b"67"), "upload 'a': 2 bytes at 5 of 6"),
+    ):
+        with pytest.raises(InvalidRequest, match=f"^{said}$"):
+            kept.take(one, part)
+    for client, name, offset in ((one, "b", 5), (other, "a", 5)):
+        with pytest.raises(UnknownUpload, match=f"upload '{name}': there are no bytes before 5; begin with offset 0"):
+            kept.take(client, Upload(name, 6, offset, b"6"))
+    assert (one.upload_bytes, other.upload_bytes) == (6, 0)
+    assert kept.take(one, Upload("a", 6, 5, b"6")) == UploadInfo("a", 6, 6)
+    assert kept.take(one, Upload("a", 6, discard=True)) == UploadInfo("a", 6, 0)
+    assert one.upload_bytes == 0
+
+
+def test_a_request_is_filled_in_and_uses_up_what_it_took_once_it_is_accepted(kept: Uploads, one: Client) -> None:
+    said: list[Reply] = []
+    parts(kept, one, "a", b"12", b"3")
+    parts(kept, one, "b", b"")
+    files = File("x", b"").uploaded("a"), File("y", b"own"), File("z", b"").uploaded("b")
+    for reply in (Reply(error=ErrorInfo("busy", "not now")), Reply()):
+        filled, respond = kept.filled_in(one, Provision("config: {}", files), said.append)
+        assert isinstance(filled, Provision)
+        assert [(f.name, bytes(f.data), f.upload) for f in filled.files] == [
+            ("x", b"123", ""),
+            ("y", b"own", ""),
+            ("z", b"", ""),
+        ]
+        assert one.upload_bytes == 3
+        respond(reply)
+        assert said[-1] is reply
+    assert one.upload_bytes == 0
+    parts(kept, one, "c", b"1", length=2)
+    for name, why in (("a", "there is no upload of that name"), ("c", "1 of 2 bytes are there")):
+        with pytest.raises(UnknownUpload, match=f"upload '{name}': {why}"):
+            kept.filled_in(one, WriteData("s", upload=name), said.append)
+    kept.take(one, Upload("c", 2, 1, b"2"))
+    filled, respond = kept.filled_in(one, WriteData("s", upload="c", lease="l"), said.append)
+    assert isinstance(filled, WriteData)
+    assert (filled.stream, bytes(filled.data), filled.upload, filled.lease) == ("s", b"12", "", "l")
+    for own in (WriteData("s", b"1"), Provision("config: {}", files[1:2])):
+        assert kept.filled_in(one, own, said.append) == (own, said.append)
+
+
+def descriptors() -> int:
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
+def used(kept: Uploads, one: Client) -> None:
+    parts(kept, one, "a", b"123")
+    kept.filled_in(one, WriteData("s", upload="a"), lambda _: None)
+
+
+@pytest.mark.parametrize(("call", "left"), [("pwrite", 0), ("truncate", 0), ("mmap", 3)])
+def test_a_full_disk_is_told_and_leaves_nothing_that_counts(
+    kept: Uploads, one: Client, monkeypatch: pytest.MonkeyPatch, call: str, left: int
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    before = descriptors()
+    monkeypatch.setattr(uploads.mmap if call == "mmap" else os, call, full)
+    with pytest.raises(UploadFailed, match="upload 'a': No space left on device"):
+        used(kept, one)
+    monkeypatch.undo()
+    assert one.upload_bytes == left
+    kept.close()
+    assert (one.upload_bytes, descriptors()) == (0, before)
+
+
+def test_what_the_kernel_takes_in_pieces_is_written_whole(
+    kept: Uploads, one: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = os.pwrite
+    monkeypatch.setattr(os, "pwrite", lambda fd, data, at: write(fd, bytes(data)[:2], at))
+    parts(kept, one, "a", b"12345", b"678")
+    filled, _ = kept.filled_in(one, WriteData("s", upload="a"), lambda _: None)
+    assert isinstance(filled, WriteData)
+    assert bytes(filled.data) == b"12345678"
+
+
+def test_each_client_has_so_many_uploads(kept: Uploads, one: Client, clients: Clients) -> None:
+    for number in range(EACH):
+        kept.take(one, Upload(str(number), 0))
+    with pytest.raises(TooMuchUploaded, match=f"{EACH} uploads of {one.name.split(' (')[0]} .* are stored here unused"):
+        kept.take(one, Upload("more", 0))
+    kept.take(process(clients, GONE), Upload("more", 0))
+    kept.take(one, Upload("0", discard=True))
+    kept.take(one, Upload("more", 0))
+    kept.renew(replace(LIMITS, upload_bytes=8, uploads_bytes=9))
+    kept.take(one, Upload("1", 0, discard=True))
+    with pytest.raises(TooMuchUploaded):
+        kept.take(one, Upload("1", 9))
+    kept.take(one, Upload("1", 8))
