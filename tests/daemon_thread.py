@@ -152,7 +152,7 @@ def defects() -> Iterator[list[str]]:
     handler.emit = lambda record: found.append(  # type: ignore[method-assign]
         f"{record.getMessage()}: {record.exc_info[1]!r}" if record.exc_info else record.getMessage()
     )
-    log = logging.getLogger("cm.daemon.loop")
+    log = logging.getLogger("cm.server.sockets")
     log.addHandler(handler)
     try:
         yield found

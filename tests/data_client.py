@@ -19,7 +19,8 @@ class Client:
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self.socket.connect(str(daemon.folder / "run" / packets.SOCKET))  # blocks if the backlog is full
         self.socket.settimeout(HUNG / 1000)
-        self.socket.send(packets.encode_open(wanted) if isinstance(wanted, Open) else wanted)
+        if wanted:
+            self.socket.send(packets.encode_open(wanted) if isinstance(wanted, Open) else wanted)
 
     def next(self, *kinds: int) -> tuple[Descriptor, bytes, list[int]]:
         """The next packet of one of these kinds, and the descriptors with it."""
