@@ -94,10 +94,9 @@ class LeaseWatch:
         self._forget(lease)
 
     def _forget(self, lease: str) -> None:
-        fd = self._fds.pop(lease, None)
-        if fd is not None:
-            self._loop.remove(fd)
-            os.close(fd)
+        fd = self._fds.pop(lease)
+        self._loop.remove(fd)
+        os.close(fd)
 
     def close(self) -> None:
         """Stop watching."""

@@ -8,13 +8,17 @@ import os
 import socket
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
 import zmq
 
 from cm.errors import InvalidRequest
+from cm.server import sockets as sockets_of_manager
 from cm.server.rights.model import Security
+from cm.server.settings.model import USUAL
 from cm.server.sockets import ENDPOINTS_FILE, Authenticator, Sockets
 from cm.wire import multipart
 
@@ -86,18 +90,51 @@ def test_endpoints_are_announced_and_removed_at_the_end(context, tmp_path: Path)
     made.bind_ipc()
     tcp = made.bind_tcp("tcp://127.0.0.1:0", None)
     made.announce()
+    assert "metrics" not in json.loads((tmp_path / ENDPOINTS_FILE).read_text())
+    made.announce("127.0.0.1:9469")
     said = json.loads((tmp_path / ENDPOINTS_FILE).read_text())
     assert said["pid"] == os.getpid()
     assert said["ipc"] == {name: f"ipc://{tmp_path}/{name}" for name in ("pub", "sub", "req")}
     assert said["tcp"] == [{"pub": tcp.pub, "sub": tcp.sub, "req": tcp.req}]
-    assert said["data"] == f"{tmp_path}/data"
+    assert (said["data"], said["metrics"]) == (f"{tmp_path}/data", "127.0.0.1:9469")
     made.close()
     assert list(tmp_path.iterdir()) == []
 
 
-def test_publishing_queues_a_limited_number_of_messages_and_reports_a_full_queue(sockets: Sockets) -> None:
-    assert sockets.pub.getsockopt(zmq.SNDHWM) == 7
-    assert [s.getsockopt(zmq.LINGER) for s in sockets.all] == [0, 0, 0]
+def test_what_waits_is_limited_and_a_peer_that_has_gone_is_noticed(context, tmp_path: Path) -> None:
+    made = Sockets(context, tmp_path, waiting=7, limits=replace(USUAL, message_bytes=12345))
+    for socket_, options in ((made.pub, (7, 512)), (made.sub, (1000, 12345)), (made.req, (0, 12345))):
+        assert tuple(map(socket_.getsockopt, (zmq.SNDHWM, zmq.MAXMSGSIZE))) == options
+        common = zmq.LINGER, zmq.RCVHWM, zmq.HANDSHAKE_IVL, zmq.IPV6, zmq.TCP_KEEPALIVE, zmq.ZAP_ENFORCE_DOMAIN
+        assert tuple(map(socket_.getsockopt, common)) == (0, 16, 10_000, 1, 1, 1)
+    made.close()
+
+
+def test_where_the_next_ports_are_taken_others_are_tried_and_in_the_end_it_is_told(
+    sockets: Sockets, context, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bind, tried = sockets_of_manager._bind, list[str]()
+
+    def taken(socket_: zmq.Socket[bytes], address: str, until: int) -> None:
+        tried.append(address)
+        if len(tried) < until and not address.endswith(":0"):
+            raise InvalidRequest(address)
+        bind(socket_, address)
+
+    monkeypatch.setattr(sockets_of_manager, "_bind", partial(taken, until=4))
+    first = port(sockets.bind_tcp("tcp://127.0.0.1:0", None).pub)
+    assert [address.rpartition(":")[2] for address in tried[2:]] == ["0", str(first + 1), str(first + 2)]
+    free = int(tried[1].rpartition(":")[2]) - 1
+    socket.create_server(("127.0.0.1", free)).close()  # what was bound before is free again
+    tried.clear()
+    monkeypatch.setattr(sockets_of_manager, "_bind", partial(taken, until=1000))
+    other = Sockets(context, tmp_path / "other", waiting=1)
+    with pytest.raises(
+        InvalidRequest, match=r"cannot listen on tcp://127\.0\.0\.1:0: no three ports in a row are free"
+    ):
+        other.bind_tcp("tcp://127.0.0.1:0", None)
+    assert len(tried) == 128
+    other.close()
 
 
 @pytest.mark.usefixtures("everybody")

@@ -127,10 +127,13 @@ def test_a_file_damaged_anywhere_counts_as_unknown(duo: Config, tmp_path: Path) 
 @pytest.mark.parametrize(
     "body", [b'{"version": 99, "regions": []}', b"[]", b"null", b'{"version": 1, "regions": [[1]]}']
 )
-def test_a_file_of_another_version_counts_as_unknown(duo: Config, tmp_path: Path, body: bytes) -> None:
+def test_a_file_of_another_version_counts_as_unknown(
+    duo: Config, tmp_path: Path, body: bytes, caplog: pytest.LogCaptureFixture
+) -> None:
     path = tmp_path / "footprints"
     path.write_bytes(b"%08x %b\n" % (zlib.crc32(body), body))
     assert learned(path, duo) == ()
+    assert ("are not used (version 99)" in caplog.text) == (b"99" in body)
 
 
 def test_a_kill_while_it_is_written_leaves_the_old_one(
@@ -151,10 +154,15 @@ def test_a_kill_while_it_is_written_leaves_the_old_one(
     assert learned(path, duo) == FOOTPRINT.frames
 
 
-def test_if_the_file_cannot_be_written_a_footprint_is_known_until_the_manager_ends(duo: Config, tmp_path: Path) -> None:
+def test_if_the_file_cannot_be_written_a_footprint_is_known_until_the_manager_ends(
+    duo: Config, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     (tmp_path / "state").write_text("no folder", encoding="ascii")
     files = opened(tmp_path)
     image(files, duo, "a0")
+    unread, unwritten = caplog.messages
+    assert unread.startswith(f"learned footprints in {tmp_path}/state/footprints are not used ([Errno 20]")
+    assert unwritten.startswith("learned footprints could not be written: [Errno 17]")
     put(duo, "b0", module("b0", 1))
     with pytest.raises(FootprintOutside):
         image(files, duo, "b0")

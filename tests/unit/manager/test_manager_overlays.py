@@ -19,6 +19,11 @@ BLOB = fdt.pack(fdt.overlay("/fpga-region", fdt.FdtNode("", {"firmware-name": b"
 def test_an_overlay_passes_and_its_firmware_is_found() -> None:
     assert checked_overlay("a.dtbo", BLOB) is BLOB
     assert firmware_loads("a.dtbo", BLOB) == (FirmwareLoad("cm/x/a.bin", partial=False, encrypted=False),)
+    for partial, encrypted in ((True, False), (False, True)):
+        flags = {"partial-fpga-config": b""} if partial else {"encrypted-fpga-config": b""}
+        node = fdt.FdtNode("", {"firmware-name": b"a.bin\0"} | flags)
+        found = firmware_loads("a.dtbo", fdt.pack(fdt.overlay("/", node)))
+        assert found == (FirmwareLoad("a.bin", partial, encrypted),)
 
 
 def test_a_copy_names_another_file_or_none_and_is_the_same_otherwise() -> None:
@@ -33,17 +38,20 @@ def test_a_copy_names_another_file_or_none_and_is_the_same_otherwise() -> None:
 @pytest.mark.parametrize(
     ("properties", "reason"),
     [
-        ({"firmware-name": b"a.bin\0", "external-fpga-config": b""}, "contradict"),
-        ({"firmware-name": b"a.bin\0b.bin\0"}, "not one name"),
+        ({"firmware-name": b"a.bin\0", "external-fpga-config": b""}, "contradict each other; the kernel refuses"),
+        ({"firmware-name": b"a.bin\0b.bin\0"}, r"its firmware-name b'a\.bin\\x00b\.bin\\x00' is not one name"),
         ({"firmware-name": b"a.bin"}, "not one name"),
         ({"firmware-name": b"\0"}, "not one name"),
-        ({"firmware-name": b"a.bin\0", "userkey-encrypted-fpga-config": b""}, "not supported"),
-        ({"firmware-name": b"a.bin\0", "encrypted-key-name": b"00\0"}, "not supported"),
-        ({"fpga-config-from-dmabuf": b""}, "looked at beforehand"),
+        (
+            {"firmware-name": b"a.bin\0", "userkey-encrypted-fpga-config": b""},
+            "userkey-encrypted-fpga-config asks for a way",
+        ),
+        ({"firmware-name": b"a.bin\0", "encrypted-key-name": b"00\0"}, "encrypted-key-name asks for a way of loading"),
+        ({"fpga-config-from-dmabuf": b""}, "fpga-config-from-dmabuf would load what cannot be looked at beforehand"),
     ],
 )
 def test_what_cannot_be_known_beforehand_is_refused(properties: dict[str, bytes], reason: str) -> None:
-    with pytest.raises(BadOverlay, match=reason):
+    with pytest.raises(BadOverlay, match=rf"^a\.dtbo: .*{reason}"):
         firmware_loads("a.dtbo", fdt.pack(fdt.overlay("/fpga-region", fdt.FdtNode("", properties))))
 
 
@@ -52,20 +60,25 @@ def test_firmware_in_a_region_that_the_overlay_adds_is_refused_and_that_of_anoth
         node = fdt.FdtNode("node", {"compatible": compatible, "firmware-name": b"r5.elf\0"})
         return fdt.pack(fdt.overlay("/", fdt.FdtNode("", {}, [node])))
 
-    with pytest.raises(BadOverlay, match="adds an fpga-region"):
-        firmware_loads("a.dtbo", blob(b"fpga-region\0"))
+    for compatible in (b"fpga-region\0", b"xlnx,region\0fpga-region\0"):
+        with pytest.raises(BadOverlay, match=r"a\.dtbo: node node adds an fpga-region with firmware-name, which"):
+            firmware_loads("a.dtbo", blob(compatible))
+    assert firmware_loads("a.dtbo", blob(b"fpga-region-2\0")) == ()
     assert firmware_loads("a.dtbo", blob(b"xlnx,zynqmp-r5f\0")) == ()
 
 
 def test_a_tree_that_is_not_an_overlay_is_refused() -> None:
-    with pytest.raises(BadOverlay, match="__overlay__"):
+    with pytest.raises(BadOverlay, match=r"base\.dtb: no fragment has an __overlay__ node; compile an overlay"):
         checked_overlay("base.dtb", fdt.pack(fdt.FdtNode("", {"model": b"board\0"})))
 
 
 def test_a_blob_that_is_cut_off_anywhere_is_refused() -> None:
     for length in range(len(BLOB)):
-        with pytest.raises(BadOverlay, match=r"a\.dtbo"):
-            checked_overlay("a.dtbo", BLOB[:length])
+        for reads in (checked_overlay, firmware_loads, loading_nothing):
+            with pytest.raises(
+                BadOverlay, match=r"^a\.dtbo: not a whole device-tree blob \(.*\); compile it with dtc$"
+            ):
+                reads("a.dtbo", BLOB[:length])
 
 
 @given(at=st.integers(0, len(BLOB) - 1), value=st.integers(0, 255))

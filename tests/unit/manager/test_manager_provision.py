@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import gc
+import hashlib
 import re
 from dataclasses import replace
 from mmap import mmap
@@ -14,7 +15,7 @@ import pytest
 from cm.errors import Forbidden, InvalidRequest
 from cm.manager.errors import ChangeBusy, UnknownConfig
 from cm.schema import SchemaError, loads
-from cm.server.provision import SCHEMA_FILE, NoSpace, Provisioner, QuotaExceeded, Reserved, Sender
+from cm.server.provision import SCHEMA_FILE, NoSpace, Owned, Provisioner, QuotaExceeded, Reserved, Sender
 from cm.server.settings.model import USUAL
 from cm.wire.messages.requests import File
 
@@ -88,6 +89,28 @@ def test_files_that_are_too_much_together_are_refused(provisioner: Provisioner) 
     assert provisioner.stored() == []
 
 
+@pytest.mark.parametrize(
+    ("files", "said"),
+    [
+        ((*FILES, FILES[0]), r"files of 'sent': names must differ, and none may be 'schema\.yaml'"),
+        (
+            (File("one.bit", b"1", "0" * 64),),
+            "cm_write_config: file 'one.bit' does not have the sha256 announced for it",
+        ),
+    ],
+)
+def test_files_that_are_not_what_was_announced_are_refused(
+    provisioner: Provisioner, files: tuple[File, ...], said: str
+) -> None:
+    with pytest.raises(InvalidRequest, match=said):
+        provisioner.store(SCHEMA, files)
+    assert provisioner.stored() == []
+    sha256 = hashlib.sha256(b"1").hexdigest()
+    for announced in (sha256, sha256.upper()):
+        stored = provisioner.store(SCHEMA, (File("one.bit", b"1", announced),))
+        assert stored.sha256_source == hashlib.sha256(SCHEMA.encode()).hexdigest()
+
+
 def test_a_file_may_have_each_name_by_which_it_is_looked_for(provisioner: Provisioner) -> None:
     schema = """
 config:
@@ -148,11 +171,15 @@ def test_a_kill_at_any_of_the_renames_leaves_the_old_one_or_the_new(
     assert [p.name for p in (tmp_path / "configs").iterdir()] == ["sent"]
 
 
-def test_if_only_signed_configurations_are_accepted_none_can_be_provisioned(tmp_path: Path) -> None:
+def test_if_only_signed_configurations_are_accepted_none_can_be_provisioned(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     text = "config: {name: mine, modules: {a: {}}, modes: {default: {modules: [a]}}}\n"
     assert Provisioner(tmp_path / "configs").store(text, ()).name == "mine"
     closed = Provisioner(tmp_path / "configs", unsigned=False)
     assert closed.configs() == {}
+    assert "1 provisioned configurations are left out: policy.signatures requires signed" in caplog.text
+    assert set(closed.owned) == {"mine"}
     with pytest.raises(InvalidRequest, match="requires signed configurations"):
         closed.store(text, ())
 
@@ -177,12 +204,33 @@ def test_the_administrators_configurations_are_never_replaced_nor_removed(provis
 
 
 def test_what_was_sent_before_the_administrator_had_one_of_that_name_is_left_out(
-    provisioner: Provisioner, caplog: pytest.LogCaptureFixture
+    provisioner: Provisioner, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     provisioner.store(SCHEMA, FILES, sender=ANNA)
     own = loads(SCHEMA)
-    assert provisioner.standing({"sent": own}) == {"sent": own}
-    assert "anna sent is left out" in caplog.text
+    provisioner.store(named("other"), (), sender=ANNA)
+    standing = provisioner.standing({"sent": own})
+    assert (standing["sent"], set(standing)) == (own, {"sent", "other"})
+    assert "configuration sent that anna sent is left out: that name is the administrator's" in caplog.text
+    example = provisioner.standing({"sent": own}, example=True)  # the shipped one may be replaced
+    assert (example["sent"].source, set(example)) == (tmp_path / "configs/sent" / SCHEMA_FILE, {"sent", "other"})
+
+
+def test_a_configuration_that_cannot_be_read_is_left_out_and_one_of_nobody_is_an_admins(
+    provisioner: Provisioner, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    for name in ("bad", "old", ".half"):
+        (tmp_path / "configs" / name).mkdir(parents=True)
+        (tmp_path / "configs" / name / SCHEMA_FILE).write_text(named(name) if name == "old" else "config: [")
+    (tmp_path / "configs/old/one.bit").write_bytes(b"123")
+    assert set(provisioner.configs()) == {"old"}
+    assert "a provisioned configuration is left out: " in caplog.text
+    size = len(named("old"))
+    assert provisioner.owned["old"] == Owned("", "somebody", size + 3, size)
+    with pytest.raises(Forbidden, match="'old' was sent by somebody; only they and an admin may replace it"):
+        provisioner.store(named("old"), (), sender=ANNA)
+    provisioner.store(named("old"), (), sender=ROOT)
+    assert (provisioner.owned["old"].account, provisioner.owned["old"].name) == ("uid:0", "root")
 
 
 def test_only_the_sender_or_an_admin_replaces_and_removes_a_configuration(tmp_path: Path) -> None:
@@ -204,10 +252,31 @@ def test_only_the_sender_or_an_admin_replaces_and_removes_a_configuration(tmp_pa
 
 def test_removing_an_unknown_configuration_lists_those_that_were_sent(provisioner: Provisioner) -> None:
     provisioner.store(SCHEMA, FILES, sender=ANNA)
-    with pytest.raises(UnknownConfig, match="there are sent"):
+    with pytest.raises(UnknownConfig, match="no client sent a configuration 'other'; there are sent"):
         provisioner.remove("other", ROOT)
     with pytest.raises(UnknownConfig):
         provisioner.remove("../sent", ROOT)
+
+
+def test_clients_have_so_many_configurations_and_so_many_bytes_to_the_last(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cm.server.provision.CONFIGS_MAX", 2)
+    first = Provisioner(tmp_path / "configs")
+    first.store(named("a"), (), sender=ANNA)
+    size = first.owned["a"].bytes
+    own = len(named("a")) + 1
+    provisioner = Provisioner(tmp_path / "configs", limits=replace(USUAL, provisioned_each_bytes=size + own))
+    provisioner.configs()
+    said = f"configuration 'b' has {own + 1} bytes; yours would have {size + own + 1} together, of {size + own}: remove"
+    with pytest.raises(QuotaExceeded, match=said):
+        provisioner.store(named("b"), (File("one.bit", b"12"),), sender=ANNA)
+    provisioner.store(named("b"), (File("one.bit", b"1"),), sender=ANNA)
+    with pytest.raises(QuotaExceeded, match="clients have sent 2 configurations already: remove some"):
+        provisioner.store(named("c"), (), sender=BEN)
+    provisioner.renew(replace(USUAL, provisioned_each_bytes=1))
+    with pytest.raises(QuotaExceeded, match="yours"):
+        provisioner.store(named("a"), (), sender=ANNA)
 
 
 def test_quotas_per_sender_and_in_total_are_kept(tmp_path: Path) -> None:

@@ -3,10 +3,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
+from cm.errors import Busy
+from cm.server.long_work import WAITING_MAX, ClientJobs, Steps
 from cm.server.rights.principal import Principal, from_id
 from cm.server.settings.model import USUAL
 from cm.server.shares import LITTLE, PENDING, Clients, RepliesUnread, Ring, TooMuchWaiting
@@ -107,3 +111,145 @@ def test_clients_that_are_gone_and_have_nothing_are_forgotten(clients: Clients) 
     assert [client.name for client in clients.told({"pid 9000002": 4})] == ["pid 9000001", "pid 9000002"]
     assert [client.connections for client in clients.told({"pid 9000002": 4})] == [0, 4]
     assert {client.account for client in clients.told({})} == {"uid:0"}
+
+
+def test_all_bounds_are_of_what_there_may_be_at_most(clients: Clients) -> None:
+    one, two = clients.of("ipc:0:0:9000001"), clients.of("ipc:0:0:9000002")
+    end = one.under_way(ignore, 400)
+    one.queue(600)
+    assert (one.waiting_bytes, one.pending) == (1000, 1)
+    two.queue(500)
+    two.waiting_bytes -= 500
+    end(Reply())
+    assert (one.waiting_bytes, one.pending) == (600, 0)
+    one.sent(Sent(), 100_000 - 10, b"a")
+    assert [one.has_room(size) for size in (10, 11)] == [True, False]
+    two.make(50_000 - 5)  # all may have half as much more as one
+    assert [one.has_room(size) for size in (10, 15, 16)] == [True, False, False]
+    assert [two.has_room(size) for size in (15, 16)] == [True, False]
+    clients.renew(replace(LIMITS, replies_bytes=200_000))
+    assert one.has_room(16)
+
+
+# ---- work that takes long --------------------------------------------------------------------------
+
+
+class Turns:
+    """A loop whose turns a test takes."""
+
+    def __init__(self) -> None:
+        self.soon: list[Callable[[], object]] = []
+        self.later: list[Callable[[], object]] = []
+        self.call_soon = self.call_threadsafe = self.soon.append
+
+    def call_later(self, seconds: float, call: Callable[[], object]) -> None:
+        assert 0 < seconds < 0.1
+        self.later.append(call)
+
+    def turn(self) -> bool:
+        calls = self.soon[:]
+        self.soon.clear()
+        for call in calls:
+            call()
+        return bool(calls)
+
+
+class Job:
+    """Done in so many pieces, each of which is noted; the last may fail."""
+
+    def __init__(self, name: str, pieces: int, did: list[str], error: Exception | None = None) -> None:
+        self.name, self.left, self.did, self.error = name, pieces, did, error
+
+    def step(self) -> bool:
+        self.did.append(self.name)
+        self.left -= 1
+        if self.error is not None and not self.left:
+            raise self.error
+        return not self.left
+
+    def done(self, problem: Exception | None) -> None:
+        self.did.append(f"{self.name} {problem or 'done'}")
+
+
+def test_whose_turn_it_is_has_a_piece_done_and_of_one_client_one_job_after_the_other(clients: Clients) -> None:
+    loop, did = Turns(), list[str]()
+    steps = Steps(loop)  # type: ignore[arg-type]
+    one, two = clients.of("ipc:0:0:9000001"), clients.of("ipc:0:0:9000002")
+    for client, job in ((one, Job("a", 3, did)), (one, Job("b", 1, did, ValueError("no"))), (two, Job("c", 2, did))):
+        steps.start(client, job, job.done)
+    steps.run(iter([did.append("own")]))  # type: ignore[func-returns-value]
+    assert (did, steps.count(one), steps.count(two), bool(steps)) == (["a", "own"], 2, 1, True)
+    while loop.turn():
+        pass
+    assert did[2:] == ["a", "c", "a", "a done", "c", "c done", "b", "b no"]
+    assert (steps.count(one), bool(steps), loop.later) == (0, False, [])
+
+
+def test_so_many_jobs_of_a_client_wait_and_none_after_the_end(clients: Clients) -> None:
+    loop, did = Turns(), list[str]()
+    steps, job = Steps(loop), Job("a", 99, did)  # type: ignore[arg-type]
+    one, two = clients.of("ipc:0:0:9000001"), clients.of("ipc:0:0:9000002")
+    for _ in range(WAITING_MAX):
+        steps.start(one, job, job.done)
+    with pytest.raises(Busy, match=f"{WAITING_MAX} transfers and long requests of pid 9000001 wait already; try again"):
+        steps.start(one, job, job.done)
+    steps.start(two, job, job.done)
+    steps.close()
+    while loop.turn():
+        pass
+    assert did == ["a"]
+
+
+def test_what_cannot_begin_yet_is_asked_again_after_a_while_and_holds_up_nobody(clients: Clients) -> None:
+    loop, did, may = Turns(), list[str](), False
+    steps = Steps(loop)  # type: ignore[arg-type]
+    jobs = [Job(name, 2, did) for name in "ab"]
+    for number, job in enumerate(jobs):
+        steps.start(clients.of(f"ipc:0:0:{9000001 + number}"), job, job.done, lambda: may)
+    while loop.turn():
+        pass
+    assert (did, bool(loop.later)) == ([], True)
+    other = Job("c", 2, did)
+    steps.start(clients.of("ipc:0:0:9000003"), other, other.done)
+    while loop.turn():
+        pass
+    assert did == ["c", "c", "c done"]
+    may = True
+    loop.later[-1]()
+    while loop.turn():
+        pass
+    assert did[3:] == ["a", "b", "a", "a done", "b", "b done"]
+
+
+def test_jobs_beside_the_loop_are_done_one_at_a_time_and_clients_take_turns(clients: Clients) -> None:
+    loop, did = Turns(), list[Any]()
+    jobs = ClientJobs(loop)  # type: ignore[arg-type]
+    one, two = clients.of("ipc:0:0:9000001"), clients.of("ipc:0:0:9000002")
+
+    def failing() -> None:
+        raise ValueError("no")
+
+    def then(result: Callable[[], Any]) -> None:
+        try:
+            did.append(result())
+        except ValueError as error:
+            did.append(str(error))
+
+    for client, work in ((one, lambda: 1), (one, failing), (one, lambda: 3), (two, lambda: 4)):
+        jobs.submit(client, work, then)
+    seen: list[list[Any]] = []
+    while len(did) < 4:
+        jobs.thread.submit(int).result()  # what runs has ended
+        loop.turn()
+        seen.append(did[:])
+    assert seen == [[1], [1, "no"], [1, "no", 4], [1, "no", 4, 3]]
+    for _ in range(PENDING + 1):  # one of them runs
+        jobs.submit(one, int, then)
+    with pytest.raises(
+        Busy, match=f"{PENDING} requests of pid 9000001 for what takes long wait already; await a reply"
+    ):
+        jobs.submit(one, int, then)
+    jobs.submit(two, int, then)
+    jobs.close()
+    loop.turn()
+    assert did[4:] == [0]

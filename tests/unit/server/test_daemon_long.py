@@ -4,16 +4,19 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import os
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from daemon_thread import HUNG, Daemon, Subscriber, daemon
 from manager_process import until
 
+from cm.device import AxiDma, DeviceNotFound, DmaBuffer, Icap
 from cm.manager.manager import Settings
 from cm.server.settings.model import USUAL
 from cm.wire import plane_packets as packets
@@ -228,6 +231,28 @@ def test_one_wrong_write_among_many_is_refused_before_any_is_made(camera: Daemon
     assert camera.refused(ReadReg((*["focus"] * MANY, "focsu")))[0] == "unknown_register"
 
 
+def test_a_write_that_is_long_to_read_keeps_its_place_among_the_senders_requests(camera: Daemon) -> None:
+    def sent(last: str) -> int:
+        """A message of more than may be read at once, behind which others wait; the length of the request."""
+        writes = (*(RegWrite("focus", number % 16) for number in range(300)), RegWrite("focus", 7), RegWrite(last, 5))
+        for request in (WriteReg(writes), ReadReg(("focus",)), WriteReg((RegWrite("focus", 9),))):
+            camera.send(request)
+        return len(writes)
+
+    count = sent("led")
+    written, read, after = (camera.reply().body for _ in range(3))
+    assert isinstance(written, RegValues)
+    assert isinstance(read, RegValues)
+    assert (len(written.values), values(read), values(after)) == (count, [7], [9])  # type: ignore[arg-type]
+    sent("x" * 300)  # no register's name is as long
+    refused, read, after = (camera.reply() for _ in range(3))
+    assert refused.error is not None
+    assert refused.error.code == "name_too_long"
+    assert isinstance(read.body, RegValues)
+    assert (values(read.body), after.error) == ([9], None)
+    assert values(camera.done(ReadReg(("focus", "led")))) == [9, 5]
+
+
 def test_many_writes_against_a_lease_are_refused(camera: Daemon) -> None:
     lease = camera.done(rq.TakeLease("registers:focus", holder="me"))
     writes = tuple(RegWrite("focus", 3) for _ in range(MANY))
@@ -277,6 +302,46 @@ def test_memory_has_an_address_and_is_freed_with_its_client(camera: Daemon) -> N
         assert memory_used(camera) == 2 * PAGE
         for fd in fds:
             os.close(fd)
+    until(lambda: memory_used(camera) == 0)
+
+
+def test_a_board_without_a_configuration_port_gives_memory_of_a_channel(
+    camera: Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def none(*_: object, **__: object) -> None:
+        raise DeviceNotFound(errno.ENOENT, "no /dev/cm_icap0")
+
+    monkeypatch.setattr(Icap, "open", none)
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    with contextlib.closing(Allocated(camera, PAGE + 1)) as client:
+        head, _, _ = client.next(packets.ADDRESS)
+        assert (head.length, head.sequence % PAGE, head.sequence > 0) == (PAGE + 1, 0, True)
+    until(lambda: len(list(Path("/proc/self/fd").iterdir())) <= before)
+    monkeypatch.setattr("cm.server.devices.list_dma", lambda _: ())
+    with contextlib.closing(Allocated(camera, PAGE)) as client:
+        code, message = packets.decode_refused(client.next(packets.REFUSED)[1])
+    assert (code, "it has neither a configuration port nor a DMA channel" in message) == ("not_found", True), message
+
+
+def unknown(allocate: Callable[..., DmaBuffer], *given: object) -> DmaBuffer:
+    made = allocate(*given)
+    made.address = 0
+    return made
+
+
+@pytest.mark.parametrize("port", [True, False], ids=["of the port", "of a channel"])
+def test_memory_whose_address_is_not_known_is_given_back(
+    camera: Daemon, monkeypatch: pytest.MonkeyPatch, port: bool
+) -> None:
+    if not port:
+        monkeypatch.setattr(
+            "cm.server.devices.port_memory", lambda *_: (_ for _ in ()).throw(DeviceNotFound(2, "none"))
+        )
+    for device in (Icap, AxiDma):
+        monkeypatch.setattr(device, "allocate", lambda *given, allocate=device.allocate: unknown(allocate, *given))
+    with contextlib.closing(Allocated(camera, PAGE)) as client:
+        code, message = packets.decode_refused(client.next(packets.REFUSED)[1])
+    assert (code, "it is older than this package" in message) == ("not_found", True), message
     until(lambda: memory_used(camera) == 0)
 
 

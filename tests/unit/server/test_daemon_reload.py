@@ -278,6 +278,28 @@ def test_the_page_says_what_the_board_holds_and_what_was_done(served: Daemon) ->
     assert samples(again["cm_loop_lag_seconds"])
 
 
+def test_requests_are_counted_whether_they_are_answered_or_not_and_refusals_by_their_codes(served: Daemon) -> None:
+    def counted() -> tuple[float, dict[tuple[str, ...], float]]:
+        told = page(served)
+        return samples(told["cm_requests"])[()], samples(
+            told["cm_request_errors"]
+        ) if "cm_request_errors" in told else {}
+
+    served.load("default")
+    before, errors = counted()
+    served.done(ReadReg(("focus",)))
+    served.refused(ReadReg(("focsu",)))
+    assert counted() == (before + 2, {**errors, ("unknown_register",): errors.get(("unknown_register",), 0) + 1})
+    sender = served.connect(zmq.XPUB, "sub")
+    assert sender.recv() == b"\1cm_"
+    sender.send_multipart([b"cm_write_reg", b"{ 'focsu':0x2}"])
+    sender.send_multipart([b"cm_write_reg", b"{ 'focus':0x2}"])
+    until(
+        lambda: counted() == (before + 4, {**errors, ("unknown_register",): errors.get(("unknown_register",), 0) + 2})
+    )
+    sender.close(linger=0)
+
+
 def test_every_metric_is_documented_with_its_kind(served: Daemon) -> None:
     served.load("default")
     rows = (DOCS / "metrics.md").read_text(encoding="utf-8").splitlines()

@@ -343,6 +343,9 @@ def test_a_message_without_a_reply_takes_effect_and_its_error_is_reported(camera
     ("sent", "back"),
     [
         ([b"cm_read_reg", b""], [b"cm_read_reg"]),
+        ([b"cm_read_reg"], [b"cm_read_reg"]),
+        ([b""], []),
+        ([b"", b""], [b""]),
         ([b"", b"cm_status", b""], [b"", b"cm_status"]),
         ([b"mine", b"", b"cm_status", b""], [b"mine", b"", b"cm_status"]),
         ([b"cm_mine", b"x"], [b"cm_mine"]),

@@ -338,6 +338,11 @@ def test_a_keys_file_says_role_and_end() -> None:
     assert (key.public, key.name, key.roles) == (KEY, "laptop", ("observe", "tuner"))
     assert key.until == 1924991999.0  # the last second of that day, UTC
     assert authorized("x", {"public": KEY}).roles == ("provision",)
+    assert authorized("x", {"public": KEY, "role": " , observe ,"}).roles == ("observe",)
+    assert authorized("x", {"public": KEY}).until is None
+    for said in ("2030-12-31T12:00:00", "2030-12-31T12:00:00Z", "2030-12-31T14:00:00+02:00"):
+        assert authorized("x", {"public": KEY, "expires": said}).until == 1924948800.0
+    assert pairs_of("a:1\n# a: 2\n\n  \nb : c:d \nb: e") == {"a": "1", "b": "e"}
     assert authorized("x", {"public": KEY, "expires": "2030-12-31T12:00:00+01:00"}).until == 1924945200.0
 
 

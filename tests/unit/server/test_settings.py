@@ -15,9 +15,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cm.cli.main import main
+from cm.server.rights.model import Grant, Role
 from cm.server.settings import Settings, SettingsError, SettingsMissing, find_configs, load_settings, parse_settings
 from cm.server.settings import settings_schema as schema
-from cm.server.settings.model import USUAL, Limits, LimitSettings, ScrubSettings
+from cm.server.settings.model import (
+    USUAL,
+    AccessSettings,
+    DmaSettings,
+    ImportSettings,
+    Limits,
+    LimitSettings,
+    PolicySettings,
+    ScrubSettings,
+    StreamSettings,
+)
 
 ROOT = Path(__file__).resolve().parents[3]
 SCHEMA = "config: {{name: {}, modules: {{a: {{}}}}, modes: {{m: {{modules: [a]}}}}}}\n"
@@ -40,10 +51,59 @@ def test_every_example_in_the_shipped_file_is_good() -> None:
     assert parse_settings("\n".join(examples)).load == "camera/default"
 
 
-def test_how_often_a_region_is_compared_has_units_and_defaults() -> None:
-    known = parse_settings("scrub: {prr0: {every: 5s, budget: 10 %}, prr1: {}}").scrub
-    assert (known["prr0"].every, known["prr0"].budget) == (5.0, 0.1)
-    assert known["prr1"] == ScrubSettings()
+@pytest.mark.parametrize(
+    ("said", "every", "budget"),
+    [
+        ("{every: 5s, budget: 10 %}", 5.0, 0.1), ("{every: 2.5 min, budget: 100%}", 150.0, 1.0),
+        ("{every: 1h, budget: 0.5 %}", 3600.0, 0.005), ("{every: 250 ms}", 0.25, 0.02),
+        ("{every: 1ms, budget: 0.001 %}", 0.1, 0.0001), ("{}", 10.0, 0.02), ("", 10.0, 0.02),
+    ],
+)  # fmt: skip
+def test_how_often_a_region_is_compared_has_units_and_defaults(said: str, every: float, budget: float) -> None:
+    assert parse_settings(f"scrub: {{prr0: {said}}}").scrub == {"prr0": ScrubSettings(pytest.approx(every), budget)}
+
+
+def test_everything_that_is_said_is_known() -> None:
+    known = parse_settings("""
+listen: [tcp://0.0.0.0:5560, tcp://localhost]
+keys: /etc/cm/server.key
+insecure: true
+configs: [/srv/a, /srv/b/*]
+load: camera/edge
+name: bench
+metrics: 0.0.0.0:9469
+runtime_dir: /run/a
+state_dir: /srv/state
+firmware_dir: /srv/firmware
+log: info
+streams: {queue_mib: 1.5}
+dma: {prefetch_mib: 7}
+scrub: {prr0: {policy: tell}}
+imports: {keep: 4}
+policy: {signatures: warn, signers: /srv/signers, older: refuse}
+limits: {leases: 5}
+access:
+  group: lab
+  local: observe
+  insecure: [operate, tuner]
+  keys: /srv/keys
+  users: {anna: tuner, '1001': [admin, observe]}
+  groups: {wheel: [admin]}
+  guests: {'web:*': []}
+  roles: {tuner: {role: operate, registers: [focus, 'led.*'], regions: [prr0], guests: ['web:*']}}
+""")
+    assert known == Settings(
+        ("tcp://0.0.0.0:5560", "tcp://localhost"), Path("/etc/cm/server.key"), True, ("/srv/a", "/srv/b/*"),
+        "camera/edge", "bench", "0.0.0.0:9469", Path("/run/a"), Path("/srv/state"), Path("/srv/firmware"), "info",
+        StreamSettings(1.5), DmaSettings(7), {"prr0": ScrubSettings(policy="tell")}, ImportSettings(4),
+        PolicySettings("warn", Path("/srv/signers"), "refuse"), LimitSettings(leases=5),
+        AccessSettings(
+            "lab", ("observe",), ("operate", "tuner"), {"anna": ("tuner",), "1001": ("admin", "observe")},
+            {"wheel": ("admin",)}, {"web:*": ()},
+            {"tuner": Grant(Role.OPERATE, regions=("prr0",), registers=("focus", "led.*"), guests=("web:*",))},
+            Path("/srv/keys"),
+        ),
+    )  # fmt: skip
 
 
 EXAMPLE = re.compile(r"^( {4}|)(?:listen|access|limits|policy):.*\n(?:^\1(?!```).*\n)*", re.MULTILINE)
@@ -114,10 +174,40 @@ def test_a_port_for_metrics_is_a_number_or_text() -> None:
         ("- listen\n", (1, 1, "", "bad_type")),
         ("log: [\n", (2, 1, "", "yaml_syntax")),
         ("access:\n  users: {anna: obsrve}\n", (2, 17, "access.users.anna[0]", "unknown_role")),
+        ("access: {local: [observe, tuner]}\n", (1, 27, "access.local[1]", "unknown_role")),
+        ("access: {insecure: none}\n", (1, 20, "access.insecure[0]", "unknown_role")),
+        ("access: {groups: {lab: [Observe]}}\n", (1, 25, "access.groups.lab[0]", "unknown_role")),
+        ("access: {guests: {a: [b]}}\n", (1, 23, "access.guests.a[0]", "unknown_role")),
+        ("scrub: {a: {budget: 100.1 %}}\n", (1, 13, "scrub.a.budget", "value_range")),
+        ("metrics: 65536\n", (1, 1, "metrics", "value_range")),
     ],
 )
 def test_a_mistake_in_the_settings_is_reported_with_its_place(text: str, found: tuple[int, int, str, str]) -> None:
     assert found in problems(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("access: {local: [obsrve]}", "no role 'obsrve' (did you mean observe?)"),
+        ("access: {local: [tunr], roles: {tuner: {role: map}}}", "no role 'tunr' (did you mean tuner?)"),
+        ("metrics: 'kria:65536'", "there is no port 65536 (at most 65535)"),
+        ("scrub: {a: {budget: 101%}}", "'101%' is no share of the time (more than 0 %, at most 100 %)"),
+    ],
+)
+def test_a_mistake_in_the_settings_is_told_with_what_would_be_right(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "cm.yaml").write_text(text, "utf-8-sig")
+    with pytest.raises(SettingsError) as caught:
+        load_settings(tmp_path / "cm.yaml")
+    (problem,) = caught.value.problems
+    assert str(problem).startswith(f"{tmp_path}/cm.yaml:1:")
+    assert str(problem).endswith(f": {said}")
+    assert caught.value.code == "settings_invalid"
+
+
+def test_the_limits_of_values_are_accepted_and_blanks_and_comments_say_nothing() -> None:
+    assert parse_settings("metrics: 'kria:65535'\nscrub: {a: {budget: 100 %}}\n").metrics == "kria:65535"
+    assert parse_settings("\n  # a comment\n\t\n#log: loud\n") == Settings()
 
 
 def test_all_mistakes_in_the_settings_are_reported_at_once() -> None:
@@ -131,8 +221,13 @@ def test_any_text_is_settings_or_an_error(text: str) -> None:
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(SettingsMissing, match=r"none\.yaml"):
+    with pytest.raises(SettingsMissing, match=r"none\.yaml: No such file or directory"):
         load_settings(tmp_path / "none.yaml")
+    with pytest.raises(SettingsMissing, match=f"{tmp_path}: Is a directory"):
+        load_settings(tmp_path)
+    (tmp_path / "cm.yaml").write_bytes(b"name: \xff")
+    with pytest.raises(SettingsError, match=r"cm\.yaml:1:1: not UTF-8 text \(save the file as UTF-8\)"):
+        load_settings(tmp_path / "cm.yaml")
 
 
 def test_the_first_of_a_name_on_the_search_path_counts(tmp_path: Path) -> None:
@@ -141,8 +236,9 @@ def test_the_first_of_a_name_on_the_search_path_counts(tmp_path: Path) -> None:
         (tmp_path / folder / "a.yaml").write_text(SCHEMA.format("vision"))
     found = find_configs([f"{tmp_path}/first", f"{tmp_path}/second", f"{tmp_path}/not-there"])
     assert found.configs["vision"].source == tmp_path / "first/a.yaml"
-    assert len(found.left_out) == 1
-    assert "second" in found.left_out[0]
+    first, second = (tmp_path / folder / "a.yaml" for folder in ("first", "second"))
+    assert found.left_out == (f"{second}: configuration vision comes from {first}, which is found first",)
+    assert find_configs([str(second), str(first)]).configs["vision"].source == second  # files may be named too
 
 
 def test_a_star_matches_every_folder_except_those_of_unfinished_imports(tmp_path: Path) -> None:

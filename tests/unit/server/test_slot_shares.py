@@ -5,10 +5,12 @@ from __future__ import annotations
 
 import pytest
 
+from cm.device import DeviceError
 from cm.errors import Busy
+from cm.schema.model import Direction, Stream
 from cm.server.streams.memory import MEMORIES, MemoryBudget
 from cm.server.streams.peer import Peer
-from cm.server.streams.slots import NoSlots, share
+from cm.server.streams.slots import NoSlots, SlotHolders, share
 
 EACH = 64
 
@@ -33,6 +35,112 @@ def test_the_last_slots_are_for_clients_without_any() -> None:
         share("camera", 4, Peer(4, "reader"), others, EACH)
     with pytest.raises(NoSlots, match="no slots for one more client of pid 20"):
         share("camera", 4, NEW, [*others, (Peer(5, "reader"), 16)], EACH)
+
+
+class Made:
+    """Slots that are made at once, and given to the plane as many as are asked for."""
+
+    def __init__(self) -> None:
+        self.made: list[int] = []
+        self.given = 0
+        self.most = 256
+
+    def make_some(self, wanted: int) -> None:
+        if wanted > self.most:
+            raise DeviceError(12, "cannot allocate")
+        self.made = [0] * max(wanted, len(self.made))
+
+    def give_some(self, wanted: int) -> bool:
+        self.given = max(self.given, wanted)
+        return True
+
+    def take_back_some(self) -> bool:
+        self.made = self.made[: self.given]
+        return True
+
+
+def holders(each: int = EACH, **stream: object) -> tuple[SlotHolders, Made, list[tuple[int, int]]]:
+    slots, attached = Made(), list[tuple[int, int]]()
+    described: dict[str, object] = {
+        "name": "camera",
+        "channel": "dma0",
+        "direction": Direction.S2MM,
+        "slots": 8,
+        **stream,
+    }
+
+    def attach(client: int, depth: int) -> bool:
+        attached.append((client, depth))
+        return client != GONE
+
+    made = SlotHolders(Stream(**described), slots, attach, each)  # type: ignore[arg-type]
+    return made, slots, attached
+
+
+GONE = 99
+
+
+@pytest.mark.parametrize(
+    ("stream", "depths", "slots"),
+    [
+        ({}, [4], [8]), ({}, [6], [8]), ({}, [7, 3], [9, 12]), ({"slots": 300}, [4], [256]), ({}, [0], [8]),
+        ({"backpressure": True}, [20, 20], [8, 8]), ({"direction": Direction.MM2S}, [4, 3], [4, 7]),
+        ({"direction": Direction.MM2S, "backpressure": True}, [4, 9], [4, 13]), ({}, [400], [66]),
+    ],
+)  # fmt: skip
+def test_a_stream_has_slots_for_all_clients_and_for_the_hardware(
+    stream: dict[str, object], depths: list[int], slots: list[int]
+) -> None:
+    made, has, attached = holders(**stream)
+    for client, (depth, wanted) in enumerate(zip(depths, slots, strict=True)):
+        assert list(made.join(client, depth, Peer(client + 1, "reader"))) == []
+        assert (len(has.made), has.given) == (wanted, wanted)
+    assert attached == [(client, min(depth or 4, 64)) for client, depth in enumerate(depths)]
+    assert list(made.peers) == list(range(len(depths)))
+    assert made.started
+    made.detached(0)
+    assert 0 not in made.peers
+
+
+def test_a_client_that_gets_no_slots_leaves_the_stream_as_it_was() -> None:
+    made, has, attached = holders()
+    list(made.join(0, 4, Peer(1, "reader")))
+    has.most = 40
+    told = r"'camera': no memory for a client of 50 frames more \(cannot allocate\); close others, or ask for a smaller"
+    with pytest.raises(NoSlots, match=told):
+        list(made.join(1, 50, Peer(2, "reader")))
+    has.most = 256
+    list(made.join(GONE, 30, Peer(3, "reader")))  # hangs up meanwhile
+    assert (len(has.made), list(made.peers), len(attached)) == (36, [0], 2)  # what the plane has stays
+    made, has, _ = holders()
+    has.most = 7
+    with pytest.raises(DeviceError, match="cannot allocate"):  # not even those of the hardware
+        list(made.join(0, 4, Peer(1, "reader")))
+    made, _, _ = holders(each=256)
+    for client, depth in enumerate((200, 40)):
+        list(made.join(client, depth, Peer(client + 1, "reader")))
+    with pytest.raises(NoSlots, match="stream 'camera' has 2 clients; with one more it needs 257 slots"):
+        list(made.join(3, 15))
+
+
+def test_who_waits_for_the_start_of_a_stream_is_told_how_it_went() -> None:
+    for error in (None, ValueError("no")):
+        made, _, _ = holders()
+        told: list[object] = []
+        made.when_started(told.append)
+        assert told == []
+        if error is not None:
+            made.fail(error)
+        stopped: list[int] = []
+        steps = made.join(0, 4, GREEDY, stopped.append)
+        if error is None:
+            assert list(made.begin()) == [None] * 256  # it waits for its reader, for so long
+            list(steps)
+        made.stop(5)
+        made.stop(5)
+        made.when_started(told.append)
+        assert told == [error, None]
+        assert (stopped, made.closed) == ([] if error is None else [5], True)
 
 
 MIB = 1 << 20

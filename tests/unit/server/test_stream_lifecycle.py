@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -165,6 +166,36 @@ def test_settings_go_with_the_mode_and_what_runs_with_the_configuration(lifecycl
     assert not lifecycle.set_to_run("out")
 
 
+def test_settings_last_as_long_as_the_schema_says_the_same_of_the_stream(lifecycle: StreamLifecycle) -> None:
+    for length in (9, 16):  # each of the last request
+        stream = lifecycle.streams["out"]
+        wanted = replace(stream, shape=(length,))
+        lifecycle.override(stream, wanted, ConfigureStream("out", shape=(length,)))
+    lifecycle.enter(config(), "one")
+    assert lifecycle.streams["out"].shape == (16,)
+    other = loads(TEXT.format(name="video").replace("direction: mm2s, shape: [4]", "direction: mm2s, shape: [5]"))
+    for mode in (other, config()):
+        lifecycle.enter(mode, "one")
+        assert lifecycle.streams["out"] == mode.streams["out"]
+
+
+def test_a_setting_that_is_taken_back_leaves_those_of_others(lifecycle: StreamLifecycle) -> None:
+    camera, out = lifecycle.streams["camera"], lifecycle.streams["out"]
+    first = replace(out, shape=(9,))
+    take_back = lifecycle.override(out, first, ConfigureStream("out", shape=(9,), enable=True))
+    lifecycle.override(camera, replace(camera, shape=(2, 2)), ConfigureStream("camera", shape=(2, 2), enable=False))
+    second = replace(out, shape=(16,))
+    lifecycle.override(first, second, ConfigureStream("out", shape=(16,)))
+    take_back()  # it has been changed again since
+    assert (lifecycle.streams["out"], lifecycle.set_to_run("out")) == (second, True)
+    lifecycle.override(second, first, ConfigureStream("out", automatic=True))()
+    lifecycle.enter(config(), "one")
+    assert (lifecycle.streams["out"].shape, lifecycle.set_to_run("out")) == ((16,), True)
+    assert lifecycle.streams["camera"].shape == (2, 2)
+    with pytest.raises(StreamStopped, match="'camera' was stopped; cm_data_config with enable lets it run"):
+        lifecycle.check_may_run("camera")
+
+
 def test_a_setting_that_is_taken_back_leaves_nothing(lifecycle: StreamLifecycle) -> None:
     before = dict(lifecycle.streams)
     stream = lifecycle.streams["out"]
@@ -175,13 +206,18 @@ def test_a_setting_that_is_taken_back_leaves_nothing(lifecycle: StreamLifecycle)
 def test_streams_are_found_by_name_or_as_the_only_one_of_their_direction(lifecycle: StreamLifecycle) -> None:
     assert lifecycle.named("", Direction.S2MM).name == "camera"
     assert lifecycle.named("out", Direction.MM2S).name == "out"
-    with pytest.raises(InvalidRequest, match="mm2s"):
+    with pytest.raises(InvalidRequest, match="stream 'out' is mm2s: it cannot be used the other way"):
         lifecycle.named("out", Direction.S2MM)
-    with pytest.raises(UnknownStream, match="camera"):
+    with pytest.raises(UnknownStream, match=r"no stream 'camra' in mode 'one'.*did you mean 'camera'"):
         lifecycle.named("camra", None)
-    with pytest.raises(UnknownStream, match="name a stream"):
+    with pytest.raises(UnknownStream, match="name a stream; s2mm streams of this mode are camera, out"):
         _two_inputs().named("", Direction.S2MM)
-    with pytest.raises(NothingLoaded):
+    with pytest.raises(UnknownStream, match="name a stream; mm2s streams of this mode are none"):
+        _two_inputs().named("", Direction.MM2S)
+    lifecycle.enter(config(), None)
+    with pytest.raises(UnknownStream, match="no stream 'camra' while video is in no mode"):
+        lifecycle.named("camra", None)
+    with pytest.raises(NothingLoaded, match="nothing is loaded, so there are no streams"):
         StreamLifecycle().named("camera", None)
 
 

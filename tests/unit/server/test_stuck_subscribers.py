@@ -1,18 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which connections are ended: those that do not read, that take too much, or that were named."""
+"""Which connections are ended: those that do not read, that take too much, that were named, or lost their rights."""
 
 from __future__ import annotations
 
 import os
+import resource
 import socket
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
+from manager_process import CAMERA
 
-from cm.server.connections import Connections
+from cm.errors import Forbidden
+from cm.schema import load_folder
+from cm.server.connections import Connections, Sessions, raise_descriptors
+from cm.server.rights.gate import Gate
+from cm.server.rights.model import Access, AuthorizedKey, Grant, Role
+from cm.server.rights.policy import Users
 from cm.server.rights.principal import introduced, of_process
+from cm.wire.plane_packets import Open
+from cm.wire.topics import Endpoints
 
 PIECE = bytes(1000)
 
@@ -147,3 +157,116 @@ def test_a_client_over_tcp_is_known_by_its_address(mechanism: str, address: str,
 def test_a_connection_that_has_gone_is_left_alone(two: tuple[Subscriber, Subscriber]) -> None:
     Connections.end(1 << 20, of_process("ipc", os.getuid(), os.getgid(), os.getpid()).id)
     assert [one.ended for one in two] == [False, False]
+
+
+# ---- rights of connections -----------------------------------------------------------------------
+
+USERS = Users({1000: "anna"}.get, lambda *_: (), 500)  # type: ignore[arg-type]
+KEY = "k" * 40
+
+
+@pytest.fixture
+def anna(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All connections are hers."""
+    monkeypatch.setattr("cm.server.connections.credentials", lambda _: (77, 1000, 1000))
+
+
+def sessions(folder: Path, access: Access, tcp: tuple[Endpoints, ...] = (), **gate: Any) -> Sessions:
+    camera = load_folder(CAMERA)["camera"]
+    manager: Any = SimpleNamespace(
+        loaded_config=lambda: camera, configs={"camera": camera}, state=SimpleNamespace(config="camera", mode="default")
+    )
+    return Sessions(Gate(access, USERS, **gate), folder, list(tcp), manager)
+
+
+@pytest.mark.usefixtures("anna")
+@pytest.mark.parametrize(
+    ("said", "ended"),
+    [({"users": {"anna": ()}}, True), ({"local": ("observe",)}, True), ({"users": {"ben": ()}}, False), ({}, False)],
+)
+def test_who_loses_or_gains_rights_is_disconnected_and_nobody_else(
+    tmp_path: Path, two: tuple[Subscriber, ...], caplog: pytest.LogCaptureFixture, said: dict[str, Any], ended: bool
+) -> None:
+    sessions(tmp_path / "elsewhere", Access()).renew(Access(**said))
+    assert [one.ended for one in two] == [False, False]
+    sessions(tmp_path, Access()).renew(Access(**said))
+    assert [one.ended for one in two] == [ended, ended]
+    assert caplog.messages == ["rights have changed: 2 connections ended"] * ended
+
+
+@pytest.mark.parametrize(("port", "address"), [(0, "127.0.0.1"), (1, "127.0.0.1"), (0, "127.0.0.2")])
+def test_the_holder_of_a_key_that_has_expired_is_disconnected(tmp_path: Path, port: int, address: str) -> None:
+    clock = [0.0]
+    with socket.create_server(("127.0.0.1", 0)) as listener, socket.create_connection(listener.getsockname()) as theirs:
+        ours, _ = listener.accept()
+        at = f"tcp://127.0.0.1:{listener.getsockname()[1] + port}"
+        access = Access(keys=(AuthorizedKey(KEY, "laptop", ("observe",), 10.0),))
+        known = sessions(
+            tmp_path, access, (Endpoints("tcp://127.0.0.1:1", "tcp://127.0.0.1:2", at),), now=lambda: clock[0]
+        )
+        known.gate.enter("curve", address, "CURVE", KEY)
+        theirs.setblocking(False)
+        with ours:
+            for clock[0] in (9.0, 11.0):
+                known.look()
+                try:
+                    assert theirs.recv(1) == b""
+                    assert (clock[0], port, address) == (11.0, 0, "127.0.0.1")
+                except BlockingIOError:
+                    assert (clock[0], port, address) != (11.0, 0, "127.0.0.1")
+
+
+@pytest.mark.usefixtures("anna")
+@pytest.mark.parametrize(
+    ("wanted", "role", "on"),
+    [
+        (Open("camera"), "observe", "data on configuration 'camera', region 'prr0', data 'camera'"),
+        (Open("to_pl", write=True), "operate", "data on configuration 'camera', region 'prr1', data 'to_pl'"),
+        (Open("", allocate=True), "operate", "data on configuration 'camera'"),
+        (Open("", echo=True), "observe", "data on configuration 'camera'"),
+        (Open("default", window=True), "map", "data on configuration 'camera', region 'prr0'"),
+        (Open("", registers=True), "observe", ""),
+    ],
+)
+def test_what_a_connection_opens_takes_a_right_to_it(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, wanted: Open, role: str, on: str
+) -> None:
+    ours, theirs = socket.socketpair()
+    needed = Role[role.upper()]
+    with ours, theirs:
+        for given in Role:
+            roles = {"one": Grant(given, topics=("data",))} if on else {}
+            access = Access(local=("one" if roles else given.name.lower(),), roles=roles)
+            if given >= needed:
+                sessions(tmp_path, access).check_open(ours, wanted)
+                continue
+            with pytest.raises(Forbidden) as refused:
+                sessions(tmp_path, access).check_open(ours, wanted)
+            said = f"anna (uid 1000, pid 77) has no right to {on}; it takes the role {role} there"
+            assert str(refused.value) == (
+                said if on else "reading registers over the data socket takes the right to observe everything"
+            )
+            assert caplog.messages == ([f"refused: {said}"] if on else [])
+            caplog.clear()
+    assert sessions(tmp_path, Access()).whose(ours) == "data:1000:1000:77"
+
+
+@pytest.mark.parametrize(
+    ("soft", "hard", "asked"),
+    [
+        (1024, 4096, 4096),
+        (1024, 1 << 20, 65536),
+        (1024, -1, 65536),
+        (4096, 4096, None),
+        (65536, -1, None),
+        (-1, -1, None),
+    ],
+)
+def test_as_many_descriptors_are_asked_for_as_may_be_had(
+    monkeypatch: pytest.MonkeyPatch, soft: int, hard: int, asked: int | None
+) -> None:
+    set_to: list[object] = []
+    monkeypatch.setattr("cm.server.connections.resource.getrlimit", lambda _: (soft, hard))
+    monkeypatch.setattr("cm.server.connections.resource.setrlimit", lambda *given: set_to.append(given))
+    raise_descriptors()
+    assert set_to == ([] if asked is None else [(resource.RLIMIT_NOFILE, (asked, hard))])

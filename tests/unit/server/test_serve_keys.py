@@ -11,7 +11,8 @@ import pytest
 from cm.cli.main import main
 from cm.cli.serve_settings import InsecureListen, security_of
 from cm.errors import InvalidRequest
-from cm.server.rights.keys import ReadableKey, authorized_keys, load_server_keys
+from cm.server.rights.keys import ReadableKey, authorized_keys, load_server_keys, pairs_of
+from cm.server.rights.model import Security
 
 
 @pytest.fixture
@@ -46,10 +47,13 @@ def test_a_wrong_address_is_reported_as_that(keys: Path) -> None:
 
 @pytest.mark.parametrize("mode", [0o640, 0o604, 0o620, 0o644])
 def test_a_servers_key_that_others_may_read_is_refused(keys: Path, mode: int) -> None:
-    load_server_keys(keys / "server.key")
-    (keys / "server.key").chmod(mode)
-    with pytest.raises(ReadableKey, match="chmod 600"):
-        load_server_keys(keys / "server.key")
+    file = keys / "server.key"
+    said = pairs_of(file.read_text())
+    assert load_server_keys(file) == Security(said["public"].encode(), said["secret"].encode())
+    file.chmod(mode)
+    told = rf"{file} can be read or written by others \(mode {mode:04o}\), .*: chmod 600 {file}, and make new keys"
+    with pytest.raises(ReadableKey, match=told):
+        load_server_keys(file)
 
 
 def test_keys_written_by_keygen_can_be_read(keys: Path) -> None:
@@ -73,21 +77,29 @@ def test_a_wrong_file_among_the_keys_is_left_out_and_named(keys: Path) -> None:
     os.mkfifo(folder / "pipe.txt")
     found, notes = authorized_keys(keys / "server.key", None)
     assert [key.name for key in found] == ["again"]
-    assert sorted(Path(note.split(":")[0]).name for note in notes) == ["binary.pub", "broken.pub", "laptop.pub"]
+    binary, broken, laptop = notes
+    assert binary.startswith(f"{folder}/binary.pub: this key is left out: 'ascii' codec")
+    assert broken.startswith(f"{folder}/broken.pub: this key is left out: it has no line 'public:' with a key")
+    assert laptop == f"{folder}/laptop.pub: this key is left out: it is that of again already"
 
 
 def test_a_server_without_authorized_keys_reports_it_and_runs_all_the_same(keys: Path) -> None:
     (keys / "authorized_keys.d/laptop.pub").unlink()
     found, notes = authorized_keys(keys / "server.key", None)
     assert found == ()
-    assert "can connect over TCP" in notes[0]
+    said = "holds no client's key, so that no client can connect over TCP: 'cm keygen' makes one"
+    assert notes == (f"{keys}/authorized_keys.d {said}",)
+    assert authorized_keys(keys / "server.key", keys / "others")[1] == (f"{keys}/others {said}",)
 
 
 def test_keys_of_an_older_version_count_with_the_usual_role(keys: Path) -> None:
     (keys / "clients").mkdir()
     (keys / "clients/old.pub").write_text("# client old\npublic: " + "k" * 40 + "\n")
     found, _ = authorized_keys(keys / "server.key", None)
-    assert {key.name: key.roles for key in found}["old"] == ("provision",)
+    assert {key.name: key.roles for key in found} == {"laptop": ("observe", "tuner"), "old": ("provision",)}
+    (keys / "authorized_keys.d").rename(keys / "others")
+    for folder, names in ((None, {"old"}), (keys / "others", {"laptop", "old"})):
+        assert {key.name for key in authorized_keys(keys / "server.key", folder)[0]} == names
 
 
 def test_keygen_that_fails_leaves_nothing_in_the_way_of_the_next_try(
@@ -102,12 +114,15 @@ def test_keygen_that_fails_leaves_nothing_in_the_way_of_the_next_try(
     assert main(["keygen", str(folder), "laptop"]) == 0
 
 
-@pytest.mark.parametrize("held", [b"", b"\xff\xfe"])
+CLIENTS = b"public: a\nsecret: b\nserver-public: c\n"
+
+
+@pytest.mark.parametrize("held", [b"", b"\xff\xfe", b"public: a\n", b"secret: a\n", CLIENTS])
 def test_keygen_and_serve_say_what_is_no_server_key(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], held: bytes
 ) -> None:
     (tmp_path / "server.key").write_bytes(held)
     assert main(["keygen", str(tmp_path), "laptop"]) == 1
     assert f"{tmp_path}/server.key is not a server key file" in capsys.readouterr().err
-    with pytest.raises(InvalidRequest, match="not a server key file"):
+    with pytest.raises(InvalidRequest, match="is not a server key file; 'cm keygen' makes one"):
         load_server_keys(tmp_path / "server.key")

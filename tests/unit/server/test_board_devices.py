@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The manager's devices: opened when they are needed, kept as long as they are there, and closed together."""
+
+from __future__ import annotations
+
+import errno
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from cm.device import DeviceNotFound, Root
+from cm.manager.errors import NoWindow
+from cm.server import devices
+from cm.server.devices import BoardDevices
+
+
+class Opened:
+    """Devices that tell what was opened and closed."""
+
+    def __init__(self, root: Root) -> None:
+        self.root, self.log = root, list[str]()
+
+    def kind(self, kind: str) -> Any:
+        def open_(*place: Any) -> Any:
+            *name, root = place
+            assert root is self.root
+            text = f"{kind} {'/'.join(map(str, name))}"
+            self.log.append(f"open {text}")
+            return SimpleNamespace(
+                name=text, present=True, status=lambda: self.log.append(f"ask {text}"),
+                close=lambda: self.log.append(f"close {text}"), maps=(SimpleNamespace(address=0x100),) * 3,
+            )  # fmt: skip
+
+        return SimpleNamespace(open=open_)
+
+    def said(self) -> list[str]:
+        said = self.log[:]
+        self.log.clear()
+        return said
+
+
+@pytest.fixture
+def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Opened:
+    made = Opened(Root.of(tmp_path))
+    for name in ("Uio", "Icap", "GpioLine"):
+        monkeypatch.setattr(devices, name, made.kind(name))
+    return made
+
+
+def test_what_is_open_is_used_again_until_it_has_gone_or_the_board_is_lost(opened: Opened) -> None:
+    board = BoardDevices(opened.root)
+    for _ in range(2):
+        held = [board.uio("uio0"), board.icap(None), board.icap("port"), board.gpio("gpiochip0", 3), board.uio("uio1")]
+    names = ["Uio uio0", "Icap cm_icap0", "Icap port", "GpioLine gpiochip0/3", "Uio uio1"]
+    assert opened.said() == [f"open {name}" for name in names]
+    assert not board.forget()
+    for gone in (held[0], held[2], held[3]):
+        gone.present = False
+    assert board.forget()
+    assert opened.said() == ["close Uio uio0", "close Icap port"]  # a line that is given back may change
+    assert (board.uio("uio1"), board.icap("cm_icap0")) == (held[4], held[1])
+    assert board.uio("uio0") is not held[0]
+    opened.said()
+    board.lost()
+    assert sorted(opened.said()) == sorted(f"close {name}" for name in names if name != "Icap port")
+    board.lost()
+    assert opened.said() == []
+    assert board.gpio("gpiochip0", 3) is not held[3]
+
+
+def test_a_board_is_asked_by_its_ports_or_else_by_a_window(opened: Opened, monkeypatch: pytest.MonkeyPatch) -> None:
+    board = BoardDevices(opened.root)
+    ports, windows = ["b", "a"], [SimpleNamespace(node="uio3"), SimpleNamespace(node="uio4")]
+    monkeypatch.setattr(devices, "list_icap", lambda root: ports if root is opened.root else None)
+    monkeypatch.setattr(devices, "list_uio", lambda root: windows if root is opened.root else None)
+    board.check()
+    assert opened.said() == ["open Icap a", "ask Icap a", "open Icap b", "ask Icap b"]
+    ports.clear()
+    board.check()  # those that are open still count
+    assert opened.said() == ["ask Icap a", "ask Icap b"]
+    board.lost()
+    opened.said()
+    board.check()
+    assert opened.said() == ["open Uio uio3", "close Uio uio3"]
+
+
+def test_a_register_lies_in_the_window_that_has_all_of_its_bytes(
+    opened: Opened, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Any] = []
+    found = lambda *place: (asked.append(place), (SimpleNamespace(node="uio3"), 2))[1]  # noqa: E731
+    monkeypatch.setattr(devices, "find_uio", found)
+    window = BoardDevices(opened.root).window(0x120, 64)
+    assert (window.device.name, window.map, window.offset) == ("Uio uio3", 2, 0x20)  # type: ignore[attr-defined]
+    assert asked == [(0x120, 8, opened.root)]
+
+
+def test_a_board_without_what_lends_registers_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def none(_: Root) -> Any:
+        raise DeviceNotFound(errno.ENOENT, "no node")
+
+    monkeypatch.setattr("cm.device.window.Windows.open", none)
+    for root, why in (
+        (Root.of(tmp_path), "this simulated board lends no registers: its logic has to see each access"),
+        (Root.of("/"), "the kernel module cm_window is not loaded \\(modprobe cm_window\\)"),
+    ):
+        with pytest.raises(NoWindow, match=f"^{why}.*; they go by requests as before$"):
+            BoardDevices(root).windows()
+
+
+def test_what_the_kernel_says_of_itself(tmp_path: Path) -> None:
+    board = BoardDevices(Root.of(tmp_path))
+    assert (board.boot_id(), board.root) == ("", tmp_path)
+    file = tmp_path / "proc/sys/kernel/random/boot_id"
+    file.parent.mkdir(parents=True)
+    file.write_text("4f1c\n")
+    assert board.boot_id() == "4f1c"
+
+
+def test_an_fpga_manager_is_known_by_its_number(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(devices, "FpgaManager", lambda *given: given)
+    root = Root.of(tmp_path)
+    assert [BoardDevices(root).fpga_manager(name) for name in (None, "fpga0", "fpga12")] == [
+        (0, root), (0, root), (12, root),
+    ]  # fmt: skip

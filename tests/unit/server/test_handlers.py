@@ -1,0 +1,321 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What handlers do with what they are given back, whatever that is: each request is answered once, and counted."""
+
+from __future__ import annotations
+
+import errno
+import time
+from collections import Counter
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from cm.device import DeviceGone
+from cm.errors import Forbidden
+from cm.manager.errors import ChangeBusy
+from cm.schema import loads
+from cm.server import handlers
+from cm.server.handlers import CHANGES_EACH, Handlers, MemoryTransfers, SentConfigs
+from cm.server.provision import Owned, Sender
+from cm.server.rights.gate import Gate
+from cm.server.rights.model import Access, Grant, Role
+from cm.server.rights.policy import Users
+from cm.server.rights.principal import from_id
+from cm.server.settings.model import USUAL
+from cm.server.shares import Clients
+from cm.wire.encode import decode_reply, encode_reply
+from cm.wire.messages import requests as rq
+from cm.wire.messages.status import (
+    ChangeInfo,
+    ClientStatus,
+    ConfigInfo,
+    FrameInfo,
+    LeaseStatus,
+    MemoryInfo,
+    RegionCheck,
+    RegValue,
+    RegValues,
+    Reply,
+    Status,
+    StreamClient,
+    StreamStatus,
+)
+
+GONE = DeviceGone(errno.ENODEV, "/dev/uio0: the board is gone")
+ME = "ipc:0:0:9000001"
+NAME = "pid 9000001"
+
+
+class Bench:
+    """Handlers over a manager whose every call goes as the test says: it returns `made`, or raises `error`."""
+
+    def __init__(self) -> None:
+        self.error: Exception | None = None
+        self.made: Any = None
+        self.noticed: list[Exception] = []
+        self.replies: list[Reply] = []
+        self.ends: list[Any] = []  # callbacks of changes and checks
+        self.ended: list[str] = []
+        self.transfer = SimpleNamespace(
+            memory=SimpleNamespace(name="ram"), form=((2,), "uint32"), length=8, offset=4, write=False, data=b"12345678"
+        )
+        self.memory: Any = None
+        self.clients = Clients(USUAL, from_id)
+        self.client = self.clients.of(ME)
+        memories = SimpleNamespace(
+            find=lambda _: self.memory, begin_read=self._begin, begin_write=self._begin, check_no_memory=lambda _: None,
+            defined=lambda: (), listed=lambda: "", info=lambda memory: memory, define=self._go,
+        )  # fmt: skip
+        stream = SimpleNamespace(name="camera", format="yuyv", region=None)
+        streams = SimpleNamespace(
+            named=lambda *_: stream, check_lease=lambda *_: None, status_of=self._go,
+            allocated=lambda: Counter({NAME: 5}),
+            configure=lambda _, done: done(self._said()), read_once=lambda _, __, done: done(self._said()),
+            write=lambda _, __, done, ___: done(self._said()),
+        )  # fmt: skip
+        manager = SimpleNamespace(
+            memories=memories, registers=SimpleNamespace(read=self._go, visible_names=lambda: ()), mapped=(),
+            state=SimpleNamespace(config="camera", mode="on"), submit=self._submit, repair=self._submit, plan=self._go,
+            write_registers=self._go, region_map=self._go, prepared_check=self._go, check=self._check, cancel=self._go,
+            reporter=SimpleNamespace(was_read=lambda: None), loaded_config=lambda: None,
+        )  # fmt: skip
+        status = Status(
+            leases=(LeaseStatus(1, "board", client=NAME),),
+            streams=(StreamStatus("camera", "dma0", "s2mm", clients=(StreamClient(9, "view", depth=3),)),),
+        )
+        self.services: Any = SimpleNamespace(
+            manager=manager, streams=streams, board=SimpleNamespace(noticed=self.noticed.append), steps=None,
+            memories=SimpleNamespace(start=lambda _, __, done: done(self.error)), clients=self.clients,
+            sessions=SimpleNamespace(gate=SimpleNamespace(admit=lambda _, request, __: request), scene=None),
+            uploads=SimpleNamespace(filled_in=lambda _, request, respond: (request, respond)), status=lambda: status,
+            jobs=SimpleNamespace(submit=lambda _, work, finish: finish(work)), provisioner=None, interrupts=None,
+            loop=SimpleNamespace(call_threadsafe=lambda call: call()),
+            connections=SimpleNamespace(counted=lambda: {NAME: 2}),
+        )  # fmt: skip
+        self.handlers = Handlers(self.services)
+
+    def _go(self, *_: Any) -> Any:
+        if self.error is not None:
+            raise self.error
+        return self.made
+
+    def _said(self) -> Any:
+        return self.error or self.made
+
+    def _begin(self, *_: Any) -> Any:
+        return self.transfer
+
+    def _submit(self, _: Any, on_done: Any) -> Any:
+        self._go()
+        self.ends.append(on_done)
+        return SimpleNamespace(number=4, reply=lambda: Reply(ChangeInfo(4, done=True)))
+
+    def _check(self, _: Any, on_done: Any) -> None:
+        self.ends.append(on_done)
+
+    def ask(self, request: rq.Request) -> None:
+        def began(change: Any) -> Any:
+            return lambda: self.ended.append(f"change {change.number}")
+
+        self.handlers.handle(ME, request, self.replies.append, began)
+
+    def codes(self) -> list[str]:
+        return [reply.error.code if reply.error else "" for reply in self.replies]
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+OF_MEMORY = [rq.ReadData("ram", offset=4, length=8), rq.WriteData("ram", b"1", offset=4)]
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [
+        rq.ReadReg(("focus",)), rq.WriteReg((rq.RegWrite("focus", 1),)), rq.PlanChange("camera"), rq.MapRegion("prr0"),
+        rq.ChangeMode("camera"), rq.CheckRegion("prr0"), rq.CheckRegion("prr0", repair=True), rq.CancelChange(),
+        rq.DescribeData("camera"), rq.DefineMemory("ram"), rq.ConfigureStream("camera"), rq.ReadData("camera"),
+        rq.WriteData("camera", b"1"), *OF_MEMORY,
+    ],
+    ids=lambda request: type(request).__name__,
+)  # fmt: skip
+def test_a_board_that_has_gone_is_noticed_whatever_finds_out(bench: Bench, request_: rq.Request) -> None:
+    bench.error = GONE
+    bench.ask(request_)
+    assert bench.noticed == [GONE]
+    assert [reply.error and (reply.error.code, reply.error.message) for reply in bench.replies] == [
+        ("device_gone", "/dev/uio0: the board is gone")
+    ]
+    assert bench.client.changes == 0
+
+
+def test_a_client_may_have_so_many_changes_and_checks_and_more_as_they_end(bench: Bench) -> None:
+    asked = [rq.ChangeMode("camera"), rq.CheckRegion("prr0"), rq.CheckRegion("prr0", repair=True)] * 9
+    for request in asked[:CHANGES_EACH]:
+        bench.ask(request)
+    assert (bench.client.changes, bench.replies) == (CHANGES_EACH, [])
+    for request in asked[:3]:
+        bench.ask(request)
+    said = [reply.error.message if reply.error else "" for reply in bench.replies]
+    changes = f"{CHANGES_EACH} changes of {NAME} wait or run; try again when one has ended"
+    assert said == [changes, changes.replace("changes", "changes and checks"), changes]
+    found = RegionCheck("prr0", "edge", "good")
+    for number, (request, end) in enumerate(zip(asked, bench.ends, strict=False)):
+        checks = request == asked[1]
+        end(found if checks else SimpleNamespace(reply=lambda: Reply(ChangeInfo(4, done=True))))
+        assert bench.replies[-1].body == (found if checks else ChangeInfo(4, done=True))
+        assert bench.client.changes == CHANGES_EACH - number - 1
+    assert bench.ended == ["change 4"] * sum(
+        not (isinstance(r, rq.CheckRegion) and not r.repair) for r in asked[:CHANGES_EACH]
+    )
+    assert len(bench.replies) == 3 + CHANGES_EACH
+
+
+def test_a_check_that_fails_is_answered_and_no_longer_counts(bench: Bench) -> None:
+    bench.ask(rq.CheckRegion("prr0"))
+    bench.ends[0](GONE)
+    assert (bench.codes(), bench.noticed, bench.client.changes) == (["device_gone"], [GONE], 0)
+
+
+@pytest.mark.parametrize("write", [False, True])
+@pytest.mark.parametrize("error", [None, GONE], ids=["whole", "in part"])
+def test_many_registers_are_done_as_the_clients_and_what_was_written_is_told(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, write: bool, error: Exception | None
+) -> None:
+    values = RegValues((RegValue("focus", 1),), "camera", "on", 7)
+    given: list[Any] = []
+    pieces = SimpleNamespace(newest=values.values, result=values, step=lambda: True)
+    for kind in ("ReadPieces", "WritePieces"):
+        monkeypatch.setattr(handlers, kind, lambda registers, *more: (given.append((registers, *more)), pieces)[1])
+    told: list[Any] = []
+    manager = bench.services.manager
+    manager.tell_registers = told.append
+    bench.services.steps = SimpleNamespace(start=lambda *started: given.append(started))
+    bench.handlers = Handlers(bench.services)
+    writes = (rq.RegWrite("focus", 1),) * 33
+    bench.ask(rq.WriteReg(writes, "lease") if write else rq.ReadReg(("focus",) * 33))
+    (made, (client, job, done)) = given
+    assert made == ((manager.registers, writes, "lease") if write else (manager.registers, ("focus",) * 33))
+    assert (client, job.step(), bench.replies) == (bench.client, True, [])
+    done(error)
+    assert len(told) == write
+    (reply,) = bench.replies
+    assert (reply.error is None, bench.noticed) == (error is None, [error] if error else [])
+    for said in (*told, reply.body) if error is None else told:
+        assert decode_reply(encode_reply(b"cm_read_reg", Reply(said), 1)).body == values
+
+
+def test_a_change_that_is_not_waited_for_is_answered_once(bench: Bench) -> None:
+    bench.ask(rq.ChangeMode("camera", no_wait=True))
+    assert [reply.body for reply in bench.replies] == [ChangeInfo(4, done=False)]
+    bench.ends[0](SimpleNamespace(reply=lambda: Reply(ChangeInfo(4, done=True))))
+    assert (len(bench.replies), bench.ended, bench.client.changes) == (1, ["change 4"], 0)
+
+
+def test_a_memorys_payload_says_where_it_was_and_when(bench: Bench) -> None:
+    before = time.monotonic_ns()
+    for request in OF_MEMORY:
+        bench.transfer.write = isinstance(request, rq.WriteData)
+        bench.ask(request)
+    for reply in bench.replies:
+        assert isinstance(reply.body, FrameInfo)
+        assert before <= reply.body.timestamp_ns <= time.monotonic_ns()
+        told = FrameInfo("ram", 0, reply.body.timestamp_ns, 8, (2,), "uint32", "camera", "on", offset=4)
+        assert reply.body == told
+    assert [reply.payload for reply in bench.replies] == [(b"12345678",), ()]
+
+
+def test_a_picture_in_another_order_of_pixels_is_refused(bench: Bench) -> None:
+    for form in ("rgb", "yuyv", ""):
+        bench.made = FrameInfo("camera", 0, 0, 1)
+        bench.ask(rq.WriteData("camera", b"1", format=form))
+    assert bench.codes() == ["pixel_format", "", ""]
+    assert bench.replies[0].error is not None
+    assert bench.replies[0].error.message == "stream 'camera' takes pixels of yuyv, not rgb"
+
+
+def test_a_status_tells_what_each_client_has_if_it_is_asked_for(bench: Bench) -> None:
+    for clients in (False, True):
+        bench.ask(rq.ReadStatus(clients=clients))
+    quiet, told = (reply.body for reply in bench.replies)
+    assert isinstance(quiet, Status)
+    assert isinstance(told, Status)
+    assert quiet.clients == ()
+    assert told.clients == (
+        ClientStatus("pid 9 (view)", slots=3),
+        ClientStatus(NAME, connections=2, leases=1, memory_bytes=5, account="uid:0"),
+    )
+    assert told.leases == quiet.leases
+
+
+@pytest.mark.parametrize("write", [False, True])
+def test_a_read_of_memory_begins_when_there_is_room_for_its_answer_and_a_write_at_once(write: bool) -> None:
+    client, started = Clients(USUAL, from_id).of(ME), []
+    steps: Any = SimpleNamespace(start=lambda *given: started.append(given))
+    memories: Any = SimpleNamespace(defined=lambda: (MemoryInfo("ram", 0, 4),))
+    transfers, problems = MemoryTransfers(steps, memories), []
+    assert transfers.described(ConfigInfo("camera", mode="on")).memories == (MemoryInfo("ram", 0, 4),)
+    assert transfers.described(ConfigInfo("camera")).memories == ()
+    transfer: Any = SimpleNamespace(write=write, length=40_000)
+    transfers.start(client, transfer, problems.append)
+    ((whose, work, done, *may_begin),) = started
+    assert (whose, work, len(may_begin)) == (client, transfer, 0 if write else 1)
+    for ask in may_begin:
+        client.make(USUAL.replies_bytes)
+        assert (ask(), client.unread_bytes) == (False, USUAL.replies_bytes)
+        client.make(-USUAL.replies_bytes)
+        assert (ask(), client.unread_bytes) == (True, 40_000)
+    done(GONE)
+    assert (problems, client.unread_bytes) == ([GONE], 0)
+
+
+# ---- configurations that were sent ---------------------------------------------------------------
+
+
+def config(name: str) -> str:
+    return f"config: {{name: {name}, modules: {{m: {{}}}}, modes: {{only: {{modules: [m]}}}}}}"
+
+
+@pytest.fixture
+def sent() -> SentConfigs:
+    """Anna's, one of an administrator's under whose name Anna had sent one, and one of which nothing is known."""
+    users = Users({1000: "anna", 1001: "ben"}.get, lambda *_: (), 500)  # type: ignore[arg-type]
+    some = Grant(Role.PROVISION, configs=("a*",))
+    access = Access(users={"anna": ("some",), "ben": ("admin",)}, roles={"some": some})
+    manager: Any = SimpleNamespace(
+        configs={name: loads(config(name)) for name in ("a", "b", "c")},
+        check_replaceable=lambda name: (_ for _ in ()).throw(ChangeBusy(f"{name} is loaded")) if name == "ab" else None,
+        in_use=lambda name: name == "ab",
+    )
+    provisioner: Any = SimpleNamespace(
+        owned={"a": Owned("uid:1000", "anna", 123, 7), "b": Owned("uid:1000", "anna", 5)}, reserved=frozenset("b")
+    )
+    return SentConfigs(manager, provisioner, SimpleNamespace(gate=Gate(access, users)))  # type: ignore[arg-type]
+
+
+def test_all_configurations_are_listed_with_who_sent_them_and_how_much(sent: SentConfigs) -> None:
+    listed = sent.listed()
+    assert listed.names == ("a", "b", "c")
+    assert [(entry.name, entry.origin, entry.owner, entry.bytes) for entry in listed.entries] == [
+        ("a", "client", "anna", 123),
+        ("b", "administrator", "", 0),
+        ("c", "administrator", "", 0),
+    ]
+
+
+def test_who_sends_may_do_so_under_names_of_their_own(sent: SentConfigs) -> None:
+    anna, ben = "ipc:1000:0:7", "ipc:1001:0:8"
+    assert sent.sender(anna) == Sender("uid:1000", "anna (uid 1000, pid 7)")
+    assert sent.sender(ben) == Sender("uid:1001", "ben (uid 1001, pid 8)", admin=True)
+    sent.allowed(anna)("aa")
+    sent.allowed(ben)("b")
+    with pytest.raises(Forbidden, match=r"anna .* no right to cm_write_config on configuration 'b'; .* role provision"):
+        sent.allowed(anna)("b")
+    with pytest.raises(ChangeBusy, match="ab is loaded"):
+        sent.allowed(anna)("ab")
+    sent.check_removable("a")
+    with pytest.raises(ChangeBusy, match="configuration 'ab' is in use; load another first"):
+        sent.check_removable("ab")
