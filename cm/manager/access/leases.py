@@ -19,6 +19,7 @@ from cm.frozen import dataclass, replace
 from cm.manager.errors import HeldBy, hint
 from cm.schema.model import Config, Memory, Mode, Module
 from cm.wire.messages.requests import (
+    LEASE_SECONDS,
     BreakLease,
     ConfigureStream,
     ReleaseLease,
@@ -278,7 +279,7 @@ def leases_concerned(config: Config, mode: str, loaded: str | None) -> tuple[str
 
 def _checked_seconds(seconds: float) -> float:
     """How long a lease is held; 30 s by default. Raises InvalidRequest."""
-    seconds = seconds or 30.0
+    seconds = seconds or LEASE_SECONDS
     if not 0 < seconds <= MAX_SECONDS:
         raise InvalidRequest(f"a lease of {seconds} s: it can be held for up to {MAX_SECONDS:.0f} s, then renewed")
     return seconds

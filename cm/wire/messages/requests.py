@@ -9,6 +9,8 @@ from __future__ import annotations
 from cm.frozen import dataclass, field
 from cm.hashes import sha256
 
+LEASE_SECONDS = 30.0  # for which a lease is held if nobody says how long
+
 
 @dataclass(frozen=True, slots=True)
 class ReadStatus:
@@ -239,7 +241,7 @@ class TakeLease:
 
     scope: str = "board"
     exclusive: bool = True
-    seconds: float = 30.0
+    seconds: float = LEASE_SECONDS
     holder: str = ""
     pid: int = 0  # of the holder's process on this machine: the lease ends with it
 
@@ -249,7 +251,7 @@ class RenewLease:
     """Hold a lease for `seconds` from now on."""
 
     id: str
-    seconds: float = 30.0
+    seconds: float = LEASE_SECONDS
     pid: int = 0  # as in `TakeLease`
 
 
