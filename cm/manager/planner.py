@@ -70,7 +70,7 @@ def _mode_meant(config: Config, name: str) -> str:
     alone = [mode.name for mode in config.modes.values() if mode.modules == (name,)]
     if len(alone) == 1:
         return alone[0]
-    if len(alone) > 1:
+    if alone:
         raise UnknownMode(f"module {name!r} alone makes several modes of {config.name!r}: {', '.join(alone)}; name one")
     raise UnknownMode(f"configuration {config.name!r} has no mode {name!r}{hint(name, config.modes)}")
 

@@ -229,6 +229,8 @@ def _regions(
     for name, region in state.regions.items():
         if region.phase is RegionPhase.READY:
             checked = _region(name, region, config, registers, notes)
+        elif region.phase is RegionPhase.UNKNOWN:
+            continue
         else:
             checked = _cut_short(name, region, name in used, notes)
         if checked is not region:

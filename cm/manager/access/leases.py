@@ -73,7 +73,6 @@ def _names(kind: str, config: Config) -> set[str]:
 
 MAX_SECONDS = 3600.0
 NAMED = ("region", "registers", "memories")
-_KINDS = ("board", "config", *NAMED)
 
 
 class TooManyLeases(Busy):
@@ -286,8 +285,8 @@ def _checked_seconds(seconds: float) -> float:
 
 
 def _checked_scope(scope: str) -> None:
-    kind, colon, name = scope.partition(":")
-    if kind not in _KINDS or (kind in NAMED) != bool(colon and name):
+    kind, _, name = scope.partition(":")
+    if not (name if kind in NAMED else scope in ("board", "config")):
         raise InvalidRequest(f"scope {scope!r}: it is one of board, config, region:NAME, registers:NAME, memories:NAME")
 
 

@@ -17,11 +17,10 @@ from manager_support import Rig, rig
 from cm.errors import CmError
 from cm.formats.bitstream import assemble_module
 from cm.formats.bitstream.errors import Sha256Mismatch
-from cm.manager.errors import ChangeBusy, NothingLoaded, RegionBusy, UnknownMode
+from cm.manager.errors import ChangeBusy, NothingLoaded, RegionBusy
 from cm.manager.execution.worker import Change
 from cm.manager.inputs import Image
 from cm.manager.loaders import Job, Loaders
-from cm.manager.planner import target
 from cm.schema import loads
 from cm.schema.model import Config, LoaderKind, Module
 from cm.server.bitstream_and_overlay_files import BoardFiles
@@ -725,9 +724,3 @@ def test_a_board_that_is_restarted_during_a_change_waits_for_its_end(made: Rig) 
     assert made.go("default", config="duo") is None
     made.fault.watch = lambda _: None  # what is recorded at the end is not during a change
     assert ChangeBusy in seen
-
-
-def test_a_word_that_is_nearly_a_mode_is_refused_with_that_mode(configs: dict[str, Config]) -> None:
-    assert target(ChangeMode(name_or_mode="both"), configs, "duo") == (configs["duo"], "both")
-    with pytest.raises(UnknownMode, match="no mode 'bot'; did you mean 'both'"):
-        target(ChangeMode(name_or_mode="bot"), configs, "duo")

@@ -9,10 +9,28 @@ from pathlib import Path
 import pytest
 from manager_schemas import written
 
-from cm.errors import InvalidRequest
-from cm.manager.access.leases import MAX_SECONDS, Leases, UnknownLease, leases_concerned
+from cm.errors import CmError
+from cm.manager.access.leases import (
+    MAX_SECONDS,
+    Leases,
+    check_scope_names_something,
+    leases_concerned,
+    scopes_written,
+)
 from cm.manager.errors import HeldBy
-from cm.wire.messages.requests import BreakLease, ReleaseLease, RenewLease, TakeLease
+from cm.schema import loads
+from cm.schema.model import Memory
+from cm.wire.messages.requests import (
+    BreakLease,
+    ReadReg,
+    RegWrite,
+    ReleaseLease,
+    RenewLease,
+    Request,
+    TakeLease,
+    WriteData,
+    WriteReg,
+)
 from cm.wire.messages.status import LeaseInfo
 
 
@@ -43,6 +61,12 @@ def test_all_may_see_whose_process_holds_a_lease(leases: Leases) -> None:
     assert (told.scope, told.exclusive, told.holder, told.client, told.pid) == (
         "registers:led", True, "anna", "peer", 77
     )  # fmt: skip
+
+
+def refusal(call: Callable[[], object]) -> str:
+    with pytest.raises(CmError) as caught:
+        call()
+    return str(caught.value)
 
 
 def kept_off(call: Callable[[], object]) -> bool:
@@ -76,8 +100,24 @@ def test_a_lease_keeps_others_off_what_contains_it_or_is_in_it(
 def test_the_refusal_names_the_holder_and_how_long(leases: Leases, clock: Clock) -> None:
     take(leases, "region:prr0", seconds=30)
     clock.now += 12
-    with pytest.raises(HeldBy, match=r"region:prr0 is held by anna \(alone\), for 18 s more"):
-        leases.check(("region:prr0",))
+    leases.hold("region:prr1", "window 1", "peer", 7)
+    take(leases, "registers:led", exclusive=False, holder="an\x1bna")
+    take(leases, "registers:led", exclusive=False, holder="")
+    texts = {scope: refusal(lambda scope=scope: leases.check((scope,))) for scope in ("region:prr0", "region:prr1")}
+    assert texts == {
+        "region:prr0": "region:prr0 is held by anna (alone), for 18 s more unless renewed",
+        "region:prr1": "region:prr1 is held by window 1 (alone), until that is given back",
+    }
+    assert refusal(lambda: leases.check(("registers:led",))) == (
+        "registers:led is held by an?na (shared), for 10 s more unless renewed"
+    )
+    assert refusal(lambda: take(leases, "region:prr0")) == texts["region:prr0"]
+    assert [(told.holder, told.seconds) for told in leases.told()] == [
+        ("anna", 18.0),
+        ("window 1", 0.0),  # it has no end
+        ("an?na", 10.0),
+        ("somebody", 10.0),
+    ]
 
 
 def test_shared_leases_stand_beside_each_other_and_keep_off_clients_without_one(leases: Leases) -> None:
@@ -100,10 +140,46 @@ def test_a_lease_ends_after_its_time_unless_it_is_renewed(leases: Leases, clock:
     leases.request(RenewLease(mine.id, 10))
     clock.now += 9
     assert kept_off(lambda: leases.check(("board",)))
+    assert (leases.holds(mine.id), leases.expire(), leases.any_held) == (True, 1.0, True)
     clock.now += 1
     leases.check(("board",))
-    with pytest.raises(UnknownLease):
-        leases.request(RenewLease(mine.id, 10))
+    assert (leases.holds(mine.id), leases.expire(), leases.any_held, leases.told()) == (False, None, False, ())
+    unknown = f"no lease {mine.id!r} is held; it may have ended after its time"
+    assert refusal(lambda: leases.request(RenewLease(mine.id, 10))) == unknown
+    leases.hold("board", "window 1", "peer", 7)
+    clock.now += 10 * MAX_SECONDS
+    assert (leases.expire(), len(leases.held())) == (None, 1)  # one without an end
+
+
+def test_every_lease_that_comes_and_goes_is_told_once(leases: Leases, clock: Clock) -> None:
+    told: list[int] = []
+    leases.on_change = lambda: told.append(len(leases.held()))
+    first = take(leases, "region:prr0", seconds=5)
+    take(leases, "region:prr1", seconds=9)
+    leases.request(RenewLease(first.id, 20))
+    clock.now += 9
+    assert (leases.expire(), leases.expire()) == (11.0, 11.0)
+    leases.request(ReleaseLease(first.id))
+    assert told == [1, 2, 1, 0]
+
+
+def test_a_client_and_all_together_hold_no_more_leases_than_they_may(clock: Clock) -> None:
+    leases = Leases(clock, most=3, each=2)
+
+    def one(client: str) -> str:
+        return leases.request(TakeLease("registers:led", False, 10.0), client).id
+
+    held = [one("anna"), one("anna")]
+    assert refusal(lambda: one("anna")) == (
+        "anna holds 2 leases, all together 2; 2 and 3 may be held (limits.leases_each, limits.leases)"
+    )
+    held.append(one("bert"))
+    assert refusal(lambda: one("")).startswith("this client holds 0 leases, all together 3; 2 and 3 may be held")
+    leases.request(ReleaseLease(held[0]))
+    one("")
+    leases.renew(4, 3)
+    one("anna")
+    assert len(leases.held()) == 4
 
 
 def test_a_lease_ends_when_it_is_given_back_or_broken_or_its_holder_dies(leases: Leases) -> None:
@@ -113,23 +189,29 @@ def test_a_lease_ends_when_it_is_given_back_or_broken_or_its_holder_dies(leases:
     take(leases, "board")
     (told,) = leases.told()
     assert leases.request(BreakLease(told.number)).scope == "board"
-    with pytest.raises(UnknownLease):
-        leases.request(BreakLease(told.number))
+    assert refusal(lambda: leases.request(BreakLease(told.number))) == (
+        f"no lease has the number {told.number}; cm lease list"
+    )
     other = take(leases, "board")
     assert leases.drop(other.id)
     assert not leases.drop(other.id)
     leases.check(("board",))
 
 
-@pytest.mark.parametrize("scope", ["", "region", "region:", "board:x", "prr0"])
+@pytest.mark.parametrize("scope", ["", "region", "region:", "board:x", "board:", "prr0", ":", "region "])
 def test_an_invalid_scope_is_refused(leases: Leases, scope: str) -> None:
-    with pytest.raises(InvalidRequest, match="region:NAME"):
-        take(leases, scope)
+    assert refusal(lambda: take(leases, scope)) == (
+        f"scope {scope!r}: it is one of board, config, region:NAME, registers:NAME, memories:NAME"
+    )
 
 
 def test_no_lease_lasts_for_ever(leases: Leases) -> None:
-    with pytest.raises(InvalidRequest, match="renewed"):
-        take(leases, "board", seconds=MAX_SECONDS + 1)
+    for seconds in (MAX_SECONDS + 1, -1.0):
+        assert refusal(lambda seconds=seconds: take(leases, "board", seconds=seconds)) == (
+            f"a lease of {seconds} s: it can be held for up to 3600 s, then renewed"
+        )
+    assert take(leases, "region:prr0", seconds=MAX_SECONDS).seconds == MAX_SECONDS
+    assert take(leases, "region:prr1", seconds=0).seconds == 30.0
 
 
 @pytest.mark.parametrize(
@@ -153,3 +235,59 @@ def test_a_change_is_refused_for_what_it_touches(
     take(leases, held)
     assert kept_off(lambda: leases.check(leases_concerned(config, mode, loaded="duo"))) is refused
     assert kept_off(lambda: leases.check(leases_concerned(config, mode, loaded="whole")))
+    assert leases_concerned(config, mode, "whole") == ("config",)  # so a lease on anything keeps it off
+
+
+CONFIG = loads("""
+config:
+  name: lab
+  regions: [left]
+  modules: {fir: {region: left, mmio: [{base_address: 0x2000, registers: {gain: {offset: 0}}}]}}
+  registers: {led: {base_address: 0x1000, offset: 0}}
+  memories: {log: {base_address: 0x5000, size: 64}, taps: {base_address: 0x6000, size: 64, region: left}}
+  streams: {samples: {direction: mm2s, region: left, shape: [4]}}
+  modes:
+    one: {modules: [fir], registers: {lamp: {base_address: 0x1000, offset: 4}}}
+    two: {memories: {late: {base_address: 0x7000, size: 64}}}
+""")
+
+
+@pytest.mark.parametrize(
+    ("request_", "memory", "scopes"),
+    [
+        (WriteReg((RegWrite("gain.low", 1), RegWrite("gain", 1))), None, ["registers:gain", "region:left"]),
+        (WriteReg((RegWrite("led", 1),)), None, ["registers:led", "region:None"]),
+        (WriteReg((RegWrite("unknown", 1),)), None, ["registers:unknown", "region:None"]),
+        (WriteData("taps"), CONFIG.memories["taps"], ["memories:taps", "region:left"]),
+        (WriteData("samples"), None, ["memories:samples", "region:left"]),
+        (WriteData("unknown"), None, ["memories:unknown", "region:None"]),
+        (ReadReg(("gain",)), None, []),
+    ],
+)
+def test_what_a_request_writes_is_told_in_scopes(request_: Request, memory: Memory | None, scopes: list[str]) -> None:
+    assert list(scopes_written(request_, CONFIG, "one", memory)) == scopes
+    unnamed = [scope if scope[:6] != "region" or memory else "region:None" for scope in scopes]
+    assert list(scopes_written(request_, None, None, memory)) == unnamed
+
+
+@pytest.mark.parametrize(
+    ("scope", "refused"),
+    [
+        ("region:left", ""),
+        ("registers:gain", ""),  # of a module
+        ("registers:lamp", ""),  # of a mode
+        ("memories:late", ""),
+        ("memories:block", ""),  # defined at run time
+        ("board", ""),
+        ("registers", ""),  # which is no scope at all, and told otherwise
+        ("region:lift", "; did you mean 'left'?"),
+        ("registers:block", "; there are gain, lamp, led"),
+        ("memories:gain", "; there are block, late, log, taps"),
+    ],
+)
+def test_a_scope_that_would_keep_nobody_off_is_refused(scope: str, refused: str) -> None:
+    if not refused:
+        check_scope_names_something(scope, [CONFIG], ["block"])
+        return
+    text = f"scope {scope!r}: no configuration has {scope.partition(':')[2]!r}{refused}"
+    assert refusal(lambda: check_scope_names_something(scope, [CONFIG], ["block"])) == text
