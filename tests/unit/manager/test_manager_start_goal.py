@@ -168,9 +168,9 @@ class Board:
 
     def overlays(self) -> Any:
         there = self.overlays_on
-        return SimpleNamespace(
-            available=lambda: there is not None, list=lambda: [*there], remove=lambda name: there.remove(name)
-        )
+        if there is None:
+            return SimpleNamespace(available=lambda: False)
+        return SimpleNamespace(available=lambda: True, list=lambda: [*there], remove=there.remove)
 
     def clocks(self) -> Any:
         return SimpleNamespace(names=lambda: [] if self.clock is None else ["fclk0"], find=self._clock)

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from manager_schemas import written
 from manager_support import CAMERA, Rig, rig
 
 from cm.device import DeviceError, Root
@@ -23,7 +24,8 @@ from cm.manager.errors import NoWindow, RegionBusy
 from cm.schema import loads
 from cm.server.devices import BoardDevices
 from cm.simulation.software import Board as SimBoard
-from cm.wire.messages.requests import RegWrite
+from cm.wire.messages.requests import BreakLease, RegWrite, TakeLease
+from cm.wire.messages.status import ErrorInfo, WindowStatus
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +60,14 @@ class Kernel(Lender):
         super().__init__(0)
         self._ids = count(1)
         self.ended: list[WindowEvent] = []
+
+    def revoke(self, address: int, length: int) -> int:
+        return 1
+
+    def revoke_grant(self, number: int) -> None: ...
+
+    def fileno(self) -> int:
+        return 99
 
     def grant(self, address: int, length: int, write: bool = False) -> Any:
         return SimpleNamespace(id=next(self._ids), fd=os.memfd_create("pages"))
@@ -199,6 +209,114 @@ def test_what_the_kernel_took_back_is_told_to_its_holder_and_not_known_any_more(
     assert told == [(int(WindowEnd.BRIDGE), "camera", "edge_detection")]
     assert (others, len(made.manager.mapped)) == ([], 1)
     assert "threshold" not in made.manager.state.values
+
+
+def asked(made: Rig, **asked: Any) -> Any:
+    """A window that the kernel grants, or the error."""
+    devices: Any = SimpleNamespace(windows=Kernel)
+    request = WindowRequest(**{"name": "edge", "write": True, "client": "me", **asked})
+    try:
+        loan, fd = made.manager.windows.lend(request, devices, lambda *_: None)
+    except CmError as error:
+        return f"{type(error).__name__}: {error}"
+    os.close(fd)
+    return loan
+
+
+ALONE = "InvalidRequest: an exclusive window is one for writing, of a region: it goes with a lease on that"
+
+
+@pytest.mark.parametrize(
+    ("request_", "text"),
+    [
+        ({"exclusive": True, "write": False}, ALONE),
+        (
+            {"name": "static"},
+            "NoWindow: the decoupler of region prr0 lies in the pages of the static part (0x1000 to 0x1fff), so they "
+            "cannot be lent: a window of 4096 bytes of its own, aligned to as many, can; the registers go by requests "
+            "as before",
+        ),
+        ({"name": "default"}, "ModuleAbsent: module 'default' is not loaded: region prr0 holds edge"),
+        ({"name": "loopback"}, "ModuleAbsent: module 'loopback' is not loaded: region prr1 holds none"),
+        ({"name": "b0"}, "ModuleAbsent: module 'b0' is not loaded: it is one of configuration 'duo'"),
+        ({"name": "edgy"}, "NotFound: no module or region 'edgy'; did you mean 'edge'?"),
+        ({"name": "prr1"}, "RegionBusy: window 'prr1' lies in region prr1, which is unknown"),
+        ({"lease": "mine"}, "HeldBy: registers:threshold is held by anna (alone), for 30 s more unless renewed"),
+    ],
+)
+def test_a_window_that_cannot_be_lent_says_why(made: Rig, tmp_path: Path, request_: Any, text: str) -> None:
+    made.manager.add_config(written(tmp_path, ("duo",))["duo"])
+    if "lease" in request_:
+        made.manager.leases.request(TakeLease("registers:threshold", holder="anna"))
+    assert asked(made, **request_) == text
+    assert (made.manager.mapped, len(made.manager.leases.held())) == ((), int("lease" in request_))
+
+
+def test_windows_of_nothing_or_of_what_has_no_registers_are_refused(sim: SimBoard, tmp_path: Path) -> None:
+    text = CAMERA.read_text("utf-8").replace("      region: prr1\n      registers:", "      registers:")
+    with rig(sim.root, tmp_path, loads(text, source=CAMERA)) as found:
+        assert asked(found) == "NothingLoaded: nothing is loaded, so there is no window 'edge'"
+        assert found.go("loopback") is None
+        assert asked(found, name="prr1") == "NoWindow: 'prr1' has no registers"
+
+
+def test_a_window_tells_what_is_in_it_and_who_has_it(made: Rig) -> None:
+    changes: list[int] = []
+    made.manager.windows.changed = lambda: changes.append(len(made.manager.mapped))
+    loan = asked(made, name="prr0", exclusive=True, pid=7)
+    told = WindowStatus(loan.number, "prr0", "edge", 0x3000, 0x1000, True, True, "me", 7)
+    assert made.manager.mapped == (told,)
+    assert (loan.info.name, loan.info.type, loan.info.mode) == ("camera", "partial", "edge_detection")
+    assert {"focus", "threshold"} <= {register.name for register in loan.info.registers}
+    (lease,) = made.manager.leases.told()
+    assert (lease.scope, lease.holder, lease.client, lease.pid) == ("region:prr0", f"window {loan.number}", "me", 7)
+    assert asked(made) == f"HeldBy: region:prr0 is held by window {loan.number} (alone), until that is given back"
+    reader = asked(made, write=False)
+    made.manager.windows.give_back(loan.number)
+    made.manager.windows.give_back(loan.number)  # nothing more
+    assert (made.manager.leases.told(), len(made.manager.mapped)) == ((), 1)
+    writer = asked(made)
+    assert asked(made, exclusive=True) == "HeldBy: region prr0 has a window for writing already, of me"
+    assert [window.number for window in made.manager.mapped] == [reader.number, writer.number]
+    assert changes == [1, 2, 1, 2]
+
+
+@pytest.mark.parametrize("scope", ["registers:threshold", "region:prr0", "board", "region:prr1"])
+def test_a_lease_of_another_ends_windows_for_writing_that_it_covers(made: Rig, scope: str) -> None:
+    told: list[tuple[int, str, str]] = []
+    kernel: Any = SimpleNamespace(windows=Kernel)
+    lend(made, kernel, told)
+    made.manager.windows.lend(WindowRequest("edge"), kernel, lambda *what: told.append(what))  # which only reads
+    taken = made.manager.leases.request(TakeLease(scope, holder="anna"))
+    over = scope != "region:prr1"
+    assert told == [(int(WindowEnd.CALL), "camera", "edge_detection")] * over
+    assert [window.writes for window in made.manager.mapped] == ([False] if over else [True, False])
+    assert not over or not isinstance(asked(made, lease=taken.id), str)
+
+
+def test_a_window_ends_with_its_lease_and_its_board(made: Rig) -> None:
+    told: list[tuple[int, str, str]] = []
+    kernel: Any = SimpleNamespace(windows=Kernel)
+    lend(made, kernel, told, exclusive=True)
+    (lease,) = made.manager.leases.told()
+    made.manager.leases.request(BreakLease(lease.number))
+    assert told == [(int(WindowEnd.CALL), "camera", "edge_detection")]
+    lend(made, kernel, told)
+    made.manager.board_lost(OSError("gone"))
+    assert told[1:] == [(int(WindowEnd.GONE), "camera", "edge_detection")]
+    assert (made.manager.mapped, made.manager.windows.fileno()) == ((), -1)
+    status = made.manager.status()
+    assert status.last_error == ErrorInfo("device_gone", "the board does not answer: gone")
+    assert status.pr_mode.value == "error"
+
+
+def test_what_cannot_be_read_again_is_not_known_any_more(made: Rig) -> None:
+    made.manager.write_registers((RegWrite("threshold", 9), RegWrite("focus", 3)))
+    loan = lend(made)
+    made.fault.watch = lambda name: _fail(name == "uio.read")
+    assert made.manager.windows.give_back(loan.number) is None
+    made.fault.watch = lambda _: None
+    assert not {"threshold", "focus"} & made.manager.state.values.keys()
 
 
 def _fail(here: bool) -> None:
