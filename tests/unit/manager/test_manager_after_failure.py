@@ -179,11 +179,27 @@ def test_an_undo_that_is_killed_anywhere_can_be_asked_for_again(
 def test_only_the_last_change_is_undone_and_only_if_its_way_back_was_kept(made: Rig) -> None:
     written_by_hand(made)
     assert changed(made, ChangeMode("duo", "both", undoable="c1")) is None
-    with pytest.raises(NothingToUndo, match="came from duo/default, and does not go back to duo/other"):
-        made.manager.submit(ChangeMode("duo", "other", undo="c1"))
+    assert not_undone(made, ChangeMode("duo", "other", undo="c1")) == (
+        "change 'c1' came from duo/default, and does not go back to duo/other"
+    )
+    gone = "the last change on this board is not {!r}, or its way back was not kept"
+    assert not_undone(made, ChangeMode("duo", "default", undo="c2")) == gone.format("c2")
     assert changed(made, ChangeMode("duo", "other")) is None
-    with pytest.raises(NothingToUndo, match="the last change on this board is not 'c1'"):
-        made.manager.submit(UNDO)
+    assert not_undone(made, UNDO) == gone.format("c1")
+    assert changed(made, ChangeMode("whole", "default", undoable="c3")) is None
+    assert not_undone(made, ChangeMode("duo", "other", undo="c3")) == (
+        "change 'c3' came from an image that is gone, and is not the manager's to load"
+    )
+    assert changed(made, ChangeMode("duo", "other", undoable="c4")) is None
+    assert changed(made, ChangeMode("ported", "only", undoable="c5")) is None
+    assert changed(made, ChangeMode("duo", "other", undo="c5")) is None
+    assert (made.manager.state.mode, made.manager.state.static_config) == ("other", "whole")
+
+
+def not_undone(made: Rig, request: ChangeMode) -> str:
+    with pytest.raises(NothingToUndo) as refused:
+        made.manager.submit(request)
+    return str(refused.value)
 
 
 # ---- regions ----------------------------------------------------------------------------

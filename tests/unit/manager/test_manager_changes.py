@@ -17,7 +17,7 @@ from manager_support import Rig, rig
 from cm.errors import CmError
 from cm.formats.bitstream import assemble_module
 from cm.formats.bitstream.errors import Sha256Mismatch
-from cm.manager.errors import ChangeBusy, NothingLoaded, RegionBusy
+from cm.manager.errors import ChangeBusy, NothingLoaded, RegionBusy, UnknownConfig
 from cm.manager.execution.worker import Change
 from cm.manager.inputs import Image
 from cm.manager.loaders import Job, Loaders
@@ -26,7 +26,7 @@ from cm.schema.model import Config, LoaderKind, Module
 from cm.server.bitstream_and_overlay_files import BoardFiles
 from cm.simulation.software import Board as SimBoard
 from cm.wire.messages.requests import ChangeMode, RegWrite
-from cm.wire.messages.status import Progress
+from cm.wire.messages.status import ChangeInfo, ErrorInfo, Progress, Reply
 
 # IDCODE of the xc7z020, IV, DWC and the words that only the device can read
 ENCRYPTED = bit(0x30018001, 0x03727093, 0x30016004, 1, 2, 3, 4, 0x30034001, 4, 9, 9, 9, 9)
@@ -152,6 +152,11 @@ def test_a_lost_static_part_is_not_accessed_and_takes_no_partial_bitstream(made:
     assert not [name for name in made.fault.names[load:] if name.startswith(("uio", "icap"))]
     assert made.manager.status().config_name == ""
     assert error_of(made, "duo/default") == "static_unknown"
+    assert made.manager.status().last_error == ErrorInfo(
+        "static_unknown",
+        "the load of a full image failed, so it is unknown what the device holds; duo is partial and needs its static "
+        "part: load a full configuration, or restart the board",
+    )
     at(made, "whole/default", "duo/default")
 
 
@@ -308,8 +313,13 @@ def test_a_mode_alone_belongs_to_the_configuration_that_is_being_loaded_first(ma
 
 
 def test_a_change_that_does_not_want_to_wait_is_refused(made: Rig, held: threading.Event) -> None:
-    with pytest.raises(ChangeBusy, match="duo/both is running"):
+    with pytest.raises(ChangeBusy) as refused:
         made.manager.submit(ChangeMode(config_name="duo", mode="default", no_queue=True))
+    assert str(refused.value) == "a change to duo/both is running"
+    assert made.manager.changing
+    with pytest.raises(ChangeBusy) as refused:
+        made.manager.submit(ChangeMode(config_name="duo", mode="default", undo="c1"))
+    assert str(refused.value) == "a change runs: only the last one that has ended can be undone"
     held.set()
     made.manager.wait_idle()
     assert made.manager.submit(ChangeMode(config_name="duo", mode="default", no_queue=True)).wait(60)
@@ -317,10 +327,19 @@ def test_a_change_that_does_not_want_to_wait_is_refused(made: Rig, held: threadi
 
 def test_the_queue_is_bounded(made: Rig, held: threading.Event) -> None:
     waiting = [made.manager.submit(ChangeMode(config_name="duo", mode="default")) for _ in range(8)]
-    with pytest.raises(ChangeBusy, match="8 changes wait"):
+    with pytest.raises(ChangeBusy) as refused:
         made.manager.submit(ChangeMode(config_name="duo", mode="default"))
+    assert str(refused.value) == "8 changes wait already; try again when one has ended"
+    waiting[3].cancel()
     held.set()
-    assert all(change.wait(60) and change.error is None for change in waiting)
+    assert all(change.wait(60) for change in waiting)
+    assert [change.error for change in waiting if change is not waiting[3]] == [None] * 7
+    assert waiting[3].error == ErrorInfo("cancelled", "the change was cancelled before it began")
+    assert waiting[3].reply() == Reply(error=waiting[3].error)
+    last = waiting[7]
+    assert last.reply() == Reply(ChangeInfo(last.number, done=True, seconds=last.seconds, generation=last.generation))
+    assert (last.number, last.generation > 0) == (10, True)
+    assert (made.manager.status().last_change, made.manager.changing) == (10, False)
 
 
 def test_changes_that_wait_are_cancelled_when_the_manager_stops(made: Rig, held: threading.Event) -> None:
@@ -330,14 +349,69 @@ def test_changes_that_wait_are_cancelled_when_the_manager_stops(made: Rig, held:
     assert not waiting[0].wait(0.05)
     held.set()
     stopper.join(60)
-    assert [c.error.code for c in waiting if c.error] == ["cancelled"] * 3
+    assert [c.error for c in waiting] == [ErrorInfo("cancelled", "the configuration manager is stopping")] * 3
     assert made.manager.status().mode == "both"
 
 
 def test_a_configuration_is_not_replaced_while_it_is_changed_to(made: Rig, held: threading.Event) -> None:
-    with pytest.raises(ChangeBusy):
-        made.manager.check_replaceable("duo")
+    with pytest.raises(ChangeBusy) as refused:
+        made.manager.add_config(made.manager.configs["duo"])
+    assert str(refused.value) == "configuration 'duo' is being loaded; provision it when the change has ended"
     made.manager.check_replaceable("whole")
+    for name in ("duo", "whole"):  # a change that waits may need it
+        with pytest.raises(ChangeBusy) as refused:
+            made.manager.forget_config(name)
+        assert str(refused.value) == f"configuration {name!r} is in use"
+    held.set()
+    made.manager.wait_idle()
+    made.manager.forget_config("whole")
+    assert made.manager.status().configs == ("duo", "kernel", "managed", "ported")
+    assert made.manager.in_use("duo")
+    with pytest.raises(UnknownConfig, match=r"^no configuration 'whole'; there are duo, "):
+        made.manager.describe("whole", {})
+
+
+def test_only_a_change_that_runs_can_be_cancelled(made: Rig) -> None:
+    assert not made.manager.cancel()
+
+
+def test_a_configuration_is_described_as_it_is_loaded(made: Rig, configs: dict[str, Config]) -> None:
+    with pytest.raises(NothingLoaded) as refused:
+        made.manager.describe("", {})
+    assert str(refused.value) == "nothing is loaded: name a configuration"
+    at(made, "duo/lit")
+    told = made.manager.describe("", {})
+    assert told.schema == DUO
+    assert (told.name, told.type, told.mode) == ("duo", "partial", "lit")
+    assert [(mode.name, mode.modules, mode.overlays) for mode in told.modes][2:] == [
+        ("both", ("b0", "b1"), ("duo_base", "duo_extra")),
+        ("lit", ("b0", "a1"), ("duo_base",)),
+    ]
+    assert told.modes[1].registers == ("led", "scratch", "gain", "depth")
+    assert [(r.name, r.address, r.default, r.region, r.modes) for r in told.registers] == [
+        ("led", 0x1018, None, "", ()),
+        ("scratch", 0x1014, None, "", ()),
+        ("gain", 0x3010, 1, "prr0", ()),
+        ("depth", 0x7010, 2, "prr1", ()),
+        ("lamp", 0x101C, None, "", ("default", "lit")),
+    ]
+    assert [(x.name, x.direction, x.shape) for x in told.streams] == [
+        ("through0", "s2mm", (4, 4)),
+        ("through1", "s2mm", (4, 4)),
+    ]
+    assert made.manager.describe("duo", {}) == told
+    assert (made.manager.describe("whole", {}).mode, made.manager.describe("whole", {}).type) == ("", "full")
+    made.manager.add_config(replace(configs["duo"], source=None))
+    assert made.manager.describe("duo", {}) == replace(told, schema="")
+
+
+def test_a_board_that_is_gone_is_noticed_by_a_change_that_has_nothing_to_do(made: Rig) -> None:
+    at(made, "duo/default")
+    made.fault.watch = lambda name: made.arm(0) if name == "check" else None
+    error = made.go("default", config="duo")
+    made.fault.watch = lambda _: None
+    assert error == ErrorInfo("device_error", "injected at check")
+    at(made, "duo/default")
 
 
 def test_cancelling_stops_before_the_next_region_and_goes_back(made: Rig, sim: SimBoard) -> None:
@@ -505,7 +579,12 @@ def test_a_module_that_says_it_is_another_one_is_not_kept(sim: SimBoard, tmp_pat
     wrong = {**duo.modules, "b1": replace(duo.modules["b1"], identity=0x77)}
     with rig(sim.root, tmp_path / "state", replace(duo, modules=wrong)) as made:
         at(made, "duo/default")
-        assert error_of(made, "duo/both") == "identity_mismatch"
+        error = made.go("both", config="duo")
+        assert error == ErrorInfo(
+            "identity_mismatch",
+            "check that prr1 holds b1: region prr1 answers 0xb1 at its identity register; module b1 is 0x77; "
+            "the board is back in duo/default",
+        )
         assert made.manager.status().mode == "default"
         assert {r["module"] for r in sim.control.state()["regions"].values()} == {"a0", "a1"}
 
@@ -711,16 +790,16 @@ def test_a_mode_that_was_removed_while_its_change_waited_is_unknown(
 
 
 def test_a_board_that_is_restarted_during_a_change_waits_for_its_end(made: Rig) -> None:
-    seen: list[type[Exception]] = []
+    seen: list[str] = []
 
     def restart(_: str) -> None:
         try:
             made.manager.board_restarted()
         except ChangeBusy as error:
-            seen.append(type(error))
+            seen.append(str(error))
 
     made.arm(-1)
     made.fault.watch = restart
     assert made.go("default", config="duo") is None
     made.fault.watch = lambda _: None  # what is recorded at the end is not during a change
-    assert ChangeBusy in seen
+    assert "the board was restarted while a change runs; its end is awaited" in seen

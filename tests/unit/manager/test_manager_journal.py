@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import json
 import os
 import zlib
@@ -95,8 +96,16 @@ def test_a_record_of_another_version_is_not_read_and_neither_are_those_before_it
     body = b'{"version":99}'
     with (tmp_path / "journal").open("ab") as file:
         file.write(b"\n%08x %b\n" % (zlib.crc32(body), body))
-    with pytest.raises(StoreCorrupt, match="another version"):
+    moved = f"it was moved to {tmp_path / 'journal.corrupt'}"
+    with pytest.raises(StoreCorrupt) as refused:
         journal.read()
+    assert str(refused.value) == (
+        f"the state record {tmp_path / 'journal'} is of another version of this program; {moved}"
+    )
+    (tmp_path / "journal").write_bytes(b"\nrubbish")
+    with pytest.raises(StoreCorrupt) as refused:
+        journal.read()
+    assert str(refused.value) == f"the state record {tmp_path / 'journal'} holds no whole line; {moved}"
     assert journal.read() is None
     journal.write(FULL)
     assert journal.read() == FULL
@@ -127,8 +136,11 @@ def test_a_short_write_is_an_error_and_the_next_one_takes_its_place(
 
 
 def test_a_second_manager_with_the_same_state_folder_is_refused(journal: Journal, tmp_path: Path) -> None:
-    with pytest.raises(StateInUse, match="another configuration manager keeps its state"):
+    with pytest.raises(StateInUse) as refused:
         Journal(tmp_path)
+    assert str(refused.value) == (
+        f"another configuration manager keeps its state in {tmp_path}; stop it, or choose another --state-dir"
+    )
     journal.write(FULL)
     journal.close()
     journal.close()
@@ -201,6 +213,49 @@ def test_no_descriptor_goes_astray_when_the_journal_cannot_be_replaced(
     assert descriptors() == before
     assert written(journal, 4711)
     assert journal.read() == replace(FULL, number=4711)
+    assert descriptors() == before
+
+
+def test_a_disk_without_room_for_the_next_journal_is_tried_again_when_that_is_needed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened = os.open
+
+    def no_room(path: Path, *rest: int) -> int:
+        if str(path).endswith(".new"):
+            raise OSError(errno.ENOSPC, "full")
+        return opened(path, *rest)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "open", no_room)
+        journal = Journal(tmp_path)
+    before = descriptors()
+    for number in range(1000):
+        journal.write(replace(FULL, number=number))
+    assert journal.read() == replace(FULL, number=999)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["journal", "journal.new"]
+    assert descriptors() == before + 1  # the spare one, from now on
+    journal.close()
+    assert descriptors() == before - 2
+
+
+def test_a_journal_that_cannot_be_opened_keeps_no_folder_locked(tmp_path: Path) -> None:
+    (tmp_path / "journal").symlink_to(tmp_path / "elsewhere")
+    before = descriptors()
+    for _ in range(2):
+        with pytest.raises(OSError, match="symbolic links"):
+            Journal(tmp_path)
+    assert descriptors() == before
+
+
+def test_a_lock_that_fails_for_another_reason_is_that_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "no locks here")
+
+    before = descriptors()
+    monkeypatch.setattr(fcntl, "flock", fails)
+    with pytest.raises(OSError, match="no locks here"):
+        Journal(tmp_path)
     assert descriptors() == before
 
 

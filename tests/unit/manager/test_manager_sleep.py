@@ -13,6 +13,7 @@ from cm.manager.errors import ChangeBusy
 from cm.schema.model import Config
 from cm.server.board_watch import Sleep
 from cm.simulation.software import Board as SimBoard
+from cm.wire.messages.status import ErrorInfo
 
 
 @pytest.fixture
@@ -32,6 +33,9 @@ def slept(made: Rig) -> list[str]:
 
 def test_every_region_of_the_mode_is_loaded_again(made: Rig) -> None:
     assert made.go("both", config="duo") is None
+    made.manager.board_slept()
+    assert made.manager.status().last_error == ErrorInfo("slept", "the machine slept: what the PL held is loaded again")
+    made.manager.wait_idle()
     assert slept(made).count("icap.load") == 2
     state = made.manager.state
     assert (state.config, state.mode) == ("duo", "both")
@@ -78,19 +82,19 @@ def test_a_board_that_holds_nothing_stays_as_it_is(made: Rig) -> None:
 
 
 def test_a_sleep_during_a_change_waits_for_its_end(made: Rig) -> None:
-    seen: list[type[Exception]] = []
+    seen: list[str] = []
 
     def sleep(_: str) -> None:
         try:
             made.manager.board_slept()
         except ChangeBusy as error:
-            seen.append(type(error))
+            seen.append(str(error))
 
     made.arm(-1)
     made.fault.watch = sleep
     assert made.go("default", config="duo") is None
     made.fault.watch = lambda _: None  # what is recorded at the end is not during a change
-    assert ChangeBusy in seen
+    assert "the machine slept while a change ran; its end is awaited" in seen
 
 
 def test_a_sleep_is_noticed_once() -> None:

@@ -4,11 +4,14 @@
 from __future__ import annotations
 
 import queue
+import threading
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
+from manager_process import until
 from manager_schemas import written
 from manager_support import Rig, killed_at, rig
 
@@ -16,11 +19,12 @@ from cm.errors import CmError
 from cm.formats.bitstream import FrameRun, assemble, open_image
 from cm.formats.bitstream.devices import Family
 from cm.formats.bitstream.geometry import decode_far
-from cm.manager.errors import NoReadback, RegionBusy, UnknownRegion
+from cm.manager.errors import ChangeBusy, HeldBy, NoReadback, NothingLoaded, RegionBusy, UnknownRegion
 from cm.manager.execution.scan import Reader
+from cm.manager.execution.worker import SCANS
 from cm.schema.model import Config
 from cm.simulation.software import Board as SimBoard
-from cm.wire.messages.requests import ChangeMode, CheckRegion, RegWrite
+from cm.wire.messages.requests import ChangeMode, CheckRegion, RegWrite, TakeLease
 from cm.wire.messages.status import RegionCheck, RegionHealth
 
 FRAME = 4 * 101
@@ -242,6 +246,93 @@ def test_a_region_of_unknown_content_is_not_compared(sim: SimBoard, configs: dic
         assert made.go("other", config="duo") is None
         with pytest.raises(RegionBusy, match="prr1 is unknown"):
             check(made, "prr1")
+
+
+def test_a_repair_is_refused_where_there_is_no_region_to_repair(
+    made: Rig, sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
+    with pytest.raises(UnknownRegion) as unknown:
+        made.manager.repair(CheckRegion("prr7"))
+    assert str(unknown.value) == "configuration 'duo' has no region 'prr7'; did you mean 'prr1' or 'prr0'?"
+    lease = made.manager.leases.request(TakeLease("region:prr0", holder="anna"))
+    made.manager.repair(CheckRegion("prr1")).wait(60)
+    with pytest.raises(HeldBy, match="region:prr0 is held by anna"):
+        made.manager.repair(CheckRegion("prr0"))
+    change = made.manager.repair(CheckRegion("prr0", lease=lease.id))
+    assert change.wait(60)
+    assert change.error is None
+    made.close()
+    with rig(sim.root, tmp_path / "new", configs["duo"]) as empty, pytest.raises(NothingLoaded) as nothing:
+        empty.manager.repair(CheckRegion("prr0"))
+    assert str(nothing.value) == "nothing is loaded: there is no region to compare"
+
+
+def test_a_file_that_is_not_what_was_loaded_is_not_compared(made: Rig) -> None:
+    path = made.manager.prepared_check("prr0").image.path
+    good, other = path.read_bytes(), path.with_name("b0.bit").read_bytes()
+    path.write_bytes(other)
+    try:
+        for look in (made.manager.prepared_check, made.manager.region_map):
+            with pytest.raises(NoReadback) as refused:
+                look("prr0")
+            assert str(refused.value) == (
+                f"region prr0: {path} is not what was loaded any more; load it, or restore the file"
+            )
+    finally:
+        path.write_bytes(good)
+    told = made.manager.region_map("prr0")
+    assert (told.region, told.module, told.device, told.config_name) == ("prr0", "a0", "xc7z020", "duo")
+    assert sum(len(column.bits) for column in told.columns) == check(made).frames
+
+
+def test_checks_that_wait_are_bounded_and_end_with_the_manager(made: Rig) -> None:
+    held, let = threading.Event(), threading.Event()
+
+    def hold(name: str) -> None:
+        held.set()
+        assert let.wait(60)
+
+    what = made.manager.prepared_check("prr0")
+    ended: queue.SimpleQueue[RegionCheck | Exception] = queue.SimpleQueue()
+    made.fault.watch = hold
+    for _ in range(SCANS):
+        made.manager.check(what, ended.put)
+    assert held.wait(60)
+    with pytest.raises(ChangeBusy) as refused:
+        made.manager.check(what, ended.put)
+    assert str(refused.value) == "16 checks of regions run or wait already; try again when one has ended"
+    stopper = threading.Thread(target=made.manager.stop)
+    stopper.start()
+    until(made.manager._worker._stopping.is_set)
+    let.set()
+    stopper.join(60)
+    results = [ended.get(timeout=60) for _ in range(SCANS)]
+    assert {str(result) for result in results if isinstance(result, Exception)} == {
+        "the configuration manager is stopping"
+    }
+
+
+def test_a_check_in_the_background_goes_on_when_its_pace_says_so_and_tells_only_what_is_wrong(
+    made: Rig, sim: SimBoard, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Reader, "most_frames", lambda self, size: 50)
+    told: list[str] = []
+    monkeypatch.setattr(made.data_plane, "status_changed", lambda: told.append(""))
+    pauses: queue.SimpleQueue[tuple[float, Callable[[], None]]] = queue.SimpleQueue()
+    ended: queue.SimpleQueue[RegionCheck | Exception] = queue.SimpleQueue()
+    for wrong in (0, 1):
+        sim.control.upset("prr0", wrong)
+        told.clear()
+        made.manager.check(made.manager.prepared_check("prr0"), ended.put, lambda *pause: pauses.put(pause))
+        while ended.empty():
+            with suppress(queue.Empty):
+                seconds, go_on = pauses.get(timeout=0.1)
+                assert 0 <= seconds < 60
+                assert ended.empty()
+                go_on()
+        result = ended.get()
+        assert isinstance(result, RegionCheck)
+        assert (result.wrong_bits, len(told), result.config_name, result.mode) == (wrong, wrong, "duo", "default")
 
 
 def test_a_change_that_comes_during_a_check_does_not_wait_for_its_end(
