@@ -18,8 +18,8 @@ import pytest
 
 from cm.manager.errors import StateInUse, StoreCorrupt
 from cm.manager.state.board_state import BoardState, OverlayState, RegionPhase, RegionState
-from cm.manager.state.record import LENGTH, Journal, Pending, Record, Texts, Throughput, encode, newest
-from cm.schema.model import LoaderKind
+from cm.manager.state.record import LENGTH, Journal, Pending, Record, Texts, Throughput, WayBack, encode, newest
+from cm.schema.model import LoaderKind, Region
 
 FULL = Record(
     "boot",
@@ -31,11 +31,27 @@ FULL = Record(
         regions=MappingProxyType({"prr0": RegionState(RegionPhase.READY, "edge", "cd"), "prr1": RegionState()}),
         overlays=(OverlayState("base", "ef"), OverlayState("camera", "01")),
         values=MappingProxyType({"focus": 2**64 - 1}),
+        clocks=MappingProxyType({"fclk0": 99_999_999}),
     ),
-    Pending(7, "camera", "default", "camera", "edge", "load", "prr0", None, "whole"),
+    Pending(
+        7,
+        "camera",
+        "default",
+        "camera",
+        "edge",
+        "load",
+        "prr0",
+        "base",
+        "whole",
+        held={"prr0": "edge"},
+        values={"focus": 3},
+        found=((0x1018, 32, 4), (0x101C, 8, 5)),
+        rates={"fclk0": 50_000_000},
+    ),
     Throughput(MappingProxyType({LoaderKind.ICAP: (123.5, 99.0)}), MappingProxyType({"load": (0.5,)})),
     7,
 )
+UNDOABLE = WayBack("c1", replace(FULL.pending, number=6, overlay=None, step="", subject=""))  # type: ignore[type-var]
 
 
 @pytest.fixture
@@ -56,7 +72,7 @@ def test_nothing_is_read_before_anything_was_written(journal: Journal) -> None:
 
 def test_a_record_comes_back_as_it_was(journal: Journal) -> None:
     lost = replace(FULL, state=BoardState(static_lost=True), pending=None)
-    for record in (FULL, lost):
+    for record in (FULL, lost, replace(FULL, way_back=UNDOABLE), replace(lost, way_back=UNDOABLE), FULL):
         journal.write(record)
         assert journal.read() == record
 
@@ -153,11 +169,16 @@ def test_what_an_older_program_wrote_without_seconds_is_read(journal: Journal) -
     journal.write(FULL)
     plain = json.loads(encode(FULL, Texts()).split(b" ", 1)[1])
     assert plain.pop("seconds") == {"load": [0.5]}
+    assert plain["state"].pop("clocks") == {"fclk0": 99_999_999}
+    for later in ("held", "values", "found", "rates"):
+        plain["pending"].pop(later)
     plain["throughput"] = {"icap": 123.5}  # a mean
     body = json.dumps(plain).encode()
     record = newest(b"\n%08x %b\n" % (zlib.crc32(body), body))
     measured = Throughput(MappingProxyType({LoaderKind.ICAP: (123.5,)}))
-    assert record == replace(FULL, throughput=measured)
+    cut = Pending(7, "camera", "default", "camera", "edge", "load", "prr0", "base", "whole")
+    state = replace(FULL.state, clocks=MappingProxyType({}))
+    assert record == replace(FULL, throughput=measured, state=state, pending=cut)
 
 
 def test_one_disturbed_measurement_does_not_change_the_estimate() -> None:
@@ -171,6 +192,18 @@ def test_one_disturbed_measurement_does_not_change_the_estimate() -> None:
     for _ in range(5):
         known = known.observed(LoaderKind.ICAP, 4_000_000, 0.5).took(("load", 0.5))
     assert (known.seconds(LoaderKind.ICAP, 4_000_000), known.overhead("load")) == (0.5, 0.5)
+
+
+def test_a_load_counts_as_hung_after_what_the_schema_says_or_twenty_times_what_is_expected() -> None:
+    known = Throughput().observed(LoaderKind.ICAP, 100, 0.0).observed(LoaderKind.ICAP, 0, 1.0)
+    assert known == Throughput()  # nothing was measured
+    for kind, rate in ((LoaderKind.ICAP, 400e6), (LoaderKind.FPGA_MANAGER, 145e6), (LoaderKind.OVERLAY, 145e6)):
+        assert known.timeout(Region("prr0", loader=kind), 4_000_000) == 2.0 + 20.0 * (4_000_000 / rate)
+    assert known.timeout(Region("prr0", timeout=0.5), 4_000_000) == 0.5
+    two = known.observed(LoaderKind.ICAP, 100, 1.0).observed(LoaderKind.ICAP, 123_456, 2.0)
+    assert two.measured == {LoaderKind.ICAP: (100.0, 61_730.0)}  # four digits are recorded
+    assert two.rate(LoaderKind.ICAP) == 61_730.0
+    assert (two.took(("load", 3.0), ("load", 2.0)).overhead("load"), two.overhead("load")) == (2.0, 0.0)
 
 
 def test_an_unreadable_record_is_reported(journal: Journal, monkeypatch: pytest.MonkeyPatch) -> None:
