@@ -3,14 +3,16 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 from manager_schemas import REGIONS, written
 from manager_support import Rig, killed_at, rig
 
-from cm.device import Root, Uio
+from cm.device import DeviceError, Root, Uio
 from cm.manager.errors import NothingToUndo
 from cm.schema import load
 from cm.schema.model import Config
@@ -297,3 +299,110 @@ def test_what_was_found_at_start_is_reported_until_a_client_has_read_it(
         assert again.manager.status().last_error == told  # until something has happened since
         assert again.go("default", config="duo") is None
         assert again.manager.status().last_error is None
+
+
+# ---- what is said of it --------------------------------------------------------------------------
+
+
+def persistently(made: Rig, mode: str, *, config: str, at: str, from_: int = 0, back: str = "") -> str:
+    """Go there, with each operation `at` failing from a number on, and of the way back those called `back`."""
+    count = 0
+
+    def fail(name: str) -> None:
+        nonlocal count
+        count += name == at
+        if (name == at and count > from_) or (count > from_ and name == back):
+            raise DeviceError(errno.EIO, f"injected at {name}")
+
+    made.arm(-1)
+    made.fault.watch = fail
+    error = made.go(mode, config=config)
+    made.fault.watch = lambda _: None
+    assert error is not None
+    return f"{error.code}: {error.message}"
+
+
+@pytest.mark.parametrize(
+    ("before", "goal", "fails", "text"),
+    [
+        (
+            [],
+            ("duo", "default"),
+            {"at": "icap.load", "from_": 1},
+            "device_error: load a1 into prr1 by icap: injected at icap.load; there was no mode to go back to; "
+            "regions left decoupled: prr0, prr1",
+        ),
+        (
+            [],
+            ("duo", "default"),
+            {"at": "overlays.apply"},
+            "device_error: apply overlay duo_base: injected at overlays.apply; there was no mode to go back to; "
+            "no region was touched",
+        ),
+        (
+            [("duo", "default")],
+            ("duo", "both"),
+            {"at": "icap.load", "from_": 1},
+            "undo_failed: load b1 into prr1 by icap: injected at icap.load; going back failed too: injected at "
+            "icap.load; regions left decoupled: prr0, prr1",
+        ),
+        (
+            [("duo", "default")],
+            ("duo", "both"),
+            {"at": "icap.load", "back": "uio.write"},
+            "undo_failed: load b0 into prr0 by icap: injected at icap.load; going back failed too: injected at "
+            "uio.write; regions left decoupled: prr0, prr1; prr0 could not be decoupled: injected at uio.write; prr1 "
+            "could not be decoupled: injected at uio.write",
+        ),
+        (
+            [("duo", "default")],
+            ("whole", "default"),
+            {"at": "fpga_manager.load"},
+            "undo_failed: load the whole device from whole.bit by fpga_manager: injected at fpga_manager.load; going "
+            "back failed too: the static part that duo was running in is gone, and it is not the manager's to load: "
+            "load a full configuration, or restart the board; what the device holds is not known, so nothing in it is "
+            "accessed",
+        ),
+        (
+            [("duo", "default")],
+            ("whole", "full"),
+            {"at": "icap.load"},
+            "undo_failed: load w0 into prr0 by icap: injected at icap.load; going back failed too: the static part "
+            "that duo was running in is gone, and it is not the manager's to load: load a full configuration, or "
+            "restart the board; regions left decoupled: prr0, prr1",
+        ),
+        (
+            [("duo", "default"), ("duo", "other")],
+            ("duo", "both"),
+            {"at": "icap.allocate"},
+            "device_error: load b1 into prr1 by icap: injected at icap.allocate; the board is back in duo/other",
+        ),
+        (
+            [("duo", "other")],
+            ("duo", "both"),
+            {"at": "icap.load"},
+            "device_error: load b1 into prr1 by icap: injected at icap.load; the board is back in duo/other; regions "
+            "left decoupled: prr1",
+        ),
+    ],
+)
+def test_an_error_says_which_step_failed_and_what_the_board_holds_now(
+    sim: SimBoard,
+    configs: dict[str, Config],
+    tmp_path: Path,
+    before: list[tuple[str, str]],
+    goal: tuple[str, str],
+    fails: dict[str, Any],
+    text: str,
+) -> None:
+    sim.control.reset()
+    with rig(sim.root, tmp_path, *configs.values()) as made:
+        for config, mode in before:
+            assert made.go(mode, config=config) is None
+        assert persistently(made, goal[1], config=goal[0], **fails) == text
+        there = made.manager.status()
+        failed = [region.name for region in there.regions if region.state == "failed"]
+        assert all(sim.control.state()["regions"][name]["decoupled"] for name in failed)
+        back = f"back in {there.config_name}/{there.mode}"
+        assert (back in text) is ("is back in" in text)
+    sim.control.reset()

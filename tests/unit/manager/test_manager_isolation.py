@@ -4,14 +4,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from manager_support import Rig, rig
 
 from cm.device import Root, Uio
+from cm.manager.access.register_bus import RegisterBus, drive, is_cut
+from cm.manager.errors import VerifyFailed
 from cm.schema import dump, load, loads
-from cm.schema.model import Config
+from cm.schema.model import Config, Decoupler, GpioLine, IsolationStep
 from cm.simulation.software import Board as SimBoard
 
 TEXT = """
@@ -139,3 +144,108 @@ def test_values_that_do_not_fit_the_register_are_refused() -> None:
     text = TEXT.replace("cut: 0, couple: 0x01", "cut: 0, couple: 0x100000001")
     with pytest.raises(ValueError, match="does not fit a register of 32 bits"):
         loads(text)
+
+
+# ---- accesses, without a board ---------------------------------------------------------------
+
+BIT = Decoupler(0x1000, 4, bit=3)
+LOW = replace(BIT, active_high=False)
+STEPS = (
+    IsolationStep(0, 0xA5, 0x5A, mask=0xF0),
+    IsolationStep(4, 2, 1, poll=True, timeout=0.0),
+    IsolationStep(8, 7, 0, verify=False),
+)
+SEQUENCE = Decoupler(0x1000, 4, width=8, sequence=STEPS)
+LINE = Decoupler(gpio=GpioLine("chip", "cut"))
+
+
+class Cells:
+    """Registers and a line that hold what is written, but for the bits that are stuck."""
+
+    def __init__(self, cells: dict[int, int], stuck: int = 0) -> None:
+        self.cells, self.stuck, self.done = dict(cells), stuck, list[tuple[str, int, int]]()
+        self.line: Any = SimpleNamespace(value=0)
+
+    def window(self, address: int, width: int) -> Any:
+        return SimpleNamespace(device=self, map=0, offset=address)
+
+    def gpio(self, chip: str, line: object) -> Any:
+        assert (chip, line) == ("chip", "cut")
+        return self.line
+
+    def read(self, offset: int, width: int, number: int) -> int:
+        self.done.append(("read", offset, width))
+        return self.cells[offset]
+
+    def write(self, offset: int, value: int, width: int, number: int) -> None:
+        self.done.append(("write", offset, value))
+        self.cells[offset] = value & ~self.stuck
+
+
+@pytest.mark.parametrize(
+    ("decoupler", "cut", "cells", "done"),
+    [
+        (BIT, True, {0x1004: 0x10}, [("read", 0x1004, 32), ("write", 0x1004, 0x18), ("read", 0x1004, 32)]),
+        (BIT, False, {0x1004: 0x18}, [("read", 0x1004, 32), ("write", 0x1004, 0x10), ("read", 0x1004, 32)]),
+        (LOW, True, {0x1004: 0x18}, [("read", 0x1004, 32), ("write", 0x1004, 0x10), ("read", 0x1004, 32)]),
+        (LOW, False, {0x1004: 0x10}, [("read", 0x1004, 32), ("write", 0x1004, 0x18), ("read", 0x1004, 32)]),
+        (
+            SEQUENCE,
+            True,
+            {0x1004: 0x0C, 0x1008: 2},
+            [
+                ("read", 0x1004, 8),
+                ("write", 0x1004, 0xAC),
+                ("read", 0x1004, 8),
+                ("read", 0x1008, 8),
+                ("write", 0x100C, 7),
+            ],
+        ),
+    ],
+)
+def test_a_region_is_cut_off_by_its_bits_alone(
+    decoupler: Decoupler, cut: bool, cells: dict[int, int], done: list[tuple[str, int, int]]
+) -> None:
+    board: Any = Cells(cells)
+    drive(RegisterBus(board), decoupler, cut)
+    assert board.done == done
+    assert is_cut(RegisterBus(board), decoupler) is cut
+
+
+@pytest.mark.parametrize("high", [True, False])
+@pytest.mark.parametrize("cut", [True, False])
+def test_a_line_is_driven_as_it_is_said_to_act(high: bool, cut: bool) -> None:
+    board: Any = Cells({})
+    line = replace(LINE, active_high=high)
+    drive(RegisterBus(board), line, cut)
+    assert (board.line.value, is_cut(RegisterBus(board), line)) == (int(cut is high), cut)
+
+
+@pytest.mark.parametrize(
+    ("decoupler", "cells", "text"),
+    [
+        (BIT, {0x1004: 0x10}, "the decoupler at 0x1004 reads 0x10 after 0x18 (bits 0x8)"),
+        (SEQUENCE, {0x1004: 0, 0x1008: 1}, "the decoupler at 0x1008 reads 0x1 after 0 s, not 0x2 (bits 0xff)"),
+        (LINE, {}, "the decoupler, line cut of chip, reads 0 after 1"),
+    ],
+)
+def test_a_decoupler_that_does_not_follow_says_what_it_reads(
+    decoupler: Decoupler, cells: dict[int, int], text: str
+) -> None:
+    class Stuck(SimpleNamespace):
+        value = property(lambda _: 0, lambda _, value: None)
+
+    board: Any = Cells(cells, stuck=0x8)
+    board.line = Stuck()
+    with pytest.raises(VerifyFailed) as refused:
+        drive(RegisterBus(board), decoupler, cut=True)
+    assert str(refused.value) == text
+
+
+def test_what_cannot_be_read_back_is_not_taken_for_cut_off() -> None:
+    board: Any = Cells({0x1004: 7})
+    unread = Decoupler(0x1000, 4, sequence=(IsolationStep(0, 7, 0, verify=False),))
+    assert not is_cut(RegisterBus(board), unread)
+    assert board.done == []
+    half: Any = Cells({0x1004: 0xA0, 0x1008: 1})  # only the first of the steps is as for a cut
+    assert not is_cut(RegisterBus(half), SEQUENCE)
