@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import threading
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +22,7 @@ from cm.manager.errors import ChangeBusy, NothingLoaded, RegionBusy, UnknownConf
 from cm.manager.execution.worker import Change
 from cm.manager.inputs import Image
 from cm.manager.loaders import Job, Loaders
+from cm.manager.state.record import Pending
 from cm.schema import loads
 from cm.schema.model import Config, LoaderKind, Module
 from cm.server.bitstream_and_overlay_files import BoardFiles
@@ -803,3 +805,70 @@ def test_a_board_that_is_restarted_during_a_change_waits_for_its_end(made: Rig) 
     assert made.go("default", config="duo") is None
     made.fault.watch = lambda _: None  # what is recorded at the end is not during a change
     assert "the board was restarted while a change runs; its end is awaited" in seen
+
+
+# ---- what a change tells and records on its way ------------------------------------------
+
+
+def test_each_step_is_told_with_how_far_it_is_and_counted(made: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    at(made, "duo/default")
+    before = made.manager.totals.read()
+    told: list[Progress] = []
+
+    def listen() -> None:
+        progress = made.manager.status().progress
+        assert progress is not None
+        told.append(progress)
+
+    monkeypatch.setattr(made.data_plane, "progressed", listen)
+    made.data_plane.calls.clear()
+    plan = made.manager.plan(ChangeMode("duo", "both"))
+    at(made, "duo/both")
+    assert all((one.change, one.target_config, one.target_mode) == (2, "duo", "both") for one in told)
+    begun = [one for one in told[1:] if not one.bytes_done]
+    assert [(one.step, one.subject, one.bytes_total) for one in begun] == [
+        (step.kind, step.subject, step.bytes) for step in plan.steps
+    ]
+    half = next(step.bytes for step in plan.steps if step.bytes) / plan.bytes
+    loads = [index for index, step in enumerate(plan.steps) if step.bytes]
+    fractions = [0.0] * (loads[0] + 1) + [pytest.approx(half)] + [1.0] * (len(plan.steps) - loads[1] - 1)
+    assert [one.fraction for one in begun] == fractions
+    assert made.data_plane.calls == [("quiesce", ("through0", "through1")), ("resume", "both")]
+    counts = made.manager.totals.read()
+    assert counts.outcomes == {"done": 2}
+    more = Counter({kind: times.number for kind, times in counts.steps.items()})
+    more.subtract({kind: times.number for kind, times in before.steps.items()})
+    assert +more == Counter(step.kind for step in plan.steps)
+    assert (counts.loads["icap"].number, counts.loads["icap"].bytes) == (4, before.loads["icap"].bytes + plan.bytes)
+
+
+def test_what_is_to_be_restored_is_on_disk_before_it_is_changed(made: Rig, configs: dict[str, Config]) -> None:
+    at(made, "whole/default", "duo/default")
+    made.manager.write_registers((RegWrite("scratch", 6),))
+    found: list[Pending] = []
+
+    def look(name: str) -> None:
+        if name in ("overlays.apply", "icap.load", "uio.write"):
+            record = made.journal.read()
+            assert record is not None
+            assert record.pending is not None
+            found.append(record.pending)
+
+    made.fault.watch = look
+    at(made, "duo/lit")
+    assert {(x.number, x.config, x.mode, x.from_config, x.from_mode, x.from_static) for x in found} == {
+        (3, "duo", "lit", "duo", "default", "whole")
+    }
+    assert all(x.held == {"prr0": "a0", "prr1": "a1"} for x in found)
+    assert all(x.values == {"gain": 1, "depth": 2, "scratch": 6} for x in found)
+    assert list(dict.fromkeys((x.step, x.subject, x.overlay) for x in found)) == [
+        ("decouple", "prr0", None),
+        ("load", "prr0", None),
+        ("registers", "lamp", None),
+        ("recouple", "prr0", None),
+        ("registers", "gain", None),
+    ]
+    assert [x.found for x in found if x.subject == "lamp"] == [((0x101C, 32, 0),)]
+    record = made.journal.read()
+    assert record is not None
+    assert (record.pending, record.number, record.state.values["lamp"]) == (None, 3, 5)
