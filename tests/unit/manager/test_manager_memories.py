@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,9 +20,10 @@ from cm.errors import CmError, InvalidRequest
 from cm.manager.access.memory_service import LENGTH_MAX, PIECE, Transfer
 from cm.manager.errors import AccessDenied, HeldBy, NothingLoaded, OutOfRange, RegionBusy, UnknownMemory
 from cm.schema import load
-from cm.schema.model import Access, Config
+from cm.schema.model import ITEM_BYTES, Access, Config
 from cm.simulation.software import Board as SimBoard
 from cm.wire.messages.requests import ChangeMode, DefineMemory, TakeLease
+from cm.wire.messages.status import MemoryInfo
 
 SCHEMA = """
 config:
@@ -149,51 +151,59 @@ def test_parts_that_are_not_whole_elements_are_bytes(made: Rig) -> None:
     assert made.manager.memories.begin_read("pairs", 0, 0).form == ((4,), "complex128")
 
 
+def refused(call: Callable[[], object]) -> tuple[type[Exception], str]:
+    with pytest.raises(CmError) as caught:
+        call()
+    return caught.type, str(caught.value)
+
+
+WORDS = "are not whole words: multiples of 4 are"
+THERE = "it has 4096, and one word is the least"
+PARTS = "in one request; 4194304 is the most, ask for parts by offset"
+
+
 @pytest.mark.parametrize(
-    ("name", "offset", "length", "error", "words"),
+    ("name", "offset", "length", "error", "text"),
     [
-        ("taps", 2, 4, InvalidRequest, "multiples of 4"),
-        ("taps", 0, 6, InvalidRequest, "multiples of 4"),
-        ("taps", 0xFFC, 8, OutOfRange, "it has 4096"),
-        ("taps", 0x1000, 0, OutOfRange, "it has 4096"),
-        ("taps", 1 << 63, 4, OutOfRange, "it has 4096"),
-        ("big", 0, LENGTH_MAX + 4, OutOfRange, "parts by offset"),
-        ("big", 0, 0, OutOfRange, "parts by offset"),
-        ("key", 0, 4, AccessDenied, "write-only"),
-        ("tabs", 0, 4, UnknownMemory, "did you mean 'taps'"),
-        ("TAPS", 0, 4, UnknownMemory, "did you mean 'taps'"),
-        ("twiddle", 0, 4, UnknownMemory, r"\(default\); modes both have it"),
+        ("taps", 2, 4, InvalidRequest, f"memory 'taps': 4 bytes at offset 2 {WORDS}"),
+        ("taps", 0, 6, InvalidRequest, f"memory 'taps': 6 bytes at offset 0 {WORDS}"),
+        ("taps", 0xFFC, 8, OutOfRange, f"memory 'taps': 8 bytes at offset 4092; {THERE}"),
+        ("taps", 0x1000, 0, OutOfRange, f"memory 'taps': 0 bytes at offset 4096; {THERE}"),
+        ("taps", 1 << 63, 4, OutOfRange, f"memory 'taps': 4 bytes at offset {1 << 63}; {THERE}"),
+        ("big", 0, LENGTH_MAX + 4, OutOfRange, f"memory 'big': 4194308 bytes {PARTS}"),
+        ("big", 0, 0, OutOfRange, f"memory 'big': 8388608 bytes {PARTS}"),
+        ("key", 0, 4, AccessDenied, "memory 'key' is write-only"),
+        ("tabs", 0, 4, UnknownMemory, "no memory 'tabs'; did you mean 'taps'?"),
+        ("TAPS", 0, 4, UnknownMemory, "no memory 'TAPS'; did you mean 'taps'?"),
+        ("twiddle", 0, 4, UnknownMemory, "no memory 'twiddle' in this mode (default); modes both have it"),
     ],
 )
 def test_an_impossible_read_of_a_memory_is_refused(
-    made: Rig, name: str, offset: int, length: int, error: type[CmError], words: str
+    made: Rig, name: str, offset: int, length: int, error: type[CmError], text: str
 ) -> None:
-    with pytest.raises(error, match=words):
-        made.manager.memories.begin_read(name, offset, length)
+    assert refused(lambda: made.manager.memories.begin_read(name, offset, length)) == (error, text)
 
 
 @pytest.mark.parametrize(
-    ("name", "offset", "data", "error", "words"),
+    ("name", "offset", "data", "error", "text"),
     [
-        ("log", 0, b"1234", AccessDenied, "read-only"),
-        ("taps", 0, b"", OutOfRange, "one word is the least"),
-        ("taps", 0, b"123", InvalidRequest, "multiples of 4"),
-        ("taps", 0xFFC, b"12345678", OutOfRange, "8 bytes at offset 4092"),
+        ("log", 0, b"1234", AccessDenied, "memory 'log' is read-only"),
+        ("taps", 0, b"", OutOfRange, f"memory 'taps': 0 bytes at offset 0; {THERE}"),
+        ("taps", 0, b"123", InvalidRequest, f"memory 'taps': 3 bytes at offset 0 {WORDS}"),
+        ("taps", 0xFFC, b"12345678", OutOfRange, f"memory 'taps': 8 bytes at offset 4092; {THERE}"),
     ],
 )
 def test_an_impossible_write_to_a_memory_is_refused(
-    made: Rig, name: str, offset: int, data: bytes, error: type[CmError], words: str
+    made: Rig, name: str, offset: int, data: bytes, error: type[CmError], text: str
 ) -> None:
-    with pytest.raises(error, match=words):
-        made.manager.memories.begin_write(name, offset, data, "")
+    assert refused(lambda: made.manager.memories.begin_write(name, offset, data, "")) == (error, text)
 
 
 def test_nothing_loaded_has_no_memories(fresh: Rig) -> None:
-    with pytest.raises(NothingLoaded):
-        read(fresh, "taps")
-    assert fresh.manager.memories.find("taps") is None
-    with pytest.raises(NothingLoaded):
-        define(fresh, "block", 0x60100, 4)
+    nothing = NothingLoaded, "nothing is loaded, so there are no memories"
+    assert refused(lambda: read(fresh, "taps")) == nothing
+    assert refused(lambda: define(fresh, "block", 0x60100, 4)) == nothing
+    assert (fresh.manager.memories.find("taps"), fresh.manager.memories.listed()) == (None, "")
 
 
 def test_a_change_takes_the_memories_of_its_regions_and_leaves_the_others(made: Rig, sim: SimBoard) -> None:
@@ -227,8 +237,14 @@ def test_the_rest_of_a_transfer_is_refused_when_its_region_was_changed_meanwhile
     with pytest.raises(UnknownMemory, match="modes default, both have it"):
         reading.step()
     assert made.go("default", config="filter") is None
-    with pytest.raises(RegionBusy, match="changed meanwhile; 0 of 4096 bytes"):
-        reading.step()
+    assert refused(reading.step) == (
+        RegionBusy,
+        "memory 'taps': region left was changed meanwhile; 0 of 4096 bytes had been moved",
+    )
+    define(made, "block", 0x60100, 64)
+    moving = made.manager.memories.begin_read("block", 0, 0)
+    define(made, "block", 0x60200, 64)
+    assert refused(moving.step) == (UnknownMemory, "memory 'block' is another one now, in mode 'default'")
     assert read(made, "taps") == bytes(0x1000)
 
 
@@ -343,37 +359,99 @@ def test_a_block_is_in_the_region_of_what_has_a_name_there(
     assert made.manager.memories.named("block").region == region
 
 
+COVERED = "which has rights and limits of its own: take another place, or access ro"
+
+
 @pytest.mark.parametrize(
-    ("given", "error", "words"),
+    ("given", "text"),
     [
-        ({"address": 0x60100}, InvalidRequest, "length is missing"),
-        ({"length": 64}, InvalidRequest, "address is missing"),
-        ({"address": 0x60102, "length": 64}, InvalidRequest, "multiples of 4"),
-        ({"address": 0x60100, "length": 6}, InvalidRequest, "multiples of 4"),
-        ({"address": (1 << 64) - 4, "length": 8}, InvalidRequest, "64 bits"),
-        ({"address": 0x60100, "length": 64, "access": "w1c"}, InvalidRequest, "rw, ro, wo"),
-        ({"address": 0x60100, "length": 64, "dtype": "int3"}, InvalidRequest, "no dtype 'int3'"),
-        ({"address": 0x60100, "length": 12, "dtype": "float64"}, InvalidRequest, "whole elements of float64"),
-        ({"address": 0x60100, "length": 64, "shape": (4, 5)}, InvalidRequest, r"shape \[4, 5\] of uint32"),
-        ({"address": 0x60100, "length": 64, "region": "middle"}, InvalidRequest, "left, right, static"),
-        ({"address": 0x7000_0000, "length": 64}, DeviceNotFound, "windows in"),
-        ({"address": 0x60FFC, "length": 8}, DeviceNotFound, "0x60ffc"),
-        ({"address": 0x1000, "length": 16}, InvalidRequest, "covers the decoupler of region 'left'"),
-        ({"address": 0x1010, "length": 4}, InvalidRequest, "covers register 'led' at 0x1010"),
-        ({"address": 0x20010, "length": 4}, InvalidRequest, "the identity of region 'left'"),
-        ({"address": 0x1800, "length": 4, "access": "wo"}, InvalidRequest, "covers memory 'scratch'"),
+        ({"address": 0x60100}, "length is missing; address and length, in bytes, define a memory"),
+        ({"length": 64}, "address is missing; address and length, in bytes, define a memory"),
+        ({"address": 0x60102, "length": 64}, f"64 bytes at 0x60102 {WORDS}"),
+        ({"address": 0x60100, "length": 6}, f"6 bytes at 0x60100 {WORDS}"),
+        ({"address": (1 << 64) - 4, "length": 8}, "it ends behind the last address of 64 bits"),
+        ({"address": 0x60100, "length": 64, "access": "w1c"}, "access 'w1c'; it is one of rw, ro, wo"),
+        ({"address": 0x60100, "length": 64, "dtype": "int3"}, f"no dtype 'int3'; there are {', '.join(ITEM_BYTES)}"),
+        ({"address": 0x60100, "length": 12, "dtype": "float64"}, "its 12 bytes are not whole elements of float64"),
+        ({"address": 0x60100, "length": 64, "shape": (4, 5)}, "its 64 bytes are not shape [4, 5] of uint32"),
+        ({"address": 0x60100, "length": 4, "region": "mid"}, "there is no region 'mid'; there are left, right, static"),
     ],
 )
-def test_an_impossible_block_is_refused(made: Rig, given: dict[str, object], error: type[CmError], words: str) -> None:
-    with pytest.raises(error, match=words):
-        made.manager.memories.define(DefineMemory("block", **given))  # type: ignore[arg-type]
+def test_an_impossible_block_is_refused(made: Rig, given: dict[str, Any], text: str) -> None:
+    define = made.manager.memories.define
+    assert refused(lambda: define(DefineMemory("block", **given))) == (InvalidRequest, f"memory 'block': {text}")
     assert not made.manager.memories.defined()
 
 
-@pytest.mark.parametrize("name", ["taps", "twiddle", "samples", "a.b", "", "7up", "x" * 65])
-def test_a_name_that_is_taken_or_invalid_is_refused(made: Rig, name: str) -> None:
-    with pytest.raises(InvalidRequest):
-        define(made, name, 0x60100, 64)
+@pytest.mark.parametrize(
+    ("address", "length", "what"),
+    [
+        (0x1000, 16, "the decoupler of region 'left' at 0x1000"),
+        (0x1010, 4, "register 'led' at 0x1010"),
+        (0x1008, 12, "register 'led' at 0x1010"),
+        (0x20010, 4, "the identity of region 'left' at 0x20010"),
+        (0x1BFC, 8, "memory 'scratch' at 0x1800"),
+        (0x1C00, 4, ""),
+        (0x100C, 4, ""),
+        (0x1014, 4, ""),
+    ],
+)
+def test_a_writable_block_covers_nothing_that_has_a_name(made: Rig, address: int, length: int, what: str) -> None:
+    def wanted() -> None:
+        define(made, "block", address, length, access="wo")
+
+    if what:
+        assert refused(wanted) == (InvalidRequest, f"memory 'block' covers {what}, {COVERED}")
+    else:
+        wanted()
+    define(made, "block", address, length, access="ro")
+
+
+@pytest.mark.parametrize(("address", "length", "words"), [(0x7000_0000, 64, "windows in"), (0x60FFC, 8, "0x60ffc")])
+def test_a_block_outside_all_windows_is_not_found(made: Rig, address: int, length: int, words: str) -> None:
+    with pytest.raises(DeviceNotFound, match=words):
+        define(made, "block", address, length)
+
+
+FORM = "letters, digits, _ and - make a name, at most 64, no digit first"
+TAKEN = "of configuration 'filter': give another name"
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("taps", f"'taps' is a memory {TAKEN}"),
+        ("twiddle", f"'twiddle' is a memory {TAKEN}"),
+        ("samples", f"'samples' is a stream {TAKEN}"),
+        ("a.b", f"memory 'a.b': {FORM}"),
+        ("", f"memory '': {FORM}"),
+        ("7up", f"memory '7up': {FORM}"),
+        ("x" * 99, f"memory '{'x' * 80}': {FORM}"),
+        ("x" * 64, ""),
+        ("_a-7", ""),
+    ],
+)
+def test_a_name_that_is_taken_or_invalid_is_refused(made: Rig, name: str, text: str) -> None:
+    if text:
+        assert refused(lambda: define(made, name, 0x60100, 64)) == (InvalidRequest, text)
+        return
+    define(made, name, 0x60100, 64)
+    assert made.manager.memories.info(made.manager.memories.named(name)) == MemoryInfo(
+        name, 0x60100, 64, defined=True, region=""
+    )
+    assert made.manager.memories.listed() == f"; memories are {', '.join(sorted([*IN_DEFAULT, name]))}"
+
+
+IN_DEFAULT = ("big", "key", "log", "scratch", "taps")
+
+
+def test_a_memory_is_not_configured_as_a_stream(made: Rig) -> None:
+    made.manager.memories.check_no_memory("samples")
+    assert refused(lambda: made.manager.memories.check_no_memory("taps")) == (
+        InvalidRequest,
+        "memory 'taps' is not a stream: only one that was defined at run time can be defined anew, with address and "
+        "length",
+    )
 
 
 def test_two_blocks_do_not_share_a_place_unless_they_are_read(made: Rig) -> None:
@@ -399,8 +477,10 @@ def test_a_region_that_is_not_clear_has_to_be_said(fresh: Rig, configs: dict[str
     there = replace(config.registers["led"], name="lr", region="right", offset=0x40)
     fresh.manager.add_config(replace(config, registers={**config.registers, "lr": there}))
     assert fresh.go("default", config="filter") is None
-    with pytest.raises(InvalidRequest, match="region is missing; its window has registers of right, static"):
-        define(fresh, "block", 0x1100, 64)
+    assert refused(lambda: define(fresh, "block", 0x1100, 64)) == (
+        InvalidRequest,
+        "memory 'block': region is missing; its window has registers of right, static",
+    )
     define(fresh, "block", 0x1100, 64, region="static")
     assert fresh.manager.memories.named("block").region is None
 
