@@ -54,13 +54,6 @@ def loaders(made: Rig) -> set[str]:
     return {region.loader for region in made.manager.status().regions}
 
 
-def test_the_icap_is_used_if_permitted(made: Rig) -> None:
-    made.arm(-1)
-    assert made.go("both", config="duo") is None
-    assert made.fault.names.count("icap.load") == 2
-    assert loaders(made) == {"icap"}
-
-
 @pytest.mark.usefixtures("no_icap")
 def test_a_board_without_an_icap_loads_by_the_fpga_manager_and_says_why(made: Rig) -> None:
     made.arm(-1)
@@ -69,14 +62,6 @@ def test_a_board_without_an_icap_loads_by_the_fpga_manager_and_says_why(made: Ri
     (told,) = loaders(made)
     assert told.startswith("fpga_manager (icap: ")
     assert "no /dev/cm_icap0" in told
-
-
-@pytest.mark.usefixtures("denied")
-def test_an_icap_that_the_firmware_refuses_is_not_tried(made: Rig) -> None:
-    made.arm(-1)
-    assert made.go("both", config="duo") is None
-    assert "icap.load" not in made.fault.names
-    assert loaders(made) == {"fpga_manager (icap: the platform's firmware does not let it be selected)"}
 
 
 def test_a_region_that_nothing_can_load_is_refused_before_it_is_cut_off(

@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from bitstream_support import bit
@@ -18,7 +20,7 @@ from manager_support import Rig, rig
 from cm.errors import CmError
 from cm.formats.bitstream import assemble_module
 from cm.formats.bitstream.errors import Sha256Mismatch
-from cm.manager.errors import ChangeBusy, NothingLoaded, RegionBusy, UnknownConfig
+from cm.manager.errors import ChangeBusy, HeldBy, NothingLoaded, RegionBusy, UnknownConfig
 from cm.manager.execution.worker import Change
 from cm.manager.inputs import Image
 from cm.manager.loaders import Job, Loaders
@@ -27,7 +29,7 @@ from cm.schema import loads
 from cm.schema.model import Config, LoaderKind, Module
 from cm.server.bitstream_and_overlay_files import BoardFiles
 from cm.simulation.software import Board as SimBoard
-from cm.wire.messages.requests import ChangeMode, RegWrite
+from cm.wire.messages.requests import ChangeMode, RegWrite, TakeLease
 from cm.wire.messages.status import ChangeInfo, ErrorInfo, Progress, Reply
 
 # IDCODE of the xc7z020, IV, DWC and the words that only the device can read
@@ -84,15 +86,6 @@ def test_from_partial_to_full_and_back_over_both_ports(made: Rig, sim: SimBoard,
     assert [state["regions"][n]["module"] for n in ("prr0", "prr1")] == ["w0", "w1"]
     assert state["overlays"] == ["whole_base", "whole_extra"]
     assert made.manager.registers.read(("led",)).values[0].value == 7
-
-
-def test_within_a_full_configuration_the_image_stays(made: Rig) -> None:
-    at(made, "whole/default", "whole/full")
-    assert "fpga_manager.load" not in made.fault.names
-    plan = made.manager.plan(ChangeMode(config_name="whole", mode="default"))
-    assert "load_full" not in [step.kind for step in plan.steps]
-    forced = made.manager.plan(ChangeMode(config_name="whole", mode="default", force=True))
-    assert "load_full" in [step.kind for step in forced.steps]
 
 
 def test_streams_end_before_the_image_and_begin_after_it(made: Rig) -> None:
@@ -872,3 +865,67 @@ def test_what_is_to_be_restored_is_on_disk_before_it_is_changed(made: Rig, confi
     record = made.journal.read()
     assert record is not None
     assert (record.pending, record.number, record.state.values["lamp"]) == (None, 3, 5)
+
+
+def test_what_was_written_is_told_to_streams_before_anybody_else(made: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    at(made, "duo/default")
+    told: list[object] = []
+    monkeypatch.setattr(made.data_plane, "wrote", told.append)
+    monkeypatch.setattr(made.data_plane, "registers_changed", told.append)
+    first = made.manager.write_registers((RegWrite("gain", 4),))
+    assert told == [first.generation, first]
+    assert made.manager.status().generation == first.generation
+    change = made.manager.submit(ChangeMode("duo", "default"))
+    assert change.wait(60)
+    assert told[2:] == [change.generation] == [first.generation + 1]
+    lease = made.manager.leases.request(TakeLease("registers:gain", holder="anna"))
+    with pytest.raises(HeldBy):
+        made.manager.write_registers((RegWrite("gain", 4),))
+    made.manager.write_registers((RegWrite("gain", 4),), lease.id)
+    with pytest.raises(HeldBy, match="registers:gain is held by anna"):
+        made.manager.submit(ChangeMode("duo", "other"))
+    assert made.manager.submit(ChangeMode("duo", "other", lease=lease.id)).wait(60)
+    made.manager.note_error(ErrorInfo("wrong", "it was"))
+    status = made.manager.status()
+    assert (status.last_error, status.pr_mode.value) == (ErrorInfo("wrong", "it was"), "idle")
+
+
+def test_names_that_clients_read_by_themselves_are_withdrawn_whenever_they_may_lead_elsewhere(
+    made: Rig, configs: dict[str, Config]
+) -> None:
+    at(made, "duo/default")
+    table: Any = SimpleNamespace(withdrawn=0)
+
+    def withdraw() -> None:
+        table.withdrawn += 1
+
+    table.withdraw = withdraw
+    made.manager.publish_to(table)
+
+    def withdrawn(act: Callable[[], object]) -> int:
+        before = table.withdrawn
+        act()
+        return int(table.withdrawn - before)
+
+    assert withdrawn(lambda: made.manager.write_registers((RegWrite("gain", 4),))) == 0
+    assert withdrawn(made.manager.status) == 0
+    assert withdrawn(lambda: made.manager.add_config(configs["duo"])) == 1
+    assert withdrawn(lambda: made.manager.forget_config("ported")) == 1
+    locked: list[int] = []
+    made.fault.watch = lambda name: locked.append(table.withdrawn) if name == "uio.write" else None
+    before = table.withdrawn
+    assert withdrawn(lambda: at(made, "duo/lit")) >= 3  # locked, other regions, another mode, released
+    made.fault.watch = lambda _: None
+    assert locked[0] > before
+    assert withdrawn(made.manager.board_restarted) >= 1
+
+
+def test_a_configuration_that_is_replaced_while_it_is_loaded_has_its_streams_anew(
+    made: Rig, configs: dict[str, Config]
+) -> None:
+    at(made, "duo/default")
+    made.data_plane.calls.clear()
+    made.manager.add_config(configs["whole"])
+    assert made.data_plane.calls == []
+    made.manager.add_config(configs["duo"])
+    assert made.data_plane.calls == [("resume", "default")]

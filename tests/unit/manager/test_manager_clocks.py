@@ -98,11 +98,6 @@ def test_the_plan_tells_the_rates_beforehand_and_sets_none(made: Rig, sim: SimBo
     assert rates(sim) == (BOOT, BOOT)
 
 
-def test_a_clock_that_runs_as_it_was_set_is_not_set_again(made: Rig) -> None:
-    assert made.go("default", config="fast") is None
-    assert made.manager.plan(ChangeMode(config_name="fast", mode="default")).steps == ()
-
-
 def test_a_clock_that_was_changed_from_outside_is_set_again(made: Rig, sim: SimBoard) -> None:
     assert made.go("default", config="fast") is None
     PlClocks(sim.root).find("fclk1").rate = 10_000_000

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 from manager_support import Rig, camera, make_rig, rig
 
-from cm.server.devices import BoardDevices
 from cm.simulation.software import Board as SimBoard
 
 HUNG = 60.0  # seconds for a load: a busy machine may take some
@@ -194,14 +193,3 @@ def test_a_manager_starts_where_the_record_cannot_be_written(sim: SimBoard, tmp_
         assert fresh.manager.status().configs == ("camera",)
     finally:
         fresh.close()
-
-
-def test_without_a_boot_id_nothing_that_is_recorded_is_trusted(
-    sim: SimBoard, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(BoardDevices, "boot_id", lambda _: "")
-    with rig(sim.root, tmp_path) as first:
-        assert first.go("default") is None
-    with rig(sim.root, tmp_path) as second:
-        assert second.manager.status().config_name == ""
-        assert any("boot id" in note for note in second.notes)

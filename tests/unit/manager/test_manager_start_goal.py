@@ -17,7 +17,16 @@ from cm.manager.access.register_bus import RegisterBus
 from cm.manager.inputs import Window
 from cm.manager.planner import target
 from cm.manager.recovery import Destination, Finding, destination, is_whole, reconcile, repair
-from cm.manager.state.board_state import BoardState, OverlayState, RegionPhase, RegionState
+from cm.manager.state.board_state import (
+    TRANSITIONS,
+    BoardState,
+    IllegalTransition,
+    OverlayState,
+    RegionEvent,
+    RegionPhase,
+    RegionState,
+    slept,
+)
 from cm.manager.state.record import Pending, Record
 from cm.schema import loads
 from cm.schema.model import Config
@@ -389,3 +398,49 @@ def test_a_board_is_whole_where_each_region_of_its_mode_is_ready_and_its_clocks_
 ) -> None:
     state = replace(BOTH, **change)
     assert is_whole(state, Destination(LAB, state.mode or "")) is whole
+
+
+# ---- the state table ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("phase", list(RegionPhase))
+@pytest.mark.parametrize("event", list(RegionEvent))
+def test_an_event_keeps_what_a_region_holds_or_forgets_it_and_others_are_defects(
+    phase: RegionPhase, event: RegionEvent
+) -> None:
+    before = RegionState(phase, "fir", "f1")
+    there = TRANSITIONS.get((phase, event))
+    if there is None:
+        with pytest.raises(IllegalTransition) as refused:
+            before.after(event)
+        assert str(refused.value) == f"region in phase {phase.value} cannot {event.value}"
+        return
+    forgets = event in (RegionEvent.LOAD, RegionEvent.LOAD_FAILED, RegionEvent.LOSE)
+    recovers = phase is RegionPhase.FAILED and event is RegionEvent.DECOUPLE
+    assert before.after(event) == (RegionState(there) if forgets or recovers else replace(before, phase=there))
+
+
+def test_values_that_were_written_since_are_those_of_the_same_configuration() -> None:
+    now = replace(BOTH, values={"led": 6, "gain": 7, "tone": 1, "new": 2})
+    assert now.values_since(BOTH, but=("tone",)) == {"led": 6, "new": 2}
+    assert now.values_since(replace(BOTH, config="other"), but=()) == {}
+    assert now.without_values({"led", "none"}).values == {"gain": 7, "tone": 1, "new": 2}
+    assert now.with_clock("fclk1", 5).clocks == {"fclk0": 99, "fclk1": 5}
+
+
+@pytest.mark.parametrize(
+    ("change", "after"),
+    [
+        ({}, replace(BOTH, regions=lost("left", "right"), values={})),  # what the boot loader put there
+        (
+            {"static_sha256": "w", "static_config": "whole"},
+            BoardState(regions=lost("left", "right"), overlays=BOTH.overlays, clocks=BOTH.clocks, static_lost=True),
+        ),
+        (
+            {"static_lost": True},
+            BoardState(regions=lost("left", "right"), overlays=BOTH.overlays, clocks=BOTH.clocks, static_lost=True),
+        ),
+    ],
+)
+def test_after_a_sleep_only_what_the_kernel_keeps_is_known(change: dict[str, Any], after: BoardState) -> None:
+    assert slept(replace(BOTH, **change)) == after

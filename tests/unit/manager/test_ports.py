@@ -346,6 +346,9 @@ def test_only_what_the_schema_leaves_open_is_chosen(bench: Bench) -> None:
     assert resolved(CONFIG, (), bench.devices)[1]["second"] == Choice(
         LoaderKind.FPGA_MANAGER, "icap: the schema names fpga2"
     )
+    bench.port.info.denied = True
+    denied = "icap: the platform's firmware does not let it be selected"
+    assert resolved(CONFIG, (), bench.devices)[1]["free"] == Choice(LoaderKind.FPGA_MANAGER, denied)
     bench.ports[None] = None
     assert resolved(CONFIG, (), bench.devices)[1]["free"] == Choice(LoaderKind.FPGA_MANAGER, f"icap: {NO_ICAP}")
     bench.kernel.can_load = False

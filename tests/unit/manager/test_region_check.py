@@ -25,7 +25,7 @@ from cm.manager.execution.worker import SCANS
 from cm.schema.model import Config
 from cm.simulation.software import Board as SimBoard
 from cm.wire.messages.requests import ChangeMode, CheckRegion, RegWrite, TakeLease
-from cm.wire.messages.status import RegionCheck, RegionHealth
+from cm.wire.messages.status import ErrorInfo, RegionCheck, RegionHealth
 
 FRAME = 4 * 101
 
@@ -103,6 +103,16 @@ def test_each_upset_is_told_by_its_frame_and_bit_and_counted_once(made: Rig, sim
     hits = sim.control.upset("prr0", 4)
     result = check(made)
     assert (result.verdict, places(result), result.wrong_bits) == ("wrong", sorted(hits), 4)
+    assert (result.region, result.config_name, result.mode) == ("prr0", "duo", "default")
+    assert result.wrong_frames == len({far for far, _ in hits}) == len(result.wrong)
+    frame = result.wrong[0]
+    where = decode_far(frame.far, Family.SERIES7)
+    assert (frame.block_type, frame.row, frame.column, frame.minor) == (
+        where.block_type,
+        where.row,
+        where.column,
+        where.minor,
+    )
     assert check(made).wrong_bits == 4
     assert check(made, "prr1").verdict == "good"
     assert health(made) == RegionHealth(checks=2, upsets=4, wrong_bits=4, frames=result.frames)
@@ -178,8 +188,7 @@ def test_what_is_wrong_again_each_time_is_told_and_stays_what_it_is(made: Rig, s
     change = made.manager.repair(CheckRegion("prr0", repair=True))
     assert change.wait(60)
     made.fault.watch = lambda _: None
-    assert change.error is not None
-    assert change.error.code == "region_wrong"
+    assert change.error == ErrorInfo("region_wrong", "region prr0 differs in 1 bits also after it was loaded again")
     assert made.manager.status().mode == "default"
     assert repaired(made).verdict == "good"
 
