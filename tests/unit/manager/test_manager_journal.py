@@ -66,8 +66,10 @@ def lines(folder: Path) -> bytes:
     return (folder / "journal").read_bytes().rstrip(b"\0")
 
 
-def test_nothing_is_read_before_anything_was_written(journal: Journal) -> None:
+def test_nothing_is_read_before_anything_was_written_in_a_folder_that_is_made(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "state" / "of" / "cm")
     assert journal.read() is None
+    journal.close()
 
 
 def test_a_record_comes_back_as_it_was(journal: Journal) -> None:
@@ -197,6 +199,7 @@ def test_one_disturbed_measurement_does_not_change_the_estimate() -> None:
 def test_a_load_counts_as_hung_after_what_the_schema_says_or_twenty_times_what_is_expected() -> None:
     known = Throughput().observed(LoaderKind.ICAP, 100, 0.0).observed(LoaderKind.ICAP, 0, 1.0)
     assert known == Throughput()  # nothing was measured
+    assert known.observed(LoaderKind.ICAP, 1, 4.0).measured == {LoaderKind.ICAP: (0.25,)}
     for kind, rate in ((LoaderKind.ICAP, 400e6), (LoaderKind.FPGA_MANAGER, 145e6), (LoaderKind.OVERLAY, 145e6)):
         assert known.timeout(Region("prr0", loader=kind), 4_000_000) == 2.0 + 20.0 * (4_000_000 / rate)
     assert known.timeout(Region("prr0", timeout=0.5), 4_000_000) == 0.5

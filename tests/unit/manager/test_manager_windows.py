@@ -310,13 +310,20 @@ def test_a_window_ends_with_its_lease_and_its_board(made: Rig) -> None:
     assert status.pr_mode.value == "error"
 
 
-def test_what_cannot_be_read_again_is_not_known_any_more(made: Rig) -> None:
+@pytest.mark.parametrize("fails", [1, 99])
+def test_what_cannot_be_read_again_is_not_known_any_more(made: Rig, fails: int) -> None:
     made.manager.write_registers((RegWrite("threshold", 9), RegWrite("focus", 3)))
     loan = lend(made)
-    made.fault.watch = lambda name: _fail(name == "uio.read")
-    assert made.manager.windows.give_back(loan.number) is None
+    threshold = next(r for r in loan.place.registers if r.name == "threshold")
+    window = made.devices.window(threshold.address, threshold.width)
+    window.device.write(window.offset, 99, threshold.width, window.map)
+    reads = count(1)
+    made.fault.watch = lambda name: _fail(name == "uio.read" and next(reads) <= fails)
+    told = made.manager.windows.give_back(loan.number)
     made.fault.watch = lambda _: None
-    assert not {"threshold", "focus"} & made.manager.state.values.keys()
+    known = made.manager.state.values
+    assert "focus" not in known
+    assert (known.get("threshold"), told is None) == ((99, False) if fails == 1 else (None, True))
 
 
 def _fail(here: bool) -> None:

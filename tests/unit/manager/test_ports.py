@@ -48,10 +48,10 @@ class Buffer:
         return memoryview(self.data)
 
     def sync_begin(self, write: bool) -> None:
-        self.port.done.append("begin write" if write else "begin read")
+        self.port.done.append({True: "begin write", False: "begin read"}[write])
 
     def sync_end(self, write: bool) -> None:
-        self.port.done.append("end write" if write else "end read")
+        self.port.done.append({True: "end write", False: "end read"}[write])
 
     def unmap(self) -> None:
         self.port.done.append("unmap")

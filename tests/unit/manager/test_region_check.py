@@ -138,6 +138,7 @@ def test_a_region_that_is_loaded_again_has_its_registers_again(made: Rig, sim: S
     sim.control.upset("prr0")
     result = repaired(made, reload=True)
     assert (result.repaired, result.verdict) == ("load", "good")
+    assert made.fault.names.count("icap.load") == 1
     assert check(made).verdict == "good"
     assert (held(sim), gain(made)) == ("a0", 5)
     assert ("quiesce", ("through0",)) in made.data_plane.calls
