@@ -150,6 +150,7 @@ class IcapLoader:
         self._files = files
         self._time = time
         self._cache = BufferCache(budget, self._dispose)
+        self.missed = True  # a load had to read its image since this was set to False
         self._told: WeakKeyDictionary[ConfigPort, PortInfo] = WeakKeyDictionary()  # by open ports, each asked once
         self._in_use: list[Held] = []
         self._cookies = itertools.count(1)
@@ -185,6 +186,7 @@ class IcapLoader:
     def prepared(self, job: Job, timeout: float) -> Iterator[Start]:
         """The image in a DMA buffer, and the port idle."""
         icap = self._devices.icap(job.port)
+        self.missed = self.missed or not self._cache.has((icap, job.image.sha256))
         held, kept = self._cache.get(job, icap, self._files.port_bytes)
         try:
             self._await_idle(icap, job.image, timeout)
@@ -245,6 +247,7 @@ class IcapLoader:
 
     def forget(self) -> None:
         """Give all buffers back."""
+        self.missed = True
         self._cache.clear()
 
 
@@ -370,19 +373,16 @@ class Loaders:
     def prefetch_modules(self, config: Config | None, go_on: Callable[[], bool]) -> None:
         """The same for the images of a configuration's modules. Errors in one are reported when it is used.
 
-        Once: after that, a file that was replaced is read when it is used.
+        Nothing is looked for while loads find their images there: a file that was replaced is read by the first load.
         """
-        if config is self._prefetched:
-            return
-        self._prefetched = None
-        if config is None:
+        if config is None or (config is self._prefetched and not self._icap.missed):
             return
         jobs = list(self._jobs(resolved(config, (), self._devices)[0], go_on))
         if go_on():
             with contextlib.suppress(CmError, OSError):
                 self.prefetch(jobs, go_on)
         if go_on():
-            self._prefetched = config
+            self._prefetched, self._icap.missed = config, False
 
     def _jobs(self, config: Config, go_on: Callable[[], bool]) -> Iterator[Job]:
         for module in config.modules.values():
@@ -394,7 +394,6 @@ class Loaders:
 
     def forget(self) -> None:
         """The board was lost: drop what belongs to it."""
-        self._prefetched = None
         self._icap.forget()
 
 

@@ -483,6 +483,26 @@ def test_a_repeated_change_reads_no_file(sim: SimBoard, configs: dict[str, Confi
     assert sim.control.state()["buffers"] == 0
 
 
+def test_the_image_of_a_file_that_was_replaced_does_not_stay(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
+    with rig(sim.root, tmp_path, configs["duo"], prefetch=64 << 20, files=CountingFiles) as made:
+        assert isinstance(made.files, CountingFiles)
+        at(made, "duo/default")
+        until(lambda: sim.control.state()["buffers"] == len(BOTH_REGIONS))
+        place = sim.root / "lib/firmware/cm/duo/a1.bit"
+        data, day = place.read_bytes(), b"2024/01/01"
+        assert day in data
+        place.write_bytes(data.replace(day, b"2031/01/01", 1))
+        try:
+            made.files.read.clear()
+            at(made, "duo/both", "duo/default")
+            assert made.files.read == ["a1.bit"]
+            until(lambda: sim.control.state()["buffers"] == len(BOTH_REGIONS))
+        finally:
+            place.write_bytes(data)
+
+
 def test_prefetch_keeps_to_its_budget_and_does_not_push_out_what_it_fetched(
     sim: SimBoard, configs: dict[str, Config], tmp_path: Path
 ) -> None:
