@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Requests of one sender take effect in their order, those of different senders beside each other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from manager_process import CAMERA
+
+from cm.errors import NotFound
+from cm.schema import load_folder
+from cm.server.dispatcher import Order
+from cm.wire.encode import encode_request
+from cm.wire.messages import requests as rq
+from cm.wire.messages.status import ErrorInfo, Reply
+
+LONG = tuple(rq.RegWrite("focus", 1) for _ in range(33))
+LED, THRESHOLD = (rq.WriteReg((rq.RegWrite(name, 1),)) for name in ("led.pattern", "threshold.low"))
+READ, CHANGE = rq.ReadReg(("focus",)), rq.ChangeMode("camera", "default")
+RAM, OTHER_RAM = rq.WriteData("scratchpad", b"1234"), rq.WriteData("nothing", b"1")
+LOOKS = (rq.ReadStatus(), rq.ReadConfig(), rq.ListConfigs(), rq.PlanChange(), rq.ReadIrq(), rq.CancelChange())
+STORE, REMOVE = rq.Provision("config: {}"), rq.RemoveConfig("x")
+
+
+class Bench:
+    """An order over handlers that do nothing until a test ends what they began."""
+
+    def __init__(self, mode: str = "edge_detection") -> None:
+        camera = load_folder(CAMERA)["camera"]
+        memory = camera.visible_memories(mode)["scratchpad"]
+
+        def find(name: str) -> Any:
+            if name == "wrong":
+                raise NotFound("it is of another mode")
+            return memory if name == "scratchpad" else None
+
+        manager: Any = SimpleNamespace(
+            loaded_config=lambda: camera, state=SimpleNamespace(mode=mode), memories=SimpleNamespace(find=find),
+            registers=SimpleNamespace(visible_names=lambda: ["focus"] * 40),
+        )  # fmt: skip
+        self.began: list[rq.Request] = []
+        self.answer: dict[int, Callable[[Reply], None]] = {}
+        self.start: dict[int, Callable[[Any], Callable[[], None]]] = {}
+        self.replies: list[Reply] = []
+        self.order = Order(self, manager)  # type: ignore[arg-type]
+
+    def handle(self, connection: str, request: rq.Request, respond: Any, began: Any) -> None:
+        assert connection == "of the sender"
+        self.answer[len(self.began)], self.start[len(self.began)] = respond, began
+        self.began.append(request)
+
+    def take(self, *requests: rq.Request, sender: bytes = b"a") -> int:
+        """Take these; returns how many of them began at once."""
+        before = len(self.began)
+        for request in requests:
+            self.order.take(sender, request, self.replies.append, "of the sender")
+        return len(self.began) - before
+
+    def change(self, *scopes: str) -> Callable[[], None]:
+        """Begin a change; the result ends it."""
+        assert self.take(CHANGE) == 1
+        return self.start[len(self.began) - 1](SimpleNamespace(scopes=scopes))
+
+
+def test_a_write_waits_for_a_change_of_what_it_touches_and_all_that_follows_for_the_write() -> None:
+    it = Bench()
+    end = it.change("region:prr0")
+    assert it.take(LED, READ, OTHER_RAM, rq.DefineMemory("x"), CHANGE) == 5  # not of that region
+    assert not it.order.waits(b"a")
+    assert it.take(THRESHOLD, LED, READ) == 0
+    assert it.order.waits(b"a")
+    assert it.take(*LOOKS) == len(LOOKS)
+    assert it.take(THRESHOLD, sender=b"b") == 1  # another's
+    began = len(it.began)
+    end()
+    assert it.began[began:] == [THRESHOLD, LED, READ]
+    assert not it.order.waits(b"a")
+    assert it.order.senders == {}
+
+
+@pytest.mark.parametrize(
+    ("scopes", "request_", "waits"),
+    [
+        (("config",), LED, True), (("config",), RAM, True), (("config",), rq.DefineMemory("x"), True),
+        (("config",), rq.ConfigureStream("camera"), True), (("config",), READ, False), (("config",), CHANGE, False),
+        (("config",), rq.ReadData("camera"), False), (("config",), rq.TakeLease("board"), False),
+        (("registers:threshold",), THRESHOLD, True), (("registers:threshold",), LED, False),
+        (("region:None",), RAM, True), (("region:None",), LED, True), (("memories:scratchpad",), RAM, True),
+        (("memories:scratchpad",), rq.ConfigureStream("scratchpad"), True), (("memories:x",), RAM, False),
+        (("region:prr0",), rq.ConfigureStream("camera"), True), (("region:prr0",), rq.ReadReg(("threshold",)), False),
+        (("region:prr0",), rq.WriteData("camera"), True), (("region:prr1",), rq.ConfigureStream("camera"), False),
+        (("region:None",), rq.WriteData("wrong"), True), ((), LED, False),
+    ],
+)  # fmt: skip
+def test_what_waits_for_a_change(scopes: tuple[str, ...], request_: rq.Request, waits: bool) -> None:
+    it = Bench()
+    end = it.change(*scopes)
+    assert it.take(request_) == (not waits)
+    end()
+    assert it.began[-1] == request_
+
+
+@pytest.mark.parametrize(
+    ("first", "follows", "waits"),
+    [
+        (STORE, CHANGE, True), (REMOVE, CHANGE, True), (STORE, REMOVE, True), (STORE, LED, False),
+        (STORE, READ, False),
+        (RAM, CHANGE, True), (RAM, STORE, True), (RAM, RAM, True), (RAM, LED, True), (RAM, READ, False),
+        (RAM, OTHER_RAM, False), (OTHER_RAM, CHANGE, False), (LED, CHANGE, False), (READ, CHANGE, False),
+        (rq.WriteReg(LONG), READ, True), (rq.WriteReg(LONG), CHANGE, True), (rq.ReadReg(), LED, True),
+        (rq.ReadReg(("focus",) * 33), rq.TakeLease("board"), True), (rq.ReadReg(("focus",) * 32), LED, False),
+        (rq.WriteReg(LONG), rq.ReadStatus(), False),
+    ],
+)  # fmt: skip
+def test_what_waits_for_something_that_takes_long(first: rq.Request, follows: rq.Request, waits: bool) -> None:
+    it = Bench()
+    assert it.take(first) == 1
+    assert it.take(follows) == (not waits)
+    answer = it.answer[0]
+    reply = Reply(error=ErrorInfo("busy", "not now"))
+    answer(reply)
+    assert it.replies == [reply]
+    assert it.began == [first, follows]
+    if len(it.answer) > 1:
+        it.answer[1](reply)
+    assert it.order.senders == {}
+
+
+def test_so_many_requests_of_a_sender_wait() -> None:
+    it = Bench()
+    end = it.change("config")
+    assert it.take(*[LED] * 257) == 0
+    (refused,) = it.replies
+    assert refused.error == ErrorInfo("busy", "256 requests wait for the end of a change; ask again after it")
+    assert it.take(LED, sender=b"b") == 1
+    end()
+    assert it.began[2:] == [LED] * 256
+
+
+@pytest.mark.parametrize("good", [True, False])
+def test_what_follows_a_request_that_is_still_being_read_waits_behind_it(good: bool) -> None:
+    it = Bench()
+    request = rq.WriteReg(tuple(rq.RegWrite(f"r{number}" * (number < 199 or good or 99), 1) for number in range(200)))
+    steps = it.order.take_long(b"a", encode_request(request), it.replies.append, "of the sender")
+    next(steps)
+    assert it.take(LED, rq.ReadStatus()) == 1
+    assert it.take(LED, sender=b"b") == 1
+    list(steps)
+    if good:
+        assert it.began[2:] == [request]  # behind it, as it is long
+        it.answer[2](Reply())
+    assert it.began[3 if good else 2 :] == [LED]
+    assert [reply.error is None for reply in it.replies] == [good]
+    assert it.order.senders == {}
