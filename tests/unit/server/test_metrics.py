@@ -3,20 +3,26 @@
 
 from __future__ import annotations
 
+import errno
 import socket
 import threading
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from manager_process import until
 
+from cm.device.data_plane import StreamSetup
 from cm.errors import InvalidRequest
 from cm.manager.reporting import ChangeTotals, Histogram
 from cm.server.metrics_server import CONNECTIONS, MetricsServer, split_address
+from cm.server.streams import stream
 from cm.server.streams.stream import Moved, StreamTotals
+from cm.wire.messages.status import ErrorInfo
 
 WAIT = 30.0
 
@@ -54,6 +60,29 @@ def test_what_a_stream_moved_before_it_was_closed_still_counts() -> None:
         "other": Moved(frames=7),
     }
     assert totals.with_ended({})["camera"].frames == 15
+
+
+@pytest.mark.parametrize(
+    ("ages", "frames"),
+    [
+        ([], 0.0), ([0.5], 1.0), ([2.0], 0.0), ([1.1, 0.3, 0.2, 0.1], 10.0), ([0.9, 0.4], 2.0), ([0.4, 0.4], 2.0),
+    ],
+)  # fmt: skip
+def test_a_rate_is_that_of_the_last_second(monkeypatch: pytest.MonkeyPatch, ages: list[float], frames: float) -> None:
+    monkeypatch.setattr(stream, "time", SimpleNamespace(monotonic_ns=lambda: 10**12))
+    counts: Any = SimpleNamespace(at_ns=[10**12 - round(age * 1e9) for age in ages])
+    assert stream.rate(counts) == pytest.approx(frames)
+
+
+def test_a_median_is_in_the_middle_and_a_failed_transfer_is_told() -> None:
+    assert [stream.median(values) for values in ([], [3], [9, 1, 5], [4, 1, 2, 3])] == [0, 3, 5, 3]
+    more = "; so ends a packet that is longer than the frame, and an error of the bus"
+    for error, write, said in (
+        (errno.EIO, False, f"Input/output error{more}"), (errno.EIO, True, "Input/output error"),
+        (errno.ETIMEDOUT, False, "Connection timed out"), (0, False, None),
+    ):  # fmt: skip
+        told = stream.transfer_error(SimpleNamespace(error=error), StreamSetup(write, 4096))  # type: ignore[arg-type]
+        assert told == (said and ErrorInfo("transfer_failed", f"a transfer of 4096 bytes failed: {said}"))
 
 
 # ---- the server -------------------------------------------------------------------------

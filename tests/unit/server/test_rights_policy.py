@@ -27,7 +27,8 @@ from cm.wire.messages import requests as rq
 ROOT = Path(__file__).resolve().parents[3]
 KEY, OTHER = "k" * 40, "o" * 40
 CAMERA = load_folder(ROOT / "cm/data/camera")["camera"]
-USERS = Users({1000: "anna", 1001: "ben"}.get, lambda uid, gid: ("lab",) if uid == 1001 else (), 500)  # type: ignore[arg-type]
+NAMES = {1000: "anna", 1001: "ben"}
+USERS = Users(lambda uid: NAMES.get(uid, ""), lambda uid, _: ("lab",) if uid == 1001 else (), 500)
 SCENE = Scene(CAMERA, "edge_detection", lambda r: target(r, {"camera": CAMERA}, "camera"))
 EMPTY = Scene(None, None, lambda r: target(r, {"camera": CAMERA}, None))
 
@@ -146,6 +147,59 @@ def test_a_new_policy_counts_at_once_and_tells_whose_rights_changed() -> None:
     assert [changed(gate.principal(each or "")) for each in (one, two)] == [False, True]
     assert {who.key for who in gate.from_address("10.0.0.1")} == {KEY, OTHER}
     assert [changed(user(uid)) for uid in (1000, 1001, 0)] == [True, False, False]
+
+
+@pytest.mark.parametrize(
+    ("domain", "uid", "let_in"),
+    [
+        ("ipc", 1000, True), ("ipc pub", 1000, True), ("ipc", 1001, True), ("ipc pub", 1001, False),
+        ("ipc", 1002, False), ("ipc pub", 1002, False),
+    ],
+)  # fmt: skip
+def test_publications_are_for_who_may_look_at_everything(
+    caplog: pytest.LogCaptureFixture, domain: str, uid: int, let_in: bool
+) -> None:
+    users = {"anna": ("observe",), "ben": ("one",), "1002": ()}
+    gate = Gate(Access(users=users, roles={"one": Grant(Role.OPERATE, regions=("prr0",))}), USERS)
+    assert gate.enter(domain, f"localhost:{uid}:{uid}:7", "NULL", "") == (f"ipc:{uid}:{uid}:7" if let_in else None)
+    name = {1001: "ben", 1002: "user"}.get(uid)
+    to = " to publications, which need the right to observe everything" if "pub" in domain else ""
+    said = f"refused: {name} (uid {uid}, pid 7) is not let in{to}"
+    assert [(r.levelname, r.getMessage()) for r in caplog.records] == [("WARNING", said)] * (not let_in)
+
+
+def test_who_comes_over_tcp_is_known_by_address_and_key(caplog: pytest.LogCaptureFixture) -> None:
+    gate = Gate(Access(keys=(AuthorizedKey(KEY, "laptop"), AuthorizedKey(OTHER, "desk"))), USERS)
+    for address in ("10.0.0.1", "::ffff:10.0.0.1", "10.0.0.2"):
+        assert gate.enter("curve pub", address, "CURVE", KEY) == f"curve:{address.removeprefix('::ffff:')}:{KEY}"
+    for address, keys in (("10.0.0.1", {KEY}), ("::ffff:10.0.0.2", {KEY}), ("10.0.0.3", set())):
+        assert {who.key for who in gate.from_address(address)} == keys
+    assert gate.enter("curve", "::ffff:10.0.0.9", "CURVE", "u" * 40) is None
+    assert gate.enter("tcp", "10.0.0.9", "PLAIN", "") is None
+    assert caplog.messages == [
+        f"refused: key {'u' * 40} is not let in", "refused: 10.0.0.9 without a key is not let in",
+    ]  # fmt: skip
+    for number in range(5000):  # from more places than are remembered
+        gate.enter("curve", f"10.1.{number >> 8}.{number & 255}", "CURVE", KEY)
+    assert {who.key for who in gate.from_address("10.0.0.3")} == {KEY, OTHER}
+
+
+def test_who_may_look_at_everything_is_remembered_until_the_policy_changes() -> None:
+    clock = [0.0]
+    keys = (AuthorizedKey(KEY, "laptop", ("observe",), 10.0), AuthorizedKey(OTHER, "desk", ("operate",)))
+    access = Access(keys=keys, users={"ben": ()})
+    gate = Gate(access, USERS, lambda: clock[0])
+    ids = [gate.enter("curve", "10.0.0.1", "CURVE", key) or "" for key in (KEY, OTHER)] + [user(1001).id]
+    assert [gate.everywhere(each) for each in ids] == [Role.OBSERVE, Role.OPERATE, Role.NONE]
+    assert gate.observers == {ids[1]}  # whose rights do not end by themselves
+    assert [gate.rights(each).role for each in ids] == [Role.OBSERVE, Role.OPERATE, Role.NONE]
+    clock[0] = 10.0
+    for each, role in zip(ids, (Role.NONE, Role.OPERATE, Role.NONE), strict=True):
+        assert (gate.everywhere(each), gate.rights(each).role) == (role, role)
+    with pytest.raises(Forbidden, match="no right to cm_status; it takes the role observe there"):
+        gate.admit(ids[0], rq.ReadStatus(), lambda: SCENE)
+    gate.renew(access)
+    assert gate.observers == set()
 
 
 def test_custom_roles_are_narrow_and_add_up() -> None:
@@ -317,8 +371,14 @@ def test_a_user_that_may_reach_one_region_changes_it_and_no_other() -> None:
         rq.Provision("config: {}"),
         rq.TakeLease("config"),
     ):
-        with pytest.raises(Forbidden, match="anna"):
+        with pytest.raises(Forbidden, match=r"anna \(uid 1000, pid 77\) has no right to cm_.*; it takes the role "):
             gate.admit(anna, request, lambda: SCENE)
+    need = Need(Role.OPERATE, "cm_write_reg", "camera", "prr1", "scratch", "*")
+    said = "cm_write_reg on configuration 'camera', region 'prr1', register 'scratch'; it takes the role operate there"
+    with pytest.raises(Forbidden, match=f"has no right to {said}"):
+        gate.check(anna, Need(Role.OPERATE, "x", region="prr0"), need)
+    with pytest.raises(Forbidden, match="has no right to this; it takes the role admin there"):
+        gate.check(anna, Need(Role.ADMIN, ""))
 
 
 def test_for_a_client_that_may_do_everything_the_loaded_state_is_not_read() -> None:
