@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import json
+import logging
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
@@ -13,6 +15,7 @@ import zmq
 from daemon_thread import Daemon, Subscriber, daemon
 from manager_process import patient, stalled, until
 
+from cm.manager.errors import UnknownMode
 from cm.server.settings.model import USUAL
 from cm.wire.encode import decode_reply, encode_request
 from cm.wire.messages import requests as rq
@@ -430,6 +433,22 @@ def test_the_configuration_named_at_the_start_is_loaded_and_known_after_a_restar
         assert again.status.mode == "colorise"
         assert again.status.last_error is None
         again.close()
+
+
+def test_what_the_start_asks_for_is_loaded_in_its_default_mode_or_there_is_no_start() -> None:
+    with daemon(load="camera") as made:
+        until(lambda: made.status.mode == "default" and not made.status.fpga_busy)
+        made.close()
+        with pytest.raises(UnknownMode, match="configuration 'camera' has no mode 'nothing'"):
+            Daemon(made.folder / "other", made.board, load="camera/nothing")
+
+
+def test_where_a_daemon_listens_is_logged_and_announced(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "cm")
+    with daemon(listen=("tcp://127.0.0.1:0",)) as made:
+        (tcp,) = json.loads((made.folder / "run/endpoints.json").read_text())["tcp"]
+        assert f"listening on {tcp['pub']}, {tcp['sub']}, {tcp['req']}" in caplog.messages
+    assert not (made.folder / "run/endpoints.json").exists()
 
 
 def test_the_status_says_that_nothing_is_loaded(tmp_path: Path) -> None:

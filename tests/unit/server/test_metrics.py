@@ -139,6 +139,26 @@ def test_the_page_is_at_its_place_and_nothing_elsewhere(served: Served) -> None:
     assert served.get("/etc/passwd")[0] == 404
     assert served.get(method="POST")[0] == 501
     assert served.get(method="HEAD") == (200, b"")
+    assert b"the metrics are at /metrics" in served.get("/metrics/")[1]
+    with served.connect() as sock:
+        sock.sendall(b"GET / HTTP/1.0\r\n\r\n")
+        head, _, body = sock.makefile("rb").read().partition(b"\r\n\r\n")
+    assert {b"Content-Type: text/plain; version=0.0.4; charset=utf-8", b"Content-Length: 4"} <= set(head.split(b"\r\n"))
+    assert body == b"x 1\n"
+    assert served.server.scrapes == 4  # no page was made elsewhere
+
+
+def test_a_page_that_cannot_be_made_is_logged_and_the_next_is_served(
+    served: Served, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(served.server, "_page", lambda: 1 // 0)
+        with served.connect() as sock:
+            sock.sendall(b"GET / HTTP/1.0\r\n\r\n")
+            assert sock.makefile("rb").read() == b""
+    until(lambda: caplog.messages)
+    assert caplog.messages == ["metrics: a page could not be made"]
+    assert served.get() == (200, b"x 1\n")
 
 
 def test_a_request_may_come_in_pieces(served: Served) -> None:
@@ -193,6 +213,7 @@ def test_a_client_that_hangs_up_before_the_reply_is_forgotten(served: Served, re
     ("text", "where"),
     [
         ("9469", ("127.0.0.1", 9469)),
+        ("65535", ("127.0.0.1", 65535)),
         ("0.0.0.0:80", ("0.0.0.0", 80)),
         ("[::1]:1", ("::1", 1)),
         ("board.local:9469", ("board.local", 9469)),

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from daemon_thread import daemon
 
 from cm.server.systemd import JournalHandler, ServiceManager, journal_handler
 
@@ -66,6 +67,18 @@ def test_signs_of_life_come_twice_as_often_as_they_are_waited_for(
     environment: dict[str, str], seconds: float | None
 ) -> None:
     assert ServiceManager({"NOTIFY_SOCKET": "/nowhere", **environment}).interval == seconds
+
+
+def test_a_daemon_says_when_it_is_ready_that_it_lives_and_that_it_ends(
+    inbox: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NOTIFY_SOCKET", inbox.getsockname())
+    monkeypatch.setenv("WATCHDOG_USEC", "1000000")
+    with daemon():
+        assert [inbox.recv(1000) for _ in range(2)] == [b"READY=1", b"WATCHDOG=1"]
+    while (said := inbox.recv(1000)) == b"WATCHDOG=1":
+        pass
+    assert said == b"STOPPING=1"
 
 
 def test_a_service_manager_that_is_gone_does_no_harm(tmp_path: Path) -> None:
