@@ -90,7 +90,10 @@ class BoardWatch:
             _LOG.info("the board is back but does not answer yet: %s", error)
             return
         self._known = boot_id
-        self._begin()
+        try:
+            self._begin()
+        except CmError as error:  # what the start asked for may have been removed since
+            _LOG.error("the board was started anew, and nothing is loaded: %s", error)
 
     def _look_for_sleep(self) -> None:
         """While the machine slept, the PL may have been without power."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The manager's devices: opened when they are needed, kept as long as they are there, and closed together."""
+"""The manager's devices: opened when they are needed, kept as long as they are there; and a board that goes."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from typing import Any
 
 import pytest
 
-from cm.device import DeviceNotFound, Root
-from cm.manager.errors import NoWindow
-from cm.server import devices
+from cm.device import DeviceGone, DeviceNotFound, Root
+from cm.manager.errors import NoWindow, UnknownConfig
+from cm.server import board_watch, devices
+from cm.server.board_watch import BoardWatch
 from cm.server.devices import BoardDevices
 
 
@@ -125,3 +126,98 @@ def test_an_fpga_manager_is_known_by_its_number(monkeypatch: pytest.MonkeyPatch,
     assert [BoardDevices(root).fpga_manager(name) for name in (None, "fpga0", "fpga12")] == [
         (0, root), (0, root), (12, root),
     ]  # fmt: skip
+
+
+# ---- a board that goes, is started anew, or sleeps ------------------------------------------------
+
+
+class Board:
+    """A manager and its board; `log`: what was done about it."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.boot_id, self.busy, self.log = "one", False, list[str]()
+        self.fails: dict[str, Exception] = {}
+        self.slept = 0.0
+        monkeypatch.setattr(board_watch, "Sleep", lambda make=board_watch.Sleep: make(lambda: self.slept))
+        streams = SimpleNamespace(close=lambda: self._do("no streams"))
+        interrupts = SimpleNamespace(watch=lambda of: self._do(f"watch {of}"), close=lambda: self._do("no interrupts"))
+        parts: Any = (self, streams, interrupts)
+        self.watch = BoardWatch(lambda: self.boot_id, *parts, lambda: self._do("begin"))
+
+    @property
+    def changing(self) -> bool:
+        return self.busy
+
+    def status(self) -> Any:
+        return SimpleNamespace(fpga_busy=self.busy)
+
+    def loaded_config(self) -> str:
+        return "camera"
+
+    def board_restarted(self) -> None:
+        self._do("restarted")
+
+    def board_slept(self) -> None:
+        self._do("slept")
+
+    def board_lost(self, error: Exception) -> None:
+        self._do(f"lost {error}")
+
+    def _do(self, what: str) -> None:
+        self.log.append(what)
+        if what in self.fails:
+            raise self.fails[what]
+
+    def look(self) -> list[str]:
+        self.log.clear()
+        self.watch.look()
+        return self.log[:]
+
+
+@pytest.fixture
+def board(monkeypatch: pytest.MonkeyPatch) -> Board:
+    made = Board(monkeypatch)
+    made.watch.begin()
+    assert made.log == ["watch camera", "begin"]
+    return made
+
+
+ANEW = ["no streams", "no interrupts", "restarted", "begin"]
+
+
+def test_a_board_that_was_started_anew_is_begun_with_once_it_answers(
+    board: Board, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO", "cm")
+    assert board.look() == []
+    board.boot_id = ""  # it is not there
+    assert board.look() == []
+    board.boot_id, board.busy = "two", True
+    assert board.look() == []
+    board.busy, board.fails["restarted"] = False, DeviceGone(errno.ENODEV, "no answer")
+    assert [board.look() for _ in range(2)] == [ANEW[:3]] * 2
+    assert caplog.messages == ["the board is back but does not answer yet: no answer"] * 2
+    board.fails = {"begin": UnknownConfig("no configuration 'camera'")}  # which was removed meanwhile
+    assert [board.look() for _ in range(2)] == [ANEW, []]
+    assert caplog.messages[2:] == ["the board was started anew, and nothing is loaded: no configuration 'camera'"]
+
+
+def test_what_was_lost_in_a_sleep_is_seen_to_after_a_change_and_until_it_succeeds(
+    board: Board, caplog: pytest.LogCaptureFixture
+) -> None:
+    board.slept = 0.2
+    assert board.look() == []
+    board.slept, board.busy = 0.3, True
+    assert board.look() == []
+    board.busy, board.fails["slept"] = False, DeviceGone(errno.ENODEV, "no answer")
+    assert board.look() == ["slept"]
+    assert caplog.messages == ["after the machine's sleep: no answer"]
+    board.fails = {}
+    assert [board.look() for _ in range(2)] == [["slept"], []]
+
+
+def test_only_that_a_board_has_gone_is_passed_on(board: Board) -> None:
+    for error in (DeviceNotFound(errno.ENOENT, "none"), UnknownConfig("x"), DeviceGone(errno.ENODEV, "gone")):
+        board.log.clear()
+        board.watch.noticed(error)
+        assert board.log == (["lost gone"] if isinstance(error, DeviceGone) else [])
