@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,7 +16,7 @@ from cm.server.long_work import WAITING_MAX, ClientJobs, Steps
 from cm.server.rights.principal import Principal, from_id
 from cm.server.settings.model import USUAL
 from cm.server.shares import LITTLE, PENDING, Clients, RepliesUnread, Ring, TooMuchWaiting
-from cm.wire.messages.status import Reply
+from cm.wire.messages.status import ClientStatus, Reply
 
 LIMITS = replace(USUAL, waiting_bytes=1000, replies_bytes=100_000)
 
@@ -129,6 +131,58 @@ def test_all_bounds_are_of_what_there_may_be_at_most(clients: Clients) -> None:
     assert [two.has_room(size) for size in (15, 16)] == [True, False]
     clients.renew(replace(LIMITS, replies_bytes=200_000))
     assert one.has_room(16)
+
+
+@pytest.mark.parametrize(
+    ("who", "name", "account"),
+    [
+        (Principal("a", "curve", "laptop", key="k" * 40, address="10.0.0.1"), "key laptop", "key:laptop"),
+        (Principal("a", "curve", key="k" * 40, address="10.0.0.1"), f"key {'k' * 40}", f"key:{'k' * 40}"),
+        (Principal("a", "tcp", address="10.0.0.1"), "10.0.0.1", "tcp:10.0.0.1"),
+        (Principal("", ""), "somebody", ":"), (from_id("ipc:5:6:9000001"), "pid 9000001", "uid:5"),
+        (
+            from_id(f"ipc:5:6:{os.getpid()}"),
+            f"pid {os.getpid()} ({Path('/proc/self/comm').read_text().strip()})", "uid:5",
+        ),
+    ],
+    ids=lambda given: "",
+)  # fmt: skip
+def test_a_client_is_known_by_its_process_its_key_or_its_address(who: Principal, name: str, account: str) -> None:
+    clients = Clients(LIMITS, lambda _: who)
+    one = clients.of("a")
+    assert one is clients.of("b")
+    assert (one.name, one.account) == (name, account)
+    assert list(clients) == [one]
+
+
+def test_what_a_client_has_is_told(clients: Clients) -> None:
+    client = clients.of("tcp:::ffff:10.0.0.1")
+    client.requests, client.refused, client.upload_bytes = 5, 2, 7
+    client.under_way(ignore, 100)
+    client.make(10)
+    client.sent(Sent(), 20, b"a")
+    clients.of("ipc:0:0:9000001").upload_bytes = 1
+    (told, _) = clients.told({"10.0.0.1": 3})
+    assert told == ClientStatus(
+        "::ffff:10.0.0.1", connections=3, upload_bytes=7, waiting_bytes=130, unread_bytes=30, requests=5, refused=2,
+        account="tcp:::ffff:10.0.0.1", waiting=1,
+    )  # fmt: skip
+    totals = clients.upload_bytes(), clients.waiting_bytes(), clients.unread_bytes()
+    assert totals == (8, 100, 30)
+
+
+@pytest.mark.parametrize(("count", "left"), [(255, 256), (256, 1)])
+def test_of_clients_that_have_nothing_so_many_are_remembered(clients: Clients, count: int, left: int) -> None:
+    clients.of("ipc:0:0:9000000").upload_bytes = 1
+    for number in range(count):
+        clients.of(f"ipc:0:0:{9000001 + number}")
+    for sender in range(1024):
+        clients.untold[b"%d" % sender] = 1
+    clients.settle()
+    assert (len(list(clients)), len(clients.known), len(clients.untold)) == (left, left, 1024)
+    clients.untold[b"one more"] = 1
+    clients.settle()
+    assert clients.untold == {}
 
 
 # ---- work that takes long --------------------------------------------------------------------------

@@ -10,6 +10,7 @@ import signal
 import socket
 import threading
 from collections.abc import Callable, Iterator
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -20,10 +21,11 @@ from manager_process import until
 
 from cm.device import AxiDma, DeviceError
 from cm.device.data_plane import Plane
+from cm.schema.model import Direction, Stream
 from cm.server.devices import BoardDevices
 from cm.server.sockets import Loop
 from cm.server.streams.peer import Peer
-from cm.server.streams.running import LocalClients
+from cm.server.streams.running import LocalClients, StalledChannels
 from cm.server.streams.slots import AT_ONCE, NoSlots, Slots
 from cm.wire import plane_packets as packets
 from cm.wire.messages import requests as rq
@@ -380,6 +382,31 @@ def test_a_setting_whose_slots_cannot_be_allocated_is_not_applied(slots: Allocat
     after: StreamStatus = camera.stream("camera")
     assert (after.slots, after.limit, after.open) == (before.slots, 50.0, False)
     assert camera.ask(rq.ReadData("camera", 30.0)).error is None
+
+
+def test_channels_that_answer_again_are_released_and_named() -> None:
+    (one, wakes_one), (other, wakes_other) = os.pipe(), os.pipe()
+    stalled = StalledChannels({"dma1": one, "dma2": other}.__getitem__)
+    closed: list[str] = []
+    channels: list[Any] = [SimpleNamespace(answers=False, close=partial(closed.append, name)) for name in ("a", "b")]
+    for name, channel in zip(("a", "b"), channels, strict=True):
+        stalled.begin(name, channel)
+    for name, at in (("c", "dma1"), ("d", "dma2")):
+        stalled.probe(Stream(name, at, Direction.S2MM))
+    assert stalled.answered() == []
+    channels[1].answers = True
+    os.write(wakes_one, b"x")
+    assert stalled.answered() == ["b", "c"]
+    assert closed == ["b"]
+    assert stalled.answered() == []
+    stalled.close()
+    stalled.close()
+    assert closed == ["b", "a"]
+    for descriptor in (one, other):
+        with pytest.raises(OSError, match="Bad file descriptor"):
+            os.fstat(descriptor)
+    for descriptor in (wakes_one, wakes_other):
+        os.close(descriptor)
 
 
 def test_a_client_that_waits_is_known_by_its_stream_and_hung_up_on_where_it_gets_no_slots() -> None:

@@ -92,6 +92,21 @@ def test_a_text_is_an_id_only_if_it_is_well_formed(text: str) -> None:
     assert who.uid is None or text.split(":")[0] in ("ipc", "data")
 
 
+@pytest.mark.parametrize(
+    ("who", "text"),
+    [
+        (replace(user(1000), name="anna"), "anna (uid 1000, pid 77)"), (user(5), "user (uid 5, pid 77)"),
+        (Principal("x", "curve", "laptop", key=KEY, address="10.0.0.1"), "key laptop"),
+        (Principal("x", "curve", key=KEY, address="10.0.0.1"), f"key {KEY}"),
+        (Principal("x", "tcp", address="10.0.0.1"), "10.0.0.1 without a key"), (NOBODY, "somebody without a key"),
+        (replace(user(5), name="a\x1b[2J\n" + "b" * 300), f"a\\x1b[2J\\n{'b' * 194} (uid 5, pid 77)"),
+        (on_behalf(user(5), "web:\tann"), "web:\\tann through ipc:5:5:77"),
+    ],
+)  # fmt: skip
+def test_logs_say_who_it_is_in_one_line(who: Principal, text: str) -> None:
+    assert str(who) == text
+
+
 # ---- which rights that gives ----------------------------------------------------------------
 
 
