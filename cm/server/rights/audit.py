@@ -40,9 +40,8 @@ class Audit:
             return
         if burst is not None:
             self._end(burst)
-        elif len(self._bursts) >= _MOST:
-            if connection or kind:
-                self.note("", "", lambda: "more is going on than is logged line by line", level)
+        elif len(self._bursts) >= _MOST and (connection or kind):
+            self.note("", "", lambda: "more is going on than is logged line by line", level)
             return
         text = say()
         _LOG.log(level, "%s", text)
