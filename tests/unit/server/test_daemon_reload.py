@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import re
 import urllib.request
 from collections.abc import Callable, Iterator
@@ -93,11 +94,17 @@ def test_new_configurations_appear_and_removed_ones_disappear(served: Daemon, so
 
 
 def test_a_loaded_configuration_keeps_its_schema_until_it_is_unloaded(
-    served: Daemon, source: Source, reload: Any
+    served: Daemon, source: Source, reload: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
     served.load("default")
-    reload(Reloaded({"other": source.named("other")}, OPERATE))
+    caplog.set_level(logging.INFO, "cm")
+    reload(Reloaded({"other": source.named("other")}, OPERATE, notes=("listen takes a restart",)))
     until(lambda: names(served) == {"camera", "other"})
+    until(lambda: "reloaded; configurations: other" in caplog.messages)
+    told = [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
+    assert told == [
+        "configuration camera is in use; its new version takes effect when another is loaded", "listen takes a restart",
+    ]  # fmt: skip
     served.load("edge_detection")
     served.done(ChangeMode("other", "default"))
     until(lambda: names(served) == {"other"})

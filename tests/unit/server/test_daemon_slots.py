@@ -15,7 +15,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from daemon_thread import Daemon, daemon
+from daemon_thread import Daemon, Subscriber, daemon
 from data_client import Client
 from manager_process import until
 
@@ -313,6 +313,22 @@ def test_slots_that_a_client_waits_for_count_as_held(
     slots.opened.set()
 
 
+def test_so_many_connections_of_a_process_wait_for_their_turn(
+    slots: Allocator, camera: Daemon, client: Callable[..., Client], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cm.server.streams.data_socket._QUEUED", 4)  # three for a process
+    slots.hold(3)
+    waiting = [client(camera, Open("camera", depth=4)) for _ in range(3)]
+    slots.held()
+    code, message = client(camera, Open("camera", depth=4)).refusal()
+    said = "3 connections of this process and 3 of all wait for their turn, of 4, the last of which are for others; try"
+    assert (code, message[: len(said)]) == ("busy", said)
+    slots.opened.set()
+    for one in waiting:
+        assert one.geometry().depth == 4
+    assert client(camera, Open("camera", depth=4)).geometry().depth == 4
+
+
 def test_a_single_read_waits_for_the_slots_of_a_stream(slots: Allocator, camera: Daemon) -> None:
     slots.hold(2)
     camera.send(rq.ReadData("camera", 60.0))
@@ -365,6 +381,13 @@ def test_if_a_stream_gets_no_slots_at_all_everyone_is_told_why(
     slots: Allocator, camera: Daemon, client: Callable[..., Client]
 ) -> None:
     slots.fails_at = 3
+    until(lambda: closed(camera))
+    camera.done(ConfigureStream("camera", slots=4))
+    reader = Subscriber(camera, b"cm_stream/camera")
+    why = "stream 'camera' cannot be opened: cannot allocate: no memory for DMA"
+    until(lambda: camera.stream("camera").last_error == ErrorInfo("device_error", why))
+    assert camera.status.last_error == ErrorInfo("device_error", why)
+    reader.close()
     code, message = client(camera, Open("camera", depth=4)).refusal()
     assert (code, "no memory for DMA" in message) == ("device_error", True), message
     code, message = camera.refused(rq.ReadData("camera", 30.0))

@@ -245,6 +245,7 @@ def test_the_daemons_loop_logs_errors_and_goes_on(pair, caplog: pytest.LogCaptur
         loop.run()
     loop.close()
     kinds = [record.exc_info[0] for record in caplog.records if record.exc_info]
+    assert caplog.messages == ["a callback failed"] * 3
     assert sorted(kind.__name__ for kind in kinds if kind) == ["KeyError", "OSError", "ZeroDivisionError"]
 
 

@@ -111,6 +111,41 @@ def test_a_board_that_is_held_is_refused_with_the_process_that_holds_it(tmp_path
     BoardLock(tmp_path).release()
 
 
+def test_where_nobody_says_who_holds_a_board_it_is_another_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lock = BoardLock(tmp_path)
+    own = tmp_path.stat().st_ino
+    for said in (
+        None,
+        "",
+        "1: FLOCK\n",
+        f"1: POSIX ADVISORY WRITE 7 fe:00:{own} 0 EOF\n",
+        "1: FLOCK A W 7 fe:00:1 0\n",
+    ):
+        monkeypatch.setattr(
+            Path, "read_text", lambda *_, said=said: (_ for _ in ()).throw(OSError) if said is None else said
+        )
+        with pytest.raises(
+            AlreadyServed, match=f"^another process holds the board below {tmp_path.parent} already: two"
+        ):
+            BoardLock(tmp_path)
+    monkeypatch.setattr(Path, "read_text", lambda *_: f"1: FLOCK ADVISORY WRITE 7 fe:00:{own} 0 EOF\n")
+    with pytest.raises(AlreadyServed, match=r"^another process \(pid 7\) holds"):
+        BoardLock(tmp_path)
+    lock.release()
+
+
+def test_a_folder_that_cannot_be_given_to_the_group_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(os, "fchown", refuse)
+    with pytest.raises(UnsafeFolder, match=f"{tmp_path}/run cannot be given to group 77: only root, and members of it"):
+        own_folder(tmp_path / "run", 77)
+    own_folder(tmp_path / "run", (tmp_path / "run").stat().st_gid)  # it has that, and its members may enter
+
+
 def test_a_root_without_sysfs_is_locked_itself(tmp_path: Path) -> None:
     lock = BoardLock(tmp_path)
     with pytest.raises(AlreadyServed):
