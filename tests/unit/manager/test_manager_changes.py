@@ -497,7 +497,7 @@ def test_the_image_of_a_file_that_was_replaced_does_not_stay(
         try:
             made.files.read.clear()
             at(made, "duo/both", "duo/default")
-            assert made.files.read == ["a1.bit"]
+            assert "a1.bit" in made.files.read
             until(lambda: sim.control.state()["buffers"] == len(BOTH_REGIONS))
         finally:
             place.write_bytes(data)
