@@ -204,6 +204,18 @@ def test_a_loading_overlay_that_was_taken_off_is_put_on_again(
         assert sorted(sim.control.state()["overlays"]) == ["cm-prr0", "cm-prr1", "kernel_base"]
 
 
+def test_an_overlay_that_another_has_put_on_under_a_name_of_ours_is_replaced(made: Rig, sim: SimBoard) -> None:
+    at(made, "duo/default")
+    blob = (sim.root / "lib/firmware/cm/duo/duo_extra.dtbo").read_bytes()
+    made.devices.overlays().apply("duo_extra", blob)
+    at(made, "duo/both")
+    assert [name for name in made.fault.names if name.startswith("overlays")] == ["overlays.remove", "overlays.apply"]
+    assert sim.control.state()["overlays"] == ["duo_base", "duo_extra"]
+    made.devices.overlays().remove("duo_extra")
+    at(made, "duo/default")  # though it is not there to be removed
+    assert sim.control.state()["overlays"] == ["duo_base"]
+
+
 def test_overlays_of_a_run_whose_record_was_lost_are_recognised_and_removed(
     made: Rig, sim: SimBoard, configs: dict[str, Config], tmp_path: Path
 ) -> None:
@@ -672,6 +684,16 @@ def test_a_replaced_configuration_without_the_mode_leaves_the_board_in_none(
 
 
 # ---- the worker, and what it expects --------------------------------------------------
+
+
+def test_a_defect_of_ours_in_a_step_brings_the_board_back_and_is_called_one(made: Rig) -> None:
+    at(made, "duo/default")
+    made.fault.make = lambda _: RuntimeError("a defect")
+    made.fault.watch = lambda name: made.arm(0) if name == "icap.load" and made.fault.at < 0 else None
+    error = made.go("both", config="duo")
+    assert error == ErrorInfo(
+        "internal", "load b0 into prr0 by icap: RuntimeError: a defect; the board is back in duo/default"
+    )
 
 
 def test_a_listener_that_fails_at_the_end_of_a_change_does_not_stop_later_changes(made: Rig) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
@@ -11,7 +12,7 @@ from pathlib import Path
 import pytest
 from manager_support import Rig, killed_at, rig
 
-from cm.device import DeviceNotFound, PlClocks
+from cm.device import DeviceError, DeviceNotFound, PlClocks
 from cm.schema import dump, load, loads
 from cm.schema.clock_rates import PLL, rounded
 from cm.schema.model import Clock, Config
@@ -171,6 +172,25 @@ def test_rates_are_undone_whichever_operation_fails(made: Rig, sim: SimBoard, st
         failed += 1
         number += 1
     assert failed > 15
+
+
+def test_a_clock_that_cannot_be_set_back_is_told(made: Rig, sim: SimBoard) -> None:
+    loads: list[str] = []
+
+    def fail(name: str) -> None:
+        loads.extend([name] if name == "icap.load" else [])
+        if name == "icap.load" or (loads and name == "clock.write"):
+            raise DeviceError(errno.EIO, f"injected at {name}")
+
+    made.fault.watch = fail
+    error = made.go("default", config="fast")
+    made.fault.watch = lambda _: None
+    assert error.message == (
+        "load fast_a into prr0 by icap: injected at icap.load; there was no mode to go back to; regions left "
+        "decoupled: prr0; clock fclk0 could not be set back to 49.999999 MHz: injected at clock.write; "
+        "clock fclk1 could not be set back to 49.999999 MHz: injected at clock.write"
+    )
+    assert rates(sim) == (FAST, 99_999_999)
 
 
 @pytest.mark.parametrize("stride", [3])
