@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import shutil
 import sys
 from functools import partial
 from pathlib import Path
 
-from cm.cli.common import add_json_option, answer, naming, parsed, print_json, print_table
+from cm.cli.common import add_json_option, answer, naming, parsed, print_json, print_table, write_whole
 from cm.cli.failures import code_and_sentence, tell
 from cm.cli.region import check_region
 from cm.errors import CmError, InvalidRequest, NotFound
@@ -258,22 +257,10 @@ def _refuse_loss(source: Path, output: Path, form: Container) -> None:
 
 
 def _write(output: Path, data: bytes) -> None:
-    """Write whole or not at all, if the output is a file, since it may be the input."""
-    if _is_no_file(output):
-        with naming(output):
-            output.write_bytes(data)
-        return
+    """The output may be the input."""
     if not output.parent.is_dir():
         raise InvalidRequest(f"{output}: there is no folder {output.parent}")
-    aside = output.with_name(f".{output.name}.new")
-    try:
-        with naming(output):
-            aside.write_bytes(data)
-            if output.exists():
-                shutil.copymode(output, aside)
-            aside.replace(output.resolve())
-    finally:
-        aside.unlink(missing_ok=True)
+    write_whole(output, data)
 
 
 def _is_no_file(output: Path) -> bool:

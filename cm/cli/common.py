@@ -166,6 +166,28 @@ def named(error: OSError, file: Path | str) -> OSError:
     return error
 
 
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file whole or not at all: until then, what it held before stays. Devices and pipes take what comes."""
+    if path.exists() and not path.is_file():
+        with naming(path):
+            path.write_bytes(data)
+        return
+    import shutil  # only those who write a file need it
+
+    target = path.resolve()
+    aside = target.with_name(f".{target.name}.new")
+    try:
+        aside.write_bytes(data)
+        if target.exists():
+            shutil.copymode(target, aside)
+        aside.replace(target)
+    except OSError as error:
+        error.filename, error.filename2 = str(path), None
+        raise
+    finally:
+        aside.unlink(missing_ok=True)
+
+
 def binary_output() -> IO[bytes]:
     """Standard output for bytes. Raises InvalidRequest if it is a terminal."""
     if sys.stdout.isatty():

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -22,6 +23,7 @@ from cm.cli.common import (
     number,
     parsed,
     print_json,
+    write_whole,
 )  # fmt: skip
 from cm.cli.connection import connected
 from cm.errors import InvalidRequest
@@ -114,13 +116,10 @@ def run_read(args: argparse.Namespace) -> int:
 
 
 def _save(path: Path, array: np.ndarray[Any, Any]) -> None:
-    try:
-        if path.suffix == ".npy":
-            np.save(path, array)
-        else:
-            path.write_bytes(array.tobytes())
-    except OSError as error:
-        raise InvalidRequest(f"{path} cannot be written: {error.strerror or error}") from error
+    data = io.BytesIO()
+    if path.suffix == ".npy":
+        np.save(data, array)
+    write_whole(path, data.getvalue() or array.tobytes())
 
 
 def _dump(data: bytes, offset: int) -> list[str]:

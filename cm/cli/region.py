@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cm.cli.common import add_board_options, completes, naming, print_json, print_table
+from cm.cli.common import add_board_options, completes, print_json, print_table, write_whole
 from cm.cli.connection import connected
 from cm.errors import InvalidRequest, NotFound
 from cm.frozen import dataclass
@@ -240,5 +240,4 @@ def _write(path: Path, text: str) -> None:
     if path == Path("-"):
         sys.stdout.write(text)
     else:
-        with naming(path):
-            path.write_text(text, "utf-8")
+        write_whole(path, text.encode())

@@ -9,12 +9,12 @@ import math
 import os
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import redirect_stdout, suppress
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Protocol, TypeVar
 
-from cm.cli.common import add_lease_option, binary_output, named, natural, print_json
+from cm.cli.common import add_lease_option, binary_output, named, natural, print_json, write_whole
 from cm.cli.connection import connected
 from cm.cli.failures import EXIT_INTERRUPTED
 from cm.errors import CmError, InvalidRequest, Timeout
@@ -122,12 +122,7 @@ class PngFiles:
         return f"{path.name}: {why}, is not a picture (cm stream set NAME --shape says what it is)"
 
     def _write(self, path: Path, data: bytes) -> None:
-        try:
-            path.write_bytes(data)
-        except OSError:
-            with suppress(OSError):
-                path.unlink()
-            raise
+        write_whole(path, data)
         self.files.append(str(path))
 
     def close(self) -> None:
@@ -138,17 +133,22 @@ class Raw:
     """The bytes of all frames, one after the other, in a file."""
 
     def __init__(self, path: Path) -> None:
-        self.files = [str(path)]
-        self._file = path.open("wb", buffering=0)
+        self.files: list[str] = []
+        self._path = path
+        self._file: IO[bytes] | None = None  # until a frame comes, what was there stays
         self._end = 0
 
     def add(self, frame: np.ndarray[Any, Any]) -> str:
+        if self._file is None:
+            self._file = self._path.open("wb", buffering=0)
+            self.files.append(str(self._path))
         _append(self._file, frame, self._end)
         self._end += frame.nbytes
         return ""
 
     def close(self) -> None:
-        self._file.close()
+        if self._file is not None:
+            self._file.close()
 
 
 class Output:
@@ -247,13 +247,23 @@ def run_capture(args: argparse.Namespace) -> int:
                 raise Timeout(f"{error}{_cause(board, args.stream)}") from None
             capture.note(_why_flat(board, args.stream, capture.like))
     except (OSError, Timeout) as error:
-        if isinstance(error, BrokenPipeError) or not capture.sequences:
+        if isinstance(error, BrokenPipeError):
+            raise
+        if not capture.sequences:
+            _remove(to.files)
             raise
         raise Incomplete(f"{error.strerror if isinstance(error, OSError) else error}; {capture.told()}") from error
     finally:
         to.close()
     capture.tell(args.json, sys.stderr if args.file == "-" else sys.stdout)
     return EXIT_INTERRUPTED if interrupted else 0
+
+
+def _remove(files: Iterable[str]) -> None:
+    """Files without a whole frame; a device, or a link to one, is no file of ours."""
+    for path in map(Path, files):
+        if path.is_file() and not path.is_symlink():
+            path.unlink()
 
 
 def _cause(board: Board, name: str) -> str:

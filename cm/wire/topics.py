@@ -42,7 +42,11 @@ class Endpoints:
 def ipc_endpoints(runtime_dir: Path) -> Endpoints:
     """Endpoints of a manager on this machine. Raises InvalidRequest if the path is too long for a Unix socket."""
     folder = runtime_dir.absolute()
-    if len(str(folder / "pub").encode()) > MAX_IPC_PATH:
+    try:
+        length = len(str(folder / "pub").encode())
+    except UnicodeEncodeError:
+        raise InvalidRequest(f"runtime folder {str(folder)!a} has a name that is no UTF-8: choose another") from None
+    if length > MAX_IPC_PATH:
         raise InvalidRequest(
             f"runtime folder {folder} is too long for a socket ({MAX_IPC_PATH} bytes with the socket's name): "
             "choose a shorter one with --runtime-dir"

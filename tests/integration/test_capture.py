@@ -169,6 +169,14 @@ def test_a_name_without_a_format_is_refused_before_anything_is_read(
     assert "written as .npy, .png or .raw" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("name", ["x.raw", "x.npy", "x.png"])
+def test_what_a_file_held_stays_until_a_frame_comes(name: str, manager: Manager, tmp_path: Path) -> None:
+    file = tmp_path / name
+    file.write_bytes(b"precious")
+    assert main(["stream", "capture", "camra", str(file), "--runtime-dir", str(manager.runtime)]) == 1
+    assert file.read_bytes() == b"precious"
+
+
 def test_a_program_behind_a_pipe_reads_frame_after_frame(board: cm.Board, manager: Manager) -> None:
     frame = "np.frombuffer(sys.stdin.buffer.read(480 * 640), np.uint8)"
     reader = f"import sys, numpy as np; print([{frame}.shape for _ in range(2)])"

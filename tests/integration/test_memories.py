@@ -279,7 +279,7 @@ def test_the_command_says_what_it_cannot_read_or_write(mem: Command, tmp_path: P
         (("write", "scratch", str(tmp_path)), b"cannot be read: Is a directory"),
         (("write", "scratch", str(tmp_path / "none.npy")), b"none.npy cannot be read"),
         (("write", "scratch", "--values", "one"), b"the memory has uint8"),
-        (("read", "scratch", "-o", str(tmp_path / "no" / "file")), b"cannot be written"),
+        (("read", "scratch", "-o", str(tmp_path / "no" / "file")), b"no/file: No such file"),
     ):
         status, _ = mem.ended(*arguments)
         assert status == 1

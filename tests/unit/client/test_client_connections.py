@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 import threading
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,7 +17,14 @@ from zmq.utils.monitor import recv_monitor_message
 from cm.client.connections import Sockets
 from cm.client.core.handshake import Handshake
 from cm.client.find_manager import Keys
+from cm.errors import InvalidRequest
 from cm.wire.topics import Endpoints, ipc_endpoints, tcp_endpoints
+
+
+@pytest.mark.parametrize(("name", "says"), [("b\udcf6ard", r"b\\udcf6ard' .* no UTF-8"), ("x" * 110, "too long")])
+def test_a_folder_in_which_no_socket_can_be_is_refused_in_words(name: str, says: str) -> None:
+    with pytest.raises(InvalidRequest, match=says):
+        ipc_endpoints(Path(name))
 
 
 def test_a_signal_handler_may_close_what_its_thread_is_closing(monkeypatch: pytest.MonkeyPatch) -> None:
