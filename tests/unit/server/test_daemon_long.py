@@ -355,7 +355,7 @@ def test_clients_get_separate_memory(camera: Daemon) -> None:
 
 @pytest.mark.parametrize(
     ("length", "code", "words"),
-    [(0, "invalid_request", "at least one byte"), (8 * PAGE + 1, "busy", "MiB for one process")],
+    [(0, "invalid_request", "memory has at least one byte"), (8 * PAGE + 1, "busy", "MiB for one process")],
 )
 def test_an_impossible_allocation_is_refused(camera: Daemon, length: int, code: str, words: str) -> None:
     with contextlib.closing(Allocated(camera, length)) as client:

@@ -136,7 +136,7 @@ def test_an_unreadable_file_changes_nothing(
     served: Daemon, source: Source, reload: Any, problem: Exception, caplog: pytest.LogCaptureFixture
 ) -> None:
     reload(problem)
-    until(lambda: "not reloaded" in caplog.text)
+    until(lambda: f"not reloaded: {problem}" in caplog.messages)
     assert names(served) == {"camera"}
     reload(Reloaded({"camera": source.camera, "other": source.named("other")}, OPERATE))
     until(lambda: names(served) == {"camera", "other"})

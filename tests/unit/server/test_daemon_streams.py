@@ -105,7 +105,9 @@ def test_a_written_frame_that_the_hardware_does_not_take_is_a_timeout_and_its_sl
     monkeypatch.setattr("cm.server.streams.over_zmq._WRITE_TIMEOUT", 0.05)
     stuck = [error for error in (write(loop, PICTURE).error for _ in range(4)) if error is not None]
     assert {error.code for error in stuck} == {"timeout"}
-    assert "'to_pl': the hardware took no data" in stuck[0].message
+    assert stuck[0].message == (
+        "stream 'to_pl': the hardware took no data for 0 s; is anything reading the output, and is the region coupled?"
+    )
     monkeypatch.undo()
     loop.done(ConfigureStream("from_pl", enable=True))  # it takes them now, and those that were told are not again
     assert write(loop, PICTURE).error is None
@@ -166,7 +168,10 @@ def test_a_transfer_that_fails_is_reported_to_its_writer_and_in_the_status(flowi
     flowing.board.control.inject("dma_error", "to_pl")
     reply = write(flowing, PICTURE)
     assert reply.error is not None
-    assert (reply.error.code, "'to_pl': the DMA reported" in reply.error.message) == ("transfer_failed", True)
+    assert (reply.error.code, "stream 'to_pl': the DMA reported Input/output error" in reply.error.message) == (
+        "transfer_failed",
+        True,
+    )
     state = flowing.stream("to_pl")
     assert state.errors == 1
     assert state.last_error is not None
@@ -317,7 +322,7 @@ def loop_is_open(daemon: Daemon, name: str) -> bool:
         (Open("camra"), "unknown_stream", "did you mean 'camera'?"),
         (Open("to_pl"), "invalid_request", "cannot be used the other way"),
         (Open("camera", write=True), "invalid_request", "cannot be used the other way"),
-        (Open("", echo=True, length=0), "invalid_request", "at least one byte"),
+        (Open("", echo=True, length=0), "invalid_request", "an echo needs a length of at least one byte"),
         (Open("", echo=True, length=1 << 40), "busy", "memory of echoes is "),
         (b"x" * 40, "invalid_request", "must be an OPEN"),
         (b"short", "invalid_request", "at least 32 bytes"),

@@ -131,8 +131,12 @@ def test_where_nobody_says_who_holds_a_board_it_is_another_process(
         ):
             BoardLock(tmp_path)
     monkeypatch.setattr(Path, "read_text", lambda *_: f"1: FLOCK ADVISORY WRITE 7 fe:00:{own} 0 EOF\n")
-    with pytest.raises(AlreadyServed, match=r"^another process \(pid 7\) holds"):
+    with pytest.raises(AlreadyServed) as refused:
         BoardLock(tmp_path)
+    assert str(refused.value) == (
+        f"another process (pid 7) holds the board below {tmp_path.parent} already: two managers would load over each "
+        "other. Stop it, or give each a board of its own (CM_ROOT)"
+    )
     lock.release()
 
 

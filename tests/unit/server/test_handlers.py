@@ -30,6 +30,7 @@ from cm.wire.messages.status import (
     ChangeInfo,
     ClientStatus,
     ConfigInfo,
+    ErrorInfo,
     FrameInfo,
     LeaseStatus,
     MemoryInfo,
@@ -150,6 +151,19 @@ def test_a_board_that_has_gone_is_noticed_whatever_finds_out(bench: Bench, reque
         ("device_gone", "/dev/uio0: the board is gone")
     ]
     assert bench.client.changes == 0
+
+
+def test_a_defect_is_logged_and_answered(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
+    for bench.error, code, message in (
+        (ValueError("a defect"), "internal", "ValueError: a defect"),
+        (OSError(5, "it broke"), "device_error", "[Errno 5] it broke"),
+    ):  # fmt: skip
+        bench.ask(rq.ReadReg(("focus",)))
+        assert bench.replies[-1].error == ErrorInfo(code, message)
+    (record,) = caplog.records
+    assert (record.getMessage(), record.levelname) == ("a request failed", "ERROR")
+    assert record.exc_info is not None
+    assert record.exc_info[0] is ValueError
 
 
 def test_a_client_may_have_so_many_changes_and_checks_and_more_as_they_end(bench: Bench) -> None:

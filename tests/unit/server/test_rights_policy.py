@@ -425,8 +425,11 @@ def test_a_keys_file_says_role_and_end() -> None:
     ("text", "told"),
     [
         ("", "no line 'public:'"),
-        ("public: short\n", "no line 'public:'"),
-        (f"public: {KEY}\nsecret: {KEY}\n", "holds a secret key"),
+        ("public: short\n", "it has no line 'public:' with a key of 40 characters, as 'cm keygen' writes it$"),
+        (
+            f"public: {KEY}\nsecret: {KEY}\n",
+            "it holds a secret key: only NAME.pub belongs here, the .key is the client's alone$",
+        ),
         (f"public: {KEY}\nroles: admin\n", "unknown line 'roles'"),
         (f"public: {KEY}\nexpires: tomorrow\n", "not a day such as"),
     ],

@@ -106,7 +106,7 @@ def test_a_client_that_gets_no_slots_leaves_the_stream_as_it_was() -> None:
     made, has, attached = holders()
     list(made.join(0, 4, Peer(1, "reader")))
     has.most = 40
-    told = r"'camera': no memory for a client of 50 frames more \(cannot allocate\); close others, or ask for a smaller"
+    told = r"client of 50 frames more \(cannot allocate\); close others, or ask for a smaller depth$"
     with pytest.raises(NoSlots, match=told):
         list(made.join(1, 50, Peer(2, "reader")))
     has.most = 256

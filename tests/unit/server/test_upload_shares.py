@@ -60,11 +60,13 @@ def process(clients: Clients, pid: int) -> Client:
 def test_no_client_gets_more_room_than_one_may_nor_all_more_than_there_is(kept: Uploads, clients: Clients) -> None:
     one, two, three = (process(clients, GONE + i) for i in range(3))
     kept.take(one, Upload("a", 256))
-    said = r"256 bytes of pid .* are stored here unused, 256 of all; 1 more are too many \(limits.upload_mib, "
+    said = r"256 bytes of pid .*, 256 of all; 1 more are too many \(limits.upload_mib, limits.uploads_mib\)$"
     with pytest.raises(TooMuchUploaded, match=said):
         kept.take(one, Upload("b", 1))
     kept.take(two, Upload("a", 200))
-    with pytest.raises(TooMuchUploaded, match=r"0 bytes of pid .* are stored here unused, 456 of all; 57 more"):
+    with pytest.raises(
+        TooMuchUploaded, match=r"0 bytes of pid .* are stored here unused, 456 of all; 57 more are too many"
+    ):
         kept.take(three, Upload("a", 57))
     kept.take(three, Upload("a", 56))
 
