@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Sequence
+from itertools import pairwise
 
 from cm.device.native import bitstream as native
 from cm.formats.bitstream.container import BitHeader, pack_bit
@@ -173,10 +174,10 @@ def assemble(
     given, not taken from a clock, so that equal input gives equal bytes. `user_id`: all ones means none.
     """
     known = known_device(device)
-    if not 1 <= sections <= max(1, len(runs)):
+    if not 1 <= sections <= len(runs):
         raise ValueError(f"{len(runs)} runs cannot fill {sections} sections")
-    size = -(-len(runs) // sections)
-    groups = [runs[start : start + size] for start in range(0, len(runs), size)]
+    ends = [len(runs) * number // sections for number in range(sections + 1)]
+    groups = [runs[begin:end] for begin, end in pairwise(ends)]
     fields = {"UserID": f"0X{user_id:08X}", **({"PARTIAL": "TRUE"} if partial else {}), "Version": version}
     header = BitHeader(
         design=_UNPRINTABLE.sub("_", design),

@@ -51,9 +51,11 @@ class ReportCache:
 
     def known(self, path: Path) -> Report | None:
         """The report of a file that was inspected before and did not change since; raises OSError."""
-        digest = self._by_inode.get(_state(path), "")
+        state = _state(path)
+        digest = self._by_inode.get(state, "")
         report = self._by_hash.get(digest)
         if report is not None:
+            self._by_inode.move_to_end(state)
             self._by_hash.move_to_end(digest)
         return report
 

@@ -188,9 +188,7 @@ def family_of(idcode: int | None, part: str | None) -> Family | None:
     if known is not None:
         return known.family
     name = base_name(part) if part else ""
-    if name.startswith(("xc7", "xa7", "xq7")) or (
-        not name and idcode is not None and idcode >> 20 & 0xFF in (0x36, 0x37)
-    ):
+    if name.startswith("xc7") or (not name and idcode is not None and idcode >> 20 & 0xFF in (0x36, 0x37)):
         return Family.SERIES7
     if re.match(r"x[acq](zu|k\d|[kva]u\d+p)", name) or (
         not name and idcode is not None and idcode >> 20 & 0xFF == 0x4A

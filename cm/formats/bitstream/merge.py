@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from typing import TypeAlias
 
@@ -114,15 +115,15 @@ def _behind(database: Database, wires: Wires, tile: str, wire: str) -> set[Wire]
 
 def check_kinds(database: Database, moves: Moves) -> None:
     """Raise CannotRelocate at the first column whose tiles are of other kinds than those of the column it becomes."""
-    tiles: dict[int, set[tuple[int, str]]] = {}
+    tiles: defaultdict[int, set[tuple[int, str]]] = defaultdict(set)
     for tile in database.tiles.values():
         for segment in tile.segments:
-            tiles.setdefault(segment.base, set()).add((segment.offset, tile.kind))
+            tiles[segment.base].add((segment.offset, tile.kind))
     for one, other in sorted(moves.items()):
-        differs = sorted(tiles.get(one, set()) ^ tiles.get(other, set()))
+        differs = sorted(tiles[one] ^ tiles[other])
         if differs:
             word = differs[0][0]
-            kinds = [_told(kind for at, kind in tiles.get(base, ()) if at == word) for base in (one, other)]
+            kinds = [_told(kind for at, kind in tiles[base] if at == word) for base in (one, other)]
             raise CannotRelocate(
                 f"column kinds differ: at word {word} of frame {one:08X} lies {kinds[0]}, of {other:08X} {kinds[1]}"
             )

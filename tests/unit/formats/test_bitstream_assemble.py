@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import hashlib
+import struct
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,10 +12,21 @@ from pathlib import Path
 import pytest
 from bitstream_support import HERE, compressed, frames, small, two_sections
 
-from cm.formats.bitstream import FrameAddress, FrameRun, assemble, assemble_module, default_footprint, inspect
-from cm.formats.bitstream.assemble import assemble_stream
+from cm.formats.bitstream import (
+    CrcResult,
+    FrameAddress,
+    FrameRun,
+    assemble,
+    assemble_module,
+    default_footprint,
+    inspect,
+    open_image,
+)
+from cm.formats.bitstream.assemble import StreamWriter, assemble_stream
+from cm.formats.bitstream.container import BitHeader
 from cm.formats.bitstream.errors import UnknownDevice
 from cm.formats.bitstream.module import ModuleIdentity, identify_bytes
+from cm.formats.bitstream.report import Footprint
 from cm.formats.bitstream.verify import expect_static
 from cm.schema import load
 from cm.schema.model import FrameRange
@@ -82,16 +94,62 @@ def test_a_device_that_is_not_known_is_named() -> None:
         assemble("xc7z999", [])
 
 
-def test_there_are_at_most_as_many_sections_as_runs() -> None:
-    with pytest.raises(ValueError, match="runs cannot fill"):
-        assemble("xc7z020", [FrameRun(HERE, frames(1))], sections=2)
-    with pytest.raises(ValueError, match="runs cannot fill"):
-        assemble("xc7z020", [FrameRun(HERE, frames(1))], sections=0)
+@pytest.mark.parametrize(("runs", "sections"), [(1, 2), (1, 0), (0, 1)])
+def test_there_are_at_most_as_many_sections_as_runs(runs: int, sections: int) -> None:
+    with pytest.raises(ValueError, match=f"^{runs} runs cannot fill {sections} sections$"):
+        assemble("xc7z020", [FrameRun(HERE, frames(1))] * runs, sections=sections)
+
+
+@pytest.mark.parametrize(("runs", "wanted"), [(3, [1, 2]), (4, [1, 1, 2]), (5, [1, 2, 2])])
+def test_runs_are_spread_in_order_over_as_many_sections_as_are_asked_for(runs: int, wanted: list[int]) -> None:
+    data = [FrameRun(FrameAddress(0, 0, 26 + at), frames(1)) for at in range(runs)]
+    report = inspect(assemble("xc7z020", data, sections=len(wanted)))
+    assert [section.frames for section in report.sections] == wanted
+    assert report.problems == ()
+
+
+def test_a_header_has_what_it_was_given_and_of_the_designs_name_what_its_form_can_hold() -> None:
+    given = {"part": "7z020clg400", "date": "2025/02/03", "time": "04:05:06", "version": "9", "user_id": 0xC0FFEE}
+    header = open_image(small(design="!a b;c=d:~\x7f", **given)).header
+    fields = (("UserID", "0X00C0FFEE"), ("PARTIAL", "TRUE"), ("Version", "9"))
+    assert header == BitHeader("!a_b_c=d:~_", fields, "7z020clg400", "2025/02/03", "04:05:06")
+
+
+@pytest.mark.parametrize(("count", "begin"), [(2047, [0x300047FF]), (2048, [0x30004000, 0x50000800])])
+def test_a_write_that_type_1_cannot_hold_is_of_type_2(count: int, begin: list[int]) -> None:
+    writer = StreamWriter()
+    writer.bulk(2, bytes(4 * count))
+    assert struct.unpack(f">{len(begin)}I", writer.words[: -4 * count]) == tuple(begin)
+
+
+def test_a_module_goes_where_its_arguments_say() -> None:
+    report = inspect(assemble_module("edge", device="xck26", region_index=1, part="xck26-x", crc=False, size=1))
+    assert (report.part, report.crc, report.design) == ("xck26-x", CrcResult.ABSENT, "edge")
+    assert report.footprint == (Footprint(0, 1, 0, 2),)
+
+
+@pytest.mark.parametrize(
+    ("index", "device", "size", "wanted"),
+    [
+        (0, "xc7z020", 404 * 42, (0, 0)),
+        (0, "xc7z020", 404 * 42 + 1, (0, 1)),
+        (1, "xc7z020", 1, (32, 0)),
+        (2, "xc7z020", 1, (33, 0)),
+        (5, "xc7z020", 404 * 36 + 1, (5, 1)),  # more regions than rows: there columns of logic
+        (1, "xck26", 372 * 16 + 1, (1, 1)),
+        (0, "xck26", 1 << 30, (0, 1023)),
+    ],
+)
+def test_a_region_that_states_no_frames_has_as_many_columns_of_its_row_as_its_size_needs(
+    index: int, device: str, size: int, wanted: tuple[int, int]
+) -> None:
+    assert default_footprint(index, device, size) == (FrameRange(0, wanted[0], 0, wanted[1]),)
 
 
 def test_names_that_do_not_fit_a_frame_are_refused_with_their_limit() -> None:
-    with pytest.raises(ValueError, match=r"module 'x.*together over 256 bytes"):
-        assemble_module("x" * 300)
+    assert assemble_module("x" * 128)
+    with pytest.raises(ValueError, match=r"module 'x.*together over 256 bytes$"):
+        assemble_module("x" * 128, model="y" * 129)
 
 
 def test_a_static_image_must_match_its_schema() -> None:
@@ -108,5 +166,8 @@ def test_a_frame_names_its_module_unless_one_byte_of_either_name_is_another() ->
     for at in (name, model):
         damaged = frame[:at] + bytes([frame[at] ^ 1]) + frame[at + 1 :]
         assert identify_bytes(damaged[begin:]) is None
+    strange = hashlib.sha256(b"\xff\0\xfe").digest() + struct.pack(">HH", 1, 1) + b"\xff\xfe"
+    assert identify_bytes(frame[begin:][:8] + strange) == ModuleIdentity("\ufffd", "\ufffd")
+    assert identify_bytes(frame[begin:][:8] + strange[:-1]) is None
     assert identify_bytes(frame[begin:][:20]) is None
     assert identify_bytes(frame[begin + 1 :]) is None

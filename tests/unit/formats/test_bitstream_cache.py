@@ -80,10 +80,13 @@ def test_cache_forgets_the_least_recently_used(tmp_path: Path, counted: list[int
     for index, path in enumerate(paths):
         path.write_bytes(small(design=f"d{index}"))
         cache.inspect(path)
-    cache.inspect(paths[2])
+    cache.inspect(paths[1])
     assert len(counted) == 3
-    cache.inspect(paths[0])
+    cache.inspect(paths[0])  # 2, which was not used since, goes
     assert len(counted) == 4
+    cache.inspect(paths[1])
+    assert len(counted) == 4
+    assert cache.known(paths[2]) is None
 
 
 def test_refused_file_is_not_kept(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from bitstream_support import HEADER, small
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cm.device.native.bitstream import swap
 from cm.formats.bitstream import BitstreamError, Container, Image, convert, inspect, open_image, to_dma_words
 from cm.formats.bitstream.container import BitHeader, pack_bit
 from cm.formats.bitstream.errors import BadContainer, CannotRelocate, NoSync, Truncated
@@ -129,13 +130,43 @@ def test_a_boot_image_that_ends_within_its_table_has_no_further_partitions() -> 
             open_image(boot_image(b"", partitions=(entry, entry))[:end])
 
 
-def test_boot_image_says_that_it_is_encrypted() -> None:
-    assert open_image(boot_image(to_dma_words(small()), encryption=0xA5C3C5A3)).encrypted
+@pytest.mark.parametrize(("first", "key", "bit"), [(5, 0xA5C3C5A3, 0), (8, 0, 1 << 7)], ids=["Zynq", "ZynqMP"])
+def test_a_partition_that_is_encrypted_has_no_sync_word_and_all_its_zeros(first: int, key: int, bit: int) -> None:
+    cipher = b"\x5a" * 400 + bytes(400)
+    words = list(struct.unpack("<16I", partition(first, 0x2800, len(cipher), 2)))
+    words[0], words[first + 1] = words[0] + 4, words[first + 1] | bit  # encrypted, it is longer
+    words[15] = ~sum(words[:15]) & 0xFFFFFFFF
+    found = open_image(boot_image(cipher, key, (struct.pack("<16I", *words),)))
+    assert (found.encrypted, found.swapped, found.offset, bytes(found.stream)) == (True, True, 0x2800, cipher)
+    assert open_image(boot_image(to_dma_words(small()), encryption=key)).encrypted is (key != 0)
+
+
+@pytest.mark.parametrize(("begin", "more"), [(0x2800, 204), (0x8BC, 200)], ids=["end", "begin"])
+def test_a_partition_lies_between_the_header_and_the_end_of_a_boot_image(begin: int, more: int) -> None:
+    stream = to_dma_words(small())
+    image = boot_image(stream, partitions=(partition(5, 0x2800, len(stream) + 200, 2),))
+    assert (open_image(image).offset, bytes(open_image(image).stream)) == (0x2800, stream)
+    data = bytearray(boot_image(stream, partitions=(partition(5, begin, len(stream) + more, 2),)))
+    data[0x8BC:0x8C4] = bytes.fromhex("665599aa") * 2
+    with pytest.raises(NoSync, match="1 partitions"):
+        open_image(bytes(data))
+
+
+def test_padding_before_the_sync_word_belongs_to_the_stream_but_nothing_of_the_header() -> None:
+    padding, sync = bytes.fromhex("ffffffff000000bb11220044ffffffff"), bytes.fromhex("aa995566")
+    for data in (b"\1\2\3\4" + padding + sync, b"\1\2\3\4" + swap(padding + sync)):
+        assert open_image(boot_image(data)).offset == 0x2804
+    header = bytearray(boot_image(b"")[:0x8C0])
+    header[-4:] = padding[:4]
+    assert open_image(bytes(header) + padding + sync).offset == 0x8C0
 
 
 def test_boot_image_without_bitstream_has_no_sync() -> None:
-    with pytest.raises(NoSync, match="boot image"):
-        open_image(boot_image(b""))
+    for end in (None, 0x8C0):
+        with pytest.raises(
+            NoSync, match=r"^a boot image without a bitstream partition: no sync word after its header$"
+        ):
+            open_image(boot_image(b"")[:end])
     with pytest.raises(NoSync, match="a boot image of 1 partitions, none of which is a bitstream for the PL"):
         open_image(boot_image(bytes(400), partitions=(partition(5, 0x2800, 400, 1),)))
 
@@ -171,19 +202,66 @@ def test_a_bin_that_was_written_for_a_flash_says_how_it_is_written_for_the_port(
         open_image(reversed_bits)
 
 
-def test_bit_header_whose_text_does_not_end_is_refused() -> None:
-    with pytest.raises(BadContainer, match=r"field 'b' at byte .* does not end with NUL"):
-        open_image(small().replace(b"xc7z020\0", b"xc7z020!"))
+WHOLE, WORDS = small(), open_image(small()).offset
+
+
+@pytest.mark.parametrize(
+    ("data", "error", "said"),
+    [
+        (WHOLE[:15], Truncated, "header ends at byte 15, where field 'a' should be"),
+        (WHOLE[:16], Truncated, "header: field 'a' says 55 bytes, the file ends 55 bytes before"),
+        (WHOLE[:70], Truncated, "header: field 'a' says 55 bytes, the file ends 1 bytes before"),
+        (WHOLE[:71], Truncated, "header ends at byte 71, where field 'b' should be"),
+        (WHOLE[: WORDS - 1], Truncated, f"header ends at byte {WORDS - 1}, where field 'e' should be"),
+        (WHOLE[:WORDS], Truncated, "header says 656 bytes of configuration, 0 are there"),
+        (WHOLE[:-1], Truncated, "header says 656 bytes of configuration, 655 are there"),
+        (WHOLE + bytes(4), BadContainer, "header says 656 bytes of configuration, 4 more follow"),
+        (WHOLE[:13] + b"z" + WHOLE[14:], BadContainer, "header: field 'a' expected at byte 13, found 0x7a"),
+        (WHOLE[: WORDS - 5] + b"z" + WHOLE[WORDS - 4 :], BadContainer,
+         f"header: field 'e' expected at byte {WORDS - 5}, found 0x7a"),
+        (WHOLE.replace(b"xc7z020\0", b"xc7z020!"), BadContainer, "header: field 'b' at byte 71 does not end with NUL"),
+        (WHOLE.replace(b"\0\x08xc7z020\0", b"\0\0"), BadContainer,
+         "header: field 'b' at byte 71 does not end with NUL"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_a_bit_header_is_said_with_its_place(data: bytes, error: type[Exception], said: str) -> None:
+    with pytest.raises(error, match=f"^\\.bit {said}$"):
+        open_image(data)
+
+
+@pytest.mark.parametrize("pattern", ["aa995566", "665599aa"])
+def test_a_sync_word_is_looked_for_in_the_first_64_kib_and_where_words_begin(pattern: str) -> None:
+    swapped, sync = pattern == "665599aa", bytes.fromhex(pattern)
+    assert open_image(bytes(65532) + sync).swapped is swapped
+    assert open_image(b"\xff" + sync * 2 + bytes(3) + sync[::-1] + sync).swapped is not swapped
+    with pytest.raises(NoSync, match=r"^neither a \.bit header nor a boot image, .* in the first 65536 bytes$"):
+        open_image(bytes(65536) + sync)
+    with pytest.raises(NoSync, match=r"^no sync word AA995566 in the first 65536 bytes after the \.bit header$"):
+        open_image(pack_bit(HEADER, bytes(65536) + sync))
+
+
+@pytest.mark.parametrize(
+    ("fields", "user_id", "partial"),
+    [
+        ((), None, False),
+        ((("userid", "c0ffee"), ("partial", "true")), 0xC0FFEE, True),
+        ((("UserID", "0xC0FFEE"), ("PARTIAL", "FALSE")), 0xC0FFEE, False),
+        ((("UserID", "0XFFFFFFFF"), ("PARTIAL", None)), None, False),
+        ((("UserID", "123456789"),), None, False),
+        ((("UserID", "none"), ("UserID", "1")), None, False),
+    ],
+)
+def test_a_header_says_which_static_design_and_whether_it_is_partial(
+    fields: tuple[tuple[str, str | None], ...], user_id: int | None, partial: bool
+) -> None:
+    header = BitHeader("top", fields, "7z020clg400", "2024/01/01", "00:00:00")
+    assert (header.user_id, header.partial) == (user_id, partial)
+    assert open_image(pack_bit(header, bytes.fromhex("aa995566"))).header == header
 
 
 def test_bit_with_swapped_words_is_refused() -> None:
     with pytest.raises(BadContainer, match="byte-swapped"):
         open_image(pack_bit(HEADER, bytes.fromhex("ffffffff665599aa")))
-
-
-def test_bit_with_bytes_behind_its_length_is_refused() -> None:
-    with pytest.raises(BadContainer, match="4 more follow"):
-        open_image(small() + bytes(4))
 
 
 @given(data=st.data())

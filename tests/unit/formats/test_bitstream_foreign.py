@@ -23,7 +23,7 @@ from cm.formats.bitstream import (
     inspect,
     refusals,
 )
-from cm.formats.bitstream.devices import package_of
+from cm.formats.bitstream.devices import Family, base_name, family_of, package_of
 from cm.formats.bitstream.errors import NoSync, UnknownDevice
 from cm.formats.bitstream.geometry import geometry_of
 from cm.formats.bitstream.packets import type1
@@ -87,6 +87,34 @@ def test_devices_are_known_by_part_and_idcode(part: str, idcode: int) -> None:
     assert device is not None
     assert device.idcode == idcode
     assert device_by_idcode(idcode | 0x20000000) == device
+
+
+@pytest.mark.parametrize(
+    ("part", "idcode", "name", "family"),
+    [
+        ("XA7Z020", None, "xc7z020", Family.SERIES7),
+        ("xq7k70t", None, "xc7k70t", Family.SERIES7),
+        ("xc7vx485tffg1157", None, "xc7vx485t", Family.SERIES7),
+        (" 7a35ticsg324 ", None, "xc7a35t", Family.SERIES7),
+        ("xqzu9eg", None, "xczu9eg", Family.ULTRASCALE_PLUS),
+        ("xczu28dr-ffvg1517", None, "xczu28dr", Family.ULTRASCALE_PLUS),
+        ("xcku5p-ffva676", None, "xcku5p", Family.ULTRASCALE_PLUS),
+        ("xqku5p", None, "xqku5p", Family.ULTRASCALE_PLUS),
+        ("xcau10p", None, "xcau10p", Family.ULTRASCALE_PLUS),
+        ("xck99-sfvc784", None, "xck99", Family.ULTRASCALE_PLUS),
+        ("3s100ecp132-1", 0x03601093, "3s100ecp132", None),  # what the part says goes before
+        ("", 0x03601093, "", Family.SERIES7),
+        ("", 0x13701093, "", Family.SERIES7),
+        ("", 0x14A01093, "", Family.ULTRASCALE_PLUS),
+        ("", 0x04801093, "", None),
+        ("xc7z020", 0x04A43093, "xc7z020", Family.ULTRASCALE_PLUS),  # an IDCODE that is known goes before all
+    ],
+)
+def test_a_part_or_else_an_idcode_leads_to_the_family(
+    part: str, idcode: int | None, name: str, family: Family | None
+) -> None:
+    assert base_name(part) == name
+    assert family_of(idcode, part or None) == family
 
 
 def test_an_idcode_identifies_a_device_that_is_not_known() -> None:

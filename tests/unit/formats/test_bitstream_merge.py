@@ -130,4 +130,5 @@ def test_a_leaf_of_the_clock_that_the_old_static_part_had_is_missed(database: Da
     blank = frames_of(database, [leaf])
     module = partial(frames_of(database, [leaf, from_leaf]))
     refused = told(database, module, blank, {UPPER: LOWER})
-    assert "the module needs HCLK_L_X85Y26.HCLK_LEAF_CLK_B_TOPL0.HCLK_CK_BUFHCLK8, which the static part" in refused
+    missed = "HCLK_L_X85Y26.HCLK_LEAF_CLK_B_TOPL0.HCLK_CK_BUFHCLK8, which the static part of its old region has"
+    assert refused == f"the module and the static part are in each other's way there: the module needs {missed}"

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import struct
-from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -15,9 +14,10 @@ from cm.formats.bitstream.devices import Device, Family, device_by_name
 from cm.formats.bitstream.errors import BitstreamError, WrongDevice
 from cm.formats.bitstream.geometry import FrameAddress, encode_far, frame_order
 from cm.formats.bitstream.mask import Mask, mask_for
+from cm.formats.bitstream.memory import dma_image, frames_of
 from cm.formats.bitstream.readback import LoadedFrames, closing_words, repair_words, reply_words, request_words
 
-LOGIC, CONTENTS = FrameAddress(0, 0, 2), FrameAddress(1, 0, 0)
+LOGIC, TOP, CONTENTS = FrameAddress(0, 0, 2), FrameAddress(0, 32, 2), FrameAddress(1, 0, 0)
 EVERYTHING = Mask(lambda _: {}, "none")
 
 
@@ -70,8 +70,13 @@ def test_a_repair_is_a_sound_bitstream_that_starts_nothing() -> None:
     report = inspect(swap(stream))
     assert report.problems == ()
     assert (report.idcode, report.frames) == (ZYNQ.idcode, 2)
-    written = words(stream)
-    assert not {"0000000a", "00000005"} & {b for a, b in pairwise(written) if a == "30008001"}
+    nop, address = "20000000", f"{encode_far(LOGIC, ZYNQ.family):08x}"
+    begin, end = words(stream)[: -22 - 202], words(stream)[-22:]
+    assert begin[12:] == [
+        "aa995566", nop, "30008001", "00000007", nop, nop, "30018001", f"{ZYNQ.idcode:08x}",
+        "30002001", address, "30008001", "00000001", nop, "300040ca",
+    ]  # fmt: skip
+    assert end[:1] + end[2:] == ["30000001", nop, nop, "30008001", "0000000d", *[nop] * 16]  # no GRESTORE, no START
 
 
 def test_without_a_mask_what_is_in_block_ram_is_not_judged_and_the_answer_says_so(bitstream: Path) -> None:
@@ -102,7 +107,8 @@ def test_a_mask_beside_the_bitstream_says_what_is_compared(bitstream: Path) -> N
 def test_a_mask_that_is_none_of_this_bitstream_is_refused(bitstream: Path, data: bytes | None) -> None:
     other = assemble("xc7z010", [FrameRun(LOGIC, bytes(2 * FRAME))])
     bitstream.with_suffix(".msk").write_bytes(other if data is None else data)
-    with pytest.raises(WrongDevice if data is None else BitstreamError, match=r"plain\.msk|xc7z010|sync|empty|"):
+    told = r"plain\.msk: a mask for xc7z010, beside a bitstream for xc7z020$" if data is None else r"plain\.msk: "
+    with pytest.raises(WrongDevice if data is None else BitstreamError, match=told):
         loaded(bitstream)
 
 
@@ -119,8 +125,34 @@ def test_slices_hold_frames_that_follow_each_other_and_no_more_than_asked_for(tm
     path.write_bytes(assemble_module("ours", size=60 * FRAME))
     frames = LoadedFrames(ZYNQ, open_image(path), EVERYTHING)
     sizes = [(part.reply_length // FRAME) - 1 for part in frames.slices(25)]
+    assert frames.why == "no circuit is in these frames: they were assembled for the simulated board"
     assert sum(sizes) == frames.judged == 60
     assert max(sizes) <= 25
+
+
+def test_a_slice_asks_for_its_frames_and_a_repair_writes_each_that_is_wrong_anew(bitstream: Path) -> None:
+    bitstream.write_bytes(assemble(ZYNQ, [FrameRun(at, b"\1\2\3\4" * (4 * FRAME // 4)) for at in (LOGIC, TOP)]))
+    frames = LoadedFrames(ZYNQ, open_image(bitstream), EVERYTHING)
+    slices = frames.slices(2)
+    assert slices is frames.slices(2)
+    begins = [encode_far(at, ZYNQ.family) for at in (LOGIC, LOGIC._replace(minor=2), TOP, TOP._replace(minor=2))]
+    asked = [(begin, count) for begin, count in zip(begins, (2, 1, 2, 1), strict=True)]
+    assert [part.request for part in slices] == [swap(request_words(ZYNQ.family, *one)) for one in asked]
+    assert [part.reply_length for part in slices] == [4 * 101 * (count + 1) for _, count in asked]
+    assert {part.closing for part in slices} == {swap(closing_words())}
+    good = bytearray(3 * FRAME)
+    good[FRAME:] = swap(b"\1\2\3\4" * (2 * FRAME // 4))
+    assert slices[2].judge(good + b"more") == ()
+    good[FRAME] ^= 0x80
+    good[-1] ^= 0x80
+    wrong = slices[2].judge(bytes(good))
+    assert [(one.far, one.address, one.bits, one.volatile) for one in wrong] == [
+        (begins[2], TOP, (7,), False),
+        (begins[2] + 1, TOP._replace(minor=1), (32 * 100 + 31,), False),
+    ]
+    repair = frames.repair(wrong)
+    assert repair == swap(repair_words(ZYNQ, [(one.far, [b"\1\2\3\4" * (FRAME // 4)]) for one in wrong]))
+    assert frames_of(dma_image(repair), frame_order(ZYNQ.name, ZYNQ.family)).keys() == {one.far for one in wrong}
 
 
 def test_a_run_goes_over_the_end_of_a_row_on_7_series_and_ends_there_on_ultrascale() -> None:

@@ -83,6 +83,13 @@ def test_rows_of_a_region_keep_their_order_across_the_middle() -> None:
     assert device is not None
     upper, lower = (FrameRange(0, 0, 20, 20), FrameRange(0, 1, 20, 20)), (FrameRange(0, 32, 20, 20),)
     assert column_moves(device, upper, (*lower, *upper[:1])) == {0xA00: 0x400A00, 0x20A00: 0xA00}
+    zynq = device_by_name("xc7z020")
+    assert zynq is not None
+    bottom = (FrameRange(0, 33, 30, 30), FrameRange(0, 32, 30, 30))
+    assert column_moves(zynq, (FrameRange(0, 32, 30, 30), FrameRange(0, 0, 30, 30)), bottom) == {
+        0x400F00: 0x420F00,
+        0xF00: 0x400F00,
+    }
 
 
 def test_only_devices_whose_columns_are_known_are_moved_within() -> None:

@@ -74,6 +74,56 @@ def test_what_does_not_fit_its_purpose_is_refused(data: bytes, expect: Expectati
     assert codes(data, expect) == wanted
 
 
+def on_ultrascale(address: FrameAddress, count: int) -> bytes:
+    return assemble("xck26", [FrameRun(address, bytes(372 * count))])
+
+
+@pytest.mark.parametrize(
+    ("block_type", "fit", "learned"),
+    [(0, 79, 77), (1, 259, 257), (5, 2000, 2000)],
+    ids=["logic", "contents", "of no known kind"],
+)
+def test_where_columns_are_not_public_a_run_may_be_as_long_as_the_widest(
+    block_type: int, fit: int, learned: int
+) -> None:
+    """`learned`: so many frames may be of one column: those of the widest, and one that pushes the last one out."""
+    one = FrameRange(block_type, 0, 5, 5)
+    here, ranges = FrameAddress(block_type, 0, 5), (one, FrameRange(block_type + 1, 0, 5, 9))
+    assert codes(on_ultrascale(here, fit), Expectation(footprint=ranges)) == []
+    assert footprint_of(inspect(on_ultrascale(here, learned))) == (one,)
+    if block_type < 2:
+        wider = (FrameRange(block_type, 0, 5, 6),)
+        assert codes(on_ultrascale(here, fit + 1), Expectation(footprint=ranges)) == ["footprint_outside"]
+        assert codes(on_ultrascale(here, 2 * fit - 1), Expectation(footprint=wider)) == []
+        assert codes(on_ultrascale(here, 2 * fit), Expectation(footprint=wider)) == ["footprint_outside"]
+        assert footprint_of(inspect(on_ultrascale(here, learned + 1))) == wider
+
+
+@pytest.mark.parametrize(("count", "more"), [(4, ""), (6, "; and 2 more")])
+def test_the_first_four_of_the_frames_outside_are_named(count: int, more: str) -> None:
+    data = assemble("xc7z020", [FrameRun(FrameAddress(0, 0, 30 + at), frames(1)) for at in range(count)])
+    (found,) = refusals(inspect(data), Expectation(footprint=(*OWNED, FrameRange(1, 32, 2, 3))))
+    named = "; ".join(f"1 frames from block type 0 row 0 column {30 + at}" for at in range(4))
+    owned = "block type 0 row 0 columns 26-27, block type 1 row 32 columns 2-3"
+    assert found.message == f"writes {named}{more}; the region owns {owned}"
+
+
+@pytest.mark.parametrize(
+    ("expect", "told"),
+    [
+        (Expectation("xc7z010"), "whether an unknown device is xc7z010"),
+        (Expectation("xc7z010", idcode=1), "whether an unknown device is xc7z010"),
+        (Expectation(idcode=0x03722093), "whether an unknown device is IDCODE 03722093"),
+    ],
+)
+def test_a_bitstream_that_does_not_say_its_device_is_refused_with_what_would_help(
+    expect: Expectation, told: str
+) -> None:
+    nameless = convert(bit(0x30004000 | 93, *[0] * 93, 0x30008001, 13), Container.BIN_SWAPPED)
+    said = refusals(inspect(nameless), expect)[-1]
+    assert said.message == f"cannot tell {told}: give the device's IDCODE, or a .bit"
+
+
 def test_header_that_hides_a_full_bitstream_is_found_out() -> None:
     full = small(partial=False)
     header = inspect(small()).header
@@ -104,13 +154,16 @@ def test_footprint_is_learned_from_a_good_module() -> None:
 
 
 def test_other_file_than_recorded_is_refused() -> None:
-    with pytest.raises(Sha256Mismatch, match="recorded is 00"):
-        verify(inspect(small()), Expectation(sha256="0" * 64))
+    report = inspect(small())
+    with pytest.raises(Sha256Mismatch, match=f"^the file has sha256 {report.sha256}, recorded is {'a' * 64}$"):
+        verify(report, Expectation(sha256="A" * 64))
 
 
 def test_encrypted_bitstream_needs_permission() -> None:
     data = bit(0x30018001, 0x03727093, 0x30016004, 1, 2, 3, 4, 0x30034001, 4, 9, 9, 9, 9)
-    assert codes(data, Expectation(partial=True)) == ["encrypted"]
+    (refused,) = refusals(inspect(data), Expectation(partial=True))
+    why = "encrypted, so its frames cannot be checked: set allow_encrypted for the region to permit it"
+    assert (refused.code, refused.message) == ("encrypted", why)
     assert codes(data, Expectation(partial=True, allow_encrypted=True)) == []
 
 

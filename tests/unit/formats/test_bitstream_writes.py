@@ -8,7 +8,16 @@ import struct
 import pytest
 from bitstream_support import FRAME_BYTES, HERE, bit, frames, two_sections
 
-from cm.formats.bitstream import FrameAddress, FrameRun, SharedFrame, assemble, convert, device_by_name, open_image
+from cm.formats.bitstream import (
+    FrameAddress,
+    FrameRun,
+    SharedFrame,
+    assemble,
+    convert,
+    device_by_name,
+    open_image,
+    to_dma_words,
+)
 from cm.formats.bitstream.container import Container
 from cm.formats.bitstream.devices import Family
 from cm.formats.bitstream.errors import BadPacket
@@ -89,7 +98,12 @@ def test_two_frames_after_a_row_are_discarded() -> None:
 
 
 def test_an_address_that_the_device_does_not_have_is_refused() -> None:
-    with pytest.raises(BadPacket, match="frame address 0x"):
-        memory().load(
-            bytes(convert(assemble("xc7z020", [FrameRun(FrameAddress(0, 0, 127), frames(2))]), Container.BIN_SWAPPED))
-        )
+    data = assemble("xc7z020", [FrameRun(FrameAddress(0, 0, 127), frames(2))])
+    for image in (open_image(data), to_dma_words(data)):
+        with pytest.raises(BadPacket, match=r"^frame address 0x00003f80 does not exist in this device$"):
+            memory().load(image)
+
+
+def test_bytes_behind_the_last_whole_word_are_not_taken() -> None:
+    data = to_dma_words(assemble("xc7z020", [FrameRun(HERE, frames(2))]))
+    assert memory().load(data + b"abc") == memory().load(data)
