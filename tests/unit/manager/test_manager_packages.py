@@ -139,51 +139,10 @@ def test_the_image_of_another_project_under_the_same_name_is_refused(made: Rig, 
     assert "network.bit" in reason
 
 
-def test_the_packages_own_image_takes_precedence(made: Rig, sim: SimBoard, folder: Path, firmware: Path) -> None:
-    (firmware / "network.bin").write_bytes(convert(whole("somebody's"), Container.BIN_SWAPPED))
-    own = folder / "network.bin"
-    own.write_bytes(convert(whole("network"), Container.BIN_SWAPPED))
-    try:
-        assert made.go("default", config="network") is None
-        assert sim.control.state()["overlays"] == ["network"]
-    finally:
-        own.unlink()
-
-
 @pytest.mark.parametrize("kept", [0, 40, 400, 3000])
 def test_a_truncated_image_is_refused(made: Rig, sim: SimBoard, firmware: Path, kept: int) -> None:
     (firmware / "network.bin").write_bytes(convert(whole("network"), Container.BIN_SWAPPED)[:kept])
     refused(made, sim, "network")
-
-
-def test_a_missing_image_is_refused_with_the_places_searched(
-    made: Rig, sim: SimBoard, folder: Path, firmware: Path
-) -> None:
-    (folder / "network.dtbo").write_bytes(overlay_naming("gone.bin"))
-    try:
-        reason = refused(made, sim, "network")
-    finally:
-        (folder / "network.dtbo").write_bytes(overlay_naming("network.bin"))
-    assert str(firmware / "gone.bin") in reason
-    assert str(folder / "gone.bin") in reason
-
-
-@pytest.mark.parametrize(
-    ("flags", "reason"),
-    [
-        ({"partial_fpga_config": b""}, "remove partial-fpga-config"),
-        ({"encrypted_fpga_config": b""}, "is not encrypted"),
-    ],
-)
-def test_an_image_that_would_be_loaded_as_something_else_is_refused(
-    made: Rig, sim: SimBoard, folder: Path, firmware: Path, flags: dict[str, bytes], reason: str
-) -> None:
-    (firmware / "network.bin").write_bytes(convert(whole("network"), Container.BIN_SWAPPED))
-    (folder / "network.dtbo").write_bytes(overlay_naming("network.bin", **flags))
-    try:
-        assert reason in refused(made, sim, "network")
-    finally:
-        (folder / "network.dtbo").write_bytes(overlay_naming("network.bin"))
 
 
 def test_a_whole_image_under_a_partial_configuration_is_refused_and_the_modules_stay(

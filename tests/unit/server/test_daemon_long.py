@@ -89,26 +89,6 @@ def test_an_incomplete_upload_is_not_used_until_it_is_complete(flowing: Daemon) 
     assert uploaded(flowing) == 0
 
 
-@pytest.mark.parametrize(
-    ("part", "code", "words"),
-    [
-        (Upload("a", 100, 50, b"x"), "invalid_request", "byte 50 of 100 where 10 of 100 is next"),
-        (Upload("a", 100, 9, b"x"), "invalid_request", "byte 9 of 100 where 10 of 100 is next"),
-        (Upload("a", 101, 10, b"x"), "invalid_request", "byte 10 of 101 where 10 of 100 is next"),
-        (Upload("a", 100, 10, bytes(91)), "invalid_request", "91 bytes at 10 of 100"),
-        (Upload("b", 100, 10, b"x"), "unknown_upload", "begin with offset 0"),
-    ],
-)
-def test_a_part_out_of_order_is_refused_and_changes_nothing(
-    camera: Daemon, part: Upload, code: str, words: str
-) -> None:
-    camera.done(Upload("a", 100, 0, bytes(10)))
-    found, message = camera.refused(part)
-    assert (found, words in message) == (code, True), message
-    assert camera.done(Upload("a", 100, 10, bytes(90))).got == 100
-    camera.done(Upload("a", discard=True))
-
-
 def test_unused_uploads_are_limited_in_bytes(camera: Daemon) -> None:
     assert camera.done(Upload("a", MOST - 10, 0, b"x")).got == 1
     assert camera.refused(Upload("b", 11, 0, b"x"))[0] == "too_much_uploaded"
@@ -117,27 +97,6 @@ def test_unused_uploads_are_limited_in_bytes(camera: Daemon) -> None:
     for name in ("a", "b"):
         camera.done(Upload(name, discard=True))
     assert uploaded(camera) == 0
-
-
-def test_unused_uploads_are_limited_in_number_however_short(camera: Daemon) -> None:
-    for number in range(256):
-        camera.done(Upload(f"n{number}"))
-    code, message = camera.refused(Upload("one more"))
-    assert (code, "256 uploads" in message) == ("too_much_uploaded", True)
-    for number in range(256):
-        camera.done(Upload(f"n{number}", discard=True))
-    camera.done(Upload("one more"))
-    camera.done(Upload("one more", discard=True))
-
-
-def test_an_abandoned_upload_is_forgotten(camera: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
-    camera.done(Upload("kept", 100, 0, bytes(10)))
-    with monkeypatch.context() as patched:
-        patched.setattr("cm.server.uploads.IDLE", -1.0)  # it expires before the next part comes
-        camera.done(Upload("late", 100, 0, bytes(10)))
-    assert camera.refused(Upload("late", 100, 10, bytes(10)))[0] == "unknown_upload"
-    assert camera.done(Upload("kept", 100, 10, bytes(90))).got == 100
-    camera.done(Upload("kept", discard=True))
 
 
 SENT = """

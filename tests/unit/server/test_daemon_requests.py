@@ -370,15 +370,6 @@ def test_a_message_that_is_not_a_request_is_answered(camera: Daemon) -> None:
         assert (error.code, words in error.message) == ("invalid_request", True)
 
 
-def test_a_write_behind_a_change_waits_for_it(camera: Daemon) -> None:
-    camera.send(ChangeMode("camera", "edge_detection"))
-    camera.send(written("focus", 7))
-    camera.send(written("scratch", 3))
-    replies = [camera.reply() for _ in range(3)]
-    assert [reply.error for reply in replies] == [None] * 3
-    assert values(camera, "focus", "scratch") == [7, 3]
-
-
 def test_a_read_that_was_made_before_does_not_overtake_a_write_that_waits(tmp_path: Path) -> None:
     with daemon(schemas=patient(tmp_path)) as made:
         made.load("default")
@@ -390,18 +381,6 @@ def test_a_read_that_was_made_before_does_not_overtake_a_write_that_waits(tmp_pa
         *_, told = (made.reply() for _ in range(4))
         assert isinstance(told.body, RegValues)
         assert [value.value for value in told.body.values] == [3]
-
-
-def test_more_than_may_wait_behind_a_change_is_refused(tmp_path: Path) -> None:
-    with daemon(schemas=patient(tmp_path)) as made:
-        made.load("default")
-        with stalled(made.board):
-            made.send(ChangeMode("camera", "edge_detection"))
-            for _ in range(260):
-                made.send(written("focus", 7))
-            refused = [made.reply().error for _ in range(4)]
-        assert [error.code for error in refused if error] == ["busy"] * 4
-        assert [made.reply().error for _ in range(257)] == [None] * 257
 
 
 def test_of_a_client_that_asks_too_much_over_several_connections_each_request_is_answered() -> None:

@@ -68,13 +68,6 @@ def test_an_upset_is_found_and_repaired_without_being_asked(
         assert daemon.status.mode == "safe"
 
 
-def test_the_safe_mode_is_entered_where_that_is_the_policy(tmp_path: Path) -> None:
-    with scrubbed(tmp_path, "safe") as daemon:
-        daemon.board.control.upset("only")
-        until(lambda: daemon.status.mode == "safe" and not daemon.status.fpga_busy)
-        assert daemon.done(CheckRegion("only")).verdict == "good"
-
-
 def test_what_is_wrong_is_only_told_where_that_is_the_policy_and_counted_once(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
