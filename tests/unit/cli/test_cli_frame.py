@@ -23,7 +23,6 @@ from cm.cli.common import add_connection_options, print_json, print_table
 from cm.cli.completion import SHELLS, script
 from cm.cli.main import main
 from cm.cli.parser import Parser
-from cm.client.progress import TextBar, bar
 from cm.errors import Busy
 
 CAMERA = Path(cm.cli.commands.__file__).parents[1] / "data" / "camera" / "camera.yaml"
@@ -283,34 +282,6 @@ def test_json_takes_paths_and_mapping_proxies(capsys: pytest.CaptureFixture[str]
 
     print_json(MappingProxyType({"path": Path("/x")}), lines=True)
     assert capsys.readouterr().out == '{"path": "/x"}\n'
-
-
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-def test_progress_is_drawn_on_a_terminal_and_wiped() -> None:
-    terminal = Terminal()
-    with TextBar("loading", terminal) as progress:
-        progress.update(0.5, "prr0")
-    lines = terminal.getvalue().split("\r")
-    assert lines[1].startswith("loading [####")
-    assert lines[1].endswith(" 50 % prr0")
-    assert lines[-2].strip() == ""
-
-
-def test_progress_is_silent_without_a_terminal() -> None:
-    stream = io.StringIO()
-    with TextBar("loading", stream) as progress:
-        progress.update(0.5)
-    assert stream.getvalue() == ""
-
-
-@pytest.mark.parametrize("columns", [5, 20, 80, 300])
-@pytest.mark.parametrize("fraction", [-1.0, 0.0, 0.333, 1.0, 7.0])
-def test_a_bar_fits_its_line(columns: int, fraction: float) -> None:
-    assert len(bar("loading", fraction, "prr0", columns)) <= columns
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames as pictures for terminals: what is shown of an array, and half blocks; the rest is textual-image's."""
+"""Frames as pictures for terminals: half blocks; the rest is textual-image's."""
 
 from __future__ import annotations
 
@@ -12,46 +12,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from PIL import Image
 
 from cm.cli.view_terminal import WAYS, Drawer, half_blocks
-from cm.client.rendering import fitted, outline, plotted, resized, visible
 from cm.errors import InvalidRequest
 
 SHADES = np.add.outer(np.arange(60), np.arange(96)).astype(np.uint8)
 COLOURS = np.stack([SHADES, SHADES[::-1], SHADES[:, ::-1]], 2) * np.uint8(2)
-
-
-# ---- what is seen -----------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("picture", [SHADES, COLOURS], ids=["grey", "colours"])
-@pytest.mark.parametrize("factor", [1, 2, 3, 12])
-def test_a_smaller_picture_is_the_mean_of_what_falls_together(picture: Any, factor: int) -> None:
-    made = resized(picture, 96 // factor, 60 // factor)
-    expected = np.asarray(Image.fromarray(picture).resize((96 // factor, 60 // factor), Image.Resampling.BOX))
-    assert np.abs(made.astype(int) - expected).max() <= 2  # ours is rounded down, once along each axis
-
-
-def test_a_picture_keeps_its_proportions() -> None:
-    assert fitted(SHADES, 48, 1000).shape == (30, 48)
-    assert fitted(SHADES, 1000, 30).shape == (30, 48)
-    assert fitted(SHADES, 192, 120).shape == (120, 192)
-
-
-def test_a_signal_is_drawn_without_gaps() -> None:
-    wave = np.sign(np.sin(np.linspace(0, 20, 5000)))
-    picture = plotted(outline(wave, 80), 80, 40)
-    assert (picture.max(0) == 255).all()
-    edges = np.flatnonzero((picture == 255).sum(0) > 30)  # where it goes from one end to the other
-    assert len(edges) >= 6
-
-
-def test_a_picture_that_is_too_large_is_subsampled() -> None:
-    assert visible(np.zeros((50, 4000), np.uint8), 1280).pixels.shape == (13, 1000)
-
-
-# ---- what is drawn ----------------------------------------------------------------------
 
 
 def test_half_blocks_have_two_pixels_each_and_an_odd_row_has_nothing_under_it() -> None:

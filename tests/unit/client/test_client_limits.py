@@ -4,21 +4,27 @@
 from __future__ import annotations
 
 import copy
+import grp
 import math
+import os
 import pickle
+import socket
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
+from cm.client import find_manager
 from cm.client.core import calls
 from cm.client.core.effects import DEFAULT, Ask, Deadline, seconds
 from cm.client.core.events import InterruptEvents
 from cm.client.core.remote_stream import reading_next
 from cm.client.core.values import mode_name
-from cm.client.errors import ConnectionLost, FrameReleased, NoAnswer, request_error
+from cm.client.errors import ConnectionLost, FrameReleased, NoAnswer, NotAdmitted, request_error
 from cm.client.find_manager import Keys, load_keys, resolve
+from cm.client.guard import Guarded
 from cm.device.errors import device_error
 from cm.errors import CmError, InvalidRequest, NotFound
 from cm.networks.bridge.commands import BridgeEnds
@@ -170,11 +176,6 @@ def test_a_folder_may_be_a_path(tmp_path: Path) -> None:
     assert resolve(tmp_path, None) == resolve(str(tmp_path), None) == resolve(None, tmp_path)
 
 
-def test_a_host_that_is_taken_for_a_folder_gets_a_hint() -> None:
-    with pytest.raises(NotFound, match=r"a manager on another machine is tcp://kria\.local"):
-        resolve("kria.local", None)
-
-
 @pytest.mark.parametrize("endpoint", ["TCP://kria.local", "udp://kria.local:5560", "http://kria.local"])
 def test_an_address_of_another_kind_is_no_folder(endpoint: str) -> None:
     with pytest.raises(InvalidRequest, match=r"tcp://host\[:port\]"):
@@ -196,6 +197,175 @@ def test_a_file_that_is_no_key_file_is_named(tmp_path: Path, content: bytes, say
         load_keys(path)
 
 
-def test_keys_are_checked_when_they_are_made() -> None:
-    with pytest.raises(InvalidRequest, match="public"):
-        Keys(b"0" * 40, b"0" * 39, b"0" * 40)
+@pytest.mark.parametrize(("name", "at"), [("server_public", 0), ("public", 1), ("secret", 2)])
+def test_keys_are_checked_when_they_are_made(name: str, at: int) -> None:
+    keys = [b"0" * 40] * 3
+    keys[at] = b"0" * 39
+    with pytest.raises(InvalidRequest, match=f"^the key {name} is not one: keys are 40 characters of Z85"):
+        Keys(*keys)
+
+
+class Locked:
+    """A folder that we may not look into."""
+
+    def __truediv__(self, name: str) -> Locked:
+        return self
+
+    def exists(self) -> bool:
+        raise PermissionError
+
+
+@pytest.mark.parametrize(
+    ("system", "own", "user", "found"),
+    [
+        (True, True, 1000, "system"),
+        (False, True, 1000, "own"),
+        (False, False, 1000, "own"),
+        (False, True, 0, "system"),
+        (None, True, 1000, "own"),
+        (None, False, 1000, "system"),  # the error says that we may not use it
+    ],
+)
+def test_a_client_that_names_no_manager_takes_the_systems_or_else_its_users(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, system: bool | None, own: bool, user: int, found: str
+) -> None:
+    for folder, serves in (("system", system), ("own/cm", own)):
+        (tmp_path / folder).mkdir(parents=True)
+        if serves:
+            (tmp_path / folder / "req").touch()
+    folder = Locked() if system is None else tmp_path / "system"
+    monkeypatch.setattr(find_manager, "SYSTEM_DIR", folder)
+    monkeypatch.setattr(os, "geteuid", lambda: user)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "own"))
+    monkeypatch.delenv("CM_RUNTIME_DIR", raising=False)
+    assert find_manager.default_runtime_dir() == (folder if found == "system" else tmp_path / "own" / "cm")
+    monkeypatch.delenv("XDG_RUNTIME_DIR")
+    if found == "own" and not own:
+        assert find_manager.default_runtime_dir() == Path(f"/tmp/cm-{os.getuid()}")
+    monkeypatch.setenv("CM_RUNTIME_DIR", "/chosen")
+    assert find_manager.default_runtime_dir() == Path("/chosen")
+
+
+@pytest.mark.parametrize(
+    ("group", "told"),
+    [
+        ("root", "they are for root, until cm.yaml names an access.group"),
+        ("fpga", "they are for members of fpga (sudo usermod -aG fpga $USER, then log in again)"),
+        (None, "they are for members of its group (sudo usermod -aG its group $USER, then log in again)"),
+    ],
+)
+def test_sockets_that_are_not_for_this_user_say_for_whom_they_are(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, group: str | None, told: str
+) -> None:
+    (tmp_path / "req").touch()
+    groups = {(tmp_path.stat().st_gid): SimpleNamespace(gr_name=group)} if group else {}
+    monkeypatch.setattr(grp, "getgrgid", groups.__getitem__)
+    monkeypatch.setattr(os, "access", lambda path, mode: (path, mode) != (tmp_path / "req", os.W_OK))
+    with pytest.raises(NotAdmitted) as refused:
+        resolve(tmp_path, None)
+    assert str(refused.value) == f"this user may not use the sockets in {tmp_path}: {told}"
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "folder", "told"),
+    [
+        ("tcp://a", "/b", "give an endpoint or a runtime folder, not both"),
+        ("", None, "endpoint '': it is tcp://host[:port], or a runtime folder; none at all: this machine's"),
+        ("tcp://-a", None, "endpoint 'tcp://-a' is not tcp://host[:port]: a host is a name of ASCII letters, digits, - "
+         "and ., or an address, for IPv6 as in tcp://[2001:db8::1]"),
+        ("/no/such", None, "no configuration manager serves /no/such: start one ('cm serve', without a board 'cm serve "
+         "--sim'), or name its --runtime-dir"),
+        ("nosuch", None, "no configuration manager serves nosuch: start one ('cm serve', without a board 'cm serve "
+         "--sim'), or name its --runtime-dir; a manager on another machine is tcp://nosuch"),
+        ("ipc://tcp://a", None, "endpoint 'ipc://tcp://a': it is tcp://host[:port], or the runtime folder of a manager "
+         "here"),
+    ],
+)  # fmt: skip
+def test_a_manager_that_cannot_be_found_is_refused_in_words(endpoint: str, folder: str | None, told: str) -> None:
+    with pytest.raises((InvalidRequest, NotFound)) as refused:
+        resolve(endpoint, folder)
+    assert str(refused.value) == told
+
+
+def test_a_guests_name_has_64_characters_at_most_and_keys_are_looked_for_where_a_network_is_between(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "my.key").write_text("".join(f"{name}: {'0' * 40}\n" for name in ("server-public", "public", "secret")))
+    monkeypatch.setenv("CM_KEYS", str(tmp_path / "my.key"))
+    place = find_manager.find("tcp://kria.local", None, None, "g" * 64)
+    assert (place.keys, place.guest, place.local) == (Keys(*[b"0" * 40] * 3), "g" * 64, False)
+    with pytest.raises(InvalidRequest, match="a name of at most 64 characters, all printable"):
+        find_manager.find("tcp://kria.local", None, None, "g" * 65)
+    for name in ("req", "data"):
+        (tmp_path / name).touch()
+    monkeypatch.setenv("CM_CONNECT", str(tmp_path))
+    place = find_manager.find(None, None, None)
+    assert (place.keys, place.local, place.data, place.data_folder("it")) == (None, True, tmp_path, tmp_path)
+    guest = find_manager.find(None, tmp_path, None, "ann")
+    assert (guest.data, guest.endpoints) == (None, place.endpoints)
+
+
+def test_why_no_answer_comes_is_found_out_from_the_socket(
+    monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.mktemp("s") / "req"
+    with socket.socket(socket.AF_UNIX) as left, socket.create_server(("127.0.0.1", 0)) as there:
+        left.bind(str(path))
+        left.listen()
+        assert find_manager.deserted(f"ipc://{path}") == ""
+        port = there.getsockname()[1]
+        assert find_manager.unreached(f"tcp://127.0.0.1:{port}") == ""
+    told = "nobody serves that socket any more, the manager was killed; start it again"
+    assert find_manager.deserted(f"ipc://{path}") == told
+    assert (find_manager.deserted("tcp://kria"), find_manager.unreached(f"ipc://{path}")) == ("", "")
+
+    def refused(address: tuple[str, int], limit: float) -> Any:
+        raise ConnectionRefusedError
+
+    def unknown(host: str, port: Any) -> Any:
+        raise socket.gaierror(-2, f"no {host}")
+
+    monkeypatch.setattr(socket, "create_connection", refused)
+    told = "nothing listens on port 5 there, as a manager with 'listen' does"
+    assert find_manager.unreached("tcp://[::1]:5") == told
+    monkeypatch.setattr(socket, "getaddrinfo", unknown)
+    assert find_manager.unreached("tcp://kria:5") == "the name 'kria' does not resolve (no kria)"
+    assert find_manager.unreached("tcp://[::1]:5") == "the name '::1' does not resolve (no ::1)"
+
+
+class Lamp(Guarded):
+    _advice: ClassVar = {"colour": "a lamp has no colour"}
+    bright: bool
+
+    @property
+    def state(self) -> int:
+        return self._state
+
+    @state.setter
+    def state(self, value: int) -> None:
+        self._state = value
+
+    @property
+    def power(self) -> int:
+        return 7
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("colour", "a lamp has no colour"),
+        ("power", "Lamp.power cannot be set"),
+        ("bright", "Lamp.bright cannot be set"),
+        ("powr", "Lamp has no 'powr': did you mean 'power'?"),
+        ("zzz", "Lamp has no 'zzz'"),
+    ],
+)
+def test_an_attribute_that_cannot_be_set_is_refused_with_what_was_meant(name: str, told: str) -> None:
+    lamp = Lamp()
+    lamp.state = 3
+    assert lamp.state == 3
+    with pytest.raises(AttributeError) as refused:
+        setattr(lamp, name, 1)
+    assert str(refused.value) == told
+    with pytest.raises(TypeError, match=r"can be neither pickled nor copied: connect\(\) there$"):
+        copy.copy(lamp)

@@ -14,7 +14,7 @@ from PIL import Image
 import cm
 from cm.client.frame import frame_of
 from cm.client.picture import png
-from cm.client.progress import NotebookBar
+from cm.client.progress import NotebookBar, TextBar, bar
 from cm.errors import InvalidRequest
 from cm.wire.messages import notebook
 from cm.wire.messages.status import (
@@ -193,6 +193,44 @@ def test_a_load_that_is_over_at_once_leaves_nothing_in_its_cell() -> None:
     with NotebookBar("camera/edge", cell, lambda: 100.0) as bar:
         bar.update(0.5, "load prr0")
     assert cell.shown == []
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_progress_is_drawn_on_a_terminal_and_wiped(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "31")
+    terminal = Terminal()
+    with TextBar("loading", terminal) as progress:
+        progress.update(0.5, "prr0")
+        progress.update(0.5, "prr0")
+        progress.update(1.0)
+    assert terminal.getvalue().split("\r") == [
+        "", "loading [####     ]  50 % prr0", "loading [##############] 100 %", " " * 30, ""
+    ]  # fmt: skip
+
+
+def test_progress_is_silent_without_a_terminal() -> None:
+    stream = io.StringIO()
+    with TextBar("loading", stream) as progress:
+        progress.update(0.5)
+    assert stream.getvalue() == ""
+
+
+@pytest.mark.parametrize(
+    ("columns", "fraction", "note", "line"),
+    [
+        (300, 0.25, "", "load [" + "#" * 10 + " " * 30 + "]  25 %"),
+        (24, -1.0, "prr0", "load [      ]   0 % prr0"),
+        (23, 7.0, "prr0", "load [#####] 100 % prr0"),
+        (22, 0.5, "prr0", "load  50 % prr0"),
+        (7, 0.5, "prr0", "load  5"),
+    ],
+)
+def test_a_bar_fits_its_line(columns: int, fraction: float, note: str, line: str) -> None:
+    assert bar("load", fraction, note, columns) == line
 
 
 def test_the_package_offers_what_it_has() -> None:
