@@ -168,6 +168,20 @@ def _until(statuses: Iterator[tuple[str, BoardStatus | None]], board: str, wante
     return any(name == board and wanted(status) for name, status in statuses)  # type: ignore[operator]
 
 
+def test_a_board_whose_manager_is_down_is_told_to_be_gone(
+    boards: Boards, fleet: Fleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cm.networks.fleet.aio._SILENCE", 2.0)
+    with fleet.watch("c3") as statuses:
+        next(each for each in statuses if each[1] is not None)
+        boards["c3"].manager.stop()
+        try:
+            assert next(each for each in statuses if each[1] is None) == ("c3", None)
+        finally:
+            boards["c3"].manager.start()
+        assert next(each for each in statuses if each[1] is not None)[0] == "c3"
+
+
 def test_a_stream_runs_only_while_there_is_a_listener(boards: Boards, three: tuple[Router, Boards, Fleet]) -> None:
     with session(Network(connect=(three[0].endpoint,))) as plain, boards["b1"].manager.connected() as client:
         assert not client.status.streams[0].open

@@ -37,6 +37,7 @@ from cm.wire.messages.status import ErrorInfo, FrameInfo, PlanInfo, RegValues
 ALL = ("*",)  # boards
 ABSENT = ("refuse", "wait", "go-on")
 _WAITING = 1000  # statuses
+_SILENCE = 10.0  # seconds without a status after which a board counts as gone, as a bridge does that hangs
 _LOOK = 0.05  # seconds between two looks at who is there
 
 
@@ -178,13 +179,19 @@ class Fleet:
 
     @asynccontextmanager
     async def watch(self, boards: str = "*") -> AsyncIterator[AsyncIterator[tuple[str, BoardStatus | None]]]:
-        """Statuses of boards as they change, and each second; None when a board has gone. One name or ``*``.
+        """Statuses of boards as they change, and each second; None when a board has gone, or says nothing for 10 s, as
+        its manager is down. One name or ``*``.
 
         If more than a thousand wait to be read, the oldest are lost.
         """
         come: asyncio.Queue[tuple[str, bytes | None]] = asyncio.Queue()
+        heard: dict[str, float] = {}  # when, of each board
 
         def put(board: str, status: bytes | None) -> None:
+            if status is None:
+                heard.pop(board, None)
+            else:
+                heard[board] = time.monotonic()
             if come.qsize() >= _WAITING:
                 come.get_nowait()
             come.put_nowait((board, status))
@@ -198,7 +205,14 @@ class Fleet:
                 board, status = await come.get()
                 yield board, None if status is None else wire.board_status(status)
 
-        tell = in_loop(put)
+        async def look() -> None:
+            while True:
+                await asyncio.sleep(_SILENCE / 10)
+                silent = time.monotonic() - _SILENCE
+                for board in [name for name, at in heard.items() if at < silent]:
+                    put(board, None)
+
+        tell, looking = in_loop(put), asyncio.create_task(look())
         subscriber = self.session.declare_subscriber(
             keys.key(boards, "status"), lambda each: tell(keys.board_of(str(each.key_expr)), bytes(each.payload))
         )
@@ -208,6 +222,7 @@ class Fleet:
         finally:
             self._presence.gone.discard(gone)
             subscriber.undeclare()
+            looking.cancel()
 
     async def _each(self, rest: str, boards: str | Iterable[str], timeout: float = 0.0) -> dict[str, Answer]:
         """An answer for each board; one that is absent or does not answer gets an error that says so."""
