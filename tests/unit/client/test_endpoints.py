@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 import zmq
+from manager_process import until
 
 from cm.errors import InvalidRequest
 from cm.server import sockets as sockets_of_manager
@@ -110,6 +111,14 @@ def test_what_waits_is_limited_and_a_peer_that_has_gone_is_noticed(context, tmp_
     made.close()
 
 
+def is_free(port_: int) -> bool:
+    try:
+        socket.create_server(("127.0.0.1", port_)).close()
+    except OSError:
+        return False
+    return True
+
+
 def test_where_the_next_ports_are_taken_others_are_tried_and_in_the_end_it_is_told(
     sockets: Sockets, context, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -125,7 +134,7 @@ def test_where_the_next_ports_are_taken_others_are_tried_and_in_the_end_it_is_to
     first = port(sockets.bind_tcp("tcp://127.0.0.1:0", None).pub)
     assert [address.rpartition(":")[2] for address in tried[2:]] == ["0", str(first + 1), str(first + 2)]
     free = int(tried[1].rpartition(":")[2]) - 1
-    socket.create_server(("127.0.0.1", free)).close()  # what was bound before is free again
+    until(lambda: is_free(free))  # what was bound before, which ZeroMQ closes in a thread of its own
     tried.clear()
     monkeypatch.setattr(sockets_of_manager, "_bind", partial(taken, until=1000))
     other = Sockets(context, tmp_path / "other", waiting=1)
