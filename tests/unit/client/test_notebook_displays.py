@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import io
+import sys
 from html.parser import HTMLParser
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,7 +16,7 @@ from PIL import Image
 import cm
 from cm.client.frame import frame_of
 from cm.client.picture import png
-from cm.client.progress import NotebookBar, TextBar, bar
+from cm.client.progress import NotebookBar, Shown, TextBar, bar
 from cm.errors import InvalidRequest
 from cm.wire.messages import notebook
 from cm.wire.messages.status import (
@@ -185,6 +187,7 @@ def test_a_long_load_shows_a_bar_in_its_cell_until_it_ends() -> None:
         assert "camera/edge load prr0" in Cells(cell.shown[0]).text
         bar.update(7.0)
         assert "value='1.000'" in cell.shown[0]
+        assert Cells(cell.shown[0]).text.strip().endswith("camera/edge")
     assert cell.shown == [""]
 
 
@@ -231,6 +234,32 @@ def test_progress_is_silent_without_a_terminal() -> None:
 )
 def test_a_bar_fits_its_line(columns: int, fraction: float, note: str, line: str) -> None:
     assert bar("load", fraction, note, columns) == line
+
+
+@pytest.mark.parametrize(
+    ("shell", "progress", "drawn"),
+    [
+        (SimpleNamespace(kernel=1), None, NotebookBar),
+        (SimpleNamespace(kernel=1), False, None),
+        (SimpleNamespace(), None, None),
+        (SimpleNamespace(), True, TextBar),
+        (None, True, TextBar),
+    ],
+)
+def test_a_load_is_drawn_in_a_notebook_and_on_a_terminal_where_that_is_asked_for(
+    monkeypatch: pytest.MonkeyPatch, shell: Any, progress: bool | None, drawn: type[TextBar] | None
+) -> None:
+    ipython = shell and SimpleNamespace(get_ipython=lambda: shell, display=SimpleNamespace(display=Cell()))
+    monkeypatch.setitem(sys.modules, "IPython", ipython)
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setenv("COLUMNS", "80")
+    with Shown(progress, "camera", "edge") as shown:
+        assert (shown.tell is None) == (drawn is None)
+        if shown.tell is not None:
+            shown.tell(Progress(7, "camera", "edge", "load", "prr0", 1, 2, 0.5))
+    assert (" 50 % load prr0" in terminal.getvalue()) == (drawn is TextBar)
+    assert ("\rcamera/edge [#" in terminal.getvalue()) == (drawn is TextBar)
 
 
 def test_the_package_offers_what_it_has() -> None:
