@@ -134,7 +134,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _ready(sentence: str) -> None:
     """What there is by now stays; and no thread waits for long while another, which works aside, has Python's lock."""
-    from cm.server.garbage import keep
+    from cm.server.garbage_collector import keep
 
     keep()
     sys.setswitchinterval(_SWITCH)

@@ -12,7 +12,7 @@ from typing import Any, Protocol, TypeVar
 
 import zmq
 
-from cm.client.core.handshake import EVENTS, Handshake
+from cm.client.core.connection_monitor import EVENTS, Handshake
 from cm.client.errors import BoardClosed, NotAdmitted
 from cm.client.find_manager import Keys
 from cm.client.forks import not_for_children

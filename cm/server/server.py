@@ -36,8 +36,8 @@ from cm.server.sensor_watch import SensorWatch
 from cm.server.shares import Clients
 from cm.server.sockets import Authenticator, Loop, Sockets
 from cm.server.streams.data_socket import DataSocket
-from cm.server.streams.discovery import with_channels
 from cm.server.streams.running import Streams
+from cm.server.streams.undeclared_streams import with_channels
 from cm.server.systemd import ServiceManager
 from cm.server.uploads import Uploads
 from cm.wire.messages.requests import ChangeMode

@@ -15,8 +15,8 @@ from zmq.utils.monitor import parse_monitor_message
 from cm.client.aio.waiting import wake, within
 from cm.client.connections import Sockets, not_subscribed
 from cm.client.core.calls import Call
+from cm.client.core.connection_monitor import Handshake
 from cm.client.core.effects import DEFAULT, Ask, AskBeside, Flow, Limit, Pause, Receive, seconds
-from cm.client.core.handshake import Handshake
 from cm.client.core.requests import LOOKS, Requests, result
 from cm.client.find_manager import deserted
 

@@ -8,11 +8,11 @@ What a package says that the runtime schema cannot express is listed in `Importe
 from cm.formats.importers.archive import Unpacked as Unpacked
 from cm.formats.importers.archive import back as back
 from cm.formats.importers.archive import unpack as unpack
+from cm.formats.importers.config_versions import NoSuchVersion as NoSuchVersion
+from cm.formats.importers.config_versions import Version as Version
+from cm.formats.importers.config_versions import versions as versions
 from cm.formats.importers.dfx_mgr import import_dfx_mgr as import_dfx_mgr
 from cm.formats.importers.pynq import import_pynq as import_pynq
 from cm.formats.importers.result import Imported as Imported
 from cm.formats.importers.result import ImportRefused as ImportRefused
 from cm.formats.importers.result import write as write
-from cm.formats.importers.versions import NoSuchVersion as NoSuchVersion
-from cm.formats.importers.versions import Version as Version
-from cm.formats.importers.versions import versions as versions

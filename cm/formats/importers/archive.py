@@ -11,8 +11,8 @@ from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 from typing import TypeAlias
 
+from cm.formats.importers.config_versions import KEEP, locked, put_in_force, roll_back, versions
 from cm.formats.importers.result import ImportRefused
-from cm.formats.importers.versions import KEEP, locked, put_in_force, roll_back, versions
 from cm.formats.tar import BadTar, Limits, Member, TarStream
 from cm.frozen import dataclass
 from cm.schema import SchemaError, load_folder

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from cm.server.settings.model import Settings
 
 if TYPE_CHECKING:
+    from cm.server.settings.config_search import Found, find_configs
     from cm.server.settings.loader import SettingsError, SettingsMissing, load_settings, parse_settings, settings_schema
-    from cm.server.settings.search import Found, find_configs
 
 __all__ = [
     "Found",

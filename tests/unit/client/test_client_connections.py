@@ -15,7 +15,7 @@ from manager_process import short_folder
 from zmq.utils.monitor import recv_monitor_message
 
 from cm.client.connections import Sockets
-from cm.client.core.handshake import Handshake
+from cm.client.core.connection_monitor import Handshake
 from cm.client.find_manager import Keys
 from cm.errors import InvalidRequest
 from cm.wire.topics import Endpoints, ipc_endpoints, tcp_endpoints

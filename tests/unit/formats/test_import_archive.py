@@ -32,7 +32,7 @@ from cm.formats.importers import back, unpack, versions
 from cm.schema import load_folder
 from cm.server.settings import find_configs
 
-VERSIONS = import_module("cm.formats.importers.versions")
+VERSIONS = import_module("cm.formats.importers.config_versions")
 EDGE, GREY = b"the edge circuit" * 100, b"the grey one" * 70
 SCHEMA = f"""
 config:
