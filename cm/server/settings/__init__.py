@@ -32,5 +32,5 @@ if not TYPE_CHECKING:  # to a type checker it would allow any name
     def __getattr__(name: str) -> Any:
         if name not in __all__:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        home = "search" if name in ("Found", "find_configs") else "loader"
+        home = "config_search" if name in ("Found", "find_configs") else "loader"
         return getattr(import_module(f"{__name__}.{home}"), name)
