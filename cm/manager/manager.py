@@ -49,7 +49,7 @@ class Settings:
     """What an operator may set."""
 
     prefetch_bytes: int = 64 << 20  # DMA memory that images of the loaded configuration may take
-    new_board: bool = False  # it began with us, as a simulated one does: that an earlier one has gone is no news
+    new_board: bool = False  # each start of it makes another board, as of a simulated one: no news
 
 
 @dataclass(frozen=True, slots=True)

@@ -302,9 +302,13 @@ class Destination:
 
 
 def take_stock(state: ManagerState, devices: Devices, registers: RegisterBus, new_board: bool = False) -> Finding:
-    """Compare record and board, and begin with what both say. `new_board`: none is recorded. Raises DeviceError."""
+    """Compare record and board, and begin with what both say. Raises DeviceError.
+
+    `new_board`: one that was started since is another one, of which nothing is recorded.
+    """
     record, lost = state.read_record()
-    finding = reconcile(None if new_board else record, state.configs, devices, registers)
+    other = new_board and record is not None and record.boot_id != devices.boot_id()
+    finding = reconcile(None if other else record, state.configs, devices, registers)
     if lost:
         finding = replace(finding, notes=(lost, *finding.notes))
     state.adopt(record, finding.state, devices.boot_id())
