@@ -175,7 +175,7 @@ class Flood:
         return True
 
     def _leases(self) -> list[Any]:
-        return [encode_request(rq.TakeLease("registers:zoom", exclusive=False, seconds=1.0)) for _ in range(40)]
+        return [encode_request(rq.TakeLease("registers:zoom", exclusive=False, seconds=5.0)) for _ in range(40)]
 
     def _uploads(self) -> list[Any]:
         names = [f"flood {next(self._numbers)}" for _ in range(8)]
