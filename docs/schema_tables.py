@@ -83,9 +83,8 @@ def _at(schema: dict[str, Any], where: str) -> dict[str, Any]:
 
 
 def _section(title: str, shape: dict[str, Any], definitions: dict[str, Any]) -> str:
-    said = shape.get("description", "")
-    shape = shape.get("anyOf", [shape])[-1]
-    said = shape.get("description", said)
+    choice = shape.get("anyOf", [shape])[-1]
+    shape, said = choice, choice.get("description") or shape.get("description", "")
     required = shape.get("required", ())
     rows = [_row(key, value, key in required, definitions) for key, value in shape["properties"].items()]
     head = ["| key | value | default | meaning |", "|---|---|---|---|"]

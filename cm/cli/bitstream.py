@@ -9,7 +9,7 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from cm.cli.common import add_json_option, answer, naming, parsed, print_json, print_table, write_whole
+from cm.cli.common import add_json_option, answer, is_no_file, naming, parsed, print_json, print_table, write_whole
 from cm.cli.failures import code_and_sentence, tell
 from cm.cli.region import check_region
 from cm.errors import CmError, InvalidRequest, NotFound
@@ -240,7 +240,7 @@ def run_convert(args: argparse.Namespace) -> int:
         _refuse_loss(args.file, args.output, form)
     _write(args.output, data)
     told = {"file": str(args.output), "container": form.value, "bytes": len(data)}
-    with contextlib.redirect_stdout(sys.stderr) if _is_no_file(args.output) else contextlib.nullcontext():
+    with contextlib.redirect_stdout(sys.stderr) if is_no_file(args.output) else contextlib.nullcontext():
         return answer(args, told, f"{args.output}: {form.value}, {len(data)} bytes")  # /dev/stdout has the bytes
 
 
@@ -261,10 +261,6 @@ def _write(output: Path, data: bytes) -> None:
     if not output.parent.is_dir():
         raise InvalidRequest(f"{output}: there is no folder {output.parent}")
     write_whole(output, data)
-
-
-def _is_no_file(output: Path) -> bool:
-    return output.exists() and not output.is_file()
 
 
 def _form_by_name(output: Path) -> Container:

@@ -166,9 +166,14 @@ def named(error: OSError, file: Path | str) -> OSError:
     return error
 
 
+def is_no_file(path: Path) -> bool:
+    """Whether a device or a pipe is there, or a folder."""
+    return path.exists() and not path.is_file()
+
+
 def write_whole(path: Path, data: bytes) -> None:
     """Write a file whole or not at all: until then, what it held before stays. Devices and pipes take what comes."""
-    if path.exists() and not path.is_file():
+    if is_no_file(path):
         with naming(path):
             path.write_bytes(data)
         return

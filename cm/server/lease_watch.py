@@ -63,7 +63,7 @@ class LeaseWatch:
         self._forget_ended()
 
     def _forget_ended(self) -> None:
-        """Close the descriptors of leases that were given back, or whose time is over."""
+        """Close the descriptors of leases that were given back, whose holders died, or whose time is over."""
         for lease in [lease for lease in self._fds if not self._leases.holds(lease)]:
             self._forget(lease)
 
@@ -91,7 +91,7 @@ class LeaseWatch:
 
     def _died(self, lease: str) -> None:
         self._leases.drop(lease)
-        self._forget(lease)
+        self._forget_ended()
 
     def _forget(self, lease: str) -> None:
         fd = self._fds.pop(lease)
