@@ -143,8 +143,9 @@ class SimBoard:
     def write(self, notes: Notes) -> None:
         before = self.read()
         self.disk = packed(notes)
-        if notes.part is None and before.part is not None and notes.reached == before.part.generation:
-            self.by_hand = False
+        part = before.part
+        if part is not None and notes.part is None and notes.reached == part.generation and self.place == part.goal:
+            self.by_hand = False  # it may have been taken elsewhere as its lock was given back
         self.world.reached(self.name, notes)
 
     # ---- the manager ----------------------------------------------------------------------

@@ -9,12 +9,14 @@ from __future__ import annotations
 import asyncio
 import os
 import random
+from collections.abc import Mapping
 from typing import Any
 
 import pytest
 from fleet_world import HOME, World, killed
 
 from cm.networks.fleet.board import Place
+from cm.networks.fleet.store import Entry
 from cm.wire.messages.fleet import Decision, Policy
 
 PARTS = 10
@@ -134,3 +136,27 @@ def test_two_changes_of_the_same_boards_come_one_after_the_other() -> None:
 
     for seed in range(30):
         asyncio.run(one(seed))
+
+
+@pytest.mark.parametrize("size", [1, 64, 65])
+def test_a_decision_ends_the_claims_and_what_does_not_fit_into_its_transaction_ends_with_the_lease(size: int) -> None:
+    told = []
+
+    class Watched(World):
+        def tell(self, changes: Mapping[str, Entry]) -> None:
+            told.append({name for name in changes if name.startswith("boards/b0/")})
+            super().tell(changes)
+
+    async def change(world: World) -> Any:
+        changing = asyncio.create_task(world.change("anna", ("camera", "edge"), sorted(world.boards), Policy.ALL))
+        await world.run(changing)
+        return changing.result()
+
+    world = Watched("claims", size)
+    world.lossy = False
+    course = asyncio.run(change(world))
+    assert course.decision is Decision.KEEP
+    assert not course.differing
+    assert not [name for name in world.ledger.get("") if name.endswith("/claim")]
+    wanted, claim = "boards/b0/wanted", "boards/b0/claim"
+    assert told == [{claim}, *([{wanted, claim}] if size <= 64 else [{wanted}, {claim}])]

@@ -187,9 +187,18 @@ class Board:
             )
         if self.place == NOTHING:
             raise NotNow("nothing is loaded on this board, so there would be no way back: load something first")
-        plan = await self._manager.plan(step, caller)
-        part = Part(step.id, step.generation, caller, self.place, plan.place, "prepared", plan.seconds, plan.bytes)
-        await self._hold(part)
+        part = Part(step.id, step.generation, caller, self.place, NOTHING)
+        plan, lease = await asyncio.gather(  # together: a manager that was woken for one answers both
+            self._manager.plan(step, caller), self._manager.hold(part), return_exceptions=True
+        )
+        if isinstance(plan, BaseException):
+            if isinstance(lease, str):
+                await self._manager.release(replace(part, lease=lease))
+            raise plan
+        if isinstance(lease, BaseException):
+            raise lease
+        planned = {"goal": plan.place, "plan_seconds": plan.seconds, "plan_bytes": plan.bytes}
+        self._write(part=replace(part, lease=lease, **planned))
 
     async def _hold(self, part: Part) -> None:
         self._write(part=replace(part, lease=await self._manager.hold(part)))

@@ -44,6 +44,7 @@ Progress = Callable[[str, str, FleetState | ErrorInfo], None]  # phase, board, i
 LEASE = 5  # seconds that a coordinator may be silent: then others may close its change
 _OPENING = LEASE + 3.0  # seconds for another's change to end: it may be one whose coordinator is dead
 _NONE = Entry("0", 0)
+_OPERATIONS = 128  # of one transaction, that etcd takes without --max-txn-ops
 _DECIDING = LEASE + 5.0  # seconds in which a store that does not answer is asked again for the decision
 
 
@@ -164,7 +165,7 @@ class Coordinator:
             await self._decide(opening.lease, there)
         finally:
             keeping.cancel()
-        if self.course.decision is Decision.KEEP:  # claims that are decided hold nobody up
+        if self.course.decision is Decision.KEEP and not self._claims_end:  # decided claims hold nobody up
             await asyncio.gather(self._revoke(opening.lease), self._reconcile())
         else:
             await self._reconcile()
@@ -196,6 +197,11 @@ class Coordinator:
         expect[GENERATION] = newest.revision  # every opening changes it
         self._opened = await self.store.txn(expect, puts)
         return bool(self._opened)
+
+    @property
+    def _claims_end(self) -> bool:
+        """With the decision, if there is room: so boards are told of both at once. Else with their lease."""
+        return 2 * len(self.members) <= _OPERATIONS
 
     def _view(self, name: str) -> View:
         return self._views.get(name, View())
@@ -276,7 +282,9 @@ class Coordinator:
         for name in self.members:
             config, mode = self._goals[name]
             puts[key(name, "wanted")] = Put(packed(Wanted(self._generation, config, mode, self.caller, self.change)))
-        first = self.members[0]  # where a repetition finds that it was done; while claims stand, nobody else wants more
+        if self._claims_end:
+            puts |= dict.fromkeys(key(name, "claim") for name in self.members)
+        first = self.members[0]  # where a repetition finds that it was done
         expect = {key(name, "claim"): self._opened for name in self.members}
         expect[key(first, "wanted")] = self._view(first).revision("wanted")
         end = self.clock() + _DECIDING
