@@ -6,19 +6,13 @@ from __future__ import annotations
 import json
 import select
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from cm.simulation.rtl.compile import compile_harness
 from cm.simulation.rtl.design import RtlDesign, wiring
 from cm.simulation.rtl.errors import RtlError
 from cm.simulation.rtl.process import HarnessProcess, Op
 from cm.simulation.rtl.tools import Tools
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-else:
-    from cm.wire.lazy_numpy import np
+from cm.wire.lazy_numpy import NDArray, np
 
 _IN, _OUT = 64 << 20, 192 << 20  # places of the arena
 _DECOUPLE, _IDENTITY = 0x100, 0x10C  # of the first region, in the control registers

@@ -6,7 +6,6 @@ from __future__ import annotations
 import contextlib
 import errno
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 from cm.schema.model import Direction
 from cm.simulation.rtl.bus import RtlBus
@@ -20,11 +19,7 @@ from cm.simulation.software.hardware.dma import Channel
 from cm.simulation.software.hardware.interrupts import InterruptWiring
 from cm.simulation.software.hardware.links import Link
 from cm.simulation.software.hardware.logic import Logic, LogicParts
-
-if TYPE_CHECKING:
-    import numpy as np
-else:
-    from cm.wire.lazy_numpy import np
+from cm.wire.lazy_numpy import np
 
 
 class RtlInterrupts(InterruptWiring):

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from cm.loop import Loop
 from cm.simulation.rtl.errors import RtlError
 from cm.simulation.rtl.process import Op
@@ -13,11 +11,7 @@ from cm.simulation.software.faults import Faults
 from cm.simulation.software.hardware.camera import MAX_ZOOM
 from cm.simulation.software.hardware.dma import Bytes, Channel, Transfer
 from cm.simulation.software.hardware.links import Camera, Link
-
-if TYPE_CHECKING:
-    import numpy as np
-else:
-    from cm.wire.lazy_numpy import np
+from cm.wire.lazy_numpy import np
 
 MAX_PACKET = SLOT
 

@@ -9,7 +9,6 @@ import re
 import zlib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING
 
 from cm.formats.bitstream.devices import DEVICES, Device, device_by_name
 from cm.formats.bitstream.module import default_footprint
@@ -27,11 +26,7 @@ from cm.schema.model import (
     Stream,
 )
 from cm.simulation.software.errors import SimError
-
-if TYPE_CHECKING:
-    import numpy as np
-else:
-    from cm.wire.lazy_numpy import np
+from cm.wire.lazy_numpy import np
 
 
 @dataclass(frozen=True, slots=True)

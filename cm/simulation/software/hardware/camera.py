@@ -6,16 +6,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 from cm.simulation.software.errors import SimError
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-else:
-    from cm.wire.lazy_numpy import np
-
+from cm.wire.lazy_numpy import NDArray, np
 
 Photo: TypeAlias = "NDArray[np.uint8]"
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import logging
 import math
-from typing import TYPE_CHECKING
 
 from cm.simulation.software.hardware.board_spec import ModuleSpec
 from cm.simulation.software.hardware.dma import Bytes
@@ -13,12 +12,7 @@ from cm.simulation.software.hardware.fabric import Fabric
 from cm.simulation.software.hardware.models import Models, default
 from cm.simulation.software.hardware.register_windows import Region
 from cm.simulation.software.hardware.running_models import RunningModels
-
-if TYPE_CHECKING:
-    import numpy as np
-else:
-    from cm.wire.lazy_numpy import np
-
+from cm.wire.lazy_numpy import np
 
 _log = logging.getLogger(__name__)
 

@@ -7,7 +7,7 @@ import errno
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 from cm.schema.model import Direction
 from cm.simulation.software.errors import NodeError
@@ -15,13 +15,7 @@ from cm.simulation.software.hardware.board_spec import ChannelSpec
 from cm.simulation.software.transport import protocol
 from cm.simulation.software.transport.buffers import Buffer, Buffers
 from cm.simulation.software.transport.session import Events
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-else:
-    from cm.wire.lazy_numpy import np
-
+from cm.wire.lazy_numpy import NDArray, np
 
 QUEUE_DEPTH = 64
 MAX_LENGTH = (1 << 26) - 1  # the AXI DMA's length register has at most 26 bits (PG021)

@@ -5,20 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 from cm.schema.model import Access, Memory, Register
 from cm.simulation.software.hardware.board_spec import BoardSpec, ModuleSpec, RegionSpec
 from cm.simulation.software.hardware.gpio import Chip, Lines
 from cm.simulation.software.hardware.models import Registers
 from cm.simulation.software.hardware.register_windows import Area, Cell, Region, Window, same_place
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-else:
-    from cm.wire.lazy_numpy import np
-
+from cm.wire.lazy_numpy import NDArray, np
 
 FUNCTIONAL_RESETS: Mapping[str, int] = {"focus": 1, "zoom": 1}
 _GARBAGE = 1 << 22

@@ -7,7 +7,6 @@ import errno
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 from cm.loop import Loop, Timer
 from cm.simulation.software.faults import Faults
@@ -16,12 +15,7 @@ from cm.simulation.software.hardware.datapath import Datapath
 from cm.simulation.software.hardware.dma import Bytes, Channel
 from cm.simulation.software.hardware.dma_fastpath import FastPath
 from cm.simulation.software.hardware.interrupts import InterruptWiring
-
-if TYPE_CHECKING:
-    import numpy as np
-else:
-    from cm.wire.lazy_numpy import np
-
+from cm.wire.lazy_numpy import np
 
 _WAITING = 16  # packets that a model may have sent and that have not been taken
 

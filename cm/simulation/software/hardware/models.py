@@ -18,16 +18,11 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMappin
 from functools import cached_property
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias
+from typing import Any, ClassVar, Protocol, TypeAlias
 
 from cm.schema.model import Config
 from cm.simulation.software.errors import SimError
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-else:
-    from cm.wire.lazy_numpy import np
+from cm.wire.lazy_numpy import NDArray, np
 
 
 class Registers(MutableMapping[str, int]):

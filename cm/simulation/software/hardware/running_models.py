@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Mapping
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 from cm.loop import Loop
 from cm.simulation.software.errors import SimError
@@ -14,13 +14,7 @@ from cm.simulation.software.hardware.interrupts import InterruptWiring
 from cm.simulation.software.hardware.models import Model, Models
 from cm.simulation.software.hardware.register_windows import Region, Window
 from cm.simulation.software.transport.buffers import DmaMemory
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-else:
-    from cm.wire.lazy_numpy import np
-
+from cm.wire.lazy_numpy import NDArray, np
 
 _log = logging.getLogger(__name__)
 

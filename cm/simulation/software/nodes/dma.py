@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 from cm.schema.model import Direction
 from cm.simulation.software.errors import NodeError
@@ -14,12 +13,7 @@ from cm.simulation.software.hardware.dma import MAX_LENGTH, MAX_LINE, QUEUE_DEPT
 from cm.simulation.software.transport import protocol
 from cm.simulation.software.transport.buffers import Buffer, Buffers, BufferSession, DmaMemory, Syncs, fit
 from cm.simulation.software.transport.session import Events
-
-if TYPE_CHECKING:
-    import numpy as np
-else:
-    from cm.wire.lazy_numpy import np
-
+from cm.wire.lazy_numpy import np
 
 _CAPS = protocol.CAP_CYCLIC | protocol.CAP_VIDEO | protocol.CAP_RESIDUE
 _VDMA_CAPS = protocol.CAP_VIDEO  # as the kernel's driver has it; frames of a VDMA are always whole

@@ -9,18 +9,11 @@ import mmap
 import os
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 from cm.simulation.software.errors import NodeError, SimError
 from cm.simulation.software.transport import protocol
 from cm.simulation.software.transport.session import Answer, Ioctls
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-else:
-    from cm.wire.lazy_numpy import np
-
+from cm.wire.lazy_numpy import NDArray, np
 
 NAME = "cm-sim-noncoherent"  # of the memfds
 _MAGIC = 0x434D53594E430001
