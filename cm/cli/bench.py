@@ -18,14 +18,12 @@ if TYPE_CHECKING:
     from cm.tools.bench.run import Run
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command."""
-    parser = subparsers.add_parser(
-        "bench",
-        help="measure latency and throughput",
-        description="Measure fpga-cm and its alternatives side by side, in interleaved rounds on one "
+def fill_parser(parser: argparse.ArgumentParser) -> None:
+    """Describe the command."""
+    parser.description = (
+        "Measure fpga-cm and its alternatives side by side, in interleaved rounds on one "
         "CPU, on simulated boards. Exit status 0 if everything was measured or marked as "
-        "not available, whatever the numbers are.",
+        "not available, whatever the numbers are."
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help="what to measure (default: all; --list names them)")
     parser.add_argument("--list", action="store_true", help="list what can be measured")

@@ -63,8 +63,7 @@ def add_verify(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument("--partial", action="store_true", default=None, help="it must be for a region")
     kind.add_argument("--full", dest="partial", action="store_false", help="it must be for the whole device")
-    add_json_option(parser)
-    parser.set_defaults(run=run_verify)
+    add_json_option(parser, run_verify)
 
 
 _idcode = parsed("an IDCODE: up to eight hexadecimal digits", partial(int, base=16), lambda code: 0 < code < 1 << 32)
@@ -140,9 +139,8 @@ _INSTEAD = "name another file, or say --drop-header"
 _FORMS = {form.value: form for form in (Container.BIT, Container.BIN_SWAPPED, Container.BIN_STRAIGHT)}
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command."""
-    parser = subparsers.add_parser("bitstream", help="inspect, verify, convert and move bitstreams")
+def fill_parser(parser: argparse.ArgumentParser) -> None:
+    """Describe the command."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     _add_inspect(actions)
     add_verify(actions)
@@ -158,8 +156,7 @@ def _add_inspect(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -
     )
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="a .bit, .bin, .bit.bin or boot image")
     parser.add_argument("--frames", action="store_true", help="list the footprint column by column")
-    add_json_option(parser)
-    parser.set_defaults(run=run_inspect)
+    add_json_option(parser, run_inspect)
 
 
 def _add_convert(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -176,8 +173,7 @@ def _add_convert(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument(
         "--drop-header", action="store_true", help="drop what the output cannot hold, such as the header"
     )
-    add_json_option(parser)
-    parser.set_defaults(run=run_convert)
+    add_json_option(parser, run_convert)
 
 
 def run_inspect(args: argparse.Namespace) -> int:
@@ -299,8 +295,7 @@ def _add_relocate(actions: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="the static part's full bitstream, without modules (build/open/blank.bit of cm build run --flow open)",
     )
     parser.add_argument("--out", type=Path, metavar="FILE", help="the new file (default: FILE's name with the region)")
-    add_json_option(parser)
-    parser.set_defaults(run=run_relocate)
+    add_json_option(parser, run_relocate)
 
 
 def run_relocate(args: argparse.Namespace) -> int:

@@ -19,9 +19,9 @@ client like any other, with this user's rights or those of --keys. It runs until
 manager that goes away."""
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command."""
-    parser = subparsers.add_parser("bridge", help="connect a board to another network", description=_DESCRIPTION)
+def fill_parser(parser: argparse.ArgumentParser) -> None:
+    """Describe the command."""
+    parser.description = _DESCRIPTION
     actions = parser.add_subparsers(dest="action", metavar="NETWORK", required=True)
     add_ros_parser(actions)
     add_fleet_parser(actions)

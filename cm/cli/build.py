@@ -20,9 +20,9 @@ _DESCRIPTION = (
 )
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command."""
-    parser = subparsers.add_parser("build", help="from HDL to bitstreams and runtime schemas", description=_DESCRIPTION)
+def fill_parser(parser: argparse.ArgumentParser) -> None:
+    """Describe the command."""
+    parser.description = _DESCRIPTION
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     add_init_parser(actions)
     add_interfaces_parser(actions)

@@ -49,8 +49,7 @@ def add_collect_parser(actions: argparse._SubParsersAction[argparse.ArgumentPars
         metavar="N",
         help="version of the signed files; higher is newer (default: the time)",
     )
-    add_json_option(parser)
-    parser.set_defaults(run=run_collect)
+    add_json_option(parser, run_collect)
 
 
 def run_collect(args: argparse.Namespace) -> int:

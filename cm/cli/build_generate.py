@@ -63,8 +63,7 @@ def add_init_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]
         metavar="DIR",
         help="folder to search for the cores that a .core depends on",
     )
-    add_json_option(parser)
-    parser.set_defaults(run=run_init)
+    add_json_option(parser, run_init)
 
 
 def run_init(args: argparse.Namespace) -> int:
@@ -99,8 +98,7 @@ def add_check_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser
     parser.add_argument(
         "--flow", choices=("vivado", "open"), default="vivado", help="which tools' limits to check (default: vivado)"
     )
-    add_json_option(parser)
-    parser.set_defaults(run=run_check)
+    add_json_option(parser, run_check)
 
 
 def add_generate_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -114,8 +112,7 @@ def add_generate_parser(actions: argparse._SubParsersAction[argparse.ArgumentPar
     )
     add_schema_argument(parser)
     add_out_option(parser)
-    add_json_option(parser)
-    parser.set_defaults(run=run_generate)
+    add_json_option(parser, run_generate)
 
 
 def run_check(args: argparse.Namespace) -> int:

@@ -42,8 +42,7 @@ def add_interfaces_parser(subparsers: argparse._SubParsersAction[argparse.Argume
     )
     parser.add_argument("--protocols", type=Path, metavar="FILE", help="your own protocols (YAML)")
     parser.add_argument("--ipxact", type=Path, metavar="FILE", help="compare with this component.xml")
-    add_json_option(parser)
-    parser.set_defaults(run=run)
+    add_json_option(parser, run)
 
 
 def add_define_option(parser: argparse.ArgumentParser) -> None:

@@ -68,8 +68,7 @@ def add_partition_parser(actions: argparse._SubParsersAction[argparse.ArgumentPa
         metavar="FILE",
         help="write the proposal as a build schema, into the folder of this one",
     )
-    add_json_option(parser)
-    parser.set_defaults(run=run_partition)
+    add_json_option(parser, run_partition)
 
 
 def run_partition(args: argparse.Namespace) -> int:

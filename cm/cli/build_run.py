@@ -38,8 +38,7 @@ def add_tools_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser
     parser.add_argument("--fetch", action="store_true", help="fetch what is missing")
     parser.add_argument("--tools", type=Path, metavar="DIR", help="folder for them (default: in your cache folder)")
     parser.add_argument("--mirror", metavar="URL", help="Debian mirror (default: the one that this machine uses)")
-    add_json_option(parser)
-    parser.set_defaults(run=run_tools)
+    add_json_option(parser, run_tools)
 
 
 def run_tools(args: argparse.Namespace) -> int:
@@ -106,8 +105,7 @@ def add_run_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser])
     )
     parser.add_argument("--tools", type=Path, metavar="DIR", help="folder that cm build tools --fetch filled")
     parser.add_argument("--dry-run", action="store_true", help="list the steps, and which of them would run")
-    add_json_option(parser)
-    parser.set_defaults(run=run_run)
+    add_json_option(parser, run_run)
 
 
 def run_run(args: argparse.Namespace) -> int:
@@ -171,8 +169,7 @@ def add_pack_parsers(actions: argparse._SubParsersAction[argparse.ArgumentParser
     parser.add_argument("-f", "--file", type=Path, metavar="FILE", help="the archive (default: NAME-flow.tar.gz)")
     more = "only this module in its region's abstract shell, nothing of the static design (may be repeated)"
     parser.add_argument("--module", action="append", default=[], metavar="NAME", help=more)
-    add_json_option(parser)
-    parser.set_defaults(run=run_pack)
+    add_json_option(parser, run_pack)
     parser = actions.add_parser(
         "unpack",
         help="unpack the results of a packed flow",
@@ -182,8 +179,7 @@ def add_pack_parsers(actions: argparse._SubParsersAction[argparse.ArgumentParser
     parser.add_argument("source", type=Path, metavar="BACK", help="back.tar.gz, or the folder")
     add_schema_argument(parser)
     add_out_option(parser)
-    add_json_option(parser)
-    parser.set_defaults(run=run_unpack)
+    add_json_option(parser, run_unpack)
 
 
 def run_pack(args: argparse.Namespace) -> int:

@@ -15,7 +15,6 @@ from cm.errors import CmError, Timeout
 from cm.wire.messages.plain import plain
 
 if TYPE_CHECKING:
-    _Subparsers = argparse._SubParsersAction[argparse.ArgumentParser]
     from cm.client.board import Board
     from cm.wire.messages.status import Status
 
@@ -23,13 +22,10 @@ _PATIENCE = 5.0  # seconds without a message from the manager, after which it is
 _NO_MODE = ("unknown_mode", "nothing_loaded")
 
 
-def add_load(subparsers: _Subparsers) -> None:
+def add_load(parser: argparse.ArgumentParser) -> None:
     """Add ``cm load``."""
-    parser = subparsers.add_parser(
-        "load",
-        help="load a configuration, or go to one of its modes",
-        description="Go to a mode, as status prints it (camera/edge_detection), or to a configuration's default mode "
-        "(camera).",
+    parser.description = (
+        "Go to a mode, as status prints it (camera/edge_detection), or to a configuration's default mode (camera)."
     )
     target = parser.add_argument("target", type=slashed, metavar="CONFIG[/MODE]", help="a configuration, and its mode")
     completes(target, "<config>", "<config/mode>")
@@ -37,9 +33,8 @@ def add_load(subparsers: _Subparsers) -> None:
     _add_options(parser, run_load)
 
 
-def add_mode(subparsers: _Subparsers) -> None:
+def add_mode(parser: argparse.ArgumentParser) -> None:
     """Add ``cm mode``."""
-    parser = subparsers.add_parser("mode", help="change the mode")
     target = parser.add_argument(
         "target", type=slashed, metavar="[CONFIG/]MODE", help="a mode, or the module that exactly one mode consists of"
     )
@@ -47,9 +42,8 @@ def add_mode(subparsers: _Subparsers) -> None:
     _add_options(parser, run_mode)
 
 
-def add_plan(subparsers: _Subparsers) -> None:
+def add_plan(parser: argparse.ArgumentParser) -> None:
     """Add ``cm plan``."""
-    parser = subparsers.add_parser("plan", help="show what a change of mode would do")
     target = parser.add_argument(
         "target", type=slashed, metavar="[CONFIG/]MODE", nargs="?", help="default: the configuration's default mode"
     )
@@ -59,14 +53,12 @@ def add_plan(subparsers: _Subparsers) -> None:
     add_board_options(parser, run_plan)
 
 
-def add_cancel(subparsers: _Subparsers) -> None:
+def add_cancel(parser: argparse.ArgumentParser) -> None:
     """Add ``cm cancel``."""
-    parser = subparsers.add_parser(
-        "cancel",
-        help="cancel the running change",
-        description="Cancel the running change before its next load, and wait until the board is back"
+    parser.description = (
+        "Cancel the running change before its next load, and wait until the board is back"
         " in the previous mode. A change that has finished its last load is not "
-        "cancelled; it completes.",
+        "cancelled; it completes."
     )
     add_board_options(parser, run_cancel)
 

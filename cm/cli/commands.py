@@ -6,28 +6,22 @@ from __future__ import annotations
 import argparse
 import sys
 from importlib import import_module
-from typing import ClassVar, NamedTuple, Protocol, cast
+from typing import ClassVar, NamedTuple
 
 from cm.errors import CmError
 
 
 class Command(NamedTuple):
-    """A command, the module that has it, and its help in one line."""
+    """A command, the module that has it, and its help in one line.
+
+    The module's ``fill_parser``, or ``add_NAME`` if it has several commands, gets the command's parser.
+    """
 
     name: str
     module: str
     help: str
     group: str = ""  # what it is for
     linux: bool = False  # it needs a board, or what Linux has
-
-
-class CommandModule(Protocol):
-    """The interface of a command's module. It adds a parser with ``set_defaults(run=run)``.
-
-    A module of several commands has an ``add_NAME`` for each.
-    """
-
-    def add_parser(self, subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None: ...
 
 
 class CommandMissing(CmError):
@@ -132,8 +126,8 @@ def add_command(command: Command, subparsers: argparse._SubParsersAction[argpars
         )
     try:
         module = import_module(command.module)
-        add = getattr(module, f"add_{command.name}", None) or cast(CommandModule, module).add_parser
-        add(subparsers)
+        fill = getattr(module, f"add_{command.name}", None) or module.fill_parser
+        fill(subparsers.add_parser(command.name, help=command.help))
     except ModuleNotFoundError as error:
         if error.name == command.module:
             raise CommandMissing(f"the command {command.name} is not part of this installation") from error

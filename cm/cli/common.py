@@ -53,9 +53,10 @@ def add_connection_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_json_option(parser: argparse.ArgumentParser) -> None:
-    """Add ``--json``: output for scripts; errors too are JSON then."""
+def add_json_option(parser: argparse.ArgumentParser, run: Run) -> None:
+    """Complete a command with ``--json``, output and errors for scripts, and what runs it."""
     parser.add_argument("--json", action="store_true", help="print JSON, errors included")
+    parser.set_defaults(run=run)
 
 
 def add_lease_option(parser: argparse.ArgumentParser) -> None:
@@ -73,8 +74,7 @@ def add_board_options(parser: argparse.ArgumentParser, run: Run, lease: bool = F
     if lease:
         add_lease_option(parser)
     add_connection_options(parser)
-    add_json_option(parser)
-    parser.set_defaults(run=run)
+    add_json_option(parser, run)
 
 
 def parsed(what: str, read: Callable[[str], _T], accepts: Callable[[_T], bool] = lambda _: True) -> Callable[[str], _T]:

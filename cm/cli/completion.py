@@ -26,16 +26,13 @@ _EPILOG = """to use it, in the shell's own start-up file:
 """
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command."""
-    parser = subparsers.add_parser(
-        "completion",
-        help="print a completion script for a shell",
-        description="Print a completion script for a shell. It asks `cm` itself at Tab,\n"
-        "so it stays as it is when cm is upgraded.",
-        epilog=_EPILOG,
-        formatter_class=RawHelp,
+def fill_parser(parser: argparse.ArgumentParser) -> None:
+    """Describe the command."""
+    parser.description = (
+        "Print a completion script for a shell. It asks `cm` itself at Tab,\nso it stays as it is when cm is upgraded."
     )
+    parser.epilog = _EPILOG
+    parser.formatter_class = RawHelp
     parser.add_argument("shell", choices=SHELLS)
     parser.set_defaults(run=run)
 

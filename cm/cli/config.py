@@ -18,13 +18,11 @@ if TYPE_CHECKING:
 _FIRMWARE = Path("/lib/firmware/cm")  # as `cm import archive` has it
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command."""
-    parser = subparsers.add_parser(
-        "config",
-        help="list, send, check and roll back configurations",
-        description="Configurations that the manager has (list, send, remove), runtime schemas in files (check), and "
-        "earlier versions of what `cm import archive` installed (versions, rollback).",
+def fill_parser(parser: argparse.ArgumentParser) -> None:
+    """Describe the command."""
+    parser.description = (
+        "Configurations that the manager has (list, send, remove), runtime schemas in files (check), and "
+        "earlier versions of what `cm import archive` installed (versions, rollback)."
     )
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     _add_to_manager(actions)
@@ -56,8 +54,8 @@ def _add_check(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     check.add_argument("paths", nargs="*", type=Path, metavar="FILE", help="a runtime schema, a folder of them, or -")
     check.add_argument("--settings", action="store_true", help="the files are settings of the service, such as cm.yaml")
     check.add_argument("--print-schema", action="store_true", help="print the JSON Schema for editors, and exit")
-    add_json_option(check)
-    check.set_defaults(run=run_check, usage_error=check.error)
+    add_json_option(check, run_check)
+    check.set_defaults(usage_error=check.error)
 
 
 def _add_versions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -74,8 +72,7 @@ def _add_versions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) 
         action.add_argument(
             "--out", type=Path, metavar="DIR", default=_FIRMWARE, help=f"folder of the configurations ({_FIRMWARE})"
         )
-        add_json_option(action)
-        action.set_defaults(run=run)
+        add_json_option(action, run)
 
 
 def run_list(args: argparse.Namespace) -> int:

@@ -16,16 +16,14 @@ if TYPE_CHECKING:
     from cm.tools.conformance.runner import Outcome
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command."""
-    parser = subparsers.add_parser(
-        "conformance",
-        help="test a client, or a manager, against the wire protocol",
-        description="Act as a manager towards a client in any language, case by case: DRIVER is a "
+def fill_parser(parser: argparse.ArgumentParser) -> None:
+    """Describe the command."""
+    parser.description = (
+        "Act as a manager towards a client in any language, case by case: DRIVER is a "
         "program, written by the client's author, that carries out commands given as "
         "lines of JSON (docs/conformance.md). With --manager: check that a running "
         "manager does everything that the protocol promises. Exit status 1 if a case "
-        "failed.",
+        "failed."
     )
     parser.add_argument("--manager", action="store_true", help="test a manager instead; changes nothing on the board")
     parser.add_argument(
@@ -35,8 +33,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--list", action="store_true", help="list the cases, and what each is about")
     parser.add_argument("driver", nargs="*", metavar="DRIVER", help="the driver's command, after --")
     add_connection_options(parser)
-    add_json_option(parser)
-    parser.set_defaults(run=run)
+    add_json_option(parser, run)
 
 
 def run(args: argparse.Namespace) -> int:

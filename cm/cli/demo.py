@@ -10,14 +10,12 @@ from pathlib import Path
 from cm.errors import InvalidRequest
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command."""
-    parser = subparsers.add_parser(
-        "demo",
-        help="run the camera demonstration on a simulated board",
-        description="Stream photographs through a reconfigurable region, change its module and "
+def fill_parser(parser: argparse.ArgumentParser) -> None:
+    """Describe the command."""
+    parser.description = (
+        "Stream photographs through a reconfigurable region, change its module and "
         "registers meanwhile, and write the results as a contact sheet. Needs neither "
-        "hardware nor root.",
+        "hardware nor root."
     )
     parser.add_argument("--images", type=Path, metavar="DIR", help="PNG or JPEG files instead of the shipped ones")
     parser.add_argument("--out", type=Path, default=Path("demo"), metavar="DIR", help="folder to write to")

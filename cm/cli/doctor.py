@@ -36,15 +36,13 @@ _COLOURS = {"ok": "green", "-": "dim", "missing": "yellow", "denied": "red", "wr
 _TIMEOUT = 2.0  # seconds for a manager's answer
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command."""
-    parser = subparsers.add_parser(
-        "doctor",
-        help="report what this machine has, what it lacks, and what to do about it",
-        description="Look for devices, kernel modules, libraries and a running manager; nothing is "
+def fill_parser(parser: argparse.ArgumentParser) -> None:
+    """Describe the command."""
+    parser.description = (
+        "Look for devices, kernel modules, libraries and a running manager; nothing is "
         "opened or changed. Exit status 0 if the board can be used, or if there is no "
         "sign of one (a simulated board works everywhere); 1 if something that is needed "
-        "is missing or denied.",
+        "is missing or denied."
     )
     parser.add_argument(
         "--root", metavar="DIR", help="folder that holds the board's /dev and /sys (default: $CM_ROOT, /)"

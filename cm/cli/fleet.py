@@ -9,13 +9,11 @@ from cm.cli import fleet_boards, fleet_change, fleet_keys, fleet_status
 from cm.cli.fleet_options import Intermixed
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command."""
-    parser = subparsers.add_parser(
-        "fleet",
-        help="watch many boards, and change them together",
-        description="A board is in the fleet's inventory (`cm fleet add`), and there while its bridge (`cm bridge "
-        "fleet`) is running. Select boards by name, glob ('line1-*') or label (@camera); the default is all of them.",
+def fill_parser(parser: argparse.ArgumentParser) -> None:
+    """Describe the command."""
+    parser.description = (
+        "A board is in the fleet's inventory (`cm fleet add`), and there while its bridge (`cm bridge "
+        "fleet`) is running. Select boards by name, glob ('line1-*') or label (@camera); the default is all of them."
     )
     kind: type[argparse.ArgumentParser] = Intermixed
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True, parser_class=kind)

@@ -91,8 +91,7 @@ def add_fleet_options(parser: argparse.ArgumentParser, run: Run, boards: bool = 
     group.add_argument(
         "--timeout", type=seconds, default=10.0, metavar="SECONDS", help="how long to wait for an answer (10)"
     )
-    add_json_option(parser)
-    parser.set_defaults(run=run)
+    add_json_option(parser, run)
 
 
 def connected_fleet(args: argparse.Namespace) -> Fleet:

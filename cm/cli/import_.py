@@ -20,13 +20,11 @@ if TYPE_CHECKING:
 FIRMWARE = Path("/lib/firmware/cm")  # where the manager looks for a configuration's files
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command."""
-    parser = subparsers.add_parser(
-        "import",
-        help="make a runtime schema from a dfx-mgr or PYNQ package, or unpack an archive",
-        description="Make runtime schemas that load another manager's package in place, and report "
-        "what could not be carried over; or unpack an archive of `cm build collect`.",
+def fill_parser(parser: argparse.ArgumentParser) -> None:
+    """Describe the command."""
+    parser.description = (
+        "Make runtime schemas that load another manager's package in place, and report "
+        "what could not be carried over; or unpack an archive of `cm build collect`."
     )
     formats = parser.add_subparsers(dest="format", metavar="FORMAT", required=True)
     dfx = formats.add_parser("dfx-mgr", help="a base folder of dfx-mgr, the one with shell.json")
@@ -45,14 +43,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     packed.add_argument(
         "--settings", type=Path, metavar="FILE", help="settings whose policy of signatures applies (/etc/cm/cm.yaml)"
     )
-    add_json_option(packed)
-    packed.set_defaults(run=run_archive)
+    add_json_option(packed, run_archive)
     for each in (dfx, pynq):
         each.add_argument(
             "--out", type=Path, metavar="DIR", help="write the schemas into this folder (default: print them)"
         )
-        add_json_option(each)
-        each.set_defaults(run=run)
+        add_json_option(each, run)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -11,9 +11,8 @@ from cm.cli.connection import connected, followed
 from cm.wire.messages.plain import plain
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command."""
-    parser = subparsers.add_parser("irq", help="list interrupts and wait for them")
+def fill_parser(parser: argparse.ArgumentParser) -> None:
+    """Describe the command."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     listing = actions.add_parser("list", help="list the interrupts of the loaded configuration")
     add_board_options(listing, run_list)

@@ -28,15 +28,13 @@ def write_key_file(path: Path, keys: Mapping[str, bytes], comment: str) -> None:
         raise
 
 
-def add_keygen(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_keygen(parser: argparse.ArgumentParser) -> None:
     """Add the command."""
-    parser = subparsers.add_parser(
-        "keygen",
-        help="make keys for connections over TCP",
-        description="Make CURVE keys. The folder holds server.key for 'cm serve --keys' and, for each"
+    parser.description = (
+        "Make CURVE keys. The folder holds server.key for 'cm serve --keys' and, for each"
         " client, NAME.key, which you give to the client, and authorized_keys.d/NAME.pub,"
         " by which the server recognises the client and its role. A running manager "
-        "notices added and removed keys by itself.",
+        "notices added and removed keys by itself."
     )
     parser.add_argument(
         "--role",
@@ -48,8 +46,7 @@ def add_keygen(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("folder", metavar="DIR", type=Path)
     parser.add_argument("client", metavar="CLIENT", nargs="*", default=[], help="names of clients to make keys for")
-    add_json_option(parser)
-    parser.set_defaults(run=run)
+    add_json_option(parser, run)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -30,9 +30,8 @@ _HELD = 30.0  # seconds for which a lease is taken, and renewed three times in t
 _VARIABLE = "CM_LEASE"
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command."""
-    parser = subparsers.add_parser("lease", help="take, list and break leases")
+def fill_parser(parser: argparse.ArgumentParser) -> None:
+    """Describe the command."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True, parser_class=_Parser)
     taking = actions.add_parser(
         "take",

@@ -34,9 +34,8 @@ _LINE = 16  # bytes of a line of the dump
 _STDOUT = Path("-")
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command."""
-    parser = subparsers.add_parser("mem", help="list, read and write memories")
+def fill_parser(parser: argparse.ArgumentParser) -> None:
+    """Describe the command."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     listing = actions.add_parser("list", help="the memories of the current mode")
     add_board_options(listing, run_list)

@@ -174,11 +174,10 @@ def _epilog() -> str:
     return "\n".join([*lines, "", EPILOG])
 
 
-def add_help(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command."""
+def add_help(parser: argparse.ArgumentParser) -> None:
+    """Describe the command."""
     from cm.cli.common import completes  # here: `cm --help` needs no JSON
 
-    parser = subparsers.add_parser("help", help="describe a command")
     words = parser.add_argument(
         "words", metavar="COMMAND", nargs="*", help="a command, such as `reg write` (default: list all)"
     )

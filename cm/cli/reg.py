@@ -19,9 +19,8 @@ if TYPE_CHECKING:
     from cm.client.board import Board
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command."""
-    parser = subparsers.add_parser("reg", help="list, read, write and watch registers")
+def fill_parser(parser: argparse.ArgumentParser) -> None:
+    """Describe the command."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     listing = actions.add_parser("list", help="the registers of the current mode")
     add_board_options(listing, run_list)

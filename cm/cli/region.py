@@ -28,9 +28,8 @@ it is as it was loaded, or was repaired; 1 where it is not, or nothing of it can
 _SHOWN = 20  # frames that are listed
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command."""
-    parser = subparsers.add_parser("region", help="compare a region with what was loaded, repair it, draw it")
+def fill_parser(parser: argparse.ArgumentParser) -> None:
+    """Describe the command."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     check = actions.add_parser("check", help="read a region back and compare it", description=_CHECK)
     completes(check.add_argument("name", metavar="NAME", help="the region"), "<region>")

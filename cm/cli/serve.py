@@ -44,14 +44,12 @@ if TYPE_CHECKING:
     from cm.server.settings import Settings
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command."""
-    parser = subparsers.add_parser(
-        "serve",
-        help="run the configuration manager",
-        description="Run the configuration manager until it is interrupted. With --sim it starts a "
+def fill_parser(parser: argparse.ArgumentParser) -> None:
+    """Describe the command."""
+    parser.description = (
+        "Run the configuration manager until it is interrupted. With --sim it starts a "
         "simulated board of its own; without --config, it then loads the camera example "
-        "in its default mode.",
+        "in its default mode."
     )
     parser.add_argument(
         "--settings",

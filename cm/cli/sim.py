@@ -39,17 +39,13 @@ _FAULTS = """faults (TARGET, VALUE):
 _UPSET = "Turn over bits of the configuration memory under a region that runs; says frame, word and bit of each."
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command."""
+def fill_parser(parser: argparse.ArgumentParser) -> None:
+    """Describe the command."""
     from cm.simulation.software.process.arguments import add_arguments
 
-    parser = subparsers.add_parser(
-        "sim",
-        help="serve a simulated board",
-        description="Serve a simulated board in a folder until it is interrupted.",
-        epilog=_FAULTS,
-        formatter_class=RawHelp,
-    )
+    parser.description = "Serve a simulated board in a folder until it is interrupted."
+    parser.epilog = _FAULTS
+    parser.formatter_class = RawHelp
     add_arguments(parser)
     parser.set_defaults(run=run, refuse=parser.error)
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=False)
@@ -107,7 +103,7 @@ def _add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -
             metavar="DIR",
             help="folder that the simulator serves (default: $CM_ROOT, or that of this machine's `cm serve --sim`)",
         )
-        add_json_option(parser)
+        add_json_option(parser, run)
         parser.set_defaults(refuse=parser.error)
 
 

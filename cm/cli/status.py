@@ -21,9 +21,8 @@ _REGION_COLOURS = {
 _UNITS = {"temperature": "°C", "voltage": "V", "current": "A", "power": "W"}
 
 
-def add_status(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_status(parser: argparse.ArgumentParser) -> None:
     """Add the command."""
-    parser = subparsers.add_parser("status", help="show what is loaded and what is going on")
     add_board_options(parser, run)
     parser.add_argument(
         "--wait",
@@ -154,13 +153,9 @@ def _flow(is_open: bool, rate: float) -> str:
 _CLEAR = "\x1b[H\x1b[J"  # home, erase below: ECMA-48 CUP and ED
 
 
-def add_watch(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_watch(parser: argparse.ArgumentParser) -> None:
     """Add the command."""
-    parser = subparsers.add_parser(
-        "watch",
-        help="follow the status as it changes",
-        description="A live view on a terminal, otherwise one line for each status.",
-    )
+    parser.description = "A live view on a terminal, otherwise one line for each status."
     add_board_options(parser, run_watch)
     parser.add_argument("--count", type=natural, default=0, metavar="N", help="stop after N statuses (0: never)")
 

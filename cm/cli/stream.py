@@ -29,9 +29,8 @@ from cm.wire.messages.plain import plain
 from cm.wire.messages.status import StreamStatus
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command."""
-    parser = subparsers.add_parser("stream", help="list, set, capture and play data streams")
+def fill_parser(parser: argparse.ArgumentParser) -> None:
+    """Describe the command."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     listing = actions.add_parser("list", help="the streams of the current mode")
     add_board_options(listing, run_list)

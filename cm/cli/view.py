@@ -26,14 +26,12 @@ class _Place(Protocol):
     def say(self, line: str) -> None: ...
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command."""
-    parser = subparsers.add_parser(
-        "view",
-        help="show a stream in the terminal or a window",
-        description="Keep drawing the newest frame until q or Ctrl-C is pressed: with sixels or kitty's graphics "
+def fill_parser(parser: argparse.ArgumentParser) -> None:
+    """Describe the command."""
+    parser.description = (
+        "Keep drawing the newest frame until q or Ctrl-C is pressed: with sixels or kitty's graphics "
         "protocol, if the terminal has them and the extra fpga-cm[view] is installed, otherwise with half blocks. "
-        "Works over ssh.",
+        "Works over ssh."
     )
     rate = parsed("a number of pictures per second", float, lambda value: 0 < value <= 1000)
     size = parsed("a size such as 80x24", extents, lambda s: len(s) == 2 and all(0 < extent <= 4096 for extent in s))

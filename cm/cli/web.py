@@ -23,15 +23,13 @@ if TYPE_CHECKING:
 PORT = 8470
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command."""
-    parser = subparsers.add_parser(
-        "web",
-        help="serve a page that shows a board in a browser",
-        description="Serve a page that shows the board's streams, modes, registers, interrupts and "
+def fill_parser(parser: argparse.ArgumentParser) -> None:
+    """Describe the command."""
+    parser.description = (
+        "Serve a page that shows the board's streams, modes, registers, interrupts and "
         "errors, and print its address. Anyone who has that address can see the page and,"
         " with --control, change modes and registers. The page is a client of the manager"
-        " like any other, with the rights of this user or those of --keys.",
+        " like any other, with the rights of this user or those of --keys."
     )
     add_connection_options(parser)
     parser.add_argument(

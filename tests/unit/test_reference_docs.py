@@ -22,6 +22,7 @@ SPELLINGS = {
     "Limit",
     "Key",
     "Array",
+    "NDArray",
     "OnProgress",
     "AnyRoot",
     "Source",

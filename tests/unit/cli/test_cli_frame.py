@@ -35,8 +35,7 @@ def command(monkeypatch: pytest.MonkeyPatch) -> Any:
     def install(run: Any) -> None:
         module = ModuleType("a_command")
 
-        def add_parser(subparsers: Any) -> None:
-            parser = subparsers.add_parser("try")
+        def fill_parser(parser: Any) -> None:
             parser.add_argument("--json", action="store_true")
             parser.add_argument("--longer", action="store_true")
             parser.add_argument("--kind", choices=["red", "blue"], help="it's a: kind")
@@ -44,7 +43,7 @@ def command(monkeypatch: pytest.MonkeyPatch) -> Any:
             nested = parser.add_subparsers(required=False)
             nested.add_parser("inject", help="order a fault").add_argument("--root")
 
-        module.add_parser = add_parser  # type: ignore[attr-defined]
+        module.fill_parser = fill_parser  # type: ignore[attr-defined]
         monkeypatch.setitem(sys.modules, "a_command", module)
         own = [command for command in COMMANDS if command.name in ("config", "completion")]
         table = (*own, Command("try", "a_command", "try something"))
