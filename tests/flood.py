@@ -135,18 +135,6 @@ def descriptors(pid: int) -> int:
     return sum(1 for _ in Path(f"/proc/{pid}/fd").iterdir())
 
 
-def watched_processes(pid: int) -> int:
-    """How many pidfds a process has: unlike sockets, which close when the other side's threads come to it."""
-    return sum("[pidfd]" in _link(link) for link in Path(f"/proc/{pid}/fd").iterdir())
-
-
-def _link(path: Path) -> str:
-    try:
-        return str(path.readlink())
-    except FileNotFoundError:  # it was closed meanwhile
-        return ""
-
-
 def resident_mib(pid: int) -> float:
     """The resident memory of a process."""
     for line in Path(f"/proc/{pid}/status").read_text("ascii").splitlines():

@@ -4,19 +4,13 @@
 from __future__ import annotations
 
 import gc
-import os
 from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from manager_process import Manager, served, until
 
 import cm
-from cm.device import DeviceBusy, DeviceNotFound, Icap, Root
-from cm.errors import NotFound
-from cm.server.devices import device_memory
 from cm.simulation.software import Board as SimBoard
 
 MIB = 1 << 20
@@ -80,35 +74,3 @@ def test_memory_stays_when_its_board_is_closed(manager: Manager) -> None:
         array = board.allocate((16, 16), np.float32)
     array[...] = 2.5
     assert float(array.sum()) == 640.0
-
-
-def test_without_a_port_a_channel_that_is_free_gives_memory(sim: SimBoard, monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(*_: Any, **__: Any) -> Icap:
-        raise DeviceNotFound(2, "no port", "/dev/cm_icap0")
-
-    monkeypatch.setattr("cm.server.devices.Icap.open", missing)
-    root = Root.of(sim.root)
-    memory = device_memory(5000, root)
-    assert (memory.length, os.fstat(memory.fd).st_size) == (8192, 8192)
-    assert memory.address % 4096 == 0
-    memory.free()
-    with pytest.raises((DeviceBusy, NotFound)), _all_open(root):
-        device_memory(5000, root)
-
-
-class _all_open:  # noqa: N801 - used like a function
-    """Open every channel of a board."""
-
-    def __init__(self, root: Root) -> None:
-        self._channels = [cm.device.AxiDma.open(name, root) for name in cm.device.list_dma(root)]
-
-    def __enter__(self) -> None: ...
-
-    def __exit__(self, *_: object) -> None:
-        for channel in self._channels:
-            channel.close()
-
-
-def test_a_board_that_has_neither_gives_none(tmp_path: Path) -> None:
-    with pytest.raises(NotFound, match="neither a configuration port nor a DMA channel"):
-        device_memory(4096, Root.of(tmp_path))

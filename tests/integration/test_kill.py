@@ -19,9 +19,7 @@ from manager_schemas import written
 import cm
 from cm import child
 from cm.client.errors import ConnectionLost, NoAnswer, RequestFailed
-from cm.device import DeviceGone, Root
 from cm.errors import CmError
-from cm.server.devices import BoardDevices
 from cm.simulation.software import Board as SimBoard
 
 Own = tuple[Manager, SimBoard]
@@ -73,23 +71,6 @@ def test_going_to_the_mode_that_is_loaded_asks_the_board_whether_it_is_there(own
         until(lambda: board.status.config_name == "")
         board.load("camera", "default")
         assert board.read("camera", timeout=60).shape == (480, 640)
-
-
-def test_the_board_is_probed_by_its_port_or_otherwise_by_a_window(own: Own) -> None:
-    _, sim = own
-    for port in (True, False):
-        if not port:
-            (sim.root / "dev/cm_icap0").rename(sim.root / "dev/elsewhere")
-        devices = BoardDevices(Root.of(sim.root))
-        devices.check()
-        sim.kill()
-        with pytest.raises(DeviceGone):
-            devices.check()
-        (sim.root / "dev/elsewhere").unlink(missing_ok=True)
-        sim.restart()
-        devices.lost()
-        devices.check()
-        devices.lost()
 
 
 def test_a_second_manager_of_the_same_board_is_refused_and_learns_who_holds_it(own: tuple[Manager, SimBoard]) -> None:

@@ -10,8 +10,7 @@ from typing import Any
 
 import pytest
 import zmq
-from flood import watched_processes
-from manager_process import Manager, served, until
+from manager_process import Manager, served
 
 from cm.cli.main import main
 from cm.client.errors import RequestBusy, RequestNotFound
@@ -45,47 +44,6 @@ def test_an_empty_lease_takes_nothing(manager: Manager, context: zmq.Context[Any
     assert code(lease(context, manager)) == "invalid_request"
     with manager.connected() as board:
         assert board.status.leases == ()
-
-
-@pytest.mark.parametrize("pid", [1 << 31, (1 << 32) - 1, (1 << 22) + 1])
-def test_a_pid_that_no_process_has_takes_nothing(manager: Manager, context: zmq.Context[Any], pid: int) -> None:
-    assert code(lease(context, manager, scope="board", seconds=3600, pid=pid)) == "invalid_request"
-    with manager.connected() as board:
-        assert board.status.leases == ()
-
-
-def test_a_client_holds_so_many_and_their_descriptors_come_back(manager: Manager, context: zmq.Context[Any]) -> None:
-    assert manager.process is not None
-    before = watched_processes(manager.process.pid)
-    taken = [
-        lease(context, manager, scope="registers:focus", seconds=3600, pid=os.getpid(), holder="me") for _ in range(500)
-    ]
-    assert [code(reply) for reply in taken] == [""] * 32 + ["too_many_leases"] * 468
-    assert watched_processes(manager.process.pid) == before + 32
-    for reply in taken[:32]:
-        assert code(lease(context, manager, id=reply.body.id, release=True)) == ""  # type: ignore[union-attr]
-    assert watched_processes(manager.process.pid) == before
-    with manager.connected() as board:
-        assert board.status.leases == ()
-
-
-def test_expired_leases_keep_no_descriptor(manager: Manager, context: zmq.Context[Any]) -> None:
-    """980 short ones and a connection ended the manager."""
-    assert manager.process is not None
-    before = watched_processes(manager.process.pid)
-    for _ in range(980):
-        taken = lease(context, manager, scope="registers:focus", seconds=0.001, pid=os.getpid(), holder="me")
-        assert code(taken) in ("", "too_many_leases")
-        assert watched_processes(manager.process.pid) <= before + 32
-
-    def none_watched() -> bool:  # those that have ended are found at the next one
-        taken = lease(context, manager, scope="registers:focus", seconds=0.001)
-        assert manager.process is not None
-        return code(taken) == "" and watched_processes(manager.process.pid) == before
-
-    until(none_watched, 60)
-    with manager.connected() as board:
-        until(lambda: board.status.leases == (), 60)
 
 
 def test_leases_are_listed_without_their_ids_and_broken_by_number(

@@ -14,10 +14,7 @@ from manager_process import CAMERA, Manager, short_folder, until
 
 import cm
 from cm.client.errors import RequestBusy
-from cm.client.stream import LocalStream
 from cm.simulation.software import Board as SimBoard
-
-MIB = 1 << 20
 
 
 class Limited:
@@ -98,53 +95,6 @@ def test_no_signal_is_needed(limited: Limited, board: cm.Board) -> None:
     with board.lease("registers:focus", exclusive=False):
         limited.write(leases=1)
         until(lambda: refused(board) == "too_many_leases", 60)
-
-
-def test_the_slots_of_a_running_stream_follow_the_settings(limited: Limited, board: cm.Board) -> None:
-    with board.stream("camera", depth=8, timeout=60) as first:
-        first.read()
-        limited.reload(slots_each=8)
-        with pytest.raises(RequestBusy, match="one process gets 8"):
-            board.stream("camera", depth=1, timeout=60).read()
-        limited.reload(slots_each=10)
-        with board.stream("camera", depth=8, timeout=60) as second:
-            assert isinstance(second, LocalStream)
-            assert (second.read(), second.geometry)[1].depth == 2  # type: ignore[union-attr]
-            assert first.read().sequence >= 0
-
-
-def test_memory_for_masters_is_limited_per_process_and_reported(limited: Limited, board: cm.Board) -> None:
-    limited.reload(memory_each_mib=2, memory_mib=3)
-    kept = board.allocate(2 * MIB)
-    with pytest.raises(RequestBusy, match=r"2 MiB for one process \(limits.memory_each_mib\); pid \d+"):
-        board.allocate(1)
-    (mine,) = [client for client in board.clients() if client.memory_bytes]
-    assert (mine.name.split()[:2], mine.memory_bytes) == (["pid", str(os.getpid())], 2 * MIB)
-    limited.reload(memory_each_mib=8, memory_mib=3)
-    with pytest.raises(RequestBusy, match=r"3 MiB together; 2097152 bytes are taken \(pid \d+"):
-        board.allocate(2 * MIB)
-    kept.free()
-    until(lambda: not any(client.memory_bytes for client in board.clients()), 60)
-
-
-def test_allocations_are_counted_however_small(limited: Limited, board: cm.Board) -> None:
-    kept = [board.allocate(1) for _ in range(64)]
-    with pytest.raises(RequestBusy, match="has 64 pieces of memory for masters in the PL"):
-        board.allocate(1)
-    kept.clear()
-    until(lambda: not any(client.memory_bytes for client in board.clients()), 60)
-
-
-def test_uploads_and_quotas_are_those_of_the_file(limited: Limited, board: cm.Board, tmp_path: Path) -> None:
-    schema = tmp_path / "mine.yaml"
-    schema.write_text("config: {name: mine, modules: {m: {}}, modes: {m: {modules: [m]}}}\n", encoding="utf-8")
-    limited.reload(provisioned_each_mib=0)
-    with pytest.raises(RequestBusy) as caught:
-        board.provision(schema)
-    assert caught.value.code == "quota"
-    limited.reload(upload_mib=1)
-    with pytest.raises(RequestBusy, match=r"limits\.upload_mib"):
-        board.write("camera", bytes(5 * MIB))
 
 
 def test_settings_that_need_a_restart_are_reported(limited: Limited) -> None:

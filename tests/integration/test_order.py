@@ -6,18 +6,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
 import pytest
 import zmq
-from manager_process import CAMERA, Manager, patient, served, stalled, until
+from manager_process import Manager, patient, served, until
 
 import cm
 from cm.simulation.software import Board as SimBoard
 from cm.wire.encode import decode_reply, encode_request
 from cm.wire.messages import requests as rq
 from cm.wire.messages.status import ErrorInfo, Reply
-
-TO_EDGE = rq.ChangeMode("camera", "edge_detection", no_wait=True, force=True)
 
 
 @pytest.fixture(scope="module")
@@ -106,76 +103,3 @@ def published(publisher: Any, board: cm.Board) -> bool:
     """Whether publications arrive yet: subscriptions take time."""
     publisher.send_multipart([b"cm_write_reg", b"{ 'scratch':77}"])
     return board.registers["scratch"] == 77
-
-
-def test_a_write_to_a_register_of_the_coming_mode_succeeds(board: cm.Board, sender: Sender) -> None:
-    sender.send(TO_EDGE, write("threshold", 9))
-    assert [error(reply) for reply in sender.replies(2)] == [None, None]
-    assert board.registers["threshold"] == 9
-
-
-def test_a_write_waits_only_for_a_change_that_touches_its_register(
-    board: cm.Board, sender: Sender, slow: tuple[Manager, SimBoard]
-) -> None:
-    with stalled(slow[1]):
-        sender.send(rq.ChangeMode("camera", "edge_detection", force=True), write("scratch", 5))
-        assert [error(reply) for reply in sender.replies(1)] == [None]
-        assert sender.arrived == [1]  # the write was answered before the change had ended
-    assert [error(reply) for reply in sender.replies(1)] == [None]
-
-
-def test_no_sender_waits_for_another_senders_change(
-    board: cm.Board, sender: Sender, context: zmq.Context[Any], slow: tuple[Manager, SimBoard]
-) -> None:
-    other = Sender(context, slow[0])
-    other.send(rq.ReadStatus())
-    other.replies(1)
-    with stalled(slow[1]):
-        sender.send(TO_EDGE)
-        until(lambda: (p := board.status.progress) is not None and p.step == "load")
-        other.send(write("focus", 8))
-        [refused] = other.replies(1)
-        assert refused.error is not None
-        assert refused.error.code == "region_busy"
-    until(lambda: not board.status.fpga_busy)
-
-
-def test_reads_never_wait_and_a_cancel_overtakes(
-    board: cm.Board, sender: Sender, slow: tuple[Manager, SimBoard]
-) -> None:
-    with stalled(slow[1]):
-        sender.send(TO_EDGE, write("focus", 6), rq.ReadStatus(), rq.CancelChange())
-        sender.replies(3)
-        assert sender.arrived == [0, 2, 3]
-    sender.replies(1)
-    assert sender.arrived == [1]  # the write last: it waited for the change
-    until(lambda: not board.status.fpga_busy)
-    assert board.registers["focus"] == 6
-    assert board.mode in ("default", "edge_detection")
-
-
-def test_a_configuration_is_there_for_the_change_behind_it(
-    board: cm.Board, sender: Sender, slow: tuple[Manager, SimBoard]
-) -> None:
-    folder = slow[1].root / "lib/firmware/cm/camera"
-    files = tuple(rq.File(path.name, path.read_bytes()) for path in sorted(folder.iterdir()))
-    text = (CAMERA / "camera.yaml").read_text().replace("name: camera", "name: second", 1)
-    sender.send(rq.Provision(text, files), rq.ChangeMode("second", "default"), write("focus", 3))
-    assert [error(reply) for reply in sender.replies(3)] == [None, None, None]
-    assert (board.status.config_name, board.registers["focus"]) == ("second", 3)
-
-
-def test_a_memory_is_written_before_the_register_behind_it(board: cm.Board, sender: Sender) -> None:
-    info = board.memories["scratchpad"].info
-    values = np.arange(info.size, dtype=np.uint8)
-    data = memoryview(values.tobytes())
-    sender.send(rq.WriteData("scratchpad", data), write("scratch", 1), rq.ReadData("scratchpad"))
-    written, register, read = sender.replies(3)
-    assert [error(reply) for reply in (written, register, read)] == [None] * 3
-    assert bytes(read.payload[0]) == values.tobytes()
-
-
-def test_an_unknown_name_is_refused_even_during_a_change(board: cm.Board, sender: Sender) -> None:
-    sender.send(TO_EDGE, rq.WriteData("nothing", memoryview(b"1234")), write("nothing", 1))
-    codes = [reply.error.code if reply.error else "" for reply in sender.replies(3)]
-    assert codes == ["", "unknown_stream", "unknown_register"]

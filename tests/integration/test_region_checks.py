@@ -12,7 +12,7 @@ from manager_process import Manager, served
 import cm
 from cm.cli.main import main
 from cm.client.core import calls
-from cm.client.errors import RequestBusy, RequestFailed, RequestInvalid, RequestNotFound
+from cm.client.errors import RequestFailed, RequestInvalid, RequestNotFound
 from cm.simulation.software import Board as SimBoard
 from cm.wire.messages.requests import CheckRegion
 from cm.wire.messages.status import RegionCheck
@@ -94,16 +94,6 @@ def test_the_regions_own_stream_goes_on_where_frames_are_written_anew(two: Two) 
     sim.control.resume("other")
 
 
-def test_a_lease_on_the_region_keeps_others_from_repairing_it_but_not_from_looking(two: Two) -> None:
-    board, _, manager = two
-    with manager.connected() as holder, holder.lease("region:left"):
-        assert board.check_region("left").verdict == "good"
-        with pytest.raises(RequestBusy) as refused:
-            board.check_region("left", repair=True)
-        assert refused.value.code == "held_by"
-        assert holder.check_region("left", repair=True).verdict == "good"
-
-
 def test_what_cannot_be_done_is_said(two: Two) -> None:
     board, sim, _ = two
     with pytest.raises(RequestNotFound, match="no region 'lefd'; did you mean 'left'"):
@@ -117,30 +107,6 @@ def test_what_cannot_be_done_is_said(two: Two) -> None:
         assert refused.value.code == "no_readback"
     with pytest.raises(RequestInvalid, match="goes with repair"):
         board.ask(calls.Call(CheckRegion("left", reload=True), lambda reply: calls._body(reply, RegionCheck)))
-
-
-def test_checks_of_one_client_are_bounded_and_all_that_were_taken_are_answered(two: Two) -> None:
-    import threading
-
-    _, _, manager = two
-    said: list[str] = []
-
-    def ask() -> None:
-        with manager.connected() as board:
-            try:
-                said.append(board.check_region("left", timeout=60).verdict)
-            except RequestBusy as error:
-                said.append(error.code)
-
-    threads = [threading.Thread(target=ask) for _ in range(12)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert set(said) <= {"good", "busy"}
-    assert said.count("good") >= 7
-    with manager.connected() as board:  # what was counted is given back
-        assert [board.check_region("left").verdict for _ in range(8)] == ["good"] * 8
 
 
 def test_the_command_says_what_wrong_bits_are_part_of_where_a_database_knows(

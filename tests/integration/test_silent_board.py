@@ -15,7 +15,6 @@ from manager_process import Manager, environment, served, until
 
 import cm
 from cm.client.errors import RequestFailed, TransferFailed
-from cm.client.stream import Stream
 from cm.errors import CmError, Timeout
 from cm.simulation.software import Board as SimBoard
 
@@ -72,39 +71,6 @@ def again(call: Callable[[], object]) -> None:
         return True
 
     until(done)
-
-
-def _told(stream: Stream) -> str:
-    """Why there is no frame now; empty if there is one."""
-    try:
-        stream.read(timeout=0.3)
-    except Timeout as error:
-        return str(error).rpartition(": ")[2]
-    return ""
-
-
-def test_a_stream_whose_board_is_stopped_ends_and_goes_on_with_it(board: cm.Board, own: Own) -> None:
-    with board.stream("camera", timeout=60) as stream:
-        held = [stream.read(timeout=60) for _ in range(3)]
-        with stopped(own[1]):
-            held.clear()  # what is given back goes to the board
-            answers(board)
-            until(lambda: board.status.last_error is not None)
-            error = board.status.last_error
-            assert error is not None
-            assert "'camera' ended: Connection timed out" in error.message
-            for _ in range(3):  # ticks of the manager come and go
-                at_once(lambda: answers(board))
-                time.sleep(1.0)
-            until(lambda: _told(stream) == "it is stopped")  # behind those frames that had come before
-
-            def read() -> None:
-                with pytest.raises(Timeout, match="board does not answer"):
-                    board.read("camera")
-
-            at_once(read)
-        assert stream.read(timeout=60).shape == (480, 640)
-        assert board.read("camera", timeout=60).shape == (480, 640)
 
 
 def test_registers_fail_after_a_time_out_and_then_at_once(board: cm.Board, own: Own) -> None:

@@ -16,8 +16,7 @@ from manager_process import Manager, served, until
 
 import cm
 from cm.cli.main import main
-from cm.client.stream import LocalStream
-from cm.errors import Busy, InvalidRequest, Timeout
+from cm.errors import Busy, Timeout
 from cm.simulation.software import Board as SimBoard
 from cm.wire import cm_pb2 as pb
 from cm.wire.messages.status import StreamStatus
@@ -112,24 +111,6 @@ def test_the_frame_stores_of_a_vdma_are_the_slots(video: cm.Board, vdma: tuple[M
     video.configure_stream("from_pl", automatic=True)
 
 
-@pytest.mark.parametrize(
-    ("wrong", "why"),
-    [
-        ({"shape": (4096,)}, "lines and columns"),
-        ({"shape": (2, 65536)}, "a line has 65536 bytes"),
-        ({"shape": (2, 20000), "dtype": "float32"}, "a line has 80000 bytes"),
-    ],
-)
-def test_settings_beyond_a_vdma_are_refused_before_the_stream_is_used(
-    video: cm.Board, wrong: dict[str, Any], why: str
-) -> None:
-    before = settings(video, "from_pl")
-    with pytest.raises(InvalidRequest, match=why):
-        video.configure_stream("from_pl", **wrong)
-    assert settings(video, "from_pl") == before
-    video.configure_stream("from_pl", shape=(2, 65535))
-
-
 # ---- one-shot and cyclic -----------------------------------------------------------------
 
 
@@ -171,34 +152,6 @@ def test_a_running_cycle_ends_when_it_is_switched_off_by_force(loop: cm.Board) -
 
 
 # ---- refusals ------------------------------------------------------------------------------
-
-WRONG: list[tuple[dict[str, Any], str]] = [
-    ({"direction": "mm2s"}, "s2mm, not 'mm2s'"),
-    ({"dtype": "{'a'"}, "dtype"),
-    ({"shape": (480, 0)}, "extents"),
-    ({"shape": (1 << 26,)}, "67108864 bytes"),  # one more than the DMA's length register holds
-    ({"shape": (-1,)}, "out of its range"),
-    ({"slots": 257}, "1 to 256"),
-    ({"slots": -1}, "out of its range"),
-    ({"rate": float("nan")}, "positive"),
-    ({"stride": 639}, "640"),
-    ({"cyclic": True}, "written"),
-    ({"compression": "zip"}, "zip"),
-]
-
-
-def test_impossible_settings_change_nothing_and_no_reader_notices(board: cm.Board) -> None:
-    with board.stream("camera", timeout=60) as stream:
-        assert isinstance(stream, LocalStream)
-        first = stream.read().sequence
-        before = settings(board, "camera")
-        for wrong, why in WRONG:
-            with pytest.raises(InvalidRequest, match=why):
-                board.configure_stream("camera", force=True, **{"backpressure": True, "rate": 9.0, **wrong})
-            assert settings(board, "camera") == before
-        assert stream._connection is not None
-        assert stream._connection.stopped == 0
-        assert stream.read().sequence > first
 
 
 def test_a_stream_in_use_is_changed_by_force_only_but_any_client_may_set_the_same(loop: cm.Board) -> None:

@@ -4,13 +4,15 @@
 from __future__ import annotations
 
 import errno
+import os
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from cm.device import DeviceGone, DeviceNotFound, Root
+from cm.device import DeviceBusy, DeviceGone, DeviceNotFound, Root
+from cm.errors import NotFound
 from cm.manager.errors import NoWindow, UnknownConfig
 from cm.server import board_watch, devices
 from cm.server.board_watch import BoardWatch
@@ -112,6 +114,75 @@ def test_a_board_without_what_lends_registers_says_why(tmp_path: Path, monkeypat
     ):
         with pytest.raises(NoWindow, match=f"^{why}; they go by requests as before$"):
             BoardDevices(root).windows()
+
+
+class Gives:
+    """A port or channel that gives memory; `log`: what was done. Without an address its kernel module is an old one."""
+
+    def __init__(self, name: str, log: list[str], kind: str) -> None:
+        self.name, self.log, self.address = name, log, 0 if kind == "old" else 0x1000
+
+    def allocate(self, length: int) -> Any:
+        self.log.append(f"{self.name} gives {length}")
+        fd = os.memfd_create("memory")
+        return SimpleNamespace(
+            fd=fd, length=8, coherent=True, address=self.address, close=lambda: self._closed("memory", fd)
+        )
+
+    def _closed(self, what: str, fd: int = -1) -> None:
+        self.log.append(f"close {what}")
+        if fd >= 0:
+            os.close(fd)
+
+    def close(self) -> None:
+        self._closed(self.name)
+
+    def __enter__(self) -> Gives:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+@pytest.mark.parametrize(
+    ("there", "did", "refused"),
+    [
+        ({"port": ""}, ["port gives 5", "close memory", "close port"], None),
+        ({"port": "old", "a": ""}, ["port gives 5", "close memory", "close port"], "it is older than this package"),
+        ({"a": "busy", "b": "", "c": ""}, ["b gives 5", "close b"], None),
+        ({"a": "old"}, ["a gives 5", "close memory", "close a"], "does not report the addresses of memory"),
+        ({"a": "busy", "b": "busy"}, [], "b is open"),
+        ({}, [], "no device of this board gives memory: it has neither a configuration port nor a DMA channel"),
+    ],
+    ids=lambda given: "+".join(given) if isinstance(given, dict) else "",
+)
+def test_memory_is_that_of_the_port_or_else_of_a_channel_that_is_free(
+    monkeypatch: pytest.MonkeyPatch, there: dict[str, str], did: list[str], refused: str | None
+) -> None:
+    log, root = list[str](), Root.of("/")
+
+    def open_(name: str, given: Root) -> Gives:
+        assert given is root
+        if name not in there:
+            raise DeviceNotFound(errno.ENOENT, f"no {name}")
+        if there[name] == "busy":
+            raise DeviceBusy(errno.EBUSY, f"{name} is open")
+        return Gives(name, log, there[name])
+
+    monkeypatch.setattr(devices, "Icap", SimpleNamespace(open=lambda root: open_("port", root)))
+    monkeypatch.setattr(devices, "AxiDma", SimpleNamespace(open=open_))
+    monkeypatch.setattr(devices, "list_dma", lambda given: [name for name in there if given is root])
+    if refused is not None:
+        with pytest.raises((DeviceBusy, NotFound), match=refused):
+            BoardDevices(root).memory(5)
+    else:
+        memory = BoardDevices(root).memory(5)
+        assert (memory.length, memory.coherent, memory.address) == (8, True, 0x1000)
+        os.fstat(memory.fd)
+        memory.free()
+        with pytest.raises(OSError, match="Bad file descriptor"):
+            os.fstat(memory.fd)
+    assert log == did
 
 
 def test_what_the_kernel_says_of_itself(tmp_path: Path) -> None:

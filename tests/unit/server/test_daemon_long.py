@@ -7,23 +7,22 @@ import contextlib
 import errno
 import hashlib
 import os
-import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
-from daemon_thread import HUNG, Daemon, Subscriber, daemon
+from daemon_thread import Daemon, Subscriber, daemon
+from data_client import Client
 from manager_process import until
 
-from cm.device import AxiDma, DeviceNotFound, DmaBuffer, Icap
+from cm.device import DeviceNotFound, Icap
 from cm.manager.manager import Settings
 from cm.server.settings.model import USUAL
 from cm.wire import plane_packets as packets
 from cm.wire.messages import requests as rq
 from cm.wire.messages.requests import ChangeMode, ConfigureStream, File, ReadReg, RegWrite, Upload, WriteReg
 from cm.wire.messages.status import RegValues, UploadInfo
-from cm.wire.plane_packets import Descriptor, Open
+from cm.wire.plane_packets import Open
 
 FRAME = 48 * 64
 PICTURE = bytes(index % 251 for index in range(FRAME))
@@ -78,25 +77,6 @@ def test_a_frame_sent_in_parts_is_written_once(flowing: Daemon) -> None:
     assert uploaded(flowing) == 0
     code, message = flowing.refused(rq.WriteData("to_pl", upload="a"))
     assert (code, "there is no upload of that name" in message) == ("unknown_upload", True)
-
-
-def test_an_incomplete_upload_is_not_used_until_it_is_complete(flowing: Daemon) -> None:
-    flowing.done(Upload("a", FRAME, 0, PICTURE[:10]))
-    code, message = flowing.refused(rq.WriteData("to_pl", upload="a"))
-    assert (code, f"10 of {FRAME} bytes are there" in message) == ("unknown_upload", True)
-    flowing.done(Upload("a", FRAME, 10, PICTURE[10:]))
-    flowing.done(rq.WriteData("to_pl", upload="a"))
-    assert uploaded(flowing) == 0
-
-
-def test_unused_uploads_are_limited_in_bytes(camera: Daemon) -> None:
-    assert camera.done(Upload("a", MOST - 10, 0, b"x")).got == 1
-    assert camera.refused(Upload("b", 11, 0, b"x"))[0] == "too_much_uploaded"
-    camera.done(Upload("b", 10, 0, b"x"))
-    assert uploaded(camera) == MOST
-    for name in ("a", "b"):
-        camera.done(Upload(name, discard=True))
-    assert uploaded(camera) == 0
 
 
 SENT = """
@@ -154,13 +134,6 @@ def values(told: RegValues) -> list[int]:
     return [value.value for value in told.values]
 
 
-def test_many_registers_are_read_like_a_few(camera: Daemon) -> None:
-    few = camera.done(ReadReg(("focus", "zoom")))
-    many = camera.done(ReadReg(("focus", "zoom") * (MANY // 2)))
-    assert values(many) == values(few) * (MANY // 2)
-    assert (many.config_name, many.mode) == ("camera", "default")
-
-
 def test_many_writes_take_effect_in_their_order_and_are_published(camera: Daemon) -> None:
     seen = Subscriber(camera, b"cm_read_reg")
     done = camera.done(WriteReg(tuple(RegWrite("focus", number % 16) for number in range(MANY))))
@@ -169,25 +142,6 @@ def test_many_writes_take_effect_in_their_order_and_are_published(camera: Daemon
     assert values(told)[-1] == (MANY - 1) % 16
     assert values(camera.done(ReadReg(("focus",)))) == [(MANY - 1) % 16]
     seen.close()
-
-
-def test_a_request_after_many_writes_of_the_same_sender_sees_them(camera: Daemon) -> None:
-    camera.send(WriteReg(tuple(RegWrite("focus", number % 16) for number in range(MANY))))
-    camera.send(ReadReg(("focus",)))
-    first, second = camera.reply(), camera.reply()
-    assert isinstance(first.body, RegValues)
-    assert len(first.body.values) == MANY
-    assert isinstance(second.body, RegValues)
-    assert values(second.body) == [(MANY - 1) % 16]
-
-
-def test_one_wrong_write_among_many_is_refused_before_any_is_made(camera: Daemon) -> None:
-    camera.done(WriteReg((RegWrite("focus", 3),)))
-    writes = [RegWrite("focus", number % 16) for number in range(MANY)]
-    code, message = camera.refused(WriteReg((*writes, RegWrite("focsu", 1))))
-    assert (code, "did you mean 'focus'?" in message) == ("unknown_register", True)
-    assert values(camera.done(ReadReg(("focus",)))) == [3]
-    assert camera.refused(ReadReg((*["focus"] * MANY, "focsu")))[0] == "unknown_register"
 
 
 def test_a_write_that_is_long_to_read_keeps_its_place_among_the_senders_requests(camera: Daemon) -> None:
@@ -212,37 +166,11 @@ def test_a_write_that_is_long_to_read_keeps_its_place_among_the_senders_requests
     assert values(camera.done(ReadReg(("focus", "led")))) == [9, 5]
 
 
-def test_many_writes_against_a_lease_are_refused(camera: Daemon) -> None:
-    lease = camera.done(rq.TakeLease("registers:focus", holder="me"))
-    writes = tuple(RegWrite("focus", 3) for _ in range(MANY))
-    assert camera.refused(WriteReg(writes))[0] == "held_by"
-    assert values(camera.done(WriteReg(writes, lease.id))) == [3] * MANY
-    camera.done(rq.ReleaseLease(lease.id))
-
-
 # ---- memory for masters in the PL --------------------------------------------------------------
 
 
-class Allocated:
-    """A client that asks for memory."""
-
-    def __init__(self, daemon: Daemon, length: int) -> None:
-        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self.socket.connect(str(daemon.folder / "run" / packets.SOCKET))
-        self.socket.settimeout(HUNG / 1000)
-        self.socket.send(packets.encode_open(Open("", allocate=True, length=length)))
-
-    def next(self, kind: int) -> tuple[Descriptor, bytes, list[int]]:
-        while True:
-            data, fds, _, _ = socket.recv_fds(self.socket, packets.PACKET_MAX, packets.FDS_MAX)
-            head = Descriptor(*packets.DESCRIPTOR.unpack_from(data))
-            if head.kind == kind:
-                return head, data, fds
-            for fd in fds:
-                os.close(fd)
-
-    def close(self) -> None:
-        self.socket.close()
+def allocated(daemon: Daemon, length: int) -> contextlib.closing[Client]:
+    return contextlib.closing(Client(daemon, Open("", allocate=True, length=length)))
 
 
 def memory_used(daemon: Daemon) -> int:
@@ -251,8 +179,8 @@ def memory_used(daemon: Daemon) -> int:
 
 def test_memory_has_an_address_and_is_freed_with_its_client(camera: Daemon) -> None:
     until(lambda: memory_used(camera) == 0)
-    with contextlib.closing(Allocated(camera, PAGE + 1)) as client:
-        geometry = packets.decode_geometry(client.next(packets.GEOMETRY)[1])
+    with allocated(camera, PAGE + 1) as client:
+        geometry = client.geometry()
         assert (geometry.slot_length, geometry.frame_length, geometry.depth) == (2 * PAGE, PAGE + 1, 1)
         assert (geometry.stream, geometry.shape, geometry.writable) == ("memory", (PAGE + 1,), True)
         _, _, fds = client.next(packets.SLOTS)
@@ -271,45 +199,8 @@ def test_a_board_without_a_configuration_port_gives_memory_of_a_channel(
         raise DeviceNotFound(errno.ENOENT, "no /dev/cm_icap0")
 
     monkeypatch.setattr(Icap, "open", none)
-    before = len(list(Path("/proc/self/fd").iterdir()))
-    with contextlib.closing(Allocated(camera, PAGE + 1)) as client:
-        head, _, _ = client.next(packets.ADDRESS)
-        assert (head.length, head.sequence % PAGE, head.sequence > 0) == (PAGE + 1, 0, True)
-    until(lambda: len(list(Path("/proc/self/fd").iterdir())) <= before)
-    monkeypatch.setattr("cm.server.devices.list_dma", lambda _: ())
-    with contextlib.closing(Allocated(camera, PAGE)) as client:
-        code, message = packets.decode_refused(client.next(packets.REFUSED)[1])
-    assert (code, "it has neither a configuration port nor a DMA channel" in message) == ("not_found", True), message
-
-
-def unknown(allocate: Callable[..., DmaBuffer], *given: object) -> DmaBuffer:
-    made = allocate(*given)
-    made.address = 0
-    return made
-
-
-@pytest.mark.parametrize("port", [True, False], ids=["of the port", "of a channel"])
-def test_memory_whose_address_is_not_known_is_given_back(
-    camera: Daemon, monkeypatch: pytest.MonkeyPatch, port: bool
-) -> None:
-    if not port:
-        monkeypatch.setattr(
-            "cm.server.devices.port_memory", lambda *_: (_ for _ in ()).throw(DeviceNotFound(2, "none"))
-        )
-    for device in (Icap, AxiDma):
-        monkeypatch.setattr(device, "allocate", lambda *given, allocate=device.allocate: unknown(allocate, *given))
-    with contextlib.closing(Allocated(camera, PAGE)) as client:
-        code, message = packets.decode_refused(client.next(packets.REFUSED)[1])
-    assert (code, "it is older than this package" in message) == ("not_found", True), message
-    until(lambda: memory_used(camera) == 0)
-
-
-def test_clients_get_separate_memory(camera: Daemon) -> None:
-    with contextlib.ExitStack() as stack:
-        made = [stack.enter_context(contextlib.closing(Allocated(camera, PAGE))) for _ in range(3)]
-        addresses = {client.next(packets.ADDRESS)[0].sequence for client in made}
-    assert len(addresses) == 3
-    until(lambda: memory_used(camera) == 0)
+    with allocated(camera, PAGE + 1) as client:
+        assert client.next(packets.ADDRESS)[0].length == PAGE + 1
 
 
 @pytest.mark.parametrize(
@@ -317,13 +208,6 @@ def test_clients_get_separate_memory(camera: Daemon) -> None:
     [(0, "invalid_request", "memory has at least one byte"), (8 * PAGE + 1, "busy", "MiB for one process")],
 )
 def test_an_impossible_allocation_is_refused(camera: Daemon, length: int, code: str, words: str) -> None:
-    with contextlib.closing(Allocated(camera, length)) as client:
-        found, message = packets.decode_refused(client.next(packets.REFUSED)[1])
+    with allocated(camera, length) as client:
+        found, message = client.refusal()
     assert (found, words in message) == (code, True), message
-
-
-def test_memory_is_given_up_to_the_limit(camera: Daemon) -> None:
-    until(lambda: memory_used(camera) == 0)
-    with contextlib.closing(Allocated(camera, 8 * PAGE)) as client:
-        assert client.next(packets.ADDRESS)[0].length == 8 * PAGE
-    until(lambda: memory_used(camera) == 0)

@@ -480,12 +480,19 @@ def test_a_stream_runs_as_long_as_it_is_enabled(camera: Daemon) -> None:
     assert camera.ask(rq.ReadData("camera", 30.0)).error is None
 
 
-def test_what_the_channel_refuses_changes_nothing(camera: Daemon) -> None:
+def test_what_the_channel_refuses_changes_nothing_and_no_reader_notices(
+    camera: Daemon, client: Callable[..., Client]
+) -> None:
     before = settings(camera.stream("camera"))
-    code, message = camera.refused(ConfigureStream("camera", shape=(1 << 27,), enable=True, backpressure=True))
-    assert (code, "134217728 bytes" in message) == ("invalid_request", True), message
-    assert settings(camera.stream("camera")) == before
-    assert not camera.stream("camera").open
+    wrong = ConfigureStream("camera", shape=(1 << 27,), enable=True, backpressure=True, force=True)
+    for reader in (None, client(camera, Open("camera"))):
+        code, message = camera.refused(wrong)
+        assert (code, "134217728 bytes" in message) == ("invalid_request", True), message
+        assert settings(camera.stream("camera")) == before
+        if reader is not None:
+            assert reader.next(packets.FRAME, packets.STOPPED)[0].kind == packets.FRAME
+            reader.close()
+    until(lambda: not camera.stream("camera").open)
 
 
 def test_a_stream_says_whether_its_frames_have_to_be_whole() -> None:
@@ -554,11 +561,17 @@ def test_a_board_that_stops_answering_is_reported_and_taken_up_again(
 def test_a_board_that_was_started_anew_holds_nothing() -> None:
     with daemon() as made:
         made.load("default")
+        made.done(rq.WriteReg((rq.RegWrite("focus", 5),)))
+        read = rq.ReadReg(("focus",))
+        assert [made.done(read).values[0].value for _ in range(3)] == [5] * 3
         seen = Subscriber(made)
         made.board.kill()
+        assert made.refused(read)[0] == "device_gone"
         made.board.start()
         told = seen.until(Status, lambda status: not status.config_name)
         assert told.streams == ()
         seen.close()
+        assert made.refused(read)[0] == "nothing_loaded"
         made.load("default")
+        assert made.done(read).values[0].value == 1
         assert made.ask(rq.ReadData("camera", 60.0)).error is None
