@@ -14,6 +14,7 @@ from cm.cli.common import print_table
 from cm.errors import InvalidRequest
 
 if TYPE_CHECKING:
+    from cm.tools.bench.catalogue import Case
     from cm.tools.bench.result import Result
     from cm.tools.bench.run import Run
 
@@ -94,10 +95,9 @@ def _bench(args: argparse.Namespace, folder: Path, cpu: int | None) -> Run:
     return Run(folder, args.quick, cpu, cpus, tuple(args.names), args.boards, args.store)
 
 
-def _measure(case: object, bench: Run, names: list[str]) -> list[Result]:
+def _measure(case: Case, bench: Run, names: list[str]) -> list[Result]:
     from cm.tools.bench import catalogue
 
-    assert isinstance(case, catalogue.Case)
     print(f"cm bench: {case.module} …", file=sys.stderr, flush=True)
     return [result for result in catalogue.measure(case, bench) if not names or result.name in names]
 

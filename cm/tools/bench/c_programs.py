@@ -9,7 +9,6 @@ import shutil
 import subprocess
 from importlib import resources
 from pathlib import Path
-from types import TracebackType
 
 from cm.errors import CmError
 from cm.tools.bench.peer import Unavailable
@@ -70,9 +69,7 @@ class Copies:
     def __enter__(self) -> Copies:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._process.communicate()
 
 
@@ -89,8 +86,6 @@ class TimedPort:
     def __enter__(self) -> TimedPort:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._process.kill()
         self._process.communicate()

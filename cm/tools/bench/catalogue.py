@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from importlib import import_module
-from typing import NamedTuple, Protocol, cast
+from typing import NamedTuple
 
 from cm.errors import InvalidRequest
 from cm.tools.bench.result import Result
@@ -13,17 +13,13 @@ from cm.tools.bench.run import Run
 
 
 class Case(NamedTuple):
-    """A module of `cm.tools.bench.cases`, and the names of its results."""
+    """A module of `cm.tools.bench.cases`, and the names of its results.
+
+    Its ``run(bench)`` returns a result for each, marked if it cannot be had.
+    """
 
     module: str
     names: tuple[str, ...]
-
-
-class CaseModule(Protocol):
-    """The interface of such a module."""
-
-    def run(self, bench: Run) -> list[Result]:
-        """Measure; returns a result for each name, marked if it cannot be had."""
 
 
 CASES = (
@@ -61,4 +57,5 @@ def chosen(names: Sequence[str]) -> list[Case]:
 
 def measure(case: Case, bench: Run) -> list[Result]:
     """Run a case."""
-    return cast(CaseModule, import_module(f"cm.tools.bench.cases.{case.module}")).run(bench)
+    found: list[Result] = import_module(f"cm.tools.bench.cases.{case.module}").run(bench)
+    return found

@@ -12,7 +12,6 @@ import subprocess
 import time
 from collections.abc import Iterable
 from pathlib import Path
-from types import TracebackType
 
 from cm.child import command, environment
 from cm.simulation.software.errors import SimError
@@ -165,9 +164,7 @@ class Board:
     def __enter__(self) -> Board:
         return self.start()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _running(self) -> Child | Adopted:

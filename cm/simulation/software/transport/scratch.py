@@ -12,7 +12,6 @@ import fcntl
 import os
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from types import TracebackType
 
 LOCK = ".cm-sim.lock"  # of the simulator that serves a folder, which may outlive the folder's owner
 
@@ -65,9 +64,7 @@ class Scratch:
     def __enter__(self) -> Path:
         return self.path
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

@@ -138,10 +138,6 @@ class PicturesNear:
                 return (int(_ARRIVED.unpack(os.read(self._pipe, _ARRIVED.size))[0]) - began) / 1e3
         raise CmError("no picture arrives over zenoh")
 
-    def trip(self) -> None:
-        """Not of this peer."""
-        raise NotImplementedError
-
     def close(self) -> None:
         """Nothing more comes."""
         os.close(self._pipe)

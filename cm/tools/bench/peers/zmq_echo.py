@@ -8,6 +8,8 @@ from pathlib import Path
 
 import zmq
 
+_ADDRESS = "address"  # file in the folder, of the far end
+
 
 class ZmqNear:
     """A REQ socket that sends `size` bytes and takes them back."""
@@ -32,19 +34,20 @@ class ZmqNear:
 
 def near(folder: Path, size: int) -> ZmqNear:
     """This end."""
-    return ZmqNear(f"ipc://{folder}/zmq", size)
+    return ZmqNear((folder / _ADDRESS).read_text(encoding="utf-8"), size)
 
 
 def far(folder: Path, size: int, ready: Callable[[], None]) -> None:  # noqa: ARG001 (any size)
     """The other end."""
-    echo(f"ipc://{folder}/zmq", ready)
+    echo(f"ipc://{folder}/zmq", folder, ready)
 
 
-def echo(address: str, ready: Callable[[], None]) -> None:
+def echo(address: str, folder: Path, ready: Callable[[], None]) -> None:
     """Send back whatever comes."""
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     socket = context.socket(zmq.REP)
     socket.bind(address)
+    (folder / _ADDRESS).write_bytes(socket.last_endpoint)
     ready()
     while True:
         socket.send(socket.recv())
