@@ -16,6 +16,7 @@ from cm.design.boundary.scalar_signals import (
     make_clocks,
     make_interrupts,
     make_signals,
+    reset_of,
 )
 from cm.design.boundary.slots import Slot, make_slots
 from cm.design.hdl.model import Interface, ModuleInfo, Polarity
@@ -70,7 +71,7 @@ def _interface(slot: Slot, ports: Sequence[BoundaryPort], clocks: Clocks, fittin
         elif mine != clock:
             text = f"{interface.name} runs on {mine}, but the {slot.name} of {owner} on {clock}: it needs a crossing"
             fittings[module].refused.append(text)
-    found = bus_interface(slot, ports, clock, clocks.reset(clock) if clock else None)
+    found = bus_interface(slot, ports, clock, reset_of(clock) if clock else None)
     return replace(found, reset_polarity=Polarity.LOW if clock else None)
 
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 
 from cm.design.boundary.buses import IN, OUT, Fitting
 from cm.design.boundary.model import BoundaryPort, Connection, Fit, Role
-from cm.design.boundary.slots import identifier, unique
+from cm.design.boundary.slots import identifier
 from cm.design.hdl.associate import undecided
 from cm.design.hdl.clock_reset_names import REGION_CLOCK
-from cm.design.hdl.model import Mode, ModuleInfo, Polarity, Port, PortDirection, Reset
+from cm.design.hdl.model import Mode, ModuleInfo, Polarity, Port, PortDirection, Reset, unique
 
 
 @dataclass(slots=True)
@@ -25,9 +25,10 @@ class Clocks:
     names: list[str] = field(default_factory=list)
     of: dict[tuple[str, str], str] = field(default_factory=dict)
 
-    def reset(self, clock: str) -> str:
-        """The reset that belongs to a clock of the boundary."""
-        return "aresetn" if clock == REGION_CLOCK else f"{clock}_resetn"
+
+def reset_of(clock: str) -> str:
+    """The reset that belongs to a clock of the boundary."""
+    return "aresetn" if clock == REGION_CLOCK else f"{clock}_resetn"
 
 
 def make_clocks(modules: Sequence[ModuleInfo]) -> Clocks:
@@ -57,7 +58,7 @@ def _clock(port: str, module: str, result: Clocks) -> str:
 def clock_ports(clocks: Clocks) -> list[BoundaryPort]:
     """Ports of all clocks and their resets."""
     ports = [BoundaryPort(name, IN, 1, Role.CLOCK) for name in clocks.names]
-    return ports + [BoundaryPort(clocks.reset(name), IN, 1, Role.RESET, idle=1) for name in clocks.names]
+    return ports + [BoundaryPort(reset_of(name), IN, 1, Role.RESET, idle=1) for name in clocks.names]
 
 
 def fit_clocks(clocks: Clocks, module: ModuleInfo, fitting: Fitting) -> None:
@@ -93,7 +94,7 @@ def _fit_reset(reset: Reset, clocks: Clocks, module: ModuleInfo, fitting: Fittin
     if reset.may_be:
         fitting.refused.append(undecided(reset))
         return ""
-    name = clocks.reset(clocks.of.get((module.name, reset.clock or ""), clocks.names[0]))
+    name = reset_of(clocks.of.get((module.name, reset.clock or ""), clocks.names[0]))
     fit = Fit.INVERT if reset.polarity is Polarity.HIGH else Fit.CONNECT
     fitting.connections.append(Connection(name, reset.port, IN, fit, 1, 1))
     return name

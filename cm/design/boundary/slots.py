@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from cm.design.hdl.model import Interface, Mode, ModuleInfo
+from cm.design.hdl.model import Interface, Mode, ModuleInfo, unique
 
 
 @dataclass(slots=True)
@@ -82,14 +82,3 @@ def _only_choice(interface: Interface, rest: Sequence[Interface], module: Module
     free[0].members[module.name] = interface
     result.notes[module.name].append(f"{interface.name} is the region's {free[0].name}: the only one of its kind")
     return True
-
-
-def unique(name: str, taken: Iterable[str]) -> str:
-    """Return the name, with a number appended if it is taken."""
-    taken = set(taken)
-    number = 2
-    result = name
-    while result in taken:
-        result = f"{name}_{number}"
-        number += 1
-    return result

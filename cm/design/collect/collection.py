@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -29,6 +28,7 @@ from cm.design.plan.system import System
 from cm.design.runtime.answers import Answers
 from cm.design.runtime.schema import runtime_config, runtime_text
 from cm.formats import hwh
+from cm.hashes import sha256
 from cm.schema import loads
 from cm.schema.model import Config
 
@@ -112,10 +112,7 @@ def _our_config(inputs: Inputs, system: System, answers: Answers, generated: Pat
 
 def _with_images(config: Config, files: Mapping[str, bytes], groups: Mapping[str, list[Image]]) -> Config:
     """Return `config` with the files' checksums, and with the frames that the regions own."""
-    modules = {
-        name: replace(module, sha256=hashlib.sha256(files[f"{name}.bin"]).hexdigest())
-        for name, module in config.modules.items()
-    }
+    modules = {name: replace(module, sha256=sha256(files[f"{name}.bin"])) for name, module in config.modules.items()}
     regions = {name: replace(region, footprint=footprint(groups[name])) for name, region in config.regions.items()}
     return replace(config, modules=modules, regions=regions)
 

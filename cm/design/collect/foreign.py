@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,6 +19,7 @@ from cm.design.platforms import Platform, platform_of
 from cm.design.render import Renderer
 from cm.formats import hwh
 from cm.formats.importers.registers import decoupler_of
+from cm.hashes import sha256
 from cm.schema import dump
 from cm.schema.model import (
     Config,
@@ -92,7 +92,7 @@ def _with_image(config: Config, image: Image) -> tuple[Config, dict[str, bytes]]
     """A full configuration, and its file."""
     file, data = f"{config.name}.bin", to_bin(image)
     modes = {"default": Mode("default")}
-    digest = hashlib.sha256(data).hexdigest()
+    digest = sha256(data)
     return replace(config, type=ConfigType.FULL, bitstream=Path(file), sha256=digest, modes=modes), {file: data}
 
 
@@ -184,7 +184,7 @@ def _module(
         for key, register in handoff.registers(own.design, notes, min(bases, default=0), region).items():
             free = key if key not in config.registers else f"{key}_rm"[:_NAME_LENGTH]
             registers[free] = replace(register, name=free)
-    digest = hashlib.sha256(files[f"{name}.bin"]).hexdigest()
+    digest = sha256(files[f"{name}.bin"])
     return Module(name, region, Path(f"{name}.bin"), digest, registers=registers)
 
 

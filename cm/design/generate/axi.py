@@ -50,6 +50,11 @@ def width_of(interface: Interface, logical: str) -> int:
     return width
 
 
+def id_width(interface: Interface) -> int:
+    """Bits of a slave's IDs, at least one."""
+    return max(interface.widths.get(name) or 1 for name in ("AWID", "ARID"))
+
+
 IN, OUT = PortDirection.IN, PortDirection.OUT
 
 # name, direction at the static part, bits
@@ -88,6 +93,12 @@ def slave_port(domain: Domain, window: str, signal: str) -> str:
     if len(domain.windows) == 1:
         return name
     return f"{name}[{index}]" if width == 1 else f"{name}[{index * width}+:{width}]"
+
+
+def slave_pins(domain: Domain, window: str) -> dict[str, str | None]:
+    """The pins of a window's slave, which has no use for AxPROT."""
+    names = (signal for signal, _, _ in LITE if signal not in ("awprot", "arprot"))
+    return {f"s_{signal}": slave_port(domain, window, signal) for signal in names}
 
 
 def decoded(windows: Sequence[Window]) -> dict[str, object]:

@@ -12,7 +12,6 @@ would be replaced.
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -20,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from cm.design.errors import BuildError
+from cm.hashes import sha256
 
 MANIFEST = ".cm-manifest.json"
 ORIGINALS = ".cm-orig"
@@ -36,11 +36,6 @@ class Written:
     kept: list[str] = field(default_factory=list)  # changed by the user, nothing new
     removed: list[str] = field(default_factory=list)  # no longer generated
     left: list[str] = field(default_factory=list)  # no longer generated, but changed by the user
-
-
-def digest(data: bytes) -> str:
-    """SHA-256 in hexadecimal."""
-    return hashlib.sha256(data).hexdigest()
 
 
 def write_whole(path: Path, data: bytes) -> None:
@@ -63,14 +58,14 @@ class Tree:
         return sorted(
             name
             for name in files.keys() | self._before.keys()
-            if name not in files or digest(files[name].encode()) != self._before.get(name)
+            if name not in files or sha256(files[name].encode()) != self._before.get(name)
         )
 
     def write(self, files: Mapping[str, str]) -> Written:
         """Write `files` into the folder and remove what is no longer generated; other files stay."""
         done = Written()
         self._folder.mkdir(parents=True, exist_ok=True)
-        now = {name: digest(text.encode()) for name, text in files.items()}
+        now = {name: sha256(text.encode()) for name, text in files.items()}
         if now != self._before:  # if killed from here on, the next generation knows what this one wrote
             for name, value in now.items():
                 self._ours.setdefault(name, set()).add(value)
@@ -108,7 +103,7 @@ class Tree:
         have = path.read_bytes() if path.exists() else None
         if have is None or have == data:
             (done.unchanged if have == data else done.created).append(name)
-        elif digest(have) in self._ours.get(name, ()):
+        elif sha256(have) in self._ours.get(name, ()):
             done.updated.append(name)
         else:
             self._beside(name, data, done)
@@ -124,7 +119,7 @@ class Tree:
         new, copy = (folder / f"{name}.new" for folder in (self._folder, self._folder / ORIGINALS))
         if copy.exists() and not new.exists():
             copy.replace(self._folder / ORIGINALS / name)
-        if digest(data) == self._before.get(name):
+        if sha256(data) == self._before.get(name):
             done.kept.append(name)
             return
         done.conflicts.append(name)
@@ -148,7 +143,7 @@ class Tree:
         path = self._folder / name
         if not path.is_relative_to(self._folder) or ".." in Path(name).parts or not path.exists():
             return
-        if digest(path.read_bytes()) in self._ours[name]:
+        if sha256(path.read_bytes()) in self._ours[name]:
             path.unlink()
             (self._folder / ORIGINALS / name).unlink(missing_ok=True)
             done.removed.append(name)

@@ -117,7 +117,7 @@ def _refuse(net: Netlist, region: RegionPlan, interface: Interface) -> None:
     if clock is None or reset is None:
         raise BuildError(f"{region.name}.{interface.name} has no clock or reset at the boundary")
     width = axi.width_of(interface, "RDATA") if interface.reads else 1
-    ids = max((interface.widths.get(name) or 1 for name in ("AWID", "ARID")), default=1)
+    ids = axi.id_width(interface)
     pins: dict[str, str | None] = {"clk": clock, "resetn": reset, "decouple": "1'b1", "clear": "1'b0"}
     pins |= {"decoupled": None, "stuck": None}
     given = {"AWVALID": "1'b0", "AWLEN": zeros(8), "AWID": zeros(ids), "WVALID": "1'b0", "WLAST": "1'b1"}

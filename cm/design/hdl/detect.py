@@ -23,6 +23,7 @@ from cm.design.hdl.model import (
     Problem,
     Reset,
     Stated,
+    unique,
 )
 from cm.design.hdl.user_protocols import UserProtocol
 from cm.design.hdl.validate_bus import judge, make_interface
@@ -155,7 +156,8 @@ class _Detection:
             if verdict.mode is None:
                 self._reject(candidate, verdict.reason)
                 continue
-            name = self._unique(candidate.name or f"{verdict.mode.value[0]}_{protocol.name}".replace("mm", ""))
+            name = candidate.name or f"{verdict.mode.value[0]}_{protocol.name}".replace("mm", "")
+            name = unique(name, (interface.name for interface in self._interfaces))
             stated: dict[str, str] = {}
             for port in candidate.ports.values():
                 stated.update(vivado_attributes.parameters(port))
@@ -208,13 +210,6 @@ class _Detection:
         if _worth_a_word(candidate):
             self._reasons.update({port.name: reason for port in candidate.ports.values()})
             self._rejected.append((candidate, reason))
-
-    def _unique(self, name: str) -> str:
-        taken = {interface.name for interface in self._interfaces}
-        number = 1
-        while (unique := name if number == 1 else f"{name}_{number}") in taken:
-            number += 1
-        return unique
 
     def _clocks(self) -> list[ModuleClock]:
         found, stated = [port for port in self._unrejected() if is_clock(port)], vivado_attributes.parameters

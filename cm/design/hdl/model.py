@@ -8,7 +8,7 @@ Nothing here knows a parser. Names of ports are spelled as in the source; logica
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from types import MappingProxyType
@@ -260,3 +260,14 @@ def _named(things: tuple[_Named, ...], name: str) -> _Named:
         if thing.name == name:
             return thing
     raise KeyError(name)
+
+
+def unique(name: str, taken: Iterable[str]) -> str:
+    """Return the name, with a number appended if it is taken."""
+    taken = set(taken)
+    number = 2
+    result = name
+    while result in taken:
+        result = f"{name}_{number}"
+        number += 1
+    return result

@@ -21,9 +21,9 @@ import yaml
 from cm.design.boundary.analyse import Analysis
 from cm.design.boundary.make import boundary
 from cm.design.boundary.model import Boundary
-from cm.design.boundary.slots import unique
 from cm.design.check.rules import check_system
 from cm.design.errors import BuildError
+from cm.design.hdl.model import unique
 from cm.design.partition.advisor import SECONDS, advise
 from cm.design.partition.from_project import by_port, unit_name
 from cm.design.partition.model import Group, Partition, Problem

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from cm.design.boundary.analyse import Analysis
-from cm.design.boundary.slots import unique
+from cm.design.hdl.model import unique
 from cm.design.project.model import ConnectionSpec, ModeSpec, Project
 
 End = tuple[str, str]  # region, interface

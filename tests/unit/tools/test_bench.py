@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import pytest
 
 from cm.cli.main import main
-from cm.tools.bench import peer, report
+from cm.tools.bench import report
 from cm.tools.bench.c_programs import build
 from cm.tools.bench.catalogue import NAMES, chosen
 from cm.tools.bench.peer import Peer, Unavailable
@@ -57,9 +58,10 @@ def test_unavailable_results_are_recorded_in_the_file(tmp_path: Path) -> None:
 
 
 def test_a_missing_package_is_named_with_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(peer.KINDS, "gone", peer.Kind("cm.tools.bench.peers.zmq_echo", "no_such_package"))
+    monkeypatch.setitem(sys.modules, "iceoryx2", None)
+    monkeypatch.delitem(sys.modules, "cm.tools.bench.peers.iceoryx2_events", raising=False)
     with pytest.raises(Unavailable, match=r"pip install 'fpga-cm\[bench\]'"):
-        Peer("gone", tmp_path, 64)
+        Peer("iceoryx2", tmp_path, 64)
 
 
 def test_without_a_compiler_the_c_program_is_not_available(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

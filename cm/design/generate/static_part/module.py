@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from cm.design.generate.axi import LITE, PER_SLAVE, SHARED, decoded, slave_port
+from cm.design.generate.axi import LITE, PER_SLAVE, SHARED, decoded, slave_pins
 from cm.design.generate.static_part.region import add_region
 from cm.design.generate.static_part.shared import add_shared
 from cm.design.generate.verilog_module import Netlist, zeros
@@ -58,9 +58,7 @@ def _control(net: Netlist, system: System) -> None:
         net.assign("icap_status", zeros(3))
         net.assign("icap_words", zeros(32))
     connections: dict[str, str | None] = {"clk": f"clk_{domain.clock}", "resetn": f"resetn_{domain.clock}"}
-    for signal, _, _ in LITE:
-        if signal not in ("awprot", "arprot"):
-            connections[f"s_{signal}"] = slave_port(domain, "control", signal)
+    connections |= slave_pins(domain, "control")
     for name in ("decouple", "region_reset", "decoupled", "stuck", "identity", "icap_status", "icap_words"):
         connections[name] = name
     connections["irq_lines"] = "irq_lines"

@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 from cm.design.boundary.model import Role
+from cm.design.boundary.scalar_signals import reset_of
 from cm.design.generate.static_part.registers import add_registers
 from cm.design.generate.static_part.shared import add_memory
-from cm.design.generate.static_part.site import Site, reset_of
+from cm.design.generate.static_part.site import Site
 from cm.design.generate.static_part.streams import add_stream
 from cm.design.generate.verilog_module import Netlist, ones, zeros
 from cm.design.hdl.model import PortDirection

@@ -19,7 +19,7 @@ def add_registers(site: Site, bus: RegisterBus) -> None:
     stuck = site.net.wire(f"{site.name}_{interface.name}_stuck")
     site.stuck.append(stuck)
     connections: dict[str, str | None] = {"clear": f"!{site.region_reset}", "stuck": stuck}
-    parameters: dict[str, object] = {"ID_WIDTH": _id_width(interface)}
+    parameters: dict[str, object] = {"ID_WIDTH": axi.id_width(interface)}
     outside = _Outside(site.net, site.system, site.region, bus)
     for channel, kinds in (("AW", axi.ADDRESS), ("W", ("DATA", "STRB")), ("AR", axi.ADDRESS)):
         packed = axi.fields(interface, kinds, channel)
@@ -36,10 +36,6 @@ def add_registers(site: Site, bus: RegisterBus) -> None:
     connections["s_rpayload"] = outside.signal("RDATA", width)
     connections |= _handshakes(site, interface) | outside.handshakes(parameters["ID_WIDTH"])
     site.decoupler("cm_axi_slave_decoupler", interface, connections, **parameters)
-
-
-def _id_width(interface: Interface) -> int:
-    return max((interface.widths.get(name) or 1 for name in ("AWID", "ARID")), default=1)
 
 
 def _handshakes(site: Site, interface: Interface) -> dict[str, str | None]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from cm.design.generate import axi
-from cm.design.generate.axi import LITE, slave_port
 from cm.design.generate.static_part.site import Site
 from cm.design.generate.verilog_module import Netlist, concat, ones, zeros
 from cm.design.hdl.model import Interface, PortDirection
@@ -128,9 +127,7 @@ def _switch(net: Netlist, system: System, switch: SwitchPlan) -> None:
     for bus in switch.streams:
         _own_stream(net, bus, widths)
     connections: dict[str, str | None] = {"clk": f"clk_{switch.clock}", "resetn": f"resetn_{switch.clock}"}
-    for signal, _, _ in LITE:
-        if signal not in ("awprot", "arprot"):
-            connections[f"s_{signal}"] = slave_port(domain, "switch", signal)
+    connections |= axi.slave_pins(domain, "switch")
     for side, ends in (("source", switch.sources), ("sink", switch.sinks)):
         for signal in ("tvalid", "tready", "tdata", "tkeep", "tlast"):
             given = (side == "sink") == (signal != "tready")

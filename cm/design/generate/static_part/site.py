@@ -5,15 +5,11 @@ from __future__ import annotations
 
 from copy import copy
 
+from cm.design.boundary.scalar_signals import reset_of
 from cm.design.generate import axi
 from cm.design.generate.verilog_module import Netlist
 from cm.design.hdl.model import Interface
 from cm.design.plan.system import RegionPlan, System
-
-
-def reset_of(clock: str) -> str:
-    """The boundary's reset of one of its clocks."""
-    return "aresetn" if clock == "aclk" else f"{clock}_resetn"
 
 
 class Site:
