@@ -39,6 +39,7 @@ SECTIONS = {
     "build-keys.md": (
         "cm/design/data/build.schema.json",
         {
+            "build.yaml": "",
             "project": "properties/project",
             "clocks.NAME": "properties/clocks/additionalProperties",
             "static": "properties/static",
@@ -77,7 +78,7 @@ def page(name: str) -> str:
 
 def _at(schema: dict[str, Any], where: str) -> dict[str, Any]:
     found = schema
-    for key in where.split("/"):
+    for key in filter(None, where.split("/")):
         found = found[key]
     return found
 
