@@ -13,6 +13,7 @@ import os
 import select
 import socket
 import sys
+import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
@@ -36,6 +37,7 @@ from cm.server.streams.lifecycle import StreamEvent, StreamLifecycle, StreamPhas
 from cm.server.streams.memory import Allocations, Echoes, MemoryThread
 from cm.server.streams.over_zmq import ZmqReader, ZmqWriter
 from cm.server.streams.peer import Peer
+from cm.server.streams.slots import NoSlots
 from cm.server.streams.stream import Done, Frame, Moved, OpenStream, StreamTotals
 from cm.wire.messages.requests import ConfigureStream
 from cm.wire.messages.status import ErrorInfo, StreamStatus
@@ -235,6 +237,7 @@ class Subscribers(Protocol):
 
 _LOG = logging.getLogger(__name__)
 _EVENTS = 32  # of the plane that are taken in one turn of the loop
+_REST = 0.9  # seconds after which a stream that could not be opened is tried again; we are asked once a second
 
 
 class RunningStreams:
@@ -263,6 +266,7 @@ class RunningStreams:
         self.open: dict[str, OpenStream] = {}
         self._totals = StreamTotals()
         self.failures: dict[str, ErrorInfo] = {}  # by stream of this mode: why it last failed
+        self.not_before: dict[str, float] = {}  # by stream of this mode that could not be opened
         self.locals = LocalClients(self.plane, on_error)
         self.zmq = ZmqClients(loop, self.plane, subscribers.frame, self._take)
         self._steps = steps
@@ -280,10 +284,10 @@ class RunningStreams:
         for name in self._stalled.answered() if self._lifecycle.stalled() else ():
             self._lifecycle.after(name, StreamEvent.ANSWER)
         for event, stream in self._lifecycle.due(self.users):
-            if event is StreamEvent.OPEN:
-                self._start_quietly(stream)
-            else:
+            if event is StreamEvent.CLOSE:
                 self.stop(stream.name)
+            elif time.monotonic() >= self.not_before.get(stream.name, 0.0):  # closing it is an event too
+                self._start_quietly(stream)
         for opened in list(self.open.values()):
             self.zmq.refresh(opened, self.has_subscriber(opened.stream))
 
@@ -325,27 +329,34 @@ class RunningStreams:
     def _watched(
         self, opened: OpenStream, steps: Iterator[None], failed: Callable[[CmError | OSError], object] | None = None
     ) -> Iterator[None]:
-        """Take the steps; pass an error to `failed`, or raise it, and close the stream if it has not started."""
+        """Take the steps; pass an error to `failed`, or raise it, and close the stream if it has not started.
+
+        That it could not is reported, unless the error is the client's alone.
+        """
         try:
             yield from steps
         except (CmError, OSError) as error:
             if failed is not None:
                 failed(error)
-            self._not_started(opened, error)
+            closed = self._not_started(opened, error)
             if failed is None:
                 raise
+            if closed:
+                self._unopened(opened.stream.name, error, told=isinstance(error, NoSlots))
 
     def _take(self, opened: OpenStream, steps: Iterator[None], failed: Callable[[CmError | OSError], object]) -> None:
         """Take the steps as `_watched` does, in turns of the loop of their own."""
         self._steps.run(self._watched(opened, steps, failed))
 
-    def _not_started(self, opened: OpenStream, error: CmError | OSError) -> None:
+    def _not_started(self, opened: OpenStream, error: CmError | OSError) -> bool:
         """Close a stream that could not get its first slots; a running one goes on without its new client."""
         name, late = opened.stream.name, isinstance(error, DeviceTimeout)
-        if not opened.holders.started and self.open.get(name) is opened:
-            opened.holders.fail(error)
-            self.zmq.close(name, error)
-            (self._stall if late else self.stop)(name, errno.ETIMEDOUT if late else 0)
+        if opened.holders.started or self.open.get(name) is not opened:
+            return False
+        opened.holders.fail(error)
+        self.zmq.close(name, error)
+        (self._stall if late else self.stop)(name, errno.ETIMEDOUT if late else 0)
+        return True
 
     def stop(self, name: str, error: int = 0) -> None:
         """Close a stream if it is open, and tell its clients `error` (an errno, or 0)."""
@@ -390,7 +401,7 @@ class RunningStreams:
             for client, steps in waiting:
                 self._steps.run(self._watched(opened, steps, partial(self.locals.refused, opened, client)))
             if not paid:
-                self._take(opened, opened.holders.begin(), partial(self._unopened, stream.name))
+                self._take(opened, opened.holders.begin(), lambda _: None)
         except BaseException:
             self.stop(stream.name)
             raise
@@ -414,7 +425,10 @@ class RunningStreams:
         except (CmError, OSError) as error:
             self._unopened(stream.name, error)
 
-    def _unopened(self, name: str, error: CmError | OSError) -> None:
+    def _unopened(self, name: str, error: CmError | OSError, told: bool = False) -> None:
+        self.not_before[name] = time.monotonic() + _REST
+        if told:
+            return
         code = error.code if isinstance(error, CmError) else "device_error"
         self._failed(name, ErrorInfo(code, f"stream {name!r} cannot be opened: {error}"))
 
@@ -514,6 +528,7 @@ class Streams:
             self._driver.stop(name)
         self._idle.clear()
         self._driver.failures.clear()
+        self._driver.not_before.clear()
         for opened in self._driver.open.values():
             opened.label(config.name if config else "", mode or "")
         self.refresh()

@@ -377,22 +377,27 @@ def test_if_a_slot_cannot_be_allocated_other_readers_go_on(
     assert client(camera, Open("camera", depth=60)).geometry().depth == 60
 
 
-def test_if_a_stream_gets_no_slots_at_all_everyone_is_told_why(
-    slots: Allocator, camera: Daemon, client: Callable[..., Client]
+def test_if_a_stream_gets_no_slots_at_all_everyone_is_told_why_and_it_is_tried_again_after_a_while(
+    slots: Allocator, camera: Daemon, client: Callable[..., Client], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    slots.fails_at = 3
+    monkeypatch.setattr("cm.server.streams.running._REST", 3600.0)
     until(lambda: closed(camera))
     camera.done(ConfigureStream("camera", slots=4))
+    made, slots.fails_at = slots.all, 3
     reader = Subscriber(camera, b"cm_stream/camera")
     why = "stream 'camera' cannot be opened: cannot allocate: no memory for DMA"
     until(lambda: camera.stream("camera").last_error == ErrorInfo("device_error", why))
     assert camera.status.last_error == ErrorInfo("device_error", why)
-    reader.close()
+    assert [camera.stream("camera").open for _ in range(50)] == [False] * 50
+    assert slots.all == made + 2  # of one attempt
     code, message = client(camera, Open("camera", depth=4)).refusal()
     assert (code, "no memory for DMA" in message) == ("device_error", True), message
     code, message = camera.refused(rq.ReadData("camera", 30.0))
     assert (code, "no memory for DMA" in message) == ("device_error", True), message
-    assert closed(camera)
+    camera.load("colorise")  # which forgets it
+    monkeypatch.undo()
+    until(lambda: camera.stream("camera").open)
+    reader.close()
 
 
 def test_a_setting_whose_slots_cannot_be_allocated_is_not_applied(slots: Allocator, camera: Daemon) -> None:
