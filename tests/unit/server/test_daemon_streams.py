@@ -94,9 +94,10 @@ def test_the_only_stream_of_a_direction_needs_no_name(flowing: Daemon) -> None:
     assert (code, "camera, from_pl" in message) == ("unknown_stream", True), message
 
 
-def test_a_frame_that_does_not_come_is_a_timeout(loop: Daemon) -> None:
-    code, message = loop.refused(rq.ReadData("from_pl", 0.01))
-    assert (code, "'from_pl' gave no frame within 0.01 s" in message) == ("timeout", True), message
+@pytest.mark.parametrize(("asked", "waited"), [(0.01, "0.01"), (0.0, "1")])
+def test_a_frame_that_does_not_come_is_a_timeout(loop: Daemon, asked: float, waited: str) -> None:
+    code, message = loop.refused(rq.ReadData("from_pl", asked))
+    assert (code, f"'from_pl' gave no frame within {waited} s" in message) == ("timeout", True), message
 
 
 def test_a_written_frame_that_the_hardware_does_not_take_is_a_timeout_and_its_slot_stays_with_it(
@@ -344,6 +345,20 @@ def test_an_echo_gives_back_what_it_is_given(camera: Daemon, client: Callable[..
     done, _, _ = echo.next(packets.DONE)
     assert done.slot == head.slot
     assert client(camera, Open("", echo=True, length=100)).geometry().depth == 2  # beside it
+    with contextlib.closing(client(camera, Open("", echo=True, length=5000, depth=99))) as other:
+        geometry = other.geometry()
+        assert (geometry.slot_length, geometry.depth, geometry.shape, geometry.writable) == (8192, 16, (5000,), True)
+        assert memory_of_echoes() == 20
+    until(lambda: memory_of_echoes() == 4)
+
+
+def memory_of_echoes() -> int:
+    """The slots that the daemon has for them."""
+    found = 0
+    for path in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(FileNotFoundError):  # it was closed meanwhile
+            found += "memfd:cm-echo" in str(path.readlink())
+    return found
 
 
 def test_a_reader_that_leaves_keeps_no_stream_open(camera: Daemon, client: Callable[..., Client]) -> None:
@@ -532,7 +547,7 @@ def failure(status: Status) -> ErrorInfo | None:
 
 
 def test_a_board_that_stops_answering_is_reported_and_taken_up_again(
-    client: Callable[..., Client], monkeypatch: pytest.MonkeyPatch
+    client: Callable[..., Client], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setenv("CM_SIM_TIMEOUT", "3")  # for every node: an interrupt's register is waited for as well
     with daemon(["--rate", "200"]) as made:
@@ -549,6 +564,7 @@ def test_a_board_that_stops_answering_is_reported_and_taken_up_again(
             )  # on a busy machine it may have come before
             assert told is not None
             assert (told.code, "'camera' ended: Connection timed out" in told.message) == ("device_error", True)
+            assert "stream camera ended: Connection timed out" in caplog.messages
             assert made.refused(rq.ReadData("camera", 1.0))[0] == "timeout"
         finally:
             os.kill(made.board.pid, signal.SIGCONT)

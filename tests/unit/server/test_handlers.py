@@ -286,6 +286,31 @@ def test_a_read_of_memory_begins_when_there_is_room_for_its_answer_and_a_write_a
     assert (problems, client.unread_bytes) == ([GONE], 0)
 
 
+@pytest.mark.parametrize("long", [False, True])
+@pytest.mark.parametrize(("asked", "loaded"), [("camera", False), ("", True)])
+def test_a_configuration_is_described_with_counts_and_memories_a_long_one_beside_the_loop(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, long: bool, asked: str, loaded: bool
+) -> None:
+    jobs: list[Any] = []
+    config = object()
+    services = bench.services
+    monkeypatch.setattr(handlers, "is_long", lambda found: found is config and long)
+    services.manager.configs = {"camera": config}
+    services.manager.describe = lambda name, counts: ConfigInfo(f"{name} {counts}", mode="on" if loaded else "")
+    services.interrupts = SimpleNamespace(counts={"done": 3})
+    services.memories = MemoryTransfers(None, SimpleNamespace(defined=lambda: (MemoryInfo("ram", 0, 4),)))  # type: ignore[arg-type]
+    services.jobs = SimpleNamespace(submit=lambda client, work, finish: jobs.append((client, work, finish)))
+    bench.handlers = Handlers(services)
+    bench.ask(rq.ReadConfig(asked))
+    assert [client for client, _, _ in jobs] == [bench.client] * long
+    for _, work, finish in jobs:
+        finish(lambda work=work: work())
+    (reply,) = bench.replies
+    told = decode_reply(encode_reply(b"cm_read_config", reply, 1)).body
+    assert isinstance(told, ConfigInfo)
+    assert (told.name, [memory.name for memory in told.memories]) == (f"{asked} {{'done': 3}}", ["ram"] * loaded)
+
+
 # ---- configurations that were sent ---------------------------------------------------------------
 
 

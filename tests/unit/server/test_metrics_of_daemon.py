@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
+import time
 from collections import Counter
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,7 +20,6 @@ from prometheus_client.parser import text_string_to_metric_families
 from cm.cli.main import main
 from cm.manager.reporting import ChangeTotals
 from cm.server.metrics import Metrics
-from cm.server.sockets import Loop
 from cm.server.streams.stream import Moved
 from cm.wire.messages.status import (
     ClientStatus,
@@ -69,9 +70,7 @@ def totals() -> ChangeTotals:
     return made
 
 
-@pytest.fixture
-def page() -> Any:
-    loop = Loop()
+def metrics(loop: Any) -> Metrics:
     clients = [ClientStatus("pid 7 (view)", 2, upload_bytes=11, waiting_bytes=12, requests=5, waiting=3)]
     services: Any = SimpleNamespace(
         loop=loop,
@@ -89,8 +88,12 @@ def page() -> Any:
         interrupts=SimpleNamespace(counts={"done": 17}),
     )
     requests: Any = SimpleNamespace(taken=33, refused=Counter({"busy": 4}))
-    yield Metrics(services, requests).page().decode()
-    loop.close()
+    return Metrics(services, requests)
+
+
+@pytest.fixture
+def page() -> Any:
+    return metrics(SimpleNamespace(ask=lambda call: call())).page().decode()
 
 
 def families(text: str) -> list[Any]:
@@ -109,6 +112,42 @@ def families(text: str) -> list[Any]:
 def test_the_page_is_what_dashboards_know(page: str) -> None:
     known = families(PAGE.read_text(encoding="utf-8"))
     assert families(page) == known, "look at the difference, then write the page anew"
+
+
+def test_what_the_process_uses_is_what_the_kernel_says(page: str) -> None:
+    (cpu, memory, descriptors) = [
+        s.value for f in text_string_to_metric_families(page) for s in f.samples if s.name[:4] == "proc"
+    ]
+    assert time.process_time() - 10 < cpu <= time.process_time()
+    resident = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    assert memory == pytest.approx(resident, rel=0.2)
+    assert abs(descriptors - len(list(Path("/proc/self/fd").iterdir()))) < 4
+
+
+def test_how_late_the_loop_is_is_measured_again_and_again(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    now, timers = [10.0], list[Any]()
+    monkeypatch.setattr("cm.server.metrics.time", SimpleNamespace(monotonic=lambda: now[0], process_time=lambda: 0.0))
+    caplog.set_level("INFO", "cm")
+    made = metrics(SimpleNamespace(ask=lambda call: call(), call_at=lambda *timer: timers.append(timer)))
+    where = made.open("0")
+    assert caplog.messages == [f"metrics at http://{where}/metrics"]
+    for late in (0.03, -0.01, 0.04):
+        due, call = timers.pop()
+        assert due == pytest.approx(now[0] + 0.1)
+        now[0] = due + late
+        call()
+    found = {
+        (s.name.rpartition("_")[2], s.labels.get("le")): s.value
+        for f in text_string_to_metric_families(made.page().decode())
+        for s in f.samples
+        if f.name == "cm_loop_lag_seconds"
+    }
+    assert [found["bucket", le] for le in ("0.02", "0.05", "+Inf")] == [1, 3, 3]
+    assert found["sum", None] == pytest.approx(0.07)
+    made.close()
+    made.close()
 
 
 # ---- without metrics, or without their library --------------------------------------------

@@ -79,6 +79,8 @@ def test_what_is_wrong_is_only_told_where_that_is_the_policy_and_counted_once(
         assert health(daemon).upsets == 2
         assert daemon.done(CheckRegion("only", repair=True)).wrong_bits == 2
         assert health(daemon).wrong_bits == 0
+        streams = daemon.status.streams  # of a configuration that names none: the board's channels
+        assert {stream.name for stream in streams} == {"camera", "to_pl", "from_pl"}
     assert "scrub names a region gone, which no configuration has" in caplog.text
     assert "region only (plain): 2 bits in 2 frames are wrong; policy: tell" in caplog.text
 

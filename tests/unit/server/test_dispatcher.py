@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whose message is answered next, and what happens to those of clients that ask too much or do not read."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from itertools import count
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from cm.device import DeviceGone
+from cm.server import dispatcher
+from cm.server.dispatcher import Dispatcher
+from cm.server.long_work import Steps
+from cm.server.rights.model import Role
+from cm.server.rights.principal import from_id
+from cm.server.settings.model import USUAL
+from cm.server.shares import LITTLE, REPLY, TRACKED, Clients
+from cm.wire.encode import decode_reply, encode_reply, encode_request
+from cm.wire.messages import requests as rq
+from cm.wire.messages.status import ErrorInfo, Reply, Status
+from cm.wire.multipart import Message
+
+ONE, TWO = "ipc:0:0:9000001", "ipc:0:0:9000002"
+STATUS = encode_request(rq.ReadStatus())
+READ = encode_request(rq.ReadReg(("focus",)))
+
+
+class Bench:
+    """A dispatcher between sockets that are lists, over handlers that answer at once."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.coming: list[Message] = []
+        self.sent: list[list[bytes]] = []
+        self.unread: list[Any] = []  # trackers of replies
+        self.asked: list[tuple[str, rq.Request]] = []
+        self.soon: list[Any] = []
+        self.noted: list[ErrorInfo] = []
+        self.noticed: list[Exception] = []
+        self.learned: list[Any] = []
+        self.reply, self.cached = Reply(Status("camera")), lambda: None
+        self.role = Role.OBSERVE
+        self.clients = Clients(USUAL, from_id)
+        loop: Any = SimpleNamespace(call_soon=self.soon.append)
+        gate: Any = SimpleNamespace(
+            observers=set(), everywhere=lambda _: self.role, guest=lambda bridge, name: f"{name} through {bridge}"
+        )
+        handlers: Any = SimpleNamespace(gate=gate, clients=self.clients, steps=Steps(loop), handle=self._handle)
+        manager: Any = SimpleNamespace(registers=SimpleNamespace(visible_names=lambda: ()), memories=None)
+        cache: Any = SimpleNamespace(answer=lambda message, number: self.cached(), learn=self.learned.append)
+        board: Any = SimpleNamespace(noticed=self.noticed.append)
+        publisher: Any = SimpleNamespace(sequence=7)
+        monkeypatch.setattr(dispatcher, "receive_from", lambda _, routed: self.coming.pop(0))
+        monkeypatch.setattr(dispatcher, "zmq_poll", lambda _, milliseconds: self.coming[:1])
+        monkeypatch.setattr(dispatcher.multipart, "send", lambda _, frames: self.sent.append([*map(bytes, frames)]))
+        monkeypatch.setattr(dispatcher.multipart, "send_tracked", self._send_tracked)
+        sockets: Any = SimpleNamespace(req=None, sub=None)
+        told = publisher, board, self.noted.append
+        self.dispatcher = Dispatcher(loop, sockets, handlers, manager, cache, *told)
+
+    def _handle(self, connection: str, request: rq.Request, respond: Any, _: Any) -> None:
+        self.asked.append((connection, request))
+        respond(self.reply)
+
+    def _send_tracked(self, _: Any, frames: list[bytes]) -> Any:
+        self.sent.append([*map(bytes, frames)])
+        self.unread.append(SimpleNamespace(done=False))
+        return self.unread[-1]
+
+    def comes(self, who: str, sender: bytes, *frames: bytes) -> None:
+        self.coming.append(Message(who, [sender, b"", *frames]))
+
+    def ask(self, *frames: bytes, who: str = ONE, sender: bytes = b"a") -> list[bytes]:
+        """What is sent back for it at once."""
+        self.sent.clear()
+        self.comes(who, sender, *frames)
+        self.dispatcher.on_request()
+        return [frame for sent in self.sent for frame in sent]
+
+    def code(self, **more: Any) -> str | None:
+        """Of the answer to a request; None without one."""
+        sent = self.ask(*STATUS, **more)
+        error = decode_reply(sent[2:]).error if sent else None
+        return (error.code if error else "") if sent else None
+
+    def turn(self) -> None:
+        calls = self.soon[:]
+        self.soon.clear()
+        for call in calls:
+            call()
+
+
+@pytest.fixture
+def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
+    return Bench(monkeypatch)
+
+
+def test_an_answer_goes_back_the_way_that_its_request_came(bench: Bench) -> None:
+    for way in ([b"a"], [b"a", b""], [b"a", b"7", b""], [b"a", b"x", b"y", b""]):
+        bench.coming.append(Message(ONE, [*way, *STATUS]))
+        bench.dispatcher.on_request()
+        assert bench.sent.pop() == [*way, *encode_reply(b"cm_status", bench.reply, 7)]
+    bench.coming.append(Message(ONE, [b"a", b"for=ann", b"", *STATUS]))
+    bench.dispatcher.on_request()
+    assert [who for who, _ in bench.asked] == [ONE] * 4 + [f"ann through {ONE}"]
+    assert (bench.dispatcher.taken, bench.clients.of(ONE).requests, bench.dispatcher.refused) == (5, 5, Counter())
+
+
+def test_a_client_with_many_connections_has_one_turn_and_another_the_next(bench: Bench) -> None:
+    bench.ask(*STATUS)
+    for number in range(40):
+        bench.comes(ONE, b"%d" % (number % 5 + 1), *STATUS)
+    bench.comes(TWO, b"b", *STATUS)
+    served: list[bytes] = []
+    bench.sent.clear()
+    while bench.coming or bench.soon:
+        before = len(bench.coming)
+        bench.dispatcher.on_request()
+        assert before - len(bench.coming) in (0, 33)  # while something waits it goes on by itself
+        bench.turn()
+        served += [sent[0] for sent in bench.sent]
+        bench.sent.clear()
+    assert len(served) == 41
+    assert served.index(b"b") < 6
+    client = bench.clients.of(ONE)
+    assert (client.requests, client.waiting_bytes, bench.dispatcher.taken) == (41, 0, 42)
+    assert bench.code(who=TWO, sender=b"b") == ""
+
+
+def test_of_a_client_that_asks_too_much_over_several_connections_each_request_is_answered(bench: Bench) -> None:
+    bench.clients.renew(replace(USUAL, waiting_bytes=2 * (1024 + len(STATUS[0]) + 1)))
+    bench.ask(*STATUS)
+    for number in range(4):
+        bench.comes(ONE, b"%d" % number, *STATUS)
+    bench.sent.clear()
+    bench.dispatcher.on_request()
+    for _ in range(4):
+        bench.turn()
+    told = {sent[0]: decode_reply(sent[2:]).error for sent in bench.sent}
+    codes = {number: error.code if error else "" for number, error in told.items()}
+    assert codes == {b"0": "", b"1": "", b"2": "too_much_waiting", b"3": "too_much_waiting"}
+    assert (bench.clients.of(ONE).refused, bench.dispatcher.refused) == (2, {"too_much_waiting": 2})
+
+
+def test_who_does_not_read_is_refused_then_not_even_told_and_served_again_once_it_has_read(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looks = count()  # the clock goes on between two requests
+    monkeypatch.setattr("cm.server.shares.monotonic_ns", lambda: bench.dispatcher.taken * 10**9 + next(looks))
+    bench.clients.renew(replace(USUAL, replies_bytes=100_000))
+    client = bench.clients.of(ONE)
+    bench.reply = Reply(Status("camera"), payload=(bytes(LITTLE),))
+    told = []
+    while (code := bench.code()) is not None:
+        told.append(code)
+        if code:
+            client.make(40_000)
+    assert Counter(told) == {"": 4, "replies_unread": 2}
+    assert (client.refused, bench.dispatcher.refused["replies_unread"]) == (3, 2)
+    client.make(-80_000)
+    for tracker in bench.unread:
+        tracker.done = True
+    assert bench.code(who=TWO, sender=b"b") == ""
+    assert bench.code() == ""
+
+
+def test_short_answers_are_tracked_together(bench: Bench) -> None:
+    size = sum(map(len, bench.ask(*STATUS))) + REPLY
+    for _ in range(TRACKED // size - 1):
+        bench.ask(*STATUS)
+    assert (bench.unread, bench.clients.of(ONE).unread_bytes) == ([], 0)
+    bench.ask(*STATUS)
+    count = TRACKED // size + 1
+    assert (len(bench.unread), bench.clients.of(ONE).unread_of) == (1, {b"a": count * size})
+
+
+def test_what_was_read_before_is_answered_without_handlers_by_who_may_look(bench: Bench) -> None:
+    answer = encode_reply(b"cm_read_reg", Reply(), 7)[1]
+    bench.cached = lambda: answer  # type: ignore[assignment, return-value]
+    assert bench.ask(*READ) == [b"a", b"", b"cm_read_reg", answer]
+    assert (bench.asked, bench.learned) == ([], [])
+    bench.role = Role.NONE
+    bench.ask(*READ)
+    assert ([request for _, request in bench.asked], bench.learned) == ([rq.ReadReg(("focus",))], [list(READ)])
+    bench.role = Role.OBSERVE
+    gone = DeviceGone(19, "it is gone")
+
+    def fails() -> None:
+        raise gone
+
+    bench.cached = fails
+    reply = decode_reply(bench.ask(*READ)[2:])
+    assert (reply.error, bench.noticed, len(bench.asked)) == (ErrorInfo("device_gone", "it is gone"), [gone], 1)
+
+
+def test_so_many_long_writes_of_a_client_are_read_and_one_that_is_too_much_is_refused(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(dispatcher, "PENDING", 2)
+    write = encode_request(rq.WriteReg(tuple(rq.RegWrite(f"r{number}", number) for number in range(300))))
+    assert [bench.ask(*write) for _ in range(2)] == [[], []]
+    error = decode_reply(bench.ask(*write)[2:]).error
+    assert error == ErrorInfo("too_much_waiting", "2 long requests of pid 9000001 wait: await a reply")
+    assert bench.clients.of(ONE).refused == 1
+    assert bench.ask(*write, who=TWO, sender=b"b") == []
+
+
+def test_a_message_without_a_reply_is_counted_and_its_error_noted(bench: Bench) -> None:
+    for error in (None, ErrorInfo("busy", "not now")):
+        bench.reply = Reply(error=error)
+        bench.coming.append(Message(ONE, [b"cm_write_reg", b"{'focus': 2}"]))
+        bench.dispatcher.on_message()
+    bench.coming.append(Message(ONE, [b"cm_nonsense", b""]))
+    bench.dispatcher.on_message()
+    assert [error.code for error in bench.noted] == ["busy", "invalid_request"]
+    assert (bench.dispatcher.taken, bench.clients.of(ONE).requests, bench.sent) == (3, 3, [])
+    assert bench.dispatcher.refused == {"busy": 1, "invalid_request": 1}
+    assert bench.clients.of(ONE).refused == 1
