@@ -75,30 +75,6 @@ while read < connections * each and (ready := poller.poll(60_000)):
 print(read, whole, flush=True)
 """
 
-# Sends seven MiB of a message of eight over its connections, as far as they are accepted, and holds them.
-_HALVES = """
-import socket, sys
-path, before, connections = sys.argv[1], bytes.fromhex(sys.argv[2]), int(sys.argv[3])
-family, place = (socket.AF_UNIX, path) if "/" in path else (socket.AF_INET, ("127.0.0.1", int(path)))
-half = before + b"\2" + ((8 << 20) - 100).to_bytes(8, "big") + bytes(7 << 20)
-made = [socket.socket(family) for _ in range(connections)]
-left = dict.fromkeys(made, memoryview(half))
-for one in made:
-    one.connect(place)
-    one.setblocking(False)
-for _ in range(50):
-    for one in made:
-        try:
-            while left[one]:
-                left[one] = left[one][one.send(left[one]) :]
-        except BlockingIOError:
-            pass
-        except ConnectionError:
-            left[one] = left[one][:0]
-print("sent", flush=True)
-sys.stdin.read()
-"""
-
 
 @contextlib.contextmanager
 def running(*words: object, first: str) -> Iterator[subprocess.Popen[str]]:
@@ -121,13 +97,6 @@ def unread_replies(runtime: Path, connections: int, each: int) -> Iterator[subpr
     """
     with running("-c", _UNREAD, runtime, connections, each, first="asked") as process:
         yield process
-
-
-@contextlib.contextmanager
-def half_messages(where: Path | int, before: bytes, connections: int) -> Iterator[None]:
-    """A process that sends `before` and half a message over each of its connections to a socket, or a port."""
-    with running("-c", _HALVES, where, before.hex(), connections, first="sent"):
-        yield
 
 
 def descriptors(pid: int) -> int:

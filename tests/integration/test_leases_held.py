@@ -6,17 +6,12 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator
-from typing import Any
 
 import pytest
-import zmq
 from manager_process import Manager, served
 
 from cm.cli.main import main
 from cm.client.errors import RequestBusy, RequestNotFound
-from cm.wire import cm_pb2 as pb
-from cm.wire.encode import decode_reply
-from cm.wire.messages.status import Reply
 
 
 @pytest.fixture(scope="module")
@@ -25,25 +20,6 @@ def manager() -> Iterator[Manager]:
         with made.connected() as board:
             board.load("camera", "default")
         yield made
-
-
-def lease(context: zmq.Context[Any], manager: Manager, **fields: Any) -> Reply:
-    with context.socket(zmq.REQ) as socket:
-        socket.linger = 0
-        socket.connect(f"ipc://{manager.runtime}/req")
-        socket.send_multipart([b"cm_lease", pb.Lease(**fields).SerializeToString()])
-        assert socket.poll(60_000)
-        return decode_reply(socket.recv_multipart())
-
-
-def code(reply: Reply) -> str:
-    return reply.error.code if reply.error else ""
-
-
-def test_an_empty_lease_takes_nothing(manager: Manager, context: zmq.Context[Any]) -> None:
-    assert code(lease(context, manager)) == "invalid_request"
-    with manager.connected() as board:
-        assert board.status.leases == ()
 
 
 def test_leases_are_listed_without_their_ids_and_broken_by_number(

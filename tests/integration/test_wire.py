@@ -14,7 +14,6 @@ from manager_process import Manager
 
 import cm
 from cm.server.settings.model import USUAL
-from cm.simulation.software import Board as SimBoard
 from cm.wire import cm_pb2 as pb
 
 
@@ -109,21 +108,6 @@ def test_what_is_wrong_gets_a_clear_error(peer: Peer, frames: list[bytes], code:
     assert (after.config_name, after.mode) == (before.config_name, before.mode)
 
 
-def test_an_error_is_logged_once(own: tuple[Manager, SimBoard]) -> None:
-    manager, _ = own
-    with manager.connected() as board:
-        board.load("camera", "default")
-    peer = Peer(manager)
-    peer.status_until(lambda s: s.mode == "default")
-    for _ in range(5):
-        peer.pub.send_multipart([b"cm_config", b"sharpen"])
-    peer.status_until(lambda s: s.last_error.code == "unknown_mode")
-    assert peer.ask(b"cm_status", b"").ok
-    peer.close()
-    manager.stop()
-    assert manager.log.count(b"has no mode 'sharpen'") == 1
-
-
 def test_a_frame_above_the_pages_limit_ends_its_connection_and_no_other(peer: Peer, manager: Manager) -> None:
     most = USUAL.message_bytes
     page = (Path(__file__).parents[2] / "docs/protocol.md").read_text(encoding="utf-8")
@@ -200,17 +184,3 @@ def test_a_lease_without_seconds_is_shared_and_lasts_half_a_minute(peer: Peer) -
     assert (first.seconds, first.exclusive, second.ok) == (30.0, False, True)
     for lease in (first.id, second.lease.id):
         assert peer.ask(b"cm_lease", pb.Lease(id=lease, release=True).SerializeToString()).ok
-
-
-@pytest.mark.parametrize("timeout", [float("nan"), float("inf"), -1.0, 1e300])
-def test_a_time_that_is_none_does_not_stop_the_managers_clock(peer: Peer, manager: Manager, timeout: float) -> None:
-    """The manager counts down the milliseconds until its next timer, and of NaN there is no such number."""
-    dealer = peer.dealer(manager)
-    asked = pb.ReadData(stream="from_pl", timeout=timeout).SerializeToString()
-    assert peer.ask(b"cm_write_config", pb.WriteConfig(mode="loopback").SerializeToString()).ok
-    for _ in range(3):
-        dealer.send_multipart([b"cm_read_data", asked])
-    late = pb.ReadData(stream="from_pl", timeout=0.2).SerializeToString()
-    for _ in range(3):
-        assert peer.ask(b"cm_read_data", late).error.code == "timeout"  # by a timer
-    assert peer.ask(b"cm_status", b"").ok
