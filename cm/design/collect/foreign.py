@@ -10,10 +10,11 @@ from typing import Any
 
 from cm.design.collect import handoff
 from cm.design.collect.collected import HEAD, Collected, Inputs, compile_overlays
-from cm.design.collect.foreign_dma import PS_CLOCKS, ClockInput, Engines, ForeignInterrupts, engines, interrupts
+from cm.design.collect.foreign_dma import PS_CLOCKS, Engines, ForeignInterrupts, engines, interrupts
 from cm.design.collect.handoff import Handoff
 from cm.design.collect.images import Image, by_region, check_regions, footprint, to_bin
 from cm.design.errors import BuildError
+from cm.design.generate.dma_nodes import ClockInput, Tree
 from cm.design.hdl.register_maps import identifier
 from cm.design.platforms import Platform, platform_of
 from cm.design.render import Renderer
@@ -200,17 +201,15 @@ class Bridge:
 
 def overlay(design: hwh.Hwh, config: Config, platform: Platform, dma: Engines, lines: ForeignInterrupts) -> str:
     """The source of the overlay."""
-    zynq = platform.name == "zynq7000"
     decouplers = {bridge.base: bridge for bridge in bridges(design)}
     context = {
         "name": config.name,
-        "cells": 1 if zynq else 2,
-        "intc": "intc" if zynq else "gic",
-        "manager": "devcfg" if zynq else "zynqmp_pcap",
+        "dt": Tree(platform),
         "clocks": [ClockInput(c.name, _phandle(c.name), c.rate) for c in hwh.clocks(design)],
         "windows": list(_windows(design, lines)),
-        "dma": dma,
-        "channels": [(engine, channel) for engine in dma.found for channel in engine.channels],
+        "fixed_clocks": dma.fixed_clocks,
+        "engines": dma.found,
+        "streams": dma.streams,
         "bridges": list(decouplers.values()),
         "regions": {
             region.name: decouplers.get(region.decoupler.base_address) if region.decoupler else None
@@ -240,7 +239,7 @@ def _clock_of(module: hwh.ModuleInstance) -> str | None:
 
 def _phandle(name: str) -> str:
     """The phandle of a clock by its name in the runtime schema, fclk0 or pl0."""
-    return f"<{PS_CLOCKS[('FCLK_CLK' if name.startswith('fclk') else 'pl_clk') + name[-1]]}>"
+    return f"{PS_CLOCKS[('FCLK_CLK' if name.startswith('fclk') else 'pl_clk') + name[-1]]}"
 
 
 def _windows(design: hwh.Hwh, lines: ForeignInterrupts) -> Iterator[dict[str, Any]]:

@@ -18,12 +18,12 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
+from cm.design.generate.dma_nodes import Channel, ClockInput, Engine, Streams, streams_of
 from cm.design.hdl.register_maps import identifier
 from cm.design.platforms import Platform
 from cm.formats import hwh
 from cm.schema.model import Interrupt
 
-KINDS = {"axi_dma": 1, "axi_vdma": 2, "axi_mcdma": 1}  # as fpga-cm,types counts them
 _CLOCK_PINS = {
     "axi_dma": ("s_axi_lite_aclk", "m_axi_sg_aclk", "m_axi_mm2s_aclk", "m_axi_s2mm_aclk"),
     "axi_vdma": ("s_axi_lite_aclk", "m_axi_mm2s_aclk", "m_axi_s2mm_aclk", "m_axis_mm2s_aclk", "s_axis_s2mm_aclk"),
@@ -36,55 +36,6 @@ PS_CLOCKS = {f"FCLK_CLK{i}": f"&clkc {15 + i}" for i in range(4)} | {
 }
 _LENGTH_BITS = 14  # the default of an axi_dma (PG021)
 _NAME_LENGTH = 31  # of a node in /dev/cm_dma
-
-
-@dataclass(frozen=True, slots=True)
-class Channel:
-    """One direction of an engine: `stream` is its name in the runtime schema and in ``/dev/cm_dma``."""
-
-    stream: str
-    direction: str  # mm2s or s2mm
-    spi: int
-    width: int  # bits of a beat
-    realigns: bool
-    number: int  # the cell of ``dmas``
-
-
-@dataclass(frozen=True, slots=True)
-class ClockInput:
-    """A clock input: a phandle with its arguments, or (`rate` in Hz) a clock made in the PL."""
-
-    pin: str
-    source: str
-    rate: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Engine:
-    """An axi_dma or axi_vdma."""
-
-    label: str
-    kind: str
-    base: int
-    size: int
-    address_bits: int
-    length_bits: int
-    frames: int  # frame stores of a VDMA
-    flushes: bool  # it can recover from a frame of the wrong size
-    clocks: tuple[ClockInput, ...]
-    channels: tuple[Channel, ...]
-
-    @property
-    def type(self) -> int:
-        """The engine's type, as numbered in ``fpga-cm,types``."""
-        return KINDS[self.kind]
-
-    @property
-    def groups(self) -> list[tuple[int, tuple[Channel, ...]]]:
-        """Channels by direction, with the address of that direction's registers."""
-        offsets = {"mm2s": 0, "s2mm": 0x500 if self.kind == "axi_mcdma" else 0x30}
-        found = [(self.base + at, tuple(c for c in self.channels if c.direction == d)) for d, at in offsets.items()]
-        return [(at, channels) for at, channels in found if channels]
 
 
 @dataclass(slots=True)
@@ -101,10 +52,10 @@ class Engines:
         return [clocks[name] for name in sorted(clocks)]
 
     @property
-    def max_length(self) -> int:
-        """The largest transfer, in bytes, that every engine accepts."""
-        bits = [engine.length_bits for engine in self.found if engine.kind != "axi_vdma"]
-        return (1 << min(bits, default=23)) - 1
+    def streams(self) -> list[Streams]:
+        """Their channels: one length for all, as far as their registers go."""
+        bits = min((engine.length_bits for engine in self.found if engine.kind != "axi_vdma"), default=23)
+        return streams_of([(engine, channel, bits) for engine in self.found for channel in engine.channels])
 
 
 def stream_names(channels: Iterable[hwh.DmaChannel], design: hwh.Hwh) -> dict[hwh.DmaChannel, str]:
@@ -135,8 +86,12 @@ def engines(design: hwh.Hwh, platform: Platform) -> Engines:
     for instance in dict.fromkeys(channel.instance for channel in listed):
         mine = [channel for channel in listed if channel.instance == instance]
         module, window = design.modules[instance], windows.get(instance)
-        if module.type not in KINDS or window is None:
-            why = "has no address" if module.type in KINDS else f"is an {module.type}, whose channels are not described"
+        if module.type not in _CLOCK_PINS or window is None:
+            why = (
+                "has no address"
+                if module.type in _CLOCK_PINS
+                else f"is an {module.type}, whose channels are not described"
+            )
             result.notes.append(f"{instance} {why}: its streams need a DMA node in the board's own tree")
             continue
         channels = tuple(_channels(mine, names, lines, platform, module, result.notes))

@@ -18,6 +18,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from cm.design.generate.dma_nodes import Channel, ClockInput, Streams, Tree, streams_of
+from cm.design.generate.dma_nodes import Engine as EngineNode
 from cm.design.plan.block_design import memory_ports
 from cm.design.plan.dma_cells import FRAME_STORES, clock_pins
 from cm.design.plan.dma_engines import Dma, Engine, EngineKind
@@ -26,7 +28,7 @@ from cm.design.render import c_name
 from cm.design.runtime.answers import Answers
 from cm.design.runtime.schema import REGION_BLOCK, REGION_STRIDE, runtime_config, runtime_text
 from cm.formats.bitstream import device_by_name
-from cm.schema.model import Config, Direction, LoaderKind, Memory, Register
+from cm.schema.model import Config, LoaderKind, Memory, Register
 
 _AFI_FS, _AFI_FS_128 = 14, 0xA00
 _AFI_BASE = 0xF8008000
@@ -51,7 +53,6 @@ def nodes(system: System) -> list[Node]:
 
 
 PAGE = 0x1000
-CHANNELS = 32  # of a node of fpga-cm,dma-client
 Entry = tuple[str, str, Mapping[str, Any]]  # path below the output folder, template, its variables
 
 
@@ -59,7 +60,9 @@ def software_outputs(system: System, answers: Answers) -> Iterator[Entry]:
     """Path, template and its variables of every file."""
     name = system.project.name
     config = runtime_config(system, answers)
-    base: dict[str, Any] = {"system": system, "config": config, "name": name, "dt": _DeviceTree(system)}
+    dt = _DeviceTree(system)
+    base: dict[str, Any] = {"system": system, "config": config, "name": name, "dt": dt}
+    base |= {"clocks": dt.clocks, "engines": dt.engines, "streams": dt.streams}
     yield f"config/{name}.yaml", "runtime.yaml.j2", base | {"text": runtime_text(system, config)}
     yield f"dts/{name}_static.dtso", "static.dtso.j2", base
     yield "dts/system-user.dtsi", "system-user.dtsi.j2", base
@@ -79,40 +82,26 @@ def software_outputs(system: System, answers: Answers) -> Iterator[Entry]:
     yield "petalinux/user-rootfsconfig", "rootfsconfig.j2", {"recipe": recipe}
 
 
-class _DeviceTree:
-    """Device-tree properties that differ between platforms."""
+class _DeviceTree(Tree):
+    """Device-tree properties of a system."""
 
     def __init__(self, system: System) -> None:
+        super().__init__(system.platform)
         self._system = system
-        zynq = system.platform.name == "zynq7000"
-        self.cells = 1 if zynq else 2
-        self.intc = "intc" if zynq else "gic"
-        self.select = "zynq" if zynq else "zynqmp"
-        self.manager = "devcfg" if zynq else "zynqmp_pcap"
         known = device_by_name(system.device)
         self.idcode = known.idcode if known else 0
-
-    def reg(self, base: int, size: int) -> str:
-        """A ``reg`` entry."""
-        if self.cells == 1:
-            return f"<{base:#010x} {size:#x}>"
-        return f"<{base >> 32:#x} {base & 0xFFFFFFFF:#010x} {size >> 32:#x} {size & 0xFFFFFFFF:#x}>"
+        self._engines = {engine.name: self._engine(engine) for engine in system.engines}
+        self.engines = list(self._engines.values())
 
     def clock(self, name: str) -> str:
-        """A PL clock: clock number 15 and up of Zynq's ``clkc``, 71 and up of ``zynqmp_clk``."""
-        index = list(self._system.project.clocks).index(name)
-        return f"<&clkc {15 + index}>" if self.cells == 1 else f"<&zynqmp_clk {71 + index}>"
+        """The phandle of a PL clock, with its argument."""
+        return self.pl_clock(list(self._system.project.clocks).index(name))
 
     @property
-    def clocks(self) -> list[tuple[str, str]]:
-        """The PL clocks in use: phandle with its argument, and name."""
-        return [(self.clock(name), name) for name in used_clocks(self._system)]
-
-    @property
-    def rates(self) -> str:
-        """Their rates, as ``assigned-clock-rates`` has them."""
-        rates = [self._system.project.clocks[name].rate for name in used_clocks(self._system)]
-        return f"<{' '.join(map(str, rates))}>"
+    def clocks(self) -> list[ClockInput]:
+        """The PL clocks in use."""
+        clocks = self._system.project.clocks
+        return [ClockInput(name, self.clock(name), clocks[name].rate) for name in used_clocks(self._system)]
 
     @property
     def afi(self) -> list[Node]:
@@ -142,25 +131,35 @@ class _DeviceTree:
         """Address of a region's control registers."""
         return self._system.control.base + REGION_BLOCK + REGION_STRIDE * index
 
-    def dma_clocks(self, engine: Engine) -> list[str]:
-        """Clock names of an engine's node: its pins; an MCDMA's one clock is listed as the three of its driver."""
+    def _engine(self, engine: Engine) -> EngineNode:
+        """An engine's node; an MCDMA's one clock is listed as the three of its driver."""
+        pins = list(clock_pins(engine))
         if engine.kind is EngineKind.MCDMA:
-            return ["s_axi_lite_aclk", "m_axi_sg_aclk", *(f"m_axi_{way.value}_aclk" for way in engine.directions)]
-        return list(clock_pins(engine))
+            pins[1:] = ["m_axi_sg_aclk", *(f"m_axi_{way.value}_aclk" for way in engine.directions)]
+        return EngineNode(
+            label=f"cm_dma_{engine.name}",
+            kind=engine.kind.value,
+            base=engine.window.base,
+            size=engine.window.size,
+            address_bits=self._system.platform.address_bits,
+            length_bits=engine.length_bits,
+            frames=FRAME_STORES,
+            flushes=True,  # as the core does unless told
+            clocks=tuple(ClockInput(pin, self.clock(engine.clock)) for pin in pins),
+            channels=tuple(self._channel(dma) for way in engine.directions for dma in engine.of(way)),
+            coherent=self._system.project.static.coherent,
+        )
 
-    frame_stores = FRAME_STORES
-
-    def channel_offset(self, engine: Engine, way: Direction) -> int:
-        """Where the registers of a direction begin (PG021, PG020; PG288 by xmcdma_hw.h)."""
-        if way is Direction.MM2S:
-            return 0
-        return 0x500 if engine.kind is EngineKind.MCDMA else 0x30
+    def _channel(self, dma: Dma) -> Channel:
+        spi = self._system.platform.spi(dma.line)
+        return Channel(dma.name, dma.direction.value, spi, dma.memory_width, False, dma.cell)
 
     @property
-    def streams(self) -> list[tuple[Dma, ...]]:
-        """Channels of streams, in groups as large as the node's binding allows."""
+    def streams(self) -> list[Streams]:
+        """Channels of streams."""
         found = [dma for dma in self._system.dmas if dma not in (self._system.icap, self._system.readback)]
-        return [tuple(found[start : start + CHANNELS]) for start in range(0, len(found), CHANNELS)]
+        names = {dma: dma.engine or dma.name for dma in found}
+        return streams_of([(self._engines[names[dma]], self._channel(dma), dma.length_bits) for dma in found])
 
     def firmware(self, one: Implementation) -> bool:
         """Whether the kernel loads the bitstream when the overlay is applied."""
