@@ -14,7 +14,7 @@ HEAVY |= {"sqlite3", "ssl", "statistics", "tempfile", "unittest", "xml", "zipfil
 LIBRARIES = {"_cffi_backend", "_yaml", "cm", "google", "yaml", "zmq"}
 # By Python itself, where there are any; Debian 13's sitecustomize looks for the last.
 STARTED_WITH = {"_distutils_hack", "sitecustomize", "usercustomize", "apport_python_hook"}
-_ELSEWHERE = {"org", "win32api", "cPickle"}  # of other systems and times: libraries try to import them
+_ELSEWHERE = {"org", "win32api", "cPickle", "_wmi"}  # of other systems and times: libraries try to import them
 
 
 def imported(log: bytes) -> set[str]:
