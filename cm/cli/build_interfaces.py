@@ -14,7 +14,7 @@ from cm.cli.common import add_json_option, print_json, print_table
 from cm.design.hdl.compare_ipxact import Difference, compare
 from cm.design.hdl.extract import Sources
 from cm.design.hdl.ipxact import load_component_xml
-from cm.design.hdl.model import Interface, ModuleInfo, Problem, Reset
+from cm.design.hdl.model import ModuleInfo, Problem, Reset
 from cm.design.hdl.user_protocols import load_protocols
 from cm.design.input_kinds import read_inputs
 
@@ -95,72 +95,37 @@ def as_dict(module: ModuleInfo, differences: Sequence[Difference] | None = None)
     """A module as JSON has it: interfaces, and what was left over."""
     result: dict[str, Any] = {
         "module": module.name,
-        "file": module.file,
-        "line": module.line,
-        "language": module.language.value,
+        **_fields(module, "file", "line", "language"),
         "parameters": {p.name: p.value for p in module.parameters if not p.local},
-        "interfaces": [_interface(interface) for interface in module.interfaces],
+        "interfaces": [_fields(interface, *_INTERFACE) for interface in module.interfaces],
         "clocks": [
-            {
-                "name": clock.name,
-                "port": clock.port,
-                "direction": clock.direction.value,
-                "frequency_hz": clock.frequency_hz,
-                "interfaces": list(clock.interfaces),
-                "reset": clock.reset,
-            }
-            for clock in module.clocks
+            _fields(c, "name", "port", "direction", "frequency_hz", "interfaces", "reset") for c in module.clocks
         ],
-        "resets": [
-            {
-                "name": reset.name,
-                "port": reset.port,
-                "polarity": reset.polarity.value if reset.polarity else None,
-                "clock": reset.clock,
-                "why": reset.why,
-                "may_be": list(reset.may_be),
-            }
-            for reset in module.resets
+        "resets": [_fields(r, "name", "port", "polarity", "clock", "why", "may_be") for r in module.resets],
+        "interrupts": [_fields(i, "name", "port", "mode", "width", "sensitivity") for i in module.interrupts],
+        "leftover": [
+            {**_fields(module.port(left.port), "name", "direction", "width"), "reason": left.reason}
+            for left in module.leftovers
         ],
-        "interrupts": [
-            {"name": i.name, "port": i.port, "mode": i.mode.value, "width": i.width, "sensitivity": i.sensitivity}
-            for i in module.interrupts
-        ],
-        "leftover": _leftover(module),
         "problems": [_problem(problem) for problem in module.problems],
     }
     if differences is not None:
-        result["differences"] = [{"kind": d.kind, "name": d.name, "message": d.message} for d in differences]
+        result["differences"] = [_fields(d, "kind", "name", "message") for d in differences]
     return result
 
 
-def _interface(interface: Interface) -> dict[str, Any]:
-    return {
-        "name": interface.name,
-        "protocol": interface.protocol,
-        "mode": interface.mode.value,
-        "ports": dict(interface.ports),
-        "clock": interface.clock,
-        "reset": interface.reset,
-        "reset_polarity": interface.reset_polarity.value if interface.reset_polarity else None,
-        "data_width": interface.data_width,
-        "addr_width": interface.addr_width,
-        "id_width": interface.id_width,
-        "widths": dict(interface.widths),
-        "found_by": interface.found_by.value,
-    }
+_INTERFACE = (
+    *("name", "protocol", "mode", "ports", "clock", "reset", "reset_polarity", "data_width", "addr_width", "id_width"),
+    *("widths", "found_by"),
+)
 
 
-def _leftover(module: ModuleInfo) -> list[dict[str, Any]]:
-    return [
-        {"name": left.port, "direction": port.direction.value, "width": port.width, "reason": left.reason}
-        for left in module.leftovers
-        for port in [module.port(left.port)]
-    ]
+def _fields(thing: object, *names: str) -> dict[str, Any]:
+    return {name: getattr(thing, name) for name in names}
 
 
 def _problem(problem: Problem) -> dict[str, Any]:
-    return {"message": problem.message, "file": problem.file, "line": problem.line, "fatal": problem.fatal}
+    return _fields(problem, "message", "file", "line", "fatal")
 
 
 def _print(module: ModuleInfo, differences: Sequence[Difference] | None) -> None:

@@ -92,7 +92,7 @@ def run_load(args: argparse.Namespace) -> int:
 
 def run_mode(args: argparse.Namespace) -> int:
     """Go there; the exit status."""
-    config, mode = _split(args.target)
+    config, _, mode = args.target.rpartition("/")  # no configuration: the loaded one
     with connected(args) as board:
         try:
             return _go(board, args, config, mode)
@@ -100,12 +100,6 @@ def run_mode(args: argparse.Namespace) -> int:
             if error.code in _NO_MODE and not config and mode in board.configs:
                 error.args = (f"{error}; {mode} is a configuration: cm load {mode}",)
             raise
-
-
-def _split(target: str) -> tuple[str, str]:
-    """Configuration, empty for the loaded one, and mode."""
-    config, _, mode = target.rpartition("/")
-    return config, mode
 
 
 def _has_mode(board: Board, name: str) -> bool:
@@ -166,7 +160,7 @@ def _say(sentence: str) -> None:
 
 def run_plan(args: argparse.Namespace) -> int:
     """Print the steps; the exit status."""
-    config, mode = (args.target, args.mode) if args.mode else _split(args.target or "")
+    config, mode = (args.target, args.mode) if args.mode else (args.target or "").rpartition("/")[::2]
     config = config or args.config
     with connected(args) as board:
         try:

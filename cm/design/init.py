@@ -19,7 +19,7 @@ from cm.design.errors import BuildError
 from cm.design.generate.generation import load_design
 from cm.design.hdl.clock_reset_names import REGION_CLOCK
 from cm.design.hdl.extract import Sources
-from cm.design.hdl.hls_registers import HDL, hls_interface, hls_memories, hls_registers
+from cm.design.hdl.hls_registers import HDL, hls_interface
 from cm.design.hdl.ipxact import component_files
 from cm.design.hdl.model import Mode, ModuleInfo
 from cm.design.hdl.register_maps import identifier, read_register_map
@@ -150,7 +150,8 @@ def _register_maps(given: Given, sources: Sequence[Path], *component: Path) -> d
 def _described(path: Path) -> set[str]:
     """The registers and memories of a register map; none, if it has none or cannot be read."""
     with contextlib.suppress(BuildError):
-        return {*hls_memories(path), *hls_registers(path)} if HDL.match(path.name) else {*read_register_map(path, "")}
+        registers, memories = read_register_map(path, "")
+        return {*registers, *memories}
     return set()
 
 

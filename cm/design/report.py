@@ -54,12 +54,7 @@ def _region(boundary: Boundary) -> dict[str, Any]:
         "ports": {port.name: port.width for port in boundary.ports},
         "interfaces": {i.name: {"protocol": i.protocol, "mode": i.mode.value} for i in boundary.interfaces},
         "modules": {
-            a.module: {
-                "fits": a.ok,
-                "adapted": list(adapted(a, boundary)),
-                "notes": list(a.notes),
-                "refused": list(a.refused),
-            }
+            a.module: {"fits": a.ok, "adapted": [*adapted(a, boundary)], "notes": a.notes, "refused": a.refused}
             for a in boundary.adaptations
         },
     }

@@ -17,7 +17,7 @@ from cm.design.hdl.errors import HdlError, ModuleNotFound, UnknownParameter
 from cm.design.hdl.extract import Sources, read
 from cm.design.hdl.flat import Flat, needs_wrapper
 from cm.design.hdl.flatten import flatten
-from cm.design.hdl.hls_registers import HDL, differences, hls_memories, hls_registers, is_hls
+from cm.design.hdl.hls_registers import HDL, differences, hls_registers
 from cm.design.hdl.ipxact import load_component_xml, load_xci
 from cm.design.hdl.model import Language, ModuleInfo, Polarity, Problem, Stated
 from cm.design.hdl.register_maps import read_register_map
@@ -101,8 +101,7 @@ def _with_registers(project: Project, spec: ModuleSpec) -> ModuleSpec:
 
 def _with_map(spec: ModuleSpec, bus: str, path: Path) -> ModuleSpec:
     """The module with what a register map says of one of its buses; what it has already, stays."""
-    memories = hls_memories(path) if is_hls(path) else {}
-    registers = {} if memories and not hls_registers(path) else read_register_map(path, spec.top)
+    registers, memories = read_register_map(path, spec.top)
     # HLS has a file for each bus of a module: where one of them is named, the others are of other buses
     for other in () if HDL.match(path.name) else (source for source in spec.sources if HDL.match(source.name)):
         if wrong := differences(registers, hls_registers(other)):

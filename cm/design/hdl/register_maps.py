@@ -11,15 +11,18 @@ from typing import Any
 from xml.etree import ElementTree
 
 from cm.design.errors import BuildError, MissingTool
-from cm.design.hdl.hls_registers import hls_registers, is_hls
+from cm.design.hdl.hls_registers import hls_memories, hls_registers, is_hls
 from cm.design.hdl.ipxact import component_root, descendants, number, text_of
-from cm.schema.model import Access, BitField, Register
+from cm.schema.model import Access, BitField, Memory, Register
 
 Registers = dict[str, Register]
 
 
-def read_register_map(path: Path, module: str) -> Registers:
-    """Read the registers in `path` according to its suffix; `module` selects one of several in a .hwh or .rdl file."""
+def read_register_map(path: Path, module: str) -> tuple[Registers, dict[str, Memory]]:
+    """Read the registers in `path` according to its suffix, and the arrays that HLS has beside them.
+
+    `module` selects one of several in a .hwh or .rdl file.
+    """
     readers: Mapping[str, Callable[[Path, str], Registers]] = {
         ".xml": _ipxact,
         ".hwh": _hwh,
@@ -30,10 +33,10 @@ def read_register_map(path: Path, module: str) -> Registers:
     reader = _hls if is_hls(path) else readers.get(path.suffix.lower())
     if reader is None:
         raise BuildError(f"{path}: registers are read from {', '.join(readers)} files, and *_s_axi.v or .vhd of HLS")
-    found = reader(path, module)
-    if not found:
+    found, memories = reader(path, module), hls_memories(path) if is_hls(path) else {}
+    if not (found or memories):
         raise BuildError(f"{path} describes no registers")
-    return found
+    return found, memories
 
 
 def _hls(path: Path, module: str) -> Registers:

@@ -124,7 +124,7 @@ addrmap filter {
 
 def test_ip_xact(tmp_path: Path) -> None:
     (tmp_path / "component.xml").write_text(IPXACT)
-    found = read_register_map(tmp_path / "component.xml", "any")["status_word"]
+    found = read_register_map(tmp_path / "component.xml", "any")[0]["status_word"]
     assert (found.base_address, found.offset, found.width, found.access, found.reset) == (0, 0x108, 32, Access.RO, 5)
     assert (found.fields["done"].lsb, found.fields["done"].width) == (3, 2)
     assert found.doc == "What happened"
@@ -133,13 +133,13 @@ def test_ip_xact(tmp_path: Path) -> None:
 def test_hardware_handoff(tmp_path: Path) -> None:
     text = hwh(module("f0", "filter", described(register("GAIN", 8, register_field("LOW", 0, 4), size=8))))
     (tmp_path / "a.hwh").write_bytes(text)
-    found = read_register_map(tmp_path / "a.hwh", "filter")["gain"]
+    found = read_register_map(tmp_path / "a.hwh", "filter")[0]["gain"]
     assert (found.offset, found.width, found.fields["low"].width) == (8, 32, 4)
 
 
 def test_hls_header(tmp_path: Path) -> None:
     (tmp_path / "xfilter_hw.h").write_text(HLS)
-    found = read_register_map(tmp_path / "xfilter_hw.h", "filter")
+    found = read_register_map(tmp_path / "xfilter_hw.h", "filter")[0]
     assert {name: (one.offset, one.access) for name, one in found.items()} == {
         "ap_ctrl": (0, Access.RW),
         "gain": (0x10, Access.RW),
@@ -151,7 +151,7 @@ def test_hls_header(tmp_path: Path) -> None:
 def test_registers_of_hls_are_those_of_its_comment(style: str, tmp_path: Path) -> None:
     path = tmp_path / f"filter_control_s_axi.{'vhd' if style == 'vhdl' else 'v'}"
     path.write_text(S_AXI[style])
-    found = read_register_map(path, "filter")
+    found = read_register_map(path, "filter")[0]
     assert {name: (one.offset, one.access.value) for name, one in found.items()} == {
         "ap_ctrl": (0, "rw"), "gie": (4, "rw"), "ier": (8, "rw"), "isr": (0xC, "rw"), "gain": (0x10, "rw"),
         "where_r_0": (0x18, "rw"), "where_r_1": (0x1C, "rw"), "sum": (0x24, "ro"), "sum_ctrl": (0x28, "ro"),
@@ -190,7 +190,7 @@ def test_arrays_of_hls_are_memories(said: str, memory: tuple[object, ...], tmp_p
 def test_addresses_of_hls_alone_are_enough(tmp_path: Path) -> None:
     path = tmp_path / "filter_control_s_axi.v"
     path.write_text("localparam" + S_AXI["2019"].split("localparam")[1])
-    found = read_register_map(path, "filter")
+    found = read_register_map(path, "filter")[0]
     assert (found["gain"].offset, found["where_r_1"].offset, found["sum"].offset) == (0x10, 0x1C, 0x24)
     assert "table" not in found
 
@@ -205,7 +205,7 @@ def test_a_comment_and_constants_that_disagree_are_refused(tmp_path: Path) -> No
 def test_systemrdl(tmp_path: Path) -> None:
     pytest.importorskip("systemrdl", reason="needs systemrdl-compiler: the extra [build] is not installed")
     (tmp_path / "filter.rdl").write_text(RDL)
-    found = read_register_map(tmp_path / "filter.rdl", "filter")
+    found = read_register_map(tmp_path / "filter.rdl", "filter")[0]
     assert (found["gain"].offset, found["gain"].access, found["gain"].reset) == (4, Access.RW, 0x10)
     assert (found["state"].access, found["state"].fields["error"].lsb) == (Access.W1C, 4)
 
@@ -354,7 +354,7 @@ CONFIG_JSON = """{"scale": {"S_AXI_CONTROL": {
 
 def test_arguments_are_read_from_the_config_json_of_hls(tmp_path: Path) -> None:
     (tmp_path / "config.json").write_text(CONFIG_JSON)
-    found = read_register_map(tmp_path / "config.json", "scale")
+    found = read_register_map(tmp_path / "config.json", "scale")[0]
     assert {name: spec.offset for name, spec in found.items()} == {"rows": 0x10, "start_at_0": 0x18, "start_at_1": 0x1C}
 
 
