@@ -92,7 +92,6 @@ class Parameter:
     name: str
     value: int | float | str | None
     text: str = ""  # default as in the source
-    overridden: bool = False  # the value was given by the caller
     local: bool = False  # localparam: cannot be set by an instance
 
 

@@ -61,7 +61,7 @@ def _parameters(body: Any, file: str, problems: list[Problem], given: Mapping[st
         value = _value(symbol, given.get(symbol.name, text))
         if value is None and not symbol.isLocalParam:
             problems.append(Problem(_no_value(symbol.name, text), file))
-        yield Parameter(symbol.name, value, text, symbol.name in given and not symbol.isLocalParam, symbol.isLocalParam)
+        yield Parameter(symbol.name, value, text, symbol.isLocalParam)
 
 
 def _no_value(name: str, text: str) -> str:

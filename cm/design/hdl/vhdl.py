@@ -164,7 +164,7 @@ class _Evaluation:
             text = f"generic {generic.name}{default} has no value that could be evaluated: {hint}"
             self._problems.append(Problem(text, str(self._entity.path), generic.line))
         self.names[generic.name.lower()] = value
-        return Parameter(generic.name, value, generic.default, given is not None)
+        return Parameter(generic.name, value, generic.default)
 
     def _port(self, port: Declaration) -> Port:
         flat, width = True, None

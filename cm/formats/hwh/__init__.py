@@ -5,18 +5,15 @@
 `cm import pynq` and by `cm build collect`.
 """
 
-from cm.formats.hwh.reader import BusInterface as BusInterface
 from cm.formats.hwh.reader import ConnectedPort as ConnectedPort
 from cm.formats.hwh.reader import Hwh as Hwh
 from cm.formats.hwh.reader import HwhError as HwhError
-from cm.formats.hwh.reader import InstancePort as InstancePort
 from cm.formats.hwh.reader import MemoryRange as MemoryRange
 from cm.formats.hwh.reader import ModuleInstance as ModuleInstance
 from cm.formats.hwh.reader import RegisterField as RegisterField
 from cm.formats.hwh.reader import RegisterInfo as RegisterInfo
 from cm.formats.hwh.reader import parse as parse
 from cm.formats.hwh.reader import read as read
-from cm.formats.hwh.trace import ClockInfo as ClockInfo
 from cm.formats.hwh.trace import DecouplerInfo as DecouplerInfo
 from cm.formats.hwh.trace import DmaChannel as DmaChannel
 from cm.formats.hwh.trace import InterruptLine as InterruptLine

@@ -79,7 +79,6 @@ class MemoryRange:
     base: int
     high: int
     kind: str  # REGISTER or MEMORY
-    master: str  # the master's interface, e.g. M_AXI_GP0
 
     @property
     def size(self) -> int:
@@ -113,9 +112,7 @@ class Hwh:
     """A whole file: `device` without package, e.g. ``7z020``."""
 
     design: str
-    arch: str
     device: str
-    package: str
     vivado: str
     timestamp: str
     modules: Mapping[str, ModuleInstance]  # by instance
@@ -169,9 +166,7 @@ def _hwh(root: ElementTree.Element, info: ElementTree.Element) -> Hwh:
     modules = {module.instance: module for module in map(_module, root.iterfind("MODULES/MODULE"))}
     return Hwh(
         design=info.get("NAME", ""),
-        arch=info.get("ARCH", ""),
         device=info.get("DEVICE", ""),
-        package=info.get("PACKAGE", ""),
         vivado=root.get("VIVADOVERSION", ""),
         timestamp=root.get("TIMESTAMP", ""),
         modules=MappingProxyType(modules),
@@ -248,7 +243,6 @@ def _ranges(elements: Iterator[ElementTree.Element]) -> Iterator[MemoryRange]:
                 base=base,
                 high=high,
                 kind=element.get("MEMTYPE", ""),
-                master=element.get("MASTERBUSINTERFACE", ""),
             )
 
 

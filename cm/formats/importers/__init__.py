@@ -5,11 +5,8 @@ Nothing of theirs is copied: the schemas point at the package's own files, so th
 What a package says that the runtime schema cannot express is listed in `Imported.notes`.
 """
 
-from cm.formats.importers.archive import Unpacked as Unpacked
 from cm.formats.importers.archive import back as back
 from cm.formats.importers.archive import unpack as unpack
-from cm.formats.importers.config_versions import NoSuchVersion as NoSuchVersion
-from cm.formats.importers.config_versions import Version as Version
 from cm.formats.importers.config_versions import versions as versions
 from cm.formats.importers.dfx_mgr import import_dfx_mgr as import_dfx_mgr
 from cm.formats.importers.pynq import import_pynq as import_pynq

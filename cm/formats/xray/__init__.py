@@ -4,9 +4,6 @@
 Frames are numbers (`cm.formats.xray.frames`), features are named as in the database (`cm.formats.xray.features`).
 """
 
-from cm.formats.xray.coding import Clash as Clash
-from cm.formats.xray.coding import Decoded as Decoded
-from cm.formats.xray.coding import Encoded as Encoded
 from cm.formats.xray.coding import bits_of as bits_of
 from cm.formats.xray.coding import decode as decode
 from cm.formats.xray.coding import describe_bits as describe_bits
@@ -16,18 +13,13 @@ from cm.formats.xray.database import Database as Database
 from cm.formats.xray.database import find_database as find_database
 from cm.formats.xray.features import DatabaseMissing as DatabaseMissing
 from cm.formats.xray.features import Feature as Feature
-from cm.formats.xray.features import Setting as Setting
 from cm.formats.xray.features import XrayError as XrayError
 from cm.formats.xray.features import fasm as fasm
-from cm.formats.xray.features import parse as parse
 from cm.formats.xray.features import read_features as read_features
-from cm.formats.xray.frames import Frames as Frames
-from cm.formats.xray.frames import ecc as ecc
 from cm.formats.xray.frames import from_bytes as from_bytes
 from cm.formats.xray.frames import set_bits as set_bits
 from cm.formats.xray.frames import to_bytes as to_bytes
 from cm.formats.xray.frames import with_ecc as with_ecc
-from cm.formats.xray.tiles import Segment as Segment
 from cm.formats.xray.tiles import Tile as Tile
 from cm.formats.xray.volatile import volatile_bits as volatile_bits
 from cm.formats.xray.wires import Pip as Pip

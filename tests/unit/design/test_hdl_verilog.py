@@ -59,7 +59,7 @@ def test_widths_follow_parameters_macros_and_localparams() -> None:
     assert camera.interface("s_axi").addr_width == 9
     assert camera.interface("s_axis").data_width == 64
     assert camera.port("s_axis_tkeep").width == 8
-    assert {p.name: (p.value, p.overridden, p.local) for p in camera.parameters}["DATA_WIDTH"] == (64, True, False)
+    assert {p.name: (p.value, p.local) for p in camera.parameters}["DATA_WIDTH"] == (64, False)
 
 
 def test_port_tells_range_type_line_and_direction() -> None:
@@ -399,7 +399,7 @@ def test_string_and_real_parameters_keep_their_kind(tmp_path: Path) -> None:
 )
 def test_parameter_is_set_to_a_number_or_a_string(tmp_path: Path, given: str, value: object) -> None:
     found = ports(tmp_path, "input clk", "parameter P = 0", parameters={"P": given})
-    assert [(p.value, p.overridden) for p in found.parameters] == [(value, True)]
+    assert [p.value for p in found.parameters] == [value]
 
 
 def test_included_file_in_another_encoding_is_read(tmp_path: Path) -> None:
