@@ -55,7 +55,7 @@ def of_process(transport: str, uid: int, gid: int, pid: int) -> Principal:
     return Principal(f"{transport}:{uid}:{gid}:{pid}", transport, uid=uid, gid=gid, pid=pid)
 
 
-def introduced(domain: str, address: str, mechanism: str, key: str = "") -> Principal:
+def introduced(domain: str, address: str, mechanism: str, key: str) -> Principal:
     """The peer that ZeroMQ's authentication (ZAP) describes; NOBODY if it does not say enough.
 
     Over ipc libzmq passes on what the kernel says of the peer, as an address that ends in :UID:GID:PID.
@@ -82,7 +82,7 @@ def from_id(text: str) -> Principal:
         key = rest[-40:]
         return introduced(CURVE, rest[:-41], "CURVE", key) if len(rest) > 40 else NOBODY
     elif transport == TCP:
-        return introduced(TCP, rest, "NULL")
+        return introduced(TCP, rest, "NULL", "")
     return NOBODY
 
 

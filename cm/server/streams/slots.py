@@ -259,7 +259,7 @@ class SlotHolders:
         while not (self.closed or self.started or self._has_room()):
             yield
         for _ in range(_PATIENCE):
-            if self.closed or self.started or not self._waiting:
+            if self.started or not self._waiting:  # as of a stream that was stopped
                 break
             yield
         if not (self.closed or self.started):

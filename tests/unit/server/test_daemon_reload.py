@@ -5,12 +5,10 @@ from __future__ import annotations
 
 import json
 import logging
-import re
 import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -35,7 +33,6 @@ from cm.wire.plane_packets import Open
 
 MIB = 1 << 20
 SMALL = "config: {name: a, modules: {m: {}}, modes: {m: {modules: [m]}}}"
-DOCS = Path(__file__).resolve().parents[3] / "docs"
 OPERATE, OBSERVE = Access(insecure=("operate",)), Access(insecure=("observe",))
 
 
@@ -306,19 +303,3 @@ def test_requests_are_counted_whether_they_are_answered_or_not_and_refusals_by_t
         lambda: counted() == (before + 4, {**errors, ("unknown_register",): errors.get(("unknown_register",), 0) + 2})
     )
     sender.close(linger=0)
-
-
-def test_every_metric_is_documented_with_its_kind(served: Daemon) -> None:
-    served.load("default")
-    rows = (DOCS / "metrics.md").read_text(encoding="utf-8").splitlines()
-    said: dict[str, str] = {}
-    for row in rows:
-        if row.startswith("| `"):
-            named, kind = row.split("|")[1:3]
-            said |= dict.fromkeys(re.findall(r"`(\w+)`", named), kind.strip())
-    for name, family in page(served).items():
-        full = f"{name}_total" if family.type == "counter" else name
-        assert full in said, full
-        assert said[full] in (family.type, ""), (full, family.type)
-        assert family.documentation[:1].isupper() or family.documentation[:2] == "1 ", (full, family.documentation)
-        assert family.documentation.endswith("."), (full, family.documentation)

@@ -57,6 +57,7 @@ class Bench:
         self.noticed: list[Exception] = []
         self.replies: list[Reply] = []
         self.ends: list[Any] = []  # callbacks of changes and checks
+        self.given: list[tuple[Any, ...]] = []  # what the manager and its streams were asked for
         self.ended: list[str] = []
         self.transfer = SimpleNamespace(
             memory=SimpleNamespace(name="ram"), form=((2,), "uint32"), length=8, offset=4, write=False, data=b"12345678"
@@ -65,21 +66,24 @@ class Bench:
         self.clients = Clients(USUAL, from_id)
         self.client = self.clients.of(ME)
         memories = SimpleNamespace(
-            find=lambda _: self.memory, begin_read=self._begin, begin_write=self._begin, check_no_memory=lambda _: None,
-            defined=lambda: (), listed=lambda: "", info=lambda memory: memory, define=self._go,
+            find=lambda _: self.memory, check_no_memory=lambda _: None, defined=lambda: (), listed=lambda: "",
+            begin_read=self._of("begin", self._begin), begin_write=self._of("begin", self._begin),
+            info=lambda memory: memory, define=self._of("define", self._go),
         )  # fmt: skip
         stream = SimpleNamespace(name="camera", format="yuyv", region=None)
         streams = SimpleNamespace(
-            named=lambda *_: stream, check_lease=lambda *_: None, status_of=self._go,
-            allocated=lambda: Counter({NAME: 5}),
-            configure=lambda _, done: done(self._said()), read_once=lambda _, __, done: done(self._said()),
-            write=lambda _, __, done, ___: done(self._said()),
+            named=lambda *_: stream, allocated=lambda: Counter({NAME: 5}), status_of=self._go,
+            check_lease=lambda of, lease: self.given.append((of.name, lease)),
+            configure=self._of("configure", self._ends), read_once=self._of("read", self._ends),
+            write=self._of("write", self._ends),
         )  # fmt: skip
         manager = SimpleNamespace(
-            memories=memories, registers=SimpleNamespace(read=self._go, visible_names=lambda: ()), mapped=(),
-            state=SimpleNamespace(config="camera", mode="on"), submit=self._submit, repair=self._submit, plan=self._go,
-            write_registers=self._go, region_map=self._go, prepared_check=self._go, check=self._check, cancel=self._go,
-            reporter=SimpleNamespace(was_read=lambda: None), loaded_config=lambda: None,
+            memories=memories, mapped=(), reporter=SimpleNamespace(was_read=lambda: None), loaded_config=lambda: None,
+            registers=SimpleNamespace(read=self._of("read", self._go), visible_names=lambda: ()),
+            state=SimpleNamespace(config="camera", mode="on"), submit=self._of("submit", self._submit),
+            repair=self._of("repair", self._submit), plan=self._of("plan", self._go), cancel=self._go,
+            write_registers=self._of("write", self._go), region_map=self._of("map", self._go),
+            prepared_check=self._of("prepare", self._go), check=self._of("check", self._check),
         )  # fmt: skip
         status = Status(
             leases=(LeaseStatus(1, "board", client=NAME),),
@@ -101,8 +105,18 @@ class Bench:
             raise self.error
         return self.made
 
-    def _said(self) -> Any:
-        return self.error or self.made
+    def _of(self, what: str, call: Any) -> Any:
+        """A call that is noted with what it was given, but for callbacks."""
+
+        def noted(*given: Any) -> Any:
+            self.given.append((what, *[one for one in given if not callable(one)]))
+            return call(*given)
+
+        return noted
+
+    def _ends(self, *given: Any) -> None:
+        (done,) = filter(callable, given)
+        done(self.error or self.made)
 
     def _begin(self, *_: Any) -> Any:
         return self.transfer
@@ -151,6 +165,38 @@ def test_a_board_that_has_gone_is_noticed_whatever_finds_out(bench: Bench, reque
         ("device_gone", "/dev/uio0: the board is gone")
     ]
     assert bench.client.changes == 0
+
+
+LED = (rq.RegWrite("led", 1),)
+
+
+@pytest.mark.parametrize(
+    ("request_", "given"),
+    [
+        (rq.ReadReg(("led",)), [("read", ("led",))]), (rq.WriteReg(LED, "mine"), [("write", LED, "mine")]),
+        (rq.PlanChange("camera", "on"), [("plan", rq.ChangeMode("camera", "on"))]), (rq.MapRegion("r"), [("map", "r")]),
+        (rq.ChangeMode("camera"), [("submit", rq.ChangeMode("camera"))]),
+        (rq.CheckRegion("r"), [("prepare", "r"), ("check", "made")]),
+        (rq.CheckRegion("r", repair=True, lease="mine"), [("repair", rq.CheckRegion("r", repair=True, lease="mine"))]),
+        (rq.DescribeData("camera", "mine"), [("camera", "mine")]),
+        (rq.DefineMemory("ram", 8, 4), [("define", rq.DefineMemory("ram", 8, 4))]),
+        (
+            rq.ConfigureStream("camera", slots=3, lease="mine"),
+            [("camera", "mine"), ("configure", rq.ConfigureStream("camera", slots=3, lease="mine"))],
+        ),
+        (rq.ReadData("camera", 2.5), [("read", "camera", 2.5)]),
+        (rq.WriteData("camera", b"1", lease="mine"), [("write", "camera", b"1", "mine")]),
+        (rq.ReadData("ram", offset=4, length=8), [("begin", "ram", 4, 8)]),
+        (rq.WriteData("ram", b"1", offset=4, lease="mine"), [("begin", "ram", 4, b"1", "mine")]),
+    ],
+    ids=lambda given: type(given).__name__,
+)  # fmt: skip
+def test_what_a_request_says_is_what_is_asked_for(
+    bench: Bench, request_: rq.Request, given: list[tuple[Any, ...]]
+) -> None:
+    bench.made = "made"
+    bench.ask(request_)
+    assert bench.given == given
 
 
 def test_a_defect_is_logged_and_answered(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
@@ -249,6 +295,11 @@ def test_a_picture_in_another_order_of_pixels_is_refused(bench: Bench) -> None:
     assert bench.codes() == ["pixel_format", "", ""]
     assert bench.replies[0].error is not None
     assert bench.replies[0].error.message == "stream 'camera' takes pixels of yuyv, not rgb"
+
+
+def test_who_cancels_is_told_the_status(bench: Bench) -> None:
+    bench.ask(rq.CancelChange())
+    assert [reply.body for reply in bench.replies] == [bench.services.status()]
 
 
 def test_a_status_tells_what_each_client_has_if_it_is_asked_for(bench: Bench) -> None:

@@ -110,6 +110,18 @@ def test_a_lease_of_a_process_that_has_died_is_dropped_at_once(watch: Watch) -> 
     watch.leases.check(("board",))
 
 
+def test_a_lease_ends_when_its_holder_dies_or_its_time_is_over_though_nobody_asks(watch: Watch) -> None:
+    with subprocess.Popen(["sleep", "60"]) as child:
+        request = TakeLease(scope="region:a", exclusive=True, pid=child.pid)
+        watch.holders.follow(watch.leases.request(request), request)
+        before = descriptors()
+        watch.take(0.01, "region:b")
+        watch.leases.on_change = lambda: watch.leases.held() or watch.loop.stop()
+        child.kill()
+        watch.loop.run()
+    assert descriptors() == before - 1
+
+
 def test_who_takes_gives_back_and_breaks_a_lease_is_in_the_log(watch: Watch, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "cm")
     take = TakeLease("board", holder="bench", pid=os.getpid())

@@ -65,7 +65,8 @@ def test_what_a_stream_moved_before_it_was_closed_still_counts() -> None:
 @pytest.mark.parametrize(
     ("ages", "frames"),
     [
-        ([], 0.0), ([0.5], 1.0), ([2.0], 0.0), ([1.1, 0.3, 0.2, 0.1], 10.0), ([0.9, 0.4], 2.0), ([0.4, 0.4], 2.0),
+        ([], 0.0), ([0.5], 1.0), ([1.0], 0.0), ([2.0], 0.0), ([1.1, 0.3, 0.2, 0.1], 10.0), ([0.9, 0.4], 2.0),
+        ([0.4, 0.4], 2.0),
     ],
 )  # fmt: skip
 def test_a_rate_is_that_of_the_last_second(monkeypatch: pytest.MonkeyPatch, ages: list[float], frames: float) -> None:

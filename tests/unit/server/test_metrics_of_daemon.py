@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -112,6 +113,21 @@ def families(text: str) -> list[Any]:
 def test_the_page_is_what_dashboards_know(page: str) -> None:
     known = families(PAGE.read_text(encoding="utf-8"))
     assert families(page) == known, "look at the difference, then write the page anew"
+
+
+def test_every_metric_is_documented_with_its_kind(page: str) -> None:
+    rows = (Path(__file__).resolve().parents[3] / "docs/metrics.md").read_text(encoding="utf-8").splitlines()
+    said: dict[str, str] = {}
+    for row in rows:
+        if row.startswith("| `"):
+            named, kind = row.split("|")[1:3]
+            said |= dict.fromkeys(re.findall(r"`(\w+)`", named), kind.strip())
+    for family in text_string_to_metric_families(page):
+        full = f"{family.name}_total" if family.type == "counter" else family.name
+        assert full in said, full
+        assert said[full] in (family.type, ""), (full, family.type)
+        assert family.documentation[:1].isupper() or family.documentation[:2] == "1 ", (full, family.documentation)
+        assert family.documentation.endswith("."), (full, family.documentation)
 
 
 def test_what_the_process_uses_is_what_the_kernel_says(page: str) -> None:

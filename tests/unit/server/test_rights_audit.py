@@ -65,6 +65,8 @@ def test_however_many_there_are_the_log_has_few_lines(caplog: pytest.LogCaptureF
 def test_a_request_is_described_by_what_it_changes() -> None:
     who = of_process("ipc", 1000, 1000, 7)
     assert described(who, rq.ChangeMode("camera", "edge")) == "user (uid 1000, pid 7): ChangeMode camera/edge"
+    assert described(who, rq.ChangeMode("X1")).endswith(": ChangeMode X1")
+    assert described(who, rq.ChangeMode(name_or_mode="edge")).endswith(": ChangeMode edge")
     writes = tuple(rq.RegWrite(f"r{i}", i) for i in range(9))
     assert described(who, rq.WriteReg(writes)).endswith("WriteReg r0, r1, r2, r3 and 5 more")
     assert described(who, rq.WriteData("to_pl", b"secret")).endswith("WriteData to_pl")

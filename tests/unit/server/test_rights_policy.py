@@ -52,7 +52,7 @@ def rights(who: Principal, **said: Any) -> Rights:
 
 
 def test_over_ipc_the_kernel_says_who_the_client_is() -> None:
-    who = introduced("ipc", "localhost:1000:1001:77", "NULL")
+    who = introduced("ipc", "localhost:1000:1001:77", "NULL", "")
     assert (who.uid, who.gid, who.pid, who.account) == (1000, 1001, 77, "uid:1000")
     assert from_id(who.id) == who
 
@@ -125,6 +125,7 @@ def test_a_named_user_has_its_own_rights_and_not_the_default_ones() -> None:
     assert rights(user(1001), **said).everywhere is Role.OPERATE
     assert rights(user(1002), **said).everywhere is Role.PROVISION
     assert rights(user(1000), users={"1000": ()}).role is Role.NONE
+    assert rights(user(1000), users={"anna": ("nothing", "observe")}).role is Role.OBSERVE
 
 
 def test_a_user_has_the_groups_of_the_process_and_those_of_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -225,6 +226,13 @@ def test_custom_roles_are_narrow_and_add_up() -> None:
         assert found.allow(Need(Role.OPERATE, "cm_write_reg", "camera", "static", name)) is allowed, name
 
 
+@pytest.mark.parametrize("what", ["topic", "config", "region", "register", "data"])
+def test_each_pattern_narrows_what_it_names(what: str) -> None:
+    grant = Grant(Role.OPERATE, **{what if what == "data" else f"{what}s": ("a*",)})  # type: ignore[arg-type]
+    needs = [replace(Need(Role.OPERATE, "axe"), **{what: name}) for name in ("ab", "b", "*")]
+    assert [grant.allows(need) for need in needs] == [True, False, False]
+
+
 # ---- what holds for every policy ---------------------------------------------------------------
 
 
@@ -294,6 +302,10 @@ def test_a_change_to_another_configuration_or_by_force_touches_everything() -> N
     regions = {region for _, region, _, _ in touched(rq.ChangeMode("camera", "default"), EMPTY)}
     assert regions == {None, "prr0", "prr1", "static"}
     assert {region for _, region, _, _ in touched(rq.ChangeMode(mode="default", force=True))} == regions
+    other = replace(CAMERA, name="other", regions={"x": CAMERA.regions["prr0"]})
+    from_other = touched(rq.ChangeMode("camera", "default"), replace(SCENE, loaded=other))
+    wanted = {("camera", region, None, None) for region in (*regions, "x")}
+    assert from_other == {*wanted, ("other", None, None, None)}
 
 
 def test_a_register_touches_its_region() -> None:

@@ -98,6 +98,9 @@ def test_a_stream_has_slots_for_all_clients_and_for_the_hardware(
     assert attached == [(client, min(depth or 4, 64)) for client, depth in enumerate(depths)]
     assert list(made.peers) == list(range(len(depths)))
     assert made.started
+    made.join(9, 1, Peer(9, "waits"))
+    assert list(made.begin()) == []  # for nobody any more
+    made.detached(9)
     made.detached(0)
     assert 0 not in made.peers
 
