@@ -151,21 +151,6 @@ def test_no_sequence_of_frames_brings_the_manager_down(peer: Peer, frames: list[
     assert peer.ask(b"cm_status", b"").status.config_name == "camera"
 
 
-ENVELOPES = [[b"cm_client_7"], [b"cm_"], [b"cm_status_of_mine", b"cm_x"], [b"\0\0", b"7"], [b"7"], []]
-
-
-@pytest.mark.parametrize("envelope", ENVELOPES)
-def test_payload_frames_may_begin_like_a_topic(peer: Peer, manager: Manager, envelope: list[bytes]) -> None:
-    dealer = peer.dealer(manager)
-    before = [*envelope, b""] if envelope else []
-    for command in ([b"cm_status", b""], [b"cm_read_reg", pb.ReadReg(names=["focus"]).SerializeToString()]):
-        dealer.send_multipart([*before, *command])
-        answer = dealer.recv_multipart()
-        assert answer[: len(before)] == before
-        assert answer[len(before)] == command[0]
-        assert pb.Reply.FromString(answer[len(before) + 1]).ok
-
-
 def test_while_a_change_runs_the_mode_is_the_previous_one(peer: Peer, board: cm.Board) -> None:
     peer.status_until(lambda status: status.mode == "default")
     change = pb.WriteConfig(mode="edge_detection", no_wait=True).SerializeToString()

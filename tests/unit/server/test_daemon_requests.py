@@ -308,27 +308,6 @@ def test_a_message_without_a_reply_takes_effect_and_its_error_is_reported(camera
     seen.close()
 
 
-@pytest.mark.parametrize(
-    ("sent", "back"),
-    [
-        ([b"cm_read_reg", b""], [b"cm_read_reg"]),
-        ([b"cm_read_reg"], [b"cm_read_reg"]),
-        ([b""], []),
-        ([b"", b""], [b""]),
-        ([b"", b"cm_status", b""], [b"", b"cm_status"]),
-        ([b"mine", b"", b"cm_status", b""], [b"mine", b"", b"cm_status"]),
-        ([b"cm_mine", b"x"], [b"cm_mine"]),
-    ],
-)
-def test_a_reply_comes_back_in_the_envelope_of_its_request(
-    camera: Daemon, sent: list[bytes], back: list[bytes]
-) -> None:
-    dealer = camera.connect(zmq.DEALER, "req")
-    dealer.send_multipart(sent)
-    assert dealer.recv_multipart()[: len(back)] == back
-    dealer.close(linger=0)
-
-
 def test_a_message_that_is_not_a_request_is_answered(camera: Daemon) -> None:
     for frames, words in (([b"cm_nothing", b""], "unknown topic"), ([b"cm_status", b"", b"x"], "payload")):
         error = camera.raw(*frames).error

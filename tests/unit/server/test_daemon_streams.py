@@ -17,7 +17,6 @@ from manager_process import patient, stalled, until
 from scraping import scrape
 
 from cm.server.rights.model import Access
-from cm.server.streams.data_socket import WAITING
 from cm.wire import plane_packets as packets
 from cm.wire import topics
 from cm.wire.encode import decode_reply, encode_request
@@ -428,17 +427,6 @@ def test_who_may_only_look_opens_no_writer(client: Callable[..., Client], monkey
         assert client(made, Open("from_pl")).geometry().stream == "from_pl"
 
 
-def test_silent_connections_make_room_for_others(camera: Daemon, client: Callable[..., Client]) -> None:
-    silent = [client(camera, b"") for _ in range(80)]
-    assert client(camera, Open("camera")).geometry().stream == "camera"
-    for one in silent[: -WAITING * 3 // 4 + 1]:  # a process has three quarters of the places
-        assert one.socket.recv(1) == b""
-    for one in silent[-WAITING * 3 // 4 + 1 :]:
-        one.socket.setblocking(False)
-        with pytest.raises(BlockingIOError):
-            one.socket.recv(1)
-
-
 # ---- settings --------------------------------------------------------------------------------------
 
 
@@ -499,15 +487,6 @@ def test_what_the_channel_refuses_changes_nothing_and_no_reader_notices(
             assert reader.next(packets.FRAME, packets.STOPPED)[0].kind == packets.FRAME
             reader.close()
     until(lambda: not camera.stream("camera").open)
-
-
-def test_a_stream_says_whether_its_frames_have_to_be_whole() -> None:
-    with daemon(["--vdma", "camera", "--simple-dma", "from_pl:14:blind"]) as made:
-        made.load("loopback")
-        for name in ("camera", "to_pl", "from_pl"):
-            made.done(ConfigureStream(name, shape=(48, 64), enable=True))
-        exact = {stream.name: stream.exact for stream in made.status.streams if stream.open}
-        assert exact == {"camera": False, "to_pl": False, "from_pl": True}
 
 
 def test_a_stride_keeps_lines_apart_in_the_slot_and_together_over_zeromq(loop: Daemon) -> None:

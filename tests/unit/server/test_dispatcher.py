@@ -98,15 +98,41 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
     return Bench(monkeypatch)
 
 
-def test_an_answer_goes_back_the_way_that_its_request_came(bench: Bench) -> None:
-    for way in ([b"a"], [b"a", b""], [b"a", b"7", b""], [b"a", b"x", b"y", b""]):
-        bench.coming.append(Message(ONE, [*way, *STATUS]))
+@pytest.mark.parametrize(
+    "way",
+    [
+        [], [b""], [b"7", b""], [b"mine", b""], [b"cm_client_7", b""], [b"cm_", b""],
+        [b"cm_status_of_mine", b"cm_x", b""], [b"\0\0", b"7", b""],
+    ],
+)  # fmt: skip
+def test_an_answer_goes_back_the_way_that_its_request_came(bench: Bench, way: list[bytes]) -> None:
+    for request in (STATUS, READ):
+        bench.coming.append(Message(ONE, [b"a", *way, *request]))
         bench.dispatcher.on_request()
-        assert bench.sent.pop() == [*way, *encode_reply(b"cm_status", bench.reply, 7)]
+        assert bench.sent.pop() == [b"a", *way, *encode_reply(request[0], bench.reply, 7)]
+    assert [who for who, _ in bench.asked] == [ONE] * 2
+    assert (bench.dispatcher.taken, bench.clients.of(ONE).requests, bench.dispatcher.refused) == (2, 2, Counter())
+
+
+@pytest.mark.parametrize(
+    ("came", "back"),
+    [
+        ([b""], []), ([b"", b""], [b""]), ([b"cm_mine", b"x"], [b"cm_mine"]),
+        ([b"", b"cm_status", b"", b"x"], [b"", b"cm_status"]),
+    ],
+)  # fmt: skip
+def test_what_is_no_request_is_answered_too(bench: Bench, came: list[bytes], back: list[bytes]) -> None:
+    bench.coming.append(Message(ONE, [b"a", *came]))
+    bench.dispatcher.on_request()
+    ((_, *sent),) = bench.sent
+    assert sent[: len(back)] == back
+    assert (bench.dispatcher.refused, bench.asked) == ({"invalid_request": 1}, [])
+
+
+def test_a_bridge_asks_for_its_guest(bench: Bench) -> None:
     bench.coming.append(Message(ONE, [b"a", b"for=ann", b"", *STATUS]))
     bench.dispatcher.on_request()
-    assert [who for who, _ in bench.asked] == [ONE] * 4 + [f"ann through {ONE}"]
-    assert (bench.dispatcher.taken, bench.clients.of(ONE).requests, bench.dispatcher.refused) == (5, 5, Counter())
+    assert [who for who, _ in bench.asked] == [f"ann through {ONE}"]
 
 
 def test_a_client_with_many_connections_has_one_turn_and_another_the_next(bench: Bench) -> None:
