@@ -218,6 +218,15 @@ def test_an_overlay_is_read_once_as_long_as_it_is_the_same(package: Package, mon
     with pytest.raises(BadOverlay, match=r"base\.dtbo: 16777217 bytes are not an overlay; it has at most 16 MiB"):
         package.applied()
     assert reads == ["base.dtbo"] * 2
+    bare = fdt.pack(fdt.FdtNode("", {}, [DEVICE]))
+    for blob, said in (
+        (b"x", "not a whole device-tree blob ("),
+        (bare, "no fragment has an __overlay__ node; compile"),
+    ):
+        package.base.write_bytes(blob)
+        with pytest.raises(BadOverlay) as refused:
+            package.applied()
+        assert str(refused.value).startswith(f"{package.base}: {said}")
 
 
 def test_of_images_whose_frames_are_compared_the_last_four_are_kept(package: Package) -> None:

@@ -50,7 +50,10 @@ class Bench:
         )
         handlers: Any = SimpleNamespace(gate=gate, clients=self.clients, steps=Steps(loop), handle=self._handle)
         manager: Any = SimpleNamespace(registers=SimpleNamespace(visible_names=lambda: ()), memories=None)
-        cache: Any = SimpleNamespace(answer=lambda message, number: self.cached(), learn=self.learned.append)
+        cache: Any = SimpleNamespace(
+            answer=lambda message, number: self.cached() if (message, number) == (READ[1], 7) else None,
+            learn=self.learned.append,
+        )
         board: Any = SimpleNamespace(noticed=self.noticed.append)
         publisher: Any = SimpleNamespace(sequence=7)
         monkeypatch.setattr(dispatcher, "receive_from", lambda _, routed: self.coming.pop(0))

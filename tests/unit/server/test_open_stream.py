@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import errno
+import os
 from dataclasses import replace
+from itertools import count
 from types import SimpleNamespace
 from typing import Any
 
@@ -32,6 +34,8 @@ class Bench:
     def __init__(self, wanted: Stream, channel: DmaInfo) -> None:
         self.log: list[Any] = []
         self.told: list[bytes] = []
+        self.slots: list[int] = []  # that the plane was given, by their handles
+        self._handles = count()
         self.geometry: Geometry | None = None
         self.counts = SimpleNamespace(
             frames=7, dropped=1, errors=2, bytes=700, error=0, at_ns=[NOW - 2 * 10**8, NOW - 10**8],
@@ -41,7 +45,7 @@ class Bench:
         plane: Any = SimpleNamespace(
             start=self._start, counts=lambda number: self._of(number, self.counts), attach=self._attach,
             client_counts=lambda client: of_client if client == 1 else None,
-            tell=lambda number, packet: self._of(number, self.told.append(packet)), add_slot=lambda *_: 0,
+            tell=lambda number, packet: self._of(number, self.told.append(packet)), add_slot=self._add_slot,
             stop=lambda number, error: self._of(number, self.log.append(f"stop {error}")),
         )  # fmt: skip
         self.dma: Any = SimpleNamespace(
@@ -64,8 +68,13 @@ class Bench:
         return bool(self._of(number, depth))
 
     def _allocate(self, length: int) -> Any:
-        fd = SimpleNamespace(fd=0, handle=1, coherent=False, length=4096, close=lambda: self.log.append("close slot"))
-        return self._of(3, fd)
+        return SimpleNamespace(
+            fd=0, handle=next(self._handles), coherent=False, length=4096, close=lambda: self.log.append("close slot")
+        )
+
+    def _add_slot(self, number: int, fd: int, handle: int) -> None:
+        os.fstat(fd)
+        self._of(number, self.slots.append(handle))
 
 
 @pytest.fixture(autouse=True)
@@ -128,6 +137,11 @@ def test_a_frame_that_is_not_whole_is_described_as_bytes() -> None:
     assert it.stream.info(Descriptor(length=32, sequence=5, timestamp_ns=77), 6) == whole
     part = replace(whole, length=31, shape=(31,), generation=0, format="")
     assert it.stream.info(Descriptor(length=31, sequence=5, timestamp_ns=77)) == part
+    plain = opened(replace(CAMERA, format=None))
+    assert plain.stream.info(Descriptor(length=32)).format == ""
+    list(plain.stream.holders.join(1, 6, Peer(9, "view")))
+    assert plain.geometry is not None
+    assert plain.geometry.format == ""
     it = opened(replace(CAMERA, shape=None, dtype="uint16", format=None), frame_length=64)
     told = it.stream.info(Descriptor(length=64))
     assert (told.shape, told.dtype, told.format) == ((64,), "uint8", "")
@@ -138,6 +152,7 @@ def test_a_stream_that_ends_stops_its_channel_before_it_closes_or_hands_it_over(
         it = opened()
         list(it.stream.holders.join(1, 4, Peer(9, "view")))
         it.log.clear()
+        assert it.slots == list(range(6))
         stopped: list[int] = []
         it.stream.holders.join(2, 60, Peer(8, "waits"), stopped.append)
         if keep:

@@ -67,7 +67,8 @@ def test_a_status_without_subscriber_counts_but_is_not_made(publisher: Publisher
 @pytest.mark.parametrize("topic", [b"", b"cm_st", b"cm_status"])
 def test_a_subscriber_to_a_prefix_of_the_status_gets_it(socket: Any, publisher: Publisher, topic: bytes) -> None:
     publisher.status(never)
-    with subscriber(socket, publisher, topic) as sub:
+    with subscribing(socket, topic) as sub:
+        assert publisher.take_subscriptions()
         assert publisher.status(lambda: Status("camera", "default", **publisher.beside()))
         told: Any = decode_event(sub.recv_multipart())
     assert (told.config_name, told.mode, told.sequence, told.board) == ("camera", "default", 2, "a board")
@@ -76,7 +77,8 @@ def test_a_subscriber_to_a_prefix_of_the_status_gets_it(socket: Any, publisher: 
 
 
 def test_a_subscription_to_another_topic_does_not_include_the_status(socket: Any, publisher: Publisher) -> None:
-    with subscriber(socket, publisher, b"cm_irq") as sub:
+    with subscribing(socket, b"cm_irq") as sub:
+        assert not publisher.take_subscriptions()
         assert not publisher.status(never)
         publisher.interrupt(Irq("done", 3, 17))
         assert decode_event(sub.recv_multipart()) == Irq("done", 3, 17)

@@ -361,6 +361,16 @@ def test_where_nothing_is_loaded_a_request_touches_everything_of_its_kind() -> N
     assert touched(rq.ReadData("camera"), EMPTY) == {(None, "*", None, "camera")}
 
 
+def test_what_a_mode_says_of_a_stream_counts_before_what_the_configuration_says() -> None:
+    camera = CAMERA.streams["camera"]
+    streams = {"own": replace(camera, region="prr1"), "camera": replace(camera, region=None)}
+    modes = {"edge_detection": replace(CAMERA.modes["edge_detection"], streams=streams)}
+    scene = replace(SCENE, loaded=replace(CAMERA, modes=modes))
+    for name, region in (("own", "prr1"), ("camera", "static"), ("to_pl", "prr1")):
+        assert touched(rq.ReadData(name), scene) == {("camera", region, None, name)}
+    assert touched(rq.ReadData("own"), replace(scene, mode=None)) == {("camera", "*", None, "own")}
+
+
 @pytest.mark.parametrize(
     ("need", "wanted"),
     [
@@ -486,6 +496,7 @@ def test_a_bridge_speaks_only_for_the_guests_that_its_role_names() -> None:
     for name in ("ros:ann", "root", "web:" + "x" * 64, "web:a\nb"):
         assert gate.everywhere(gate.guest(bridge, name)) is Role.NONE, name
     assert gate.guest(bridge, "") == bridge
+    assert [bool(gate.guest(bridge, name)) for name in ("x" * 64, "x" * 65, "a\nb")] == [True, False, False]
 
 
 def test_a_guests_own_name_counts_before_patterns_and_a_long_pattern_before_a_short_one() -> None:

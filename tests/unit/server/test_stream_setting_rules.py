@@ -85,6 +85,7 @@ def test_the_direction_may_be_given_if_it_is_right() -> None:
         ({"shape": (1 << 15, 1 << 15, 2)}, "more than 1 GiB"),
         ({"dtype": "float77"}, "'float77' is not a numpy dtype such as 'uint8'"),
         ({"dtype": "O"}, "'O' is not a numpy dtype"),
+        ({"dtype": ">u00000000000008"}, "is not a numpy dtype"),  # no packet has room for that name
         ({"dtype": "u4,u4"}, "not a numpy dtype"),
         ({"dtype": "datetime64[ns]"}, "not a numpy dtype"),
         ({"stride": 639}, "lines of 640 bytes do not fit a stride of 639; give a stride of 640"),
@@ -96,6 +97,15 @@ def test_settings_that_no_channel_supports_are_refused(given: dict[str, Any], wo
     with pytest.raises(InvalidRequest, match=words) as refused:
         changed(READ, ConfigureStream("camera", **given))
     assert str(refused.value).startswith("stream 'camera'")
+
+
+def test_pixels_keep_their_form() -> None:
+    pictures = replace(READ, shape=(480, 640, 2), format="yuv422")
+    assert changed(pictures, ConfigureStream("camera", (8, 4))).shape == (8, 4, 2)
+    with pytest.raises(
+        InvalidRequest, match=r"^stream 'camera': pixels of yuv422 share .* in pairs, and a line has 5$"
+    ):
+        changed(pictures, ConfigureStream("camera", (8, 5)))
 
 
 @pytest.mark.parametrize(
@@ -112,7 +122,7 @@ def test_a_frame_without_a_shape_has_no_length() -> None:
     assert frame_bytes(replace(READ, shape=(3, 5), dtype="complex64")) == 120
 
 
-@pytest.mark.parametrize(("dtype", "length"), [("<u2", 2), (">f8", 8), ("c8", 8), ("B", 1)])
+@pytest.mark.parametrize(("dtype", "length"), [("<u2", 2), (">f8", 8), ("c8", 8), ("B", 1), (">u0000000000008", 8)])
 def test_a_request_may_name_a_dtype_in_any_way_that_numpy_knows(dtype: str, length: int) -> None:
     assert frame_bytes(replace(READ, shape=(3, 5), dtype=dtype)) == 15 * length
 

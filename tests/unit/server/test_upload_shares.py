@@ -143,6 +143,8 @@ def test_a_request_is_filled_in_and_uses_up_what_it_took_once_it_is_accepted(kep
     filled, respond = kept.filled_in(one, WriteData("s", upload="c", lease="l"), said.append)
     assert isinstance(filled, WriteData)
     assert (filled.stream, bytes(filled.data), filled.upload, filled.lease) == ("s", b"12", "", "l")
+    respond(Reply())
+    assert one.upload_bytes == 0
     for own in (WriteData("s", b"1"), Provision("config: {}", files[1:2])):
         assert kept.filled_in(one, own, said.append) == (own, said.append)
 
