@@ -183,7 +183,7 @@ def test_who_does_not_read_is_refused_then_not_even_told_and_served_again_once_i
     client = bench.clients.of(ONE)
     bench.reply = Reply(Status("camera"), payload=(bytes(LITTLE),))
     told = []
-    while (code := bench.code()) is not None:
+    while (code := bench.code()) is not None and len(told) < 10:
         told.append(code)
         if code:
             client.make(40_000)
