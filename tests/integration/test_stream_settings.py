@@ -11,14 +11,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-import zmq
 from manager_process import Manager, served, until
 
 import cm
 from cm.cli.main import main
 from cm.errors import Busy, Timeout
 from cm.simulation.software import Board as SimBoard
-from cm.wire import cm_pb2 as pb
 from cm.wire.messages.status import StreamStatus
 
 LINES, COLUMNS, STRIDE = 48, 100, 128
@@ -210,27 +208,6 @@ def test_a_stream_is_run_stopped_and_left_to_its_users_again(board: cm.Board, ma
 
 
 # ---- other ways to say it --------------------------------------------------------------------
-
-
-def test_raw_messages_switch_on_and_off(loop: cm.Board, manager: Manager) -> None:
-    with zmq.Context() as context, context.socket(zmq.REQ) as socket:
-        socket.connect(f"ipc://{manager.runtime}/req")
-
-        def ask(message: pb.DataConfig) -> pb.Reply:
-            socket.send_multipart([b"cm_data_config", message.SerializeToString()])
-            assert socket.poll(60_000)
-            return pb.Reply.FromString(socket.recv_multipart()[1])
-
-        assert ask(pb.DataConfig(stream="to_pl", cyclic=True)).stream.state.cyclic
-        assert ask(pb.DataConfig(stream="to_pl", slots=7)).stream.state.cyclic, "what is left out was changed"
-        off = ask(pb.DataConfig(stream="to_pl", cyclic=False, stride=700)).stream.state
-        assert (off.cyclic, off.stride, off.slots) == (False, 700, 7)
-        # field 7 as written by clients without field presence: true is written, false is omitted
-        assert ask(pb.DataConfig.FromString(b"\x0a\x05to_pl\x38\x01")).stream.state.cyclic
-        refused = ask(pb.DataConfig(stream="to_pl", dtype="void"))
-        assert (refused.ok, refused.error.code) == (False, "invalid_request")
-        assert ask(pb.DataConfig(stream="to_pl")).stream.state.dtype == "uint8"
-        assert ask(pb.DataConfig(stream="nix")).error.code == "unknown_stream"
 
 
 def test_the_command_sets_what_its_options_say_and_nothing_else(

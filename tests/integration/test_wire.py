@@ -83,31 +83,6 @@ def test_listing_2_of_the_paper_works_as_it_is_printed(peer: Peer, board: cm.Boa
     assert peer.status_until(lambda s: s.mode == "edge_detection" and not s.fpga_busy).pr_mode == pb.PR_MODE_IDLE
 
 
-@pytest.mark.parametrize(
-    ("frames", "code", "words"),
-    [
-        ([b"cm_nonsense", b""], "invalid_request", "unknown topic"),
-        ([b"cm_write_reg", b"\xff\xff\xff"], "invalid_request", "not a WriteReg message"),
-        ([b"cm_write_reg", b"{ 'focus': 'two' }"], "invalid_request", "not an integer"),
-        ([b"cm_write_reg", b""], "invalid_request", "at least one"),
-        ([b"cm_config", b"no such mode!"], "invalid_request", "plain text"),
-        ([b"cm_config", b""], "invalid_request", "plain text"),
-        ([b"cm_write_data", pb.WriteData(stream="to_pl").SerializeToString()], "invalid_request", "payload"),
-        ([b"cm_lease", pb.Lease(scope="moon").SerializeToString()], "invalid_request", "scope"),
-        ([b"cm_lease", b""], "invalid_request", "scope"),
-        ([b"cm_write_config", pb.WriteConfig(schema="config: 7").SerializeToString()], None, "config"),
-    ],
-)  # fmt: skip
-def test_what_is_wrong_gets_a_clear_error(peer: Peer, frames: list[bytes], code: str | None, words: str) -> None:
-    before = peer.ask(b"cm_status", b"").status
-    reply = peer.ask(*frames)
-    assert not reply.ok
-    assert words in reply.error.message
-    assert code is None or reply.error.code == code
-    after = peer.ask(b"cm_status", b"").status
-    assert (after.config_name, after.mode) == (before.config_name, before.mode)
-
-
 def test_a_frame_above_the_pages_limit_ends_its_connection_and_no_other(peer: Peer, manager: Manager) -> None:
     most = USUAL.message_bytes
     page = (Path(__file__).parents[2] / "docs/protocol.md").read_text(encoding="utf-8")

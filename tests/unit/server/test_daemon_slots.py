@@ -302,17 +302,6 @@ def test_a_reader_with_its_slots_does_not_wait_for_one_without_end(
     reads(slow)
 
 
-def test_slots_that_a_client_waits_for_count_as_held(
-    slots: Allocator, camera: Daemon, client: Callable[..., Client]
-) -> None:
-    slots.hold(20)
-    client(camera, Open("camera", depth=DEPTH))
-    slots.held()
-    code, message = client(camera, Open("camera", depth=1)).refusal()  # of the same process
-    assert (code, f"holds {DEPTH}, of 256" in message) == ("no_slots", True), message
-    slots.opened.set()
-
-
 def test_so_many_connections_of_a_process_wait_for_their_turn(
     slots: Allocator, camera: Daemon, client: Callable[..., Client], monkeypatch: pytest.MonkeyPatch
 ) -> None:

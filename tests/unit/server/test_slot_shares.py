@@ -126,6 +126,13 @@ def test_a_client_that_gets_no_slots_leaves_the_stream_as_it_was() -> None:
         list(made.join(3, 15))
 
 
+def test_slots_that_a_client_waits_for_count_as_held() -> None:
+    made, _, _ = holders()
+    made.join(0, 64, GREEDY)
+    with pytest.raises(NoSlots, match=r"pid 10 \(greedy\) holds 64, of 256"):
+        made.join(1, 1, GREEDY)
+
+
 def test_who_waits_for_the_start_of_a_stream_is_told_how_it_went() -> None:
     for error in (None, ValueError("no")):
         made, _, _ = holders()

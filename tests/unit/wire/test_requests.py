@@ -11,8 +11,8 @@ import pytest
 
 from cm.errors import InvalidRequest
 from cm.server.handlers import Handlers
-from cm.wire.cm_pb2 import DataConfig, File, Lease, ReadConfig, WriteConfig
-from cm.wire.decode import decode_request
+from cm.wire.cm_pb2 import DataConfig, File, Lease, ReadConfig, WriteConfig, WriteData
+from cm.wire.decode import decode_request, split_text
 from cm.wire.encode import encode_request
 from cm.wire.messages import requests as rq
 
@@ -84,6 +84,10 @@ def test_every_intent_is_among_them_and_has_a_handler() -> None:
         (b"cm_data_config", DataConfig(stream="a", address=0), rq.DefineMemory("a", 0)),
         (b"cm_data_config", DataConfig(stream="a", access="ro", slots=3), rq.DefineMemory("a", access="ro")),
         (b"cm_data_config", DataConfig(stream="a", force=True), rq.ConfigureStream("a", force=True)),
+        (b"cm_data_config", DataConfig(stream="a", slots=7), rq.ConfigureStream("a", slots=7)),
+        (b"cm_data_config", DataConfig(stream="a", cyclic=False), rq.ConfigureStream("a", cyclic=False)),
+        # field 7 as written by clients without field presence: true is written, false is omitted
+        (b"cm_data_config", DataConfig.FromString(b"\x0a\x01a\x38\x01"), rq.ConfigureStream("a", cyclic=True)),
         (b"cm_lease", Lease(id="a", release=True, seconds=3), rq.ReleaseLease("a")),
         (b"cm_lease", Lease(id="a", scope="board"), rq.RenewLease("a", 0.0)),
         (b"cm_lease", Lease(release=True), rq.ReleaseLease("")),
@@ -91,6 +95,20 @@ def test_every_intent_is_among_them_and_has_a_handler() -> None:
 )
 def test_messages_with_several_intents_keep_their_meaning(topic: bytes, message: Any, intent: rq.Request) -> None:
     assert decode_request([topic, message.SerializeToString()]) == intent
+
+
+@pytest.mark.parametrize(
+    ("frames", "said"),
+    [
+        ([b"cm_nonsense", b""], "unknown topic"), ([b"cm_write_reg", b"\xff\xff\xff"], "not a WriteReg message"),
+        ([b"cm_write_reg", b"{ 'focus': 'two' }"], "not an integer"), ([b"cm_write_reg", b""], "at least one"),
+        ([b"cm_config", b"no such mode!"], "plain text"), ([b"cm_config", b""], "plain text"),
+        ([b"cm_write_data", WriteData(stream="to_pl").SerializeToString()], "payload"),
+    ],
+)  # fmt: skip
+def test_what_is_no_request_gets_a_clear_error(frames: list[bytes], said: str) -> None:
+    with pytest.raises(InvalidRequest, match=said):
+        decode_request(split_text(frames))
 
 
 @pytest.mark.parametrize(
