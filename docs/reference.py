@@ -24,7 +24,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "The blocking client",
         "`cm.connect()` gives a `Board`; the rest hangs on it. [The guide](../../docs/client.md).",
         (
-            "cm.client.board", "cm.client.registers", "cm.client.window", "cm.client.core.generations",
+            "cm.client.board", "cm.client.registers", "cm.client.register_window", "cm.client.core.generations",
             "cm.client.interrupts",
             "cm.client.memories", "cm.client.stream", "cm.client.frame", "cm.client.mapping", "cm.client.writer",
             "cm.client.allocation", "cm.client.change", "cm.client.lease", "cm.client.events", "cm.client.picture",
@@ -67,9 +67,9 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "`cm.fleet.connect()` gives a `Fleet` whose calls block, `cm.fleet.aio.connect()` one whose calls are awaited: "
         "the same names, arguments and errors. [The guide](../../docs/fleet.md).",
         (
-            "cm.networks.fleet.aio", "cm.networks.fleet.change:Course Leg",
+            "cm.networks.fleet.aio", "cm.networks.fleet.coordinator:Course Leg",
             "cm.networks.fleet.queries:Answer", "cm.networks.fleet.errors:NoSuchBoard FleetRefused ChangeFailed",
-            "cm.networks.fleet.network:NoNetwork",
+            "cm.networks.fleet.zenoh_session:NoNetwork",
             "cm.networks.fleet.store:View Wanted Claim Settings Entry StoreAway StoreRefused",
             "cm.wire.messages.fleet:BoardStatus FleetState ClockSync Policy Decision BundleState",
         ),
@@ -77,7 +77,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "bitstream": (
         "Bitstreams",
         "Read, checked, converted. [The guide](../../docs/bitstreams.md).",
-        ("cm.formats.bitstream", "cm.formats.bitstream.report:Section"),
+        ("cm.formats.bitstream", "cm.formats.bitstream.inspection_report:Section"),
     ),
 }  # fmt: skip
 

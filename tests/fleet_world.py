@@ -16,10 +16,10 @@ from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequenc
 from typing import Any
 
 from cm.errors import Busy, CmError
-from cm.networks.fleet.board import Board, Notes, NotUndone, Part, Place, Planned, Seen, Unsettled
-from cm.networks.fleet.bridge.managed import packed, unpacked
-from cm.networks.fleet.change import LEASE, Coordinator, Course, Opening
+from cm.networks.fleet.bridge.manager_and_notes import packed, unpacked
+from cm.networks.fleet.coordinator import LEASE, Coordinator, Course, Opening
 from cm.networks.fleet.keeper import Ledger
+from cm.networks.fleet.reconciling_board import Board, Notes, NotUndone, Part, Place, Planned, Seen, Unsettled
 from cm.networks.fleet.store import Entry, Put, StoreAway, StoreRefused, View, views
 from cm.wire.messages.fleet import FleetState, FleetStep, Policy
 from cm.wire.messages.status import ErrorInfo

@@ -17,7 +17,7 @@ from typing import Any
 from cm.device import DeviceError, GpioLine, PlClock, PlClocks, Root
 from cm.manager.inputs import Window
 from cm.manager.manager import Environment, Manager, Settings
-from cm.manager.state.record import Journal
+from cm.manager.state.journal import Journal
 from cm.schema import loads
 from cm.schema.model import Config
 from cm.server.bitstream_and_overlay_files import BoardFiles

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from cm.design.debian_packages import PackageTree
 from cm.formats.bitstream import FrameAddress, open_image
-from cm.formats.bitstream.devices import Family
 from cm.formats.bitstream.geometry import encode_far, geometry_of
+from cm.formats.bitstream.idcodes import Family
 from cm.formats.bitstream.packets import frame_writes
 
 DATABASE = "usr/share/prjxray/database"

@@ -11,7 +11,7 @@ import zenoh
 from ros_peer import PATIENCE, BridgeProcess, ListeningPeer
 
 from cm import child
-from cm.networks.fleet.network import Network, session
+from cm.networks.fleet.zenoh_session import Network, session
 from cm.networks.rmw_zenoh import cdr
 from cm.networks.rmw_zenoh.key_expressions import Attachment, End
 from cm.networks.rmw_zenoh.transport import ZenohTransport

@@ -16,8 +16,8 @@ from cm.cli.fleet_options import add_network_options, network_of
 from cm.errors import CmError, InvalidRequest
 
 if TYPE_CHECKING:
+    from cm.networks.fleet.bridge.bridge_process import Options
     from cm.networks.fleet.bridge.bundles import Import
-    from cm.networks.fleet.bridge.process import Options
 
 
 def add_fleet_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -88,10 +88,10 @@ def add_fleet_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser
 def run(args: argparse.Namespace) -> int:
     """Serve until interrupted; the exit status."""
     logging.basicConfig(level=logging.INFO, format="cm bridge fleet: %(message)s", stream=sys.stderr)
-    from cm.networks.fleet.network import zenoh_module
+    from cm.networks.fleet.zenoh_session import zenoh_module
 
     zenoh_module()  # if it is missing, this is said at once
-    from cm.networks.fleet.bridge.process import Bridge
+    from cm.networks.fleet.bridge.bridge_process import Bridge
 
     bridge = Bridge(_options(args), lambda board: logging.getLogger("cm.fleet").info("ready as %s", board))
     return run_until_told(bridge.run)
@@ -99,8 +99,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _options(args: argparse.Namespace) -> Options:
     from cm.networks.fleet import keys
-    from cm.networks.fleet.bridge.process import Options, default_state
-    from cm.networks.fleet.network import endpoint, member_of
+    from cm.networks.fleet.bridge.bridge_process import Options, default_state
+    from cm.networks.fleet.zenoh_session import endpoint, member_of
 
     listen = tuple(map(endpoint, args.listen))
     network = network_of(args, listen=listen, mode="peer" if listen else "client", lease=args.lease)
@@ -124,7 +124,7 @@ def _options(args: argparse.Namespace) -> Options:
 
 def _name(asked: str, config: Path | None) -> str:
     """The board's: that of its certificate, under which alone the router lets it through. Raises InvalidRequest."""
-    from cm.networks.fleet.network import member_of
+    from cm.networks.fleet.zenoh_session import member_of
 
     certified = member_of(config)
     if asked and certified and asked != certified:

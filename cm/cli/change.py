@@ -12,7 +12,7 @@ from cm.cli.common import Run, add_board_options, add_lease_option, answer, comp
 from cm.cli.connection import connected, where
 from cm.cli.failures import EXIT_INTERRUPTED
 from cm.errors import CmError, Timeout
-from cm.wire.messages.plain import plain
+from cm.wire.messages.json_values import plain
 
 if TYPE_CHECKING:
     from cm.client.board import Board

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from cm.cli.common import add_board_options, add_json_option, answer, answer_table, completes, naming, print_json
 from cm.cli.connection import connected
-from cm.wire.messages.plain import plain
+from cm.wire.messages.json_values import plain
 
 if TYPE_CHECKING:
     from cm.wire.messages.status import ConfigEntry

@@ -17,7 +17,7 @@ from cm.cli.connection import connected, where
 from cm.device.check_result import Finding, State
 from cm.device.checks.machine import Machine
 from cm.device.paths import Root
-from cm.wire.messages.plain import plain
+from cm.wire.messages.json_values import plain
 
 if TYPE_CHECKING:
     from cm.device.survey import Survey

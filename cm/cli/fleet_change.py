@@ -12,7 +12,7 @@ from cm.cli.common import print_json, print_table, seconds, slashed
 from cm.cli.fleet_options import ALL, add_fleet_options, answer_boards, connected_fleet
 
 if TYPE_CHECKING:
-    from cm.networks.fleet.change import Course, Leg
+    from cm.networks.fleet.coordinator import Course, Leg
 
 _PHASES = {"open": "opened", "prepare": "prepared", "apply": "changed", "decide": "decided", "reconcile": "settled"}
 
@@ -144,7 +144,7 @@ def _leg(leg: Leg) -> str:
 
 def as_json(course: Course) -> dict[str, Any]:
     """For scripts."""
-    from cm.wire.messages.plain import plain
+    from cm.wire.messages.json_values import plain
 
     return {
         "change": course.id,

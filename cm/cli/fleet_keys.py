@@ -69,7 +69,7 @@ def _add_router(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run_router(args: argparse.Namespace) -> int:
     """Route until interrupted; the exit status."""
-    from cm.networks.fleet.network import Network, endpoint, session
+    from cm.networks.fleet.zenoh_session import Network, endpoint, session
 
     listen = tuple(map(endpoint, args.listen))
     if not listen and args.zenoh_config is None:
@@ -85,8 +85,8 @@ def run_router(args: argparse.Namespace) -> int:
 
 def run(args: argparse.Namespace) -> int:
     """Make, remove or list; the exit status."""
-    from cm.networks.fleet.security.folder import KeyFolder
-    from cm.networks.fleet.security.rules import ALL_BOARDS, Member
+    from cm.networks.fleet.security.access_rules import ALL_BOARDS, Member
+    from cm.networks.fleet.security.keys_folder import KeyFolder
 
     keys = KeyFolder(args.folder)
     if args.kind == "list":

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from cm.cli.common import Run, add_json_option, answer_table, seconds
 from cm.cli.parser import Parser
-from cm.wire.messages.plain import plain
+from cm.wire.messages.json_values import plain
 
 if TYPE_CHECKING:
     from cm.networks.fleet.blocking import Fleet
-    from cm.networks.fleet.network import Network
+    from cm.networks.fleet.zenoh_session import Network
 
 
 ALL = ["*"]  # boards, where none is named
@@ -65,7 +65,7 @@ def add_network_options(parser: argparse.ArgumentParser) -> None:
 
 def network_of(args: argparse.Namespace, **more: object) -> Network:
     """What these options say. Raises InvalidRequest."""
-    from cm.networks.fleet.network import Network, endpoint, from_environment
+    from cm.networks.fleet.zenoh_session import Network, endpoint, from_environment
 
     connect = tuple(map(endpoint, args.router))
     if not connect and args.zenoh_config is None:
@@ -97,7 +97,7 @@ def add_fleet_options(parser: argparse.ArgumentParser, run: Run, boards: bool = 
 def connected_fleet(args: argparse.Namespace) -> Fleet:
     """The fleet that the options name. Raises NoNetwork."""
     from cm.networks.fleet.blocking import connect
-    from cm.networks.fleet.network import endpoint
+    from cm.networks.fleet.zenoh_session import endpoint
 
     routers = tuple(map(endpoint, args.router))
     return connect(routers, config=args.zenoh_config, caller=args.caller, timeout=args.timeout, store=args.store)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from cm.cli.common import number, print_json, print_table, slashed
 from cm.cli.fleet_options import ALL, add_fleet_options, answer_boards, connected_fleet
-from cm.wire.messages.plain import plain
+from cm.wire.messages.json_values import plain
 
 if TYPE_CHECKING:
     from cm.wire.messages.fleet import BoardStatus

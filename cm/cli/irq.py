@@ -8,7 +8,7 @@ from itertools import islice
 
 from cm.cli.common import add_board_options, answer, answer_table, completes, natural, seconds
 from cm.cli.connection import connected, followed
-from cm.wire.messages.plain import plain
+from cm.wire.messages.json_values import plain
 
 
 def fill_parser(parser: argparse.ArgumentParser) -> None:

@@ -19,7 +19,7 @@ from cm.cli.connection import connected, window_use
 from cm.cli.parser import Parser
 from cm.client.core import calls, leases
 from cm.errors import CmError, NotFound
-from cm.wire.messages.plain import plain
+from cm.wire.messages.json_values import plain
 from cm.wire.messages.requests import TakeLease
 
 if TYPE_CHECKING:

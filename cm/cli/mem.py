@@ -27,7 +27,7 @@ from cm.cli.common import (
 )  # fmt: skip
 from cm.cli.connection import connected
 from cm.errors import InvalidRequest
-from cm.wire.messages.plain import plain
+from cm.wire.messages.json_values import plain
 from cm.wire.messages.status import MemoryInfo
 
 _LINE = 16  # bytes of a line of the dump

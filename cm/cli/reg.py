@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from cm.cli.common import add_board_options, answer, answer_table, completes, interval, natural, number
 from cm.cli.connection import check_reader, connected, followed
 from cm.client.core import registers
-from cm.wire.messages.plain import plain
+from cm.wire.messages.json_values import plain
 from cm.wire.messages.status import RegisterInfo
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from cm.cli.common import add_board_options, completes, print_json, print_table,
 from cm.cli.connection import connected
 from cm.errors import InvalidRequest, NotFound
 from cm.frozen import dataclass
-from cm.wire.messages.plain import plain
+from cm.wire.messages.json_values import plain
 
 if TYPE_CHECKING:
     from cm.client.board import Board

@@ -83,7 +83,7 @@ def _refuse_where_served(runtime: Path) -> None:
         with (runtime / "lock").open("rb") as lock:
             fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except (BlockingIOError, NotADirectoryError):
-        from cm.server.folders import FolderLock
+        from cm.server.private_folders import FolderLock
 
         FolderLock(runtime).release()  # raises, naming the holder, or what is no folder
     except OSError:

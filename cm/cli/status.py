@@ -10,7 +10,7 @@ import sys
 from cm.cli.colours import painted
 from cm.cli.common import add_board_options, answer_table, natural, print_json, print_table, seconds
 from cm.cli.connection import awaited, connected, followed, settled, where, window_use
-from cm.wire.messages.plain import plain
+from cm.wire.messages.json_values import plain
 from cm.wire.messages.status import RegionHealth, Status
 
 _NOTICES = ("reconciled", "slept")  # what the manager found out, where nothing failed

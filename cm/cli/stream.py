@@ -25,7 +25,7 @@ from cm.cli.common import (
 from cm.cli.connection import connected
 from cm.cli.stream_capture import add_arguments, run_capture
 from cm.wire.lazy_numpy import np
-from cm.wire.messages.plain import plain
+from cm.wire.messages.json_values import plain
 from cm.wire.messages.status import StreamStatus
 
 

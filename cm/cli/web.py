@@ -104,7 +104,7 @@ def _fleet(args: argparse.Namespace) -> Callable[[], Fleet] | None:
     if not (args.fleet or args.router or args.zenoh_config):
         return None
     from cm.networks.fleet import aio as fleet
-    from cm.networks.fleet.network import endpoint, zenoh_module
+    from cm.networks.fleet.zenoh_session import endpoint, zenoh_module
 
     zenoh_module()  # said at once where it is missing
     routers = tuple(map(endpoint, args.router))

@@ -12,24 +12,24 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import zmq
 
+from cm.client.attribute_guard import Guarded
 from cm.client.change import ChangeHandle
 from cm.client.connections import ByName, Sockets
 from cm.client.core import calls, change, leases, uploads
 from cm.client.core.calls import Call
-from cm.client.core.effects import DEFAULT, Flow, Limit, at_least, later, seconds, time_limit
 from cm.client.core.events import StatusEvents
+from cm.client.core.flow_effects import DEFAULT, Flow, Limit, at_least, later, seconds, time_limit
 from cm.client.core.leases import HeldLeases
-from cm.client.core.values import mode_name
+from cm.client.core.value_checks import mode_name
 from cm.client.errors import RequestFailed
 from cm.client.events import EventStream
 from cm.client.find_manager import Keys, find
-from cm.client.guard import Guarded
 from cm.client.interrupts import Interrupts
 from cm.client.lease import BoardLease
-from cm.client.link import Link, Subscription
 from cm.client.memories import Memories, Memory
 from cm.client.progress import OnProgress, Shown
 from cm.client.registers import Registers
+from cm.client.request_reply import Link, Subscription
 from cm.wire.messages import notebook
 from cm.wire.messages import requests as rq
 from cm.wire.messages.requests import ConfigureStream, DefineMemory
@@ -52,8 +52,8 @@ if TYPE_CHECKING:
 
     from cm.client.allocation import DeviceArray
     from cm.client.frame import Frame
+    from cm.client.register_window import RegisterWindow
     from cm.client.stream import Stream
-    from cm.client.window import RegisterWindow
     from cm.client.writer import Writer
 
 _T = TypeVar("_T")
@@ -354,7 +354,7 @@ class Board(Guarded):
     def _window(self, wanted: Open, timeout: Limit) -> RegisterWindow:
         self._check_open()
         folder = self._place.data_folder("a window")
-        from cm.client.window import RegisterWindow  # here: it needs the shim, which only Linux has
+        from cm.client.register_window import RegisterWindow  # here: it needs the shim, which only Linux has
 
         limit = None if wanted.wait and timeout is DEFAULT else seconds(timeout, self.timeout)
         window = self._sockets.using(RegisterWindow(folder, wanted, limit, self._leases, self, wanted.wait))

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 from cm.client.core import calls
 from cm.client.core.change import ChangeWatch
-from cm.client.link import Subscription
+from cm.client.request_reply import Subscription
 from cm.wire.messages.status import Progress
 
 if TYPE_CHECKING:
-    from cm.client.link import Caller
+    from cm.client.request_reply import Caller
 
 
 class ChangeHandle:

@@ -12,10 +12,10 @@ from typing import Any, Protocol, TypeVar
 
 import zmq
 
+from cm.client.after_fork import not_for_children
 from cm.client.core.connection_monitor import EVENTS, Handshake
 from cm.client.errors import BoardClosed, NotAdmitted
 from cm.client.find_manager import Keys
-from cm.client.forks import not_for_children
 from cm.wire.topics import Endpoints
 
 Socket = zmq.Socket[bytes]

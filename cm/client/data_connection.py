@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
+from cm.client.after_fork import not_for_children
 from cm.client.data_socket import LIMITS_ARE_KNOWN, connect, descriptors, limit
 from cm.client.errors import ConnectionLost, LateRelease, request_error
-from cm.client.forks import not_for_children
 from cm.client.frame import Frame, in_rgb
 from cm.client.mapping import LocalFrame, SlotMappings, lend
 from cm.wire import plane_packets as packets

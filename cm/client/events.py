@@ -6,13 +6,13 @@ from __future__ import annotations
 from types import TracebackType
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-from cm.client.core.effects import DEFAULT, Limit
 from cm.client.core.events import Events
-from cm.client.link import Subscription
+from cm.client.core.flow_effects import DEFAULT, Limit
+from cm.client.request_reply import Subscription
 from cm.errors import Timeout
 
 if TYPE_CHECKING:
-    from cm.client.link import Caller
+    from cm.client.request_reply import Caller
 
 T = TypeVar("T")
 

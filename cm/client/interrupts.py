@@ -12,7 +12,7 @@ from cm.client.events import EventStream
 from cm.wire.messages.status import Irq
 
 if TYPE_CHECKING:
-    from cm.client.link import Caller
+    from cm.client.request_reply import Caller
 
 
 class Interrupts:

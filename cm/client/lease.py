@@ -12,7 +12,7 @@ from cm.errors import CmError
 from cm.wire.messages.requests import TakeLease
 
 if TYPE_CHECKING:
-    from cm.client.link import Caller
+    from cm.client.request_reply import Caller
 
 
 class BoardLease:

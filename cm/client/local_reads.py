@@ -20,9 +20,9 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import get_ident
 
+from cm.client.after_fork import not_for_children
 from cm.client.data_socket import LIMITS_ARE_KNOWN, connect, limit
 from cm.client.errors import BoardClosed
-from cm.client.forks import not_for_children
 from cm.errors import CmError
 from cm.wire.plane_packets import DESCRIPTOR, NAME_MAX, PACKET_MAX, READ, REGISTERS, VALUE, Open, encode_open
 

@@ -11,7 +11,7 @@ from cm.wire.messages.status import MemoryInfo
 
 if TYPE_CHECKING:
     from cm.client.core.memory import Array, Key
-    from cm.client.link import Caller
+    from cm.client.request_reply import Caller
 
 
 class Memory:

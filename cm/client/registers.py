@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from cm.client.core import calls, registers
 from cm.client.core.calls import Value, Writes
-from cm.client.core.effects import DEFAULT, Limit
 from cm.client.core.events import RegisterEvents
+from cm.client.core.flow_effects import DEFAULT, Limit
 from cm.client.core.generations import Written
 from cm.client.errors import RequestNotFound
 from cm.client.events import EventStream
@@ -19,8 +19,8 @@ from cm.wire.plane_packets import Open
 
 if TYPE_CHECKING:
     from cm.client.connections import ByName
-    from cm.client.link import Caller
-    from cm.client.window import RegisterWindow
+    from cm.client.register_window import RegisterWindow
+    from cm.client.request_reply import Caller
 
 _T = TypeVar("_T")
 

@@ -8,18 +8,18 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from cm.client.core.effects import DEFAULT, Deadline, Flow, Limit, at_least, seconds, time_limit
+from cm.client.core.flow_effects import DEFAULT, Deadline, Flow, Limit, at_least, seconds, time_limit
 from cm.client.core.generations import FirstAfter, Written
 from cm.client.core.remote_stream import NewestReader, PublishedReader, Reader, Wanted
 from cm.client.errors import BoardClosed, ConnectionLost
 from cm.client.frame import Frame
-from cm.client.link import Link
+from cm.client.request_reply import Link
 from cm.errors import Timeout
 from cm.wire.plane_packets import Geometry, Open
 
 if TYPE_CHECKING:
     from cm.client.data_connection import DataConnection
-    from cm.client.link import Caller
+    from cm.client.request_reply import Caller
 
 _T = TypeVar("_T")
 _ANSWER = 5.0  # least seconds that opening a stream waits for the manager's answer

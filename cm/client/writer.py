@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cm.client.core.effects import DEFAULT, Limit, seconds, time_limit
+from cm.client.core.flow_effects import DEFAULT, Limit, seconds, time_limit
 from cm.client.data_connection import DataConnection
 from cm.client.errors import BoardClosed, ConnectionLost, TransferFailed
 from cm.client.pixel_formats import AS_IT_IS, from_rgb, is_rgb

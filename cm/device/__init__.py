@@ -47,6 +47,11 @@ if TYPE_CHECKING:
     from cm.device.icap import list_icap as list_icap
     from cm.device.overlays import Overlays as Overlays
     from cm.device.paths import Root as Root
+    from cm.device.register_window import Grant as Grant
+    from cm.device.register_window import MappedWindow as MappedWindow
+    from cm.device.register_window import WindowEnd as WindowEnd
+    from cm.device.register_window import WindowEvent as WindowEvent
+    from cm.device.register_window import Windows as Windows
     from cm.device.sensors import Reading as Reading
     from cm.device.sensors import read_sensors as read_sensors
     from cm.device.uio import Uio as Uio
@@ -54,11 +59,6 @@ if TYPE_CHECKING:
     from cm.device.uio import UioMap as UioMap
     from cm.device.uio import find_uio as find_uio
     from cm.device.uio import list_uio as list_uio
-    from cm.device.window import Grant as Grant
-    from cm.device.window import MappedWindow as MappedWindow
-    from cm.device.window import WindowEnd as WindowEnd
-    from cm.device.window import WindowEvent as WindowEvent
-    from cm.device.window import Windows as Windows
 
 __all__ = [
     "AxiDma",

@@ -2,7 +2,7 @@
 """The manager: configurations, the state of the board, changes one after the other, registers by name.
 
 Threads: requests come from one thread (the daemon's loop); one worker thread runs changes. All that is known are
-immutable values that are swapped (`cm.manager.state.record`).
+immutable values that are swapped (`cm.manager.state.journal`).
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from cm.manager.access.memory_service import MemoryService
 from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_service import RegisterService
 from cm.manager.errors import ChangeBusy, NothingLoaded, UnknownRegion, hint
-from cm.manager.execution.scan import Checked, Outcome, Pace, Scan, checked_region, loaded_map
+from cm.manager.execution.region_readback import Checked, Outcome, Pace, Scan, checked_region, loaded_map
 from cm.manager.execution.transaction import Tools, plan_to
 from cm.manager.execution.worker import Change, Worker
 from cm.manager.loaders import Loaders
 from cm.manager.planner import Goal
 from cm.manager.recovery import destination, is_whole, repair, take_stock, undo, way_back
-from cm.manager.reporting import Moment, StatusReporter, config_info
 from cm.manager.state.board_state import BoardState, slept
-from cm.manager.state.record import Journal, ManagerState, Pending
+from cm.manager.state.journal import Journal, ManagerState, Pending
+from cm.manager.status_reports import Moment, StatusReporter, config_info
 from cm.schema.model import Config
 from cm.wire.messages.requests import ChangeMode, CheckRegion, RegWrite
 from cm.wire.messages.status import (
@@ -40,7 +40,7 @@ from cm.wire.messages.status import (
 )
 
 if TYPE_CHECKING:
-    from cm.manager.access.windows import Windows
+    from cm.manager.access.register_windows import Windows
     from cm.manager.interfaces import DataPlane, Devices, Files, Observer, RegisterTable, TimeSource
 
 
@@ -103,7 +103,7 @@ class Manager:
     def windows(self) -> Windows:
         """Registers that clients have mapped. Nothing of it is there before somebody asks."""
         if self._windows is None:
-            from cm.manager.access.windows import Windows
+            from cm.manager.access.register_windows import Windows
 
             self._windows = Windows(self._state, self.registers, self._bus, self.leases, self._env.time)
             self._windows.changed = self.reporter.changed

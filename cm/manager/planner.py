@@ -20,7 +20,7 @@ from cm.manager.errors import ClockRate, NothingLoaded, StaticUnknown, UnknownCo
 from cm.manager.inputs import Image
 from cm.manager.state import steps as s
 from cm.manager.state.board_state import BoardState, OverlayState, RegionPhase, loading_overlay
-from cm.manager.state.record import Throughput
+from cm.manager.state.journal import Throughput
 from cm.manager.state.steps import ApplyOverlay, Place, SetClock, SetRegister
 from cm.schema.clock_rates import allowed, rate_problem
 from cm.schema.model import Access, Clock, Config, ConfigType, LoaderKind, Mode, Module, Region, Register

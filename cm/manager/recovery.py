@@ -27,7 +27,7 @@ from cm.manager.state.board_state import (
     all_lost,
     loading_overlay,
 )
-from cm.manager.state.record import ManagerState, Pending, Record
+from cm.manager.state.journal import ManagerState, Pending, Record
 from cm.manager.state.steps import Place, hertz
 from cm.schema.model import Access, Config, ConfigType, LoaderKind, Module, Region, Register
 

@@ -36,14 +36,14 @@ from cm.formats.bitstream import (
     to_dma_words,
     verify,
 )
-from cm.formats.bitstream.cache import Inspected
 from cm.formats.bitstream.errors import BadContainer, BitstreamError, Sha256Mismatch
+from cm.formats.bitstream.report_cache import Inspected
 from cm.frozen import dataclass
 from cm.manager.errors import BadOverlay
 from cm.manager.inputs import Image
 from cm.schema.model import Config, FrameRange, Module, Overlay, Region
 from cm.schema.named_files import bitstream_path, find_file, overlay_path
-from cm.server.folders import own_folder
+from cm.server.private_folders import own_folder
 from cm.wire.messages.status import RegionColumn
 
 if TYPE_CHECKING:
@@ -681,8 +681,8 @@ class BoardFiles:
     def loaded_frames(self, image: Image) -> LoadedFrames:
         """What an image leaves in the device. Those of the last few are kept: scrubbing asks again and again."""
         from cm.formats.bitstream.container import open_image
-        from cm.formats.bitstream.devices import device_by_idcode
         from cm.formats.bitstream.errors import UnknownDevice
+        from cm.formats.bitstream.idcodes import device_by_idcode
         from cm.formats.bitstream.mask import mask_for
         from cm.formats.bitstream.readback import LoadedFrames as Loaded
 

@@ -26,8 +26,8 @@ from cm.manager.manager import Manager
 from cm.manager.planner import target
 from cm.server.rights.gate import Gate
 from cm.server.rights.model import Access, Role
-from cm.server.rights.needs import Scene, mapping, opening
 from cm.server.rights.principal import DATA, IPC, Principal, from_id, of_process
+from cm.server.rights.required_rights import Scene, mapping, opening
 from cm.server.shares import place_of
 from cm.wire.plane_packets import SOCKET, Open
 from cm.wire.topics import Endpoints

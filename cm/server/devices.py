@@ -34,7 +34,7 @@ from cm.manager.errors import NoWindow
 from cm.manager.inputs import Window
 
 if TYPE_CHECKING:
-    from cm.device.window import Windows
+    from cm.device.register_window import Windows
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +137,7 @@ class BoardDevices:
 
     def windows(self) -> Windows:
         """What lends register pages; the caller's. Raises NoWindow where nothing does."""
-        from cm.device.window import Windows
+        from cm.device.register_window import Windows
 
         try:
             return Windows.open(self._root)

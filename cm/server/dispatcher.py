@@ -18,10 +18,10 @@ from cm.manager.execution.worker import Change
 from cm.manager.manager import Manager
 from cm.schema.model import Memory
 from cm.server.board_watch import BoardWatch
+from cm.server.error_replies import Respond, refusal
 from cm.server.handlers import Handlers, takes_long
 from cm.server.publisher import Publisher
 from cm.server.read_cache import ReadCache
-from cm.server.replies import Respond, refusal
 from cm.server.rights.model import Role
 from cm.server.shares import LITTLE, PENDING, REPLY, TRACKED, Client, Ring, TooMuchWaiting
 from cm.server.sockets import Loop, Sockets

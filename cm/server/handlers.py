@@ -14,27 +14,26 @@ from cm.manager.access.leases import check_scope_names_something
 from cm.manager.access.memory_service import MemoryService, Transfer
 from cm.manager.access.register_service import AT_ONCE, ReadPieces, RegisterService, WritePieces
 from cm.manager.errors import ChangeBusy, UnknownInterrupt, UnknownStream, hint
-from cm.manager.execution.scan import Checked
+from cm.manager.execution.region_readback import Checked
 from cm.manager.execution.worker import QUEUE_LENGTH, Change
 from cm.manager.manager import Manager
-from cm.manager.reporting import config_list, is_long
+from cm.manager.status_reports import config_list, is_long
 from cm.schema.model import Config, Stream
 from cm.server.board_watch import BoardWatch
 from cm.server.connections import Connections, Sessions
+from cm.server.error_replies import Respond, error_info, refusal
 from cm.server.interrupts import InterruptWatch
 from cm.server.lease_watch import LeaseWatch
 from cm.server.long_work import ClientJobs, Done, Result, Steps
 from cm.server.provision import Provisioner, Sender
-from cm.server.replies import Respond, error_info, refusal
 from cm.server.rights.gate import Gate, check
 from cm.server.rights.model import Role
-from cm.server.rights.needs import provisioning
+from cm.server.rights.required_rights import provisioning
 from cm.server.shares import Client, Clients, with_holdings
 from cm.server.sockets import Loop
 from cm.server.streams.running import Streams
 from cm.server.streams.stream import Frame
 from cm.server.uploads import Uploads
-from cm.wire.bodies import encode_values, encoded_registers
 from cm.wire.encode import encode_config
 from cm.wire.messages import requests as rq
 from cm.wire.messages.status import (
@@ -48,6 +47,7 @@ from cm.wire.messages.status import (
     Status,
     StreamStatus,
 )
+from cm.wire.protobuf_messages import encode_values, encoded_registers
 
 
 def takes_long(request: rq.ReadReg | rq.WriteReg, registers: RegisterService) -> bool:

@@ -18,7 +18,7 @@ from cm.loop import Timer
 from cm.manager.manager import Manager
 from cm.server.long_work import Steps
 from cm.server.sockets import Loop
-from cm.server.streams.peer import Peer
+from cm.server.streams.client_process import Peer
 
 _AT_ONCE = 32  # registers that are published in one step
 _REST = 3.0  # pause before the next publication, as a multiple of the time that the last one took

@@ -23,7 +23,7 @@ from prometheus_client.core import (
     SummaryMetricFamily,
 )
 
-from cm.manager.reporting import ChangeCounts, Distribution, Histogram, Times
+from cm.manager.status_reports import ChangeCounts, Distribution, Histogram, Times
 from cm.server.handlers import Services
 from cm.server.metrics_server import MetricsServer
 from cm.server.shares import with_holdings

@@ -20,8 +20,8 @@ from cm.schema import load, loads
 from cm.schema.model import Config
 from cm.schema.named_files import named_files
 from cm.schema.problems import did_you_mean
-from cm.server.folders import own_folder
 from cm.server.garbage_collector import keeping
+from cm.server.private_folders import own_folder
 from cm.server.settings.model import USUAL, Limits
 from cm.wire.messages.requests import File
 

@@ -24,7 +24,7 @@ from zmq import zmq_poll
 
 from cm._version import __version__
 from cm.manager.manager import Manager
-from cm.manager.reporting import Moment
+from cm.manager.status_reports import Moment
 from cm.schema.model import ITEM_BYTES, Config, Stream
 from cm.server.interrupts import InterruptWatch
 from cm.server.settings.model import StreamSettings

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Regions that are compared again and again, as `scrub` of the settings says, and what is done where one is wrong.
 
-A pass goes slice by slice (`cm.manager.execution.scan`), with a pause after each that keeps it within its budget, and
-never beside a change: slices and changes have the same thread.
+A pass goes slice by slice (`cm.manager.execution.region_readback`), with a pause after each that keeps it within its
+budget, and never beside a change: slices and changes have the same thread.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from functools import partial
 from typing import Protocol
 
 from cm.errors import CmError
-from cm.manager.execution.scan import Checked, Pace
+from cm.manager.execution.region_readback import Checked, Pace
 from cm.manager.execution.worker import Change
 from cm.manager.manager import Manager
 from cm.manager.state.board_state import RegionPhase

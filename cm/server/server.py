@@ -13,19 +13,19 @@ import zmq
 
 from cm.manager.access.leases import Leases
 from cm.manager.manager import Environment, Manager
-from cm.manager.state.record import Journal
+from cm.manager.state.journal import Journal
 from cm.schema.model import Config
 from cm.server.bitstream_and_overlay_files import BoardFiles, Footprints
 from cm.server.board_watch import BoardWatch
 from cm.server.connections import Connections, Sessions, raise_descriptors
 from cm.server.devices import BoardDevices
 from cm.server.dispatcher import Dispatcher
-from cm.server.folders import Locks, own_folder
 from cm.server.handlers import Handlers, MemoryTransfers, Services
 from cm.server.interrupts import InterruptWatch
 from cm.server.lease_watch import LeaseWatch
 from cm.server.long_work import ClientJobs, Steps
 from cm.server.options import NO_METRICS, Options
+from cm.server.private_folders import Locks, own_folder
 from cm.server.provision import Provisioner
 from cm.server.publisher import Publisher, StatusTold, mark
 from cm.server.read_cache import ReadCache
@@ -48,8 +48,8 @@ if TYPE_CHECKING:
 
     from cm.server.local_reads import LocalReads
     from cm.server.metrics import Metrics  # imports an HTTP server
-    from cm.server.streams.peer import Peer
-    from cm.server.windows import OpenWindows
+    from cm.server.streams.client_process import Peer
+    from cm.server.window_clients import OpenWindows
     from cm.wire.plane_packets import Open
 
 _LOG = logging.getLogger("cm")
@@ -243,7 +243,7 @@ class Server:
     def _open_window(self, connection: socket.socket, wanted: Open, peer: Peer) -> None:
         """Lend registers to a client of the data socket; nothing of it is there before one asks."""
         if self._windows is None:
-            from cm.server.windows import OpenWindows
+            from cm.server.window_clients import OpenWindows
 
             self._windows = OpenWindows(self._loop, self._manager, self._devices, self._sessions)
             self._status.at_rest = self._windows.ask_again

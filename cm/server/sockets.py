@@ -33,7 +33,7 @@ from cm.errors import InvalidRequest
 from cm.frozen import dataclass, names
 from cm.loop import Callback
 from cm.loop import Loop as EventLoop
-from cm.server.folders import share
+from cm.server.private_folders import share
 from cm.server.rights.model import Security
 from cm.server.rights.principal import CURVE, IPC, TCP
 from cm.server.settings.model import USUAL, Limits

@@ -12,7 +12,7 @@ from typing import ClassVar
 
 from cm.errors import Busy, CmError, InvalidRequest, NotFound
 from cm.frozen import replace
-from cm.server.replies import Respond
+from cm.server.error_replies import Respond
 from cm.server.settings.model import Limits
 from cm.server.shares import Client
 from cm.wire.messages import requests as rq

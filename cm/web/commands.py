@@ -10,7 +10,7 @@ from typing import Any
 from cm.client.aio.board import Board
 from cm.errors import CmError, InvalidRequest
 from cm.web.hub import Hub
-from cm.wire.messages.plain import plain
+from cm.wire.messages.json_values import plain
 
 Words = Mapping[str, Any]
 

@@ -18,7 +18,7 @@ from cm.web.history import History
 from cm.web.topics import Topics
 from cm.wire import topics as wire
 from cm.wire.encode import decode_event
-from cm.wire.messages.plain import plain
+from cm.wire.messages.json_values import plain
 from cm.wire.messages.status import ConfigInfo, Irq, RegValues, Status
 
 _INTERVAL = 1.0  # seconds between two looks at the status, and between two tries to connect

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 from cm.errors import InvalidRequest
 from cm.frozen import replace
-from cm.wire import bodies, bounds, parse, text, topics
+from cm.wire import bounds, parse, protobuf_messages, text, topics
 from cm.wire import cm_pb2 as pb
 from cm.wire.messages import requests as rq
 
@@ -131,7 +131,7 @@ def _data_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     m = parse.parse(pb.DataConfig, "cm_data_config", message)
     if m.HasField("address") or m.length or m.access or m.region:
         return _define_memory(m)
-    request = bodies.STREAM_SETTINGS.from_pb(m)
+    request = protobuf_messages.STREAM_SETTINGS.from_pb(m)
     return rq.DescribeData(m.stream, m.lease) if request == rq.ConfigureStream(m.stream, lease=m.lease) else request
 
 
@@ -173,7 +173,7 @@ def _region(message: bytes, payload: Sequence[Frame]) -> rq.Request:
         raise InvalidRequest("cm_region: map compares nothing, and does not go with repair")
     if m.map:
         return rq.MapRegion(m.name)
-    return bodies.REGION_CHECKED.from_pb(m)
+    return protobuf_messages.REGION_CHECKED.from_pb(m)
 
 
 def _read_irq(message: bytes, payload: Sequence[Frame]) -> rq.Request:
@@ -189,12 +189,12 @@ def _lease(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     if m.release:
         return rq.ReleaseLease(m.id)
     if m.id:
-        return bodies.LEASE_RENEWED.from_pb(m)
+        return protobuf_messages.LEASE_RENEWED.from_pb(m)
     if not m.scope:
         raise InvalidRequest(
             "cm_lease: no scope; it is one of board, config, region:NAME, registers:NAME, memories:NAME"
         )
-    return bodies.LEASE_TAKEN.from_pb(m)
+    return protobuf_messages.LEASE_TAKEN.from_pb(m)
 
 
 _DECODERS: dict[bytes, _Decoder] = {

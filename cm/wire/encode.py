@@ -11,14 +11,14 @@ from google.protobuf.message import DecodeError, Message
 from cm.errors import InvalidRequest
 from cm.frozen import names, replace
 from cm.hashes import sha256
-from cm.wire import bodies, topics
 from cm.wire import cm_pb2 as pb
+from cm.wire import protobuf_messages, topics
 from cm.wire.messages import requests as rq
 from cm.wire.messages import status as st
 
 Frame = bytes | memoryview
 _M = TypeVar("_M", bound=Message)
-_CHANGE = bodies.Twin(
+_CHANGE = protobuf_messages.Twin(
     rq.ChangeMode, pb.WriteConfig, [name for name in rq.ChangeMode.__annotations__ if name != "name_or_mode"]
 )
 
@@ -120,7 +120,7 @@ def _place(name: str, *numbers: int) -> None:
 
 def _configure_stream(r: rq.ConfigureStream) -> list[Frame]:
     try:
-        message = bodies.STREAM_SETTINGS.to_pb(r)
+        message = protobuf_messages.STREAM_SETTINGS.to_pb(r)
     except (TypeError, ValueError, OverflowError) as error:
         raise InvalidRequest(f"stream {r.stream!r}: {_wrong_setting(r)} is out of its range: {error}") from None
     return [topics.DATA_CONFIG, message.SerializeToString()]
@@ -131,7 +131,7 @@ def _wrong_setting(r: rq.ConfigureStream) -> str:
     for name in names(rq.ConfigureStream):
         value = getattr(r, name)
         try:
-            bodies.STREAM_SETTINGS.to_pb(replace(rq.ConfigureStream("s"), **{name: value}))
+            protobuf_messages.STREAM_SETTINGS.to_pb(replace(rq.ConfigureStream("s"), **{name: value}))
         except (TypeError, ValueError, OverflowError):
             return f"{name}={value!r}"
     return "a setting"
@@ -186,37 +186,37 @@ _REQUESTS: dict[type, Callable[[Any], list[Frame]]] = {
     rq.ReadData: _read_data,
     rq.WriteData: _write_data,
     rq.Upload: _upload,
-    rq.CheckRegion: lambda r: [topics.REGION, bodies.REGION_CHECKED.to_pb(r).SerializeToString()],
+    rq.CheckRegion: lambda r: [topics.REGION, protobuf_messages.REGION_CHECKED.to_pb(r).SerializeToString()],
     rq.MapRegion: lambda r: [topics.REGION, pb.Region(name=r.name, map=True).SerializeToString()],
     rq.ReadIrq: lambda r: [topics.IRQ, pb.ReadIrq(name=r.name).SerializeToString()],
-    rq.TakeLease: lambda r: _lease(bodies.LEASE_TAKEN.to_pb(r)),
-    rq.RenewLease: lambda r: _lease(bodies.LEASE_RENEWED.to_pb(r)),
+    rq.TakeLease: lambda r: _lease(protobuf_messages.LEASE_TAKEN.to_pb(r)),
+    rq.RenewLease: lambda r: _lease(protobuf_messages.LEASE_RENEWED.to_pb(r)),
     rq.BreakLease: lambda r: _lease(pb.Lease(number=r.number, release=True)),
     rq.ReleaseLease: lambda r: _lease(pb.Lease(id=r.id, release=True)),
 }
 
-# body type → field of Reply, and the pair of functions of cm.wire.bodies
+# body type → field of Reply, and the pair of functions of cm.wire.protobuf_messages
 _BODIES: dict[type, tuple[str, Callable[[Any], Any], Callable[[Any], Any]]] = {
-    st.Status: ("status", bodies.STATUS.to_pb, bodies.STATUS.from_pb),
-    st.ConfigInfo: ("config", bodies.CONFIG.to_pb, bodies.CONFIG.from_pb),
-    st.RegValues: ("registers", bodies.registers_to_pb, bodies.registers_from_pb),
-    st.FrameInfo: ("frame", bodies.FRAME.to_pb, bodies.FRAME.from_pb),
-    st.PlanInfo: ("plan", bodies.PLAN.to_pb, bodies.PLAN.from_pb),
-    st.LeaseInfo: ("lease", bodies.LEASE.to_pb, bodies.LEASE.from_pb),
-    st.ChangeInfo: ("change", bodies.CHANGE.to_pb, bodies.CHANGE.from_pb),
-    st.Irq: ("irq", bodies.IRQ.to_pb, bodies.IRQ.from_pb),
+    st.Status: ("status", protobuf_messages.STATUS.to_pb, protobuf_messages.STATUS.from_pb),
+    st.ConfigInfo: ("config", protobuf_messages.CONFIG.to_pb, protobuf_messages.CONFIG.from_pb),
+    st.RegValues: ("registers", protobuf_messages.registers_to_pb, protobuf_messages.registers_from_pb),
+    st.FrameInfo: ("frame", protobuf_messages.FRAME.to_pb, protobuf_messages.FRAME.from_pb),
+    st.PlanInfo: ("plan", protobuf_messages.PLAN.to_pb, protobuf_messages.PLAN.from_pb),
+    st.LeaseInfo: ("lease", protobuf_messages.LEASE.to_pb, protobuf_messages.LEASE.from_pb),
+    st.ChangeInfo: ("change", protobuf_messages.CHANGE.to_pb, protobuf_messages.CHANGE.from_pb),
+    st.Irq: ("irq", protobuf_messages.IRQ.to_pb, protobuf_messages.IRQ.from_pb),
     st.UploadInfo: (
         "upload",
         lambda x: pb.Upload(id=x.id, length=x.length, offset=x.got),
         lambda m: st.UploadInfo(m.id, m.length, m.offset),
     ),
-    st.RegionCheck: ("region", bodies.CHECK.to_pb, bodies.CHECK.from_pb),
-    st.RegionMap: ("region_map", bodies.MAP.to_pb, bodies.MAP.from_pb),
-    st.MemoryInfo: ("memory", bodies.MEMORY.to_pb, bodies.MEMORY.from_pb),
+    st.RegionCheck: ("region", protobuf_messages.CHECK.to_pb, protobuf_messages.CHECK.from_pb),
+    st.RegionMap: ("region_map", protobuf_messages.MAP.to_pb, protobuf_messages.MAP.from_pb),
+    st.MemoryInfo: ("memory", protobuf_messages.MEMORY.to_pb, protobuf_messages.MEMORY.from_pb),
     st.StreamStatus: (
         "stream",
-        lambda s: pb.Stream(state=bodies.STREAM.to_pb(s)),
-        lambda m: bodies.STREAM.from_pb(m.state),
+        lambda s: pb.Stream(state=protobuf_messages.STREAM.to_pb(s)),
+        lambda m: protobuf_messages.STREAM.from_pb(m.state),
     ),
 }
 _FROM_FIELD = {field: decode for field, _, decode in _BODIES.values()}
@@ -229,11 +229,11 @@ def encode_reply(topic: bytes, reply: st.Reply, sequence: int | None = None) -> 
     message.ok = error is None
     message.sequence = reply.sequence if sequence is None else sequence
     if error is not None:
-        message.error.CopyFrom(bodies.ERROR.to_pb(error))
+        message.error.CopyFrom(protobuf_messages.ERROR.to_pb(error))
     if isinstance(body, st.RegValues):
-        bodies.registers_into(message.registers, body)
+        protobuf_messages.registers_into(message.registers, body)
     elif isinstance(body, st.Status):
-        message.status.MergeFromString(bodies.STATUS.encoded(body))
+        message.status.MergeFromString(protobuf_messages.STATUS.encoded(body))
     elif body is not None:
         field, to_pb, _ = _BODIES[type(body)]
         getattr(message, field).CopyFrom(to_pb(body))
@@ -242,18 +242,18 @@ def encode_reply(topic: bytes, reply: st.Reply, sequence: int | None = None) -> 
 
 def encode_config(info: st.ConfigInfo) -> bytes:
     """As `st.Reply.encoded`: a long one takes more time than a request may in one go."""
-    return pb.Reply(config=bodies.CONFIG.to_pb(info)).SerializeToString()
+    return pb.Reply(config=protobuf_messages.CONFIG.to_pb(info)).SerializeToString()
 
 
 def encode_table(info: st.ConfigInfo) -> bytes:
     """A `Config` message by itself: the registers of a window."""
-    return bodies.CONFIG.to_pb(info).SerializeToString()
+    return protobuf_messages.CONFIG.to_pb(info).SerializeToString()
 
 
 def decode_table(data: bytes) -> st.ConfigInfo:
     """The inverse of `encode_table`. Raises InvalidRequest."""
     try:
-        return bodies.CONFIG.from_pb(pb.Config.FromString(data))
+        return protobuf_messages.CONFIG.from_pb(pb.Config.FromString(data))
     except DecodeError as error:
         raise InvalidRequest(f"the registers of a window: {error}") from error
 
@@ -269,7 +269,7 @@ class RegisterReply:
         self, names: Sequence[str], fields: Sequence[Sequence[tuple[str, int, int]]], config_name: str, mode: str
     ) -> None:
         empty = st.RegValues(tuple([st.RegValue(name, 0) for name in names]), config_name, mode)
-        self._message = pb.Reply(ok=True, registers=bodies.registers_to_pb(empty))
+        self._message = pb.Reply(ok=True, registers=protobuf_messages.registers_to_pb(empty))
         self._entries = list(zip(self._message.registers.values, fields, strict=True))
         self._last: tuple[Sequence[int], int, bytes] = ((), -1, b"")
 
@@ -299,7 +299,7 @@ def decode_reply(frames: Sequence[Frame]) -> st.Reply:
     field = message.WhichOneof("body")
     return st.Reply(
         body=_FROM_FIELD[field](getattr(message, field)) if field else None,
-        error=None if message.ok else bodies.ERROR.from_pb(message.error),
+        error=None if message.ok else protobuf_messages.ERROR.from_pb(message.error),
         sequence=message.sequence,
         payload=tuple(frames[2:]),
     )
@@ -307,32 +307,32 @@ def decode_reply(frames: Sequence[Frame]) -> st.Reply:
 
 def encode_status(status: st.Status) -> list[Frame]:
     """A status → the frames published on ``cm_status``."""
-    return [topics.STATUS, bodies.STATUS.encoded(status)]
+    return [topics.STATUS, protobuf_messages.STATUS.encoded(status)]
 
 
 def encode_registers(values: st.RegValues) -> list[Frame]:
     """Changed values → the frames published on ``cm_read_reg``."""
-    return [topics.READ_REG, bodies.registers_to_pb(values).SerializeToString()]
+    return [topics.READ_REG, protobuf_messages.registers_to_pb(values).SerializeToString()]
 
 
 def encode_irq(irq: st.Irq) -> list[Frame]:
     """An interrupt → the frames published on ``cm_irq``."""
-    return [topics.IRQ, bodies.IRQ.to_pb(irq).SerializeToString()]
+    return [topics.IRQ, protobuf_messages.IRQ.to_pb(irq).SerializeToString()]
 
 
 def encode_frame_info(info: st.FrameInfo) -> bytes:
     """The message beside a frame's payload."""
-    return bytes(bodies.FRAME.to_pb(info).SerializeToString())
+    return bytes(protobuf_messages.FRAME.to_pb(info).SerializeToString())
 
 
 def decode_plan(data: bytes) -> st.PlanInfo:
     """A Plan message. Raises InvalidRequest."""
-    return bodies.PLAN.from_pb(parsed(pb.Plan, data))
+    return protobuf_messages.PLAN.from_pb(parsed(pb.Plan, data))
 
 
 def decode_registers(data: bytes) -> st.RegValues:
     """A RegValues message. Raises InvalidRequest."""
-    return bodies.registers_from_pb(parsed(pb.RegValues, data))
+    return protobuf_messages.registers_from_pb(parsed(pb.RegValues, data))
 
 
 Event = st.Status | st.RegValues | st.Irq | st.FrameInfo
@@ -357,10 +357,10 @@ def decode_event(frames: Sequence[Frame]) -> Event:
 
 
 _EVENTS: dict[bytes, tuple[Callable[[], Any], Callable[[Any], Any]]] = {
-    topics.STATUS: (pb.Status, bodies.STATUS.from_pb),
-    topics.READ_REG: (pb.RegValues, bodies.registers_from_pb),
-    topics.IRQ: (pb.Irq, bodies.IRQ.from_pb),
-    topics.READ_DATA: (pb.Frame, bodies.FRAME.from_pb),
-    topics.DATA_READ: (pb.Frame, bodies.FRAME.from_pb),
-    b"cm_stream": (pb.Frame, bodies.FRAME.from_pb),
+    topics.STATUS: (pb.Status, protobuf_messages.STATUS.from_pb),
+    topics.READ_REG: (pb.RegValues, protobuf_messages.registers_from_pb),
+    topics.IRQ: (pb.Irq, protobuf_messages.IRQ.from_pb),
+    topics.READ_DATA: (pb.Frame, protobuf_messages.FRAME.from_pb),
+    topics.DATA_READ: (pb.Frame, protobuf_messages.FRAME.from_pb),
+    b"cm_stream": (pb.Frame, protobuf_messages.FRAME.from_pb),
 }

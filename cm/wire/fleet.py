@@ -6,17 +6,17 @@ from __future__ import annotations
 from typing import Any
 
 from cm.errors import InvalidRequest
-from cm.wire import bodies
 from cm.wire import cm_pb2 as pb
+from cm.wire import protobuf_messages
 from cm.wire.encode import parsed
 from cm.wire.messages import fleet as fl
 from cm.wire.messages.status import ErrorInfo, RegValues
 
-_CLOCK = bodies.Twin(fl.ClockSync, pb.ClockSync)
-_STEP = bodies.Twin(fl.FleetStep, pb.FleetStep)
-_STATE = bodies.Twin(fl.FleetState, pb.FleetState, error=bodies.ERROR)
-_FETCH = bodies.Twin(fl.FetchBundle, pb.FetchBundle)
-_BUNDLE = bodies.Twin(fl.BundleState, pb.BundleState, error=bodies.ERROR)
+_CLOCK = protobuf_messages.Twin(fl.ClockSync, pb.ClockSync)
+_STEP = protobuf_messages.Twin(fl.FleetStep, pb.FleetStep)
+_STATE = protobuf_messages.Twin(fl.FleetState, pb.FleetState, error=protobuf_messages.ERROR)
+_FETCH = protobuf_messages.Twin(fl.FetchBundle, pb.FetchBundle)
+_BUNDLE = protobuf_messages.Twin(fl.BundleState, pb.BundleState, error=protobuf_messages.ERROR)
 
 
 def encode_step(step: fl.FleetStep) -> bytes:
@@ -50,14 +50,14 @@ def board_status(data: bytes) -> fl.BoardStatus:
     message = parsed(pb.Status, data)
     state = _STATE.from_pb(message.fleet) if message.HasField("fleet") else None
     clock = _CLOCK.from_pb(message.clock)
-    return fl.BoardStatus(bodies.STATUS.from_pb(message), tuple(message.labels), clock, state)
+    return fl.BoardStatus(protobuf_messages.STATUS.from_pb(message), tuple(message.labels), clock, state)
 
 
 def body(reply: bytes) -> tuple[str, bytes] | ErrorInfo:
     """The content of a Reply: the name of its message and its bytes, or the error. Raises InvalidRequest."""
     message: Any = parsed(pb.Reply, reply)
     if not message.ok:
-        return bodies.ERROR.from_pb(message.error)
+        return protobuf_messages.ERROR.from_pb(message.error)
     field = message.WhichOneof("body")
     if not field:
         return "Reply", reply
@@ -119,7 +119,7 @@ def _is_sha256(text: str) -> bool:
 def encode_answer(body: fl.FleetState | fl.BundleState | ErrorInfo) -> bytes:
     """A Reply of the bridge itself, in the form of a manager's."""
     if isinstance(body, ErrorInfo):
-        message = pb.Reply(ok=False, error=bodies.ERROR.to_pb(body))
+        message = pb.Reply(ok=False, error=protobuf_messages.ERROR.to_pb(body))
     elif isinstance(body, fl.FleetState):
         message = pb.Reply(ok=True, fleet=_STATE.to_pb(body))
     else:
@@ -131,13 +131,13 @@ def decode_answer(data: bytes) -> fl.FleetState | fl.BundleState | RegValues | E
     """Of a Reply of the bridge, or of a manager about registers. Raises InvalidRequest for one with another body."""
     reply: Any = parsed(pb.Reply, data)
     if not reply.ok:
-        return bodies.ERROR.from_pb(reply.error)
+        return protobuf_messages.ERROR.from_pb(reply.error)
     if reply.HasField("fleet"):
         return _STATE.from_pb(reply.fleet)
     if reply.HasField("bundle"):
         return _BUNDLE.from_pb(reply.bundle)
     if reply.HasField("registers"):
-        return bodies.registers_from_pb(reply.registers)
+        return protobuf_messages.registers_from_pb(reply.registers)
     raise InvalidRequest(
         f"the bridge answered with {reply.WhichOneof('body')}, not with a state, a bundle or registers"
     )

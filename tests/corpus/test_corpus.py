@@ -12,8 +12,8 @@ import pytest
 from corpus import GOOD, Sample, Verdict, expected, judge, samples
 
 from cm.formats.bitstream import CrcResult, Expectation, FrameRun, assemble, footprint_of, inspect, open_image, refusals
-from cm.formats.bitstream.devices import Family
 from cm.formats.bitstream.geometry import decode_far, geometry_of
+from cm.formats.bitstream.idcodes import Family
 from cm.formats.bitstream.packets import frame_writes
 
 FLIPS = 24  # in each file

@@ -14,7 +14,7 @@ import pytest
 from fleet_etcd import EtcdCluster
 from manager_process import until
 
-from cm.networks.fleet.change import Coordinator, Opening
+from cm.networks.fleet.coordinator import Coordinator, Opening
 from cm.networks.fleet.etcd import Cluster, Etcd
 from cm.networks.fleet.security.certificates import authority, issued
 from cm.networks.fleet.store import Put, Settings, StoreRefused, key, packed, views

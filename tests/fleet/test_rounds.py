@@ -33,7 +33,7 @@ from manager_process import REPOSITORY, environment, until
 
 import cm.fleet
 import cm.networks.fleet.store
-from cm.networks.fleet.change import LEASE
+from cm.networks.fleet.coordinator import LEASE
 from cm.tools.demo.boards import free_ports
 from cm.wire.messages.fleet import BoardStatus
 

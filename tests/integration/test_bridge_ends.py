@@ -15,7 +15,7 @@ import pytest
 from manager_process import Manager, served, until
 
 from cm.networks.fleet.bundles import described, part_key
-from cm.networks.fleet.network import Network, session
+from cm.networks.fleet.zenoh_session import Network, session
 from cm.simulation.software import Board as SimBoard
 from cm.wire.fleet import encode_fetch
 

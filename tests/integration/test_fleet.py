@@ -27,7 +27,7 @@ from cm import child
 from cm.cli.main import main
 from cm.networks.fleet.blocking import Fleet
 from cm.networks.fleet.errors import ChangeFailed, FleetRefused, NoSuchBoard
-from cm.networks.fleet.network import Network, session
+from cm.networks.fleet.zenoh_session import Network, session
 from cm.tools.demo.boards import free_ports
 from cm.wire import cm_pb2 as pb
 from cm.wire.messages.fleet import BoardStatus, BundleState, Decision

@@ -11,7 +11,7 @@ import pytest
 from fleet_support import VISION, Router
 
 from cm.networks.fleet.bundles import PartMissing, described, fetched, offered
-from cm.networks.fleet.network import Network, session
+from cm.networks.fleet.zenoh_session import Network, session
 
 pytestmark = pytest.mark.networks
 

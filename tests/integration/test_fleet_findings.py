@@ -21,7 +21,7 @@ from manager_process import REPOSITORY, environment, until
 
 from cm.cli.main import main
 from cm.networks.fleet.blocking import Fleet
-from cm.networks.fleet.change import LEASE
+from cm.networks.fleet.coordinator import LEASE
 from cm.networks.fleet.errors import ChangeFailed, FleetRefused
 from cm.networks.fleet.store import StoreAway
 from cm.wire.messages.fleet import BoardStatus, FleetState

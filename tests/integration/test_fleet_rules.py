@@ -12,10 +12,10 @@ from fleet_support import FleetBoard, Router, fleet_board
 from manager_process import until
 
 import cm.fleet
-from cm.networks.fleet.network import NoNetwork
-from cm.networks.fleet.security.folder import KeyFolder
-from cm.networks.fleet.security.rules import Member
+from cm.networks.fleet.security.access_rules import Member
+from cm.networks.fleet.security.keys_folder import KeyFolder
 from cm.networks.fleet.store import StoreAway
+from cm.networks.fleet.zenoh_session import NoNetwork
 from cm.tools.demo.boards import free_ports
 from cm.wire.messages.fleet import BoardStatus
 from cm.wire.messages.status import ErrorInfo, RegValues

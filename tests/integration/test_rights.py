@@ -25,7 +25,8 @@ GROUP, ALICE, BOB, CARL, DORA, ERIN, MALLORY, FRED, GINA, HUGO = range(47110, 47
 
 PLAY = """
 import hashlib, json, os, queue, sys
-import cm, cm.aio, cm.client.board, cm.client.data_connection, cm.client.stream, cm.client.aio.stream, cm.client.window
+import cm, cm.aio, cm.client.board, cm.client.data_connection, cm.client.stream, cm.client.aio.stream
+import cm.client.register_window
 import encodings.idna, hashlib, numpy.linalg
 from cm.errors import CmError
 
@@ -168,7 +169,7 @@ def test_a_user_whose_role_is_taken_away_loses_streams_subscriptions_and_request
 
 MAP = """
 import json, os, sys
-import cm, cm.client.board, cm.client.window
+import cm, cm.client.board, cm.client.register_window
 from cm.client.errors import WindowRevoked
 
 uid, gid, runtime = json.loads(sys.argv[1])

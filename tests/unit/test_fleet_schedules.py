@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from fleet_world import HOME, World, killed
 
-from cm.networks.fleet.board import Place
+from cm.networks.fleet.reconciling_board import Place
 from cm.networks.fleet.store import Entry
 from cm.wire.messages.fleet import Decision, Policy
 

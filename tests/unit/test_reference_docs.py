@@ -38,7 +38,7 @@ INSIDE = {
     "cm.device.buffer.DmaBuffer names cm.device.buffer.DmaBuffer.memoryview",
     "cm.device.overlays.Overlays names cm.device.overlays.Overlays.list",
     "cm.device.uio.Uio names cm.device.native.uio",
-    "cm.formats.bitstream.cache.ReportCache names cm.formats.bitstream.cache.Inspected",
+    "cm.formats.bitstream.report_cache.ReportCache names cm.formats.bitstream.report_cache.Inspected",
 }
 
 

@@ -18,23 +18,23 @@ from cm.client.aio.change import ChangeHandle
 from cm.client.aio.events import EventStream
 from cm.client.aio.interrupts import Interrupts
 from cm.client.aio.lease import BoardLease
-from cm.client.aio.link import Link, Subscription
 from cm.client.aio.memories import Memories, Memory
 from cm.client.aio.registers import Registers
+from cm.client.aio.request_reply import Link, Subscription
 from cm.client.aio.stream import AsyncLocalStream, AsyncRemoteStream, Stream
 from cm.client.aio.writer import AsyncWriter
+from cm.client.attribute_guard import Guarded
 from cm.client.connections import ByName, Sockets
 from cm.client.core import calls, change, leases, uploads
 from cm.client.core.calls import Call
-from cm.client.core.effects import DEFAULT, Flow, Limit, at_least, later, seconds, time_limit
 from cm.client.core.events import StatusEvents
+from cm.client.core.flow_effects import DEFAULT, Flow, Limit, at_least, later, seconds, time_limit
 from cm.client.core.leases import HeldLeases
 from cm.client.core.remote_stream import Wanted, check_compression
-from cm.client.core.values import mode_name
+from cm.client.core.value_checks import mode_name
 from cm.client.errors import RequestFailed
 from cm.client.find_manager import Keys, find
 from cm.client.frame import Frame
-from cm.client.guard import Guarded
 from cm.client.progress import OnProgress, Shown
 from cm.wire.messages import requests as rq
 from cm.wire.messages.requests import ConfigureStream, DefineMemory
@@ -54,7 +54,7 @@ from cm.wire.plane_packets import Open
 
 if TYPE_CHECKING:
     from cm.client.allocation import DeviceArray
-    from cm.client.window import RegisterWindow
+    from cm.client.register_window import RegisterWindow
 
 _T = TypeVar("_T")
 _PATIENCE = 0.002  # seconds that a read over the data socket may take, while the event loop waits, before a request
@@ -363,7 +363,7 @@ class Board(Guarded):
         self._check_open()
         folder = self._place.data_folder("a window")
         limit = None if wanted.wait and timeout is DEFAULT else seconds(timeout, self.timeout)
-        from cm.client.window import RegisterWindow  # here: it needs the shim, which only Linux has
+        from cm.client.register_window import RegisterWindow  # here: it needs the shim, which only Linux has
 
         window = self._sockets.using(RegisterWindow(folder, wanted, limit, self._leases, owner=self))
         try:

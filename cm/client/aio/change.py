@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cm.client.aio.link import Subscription
+from cm.client.aio.request_reply import Subscription
 from cm.client.core import calls
 from cm.client.core.change import ChangeWatch
 from cm.wire.messages.status import Progress
 
 if TYPE_CHECKING:
-    from cm.client.aio.link import Caller
+    from cm.client.aio.request_reply import Caller
 
 
 class ChangeHandle:

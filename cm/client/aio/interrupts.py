@@ -11,7 +11,7 @@ from cm.client.core.events import InterruptEvents
 from cm.wire.messages.status import Irq
 
 if TYPE_CHECKING:
-    from cm.client.aio.link import Caller
+    from cm.client.aio.request_reply import Caller
 
 
 class Interrupts:

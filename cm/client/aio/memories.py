@@ -9,7 +9,7 @@ from cm.client.core import calls, memory
 from cm.wire.messages.status import MemoryInfo
 
 if TYPE_CHECKING:
-    from cm.client.aio.link import Caller
+    from cm.client.aio.request_reply import Caller
     from cm.client.core.memory import Array, Key
 
 

@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING, Any, TypeVar, overload
 from cm.client.aio.events import EventStream
 from cm.client.core import calls, registers
 from cm.client.core.calls import Value, Writes
-from cm.client.core.effects import DEFAULT, Limit
 from cm.client.core.events import RegisterEvents
+from cm.client.core.flow_effects import DEFAULT, Limit
 from cm.client.core.generations import Written
 from cm.client.errors import RequestNotFound
 from cm.wire.messages.status import RegisterInfo, RegValues
 from cm.wire.plane_packets import Open
 
 if TYPE_CHECKING:
-    from cm.client.aio.link import Caller
+    from cm.client.aio.request_reply import Caller
     from cm.client.connections import ByName
-    from cm.client.window import RegisterWindow
+    from cm.client.register_window import RegisterWindow
 
 _T = TypeVar("_T")
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, TypeVar
 
-from cm.client.aio.link import Subscription
+from cm.client.aio.request_reply import Subscription
 from cm.client.aio.waiting import Waits
-from cm.client.core.effects import DEFAULT, Deadline, Limit, seconds, time_limit
+from cm.client.core.flow_effects import DEFAULT, Deadline, Limit, seconds, time_limit
 from cm.client.core.generations import FirstAfter, Written
 from cm.client.core.remote_stream import NewestReader, PublishedReader, Reader, Wanted
 from cm.client.errors import BoardClosed
@@ -21,7 +21,7 @@ from cm.errors import Timeout
 from cm.wire.plane_packets import Geometry, Open
 
 if TYPE_CHECKING:
-    from cm.client.aio.link import Caller
+    from cm.client.aio.request_reply import Caller
 
 Self = TypeVar("Self", bound="Stream")
 

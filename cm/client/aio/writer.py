@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any
 import numpy.typing as npt
 
 from cm.client.aio.waiting import Waits
-from cm.client.core.effects import DEFAULT, Deadline, Limit, seconds, time_limit
+from cm.client.core.flow_effects import DEFAULT, Deadline, Limit, seconds, time_limit
 from cm.client.errors import BoardClosed
 from cm.errors import InvalidRequest, Timeout
 from cm.wire.plane_packets import Descriptor, Geometry, Open
 
 if TYPE_CHECKING:
-    from cm.client.aio.link import Caller
+    from cm.client.aio.request_reply import Caller
     from cm.client.writer import Writer
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, SupportsIndex, TypeVar
 
-from cm.client.core.values import register_value, register_write
+from cm.client.core.value_checks import register_value, register_write
 from cm.client.errors import request_error
 from cm.errors import InvalidRequest
 from cm.frozen import dataclass

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from cm.client.core.calls import Call, ended
-from cm.client.core.effects import Ask, AskBeside, Deadline, Flow, Limit, Receive, Subscription
+from cm.client.core.flow_effects import Ask, AskBeside, Deadline, Flow, Limit, Receive, Subscription
 from cm.errors import Timeout
 from cm.wire.encode import decode_event
 from cm.wire.messages.status import ChangeInfo, Progress, Status

@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import Any, Generic, TypeVar
 
 from cm.client.core import calls, registers
-from cm.client.core.effects import DEFAULT, Ask, Deadline, Flow, Limit, Receive, Subscription, at_least, seconds
+from cm.client.core.flow_effects import DEFAULT, Ask, Deadline, Flow, Limit, Receive, Subscription, at_least, seconds
 from cm.errors import Timeout
 from cm.wire import topics
 from cm.wire.encode import decode_event

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from cm.client.core.effects import Deadline, Limit, seconds
+from cm.client.core.flow_effects import Deadline, Limit, seconds
 from cm.errors import InvalidRequest, Timeout
 from cm.wire.messages.status import RegValues
 

@@ -8,7 +8,18 @@ from importlib import import_module
 from typing import Any, Protocol
 
 from cm.client.core import calls
-from cm.client.core.effects import Ask, Deadline, Flow, Limit, Pause, Receive, Subscription, later, seconds, time_limit
+from cm.client.core.flow_effects import (
+    Ask,
+    Deadline,
+    Flow,
+    Limit,
+    Pause,
+    Receive,
+    Subscription,
+    later,
+    seconds,
+    time_limit,
+)
 from cm.client.errors import RequestFailed, RequestTimeout
 from cm.client.frame import Frame, frame_of
 from cm.errors import InvalidRequest, Timeout

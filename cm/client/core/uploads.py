@@ -10,7 +10,7 @@ from typing import Any
 
 from cm.client.core import calls
 from cm.client.core.calls import Call
-from cm.client.core.effects import Flow
+from cm.client.core.flow_effects import Flow
 from cm.client.errors import RequestFailed, RequestInvalid
 from cm.frozen import replace
 from cm.wire.messages import requests as rq

@@ -8,8 +8,8 @@ from collections.abc import Iterable, Mapping
 
 from cm.design.errors import BuildError
 from cm.formats.bitstream import FrameAddress, FrameRun, assemble
-from cm.formats.bitstream.devices import Family
 from cm.formats.bitstream.geometry import Geometry, decode_far, encode_far, geometry_of
+from cm.formats.bitstream.idcodes import Family
 from cm.formats.xray import Database, Feature, encode, to_bytes, with_ecc
 
 _MINOR_BITS = 7

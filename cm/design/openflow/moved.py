@@ -14,9 +14,9 @@ from cm.design.openflow.rules import RULE
 from cm.design.plan.system import Implementation, RegionPlan, System
 from cm.design.project.source_position import Finding, fault
 from cm.formats.bitstream import device_by_name, merge, relocate
-from cm.formats.bitstream.devices import Family
 from cm.formats.bitstream.errors import CannotRelocate
 from cm.formats.bitstream.geometry import decode_far
+from cm.formats.bitstream.idcodes import Family
 from cm.formats.xray import Database, DatabaseMissing
 from cm.formats.xray.frames import Frames
 from cm.schema.model import FrameRange

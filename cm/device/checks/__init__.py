@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from cm.device.check_result import Finding
-from cm.device.checks import devices, kernel, managers, ports
+from cm.device.checks import devices, kernel, other_managers, ps_pl_ports
 from cm.device.checks.machine import Machine
 from cm.device.paths import Root
 
@@ -18,5 +18,5 @@ def board_checks(root: Root) -> Iterator[Finding]:
         return
     yield from kernel.checks(machine)
     yield from devices.checks(machine)
-    yield from ports.checks(machine)
-    yield from managers.checks(machine)
+    yield from ps_pl_ports.checks(machine)
+    yield from other_managers.checks(machine)

@@ -15,8 +15,8 @@ from itertools import pairwise
 
 from cm.device.native import bitstream as native
 from cm.formats.bitstream.container import BitHeader, pack_bit
-from cm.formats.bitstream.devices import Device, Family, known_device
 from cm.formats.bitstream.geometry import FrameAddress, encode_far
+from cm.formats.bitstream.idcodes import Device, Family, known_device
 from cm.formats.bitstream.packets import (
     BUS_WIDTH_DETECT,
     BUS_WIDTH_SYNC,

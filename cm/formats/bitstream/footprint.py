@@ -11,8 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from cm.formats.bitstream.devices import Family
-from cm.formats.bitstream.report import Footprint, Report
+from cm.formats.bitstream.idcodes import Family
+from cm.formats.bitstream.inspection_report import Footprint, Report
 from cm.schema.model import FrameRange
 
 

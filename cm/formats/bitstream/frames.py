@@ -12,10 +12,10 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 
 from cm.device.native import bitstream as native
-from cm.formats.bitstream.devices import Family
 from cm.formats.bitstream.errors import BadPacket, FramesIncomplete
 from cm.formats.bitstream.geometry import IN_ROWS, FrameAddress, Geometry, Row, decode_far
-from cm.formats.bitstream.report import Footprint, Refusal
+from cm.formats.bitstream.idcodes import Family
+from cm.formats.bitstream.inspection_report import Footprint, Refusal
 
 _ROW_PADDING = {Family.SERIES7: 1, Family.ULTRASCALE_PLUS: 4}  # in addition to the one of every run
 

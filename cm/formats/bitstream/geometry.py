@@ -14,7 +14,7 @@ from itertools import accumulate
 from pathlib import Path
 from typing import NamedTuple
 
-from cm.formats.bitstream.devices import Family
+from cm.formats.bitstream.idcodes import Family
 from cm.frozen import dataclass
 
 

@@ -6,12 +6,12 @@ from __future__ import annotations
 from cm.device.native import bitstream as native
 from cm.formats.bitstream import frames
 from cm.formats.bitstream.container import Image, Source, named, open_image, read_source
-from cm.formats.bitstream.devices import Family, base_name, device_by_idcode, device_by_name, family_of
 from cm.formats.bitstream.errors import BadContainer, UnknownDevice, WrongDevice
 from cm.formats.bitstream.geometry import geometry_of
+from cm.formats.bitstream.idcodes import Family, base_name, device_by_idcode, device_by_name, family_of
+from cm.formats.bitstream.inspection_report import Report, Section
 from cm.formats.bitstream.packets import Register, packet_events
-from cm.formats.bitstream.report import Report, Section
-from cm.formats.bitstream.rules import Rules
+from cm.formats.bitstream.stream_rules import Rules
 from cm.frozen import replace
 from cm.hashes import sha256
 

@@ -16,9 +16,9 @@ from pathlib import Path
 
 from cm.errors import CmError
 from cm.formats.bitstream.container import open_image
-from cm.formats.bitstream.devices import REVISION_MASK, Device, Family
 from cm.formats.bitstream.errors import WrongDevice
 from cm.formats.bitstream.geometry import decode_far, frame_order
+from cm.formats.bitstream.idcodes import REVISION_MASK, Device, Family
 from cm.formats.bitstream.inspect import inspect
 from cm.formats.bitstream.memory import frames_of
 from cm.frozen import dataclass

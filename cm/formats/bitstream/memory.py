@@ -7,9 +7,9 @@ Frames are numbers, as `cm.formats.xray` has them: bit b of word w is bit 32·w 
 from __future__ import annotations
 
 from cm.formats.bitstream.container import Container, Image, Source, open_image
-from cm.formats.bitstream.devices import Device, Family, device_by_idcode
 from cm.formats.bitstream.errors import BadPacket, UnknownDevice
 from cm.formats.bitstream.geometry import IN_ROWS, FrameOrder, decode_far, frame_order
+from cm.formats.bitstream.idcodes import Device, Family, device_by_idcode
 from cm.formats.bitstream.inspect import inspect
 from cm.formats.bitstream.packets import frame_writes
 from cm.formats.bitstream.verify import Expectation, verify

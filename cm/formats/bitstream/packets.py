@@ -13,7 +13,7 @@ from typing import Final
 
 from cm.device.native import bitstream as native
 from cm.formats.bitstream.container import Image
-from cm.formats.bitstream.devices import Family
+from cm.formats.bitstream.idcodes import Family
 from cm.frozen import dataclass
 
 SYNC: Final = 0xAA995566

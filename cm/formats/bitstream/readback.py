@@ -13,11 +13,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from cm.device.native import bitstream as native
 from cm.formats.bitstream.assemble import StreamWriter
 from cm.formats.bitstream.container import Image
-from cm.formats.bitstream.devices import Device, Family
 from cm.formats.bitstream.geometry import FrameAddress, decode_far, frame_order
+from cm.formats.bitstream.idcodes import Device, Family
 from cm.formats.bitstream.mask import Mask
 from cm.formats.bitstream.memory import frames_of
-from cm.formats.bitstream.module import identify_bytes
 from cm.formats.bitstream.packets import (
     BUS_WIDTH_DETECT,
     BUS_WIDTH_SYNC,
@@ -31,6 +30,7 @@ from cm.formats.bitstream.packets import (
     Command,
     Register,
 )
+from cm.formats.bitstream.simulated_module import identify_bytes
 from cm.formats.xray.frames import set_bits
 from cm.frozen import dataclass
 

@@ -13,9 +13,9 @@ from collections.abc import Iterator, Sequence
 from cm.device.native import bitstream as native
 from cm.formats.bitstream.assemble import FrameRun, assemble
 from cm.formats.bitstream.container import Container, Source, convert, open_image
-from cm.formats.bitstream.devices import Device, Family
 from cm.formats.bitstream.errors import CannotRelocate
 from cm.formats.bitstream.geometry import FrameAddress, Geometry, decode_far, encode_far, geometry_of
+from cm.formats.bitstream.idcodes import Device, Family
 from cm.formats.bitstream.memory import frames_in
 from cm.formats.bitstream.merge import (
     Moves,

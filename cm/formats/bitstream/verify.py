@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from cm.formats.bitstream.container import NO_USER_ID
-from cm.formats.bitstream.devices import DEVICES, REVISION_MASK, base_name, device_by_name, package_of
 from cm.formats.bitstream.errors import (
     Encrypted,
     FootprintOutside,
@@ -19,7 +18,8 @@ from cm.formats.bitstream.errors import (
     errors_by_code,
 )
 from cm.formats.bitstream.footprint import describe, outside
-from cm.formats.bitstream.report import Refusal, Report
+from cm.formats.bitstream.idcodes import DEVICES, REVISION_MASK, base_name, device_by_name, package_of
+from cm.formats.bitstream.inspection_report import Refusal, Report
 from cm.frozen import dataclass
 from cm.schema.model import Config, FrameRange, Module
 from cm.schema.problems import did_you_mean

@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import ClassVar
 
-from cm.device.native.exchange import exchange
+from cm.device.native.folder_exchange import exchange
 from cm.errors import NotFound
 from cm.formats.importers.result import ImportRefused, made
 from cm.frozen import dataclass

@@ -14,7 +14,7 @@ from pathlib import Path
 from cm.formats import fdt
 from cm.formats import hwh as handoff
 from cm.formats.bitstream import BitstreamError, Expectation, Report, footprint_of, inspect, outside, verify
-from cm.formats.bitstream.devices import base_name
+from cm.formats.bitstream.idcodes import base_name
 from cm.formats.hwh import DecouplerInfo, Hwh, HwhError
 from cm.formats.importers.registers import RegisterBank, decoupler_of, memories, within
 from cm.formats.importers.result import Imported, ImportRefused, Names, frozen, static_of, to_name

@@ -14,9 +14,9 @@ from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_service import RegisterService
 from cm.manager.errors import AccessDenied, NothingLoaded, OutOfRange, RegionBusy, UnknownMemory, hint, listed
 from cm.manager.inputs import AddressRange
-from cm.manager.reporting import memory_info
 from cm.manager.state.board_state import RegionState
-from cm.manager.state.record import ManagerState
+from cm.manager.state.journal import ManagerState
+from cm.manager.status_reports import memory_info
 from cm.schema.model import ITEM_BYTES, Access, Config, Memory
 from cm.wire.messages.requests import DefineMemory
 from cm.wire.messages.status import MemoryInfo

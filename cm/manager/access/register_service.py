@@ -24,7 +24,7 @@ from cm.manager.access.register_view import (
     split_name,
 )
 from cm.manager.errors import AccessDenied, NothingLoaded, RegionBusy, listed
-from cm.manager.state.record import ManagerState
+from cm.manager.state.journal import ManagerState
 from cm.schema.model import Access, Config, FieldAccess, Register
 from cm.wire.messages.requests import RegWrite
 from cm.wire.messages.status import RegValue, RegValues

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from cm.errors import InvalidRequest
 from cm.manager.errors import AccessDenied, OutOfRange, UnknownRegister, hint
 from cm.manager.state.board_state import BoardState, RegionPhase
-from cm.manager.state.record import LockedRegions, ManagerState
+from cm.manager.state.journal import LockedRegions, ManagerState
 from cm.schema.model import Access, BitField, Config, FieldAccess, Register
 from cm.wire.messages.requests import RegWrite
 

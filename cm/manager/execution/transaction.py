@@ -20,7 +20,6 @@ from cm.manager.access.register_bus import RegisterBus, drive, is_cut
 from cm.manager.errors import Cancelled, IdentityMismatch, NoPort, RecordFailed, VerifyFailed, WrongStatic
 from cm.manager.loaders import Job, Loaders, Start, resolved
 from cm.manager.planner import Goal, Plan, check_rate, make_plan, place_of
-from cm.manager.reporting import StatusReporter
 from cm.manager.state import steps as s
 from cm.manager.state.board_state import (
     BoardState,
@@ -31,8 +30,9 @@ from cm.manager.state.board_state import (
     all_lost,
     loading_overlay,
 )
-from cm.manager.state.record import ManagerState
+from cm.manager.state.journal import ManagerState
 from cm.manager.state.steps import Step
+from cm.manager.status_reports import StatusReporter
 from cm.schema.model import Access, Config, LoaderKind, Register
 from cm.wire.messages.status import Progress
 

@@ -13,12 +13,12 @@ from cm.frozen import dataclass, field, replace
 from cm.manager import planner
 from cm.manager.access.leases import Leases
 from cm.manager.errors import Cancelled, ChangeBusy, RegionWrong
+from cm.manager.execution.region_readback import Scan, bits_of, checked_region
 from cm.manager.execution.rollback import Rollback, failure_of
-from cm.manager.execution.scan import Scan, bits_of, checked_region
 from cm.manager.execution.transaction import StepContext, Tools, plan_to, take_steps
 from cm.manager.planner import Goal, Plan
 from cm.manager.state.board_state import BoardState, RegionPhase
-from cm.manager.state.record import Pending, WayBack
+from cm.manager.state.journal import Pending, WayBack
 from cm.manager.state.steps import Place, Repair, Validate
 from cm.schema.model import ConfigType
 from cm.wire.messages.status import ChangeInfo, ErrorInfo, RegionCheck, Reply

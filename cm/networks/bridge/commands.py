@@ -16,7 +16,7 @@ from typing import TypeVar
 from cm.client.board import Board
 from cm.client.core import calls
 from cm.client.core.calls import Call
-from cm.client.core.values import register_write
+from cm.client.core.value_checks import register_write
 from cm.client.errors import BoardClosed
 from cm.errors import CmError, Forbidden, InvalidRequest
 from cm.networks.bridge.records import Caller

@@ -22,12 +22,12 @@ from cm.client.errors import request_error
 from cm.client.frame import Frame, frame_of
 from cm.errors import InvalidRequest
 from cm.networks.fleet import bundles, keys, queries
-from cm.networks.fleet.change import Coordinator, Course, Opening, Progress, nothing
+from cm.networks.fleet.coordinator import Coordinator, Course, Opening, Progress, nothing
 from cm.networks.fleet.errors import ChangeFailed, FleetRefused, NoSuchBoard
-from cm.networks.fleet.network import Network, from_environment, in_loop, member_of, opened_store, session
 from cm.networks.fleet.presence import Presence
 from cm.networks.fleet.queries import AWAY, SILENT, Answer
 from cm.networks.fleet.store import BOARDS, Entry, Put, Settings, StoreAway, StoreRefused, View, key, packed, views
+from cm.networks.fleet.zenoh_session import Network, from_environment, in_loop, member_of, opened_store, session
 from cm.wire import fleet as wire
 from cm.wire import topics
 from cm.wire.encode import decode_event, decode_plan, decode_registers, decode_reply, encode_request

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from cm.errors import CmError, NotFound
-from cm.networks.fleet.change import Course
+from cm.networks.fleet.coordinator import Course
 from cm.wire.messages.fleet import Decision
 from cm.wire.messages.status import ErrorInfo
 

@@ -22,8 +22,8 @@ from typing import Any
 from cm.errors import Busy, CmError, InvalidRequest
 from cm.networks.fleet import queries
 from cm.networks.fleet.keys import STORE
-from cm.networks.fleet.network import in_loop, is_alive, zenoh_module
 from cm.networks.fleet.store import BOARDS, Entry, Put, StoreAway, StoreRefused, key
+from cm.networks.fleet.zenoh_session import in_loop, is_alive, zenoh_module
 
 _TIMEOUT = 3.0  # seconds for an answer
 _TICK = 0.25  # seconds between two looks at leases

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import Any
 
 from cm.networks.fleet import keys
-from cm.networks.fleet.network import in_loop, zenoh_module
+from cm.networks.fleet.zenoh_session import in_loop, zenoh_module
 
 _FIRST = 2.0  # seconds for the tokens that existed before
 

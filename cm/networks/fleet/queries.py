@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from cm.errors import CmError, InvalidRequest
 from cm.networks.fleet import keys
-from cm.networks.fleet.network import in_loop, zenoh_module
+from cm.networks.fleet.zenoh_session import in_loop, zenoh_module
 from cm.wire import fleet as wire
 from cm.wire.messages.status import ErrorInfo
 

@@ -12,7 +12,7 @@ from typing import Any
 import zenoh
 
 from cm.errors import InvalidRequest
-from cm.networks.fleet.network import PORT, endpoint, said
+from cm.networks.fleet.zenoh_session import PORT, endpoint, said
 
 _LOG = logging.getLogger("cm.rmw_zenoh")
 _FILE, _OVERRIDE = "ZENOH_SESSION_CONFIG_URI", "ZENOH_CONFIG_OVERRIDE"  # rmw_zenoh's own

@@ -12,9 +12,9 @@ from cm.frozen import dataclass, replace
 from cm.server.rights import policy
 from cm.server.rights.audit import Audit, described
 from cm.server.rights.model import Access, Need, Rights, Role
-from cm.server.rights.needs import Scene, least, needs_of, resolved
 from cm.server.rights.policy import Users
 from cm.server.rights.principal import CURVE, NOBODY, Principal, from_id, guest_of, introduced, on_behalf
+from cm.server.rights.required_rights import Scene, least, needs_of, resolved
 from cm.wire.messages.requests import Request
 
 _NAME = 64  # characters of a guest's name

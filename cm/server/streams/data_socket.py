@@ -17,11 +17,11 @@ from typing import Protocol
 
 from cm.errors import Busy, CmError
 from cm.loop import Timer
-from cm.server.folders import share
 from cm.server.long_work import Steps
+from cm.server.private_folders import share
 from cm.server.sockets import Loop
-from cm.server.streams.memory import Allocations, Echoes
-from cm.server.streams.peer import Peer
+from cm.server.streams.client_memory import Allocations, Echoes
+from cm.server.streams.client_process import Peer
 from cm.wire import plane_packets as packets
 from cm.wire.plane_packets import PACKET_MAX, Open, decode_open, encode_refused
 

@@ -25,18 +25,18 @@ from cm.device.data_plane import ClientGone, ClientLeaves, Plane
 from cm.errors import Busy, CmError
 from cm.frozen import dataclass, replace
 from cm.manager.access.leases import Leases
-from cm.manager.reporting import stream_status
+from cm.manager.status_reports import stream_status
 from cm.schema.model import Config, Direction, Stream
 from cm.server.devices import BoardDevices
 from cm.server.long_work import Steps
 from cm.server.settings.model import USUAL, Limits
 from cm.server.sockets import Loop
 from cm.server.streams.channel_setup import changed, setup
+from cm.server.streams.client_memory import Allocations, Echoes, MemoryThread
+from cm.server.streams.client_process import Peer
 from cm.server.streams.compression import check_compression
 from cm.server.streams.lifecycle import StreamEvent, StreamLifecycle, StreamPhase, Users
-from cm.server.streams.memory import Allocations, Echoes, MemoryThread
 from cm.server.streams.over_zmq import ZmqReader, ZmqWriter
-from cm.server.streams.peer import Peer
 from cm.server.streams.slots import NoSlots
 from cm.server.streams.stream import Done, Frame, Moved, OpenStream, StreamTotals
 from cm.wire.messages.requests import ConfigureStream

@@ -19,7 +19,7 @@ from cm.device.data_plane import Plane
 from cm.errors import Busy, CmError
 from cm.frozen import dataclass
 from cm.schema.model import Direction, Stream
-from cm.server.streams.peer import Peer
+from cm.server.streams.client_process import Peer
 from cm.wire.plane_packets import SLOTS_MAX
 
 _F_SEAL_FUTURE_WRITE = 0x0010  # linux/fcntl.h; the module has it from Python 3.13 on

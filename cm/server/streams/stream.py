@@ -17,7 +17,7 @@ from cm.device import AxiDma, DmaBuffer, DmaInfo, DmaType
 from cm.device.data_plane import Plane, StreamCounts, StreamSetup
 from cm.errors import CmError
 from cm.frozen import dataclass, replace
-from cm.manager.reporting import stream_status
+from cm.manager.status_reports import stream_status
 from cm.schema.model import Direction, Stream
 from cm.server.settings.model import USUAL
 from cm.server.streams.channel_setup import frame_bytes, setup

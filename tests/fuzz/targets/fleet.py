@@ -15,8 +15,8 @@ from pieces import join, split
 
 from cm.errors import CmError
 from cm.networks.fleet import keys
-from cm.networks.fleet.board import Board, Notes, Part, Place, Planned, Seen
-from cm.networks.fleet.bridge.queries import Queries
+from cm.networks.fleet.bridge.query_answers import Queries
+from cm.networks.fleet.reconciling_board import Board, Notes, Part, Place, Planned, Seen
 from cm.networks.fleet.store import Claim, Entry, Wanted, packed
 from cm.wire import cm_pb2 as pb
 from cm.wire.fleet import encode_answer, encode_fetch, encode_step

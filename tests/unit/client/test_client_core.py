@@ -12,8 +12,8 @@ import pytest
 
 from cm.client.core import calls, memory, registers, uploads
 from cm.client.core.change import ChangeWatch, loading
-from cm.client.core.effects import DEFAULT, Ask, AskBeside, Flow, Receive
 from cm.client.core.events import InterruptEvents, RegisterEvents, StatusEvents
+from cm.client.core.flow_effects import DEFAULT, Ask, AskBeside, Flow, Receive
 from cm.client.core.generations import FirstAfter, Written
 from cm.client.core.remote_stream import Arrivals, NewestReader, PublishedReader, Wanted
 from cm.client.errors import RequestBusy, RequestInvalid, request_error

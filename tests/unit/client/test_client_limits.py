@@ -17,14 +17,14 @@ import numpy as np
 import pytest
 
 from cm.client import find_manager
+from cm.client.attribute_guard import Guarded
 from cm.client.core import calls
-from cm.client.core.effects import DEFAULT, Ask, Deadline, seconds
 from cm.client.core.events import InterruptEvents
+from cm.client.core.flow_effects import DEFAULT, Ask, Deadline, seconds
 from cm.client.core.remote_stream import reading_next
-from cm.client.core.values import mode_name
+from cm.client.core.value_checks import mode_name
 from cm.client.errors import ConnectionLost, FrameReleased, NoAnswer, NotAdmitted, request_error
 from cm.client.find_manager import Keys, load_keys, resolve
-from cm.client.guard import Guarded
 from cm.device.errors import device_error
 from cm.errors import CmError, InvalidRequest, NotFound
 from cm.networks.bridge.commands import BridgeEnds

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cm.client.core.calls import Call
-from cm.client.core.effects import Flow
+from cm.client.core.flow_effects import Flow
 from cm.client.memories import Memory
 from cm.errors import InvalidRequest
 from cm.wire.messages import requests as rq

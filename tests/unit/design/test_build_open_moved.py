@@ -20,9 +20,9 @@ from cm.design.plan.system import System
 from cm.design.runtime.answers import Answers
 from cm.design.runtime.schema import runtime_config
 from cm.formats.bitstream import FrameAddress, FrameRun, assemble
-from cm.formats.bitstream.devices import Family
 from cm.formats.bitstream.errors import CannotRelocate
 from cm.formats.bitstream.geometry import encode_far
+from cm.formats.bitstream.idcodes import Family
 from cm.formats.xray import Database
 
 SCHEMA = """\

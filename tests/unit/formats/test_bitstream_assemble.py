@@ -25,8 +25,8 @@ from cm.formats.bitstream import (
 from cm.formats.bitstream.assemble import StreamWriter, assemble_stream
 from cm.formats.bitstream.container import BitHeader
 from cm.formats.bitstream.errors import UnknownDevice
-from cm.formats.bitstream.module import ModuleIdentity, identify_bytes
-from cm.formats.bitstream.report import Footprint
+from cm.formats.bitstream.inspection_report import Footprint
+from cm.formats.bitstream.simulated_module import ModuleIdentity, identify_bytes
 from cm.formats.bitstream.verify import expect_static
 from cm.schema import load
 from cm.schema.model import FrameRange

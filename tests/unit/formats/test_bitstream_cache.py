@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from bitstream_support import small, two_sections
 
-import cm.formats.bitstream.cache as cache_module
+import cm.formats.bitstream.report_cache as cache_module
 from cm.formats.bitstream import ReportCache, inspect
 from cm.formats.bitstream.errors import NoSync
 

@@ -23,9 +23,9 @@ from cm.formats.bitstream import (
     inspect,
     refusals,
 )
-from cm.formats.bitstream.devices import Family, base_name, family_of, package_of
 from cm.formats.bitstream.errors import NoSync, UnknownDevice
 from cm.formats.bitstream.geometry import geometry_of
+from cm.formats.bitstream.idcodes import Family, base_name, family_of, package_of
 from cm.formats.bitstream.packets import type1
 from cm.schema.model import FrameRange
 

@@ -19,9 +19,9 @@ from cm.formats.bitstream import (
     device_by_name,
     inspect,
 )
-from cm.formats.bitstream.devices import DEVICES, Device, Family
 from cm.formats.bitstream.geometry import decode_far, encode_far
-from cm.formats.bitstream.report import Footprint, Section
+from cm.formats.bitstream.idcodes import DEVICES, Device, Family
+from cm.formats.bitstream.inspection_report import Footprint, Section
 
 RCRC = (0x30008001, 7)
 IDCODE = (0x30018001, 0x03727093)

@@ -18,8 +18,8 @@ from xray_oracle import DATABASE, PARTS, frames_read, part, read_bits, run
 
 from cm.design.debian_packages import PackagesUnavailable, PackageTree, fetch
 from cm.formats.bitstream import Container, FrameAddress, FrameRun, assemble, convert, inspect
-from cm.formats.bitstream.devices import Family, device_by_idcode, device_by_name
 from cm.formats.bitstream.geometry import decode_far, encode_far, geometry_of
+from cm.formats.bitstream.idcodes import Family, device_by_idcode, device_by_name
 
 pytestmark = pytest.mark.open
 

@@ -10,9 +10,9 @@ import pytest
 
 from cm.device.native.bitstream import swap
 from cm.formats.bitstream import FrameRun, assemble, assemble_module, inspect, open_image
-from cm.formats.bitstream.devices import Device, Family, device_by_name
 from cm.formats.bitstream.errors import BitstreamError, WrongDevice
 from cm.formats.bitstream.geometry import FrameAddress, encode_far, frame_order
+from cm.formats.bitstream.idcodes import Device, Family, device_by_name
 from cm.formats.bitstream.mask import Mask, mask_for
 from cm.formats.bitstream.memory import dma_image, frames_of
 from cm.formats.bitstream.readback import LoadedFrames, closing_words, repair_words, reply_words, request_words

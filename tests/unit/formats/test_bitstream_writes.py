@@ -19,9 +19,9 @@ from cm.formats.bitstream import (
     to_dma_words,
 )
 from cm.formats.bitstream.container import Container
-from cm.formats.bitstream.devices import Family
 from cm.formats.bitstream.errors import BadPacket
 from cm.formats.bitstream.geometry import encode_far
+from cm.formats.bitstream.idcodes import Family
 from cm.formats.bitstream.memory import FrameMemory
 from cm.formats.bitstream.packets import FrameWrite, frame_writes
 

@@ -17,8 +17,8 @@ from xray_oracle import DATABASE, frames_read, part, read_bits, run
 
 from cm.design.debian_packages import PackagesUnavailable, PackageTree, fetch
 from cm.formats.bitstream import FrameRun, assemble
-from cm.formats.bitstream.devices import Family
 from cm.formats.bitstream.geometry import decode_far
+from cm.formats.bitstream.idcodes import Family
 from cm.formats.xray import (
     Database,
     DatabaseMissing,

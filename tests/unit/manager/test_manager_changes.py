@@ -24,7 +24,7 @@ from cm.manager.errors import ChangeBusy, HeldBy, NothingLoaded, RegionBusy, Unk
 from cm.manager.execution.worker import Change
 from cm.manager.inputs import Image
 from cm.manager.loaders import Job, Loaders
-from cm.manager.state.record import Pending
+from cm.manager.state.journal import Pending
 from cm.schema import loads
 from cm.schema.model import Config, LoaderKind, Module
 from cm.server.bitstream_and_overlay_files import BoardFiles

@@ -27,7 +27,7 @@ from cm.manager.inputs import Image
 from cm.schema import loads
 from cm.schema.model import Config, FrameRange, Overlay
 from cm.server.bitstream_and_overlay_files import MAX_BYTES, BoardFiles, Footprints, LearnedFootprint
-from cm.server.folders import UnsafeFolder
+from cm.server.private_folders import UnsafeFolder
 from cm.simulation.software import Board as SimBoard
 from cm.simulation.software.hardware.board_spec import BoardSpec
 

@@ -18,7 +18,7 @@ import pytest
 
 from cm.manager.errors import StateInUse, StoreCorrupt
 from cm.manager.state.board_state import BoardState, OverlayState, RegionPhase, RegionState
-from cm.manager.state.record import LENGTH, Journal, Pending, Record, Texts, Throughput, WayBack, encode, newest
+from cm.manager.state.journal import LENGTH, Journal, Pending, Record, Texts, Throughput, WayBack, encode, newest
 from cm.schema.model import LoaderKind, Region
 
 FULL = Record(

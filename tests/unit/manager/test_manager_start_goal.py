@@ -27,7 +27,7 @@ from cm.manager.state.board_state import (
     RegionState,
     slept,
 )
-from cm.manager.state.record import Pending, Record
+from cm.manager.state.journal import Pending, Record
 from cm.schema import loads
 from cm.schema.model import Config
 from cm.wire.messages.requests import ChangeMode

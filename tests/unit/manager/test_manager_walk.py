@@ -17,7 +17,7 @@ from manager_support import Rig, killed_at, make_rig, rig
 
 from cm.device import DeviceError, DevicePermission, Overlays
 from cm.device.errors import device_error
-from cm.manager.state.record import newest
+from cm.manager.state.journal import newest
 from cm.schema.model import Config
 from cm.simulation.software import Board as SimBoard
 from cm.wire.messages.requests import RegWrite

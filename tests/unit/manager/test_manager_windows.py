@@ -17,9 +17,9 @@ from manager_support import CAMERA, Rig, rig
 
 from cm.device import DeviceError, Root
 from cm.device.errors import device_error
-from cm.device.window import WindowEnd, WindowEvent
+from cm.device.register_window import WindowEnd, WindowEvent
 from cm.errors import Busy, CmError
-from cm.manager.access.windows import Loan, WindowRequest
+from cm.manager.access.register_windows import Loan, WindowRequest
 from cm.manager.errors import NoWindow, RegionBusy
 from cm.schema import loads
 from cm.server.devices import BoardDevices
@@ -151,7 +151,7 @@ def test_a_change_takes_windows_back_before_it_cuts_the_region_off(made: Rig) ->
 def test_what_a_window_wrote_is_there_after_a_failed_change_however_busy_the_machine_is(
     made: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cm.manager.access.windows._READING", -1.0)
+    monkeypatch.setattr("cm.manager.access.register_windows._READING", -1.0)
     threshold = next(r for r in lend(made).place.registers if r.name == "threshold")
     window = made.devices.window(threshold.address, threshold.width)
     window.device.write(window.offset, 99, threshold.width, window.map)

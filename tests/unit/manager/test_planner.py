@@ -17,7 +17,7 @@ from cm.manager.errors import ClockRate
 from cm.manager.inputs import Image
 from cm.manager.planner import Goal, Plan, make_plan
 from cm.manager.state.board_state import BoardState, OverlayState, RegionPhase, RegionState
-from cm.manager.state.record import Throughput
+from cm.manager.state.journal import Throughput
 from cm.manager.state.steps import Load, LoadStatic, Recouple, SetClock, SetRegister
 from cm.schema import loads
 from cm.schema.model import LoaderKind

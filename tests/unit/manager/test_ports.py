@@ -13,7 +13,7 @@ import pytest
 from cm.device import DeviceBusy, DeviceNotFound
 from cm.errors import CmError
 from cm.manager.errors import LoadFailed, LoadUnsupported, NoPort, StepTimeout, WrongDevice
-from cm.manager.execution.scan import Reader
+from cm.manager.execution.region_readback import Reader
 from cm.manager.inputs import Image
 from cm.manager.loaders import Job, Loaders, resolved
 from cm.manager.state.steps import Choice

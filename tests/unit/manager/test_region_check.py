@@ -17,10 +17,10 @@ from manager_support import Rig, killed_at, rig
 
 from cm.errors import CmError
 from cm.formats.bitstream import FrameRun, assemble, open_image
-from cm.formats.bitstream.devices import Family
 from cm.formats.bitstream.geometry import decode_far
+from cm.formats.bitstream.idcodes import Family
 from cm.manager.errors import ChangeBusy, HeldBy, NoReadback, NothingLoaded, RegionBusy, UnknownRegion
-from cm.manager.execution.scan import Reader
+from cm.manager.execution.region_readback import Reader
 from cm.manager.execution.worker import SCANS
 from cm.schema.model import Config
 from cm.simulation.software import Board as SimBoard

@@ -11,7 +11,7 @@ from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_service import RegisterService
 from cm.manager.inputs import Window
 from cm.manager.state.board_state import BoardState
-from cm.manager.state.record import ManagerState
+from cm.manager.state.journal import ManagerState
 from cm.schema import loads
 from cm.wire.messages.requests import RegWrite
 

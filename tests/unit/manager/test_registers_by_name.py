@@ -17,7 +17,7 @@ from cm.manager.access.register_service import ReadPieces, RegisterService, Writ
 from cm.manager.errors import AccessDenied, HeldBy, NothingLoaded, OutOfRange, RegionBusy, UnknownRegister
 from cm.manager.inputs import Window
 from cm.manager.state.board_state import BoardState, RegionPhase, RegionState
-from cm.manager.state.record import ManagerState
+from cm.manager.state.journal import ManagerState
 from cm.schema import loads
 from cm.schema.model import Access, Register
 from cm.wire.messages.requests import RegWrite, TakeLease

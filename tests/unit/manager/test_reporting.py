@@ -6,7 +6,10 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
-from cm.manager.reporting import (
+from cm.manager.state.board_state import BoardState, RegionPhase, RegionState
+from cm.manager.state.journal import ManagerState
+from cm.manager.state.steps import Choice
+from cm.manager.status_reports import (
     Health,
     StatusReporter,
     clock_states,
@@ -16,9 +19,6 @@ from cm.manager.reporting import (
     memory_info,
     region_states,
 )
-from cm.manager.state.board_state import BoardState, RegionPhase, RegionState
-from cm.manager.state.record import ManagerState
-from cm.manager.state.steps import Choice
 from cm.schema import loads
 from cm.schema.model import Config, LoaderKind
 from cm.wire.messages.status import (

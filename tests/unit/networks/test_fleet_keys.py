@@ -14,10 +14,10 @@ import pytest
 
 from cm.errors import Busy, InvalidRequest, NotFound
 from cm.networks.fleet.keys import VERBS, check, command_of
-from cm.networks.fleet.security.folder import KeyFolder
-from cm.networks.fleet.security.rules import Member, access_control, verbs_of
+from cm.networks.fleet.security.access_rules import Member, access_control, verbs_of
+from cm.networks.fleet.security.keys_folder import KeyFolder
 from cm.server.rights.model import Role
-from cm.server.rights.needs import least
+from cm.server.rights.required_rights import least
 from cm.wire.messages import requests as rq
 
 

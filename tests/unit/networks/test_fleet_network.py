@@ -14,7 +14,7 @@ import cm.fleet
 from cm import child
 from cm.cli.parser import build_parser
 from cm.errors import InvalidRequest
-from cm.networks.fleet.network import Network, NoNetwork, endpoint, session
+from cm.networks.fleet.zenoh_session import Network, NoNetwork, endpoint, session
 
 CLOSED = "127.0.0.1:9"
 

@@ -104,7 +104,7 @@ def test_a_board_without_what_lends_registers_says_why(tmp_path: Path, monkeypat
     def none(_: Root) -> Any:
         raise DeviceNotFound(errno.ENOENT, "no node")
 
-    monkeypatch.setattr("cm.device.window.Windows.open", none)
+    monkeypatch.setattr("cm.device.register_window.Windows.open", none)
     for root, why in (
         (
             Root.of(tmp_path),

@@ -24,7 +24,7 @@ from cm.device.data_plane import Plane
 from cm.schema.model import Direction, Stream
 from cm.server.devices import BoardDevices
 from cm.server.sockets import Loop
-from cm.server.streams.peer import Peer
+from cm.server.streams.client_process import Peer
 from cm.server.streams.running import LocalClients, StalledChannels
 from cm.server.streams.slots import AT_ONCE, NoSlots, Slots
 from cm.wire import plane_packets as packets
@@ -383,8 +383,9 @@ def test_if_a_stream_gets_no_slots_at_all_everyone_is_told_why_and_it_is_tried_a
     assert (code, "no memory for DMA" in message) == ("device_error", True), message
     code, message = camera.refused(rq.ReadData("camera", 30.0))
     assert (code, "no memory for DMA" in message) == ("device_error", True), message
+    monkeypatch.setattr("cm.server.streams.running._REST", 0.0)
     camera.load("colorise")  # which forgets it
-    monkeypatch.undo()
+    slots.fails_at = 1 << 20
     until(lambda: camera.stream("camera").open)
     reader.close()
 

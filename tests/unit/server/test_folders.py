@@ -11,7 +11,16 @@ from pathlib import Path
 
 import pytest
 
-from cm.server.folders import AlreadyServed, BoardLock, FolderLock, Locks, UnsafeFolder, open_inside, own_folder, share
+from cm.server.private_folders import (
+    AlreadyServed,
+    BoardLock,
+    FolderLock,
+    Locks,
+    UnsafeFolder,
+    open_inside,
+    own_folder,
+    share,
+)
 from cm.server.provision import Provisioner
 
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to give folders to other users")

@@ -21,7 +21,7 @@ from cm.manager.access.register_service import RegisterService
 from cm.manager.errors import HeldBy, RegionBusy
 from cm.manager.inputs import Window
 from cm.manager.state.board_state import BoardState, RegionPhase, RegionState
-from cm.manager.state.record import ManagerState
+from cm.manager.state.journal import ManagerState
 from cm.schema import loads
 from cm.server.interrupts import InterruptWatch
 from cm.simulation.software import Board as SimBoard

@@ -18,7 +18,7 @@ from manager_process import until
 
 from cm.device.data_plane import StreamSetup
 from cm.errors import InvalidRequest
-from cm.manager.reporting import ChangeTotals, Histogram
+from cm.manager.status_reports import ChangeTotals, Histogram
 from cm.server.metrics_server import CONNECTIONS, MetricsServer, split_address
 from cm.server.streams import stream
 from cm.server.streams.stream import Moved, StreamTotals

@@ -19,7 +19,7 @@ from daemon_thread import daemon
 from prometheus_client.parser import text_string_to_metric_families
 
 from cm.cli.main import main
-from cm.manager.reporting import ChangeTotals
+from cm.manager.status_reports import ChangeTotals
 from cm.server.metrics import Metrics
 from cm.server.streams.stream import Moved
 from cm.wire.messages.status import (

@@ -18,7 +18,7 @@ from cm.device.data_plane import StreamSetup
 from cm.errors import InvalidRequest
 from cm.schema.model import Direction, Stream
 from cm.server.streams import stream
-from cm.server.streams.peer import Peer
+from cm.server.streams.client_process import Peer
 from cm.server.streams.stream import Moved, OpenStream
 from cm.wire.messages.status import ErrorInfo, FrameInfo, StreamClient, StreamStatus
 from cm.wire.plane_packets import Descriptor, Geometry, decode_geometry, encode_label

@@ -13,10 +13,10 @@ from typing import Any
 import pytest
 
 from cm.errors import Busy, Forbidden
-from cm.manager.access.windows import WindowRequest
+from cm.manager.access.register_windows import WindowRequest
 from cm.manager.errors import HeldBy, ModuleAbsent
-from cm.server.streams.peer import Peer
-from cm.server.windows import EACH, MOST, OpenWindows
+from cm.server.streams.client_process import Peer
+from cm.server.window_clients import EACH, MOST, OpenWindows
 from cm.wire import plane_packets as packets
 from cm.wire.messages.status import ConfigInfo
 from cm.wire.plane_packets import Open

@@ -14,9 +14,9 @@ from cm.errors import Forbidden
 from cm.server.rights.audit import BURST, Audit, described
 from cm.server.rights.gate import Gate
 from cm.server.rights.model import Access
-from cm.server.rights.needs import Scene
 from cm.server.rights.policy import Users
 from cm.server.rights.principal import Principal, of_process
+from cm.server.rights.required_rights import Scene
 from cm.wire.messages import requests as rq
 
 

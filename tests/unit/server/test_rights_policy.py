@@ -19,9 +19,9 @@ from cm.schema import load_folder
 from cm.server.rights.gate import Gate
 from cm.server.rights.keys import authorized, pairs_of
 from cm.server.rights.model import Access, AuthorizedKey, Grant, Need, Rights, Role
-from cm.server.rights.needs import Scene, least, mapping, needs_of, opening, provisioning
 from cm.server.rights.policy import Users, rights_of, system_users
 from cm.server.rights.principal import NOBODY, Principal, from_id, guest_of, introduced, of_process, on_behalf
+from cm.server.rights.required_rights import Scene, least, mapping, needs_of, opening, provisioning
 from cm.wire.messages import requests as rq
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -8,8 +8,8 @@ import pytest
 from cm.device import DeviceError
 from cm.errors import Busy
 from cm.schema.model import Direction, Stream
-from cm.server.streams.memory import MEMORIES, MemoryBudget
-from cm.server.streams.peer import Peer
+from cm.server.streams.client_memory import MEMORIES, MemoryBudget
+from cm.server.streams.client_process import Peer
 from cm.server.streams.slots import NoSlots, SlotHolders, share
 
 EACH = 64

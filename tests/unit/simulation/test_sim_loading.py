@@ -13,7 +13,7 @@ from sim_support import Dma, Icap, Node, Uio, attribute
 from cm.formats.bitstream.assemble import FrameRun, assemble
 from cm.formats.bitstream.container import to_dma_words
 from cm.formats.bitstream.geometry import FrameAddress
-from cm.formats.bitstream.module import assemble_module
+from cm.formats.bitstream.simulated_module import assemble_module
 from cm.schema.model import FrameRange
 from cm.simulation.software import Board
 from cm.simulation.software.transport import protocol as p

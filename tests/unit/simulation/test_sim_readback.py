@@ -12,8 +12,8 @@ from cm.device import DeviceUnsupported, Icap, IcapErrors
 from cm.device.native.bitstream import swap
 from cm.formats.bitstream.assemble import FrameRun, SharedFrame, assemble
 from cm.formats.bitstream.container import open_image, to_dma_words
-from cm.formats.bitstream.devices import Device, device_by_name
 from cm.formats.bitstream.geometry import FrameAddress
+from cm.formats.bitstream.idcodes import Device, device_by_name
 from cm.formats.bitstream.mask import Mask
 from cm.formats.bitstream.readback import LoadedFrames, WrongFrame, closing_words, reply_words, request_words
 from cm.simulation.software import Board, SimError

@@ -11,7 +11,7 @@ from typing import Any
 
 from cm.client.aio.relay import Relay, Subscribed
 from cm.networks.fleet import keys
-from cm.networks.fleet.network import in_loop, zenoh_module
+from cm.networks.fleet.zenoh_session import in_loop, zenoh_module
 from cm.wire import fleet as wire
 from cm.wire import topics
 

@@ -10,8 +10,8 @@ import zlib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 
-from cm.formats.bitstream.devices import DEVICES, Device, device_by_name
-from cm.formats.bitstream.module import default_footprint
+from cm.formats.bitstream.idcodes import DEVICES, Device, device_by_name
+from cm.formats.bitstream.simulated_module import default_footprint
 from cm.frozen import dataclass, field, replace
 from cm.schema.model import (
     Access,

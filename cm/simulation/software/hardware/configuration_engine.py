@@ -7,7 +7,7 @@ import errno
 import time
 from collections.abc import Callable
 
-from cm.formats.bitstream.devices import Device
+from cm.formats.bitstream.idcodes import Device
 from cm.frozen import dataclass
 from cm.loop import Loop
 from cm.simulation.software.errors import NodeError

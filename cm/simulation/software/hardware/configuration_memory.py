@@ -14,10 +14,10 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from cm.device.native.bitstream import swap
 from cm.formats.bitstream.assemble import FrameRun, assemble_stream
-from cm.formats.bitstream.devices import Device
 from cm.formats.bitstream.geometry import FrameAddress, FrameOrder, decode_far, frame_order
-from cm.formats.bitstream.module import ModuleIdentity
+from cm.formats.bitstream.idcodes import Device
 from cm.formats.bitstream.packets import PIPELINE
+from cm.formats.bitstream.simulated_module import ModuleIdentity
 from cm.frozen import dataclass, field
 from cm.schema.model import FrameRange
 from cm.simulation.software.hardware.board_spec import BoardSpec, ModuleSpec, RegionSpec

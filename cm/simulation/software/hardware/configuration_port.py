@@ -12,9 +12,9 @@ import struct
 from enum import Flag, auto
 
 from cm.device.native import bitstream as native
-from cm.formats.bitstream.devices import REVISION_MASK, Device
-from cm.formats.bitstream.module import ModuleIdentity, identify_bytes
+from cm.formats.bitstream.idcodes import REVISION_MASK, Device
 from cm.formats.bitstream.packets import RCFG, READ_FDRO, SYNC, TYPE2_READ, Command, Register
+from cm.formats.bitstream.simulated_module import ModuleIdentity, identify_bytes
 from cm.frozen import dataclass
 
 _COUNT = 0x07FFFFFF  # of a type 2 packet's header

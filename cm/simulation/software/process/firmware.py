@@ -12,7 +12,7 @@ from cm.formats import fdt
 from cm.formats.bitstream.assemble import FrameRun, assemble
 from cm.formats.bitstream.container import to_dma_words
 from cm.formats.bitstream.geometry import FrameAddress
-from cm.formats.bitstream.module import assemble_module
+from cm.formats.bitstream.simulated_module import assemble_module
 from cm.schema.model import Config, ConfigType, LoaderKind, Module, Overlay
 from cm.schema.named_files import FileMissing, bitstream_path, overlay_path
 from cm.simulation.software.hardware.board_spec import BoardSpec, ModuleSpec

@@ -135,7 +135,7 @@ def _used(processes: dict[str, list[int]]) -> dict[str, float]:
 
 def _bytes_of_a_status(local: LocalFleet) -> int:
     """The size of a status on the network, without zenoh's own headers."""
-    from cm.networks.fleet.network import Network, session
+    from cm.networks.fleet.zenoh_session import Network, session
 
     name = next(iter(local.boards))
     with session(Network(connect=(local.router,))) as plain:
@@ -200,8 +200,8 @@ async def _in_turns(local: LocalFleet, bench: Run, client: float) -> dict[str, f
     time: `client`, in seconds.
     """
     from cm.networks.fleet import aio, queries
-    from cm.networks.fleet.change import Coordinator, Opening
-    from cm.networks.fleet.network import Network, opened_store
+    from cm.networks.fleet.coordinator import Coordinator, Opening
+    from cm.networks.fleet.zenoh_session import Network, opened_store
     from cm.wire.fleet import encode_step
     from cm.wire.messages.fleet import FleetState, FleetStep
 

@@ -10,12 +10,12 @@ from pathlib import Path
 
 from cm.device import Icap, IcapCompletion, Root
 from cm.formats.bitstream.container import open_image
-from cm.formats.bitstream.devices import device_by_name
 from cm.formats.bitstream.geometry import geometry_of
+from cm.formats.bitstream.idcodes import device_by_name
 from cm.formats.bitstream.mask import Mask
-from cm.formats.bitstream.module import assemble_module
 from cm.formats.bitstream.readback import LoadedFrames
-from cm.manager.execution.scan import Reader
+from cm.formats.bitstream.simulated_module import assemble_module
+from cm.manager.execution.region_readback import Reader
 from cm.schema.model import FrameRange
 from cm.simulation.software.process.child import Board
 from cm.tools.bench.peer import Unavailable

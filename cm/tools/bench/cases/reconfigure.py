@@ -14,10 +14,10 @@ from typing import Any
 
 from cm.device import Icap, Root
 from cm.formats.bitstream.geometry import geometry_of
-from cm.formats.bitstream.module import assemble_module
+from cm.formats.bitstream.simulated_module import assemble_module
 from cm.manager.execution.worker import Change
 from cm.manager.manager import Environment, Manager, Settings
-from cm.manager.state.record import Journal
+from cm.manager.state.journal import Journal
 from cm.schema import load
 from cm.schema.model import Config, FrameRange
 from cm.server.bitstream_and_overlay_files import BoardFiles

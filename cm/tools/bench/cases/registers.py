@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from cm.client.core.calls import read_registers
-from cm.device.window import MappedWindow
+from cm.device.register_window import MappedWindow
 from cm.simulation.software.transport import protocol
 from cm.tools.bench.cases.control import REGISTER, asking, same_bytes
 from cm.tools.bench.peer import Peer

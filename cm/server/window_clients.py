@@ -13,13 +13,13 @@ from contextlib import suppress
 from functools import partial
 
 from cm.errors import Busy, CmError
-from cm.manager.access.windows import Loan, WindowRequest
+from cm.manager.access.register_windows import Loan, WindowRequest
 from cm.manager.errors import HeldBy, ModuleAbsent, NothingLoaded, RegionBusy
 from cm.manager.manager import Manager
 from cm.server.devices import BoardDevices
 from cm.server.sockets import Loop
+from cm.server.streams.client_process import Peer
 from cm.server.streams.data_socket import ConnectionRights
-from cm.server.streams.peer import Peer
 from cm.wire.encode import encode_table
 from cm.wire.plane_packets import Open, WindowPages, encode_refused, encode_revoked, encode_window
 

@@ -13,7 +13,7 @@ from zmq import zmq_poll
 
 from cm.client.connections import Socket, Sockets, not_subscribed
 from cm.client.core.calls import Call
-from cm.client.core.effects import DEFAULT, AskBeside, Flow, Limit, Pause, Receive, seconds
+from cm.client.core.flow_effects import DEFAULT, AskBeside, Flow, Limit, Pause, Receive, seconds
 from cm.client.core.requests import Requests, result
 from cm.client.errors import ConnectionLost, NotAdmitted
 from cm.client.find_manager import deserted

@@ -18,7 +18,7 @@ from cm.manager.errors import NoReadback, RegionBusy, StepTimeout, UnknownRegion
 from cm.manager.inputs import Image
 from cm.manager.loaders import resolved
 from cm.manager.state.board_state import BoardState, RegionPhase
-from cm.manager.state.record import ManagerState
+from cm.manager.state.journal import ManagerState
 from cm.schema.model import Config, LoaderKind, Module, Region
 from cm.wire.messages.status import FrameError, RegionCheck, RegionMap
 

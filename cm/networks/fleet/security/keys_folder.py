@@ -16,8 +16,8 @@ from typing import Any
 
 from cm.errors import Busy, InvalidRequest, NotFound
 from cm.networks.fleet import keys
+from cm.networks.fleet.security.access_rules import Member, access_control, verbs_of
 from cm.networks.fleet.security.certificates import Identity, authority, issued
-from cm.networks.fleet.security.rules import Member, access_control, verbs_of
 
 _MEMBERS, _CA, _CA_KEY, ROUTER = "members.json", "ca.pem", "ca.key", "router"
 _RESERVED = frozenset(("ca", ROUTER, "members", keys.NOBODY))

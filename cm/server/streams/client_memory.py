@@ -23,7 +23,7 @@ from cm.errors import Busy, CmError, InvalidRequest
 from cm.server.devices import DeviceMemory
 from cm.server.settings.model import USUAL
 from cm.server.sockets import Loop
-from cm.server.streams.peer import Peer
+from cm.server.streams.client_process import Peer
 from cm.wire.plane_packets import ADDRESS, Descriptor, Geometry, Open, encode_geometry, encode_refused
 
 _T = TypeVar("_T")

@@ -22,8 +22,8 @@ from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_service import RegisterService, value_of
 from cm.manager.access.register_view import is_free
 from cm.manager.errors import HeldBy, ModuleAbsent, NothingLoaded, NoWindow, RegionBusy, hint
-from cm.manager.reporting import memory_info, register_info
-from cm.manager.state.record import LockedRegions, ManagerState
+from cm.manager.state.journal import LockedRegions, ManagerState
+from cm.manager.status_reports import memory_info, register_info
 from cm.schema.model import Access, Config, Memory, Mode, Module, Register
 from cm.wire.messages.status import ConfigInfo, RegValues, WindowStatus
 

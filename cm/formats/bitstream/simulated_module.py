@@ -12,8 +12,8 @@ from collections.abc import Iterable, Sequence
 from itertools import accumulate
 
 from cm.formats.bitstream.assemble import FrameRun, assemble
-from cm.formats.bitstream.devices import Device, Family, known_device
 from cm.formats.bitstream.geometry import FrameAddress, geometry_of
+from cm.formats.bitstream.idcodes import Device, Family, known_device
 from cm.frozen import dataclass
 from cm.hashes import sha256
 from cm.schema.model import FrameRange

@@ -18,14 +18,14 @@ from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, SupportsIndex, TypeVar
 
+from cm.client.after_fork import not_for_children
 from cm.client.data_socket import connect, descriptors
 from cm.client.errors import BoardClosed, ConnectionLost, RequestInvalid, RequestNotFound, WindowRevoked, request_error
-from cm.client.forks import not_for_children
 from cm.device.errors import device_error
 from cm.device.native.call import last_error
 from cm.device.native.window import read as read_wide
 from cm.device.native.window import read32, write_plain
-from cm.device.window import MappedWindow, WindowEnd
+from cm.device.register_window import MappedWindow, WindowEnd
 from cm.errors import InvalidRequest, Timeout
 from cm.frozen import replace
 from cm.wire import plane_packets as packets

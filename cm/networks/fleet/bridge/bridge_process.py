@@ -19,15 +19,15 @@ from cm.client.core import calls
 from cm.client.errors import NotAdmitted
 from cm.errors import Busy, CmError, NotInstalled
 from cm.networks.fleet import keys
-from cm.networks.fleet.board import Board, Seen
 from cm.networks.fleet.bridge import clock
 from cm.networks.fleet.bridge.bundles import Bundles, Import
-from cm.networks.fleet.bridge.managed import ManagedBoard, NotesFile
+from cm.networks.fleet.bridge.manager_and_notes import ManagedBoard, NotesFile
 from cm.networks.fleet.bridge.publishing import BEAT, Publications
-from cm.networks.fleet.bridge.queries import Queries
+from cm.networks.fleet.bridge.query_answers import Queries
 from cm.networks.fleet.keeper import Keeper
-from cm.networks.fleet.network import Network, is_alive, opened_store, session
+from cm.networks.fleet.reconciling_board import Board, Seen
 from cm.networks.fleet.store import BOARDS, Settings, Store, StoreAway, StoreRefused, packed, views
+from cm.networks.fleet.zenoh_session import Network, is_alive, opened_store, session
 from cm.wire import fleet as wire
 from cm.wire import topics
 from cm.wire.messages.fleet import ClockSync

@@ -178,7 +178,7 @@ def known_device(device: str | Device) -> Device:
     """The device itself, or that of a name. Raises UnknownDevice."""
     found = device if isinstance(device, Device) else device_by_name(device)
     if found is None:
-        raise UnknownDevice(f"device {device!r} has no IDCODE in cm.formats.bitstream.devices; give a Device instead")
+        raise UnknownDevice(f"device {device!r} has no IDCODE in cm.formats.bitstream.idcodes; give a Device instead")
     return found
 
 

@@ -16,7 +16,7 @@ from cm.client.aio.waiting import wake, within
 from cm.client.connections import Sockets, not_subscribed
 from cm.client.core.calls import Call
 from cm.client.core.connection_monitor import Handshake
-from cm.client.core.effects import DEFAULT, Ask, AskBeside, Flow, Limit, Pause, Receive, seconds
+from cm.client.core.flow_effects import DEFAULT, Ask, AskBeside, Flow, Limit, Pause, Receive, seconds
 from cm.client.core.requests import LOOKS, Requests, result
 from cm.client.find_manager import deserted
 
@@ -24,7 +24,7 @@ _T = TypeVar("_T")
 
 
 class Caller(Protocol):
-    """As `cm.client.link.Caller`, awaited."""
+    """As `cm.client.request_reply.Caller`, awaited."""
 
     async def ask(self, call: Call[_T], timeout: Limit = DEFAULT) -> _T:
         """Make a call and return its result."""

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from cm.device.native import bitstream as native
 from cm.formats.bitstream.errors import BadContainer, BadPacket, BitstreamError, CrcMismatch, CrcMissing, Truncated
+from cm.formats.bitstream.inspection_report import CrcResult, Refusal
 from cm.formats.bitstream.packets import Command, Register
-from cm.formats.bitstream.report import CrcResult, Refusal
 
 # Register writes that may stand where no CRC covers them.
 _NEUTRAL = {

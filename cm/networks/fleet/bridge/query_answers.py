@@ -17,11 +17,11 @@ from cm.client.core import calls
 from cm.client.errors import RequestFailed
 from cm.errors import Busy, CmError, NotFound
 from cm.networks.fleet import keys
-from cm.networks.fleet.board import Board
-from cm.networks.fleet.bridge.managed import ManagedBoard
+from cm.networks.fleet.bridge.manager_and_notes import ManagedBoard
 from cm.networks.fleet.bridge.publishing import encoding
 from cm.networks.fleet.keys import VERBS
-from cm.networks.fleet.network import in_loop, zenoh_module
+from cm.networks.fleet.reconciling_board import Board
+from cm.networks.fleet.zenoh_session import in_loop, zenoh_module
 from cm.wire import fleet as wire
 from cm.wire.encode import encode_request
 from cm.wire.json_text import from_json, to_json

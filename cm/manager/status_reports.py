@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from cm.frozen import dataclass, replace
 from cm.manager.state.board_state import BoardState, RegionState
-from cm.manager.state.record import Kept, ManagerState
+from cm.manager.state.journal import Kept, ManagerState
 from cm.manager.state.steps import Choice
 from cm.schema.model import BitField, Config, Memory, Register, Stream
 from cm.wire.messages.status import (

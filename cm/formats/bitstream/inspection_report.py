@@ -7,8 +7,8 @@ from enum import Enum
 from typing import Any, NamedTuple
 
 from cm.formats.bitstream.container import BitHeader, Container
-from cm.formats.bitstream.devices import Family
 from cm.formats.bitstream.errors import BitstreamError
+from cm.formats.bitstream.idcodes import Family
 from cm.frozen import dataclass
 
 

@@ -15,7 +15,7 @@ from cm.client.aio.relay import Relay
 from cm.client.core import calls
 from cm.client.errors import ConnectionLost, NoAnswer, RequestFailed
 from cm.errors import CmError
-from cm.networks.fleet.board import Notes, NotUndone, Part, Place, Planned, Seen, Unsettled
+from cm.networks.fleet.reconciling_board import Notes, NotUndone, Part, Place, Planned, Seen, Unsettled
 from cm.wire.messages import requests as rq
 from cm.wire.messages.fleet import FleetStep
 from cm.wire.messages.status import ErrorInfo

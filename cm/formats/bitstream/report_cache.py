@@ -14,7 +14,7 @@ from typing import TypeAlias
 
 from cm.formats.bitstream.container import named, read_bitstream
 from cm.formats.bitstream.inspect import inspect
-from cm.formats.bitstream.report import Report
+from cm.formats.bitstream.inspection_report import Report
 from cm.frozen import dataclass
 
 InodeState: TypeAlias = "tuple[int, int, int, int, int]"
