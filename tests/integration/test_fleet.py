@@ -10,6 +10,7 @@ import os
 import runpy
 import select
 import signal
+import socket
 import subprocess
 import threading
 from collections.abc import Iterator
@@ -27,6 +28,7 @@ from cm import child
 from cm.cli.main import main
 from cm.networks.fleet.blocking import Fleet
 from cm.networks.fleet.errors import ChangeFailed, FleetRefused, NoSuchBoard
+from cm.networks.fleet.store import StoreAway
 from cm.networks.fleet.zenoh_session import Network, session
 from cm.tools.demo.boards import free_ports
 from cm.wire import cm_pb2 as pb
@@ -87,6 +89,14 @@ def test_boards_are_found_and_grouped_by_name_and_label(fleet: Fleet) -> None:
     assert fleet.chosen(["@north", "b2"]) == ("b1", "b2", "c3")
     with pytest.raises(NoSuchBoard, match="no board of the inventory is called or labelled x1; it has b1, b2, c3"):
         fleet.chosen(["x1"])
+
+
+def test_a_store_that_takes_connections_and_says_nothing_is_waited_for_as_long_as_was_asked(fleet: Fleet) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        where = f"http://127.0.0.1:{silent.getsockname()[1]}"
+        answered = pytest.raises(StoreAway, match=r"did not answer within 0\.5 s")
+        with cm.fleet.connect(_endpoint(fleet), store=where, timeout=0.5) as hasty, answered:
+            hasty.inventory()
 
 
 def test_the_status_has_what_the_manager_says_and_what_the_bridge_knows(boards: Boards, fleet: Fleet) -> None:

@@ -113,7 +113,10 @@ class Fleet:
 
         Raises StoreAway.
         """
-        return _listed(views(await self._store.get(BOARDS)))
+        try:
+            return _listed(views(await asyncio.wait_for(self._store.get(BOARDS), self.timeout)))
+        except asyncio.TimeoutError:
+            raise StoreAway(f"the fleet's store did not answer within {self.timeout:g} s") from None
 
     async def chosen(self, boards: str | Iterable[str] = ALL) -> tuple[str, ...]:
         """The boards of a group, sorted, from the inventory. Raises NoSuchBoard for a part of it that matches none."""

@@ -49,7 +49,7 @@ def endpoint(text: str) -> str:
     host, colon, port = text.rpartition(":")
     if not colon or text.endswith("]"):
         host, port = text, str(PORT)
-    if not port.isdecimal() or not host:
+    if not host or not port.isdecimal() or not 0 < int(port) < 1 << 16:
         raise InvalidRequest(f"router {text!r}: HOST, HOST:PORT, or zenoh's tcp/HOST:PORT or tls/HOST:PORT is wanted")
     return f"tcp/{host}:{port}"
 

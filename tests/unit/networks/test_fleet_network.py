@@ -34,7 +34,7 @@ def test_a_router_is_a_host_or_zenohs_own_spelling(text: str, router: str) -> No
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [("http/lan:1", "zenoh has tcp, tls"), (":1", "HOST:PORT"), ("lan:", "HOST:PORT")],
+    [("http/lan:1", "zenoh has tcp, tls"), (":1", "HOST:PORT"), ("lan:", "HOST:PORT"), ("lan:65536", "HOST:PORT")],
 )
 def test_an_invalid_router_address_is_refused_before_anything_is_tried(text: str, said: str) -> None:
     with pytest.raises(InvalidRequest, match=said):
