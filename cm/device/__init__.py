@@ -134,7 +134,7 @@ _HOMES = {
     "paths": ("Root",),
     "sensors": ("Reading", "read_sensors"),
     "uio": ("Uio", "UioInfo", "UioMap", "find_uio", "list_uio"),
-    "window": ("Grant", "MappedWindow", "WindowEnd", "WindowEvent", "Windows"),
+    "register_window": ("Grant", "MappedWindow", "WindowEnd", "WindowEvent", "Windows"),
 }
 _MODULES = {name: module for module, names in _HOMES.items() for name in names}
 
