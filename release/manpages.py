@@ -86,6 +86,9 @@ _ENVIRONMENT = (
     Item("term", "folder of the manager's sockets, as --runtime-dir", "CM_RUNTIME_DIR"),
     Item("term", "folder of the nodes of a simulated board; default: /", "CM_ROOT"),
     Item("term", "the lease under which commands change something, as --lease", "CM_LEASE"),
+    Item("term", "the fleet's router, as --router", "CM_FLEET"),
+    Item("term", "where the fleet's wanted state is, as --store", "CM_FLEET_STORE"),
+    Item("term", "no colours, or colours in files and pipes too; --color overrides them", "NO_COLOR, FORCE_COLOR"),
 )
 _STATUS = (
     Item("term", "done", "0"),
@@ -115,9 +118,11 @@ def _all(commands: dict[str, argparse.ArgumentParser]) -> Iterator[Item]:
         parser = commands.get(command.name)
         if parser is not None and command.name not in ("serve", "help"):
             yield Item("heading", f"cm {command.name}")
-            yield from _command(parser, command.help)
+            yield from _command(parser)
             yield from _options(parser, heading=False)
             yield from _below(parser)
+            if parser.epilog:
+                yield Item("lines", parser.epilog)
     yield Item("heading", "Exit status")
     yield from _STATUS
     yield Item("heading", "Environment")
@@ -127,19 +132,16 @@ def _all(commands: dict[str, argparse.ArgumentParser]) -> Iterator[Item]:
 
 
 def _below(parser: argparse.ArgumentParser) -> Iterator[Item]:
-    for inner in _commands(parser).values():
+    for inner in dict.fromkeys(_commands(parser).values()):  # once, also where it has an earlier name too
         yield from _command(inner)
         yield from _options(inner, heading=False)
         yield from _below(inner)
 
 
-def _command(parser: argparse.ArgumentParser, about: str = "") -> Iterator[Item]:
+def _command(parser: argparse.ArgumentParser) -> Iterator[Item]:
     usage = parser.format_usage().removeprefix("usage: ").split()
     yield Item("lines", "\n".join(_wrapped(usage)))
-    text = parser.description or about
-    if text:
-        raw = "\n  " in text
-        yield Item("lines" if raw else "text", text if raw else f"{text[:1].upper()}{text[1:]}".rstrip(".") + ".")
+    yield Item("text", parser.description or "")
 
 
 def _wrapped(words: list[str], width: int = 74) -> Iterator[str]:
@@ -158,13 +160,13 @@ def _options(parser: argparse.ArgumentParser, heading: bool = True) -> Iterator[
     for action in parser._actions:
         if isinstance(action, (argparse._HelpAction, argparse._SubParsersAction)) or action.help == argparse.SUPPRESS:
             continue
-        value = "" if action.nargs == 0 else str(action.metavar or _choices(action) or action.dest.upper())
-        term = ", ".join(action.option_strings) + (f" {value}" if value else "") if action.option_strings else value
-        yield Item("term", parser._get_formatter()._expand_help(action) if action.help else "", term)
-
-
-def _choices(action: argparse.Action) -> str:
-    return "|".join(str(choice) for choice in action.choices) if action.choices else ""
+        format_ = parser._get_formatter()
+        value = format_._format_args(action, action.dest.upper()) if action.nargs != 0 else ""
+        yield Item(
+            "term",
+            format_._expand_help(action) if action.help else "",
+            f"{', '.join(action.option_strings)} {value}".strip(),
+        )
 
 
 def _settings() -> Iterator[Item]:

@@ -101,7 +101,11 @@ def add_run_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser])
     more = "only what this module's bitstream needs (may be repeated)"
     parser.add_argument("--module", action="append", default=[], metavar="NAME", help=more)
     parser.add_argument(
-        "--seed", type=int, default=1, metavar="N", help="seed for nextpnr; the same seed gives the same bits"
+        "--seed",
+        type=int,
+        default=1,
+        metavar="N",
+        help="seed for nextpnr (default: 1); the same seed gives the same bits",
     )
     parser.add_argument("--tools", type=Path, metavar="DIR", help="folder that cm build tools --fetch filled")
     parser.add_argument("--dry-run", action="store_true", help="list the steps, and which of them would run")
@@ -160,9 +164,9 @@ def add_pack_parsers(actions: argparse._SubParsersAction[argparse.ArgumentParser
     parser = actions.add_parser(
         "pack",
         help="pack the generated flow with everything it reads for a host with Vivado",
-        description="The other host needs neither this package nor Python: extract the archive, run "
-        "make in its build folder, then make back, and pass back.tar.gz to cm build "
-        "unpack.",
+        description="Pack the generated flow with everything it reads for a host with Vivado. That host needs neither "
+        "this package nor Python: extract the archive, run make in its build folder, then make back, and pass "
+        "back.tar.gz to cm build unpack.",
     )
     add_schema_argument(parser)
     add_out_option(parser)

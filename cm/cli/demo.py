@@ -18,7 +18,7 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
         "hardware nor root."
     )
     parser.add_argument("--images", type=Path, metavar="DIR", help="PNG or JPEG files instead of the shipped ones")
-    parser.add_argument("--out", type=Path, default=Path("demo"), metavar="DIR", help="folder to write to")
+    parser.add_argument("--out", type=Path, default=Path("demo"), metavar="DIR", help="folder to write to (demo)")
     parser.add_argument("--keep-frames", action="store_true", help="also write the raw frames (frames.npz)")
     parser.add_argument("--rtl", action="store_true", help="run the modules' Verilog instead of models in software")
     parser.add_argument(

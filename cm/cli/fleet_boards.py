@@ -27,12 +27,12 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser.set_defaults(boards=None)  # who names none does not mean to remove all
     store = actions.add_parser("store", help="show or move what the fleet wants of its boards")
     verbs = store.add_subparsers(dest="verb", metavar="ACTION", required=True)
-    show = verbs.add_parser("show", help="everything that is in it, as it lies there")
+    show = verbs.add_parser("show", help="print everything that is in it, as it lies there")
     move = verbs.add_parser(
         "move",
         help="copy the wanted state into another store, which must have none",
-        description="Afterwards start the bridges, and whoever changes the fleet, with the new --store. The old one is "
-        "left as it is; no change may be open in it.",
+        description="Copy the wanted state into another store, which must have none. Afterwards start the bridges, and "
+        "whoever changes the fleet, with the new --store. The old one is left as it is; no change may be open in it.",
     )
     move.add_argument("to", metavar="TO", help="keeper, etcd's https://HOST:2379,…, or a file about etcd")
     for each in (show, move):

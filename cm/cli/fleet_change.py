@@ -45,8 +45,8 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     again = actions.add_parser(
         "reconcile",
         help="have boards go where they are wanted, now",
-        description="Takes back what somebody changed on a board by hand, and tries again what has failed. Exit status "
-        "1 if a board is not where it is wanted then.",
+        description="Have boards go where they are wanted, now: take back what somebody changed by hand, and try again "
+        "what has failed. Exit status 1 if a board is not where it is wanted then.",
     )
     add_fleet_options(again, run_reconcile)
 

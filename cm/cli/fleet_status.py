@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the actions."""
     for name, run, text in (
-        ("status", run_status, "what is loaded where, what is wanted there, and how closely the clocks agree"),
+        ("status", run_status, "show what is loaded where, what is wanted there, and how closely the clocks agree"),
         ("watch", run_watch, "follow the boards as they change, come and go"),
     ):
         parser = actions.add_parser(name, help=text)
@@ -33,7 +33,7 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 
 
 def _add_plan(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = actions.add_parser("plan", help="what a change of mode would do on each board")
+    parser = actions.add_parser("plan", help="show what a change of mode would do on each board")
     parser.add_argument("target", type=slashed, metavar="[CONFIG/]MODE")
     parser.add_argument("--config", default="", help=argparse.SUPPRESS)
     add_fleet_options(parser, run_plan)

@@ -27,10 +27,10 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
         "what could not be carried over; or unpack an archive of `cm build collect`."
     )
     formats = parser.add_subparsers(dest="format", metavar="FORMAT", required=True)
-    dfx = formats.add_parser("dfx-mgr", help="a base folder of dfx-mgr, the one with shell.json")
+    dfx = formats.add_parser("dfx-mgr", help="make schemas of a base folder of dfx-mgr, the one with shell.json")
     dfx.add_argument("source", type=Path, metavar="DIR")
     dfx.set_defaults(importer=import_dfx_mgr)
-    pynq = formats.add_parser("pynq", help="a PYNQ overlay: a .bit with its .hwh beside it")
+    pynq = formats.add_parser("pynq", help="make a schema of a PYNQ overlay: a .bit with its .hwh beside it")
     pynq.add_argument("source", type=Path, metavar="FILE.bit")
     pynq.set_defaults(importer=import_pynq)
     packed = formats.add_parser("archive", help="unpack an archive of `cm build collect` on the board")
@@ -39,7 +39,12 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
         "--out", type=Path, metavar="DIR", default=FIRMWARE, help=f"unpack below this folder ({FIRMWARE})"
     )
     count = parsed("a number of versions", digits, lambda value: value >= 0)
-    packed.add_argument("--keep", type=count, metavar="N", help="earlier versions to keep for a rollback (default: 3)")
+    packed.add_argument(
+        "--keep",
+        type=count,
+        metavar="N",
+        help="earlier versions to keep for a rollback (default: imports.keep of the settings, 3)",
+    )
     packed.add_argument(
         "--settings", type=Path, metavar="FILE", help="settings whose policy of signatures applies (/etc/cm/cm.yaml)"
     )

@@ -19,7 +19,9 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
     wait = actions.add_parser("wait", help="wait for an interrupt")
     completes(wait.add_argument("name", metavar="NAME"), "<interrupt>")
     wait.add_argument("--timeout", type=seconds, metavar="SECONDS", help="give up after this time (exit status 1)")
-    wait.add_argument("--count", type=natural, default=1, metavar="N", help="wait for N interrupts; 0: until Ctrl-C")
+    wait.add_argument(
+        "--count", type=natural, default=1, metavar="N", help="wait for N interrupts (1); 0: until Ctrl-C"
+    )
     add_board_options(wait, run_wait)
 
 

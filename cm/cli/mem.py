@@ -37,7 +37,7 @@ _STDOUT = Path("-")
 def fill_parser(parser: argparse.ArgumentParser) -> None:
     """Describe the command."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    listing = actions.add_parser("list", help="the memories of the current mode")
+    listing = actions.add_parser("list", help="list the memories of the current mode")
     add_board_options(listing, run_list)
     read = actions.add_parser("read", help="print bytes of a memory, or write them to a file")
     completes(read.add_argument("name", metavar="NAME"), "<memory>")

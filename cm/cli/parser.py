@@ -49,6 +49,15 @@ EPILOG = """No board? `cm serve --sim` simulates one. `cm COMMAND --help` says m
 Exit status: 0 done, 1 refused or failed, 2 wrong usage."""
 
 
+class _Below(argparse._SubParsersAction):  # type: ignore[type-arg]
+    """The commands below one: the help of each says what it does, if only with its line in the list of them."""
+
+    def add_parser(self, name: str, **options: Any) -> Any:
+        about = options.get("help") or ""
+        options.setdefault("description", f"{about[:1].upper()}{about[1:]}." if about else None)
+        return super().add_parser(name, **options)
+
+
 class Parser(argparse.ArgumentParser):
     """A parser that takes no abbreviated options: a script must not break when an option is added."""
 
@@ -58,6 +67,7 @@ class Parser(argparse.ArgumentParser):
         kwargs.setdefault("allow_abbrev", False)
         kwargs.setdefault("formatter_class", Help)
         super().__init__(*args, **kwargs)
+        self.register("action", "parsers", _Below)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
         """Refuse leftover arguments here, in the parser of their command: `cm` itself would show its own usage."""

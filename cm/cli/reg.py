@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def fill_parser(parser: argparse.ArgumentParser) -> None:
     """Describe the command."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    listing = actions.add_parser("list", help="the registers of the current mode")
+    listing = actions.add_parser("list", help="list the registers of the current mode")
     add_board_options(listing, run_list)
     read = actions.add_parser("read", help="read registers or fields (NAME.FIELD); by default all")
     completes(read.add_argument("names", metavar="NAME", nargs="*"), "<register>")

@@ -155,7 +155,9 @@ _CLEAR = "\x1b[H\x1b[J"  # home, erase below: ECMA-48 CUP and ED
 
 def add_watch(parser: argparse.ArgumentParser) -> None:
     """Add the command."""
-    parser.description = "A live view on a terminal, otherwise one line for each status."
+    parser.description = (
+        "Follow the status as it changes: a live view on a terminal, otherwise one line for each status."
+    )
     add_board_options(parser, run_watch)
     parser.add_argument("--count", type=natural, default=0, metavar="N", help="stop after N statuses (0: never)")
 

@@ -32,13 +32,13 @@ from cm.wire.messages.status import StreamStatus
 def fill_parser(parser: argparse.ArgumentParser) -> None:
     """Describe the command."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    listing = actions.add_parser("list", help="the streams of the current mode")
+    listing = actions.add_parser("list", help="list the streams of the current mode")
     add_board_options(listing, run_list)
     settings = actions.add_parser(
         "set",
         help="change a stream's settings",
-        description="Settings that you leave out stay as they are. The next change of mode brings the schema's "
-        "settings back.",
+        description="Change a stream's settings. Those that you leave out stay as they are. The next change of mode "
+        "brings the schema's settings back.",
     )
     _add_settings(settings)
     add_board_options(settings, run_set)
@@ -52,7 +52,7 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
     add_board_options(play, run_play, lease=True)
     ping = actions.add_parser("ping", help="measure how long frames take from completion to here")
     completes(ping.add_argument("stream", metavar="STREAM"), "<stream>")
-    ping.add_argument("--count", type=positive, default=20, metavar="N", help="how many frames")
+    ping.add_argument("--count", type=positive, default=20, metavar="N", help="how many frames (20)")
     add_board_options(ping, run_ping)
 
 

@@ -228,7 +228,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "file", metavar="FILE", help="NAME.npy, NAME.png (numbered if several), NAME.raw, or - for standard output"
     )
-    parser.add_argument("--count", type=natural, default=1, metavar="N", help="how many frames; 0: until Ctrl-C")
+    parser.add_argument("--count", type=natural, default=1, metavar="N", help="how many frames (1); 0: until Ctrl-C")
     add_lease_option(parser)
     parser.add_argument(
         "--format", choices=FORMATS, default="", help="format, if the file name does not say it (for -: npy)"

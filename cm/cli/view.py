@@ -36,7 +36,13 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
     rate = parsed("a number of pictures per second", float, lambda value: 0 < value <= 1000)
     size = parsed("a size such as 80x24", extents, lambda s: len(s) == 2 and all(0 < extent <= 4096 for extent in s))
     completes(parser.add_argument("stream", metavar="STREAM"), "<stream>")
-    parser.add_argument("--as", dest="way", choices=("auto", *WAYS, "window"), default="auto", help="how to draw")
+    parser.add_argument(
+        "--as",
+        dest="way",
+        choices=("auto", *WAYS, "window"),
+        default="auto",
+        help="how to draw (auto: the best that the terminal has)",
+    )
     parser.add_argument(
         "--rate", type=rate, default=15.0, metavar="FPS", help="at most so many pictures per second (15)"
     )

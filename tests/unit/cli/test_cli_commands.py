@@ -24,7 +24,7 @@ CODE = re.compile(r" \[[a-z_]+\]$")
 # What runs until it is ended, asks a person, or prints text that is its only purpose.
 WITHOUT_JSON = {
     "serve", "sim", "view", "web", "demo", "completion", "help", "build configure", "fleet router",
-    "fleet settle", "fleet keys", "bridge",
+    "fleet keys", "bridge",
 }  # fmt: skip
 
 
@@ -81,6 +81,7 @@ def test_every_command_has_a_help_that_says_how_to_use_it(
     assert end.value.code == 0
     told = capsys.readouterr()
     assert told.out.startswith(f"usage: cm {command}")
+    assert re.match(r"[A-Z].*\.$", ALL[command].description or "", re.DOTALL), "what it does is said in a sentence"
     assert "==SUPPRESS==" not in told.out
     assert not re.search(r"\w-\n", told.out)  # what is copied from a help is whole
     assert max(map(len, told.out.partition("\n\n")[2].splitlines())) <= 80

@@ -56,9 +56,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_natural,
         default=150,
         metavar="FRAMES",
-        help="for how many frames each picture stays; 0: for ever",
+        help="for how many frames each picture stays (150); 0: for ever",
     )
-    add("--rate", type=_number, metavar="FPS", help="frames per second of every camera; 0: as fast as they are taken")
+    add(
+        "--rate",
+        type=_number,
+        metavar="FPS",
+        help="frames per second of every camera (default: as the schema says); 0: as fast as they are taken",
+    )
     add(
         "--icap-rate",
         type=_number,
@@ -70,9 +75,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_number,
         default=145e6,  # as the kernel's driver reaches
         metavar="BYTES",
-        help="speed of the fpga_manager in bytes per second",
+        help="speed of the fpga_manager in bytes per second (145e6)",
     )
-    add("--memory", type=_positive, default=512, metavar="MIB", help="DMA memory of the board")
+    add("--memory", type=_positive, default=512, metavar="MIB", help="MiB of DMA memory of the board (512)")
     add(
         "--bitstream-size",
         type=_positive,
@@ -87,7 +92,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="DMA memory that has to be synchronised (docs/simulator.md)")  # fmt: skip
     add("--static-identity", type=_identity, metavar="VALUE",
         help="identity that the static part reports (default: the one that the configurations expect)")  # fmt: skip
-    add("--seed", type=int, default=1, help="seed of the noise that unloaded regions produce")
+    add("--seed", type=int, default=1, help="seed of the noise that unloaded regions produce (1)")
     add("--models", action="append", default=[], metavar="MODULE", help="module or .py file with a mapping MODELS")
     add("--linger", type=_number, metavar="SECONDS",
         help="exit when the parent has died and no client has been connected for this long")  # fmt: skip
