@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
@@ -38,25 +39,43 @@ def encode_request(request: rq.Request) -> list[Frame]:
     except InvalidRequest:
         raise
     except (TypeError, ValueError, OverflowError) as error:  # protobuf's: wrong types, numbers out of range, half pairs
-        raise InvalidRequest(f"{type(request).__name__}: {_no_text(request) or error}") from None
+        raise InvalidRequest(f"{type(request).__name__}: {_wrong_type(request) or error}") from None
 
 
-def _no_text(request: Any) -> str:
-    """What is no text where a text is wanted, in words; empty if that is not the mistake."""
+_KINDS: dict[str, tuple[str, Callable[[Any], object]]] = {  # by annotation: what it is called, and what refuses others
+    "str": ("text", "".__add__),
+    "int": ("a whole number", operator.index),
+    "float": ("a number", lambda value: value + 0.0),
+    "bool": ("true or false", operator.index),
+}
+
+
+def _wrong_type(request: Any) -> str:
+    """What is of a type that its field does not have, in words; empty if that is not the mistake."""
     import dataclasses  # here: only who errs needs it
 
     for field in dataclasses.fields(request):
-        value = getattr(request, field.name)
-        if field.type == "str" and not isinstance(value, str):
-            return f"{field.name} is text, not {value!r} ({type(value).__name__})"
-        if field.type == "tuple[str, ...]":
-            for one in value:
-                if not isinstance(one, str):
-                    return f"each of its {field.name} is text, not {one!r} ({type(one).__name__}); give them one by one"
-        if isinstance(value, tuple):
-            found = next(filter(None, (_no_text(one) for one in value if dataclasses.is_dataclass(one))), "")
+        value, kind = getattr(request, field.name), str(field.type).removesuffix(" | None")
+        each = kind.startswith("tuple[") and isinstance(value, (list, tuple))
+        for one in value if each else () if value is None else (value,):
+            if dataclasses.is_dataclass(one):
+                found = _wrong_type(one)
+            elif found := _unlike(kind.removeprefix("tuple[").removesuffix(", ...]"), one):
+                found = f"{'each of its ' * each}{field.name} {found}"
             if found:
                 return found
+    return ""
+
+
+def _unlike(kind: str, value: Any) -> str:
+    """``is text, not 5 (int)``; empty if a value is of this kind."""
+    said, check = _KINDS.get(kind, ("", None))
+    try:
+        if check is not None:
+            check(value)
+    except TypeError:
+        advice = "; give them one by one" if isinstance(value, (list, tuple)) else ""
+        return f"is {said}, not {value!r} ({type(value).__name__}){advice}"
     return ""
 
 
@@ -122,7 +141,8 @@ def _configure_stream(r: rq.ConfigureStream) -> list[Frame]:
     try:
         message = protobuf_messages.STREAM_SETTINGS.to_pb(r)
     except (TypeError, ValueError, OverflowError) as error:
-        raise InvalidRequest(f"stream {r.stream!r}: {_wrong_setting(r)} is out of its range: {error}") from None
+        said = _wrong_type(r) or f"{_wrong_setting(r)} is out of its range: {error}"
+        raise InvalidRequest(f"stream {r.stream!r}: {said}") from None
     return [topics.DATA_CONFIG, message.SerializeToString()]
 
 
@@ -151,7 +171,8 @@ def _define_memory(r: rq.DefineMemory) -> list[Frame]:
             lease=r.lease,
         )
     except (TypeError, ValueError, OverflowError) as error:
-        raise InvalidRequest(f"memory {r.name!r}: a property is out of its range: {error}") from None
+        said = _wrong_type(r) or f"a property is out of its range: {error}"
+        raise InvalidRequest(f"memory {r.name!r}: {said}") from None
     return [topics.DATA_CONFIG, message.SerializeToString()]
 
 

@@ -132,9 +132,10 @@ def test_what_is_no_name_is_refused_in_words(request_: Any, said: str) -> None:
 @pytest.mark.parametrize(
     ("setting", "said"),
     [
-        ({"shape": ("x",)}, r"stream 'camera': shape=\('x',\) is out of its range"),
+        ({"shape": ("x",)}, r"stream 'camera': each of its shape is a whole number, not 'x' \(str\)$"),
+        ({"slots": 1.5}, r"stream 'camera': slots is a whole number, not 1.5 \(float\)$"),
         ({"slots": -1, "rate": 3.0}, "stream 'camera': slots=-1 is out of its range"),
-        ({"rate": 3.0, "dtype": 5}, "stream 'camera': dtype=5 is out of its range"),
+        ({"rate": 3.0, "dtype": 5}, r"stream 'camera': dtype is text, not 5 \(int\)$"),
     ],
 )
 def test_a_setting_that_cannot_be_is_named(setting: dict[str, Any], said: str) -> None:
