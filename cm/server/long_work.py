@@ -30,7 +30,7 @@ class Steps:
     def __init__(self, loop: Loop) -> None:
         self._loop = loop
         self._ring: Ring[Hashable, Iterator[object]] = Ring()
-        self._late: int  # owners one after another that could do nothing, of what runs
+        self._late = 0  # owners one after another that could do nothing, of what runs
         self._called = False
 
     def __bool__(self) -> bool:

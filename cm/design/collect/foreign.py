@@ -14,7 +14,7 @@ from cm.design.collect.foreign_dma import PS_CLOCKS, Engines, ForeignInterrupts,
 from cm.design.collect.handoff import Handoff
 from cm.design.collect.images import Image, by_region, check_regions, footprint, to_bin
 from cm.design.errors import BuildError
-from cm.design.generate.dma_nodes import ClockInput, Tree
+from cm.design.generate.dma_nodes import ClockInput, Tree, pl_clock
 from cm.design.hdl.register_maps import identifier
 from cm.design.platforms import Platform, platform_of
 from cm.design.render import Renderer
@@ -239,7 +239,7 @@ def _clock_of(module: hwh.ModuleInstance) -> str | None:
 
 def _phandle(name: str) -> str:
     """The phandle of a clock by its name in the runtime schema, fclk0 or pl0."""
-    return f"{PS_CLOCKS[('FCLK_CLK' if name.startswith('fclk') else 'pl_clk') + name[-1]]}"
+    return pl_clock(name.startswith("fclk"), int(name[-1]))
 
 
 def _windows(design: hwh.Hwh, lines: ForeignInterrupts) -> Iterator[dict[str, Any]]:

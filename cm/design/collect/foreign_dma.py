@@ -18,7 +18,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
-from cm.design.generate.dma_nodes import Channel, ClockInput, Engine, Streams, streams_of
+from cm.design.generate.dma_nodes import Channel, ClockInput, Engine, Streams, pl_clock, streams_of
 from cm.design.hdl.register_maps import identifier
 from cm.design.platforms import Platform
 from cm.formats import hwh
@@ -31,9 +31,7 @@ _CLOCK_PINS = {
 }
 _NAMES = {("axi_mcdma", "s_axi_aclk"): ("m_axi_sg_aclk", "m_axi_mm2s_aclk", "m_axi_s2mm_aclk")}
 _S2MM_FIRST = {"axi_mcdma": 16}  # the driver's number of the first S2MM channel; 1 of the others
-PS_CLOCKS = {f"FCLK_CLK{i}": f"&clkc {15 + i}" for i in range(4)} | {
-    f"pl_clk{i}": f"&zynqmp_clk {71 + i}" for i in range(4)
-}
+PS_CLOCKS = {f"{pin}{i}": pl_clock(pin == "FCLK_CLK", i) for pin in ("FCLK_CLK", "pl_clk") for i in range(4)}
 _LENGTH_BITS = 14  # the default of an axi_dma (PG021)
 _NAME_LENGTH = 31  # of a node in /dev/cm_dma
 

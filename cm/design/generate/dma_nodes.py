@@ -85,11 +85,11 @@ class Tree:
     """What differs between the platforms' device trees."""
 
     def __init__(self, platform: Platform) -> None:
-        zynq = platform.name == "zynq7000"
-        self.cells = 1 if zynq else 2
-        self.intc = "intc" if zynq else "gic"
-        self.select = "zynq" if zynq else "zynqmp"
-        self.manager = "devcfg" if zynq else "zynqmp_pcap"
+        self.zynq = platform.name == "zynq7000"
+        self.cells = 1 if self.zynq else 2
+        self.intc = "intc" if self.zynq else "gic"
+        self.select = "zynq" if self.zynq else "zynqmp"
+        self.manager = "devcfg" if self.zynq else "zynqmp_pcap"
 
     def reg(self, base: int, size: int) -> str:
         """A ``reg`` entry."""
@@ -97,6 +97,7 @@ class Tree:
             return f"<{base:#010x} {size:#x}>"
         return f"<{base >> 32:#x} {base & 0xFFFFFFFF:#010x} {size >> 32:#x} {size & 0xFFFFFFFF:#x}>"
 
-    def pl_clock(self, index: int) -> str:
-        """A PL clock: number 15 and up of Zynq's ``clkc``, 71 and up of ``zynqmp_clk``."""
-        return f"&clkc {15 + index}" if self.cells == 1 else f"&zynqmp_clk {71 + index}"
+
+def pl_clock(zynq: bool, index: int) -> str:
+    """The phandle of a PL clock: number 15 and up of Zynq's ``clkc``, 71 and up of ``zynqmp_clk``."""
+    return f"&clkc {15 + index}" if zynq else f"&zynqmp_clk {71 + index}"

@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from cm.design.generate.dma_nodes import Channel, ClockInput, Streams, Tree, streams_of
+from cm.design.generate.dma_nodes import Channel, ClockInput, Streams, Tree, pl_clock, streams_of
 from cm.design.generate.dma_nodes import Engine as EngineNode
 from cm.design.plan.block_design import memory_ports
 from cm.design.plan.dma_cells import FRAME_STORES, clock_pins
@@ -62,7 +62,7 @@ def software_outputs(system: System, answers: Answers) -> Iterator[Entry]:
     config = runtime_config(system, answers)
     dt = _DeviceTree(system)
     base: dict[str, Any] = {"system": system, "config": config, "name": name, "dt": dt}
-    base |= {"clocks": dt.clocks, "engines": dt.engines, "streams": dt.streams}
+    base |= {"clocks": dt.clocks, "engines": dt.engines.values(), "streams": dt.streams}
     yield f"config/{name}.yaml", "runtime.yaml.j2", base | {"text": runtime_text(system, config)}
     yield f"dts/{name}_static.dtso", "static.dtso.j2", base
     yield "dts/system-user.dtsi", "system-user.dtsi.j2", base
@@ -90,12 +90,11 @@ class _DeviceTree(Tree):
         self._system = system
         known = device_by_name(system.device)
         self.idcode = known.idcode if known else 0
-        self._engines = {engine.name: self._engine(engine) for engine in system.engines}
-        self.engines = list(self._engines.values())
+        self.engines = {engine.name: self._engine(engine) for engine in system.engines}
 
     def clock(self, name: str) -> str:
         """The phandle of a PL clock, with its argument."""
-        return self.pl_clock(list(self._system.project.clocks).index(name))
+        return pl_clock(self.zynq, list(self._system.project.clocks).index(name))
 
     @property
     def clocks(self) -> list[ClockInput]:
@@ -158,8 +157,9 @@ class _DeviceTree(Tree):
     def streams(self) -> list[Streams]:
         """Channels of streams."""
         found = [dma for dma in self._system.dmas if dma not in (self._system.icap, self._system.readback)]
-        names = {dma: dma.engine or dma.name for dma in found}
-        return streams_of([(self._engines[names[dma]], self._channel(dma), dma.length_bits) for dma in found])
+        return streams_of(
+            [(self.engines[dma.engine or dma.name], self._channel(dma), dma.length_bits) for dma in found]
+        )
 
     def firmware(self, one: Implementation) -> bool:
         """Whether the kernel loads the bitstream when the overlay is applied."""

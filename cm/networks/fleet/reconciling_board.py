@@ -197,8 +197,7 @@ class Board:
             raise plan
         if isinstance(lease, BaseException):
             raise lease
-        planned = replace(part, goal=plan.place, plan_seconds=plan.seconds, plan_bytes=plan.bytes)
-        self._write(part=replace(planned, lease=lease))
+        self._write(part=replace(part, goal=plan.place, plan_seconds=plan.seconds, plan_bytes=plan.bytes, lease=lease))
 
     async def _hold(self, part: Part) -> None:
         self._write(part=replace(part, lease=await self._manager.hold(part)))

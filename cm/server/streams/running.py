@@ -399,7 +399,7 @@ class RunningStreams:
             first(opened)
             self.zmq.refresh(opened, self.has_subscriber(stream))
             for client, steps in waiting:
-                self._steps.run(self._watched(opened, steps, partial(self.locals.refused, opened, client)))
+                self._take(opened, steps, partial(self.locals.refused, opened, client))
             if not paid:
                 self._take(opened, opened.holders.begin(), lambda _: None)
         except BaseException:
