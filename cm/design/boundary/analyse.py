@@ -13,7 +13,7 @@ from cm.design.boundary.model import Boundary
 from cm.design.errors import BuildError, MissingTool
 from cm.design.hdl.associate import restated
 from cm.design.hdl.compare_ipxact import compare
-from cm.design.hdl.errors import HdlError, ModuleNotFound, UnknownParameter
+from cm.design.hdl.errors import HdlError, ModuleNotFound, WrongParameter
 from cm.design.hdl.extract import Sources, read
 from cm.design.hdl.flat import Flat, needs_wrapper
 from cm.design.hdl.flatten import flatten
@@ -187,7 +187,7 @@ def _texts(values: Mapping[str, object]) -> dict[str, str]:
 
 def _key(spec: ModuleSpec, error: HdlError) -> tuple[str, ...]:
     """The key of a module in the build schema that has the problem."""
-    if isinstance(error, UnknownParameter):
+    if isinstance(error, WrongParameter):
         return ("parameters", error.name)
     if spec.component is not None and str(error).startswith(f"{spec.component}:"):
         return ("component",)

@@ -21,14 +21,18 @@ class ModuleNotFound(HdlError, NotFound):
     code: ClassVar[str] = "not_found"
 
 
-class UnknownParameter(HdlError, NotFound):
-    """None of the requested modules has a parameter or generic of that `name`; the sentence lists those that exist."""
-
-    code: ClassVar[str] = "not_found"
+class WrongParameter(HdlError):
+    """A value that was given for the parameter or generic `name` is none that it can have."""
 
     def __init__(self, name: str, sentence: str) -> None:
         super().__init__(sentence)
         self.name = name
+
+
+class UnknownParameter(WrongParameter, NotFound):
+    """None of the requested modules has a parameter or generic of that `name`; the sentence lists those that exist."""
+
+    code: ClassVar[str] = "not_found"
 
 
 class ParserMissing(CmError, ImportError):

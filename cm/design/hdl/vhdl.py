@@ -14,8 +14,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from cm.design.hdl.errors import WrongParameter
 from cm.design.hdl.model import Language, ModuleInfo, Parameter, Port, PortDirection, Problem
-from cm.design.hdl.vhdl_expr import NotFlat, Subtypes, Unknown, Value, evaluate, load_parser, width_of
+from cm.design.hdl.vhdl_expr import NotFlat, Subtypes, Unknown, Value, evaluate, load_parser, no_value_of, width_of
 from cm.design.hdl.vhdl_text import Unit, blank_comments, design_units, instances, signal_attributes
 
 _INTERFACE_DECLARATIONS = (
@@ -105,7 +106,10 @@ class VhdlReader:
         )
 
     def read(self, names: Iterable[str], parameters: Mapping[str, str] | None = None) -> list[ModuleInfo]:
-        """Evaluate the ports of the entities named, with `parameters` set on each of them."""
+        """Evaluate the ports of the entities named, with `parameters` set on each of them.
+
+        Raises WrongParameter for a value that the type of its generic does not have.
+        """
         constants = self._evaluate_constants()
         wanted = [self._entities[name.lower()] for name in names]
         return [_Evaluation(entity, constants, self._subtypes, parameters or {}).info() for entity in wanted]
@@ -158,6 +162,9 @@ class _Evaluation:
         given = self._given.get(generic.name.lower())
         value = _value(generic.default if given is None else given, self.names)
         value = given if value is None else value
+        if given is not None and value is not None and no_value_of(value, generic.type, self.names, self._subtypes):
+            text = f"{generic.name}={given}: the generic {generic.name} of {self._entity.name} is {generic.type}"
+            raise WrongParameter(generic.name, text)
         if value is None:
             default = f" := {generic.default}" if generic.default else ""
             hint = f"give it one (parameters:, or -P {generic.name}=…)"

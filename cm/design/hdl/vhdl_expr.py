@@ -191,6 +191,8 @@ _VECTORS = (
 )
 _INDICATION = re.compile(r"([\w.]+)\s*(?:\((.*)\))?\s*", re.DOTALL)
 _RANGE = re.compile(r"(.*?)\s+(downto|to)\s+(.*)", re.DOTALL | re.IGNORECASE)
+_CONSTRAINED = re.compile(r"([\w.]+)(?:\s+range\s+(.*?)\s+(?:downto|to)\s+(.*))?", re.DOTALL | re.IGNORECASE)
+_LOWEST: Mapping[str, float] = {"integer": -math.inf, "natural": 0, "positive": 1}
 _MAX_WIDTH = 1 << 24
 _MAX_CHAIN = 16
 
@@ -220,6 +222,28 @@ def base_type(indication: str, subtypes: Subtypes, depth: int = 0) -> str:
     if kind in subtypes and depth < _MAX_CHAIN:
         return base_type(subtypes[kind], subtypes, depth + 1)
     return kind
+
+
+def no_value_of(
+    value: Value, indication: str, names: Mapping[str, Value | None], subtypes: Subtypes, depth: int = 0
+) -> bool:
+    """Whether a number or truth value is none of an integer type's, as 9 is none of ``natural range 1 to 8``.
+
+    False for other types, for text, and where a bound has no value that could be evaluated.
+    """
+    match = _CONSTRAINED.fullmatch(indication.strip())
+    if match is None or isinstance(value, str) or depth > _MAX_CHAIN:
+        return False
+    kind = match[1].lower().rpartition(".")[2]
+    if kind in subtypes:
+        wrong = no_value_of(value, subtypes[kind], names, subtypes, depth + 1)
+    else:
+        wrong = kind in _LOWEST and (not isinstance(value, int) or isinstance(value, bool) or value < _LOWEST[kind])
+    try:
+        bounds = (integer(match[2], names), integer(match[3], names)) if match[2] else (value, value)
+    except Unknown:
+        return wrong
+    return wrong or not min(bounds) <= value <= max(bounds)
 
 
 def _vector(indication: str, inside: str | None, names: Mapping[str, Value | None]) -> int:

@@ -92,6 +92,34 @@ def test_range_without_a_value_is_a_problem_that_names_the_generic(tmp_path: Pat
     assert any("-P N=" in str(problem) for problem in found.problems)
 
 
+@pytest.mark.parametrize(
+    ("kind", "good", "wrong"),
+    [
+        ("natural range 1 to 8", ("1", "8"), ("0", "9", "1.5", "true")),
+        ("integer range TOP downto -2", ("-2", "16#10#"), ("-3", "17")),
+        ("positive", ("1",), ("0",)),
+        ("work.p.tap_t", ("3",), ("2", "5")),
+        ("natural range 0 to f(3)", ("900",), ("-1",)),
+        ("real", ("-1.5",), ()),
+        ("std_logic_vector(3 downto 0)", ("10",), ()),
+    ],
+)
+def test_a_generic_takes_only_values_of_its_type(
+    kind: str, good: tuple[str, ...], wrong: tuple[str, ...], tmp_path: Path
+) -> None:
+    types = (
+        "constant TOP : natural := 16; subtype four_t is natural range 0 to 4; subtype tap_t is four_t range 3 to 9;"
+    )
+    (tmp_path / "e.vhd").write_text(
+        f"package p is {types} end package;\nentity e is generic (N : {kind} := 3); port (a : in bit); end entity;\n"
+    )
+    for value in good:
+        extract([tmp_path / "e.vhd"], parameters={"n": value})
+    for value in wrong:
+        with pytest.raises(HdlError, match=f"N={value}: the generic N of e is "):
+            extract([tmp_path / "e.vhd"], parameters={"n": value})
+
+
 def test_file_without_an_entity_is_reported(tmp_path: Path) -> None:
     (tmp_path / "a.vhd").write_text("architecture a of b is begin end;")
     with pytest.raises(HdlError, match="no entity in this file"):
