@@ -22,16 +22,18 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     keys = actions.add_parser("keys", help="make certificates, and the router's rules for them")
     keys.add_argument("folder", type=Path, metavar="DIR", help="folder of the fleet's authority; keep it safe")
     kinds = keys.add_subparsers(dest="kind", metavar="WHOSE", required=True)
-    router = kinds.add_parser("router", help="begin with this: make the authority, and the router's file")
+    router = kinds.add_parser(
+        "router", help="begin with this: make the authority, and the router's file; later, make its certificate anew"
+    )
     router.add_argument(
         "--host",
         action="append",
         default=[],
         type=word,
         metavar="NAME",
-        help="a name by which the router is reached",
+        help="a name or address by which the router is reached; those that it has stay, and boards use the first",
     )
-    router.add_argument("--port", type=port, default=PORT, help=f"port of the router ({PORT})")
+    router.add_argument("--port", type=port, help=f"port of the router ({PORT})")
     router.add_argument(
         "--store", default="", metavar="WHERE", help="where the wanted state is, if that is etcd: its URLs"
     )
@@ -98,7 +100,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"{args.name} has no rights any more, once the router is started anew with {args.folder}/router.json5")
         return 0
     if args.kind == "router":
-        path = keys.create(tuple(args.host), args.port, args.days, args.store)
+        path = keys.router(tuple(args.host), args.days, args.port, args.store)
         print(f"{path}: for the router (`zenohd -c {path.name}`, or `cm fleet router --zenoh-config {path.name}`)")
         return 0
     client = args.kind == "client"

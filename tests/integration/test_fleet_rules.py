@@ -40,7 +40,7 @@ class Closed:
 @pytest.fixture(scope="module")
 def closed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Closed]:
     keys, port = KeyFolder(tmp_path_factory.mktemp("fleet") / "keys"), free_ports()
-    keys.create(("127.0.0.1",), port, 30)
+    keys.router(("127.0.0.1",), 30, port)
     for member in (
         Member("b1", "board", keeper=True),
         Member("b2", "board"),
@@ -116,7 +116,7 @@ def test_a_client_that_may_see_one_board_asks_for_all_and_sees_that_one(closed: 
 
 def test_no_client_connects_without_a_certificate_of_the_fleet(closed: Closed, tmp_path: Path) -> None:
     other = KeyFolder(tmp_path / "other")
-    other.create(("127.0.0.1",), port_of(closed), 30)
+    other.router(("127.0.0.1",), 30, port_of(closed))
     other.add(Member("anna", "client", "operate"), 30)
     path = other.folder / "anna.json5"
     path.write_text(path.read_text().replace('"timeout_ms": 3000', '"timeout_ms": 1000'))

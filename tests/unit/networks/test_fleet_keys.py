@@ -15,6 +15,7 @@ import pytest
 from cm.errors import Busy, InvalidRequest, NotFound
 from cm.networks.fleet.keys import VERBS, check, command_of
 from cm.networks.fleet.security.access_rules import Member, access_control, verbs_of
+from cm.networks.fleet.security.certificates import hosts_of
 from cm.networks.fleet.security.keys_folder import KeyFolder
 from cm.server.rights.model import Role
 from cm.server.rights.required_rights import least
@@ -24,7 +25,7 @@ from cm.wire.messages import requests as rq
 @pytest.fixture
 def keys(tmp_path: Path) -> KeyFolder:
     folder = KeyFolder(tmp_path / "keys")
-    folder.create(("router.lan", "127.0.0.1"), 7447, 825)
+    folder.router(("router.lan", "127.0.0.1"), 825)
     return folder
 
 
@@ -87,8 +88,29 @@ def test_a_name_belongs_to_one_member_only(keys: KeyFolder) -> None:
             keys.add(Member(name, "board"), 30)
     with pytest.raises(InvalidRequest, match="one of observe, operate, provision"):
         keys.add(Member("x", "client", "admin"), 30)
-    with pytest.raises(Busy, match="has the keys of a fleet already"):
-        keys.create(("other",), 7447, 30)
+
+
+def test_the_router_is_given_further_names_and_days_and_its_members_keep_their_files(keys: KeyFolder) -> None:
+    path, authority = keys.add(Member("b1", "board"), 30), (keys.folder / "ca.pem").read_bytes()
+    before = path.read_bytes()
+    tls = json.loads(keys.router(("fd00::1", "router.lan"), 900).read_text())["transport"]["link"]["tls"]
+    names = ("router.lan", "127.0.0.1", "fd00::1", "router")
+    assert hosts_of(base64.b64decode(tls["listen_certificate_base64"])) == names
+    assert (path.read_bytes(), (keys.folder / "ca.pem").read_bytes()) == (before, authority)
+    assert "b1" in (keys.folder / "router.json5").read_text()
+    for port, store in ((7448, ""), (None, "https://etcd1:2379")):
+        with pytest.raises(Busy, match="has the keys of a fleet already, whose files name port 7447: make another"):
+            keys.router((), 30, port, store)
+
+
+@pytest.mark.parametrize("host", ["fleet.lan:7447", "böse.lan", "a b", "tls/fleet.lan", "-x", "*.lan", ""])
+def test_what_is_no_host_is_refused_and_leaves_nothing(host: str, tmp_path: Path) -> None:
+    with pytest.raises(InvalidRequest, match="or an address, is wanted, without a port"):
+        KeyFolder(tmp_path / "k").router(("fleet.lan", host), 30)
+    assert not (tmp_path / "k").exists()
+    KeyFolder(tmp_path / "six").router(("fd00::1",), 30)
+    member = KeyFolder(tmp_path / "six").add(Member("b1", "board"), 30)
+    assert json.loads(member.read_text())["connect"]["endpoints"] == ["tls/[fd00::1]:7447"]
 
 
 def queried(control: dict[str, list[dict[str, list[str]]]]) -> set[str]:

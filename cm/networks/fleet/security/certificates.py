@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import datetime
 import ipaddress
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from cm.errors import NotInstalled
+from cm.errors import InvalidRequest, NotInstalled
 
 try:
     from cryptography import x509
@@ -23,6 +24,7 @@ except ImportError as error:
 
 _FROM = datetime.datetime(1970, 1, 1, tzinfo=datetime.timezone.utc)  # boards without a battery begin there
 AUTHORITY_DAYS = 3653
+_NAME = re.compile(r"(?!-)[A-Za-z0-9._-]{1,253}|[0-9A-Fa-f]*:[0-9A-Fa-f]*:[0-9A-Fa-f:.]*")  # the second: IPv6
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,10 +41,22 @@ def authority(name: str) -> Identity:
 
 
 def issued(by: Identity, name: str, days: int, hosts: Iterable[str] = ()) -> Identity:
-    """A certificate for `name`, for both ends of a connection; `hosts`: the names by which others reach it."""
+    """A certificate for `name`, for both ends of a connection; `hosts`: the names by which others reach it.
+
+    Raises InvalidRequest for a host that is neither a name nor an address.
+    """
+    for host in hosts:
+        if not _NAME.fullmatch(host):
+            raise InvalidRequest(f"host {host!r}: a name such as fleet.lan, or an address, is wanted, without a port")
     alternatives = x509.SubjectAlternativeName([_host(host) for host in (*hosts, name)])
     both = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH])
     return _made(name, days, by, (both, alternatives))
+
+
+def hosts_of(certificate: bytes) -> tuple[str, ...]:
+    """The names and addresses for which a certificate (PEM) was issued."""
+    extensions = x509.load_pem_x509_certificate(certificate).extensions
+    return tuple(str(name.value) for name in extensions.get_extension_for_class(x509.SubjectAlternativeName).value)
 
 
 def _host(text: str) -> x509.GeneralName:

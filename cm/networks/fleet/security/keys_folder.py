@@ -17,9 +17,10 @@ from typing import Any
 from cm.errors import Busy, InvalidRequest, NotFound
 from cm.networks.fleet import keys
 from cm.networks.fleet.security.access_rules import Member, access_control, verbs_of
-from cm.networks.fleet.security.certificates import Identity, authority, issued
+from cm.networks.fleet.security.certificates import Identity, authority, hosts_of, issued
 
 _MEMBERS, _CA, _CA_KEY, ROUTER = "members.json", "ca.pem", "ca.key", "router"
+PORT = 7447
 _RESERVED = frozenset(("ca", ROUTER, "members", keys.NOBODY))
 
 
@@ -31,27 +32,43 @@ class KeyFolder:
 
     # ---- what it is asked for ---------------------------------------------------------------
 
-    def create(self, hosts: tuple[str, ...], port: int, days: int, store: str = "") -> Path:
-        """Make a new fleet: its authority, and the router's file. `hosts`: the names by which the router is reached.
+    def router(self, hosts: tuple[str, ...], days: int, port: int | None = None, store: str = "") -> Path:
+        """The router's file: of a new fleet, or anew of the one that is here, whose members keep their files.
 
-        `store`: where its wanted state is, which the members' files then say. Raises Busy if there is one already.
+        `hosts`: names by which the router is reached, those of its certificate so far stay; members connect to the
+        first. `port` (PORT), and `store`, where the wanted state is, are in the members' files: raises Busy for
+        others than theirs. Raises InvalidRequest.
         """
         if (self.folder / _MEMBERS).exists():
-            raise Busy(f"{self.folder} has the keys of a fleet already")
+            return self._renewed(hosts, days, port, store)
         if not hosts:
             raise InvalidRequest("say by which --host names or addresses the router is reached")
-        self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        ca = authority(f"cm fleet of {hosts[0]}")
-        _write(self.folder / _CA_KEY, ca.key, 0o600)
-        _write(self.folder / _CA, ca.certificate, 0o644)
+        ca, port = authority(f"cm fleet of {hosts[0]}"), PORT if port is None else port
         settings = {
             "mode": "router",
             "listen": {"endpoints": [f"tls/[::]:{port}"]},
             "scouting": {"multicast": {"enabled": False}},
             "transport": {"link": {"tls": _tls("listen", issued(ca, ROUTER, days, hosts), ca.certificate)}},
         }
+        self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        _write(self.folder / _CA_KEY, ca.key, 0o600)
+        _write(self.folder / _CA, ca.certificate, 0o644)
         _write(self._router, _json(settings), 0o600)
-        self._save({"router": f"tls/{hosts[0]}:{port}", "store": store, "members": []})
+        host = f"[{hosts[0]}]" if ":" in hosts[0] else hosts[0]
+        self._save({"router": f"tls/{host}:{port}", "store": store, "members": []})
+        return self._router
+
+    def _renewed(self, hosts: tuple[str, ...], days: int, port: int | None, store: str) -> Path:
+        fleet, settings = self._load(), json.loads(self._router.read_bytes())
+        at = int(fleet["router"].rpartition(":")[2])
+        if port not in (None, at) or store not in ("", fleet.get("store", "")):
+            where = f"port {at}" + (f" and the store {fleet['store']}" if fleet.get("store") else "")
+            raise Busy(f"{self.folder} has the keys of a fleet already, whose files name {where}: make another folder")
+        tls = settings["transport"]["link"]["tls"]
+        before = hosts_of(base64.b64decode(tls["listen_certificate_base64"]))
+        all_ = tuple(dict.fromkeys((*(host for host in before if host != ROUTER), *hosts)))
+        tls |= _tls("listen", issued(self._authority(), ROUTER, days, all_), (self.folder / _CA).read_bytes())
+        _write(self._router, _json(settings), 0o600)
         return self._router
 
     def add(self, member: Member, days: int) -> Path:
@@ -63,7 +80,7 @@ class KeyFolder:
         fleet = self._load()
         if member.name in {other["name"] for other in fleet["members"]}:
             raise Busy(f"{member.name} has a certificate already; `remove` it first, and it is worth nothing any more")
-        ca = Identity((self.folder / _CA).read_bytes(), (self.folder / _CA_KEY).read_bytes())
+        ca = self._authority()
         where = {"store": fleet["store"]} if fleet.get("store") else {}
         settings: dict[str, Any] = {
             "mode": "client",
@@ -95,6 +112,9 @@ class KeyFolder:
     @property
     def _router(self) -> Path:
         return self.folder / f"{ROUTER}.json5"
+
+    def _authority(self) -> Identity:
+        return Identity((self.folder / _CA).read_bytes(), (self.folder / _CA_KEY).read_bytes())
 
     def _load(self) -> dict[str, Any]:
         try:
