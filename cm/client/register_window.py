@@ -79,7 +79,7 @@ class _Loan:
         self.socket.settimeout(timeout)
         try:
             packet, ancillary, _, _ = self.socket.recvmsg(PACKET_MAX, socket.CMSG_SPACE(8))
-        except TimeoutError:
+        except (TimeoutError, BlockingIOError):  # the latter of one who does not wait
             raise Timeout(f"a window: the manager did not answer within {timeout or 0:g} s") from None
         except OSError as error:
             raise ConnectionLost(f"the configuration manager's data socket: {error}") from error
@@ -185,8 +185,8 @@ class RegisterWindow:
 
     @property
     def revoked(self) -> bool:
-        """Whether the pages were taken back."""
-        return self._mapped is None or self._mapped.revoked is not None
+        """Whether the pages were taken back, or given back."""
+        return self._mapped is None or self._why is not None or self._mapped.revoked is not None
 
     def __iter__(self) -> Any:
         """Names of the registers."""
@@ -196,7 +196,8 @@ class RegisterWindow:
         return len(self._registers)
 
     def __repr__(self) -> str:
-        return f"<window of {self.module or self.region}{', revoked' if self.revoked else ''}>"
+        ended = ", closed" if self._why else ", revoked" if self.revoked else ""
+        return f"<window of {self.module or self.region}{ended}>"
 
     # ---- by name ---------------------------------------------------------------------
 
@@ -243,13 +244,15 @@ class RegisterWindow:
         if memory is None:
             array = _words(name, array, self._limits(name, array.size))
         data = array.astype(kind, copy=False).tobytes()
-        offset, length = self._place(name, len(data) // 4, writes=True)
+        offset, _ = self._place(name, len(data) // 4, writes=True)
         if memory is not None and len(data) != memory.size:
             raise InvalidRequest(f"memory {name!r} has {memory.size} bytes; these are {len(data)}")
-        self._call(lambda mapped: mapped.write_block(offset, memoryview(data)[:length]))
+        self._call(lambda mapped: mapped.write_block(offset, data))
 
     def _place(self, name: str, count: int, writes: bool) -> tuple[int, int]:
         """Offset and bytes of what an array covers. Raises RequestNotFound, RequestInvalid."""
+        if writes and not self._pages.writable:
+            self._only_read()
         memory = self._memories.get(name)
         if memory is not None:
             _check_access(name, memory.access, writes)
@@ -258,6 +261,10 @@ class RegisterWindow:
         for register in run:
             _check_access(register.name, register.access, writes)
         return run[0].address - self._pages.address, 4 * count
+
+    def _only_read(self) -> NoReturn:
+        text = f"the window of {self.module or self.region} is for reading"
+        raise RequestInvalid(ErrorInfo("access", text))
 
     def _run(self, name: str, count: int) -> list[RegisterInfo]:
         """The registers that an array covers: a word that is none might do something when it is read."""
@@ -389,7 +396,7 @@ def _check_access(name: str, access: str, writes: bool) -> None:
 
 
 def _no_access(name: str, writes: bool) -> NoReturn:
-    raise RequestInvalid(ErrorInfo("access", f"register {name!r} is {'read' if writes else 'write'}-only"))
+    raise RequestInvalid(ErrorInfo("access", f"{name!r} is {'read' if writes else 'write'}-only"))
 
 
 def _refuse(name: str, value: int, low: int, high: int) -> NoReturn:
@@ -467,7 +474,7 @@ def _writer(register: RegisterInfo, offset: int, writable: bool) -> Callable[[An
     def refuse(window: Any, _: Any) -> None:
         if register.access == "ro":
             _no_access(name, writes=True)
-        raise RequestInvalid(ErrorInfo("access", f"the window of {window.module or window.region} is for reading"))
+        window._only_read()
 
     if register.access == "ro" or not writable:
         return refuse

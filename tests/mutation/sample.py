@@ -39,12 +39,15 @@ _WITH_MANAGER = (
     "allocations",
     "client_conformance",
     "connections",
+    "field_access",
     "local_reads",
     "memories",
     "modes",
+    "plane",
     "register_windows",
     "remote_streams",
-    "stream_s*",
+    "stream_format",
+    "stream_settings",
 )
 _CLIENT = (*_CORE, *(f"integration/test_{name}.py" for name in _WITH_MANAGER))
 _DESIGN = ("hdl_", "boundary", "clock_", "build_check", "build_flat", "build_foreign", "build_reg", "build_sources")

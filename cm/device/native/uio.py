@@ -122,8 +122,8 @@ def read_block(handle: Handle, index: int, offset: int, length: int) -> bytearra
 
 def write_block(handle: Handle, index: int, offset: int, data: Buffer) -> None:
     """Write bytes as words of 32 bits; other threads of Python run meanwhile."""
-    view = ffi.from_buffer(data)
-    check(lib.cm_uio_write_block(handle, index, offset, view, len(view)))
+    with ffi.from_buffer(data) as view:  # left in an error's frames, it and a memoryview cannot be garbage together
+        check(lib.cm_uio_write_block(handle, index, offset, view, len(view)))
 
 
 def enable_interrupt(handle: Handle) -> None:

@@ -103,11 +103,11 @@ def write(handle: Handle, offset: int, width: int, value: int) -> None:
 
 def read_block(handle: Handle, offset: int, data: Any) -> None:
     """Fill a writable buffer with words, each one access of 32 bits."""
-    room = ffi.from_buffer("uint8_t[]", data, require_writable=True)
-    check(lib.cm_grant_read_block(handle, offset, room, len(room)))
+    with ffi.from_buffer("uint8_t[]", data, require_writable=True) as room:
+        check(lib.cm_grant_read_block(handle, offset, room, len(room)))
 
 
 def write_block(handle: Handle, offset: int, data: Any) -> None:
     """Write a buffer's words, each one access of 32 bits."""
-    words = ffi.from_buffer("uint8_t[]", data)
-    check(lib.cm_grant_write_block(handle, offset, words, len(words)))
+    with ffi.from_buffer("uint8_t[]", data) as words:  # as in `uio`
+        check(lib.cm_grant_write_block(handle, offset, words, len(words)))

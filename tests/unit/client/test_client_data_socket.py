@@ -7,6 +7,7 @@ import asyncio
 import errno
 import inspect
 import os
+import re
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -226,6 +227,12 @@ OPENED: list[tuple[Callable[[Any], Any], Open]] = [
     (lambda b: _writer(b.echo(64, HUNG, depth=3)), Open("", depth=3, echo=True, length=64)),
     (lambda b: _writer(b.echo(64, HUNG)), Open("", depth=2, echo=True, length=64)),
     (lambda b: b.allocate((4, 8), "uint16", HUNG), Open("", length=64, allocate=True)),
+    (lambda b: b.allocate(4), Open("", length=4, allocate=True)),
+    (lambda b: b.registers.window("edge", timeout=HUNG), Open("edge", write=True, window=True)),
+    (
+        lambda b: b.registers.window("edge", write=False, wait=True, exclusive=True, lease="l"),
+        Open("edge", window=True, wait=True, exclusive=True, lease="l"),
+    ),
 ]
 
 
@@ -338,11 +345,45 @@ def test_memory_comes_with_its_address_and_goes_with_its_last_array(
 
 
 @BOTH
-def test_memory_that_does_not_come_is_a_time_out(client: Callable[..., Any], manager: Manager) -> None:
-    manager.answers(geometry(), SLOTS)
+@pytest.mark.parametrize("what", ["memory", "a window"])
+@pytest.mark.parametrize(
+    ("board_waits", "options", "waits"), [(HUNG, {"timeout": 0.125}, "0.125"), (0.125, {}, "0.125")]
+)
+def test_what_does_not_come_is_a_time_out(
+    client: Callable[..., Any], manager: Manager, what: str, board_waits: float, options: Any, waits: str
+) -> None:
+    manager.answers(*((geometry(), SLOTS) if what == "memory" else ()))
 
     async def course(board: Any) -> None:
-        with pytest.raises(Timeout, match=r"memory: the manager did not answer within 0\.125 s"):
-            await now(board.allocate(64, timeout=0.125))
+        board.timeout = board_waits
+        with pytest.raises(Timeout, match=rf"^{what}: the manager did not answer within {re.escape(waits)} s$"):
+            await now(
+                board.registers.window("edge", **options) if what == "a window" else board.allocate(64, **options)
+            )
+
+    used(client, manager, course)
+
+
+@BOTH
+@pytest.mark.parametrize(
+    ("answer", "says"),
+    [
+        (b"", "the configuration manager hung up on the data socket"),
+        (
+            packets.encode_window(packets.WindowPages(0, 64, True, "prr0", "edge", "camera", "edge", "")),
+            "the manager's answer has no pages",
+        ),
+    ],
+)
+def test_a_manager_that_gives_no_pages_is_lost(
+    client: Callable[..., Any], manager: Manager, answer: bytes, says: str
+) -> None:
+    manager.answers(*([answer] if answer else []))
+
+    async def course(board: Any) -> None:
+        if not answer:
+            threading.Thread(target=manager.hang_up).start()
+        with pytest.raises(ConnectionLost, match=f"^{says}$"):
+            await now(board.registers.window("edge", timeout=HUNG))
 
     used(client, manager, course)
