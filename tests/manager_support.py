@@ -44,10 +44,11 @@ class Clock:
 
 
 class Nobody:
-    """A listener and data plane that do nothing but record the calls."""
+    """A listener and data plane that do nothing but record the calls; `runs` is what streams may run for now."""
 
     def __init__(self) -> None:
         self.calls: list[tuple[str, Any]] = []
+        self.runs: tuple[str | None, str | None, Mapping[str, str | None]] = None, None, {}
 
     def status_changed(self) -> None: ...
 
@@ -60,6 +61,7 @@ class Nobody:
 
     def resume(self, config: Config | None, mode: str | None, held: Mapping[str, str | None]) -> None:
         self.calls.append(("resume", mode))
+        self.runs = config.name if config else None, mode, held
 
     def wrote(self, generation: int) -> None: ...
 
@@ -258,10 +260,15 @@ def camera(timeout: float | None = None, defaults: Mapping[str, int] | None = No
 
 @contextlib.contextmanager
 def rig(
-    root: Path, state: Path, *configs: Config, prefetch: int = 0, files: type[BoardFiles] = BoardFiles
+    root: Path,
+    state: Path,
+    *configs: Config,
+    prefetch: int = 0,
+    files: type[BoardFiles] = BoardFiles,
+    new_board: bool = False,
 ) -> Iterator[Rig]:
     """A started manager on the board under `root`, with the camera example if no configuration is given."""
-    made = make_rig(root, state, *configs, prefetch=prefetch, files=files)
+    made = make_rig(root, state, *configs, files=files, settings=Settings(prefetch, new_board))
     try:
         made.notes = made.manager.start()
         yield made
@@ -269,14 +276,20 @@ def rig(
         made.close()
 
 
-def make_rig(root: Path, state: Path, *configs: Config, prefetch: int = 0, files: type[BoardFiles] = BoardFiles) -> Rig:
+def make_rig(
+    root: Path,
+    state: Path,
+    *configs: Config,
+    files: type[BoardFiles] = BoardFiles,
+    settings: Settings = Settings(prefetch_bytes=0),  # noqa: B008
+) -> Rig:
     """A manager that was not started yet."""
     fault, nobody = Fault(), Nobody()
     devices = BoardDevices(Root.of(root))
     journal = FaultyJournal(state, fault)
     clock, opened = Clock(), files(root)
     faulty = FaultyDevices(devices, fault)
-    env = Environment(faulty, opened, journal, nobody, clock, nobody, settings=Settings(prefetch_bytes=prefetch))
+    env = Environment(faulty, opened, journal, nobody, clock, nobody, settings)
     known = {config.name: config for config in configs or (camera(),)}
     return Rig(Manager(known, env), devices, faulty, fault, nobody, journal, clock, opened)
 

@@ -150,7 +150,7 @@ class IcapLoader:
         self._files = files
         self._time = time
         self._cache = BufferCache(budget, self._dispose)
-        self.missed = True  # a load had to read its image since this was set to False
+        self.prefetched: Config | None = None  # whose images are here, until a load has had to read its own
         self._told: WeakKeyDictionary[ConfigPort, PortInfo] = WeakKeyDictionary()  # by open ports, each asked once
         self._in_use: list[Held] = []
         self._cookies = itertools.count(1)
@@ -186,7 +186,8 @@ class IcapLoader:
     def prepared(self, job: Job, timeout: float) -> Iterator[Start]:
         """The image in a DMA buffer, and the port idle."""
         icap = self._devices.icap(job.port)
-        self.missed = self.missed or not self._cache.has((icap, job.image.sha256))
+        if not self._cache.has((icap, job.image.sha256)):
+            self.prefetched = None
         held, kept = self._cache.get(job, icap, self._files.port_bytes)
         try:
             self._await_idle(icap, job.image, timeout)
@@ -247,7 +248,7 @@ class IcapLoader:
 
     def forget(self) -> None:
         """Give all buffers back."""
-        self.missed = True
+        self.prefetched = None
         self._cache.clear()
 
 
@@ -339,7 +340,7 @@ class Loaders:
     def __init__(self, devices: Devices, files: Files, time: TimeSource, prefetch_bytes: int) -> None:
         self._files, self._devices = files, devices
         self._icap = IcapLoader(devices, files, time, prefetch_bytes)
-        self._prefetched: Config | None = None
+        self._prefetches = prefetch_bytes > 0
         self._all: dict[LoaderKind, Loader] = {
             LoaderKind.ICAP: self._icap,
             LoaderKind.FPGA_MANAGER: FpgaManagerLoader(devices, files),
@@ -354,17 +355,19 @@ class Loaders:
         """Load words that are no image of a file into a region, through its ICAP; `image` is what is there."""
         self._icap.write(region.loader_name, words, image, timeout)
 
-    def instead(self, job: Job, schema: Config, refused: Exception) -> tuple[Loader, Choice]:
-        """The loader after the ICAP has refused a load, if the schema leaves the port open. Else raises `refused`."""
+    def instead(self, job: Job, schema: Config, refused: Exception) -> tuple[Loader, Job, Choice]:
+        """The loader after the ICAP has refused a job, and what it is given, if the schema leaves the port open.
+
+        Else raises `refused`.
+        """
         region = schema.regions.get(job.region.name) if job.region else None
         chosen = job.region.loader if job.region else None
-        if region is None or region.loader is not LoaderKind.AUTO or chosen is not LoaderKind.ICAP:
+        left_open = region is not None and region.loader is LoaderKind.AUTO and chosen is LoaderKind.ICAP
+        if not left_open or _against_fpga_manager(None, self._devices):
             raise refused
-        if _against_fpga_manager(job.port, self._devices):
-            raise refused
-        other = self._all[LoaderKind.FPGA_MANAGER]
+        other, job = self._all[LoaderKind.FPGA_MANAGER], replace(job, port=None)  # its name is an ICAP's
         other.check(job)
-        return other, Choice(LoaderKind.FPGA_MANAGER, f"icap: {refused}")
+        return other, job, Choice(LoaderKind.FPGA_MANAGER, f"icap: {refused}")
 
     def prefetch(self, jobs: Iterable[Job], go_on: Callable[[], bool] = lambda: True) -> None:
         """Keep only these images ready, if their loader can; asks `go_on` before each."""
@@ -375,14 +378,14 @@ class Loaders:
 
         Nothing is looked for while loads find their images there: a file that was replaced is read by the first load.
         """
-        if config is None or (config is self._prefetched and not self._icap.missed):
+        if not self._prefetches or config is None or config is self._icap.prefetched:
             return
         jobs = list(self._jobs(resolved(config, (), self._devices)[0], go_on))
         if go_on():
             with contextlib.suppress(CmError, OSError):
                 self.prefetch(jobs, go_on)
         if go_on():
-            self._prefetched, self._icap.missed = config, False
+            self._icap.prefetched = config
 
     def _jobs(self, config: Config, go_on: Callable[[], bool]) -> Iterator[Job]:
         for module in config.modules.values():
@@ -406,11 +409,19 @@ def resolved(config: Config, wanted: Collection[str], devices: Devices) -> tuple
     choices = {region.name: _choose(region, region.name in wanted, devices) for region in open_}
     if not choices:
         return config, MappingProxyType({})
-    regions = {
-        name: replace(region, loader=choices[name].kind) if name in choices else region
-        for name, region in config.regions.items()
-    }
+    regions = {name: _by(choices[name].kind, r) if name in choices else r for name, r in config.regions.items()}
     return replace(config, regions=MappingProxyType(regions)), MappingProxyType(choices)
+
+
+def _by(kind: LoaderKind, region: Region) -> Region:
+    """A region with its port chosen; the name of an ICAP is none of an fpga_manager."""
+    name = _fpga(region) if kind is LoaderKind.FPGA_MANAGER else region.loader_name
+    return replace(region, loader=kind, loader_name=name)
+
+
+def _fpga(region: Region) -> str | None:
+    name = region.loader_name
+    return name if name is not None and name.startswith("fpga") else None
 
 
 def _choose(region: Region, wanted: bool, devices: Devices) -> Choice:
@@ -430,15 +441,15 @@ def _choose(region: Region, wanted: bool, devices: Devices) -> Choice:
 
 def _ports(region: Region, devices: Devices) -> Iterator[tuple[LoaderKind, str]]:
     """The ports in their order, each with what prevents its use."""
-    yield LoaderKind.ICAP, _against_icap(region.loader_name, devices)
-    yield LoaderKind.FPGA_MANAGER, _against_fpga_manager(region.loader_name, devices)
+    yield LoaderKind.ICAP, _against_icap(region, devices)
+    yield LoaderKind.FPGA_MANAGER, _against_fpga_manager(_fpga(region), devices)
 
 
-def _against_icap(name: str | None, devices: Devices) -> str:
-    if name is not None and name.startswith("fpga"):
+def _against_icap(region: Region, devices: Devices) -> str:
+    if name := _fpga(region):
         return f"the schema names {name}"
     try:
-        info = devices.icap(name).info
+        info = devices.icap(region.loader_name).info
     except (CmError, OSError) as error:
         return str(error)
     return "the platform's firmware does not let it be selected" if info.denied else ""
@@ -446,7 +457,10 @@ def _against_icap(name: str | None, devices: Devices) -> str:
 
 def _against_fpga_manager(name: str | None, devices: Devices) -> str:
     try:
-        manager = devices.fpga_manager(name if name is not None and name.startswith("fpga") else None)
-        return "" if manager.can_load else "this kernel's fpga_manager has no firmware attribute (linux-xlnx has)"
+        return (
+            ""
+            if devices.fpga_manager(name).can_load
+            else "this kernel's fpga_manager has no firmware attribute (linux-xlnx has)"
+        )
     except (CmError, OSError) as error:
         return str(error)

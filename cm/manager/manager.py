@@ -92,7 +92,7 @@ class Manager:
             env.time,
             self._take_back,
         )
-        self._worker = Worker(self._tools, self.leases, prefetches=env.settings.prefetch_bytes > 0)
+        self._worker = Worker(self._tools, self.leases)
 
     @property
     def state(self) -> BoardState:
@@ -190,7 +190,7 @@ class Manager:
         before = self.state
         self._forget_windows()
         there = destination(before, None, self.configs)
-        self._bus.forget(lost=False)
+        self._bus.forget()
         self._state.update(slept)
         self.reporter.set_notice(ErrorInfo("slept", "the machine slept: what the PL held is loaded again"))
         self.reporter.note(self._state.try_record())

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import threading
 from collections.abc import Callable
@@ -175,8 +176,11 @@ class BoardDevices:
             return found
 
     def fpga_manager(self, name: str | None) -> FpgaManager:
-        """The kernel's FPGA manager: ``fpga0`` if no name is given."""
-        return FpgaManager(int((name or "fpga0").removeprefix("fpga")), self._root)
+        """The kernel's FPGA manager: ``fpga0`` if no name is given. Raises DeviceNotFound for any other name."""
+        number = (name or "fpga0").removeprefix("fpga")
+        if not number.isdecimal():
+            raise DeviceNotFound(errno.ENOENT, f"no fpga_manager {name!r}: their names are fpga0, fpga1, …")
+        return FpgaManager(int(number), self._root)
 
     def overlays(self) -> Overlays:
         """The overlays in configfs."""

@@ -72,7 +72,7 @@ def checked_write(
         in_range(write.name, write.value, 0, limit)
         return register, write.value << field.lsb, field.mask
     in_range(write.name, write.value, 0, full)
-    if write.mask is None:
+    if write.mask is None or write.mask == full:
         in_range(write.name, write.value, register.minimum or 0, full if register.maximum is None else register.maximum)
         return register, write.value, full
     if not 0 <= write.mask <= full:

@@ -235,8 +235,7 @@ def _through(run: StepContext, step: s.Load, start: Start) -> None:
     try:
         _timed(run, step, start)
     except (Busy, PermissionError) as refused:
-        job = job_of(run, step)
-        loader, choice = run.tools.loaders.instead(job, state.configs[config], refused)
+        loader, job, choice = run.tools.loaders.instead(job_of(run, step), state.configs[config], refused)
         with loader.prepared(job, step.timeout) as other:
             other(run.tell)
         state.choose(config, {step.region.name: choice})

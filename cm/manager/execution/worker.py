@@ -86,11 +86,9 @@ class Change:
 class Worker:
     """The queue of changes and its thread. A defect in one change, or at its end, must not harm later ones."""
 
-    def __init__(self, tools: Tools, leases: Leases, prefetches: bool) -> None:
-        """`prefetches`: between changes, images of the loaded configuration are read ahead."""
+    def __init__(self, tools: Tools, leases: Leases) -> None:
         self._tools = tools
         self._leases = leases
-        self._prefetches = prefetches
         self._queue: queue.SimpleQueue[Change | Scan | None] = queue.SimpleQueue()
         self._count = threading.Condition()
         self._changes = self._scans = 0  # that wait or run
@@ -184,8 +182,7 @@ class Worker:
             return
         self._run(change)
         self._tools.state.keep_times()
-        if change.error is None and self._prefetches and not self.busy:
-            self._tools.loaders.prefetch_modules(self._tools.state.loaded_config(), lambda: not self.busy)
+        self._tools.loaders.prefetch_modules(self._tools.state.loaded_config(), lambda: not self.busy)
 
     def _run(self, change: Change) -> None:
         """Run a change and finish it; the next may be requested before the end of this one is published."""

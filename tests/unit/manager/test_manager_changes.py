@@ -123,9 +123,14 @@ def test_pr_mode_says_what_kind_of_change_runs_and_that_it_failed(made: Rig, sim
     seen.clear()
     at(made, "whole/default")
     assert set(seen[:-1]) == {"full"}
+    seen.clear()
+    assert made.manager.submit(ChangeMode("whole", "default", force=True)).wait(60)
+    assert set(seen[:-1]) == {"full"}
     assert made.manager.status().pr_mode.value == "idle"
+    seen.clear()
     sim.control.inject("overlay_error", "whole_extra")
     assert error_of(made, "whole/full") == "device_invalid"
+    assert set(seen[:-1]) == {"partial"}
     assert made.manager.status().pr_mode.value == "error"
 
 
@@ -550,6 +555,8 @@ def test_a_plan_touches_nothing(made: Rig) -> None:
     assert plan.seconds > 0
     assert made.fault.names == []
     assert made.manager.state is before
+    again = [made.manager.plan(ChangeMode("duo", "default", force=force)).bytes > 0 for force in (False, True)]
+    assert again == [False, True]
 
 
 def refused(sim: SimBoard, config: Config, folder: Path, mode: str = "default") -> str:
@@ -587,18 +594,22 @@ def test_encrypted_bitstreams_need_permission(sim: SimBoard, tmp_path: Path) -> 
 
 
 def test_the_footprint_is_learned_from_the_first_module_and_forgotten_with_its_configuration(
-    sim: SimBoard, tmp_path: Path
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path
 ) -> None:
     duo = custom(sim, DUO, tmp_path / "duo")
     (tmp_path / "duo" / "b0.bit").write_bytes(
         (sim.root / "lib/firmware/cm/duo/b1.bit").read_bytes()  # made for the other region
     )
-    with rig(sim.root, tmp_path / "state", duo) as made:
+    with rig(sim.root, tmp_path / "state", duo, configs["whole"]) as made:
         at(made, "duo/default")
         assert error_of(made, "duo/other") == "footprint_outside"
         assert set(made.fault.names) == {"journal.write"}
         made.manager.add_config(duo)
-        at(made, "duo/default")
+        assert made.manager.plan(ChangeMode("duo", "other")).bytes
+        at(made, "whole/default")
+        made.manager.forget_config("duo")
+        made.manager.add_config(duo)
+        assert made.manager.plan(ChangeMode("duo", "default")).bytes  # b0 taught it otherwise
 
 
 def test_a_module_that_says_it_is_another_one_is_not_kept(sim: SimBoard, tmp_path: Path) -> None:
@@ -686,13 +697,21 @@ def test_a_replaced_configuration_without_the_mode_leaves_the_board_in_none(
 # ---- the worker, and what it expects --------------------------------------------------
 
 
-def test_a_defect_of_ours_in_a_step_brings_the_board_back_and_is_called_one(made: Rig) -> None:
+@pytest.mark.parametrize(
+    ("error", "code", "text"),
+    [
+        (RuntimeError("a defect"), "internal", "RuntimeError: a defect"),
+        (OSError(5, "broken card"), "device_error", "[Errno 5] broken card"),
+    ],
+)
+def test_a_defect_of_ours_in_a_step_brings_the_board_back_and_is_called_one(
+    made: Rig, error: Exception, code: str, text: str
+) -> None:
     at(made, "duo/default")
-    made.fault.make = lambda _: RuntimeError("a defect")
+    made.fault.make = lambda _: error
     made.fault.watch = lambda name: made.arm(0) if name == "icap.load" and made.fault.at < 0 else None
-    error = made.go("both", config="duo")
-    assert error == ErrorInfo(
-        "internal", "load b0 into prr0 by icap: RuntimeError: a defect; the board is back in duo/default"
+    assert made.go("both", config="duo") == ErrorInfo(
+        code, f"load b0 into prr0 by icap: {text}; the board is back in duo/default"
     )
 
 
@@ -741,7 +760,7 @@ def test_an_image_that_cannot_be_fetched_ahead_is_an_error_of_the_change_that_ne
         checked = threading.Event()  # behind it, by the same thread
         made.manager.check(made.manager.prepared_check("prr0"), lambda _: checked.set())
         assert checked.wait(60)
-        assert "TypeError" not in str(made.manager.status().last_error)
+        assert "internal" not in str(made.manager.status().last_error)
         assert error_of(made, "duo/both") == Sha256Mismatch.code
         at(made, "duo/other")
 
@@ -875,6 +894,12 @@ def test_each_step_is_told_with_how_far_it_is_and_counted(made: Rig, monkeypatch
     more.subtract({kind: times.number for kind, times in before.steps.items()})
     assert +more == Counter(step.kind for step in plan.steps)
     assert (counts.loads["icap"].number, counts.loads["icap"].bytes) == (4, before.loads["icap"].bytes + plan.bytes)
+    made.manager.write_registers((RegWrite("gain", 4),))
+    told.clear()
+    at(made, "duo/both")  # only a register is written
+    assert [(one.step, one.fraction) for one in told[1:]] == [
+        ("validate", 0.0), ("registers", pytest.approx(1 / 3)), ("publish", pytest.approx(2 / 3))
+    ]  # fmt: skip
 
 
 def test_what_is_to_be_restored_is_on_disk_before_it_is_changed(made: Rig, configs: dict[str, Config]) -> None:
@@ -926,7 +951,9 @@ def test_what_was_written_is_told_to_streams_before_anybody_else(made: Rig, monk
     made.manager.write_registers((RegWrite("gain", 4),), lease.id)
     with pytest.raises(HeldBy, match="registers:gain is held by anna"):
         made.manager.submit(ChangeMode("duo", "other"))
-    assert made.manager.submit(ChangeMode("duo", "other", lease=lease.id)).wait(60)
+    change = made.manager.submit(ChangeMode("duo", "other", lease=lease.id))
+    assert change.wait(60)
+    assert change.error is None
     made.manager.note_error(ErrorInfo("wrong", "it was"))
     status = made.manager.status()
     assert (status.last_error, status.pr_mode.value) == (ErrorInfo("wrong", "it was"), "idle")

@@ -101,14 +101,15 @@ def test_the_plan_tells_the_rates_beforehand_and_sets_none(made: Rig, sim: SimBo
 
 def test_a_clock_that_was_changed_from_outside_is_set_again(made: Rig, sim: SimBoard) -> None:
     assert made.go("default", config="fast") is None
-    PlClocks(sim.root).find("fclk1").rate = 10_000_000
+    clock = PlClocks(sim.root).find("fclk1")
+    clock.rate, clock.enabled = 10_000_000, False
     assert [s.kind for s in made.manager.plan(ChangeMode(config_name="fast", mode="default")).steps] == [
         "validate",
         "clock",
         "publish",
     ]
     assert made.go("default", config="fast") is None
-    assert rates(sim) == (FAST, 99_999_999)
+    assert (rates(sim), clock.enabled) == ((FAST, 99_999_999), True)
 
 
 def test_an_impossible_rate_is_refused_before_anything_is_touched(made: Rig, sim: SimBoard) -> None:

@@ -99,6 +99,13 @@ def test_a_board_that_was_restarted_holds_nothing(tmp_path: Path) -> None:
         with rig(fresh.root, tmp_path) as second:
             assert second.manager.status().config_name == ""
             assert any("restarted" in note for note in second.notes)
+            assert second.go("edge_detection") is None
+        with rig(fresh.root, tmp_path, new_board=True) as third:  # is the same one
+            assert third.manager.status().mode == "edge_detection"
+        fresh.kill()
+        fresh.restart()
+        with rig(fresh.root, tmp_path, new_board=True) as another:
+            assert (another.manager.status().config_name, another.notes) == ("", ())
 
 
 def test_a_region_that_was_reloaded_from_outside_is_not_trusted(sim: SimBoard, tmp_path: Path) -> None:

@@ -270,6 +270,9 @@ def test_what_a_request_writes_is_told_in_scopes(request_: Request, memory: Memo
     assert list(scopes_written(request_, None, None, memory)) == unnamed
 
 
+BLOCKS = ["block", "block1", "block2"]
+
+
 @pytest.mark.parametrize(
     ("scope", "refused"),
     [
@@ -282,12 +285,13 @@ def test_what_a_request_writes_is_told_in_scopes(request_: Request, memory: Memo
         ("registers", ""),  # which is no scope at all, and told otherwise
         ("region:lift", "; did you mean 'left'?"),
         ("registers:block", "; there are gain, lamp, led"),
-        ("memories:gain", "; there are block, late, log, taps"),
+        ("memories:gain", "; there are block, block1, block2, late, log, taps"),
+        ("memories:blocks", "; did you mean 'block' or 'block2'?"),  # two are enough
     ],
 )
 def test_a_scope_that_would_keep_nobody_off_is_refused(scope: str, refused: str) -> None:
     if not refused:
-        check_scope_names_something(scope, [CONFIG], ["block"])
+        check_scope_names_something(scope, [CONFIG], BLOCKS)
         return
     text = f"scope {scope!r}: no configuration has {scope.partition(':')[2]!r}{refused}"
-    assert refusal(lambda: check_scope_names_something(scope, [CONFIG], ["block"])) == text
+    assert refusal(lambda: check_scope_names_something(scope, [CONFIG], BLOCKS)) == text

@@ -84,7 +84,7 @@ config:
   default_mode: both
   regions:
     left: {decoupler: {base_address: 0x1000, offset: 0}, identity: {base_address: 0x2000, offset: 0x10}}
-    right: {loader: fpga_manager}
+    right: {loader: auto, loader_name: icap0}
   modules: {fir: {region: left, identity: 1}, iir: {region: left, identity: 2}, fft: {region: right}}
   overlays: [base]
   clocks: {fclk0: 100_000_000}
@@ -189,10 +189,13 @@ class Board:
             raise DeviceNotFound(errno.ENOENT, f"no clock {name}")
         return SimpleNamespace(rate=self.clock)
 
+    def icap(self, name: str | None) -> Any:
+        raise DeviceNotFound(errno.ENOENT, "none")
+
     def fpga_manager(self, name: str | None) -> Any:
-        if self.said is None:
+        if name is not None or self.said is None:
             raise DeviceNotFound(errno.ENOENT, "none")
-        return SimpleNamespace(state=self.said)
+        return SimpleNamespace(state=self.said, can_load=True)
 
     def window(self, address: int, width: int) -> Window:
         return Window(self, 0, address)  # type: ignore[arg-type]

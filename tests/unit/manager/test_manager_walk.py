@@ -66,8 +66,10 @@ def begin(made: Rig, way: Way) -> None:
 
 def where(made: Rig, sim: SimBoard, configs: dict[str, Config]) -> str:
     """The mode the board is in, or "" for none; the manager and the board must agree."""
-    status, held = made.manager.status(), sim.control.state()
+    status, held, board = made.manager.status(), sim.control.state(), made.manager.state
     assert not status.fpga_busy
+    assert made.data_plane.runs[1:] == (board.mode, board.modules)
+    assert board.mode is None or made.data_plane.runs[0] == board.config
     if made.manager.state.static_lost:
         assert not status.config_name
         assert status.last_error is not None

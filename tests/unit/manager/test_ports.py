@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,19 +14,21 @@ import pytest
 from cm.device import DeviceBusy, DeviceNotFound
 from cm.errors import CmError
 from cm.manager.errors import LoadFailed, LoadUnsupported, NoPort, StepTimeout, WrongDevice
-from cm.manager.execution.region_readback import Reader
+from cm.manager.execution.region_readback import Checked, Reader, Scan
 from cm.manager.inputs import Image
 from cm.manager.loaders import Job, Loaders, resolved
+from cm.manager.state.board_state import BoardState, RegionPhase, RegionState
 from cm.manager.state.steps import Choice
 from cm.schema import loads
 from cm.schema.model import LoaderKind
+from cm.wire.messages.status import FrameError, RegionCheck
 
 CONFIG = loads("""
 config:
   name: lab
   regions:
-    free: {loader: auto}
-    fixed: {loader: icap}
+    free: {loader: auto, loader_name: icap0}
+    fixed: {loader: icap, loader_name: icap1}
     kernel: {loader: fpga_manager, loader_name: fpga1}
     bridge: {loader: overlay}
     second: {loader: auto, loader_name: fpga2}
@@ -63,7 +66,10 @@ class Buffer:
 
 
 class Port:
-    """An ICAP: `ends` are what its waits give, else that all went well; `busy` is how many looks find it so."""
+    """An ICAP: `ends` are what its waits give, else that all went well; `busy` is how many looks find it so.
+
+    Its clock is that of the loaders: it goes on while they wait.
+    """
 
     def __init__(self) -> None:
         self.info = SimpleNamespace(idcode=0x23727093, denied=False, readable=True, max_length=1 << 20, clock_hz=0)
@@ -75,12 +81,14 @@ class Port:
     def monotonic(self) -> float:
         return self.clock
 
+    def sleep(self, seconds: float) -> None:
+        self.clock = round(self.clock + seconds, 6)
+
     def allocate(self, length: int) -> Buffer:
         return Buffer(self, length)
 
     def status(self) -> Any:
         self.busy -= 1
-        self.clock += 1.0
         return SimpleNamespace(loading=self.busy >= 0, bytes_done=7)
 
     def load(self, buffer: Buffer, length: int, cookie: int, full: bool, encrypted: bool) -> None:
@@ -94,7 +102,7 @@ class Port:
     def wait(self, timeout: float) -> Any:
         end = self.ends.pop(0) if self.ends else {}
         if end == "none yet":
-            self.clock += timeout
+            self.sleep(timeout)
             raise TimeoutError
         return SimpleNamespace(**{"cookie": self.cookie, "status": 0, "length": 8, "reason": "", **end})
 
@@ -102,9 +110,10 @@ class Port:
 class Kernel:
     """An fpga_manager."""
 
-    name, state, can_load = "fpga1", "operating", True
+    state, can_load = "operating", True
 
-    def __init__(self) -> None:
+    def __init__(self, name: str) -> None:
+        self.name = name
         self.loaded: list[Any] = []
 
     def load(self, firmware: str, partial: bool, encrypted: bool) -> None:
@@ -112,12 +121,14 @@ class Kernel:
 
 
 class Bench:
-    """Loaders on a board of both ports, and files that are their names."""
+    """Loaders on a board of one ICAP with two names and two fpga_managers, and files that are their names."""
 
     def __init__(self, budget: int = 2 * PAGE) -> None:
-        self.port, self.kernel = Port(), Kernel()
+        self.port, self.first, self.kernel = Port(), Kernel("fpga0"), Kernel("fpga1")
         self.read: list[str] = []
-        self.ports: dict[str | None, Any] = {None: self.port, "fpga1": self.kernel}
+        self.ports: dict[str | None, Any] = {
+            "icap0": self.port, "icap1": self.port, "fpga0": self.first, "fpga1": self.kernel
+        }  # fmt: skip
         self.files: Any = SimpleNamespace(
             port_bytes=lambda image: self.read.append(image.path.name) or image.path.name.encode(),
             firmware_name=lambda image: f"cm/{image.path.name}",
@@ -129,14 +140,15 @@ class Bench:
         self.loaders = Loaders(self.devices, self.files, self.time, budget)
 
     def _icap(self, name: str | None) -> Any:
-        if self.ports.get(None) is None:
-            raise DeviceNotFound(2, "no ICAP")
-        return self.ports[None]
+        return self._port(name, "no ICAP")
 
     def _manager(self, name: str | None) -> Any:
-        if self.ports.get(name or "fpga1") is None:
-            raise DeviceNotFound(2, f"no {name or 'fpga0'}")
-        return self.ports[name or "fpga1"]
+        return self._port(name or "fpga0", f"no {name}")
+
+    def _port(self, name: str | None, missing: str) -> Any:
+        if self.ports.get(name) is None:
+            raise DeviceNotFound(2, missing)
+        return self.ports[name]
 
     def load(self, made: Job, timeout: float = 5.0) -> list[int]:
         """Load; what was told of its progress."""
@@ -150,8 +162,9 @@ class Bench:
 
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
-    monkeypatch.setattr("time.sleep", lambda _: None)
-    return Bench()
+    made = Bench()
+    monkeypatch.setattr("time.sleep", made.port.sleep)
+    return made
 
 
 USUAL = {"length": 6, "idcode": 0x03727093, "partial": True, "encrypted": False}
@@ -191,9 +204,13 @@ def test_an_image_is_written_once_and_its_own_end_is_waited_for(bench: Bench) ->
     bench.port.ends = ["none yet", {"cookie": 99, "status": 5}]  # an earlier load's
     assert bench.load(job(encrypted=True)) == [7]
     assert bench.port.done == ["begin write", "end write", "unmap", (b"b.bit", False, True)]
-    assert bench.load(Job(CONFIG, image("b.bit"))) == []
+    assert bench.load(Job(CONFIG, image("b.bit"), port="icap1")) == []
     assert bench.port.done[4:] == [(b"b.bit", True, False)]
     assert (bench.read, len(bench.port.buffers)) == (["b.bit"], 1)
+    exactly = Bench(budget=PAGE)
+    for _ in range(2):
+        exactly.load(job())
+    assert exactly.read == ["b.bit"]
 
 
 @pytest.mark.parametrize(
@@ -209,7 +226,7 @@ def test_a_load_that_does_not_end_well_says_how(
 ) -> None:
     vars(bench.port).update(arrange)
     assert refused(lambda: bench.load(job())) == (error, text)
-    assert bench.port.clock == pytest.approx(1.0 if error is LoadFailed else 6.0, abs=2.0)
+    assert bench.port.clock == (0.0 if error is LoadFailed else 5.0)
     vars(bench.port).update(ends=[{"status": 3, "reason": "why"}], busy=0)
     words = b"some"
     write: Any = lambda: bench.loaders.write(CONFIG.regions["fixed"], words, image("b.bit"), 5.0)  # noqa: E731
@@ -228,10 +245,10 @@ def test_the_port_refuses_images_of_other_devices_and_is_asked_once(bench: Bench
     )
     bench.port.info = SimpleNamespace(idcode=0, denied=True)
     check(job())
-    bench.ports[None] = other = Port()
+    bench.ports["icap1"] = other = Port()
     other.info.idcode = 0
     check(job(idcode=0x03728093))
-    bench.ports[None] = other = Port()
+    bench.ports["icap1"] = other = Port()
     other.info.denied = True
     assert refused(lambda: check(job())) == (
         LoadFailed,
@@ -241,7 +258,8 @@ def test_the_port_refuses_images_of_other_devices_and_is_asked_once(bench: Bench
 
 
 def test_buffers_keep_to_their_budget_and_the_oldest_go_first(bench: Bench) -> None:
-    a, b, c = (Job(CONFIG, image(name), CONFIG.regions["fixed"]) for name in ("a", "b", "c"))
+    a, b, c = (Job(CONFIG, image(name), CONFIG.regions["fixed"], port="icap1") for name in ("a", "b", "c"))
+    long = replace(a, image=image("long", length=PAGE + 1))
     for each in (a, b, a, c, a, b):
         bench.load(each)
     assert bench.read == ["a", "b", "c", "b"]
@@ -249,6 +267,7 @@ def test_buffers_keep_to_their_budget_and_the_oldest_go_first(bench: Bench) -> N
     assert bench.read == ["a", "b", "c", "b"]
     bench.loaders.prefetch([c], lambda: False)
     assert (bench.read, len(bench.port.buffers)) == (["a", "b", "c", "b"], 0)
+    bench.loaders.prefetch([b, long])
     bench.loaders.prefetch([b, c])
     bench.loaders.forget()
     assert (bench.read[4:], bench.port.buffers) == (["b", "c"], [])
@@ -286,8 +305,24 @@ def test_images_of_a_configuration_are_fetched_once_until_another_is_loaded(benc
     bench.loaders.prefetch_modules(CONFIG, lambda: True)
     assert (len(bench.read), len(bench.port.buffers)) == (4, 2)
     bench.loaders.prefetch_modules(None, lambda: True)
-    bench.files.image = None  # would be an error
     assert len(bench.port.buffers) == 2
+
+
+@pytest.mark.parametrize("error", [LoadFailed("it has changed"), OSError(5, "broken card")])
+def test_what_cannot_be_fetched_ahead_is_left_to_the_load_that_needs_it(bench: Bench, error: Exception) -> None:
+    def fails(*_: object) -> Any:
+        raise error
+
+    bench.files.image = lambda _, module: image("b.bit") if module.name == "b" else fails()
+    bench.loaders.prefetch_modules(CONFIG, lambda: True)
+    assert bench.read == ["b.bit"]
+    bench.loaders.forget()
+    bench.files.port_bytes = fails
+    bench.loaders.prefetch_modules(CONFIG, lambda: True)
+    assert bench.port.buffers == []
+    none = Bench(budget=0)
+    none.files.image = fails  # what cannot be kept is not even looked at
+    none.loaders.prefetch_modules(CONFIG, lambda: True)
 
 
 # ---- the kernel's, and overlays --------------------------------------------------------------
@@ -340,18 +375,21 @@ def test_only_what_the_schema_leaves_open_is_chosen(bench: Bench) -> None:
         "free": Choice(LoaderKind.ICAP, ""),
         "second": Choice(LoaderKind.ICAP, "icap: the schema names fpga2; fpga_manager: no fpga2"),
     }
-    kinds = [region.loader.value for region in config.regions.values()]
-    assert kinds == ["icap", "icap", "fpga_manager", "overlay", "icap"]
-    bench.ports["fpga2"] = Kernel()
-    assert resolved(CONFIG, (), bench.devices)[1]["second"] == Choice(
-        LoaderKind.FPGA_MANAGER, "icap: the schema names fpga2"
-    )
+    ports = [(region.loader.value, region.loader_name) for region in config.regions.values()]
+    assert ports == [("icap", "icap0"), ("icap", "icap1"), ("fpga_manager", "fpga1"), ("overlay", None),
+                     ("icap", "fpga2")]  # fmt: skip
+    bench.ports["fpga2"] = Kernel("fpga2")
     bench.port.info.denied = True
+    config, choices = resolved(CONFIG, (), bench.devices)
     denied = "icap: the platform's firmware does not let it be selected"
-    assert resolved(CONFIG, (), bench.devices)[1]["free"] == Choice(LoaderKind.FPGA_MANAGER, denied)
-    bench.ports[None] = None
+    assert choices == {
+        "free": Choice(LoaderKind.FPGA_MANAGER, denied),
+        "second": Choice(LoaderKind.FPGA_MANAGER, "icap: the schema names fpga2"),
+    }
+    assert [config.regions[name].loader_name for name in choices] == [None, "fpga2"]  # icap0 is none of the kernel's
+    bench.ports["icap0"] = None
     assert resolved(CONFIG, (), bench.devices)[1]["free"] == Choice(LoaderKind.FPGA_MANAGER, f"icap: {NO_ICAP}")
-    bench.kernel.can_load = False
+    bench.first.can_load = False
     assert refused(lambda: resolved(CONFIG, ("free",), bench.devices)) == (
         NoPort,
         f"region free (loader: auto) cannot be loaded. icap: {NO_ICAP}; fpga_manager: {NO_FILE}. Mainline kernels load "
@@ -362,26 +400,31 @@ def test_only_what_the_schema_leaves_open_is_chosen(bench: Bench) -> None:
 
 
 def test_a_refused_load_goes_by_the_other_port_where_that_is_left_open_and_can(bench: Bench) -> None:
+    bench.ports["fpga2"] = Kernel("fpga2")
     config, _ = resolved(CONFIG, (), bench.devices)
     no = DeviceBusy(16, "it is busy")
 
-    def instead(region: str | None) -> Any:
-        return bench.loaders.instead(
-            Job(config, image("a.bit"), config.regions[region] if region else None), CONFIG, no
-        )
+    def instead(name: str | None) -> Any:
+        region = config.regions[name] if name else None
+        made = Job(config, image("a.bit"), region, port=region.loader_name if region else None)
+        return bench.loaders.instead(made, CONFIG, no)
 
-    loader, choice = instead("free")
+    loader, given, choice = instead("free")
     assert loader is bench.loaders.kind(LoaderKind.FPGA_MANAGER)
     assert choice == Choice(LoaderKind.FPGA_MANAGER, "icap: it is busy")
+    with loader.prepared(given, 5.0) as start:  # by the first of the kernel's, whatever the ICAP's name is
+        start(lambda _: None)
+    assert bench.first.loaded == [("cm/a.bit", True, False)]
+    for region in ("fixed", "kernel", "second", None):
+        assert refused(lambda region=region: instead(region)) == (DeviceBusy, "it is busy")
     bench.files.firmware_name = lambda _: fails()
 
     def fails() -> str:
         raise LoadFailed("not where the kernel looks")
 
     assert refused(lambda: instead("free")) == (LoadFailed, "not where the kernel looks")
-    bench.kernel.can_load = False
-    for region in ("free", "fixed", "kernel", None):
-        assert refused(lambda region=region: instead(region)) == (DeviceBusy, "it is busy")
+    bench.first.can_load = False
+    assert refused(lambda: instead("free")) == (DeviceBusy, "it is busy")
 
 
 # ---- readback -------------------------------------------------------------------------------
@@ -428,3 +471,37 @@ def test_a_read_that_brings_nothing_says_so(bench: Bench, end: Any, text: str) -
 def test_a_slice_takes_a_millisecond_of_the_port(bench: Bench, clock: int, most: int, frames: int) -> None:
     bench.port.info = SimpleNamespace(clock_hz=clock, max_length=most)
     assert Reader(bench.port).most_frames(100) == frames  # type: ignore[arg-type]
+
+
+def scan(board: BoardState, done: Callable[[Any], None], judged: int = 3) -> Scan:
+    """Of what was loaded into a region, of which a frame is not compared."""
+    frames: Any = SimpleNamespace(judged=judged, unjudged=(1,), why="no mask", frame_bytes=4, slices=lambda _: ())
+    region, module = CONFIG.regions["fixed"], CONFIG.modules["b"]
+    state, devices = SimpleNamespace(board=board), SimpleNamespace(icap=lambda _: Port())
+    what = Checked(CONFIG, "default", region, module, image("b.bit"), frames)
+    return Scan(what, state, devices, done)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("phase", "sha256"), [(RegionPhase.READY, "other"), (RegionPhase.DECOUPLED, "b.bit")])
+def test_a_region_that_holds_something_else_by_now_ends_its_check_at_once(phase: RegionPhase, sha256: str) -> None:
+    ended: list[Any] = []
+    assert scan(BoardState(regions={"fixed": RegionState(phase, "b", sha256)}), ended.append).step()
+    assert [str(error) for _, error in ended] == ["region fixed was changed while it was compared; ask again"]
+
+
+@pytest.mark.parametrize(
+    ("judged", "wrong", "verdict", "listed"), [(0, 0, "unjudged", 0), (3, 0, "good", 0), (3, 300, "wrong", 256)]
+)
+def test_what_was_found_in_a_region_is_counted_whole_and_listed_in_part(
+    judged: int, wrong: int, verdict: str, listed: int
+) -> None:
+    done = scan(BoardState(regions={"fixed": RegionState(RegionPhase.READY, "b", "b.bit")}), list, judged)
+    assert done.step()
+    where: Any = SimpleNamespace(block_type=1, row=2, column=3, minor=4)
+    done.wrong = [SimpleNamespace(far=far, address=where, bits=tuple(range(65))) for far in range(wrong)]  # type: ignore
+    told = done.result(2.5)
+    frames = tuple(FrameError(far, 1, 2, 3, 4, tuple(range(64))) for far in range(listed))
+    assert told == RegionCheck(
+        "fixed", "b", verdict, judged, 1, "no mask", wrong, 65 * wrong, frames, seconds=2.5, config_name="lab",
+        mode="default",
+    )  # fmt: skip

@@ -7,6 +7,7 @@ import queue
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from cm.formats.bitstream.idcodes import Family
 from cm.manager.errors import ChangeBusy, HeldBy, NoReadback, NothingLoaded, RegionBusy, UnknownRegion
 from cm.manager.execution.region_readback import Reader
 from cm.manager.execution.worker import SCANS
-from cm.schema.model import Config
+from cm.schema.model import Config, LoaderKind
 from cm.simulation.software import Board as SimBoard
 from cm.wire.messages.requests import ChangeMode, CheckRegion, RegWrite, TakeLease
 from cm.wire.messages.status import ErrorInfo, RegionCheck, RegionHealth
@@ -32,7 +33,9 @@ FRAME = 4 * 101
 
 @pytest.fixture(scope="module")
 def configs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Config]:
-    return written(tmp_path_factory.mktemp("configs"), ("duo", "kernel"))
+    found = written(tmp_path_factory.mktemp("configs"), ("duo", "kernel"))
+    left_open = replace(found["duo"].regions["prr0"], loader=LoaderKind.AUTO)
+    return found | {"duo": replace(found["duo"], regions={**found["duo"].regions, "prr0": left_open})}
 
 
 @pytest.fixture(scope="module")
@@ -96,6 +99,7 @@ def test_what_was_loaded_is_there(made: Rig) -> None:
     result = check(made)
     assert (result.verdict, result.module, result.wrong_bits, result.unjudged) == ("good", "a0", 0, 0)
     assert result.frames > 0
+    assert 0 <= result.seconds < 60
     assert health(made) == RegionHealth(checks=1, frames=result.frames)
 
 
@@ -302,6 +306,9 @@ def test_checks_that_wait_are_bounded_and_end_with_the_manager(made: Rig) -> Non
         held.set()
         assert let.wait(60)
 
+    for _ in range(SCANS + 1):
+        check(made)  # which do not count any more
+    assert made.go("default", config="duo") is None
     what = made.manager.prepared_check("prr0")
     ended: queue.SimpleQueue[RegionCheck | Exception] = queue.SimpleQueue()
     made.fault.watch = hold

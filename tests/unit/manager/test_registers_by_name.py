@@ -143,8 +143,11 @@ def test_other_bits_of_what_cannot_be_read_are_those_last_written_or_none(
     access: Access, last: int | None, done: list[tuple[str, int, int]]
 ) -> None:
     device: Any = Cells({16: 0xA3})
-    assert RegisterBus(device).write(Register("r", 16, 0, access=access), 5, 0xF, last) == done[-1][2]
+    register = Register("r", 16, 0, access=access)
+    assert RegisterBus(device).write(register, 5, 0xF, last) == done[-1][2]
     assert device.done == done
+    if access is Access.WO:
+        assert refused(lambda: RegisterBus(device).read(register)) == (AccessDenied, "register 'r' is write-only")
 
 
 def test_what_was_written_before_is_kept_where_it_cannot_be_read(bench: Bench) -> None:
@@ -193,6 +196,12 @@ OF_PLAIN, OF_BYTE = "outside 0 to 4294967295 (0x0 to 0xffffffff)", "outside 2 to
         (RegWrite("plain", 1, -1), OutOfRange, "register 'plain': mask -0x1 does not fit 32 bits"),
         (RegWrite("byte", 1), OutOfRange, f"register 'byte': 1 (0x1) is {OF_BYTE}"),
         (RegWrite("byte", 10), OutOfRange, f"register 'byte': 10 (0xa) is {OF_BYTE}"),
+        (
+            RegWrite("byte", 1, 0xFF),
+            OutOfRange,
+            f"register 'byte': 1 (0x1) is {OF_BYTE}",
+        ),  # all bits, as without a mask
+        (RegWrite("byte", 0, 0x0F), OutOfRange, f"register 'byte': 0 (0x0) is {OF_BYTE}"),
         (RegWrite("byte", 8, 8), OutOfRange, f"register 'byte': 13 (0xd) is {OF_BYTE}"),  # with the bits that are there
         (RegWrite("light", 0x40), OutOfRange, "register 'light': 64 (0x40) is outside 0 to 63 (0x0 to 0x3f)"),
         (RegWrite("depth", 1), RegionBusy, "register 'depth' lies in region right, which is decoupled"),

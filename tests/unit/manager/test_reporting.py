@@ -58,8 +58,8 @@ config:
       memories: {taps: {size: 64, access: ro, dtype: int16, shape: [4, 8], doc: t}}
   interrupts: {done: {uio: done, doc: at last}, other: {uio: other}}
   streams:
-    camera: {direction: s2mm, region: left, shape: [4, 8], dtype: uint16, slots: 5, stride: 32, limit: 2.5,
-      cyclic: true}
+    camera: {direction: s2mm, region: left, shape: [4, 8, 3], dtype: uint8, slots: 5, stride: 32, limit: 2.5,
+      cyclic: true, backpressure: true, format: bgr}
     plain: {direction: mm2s}
   modes:
     one:
@@ -77,7 +77,17 @@ def test_a_configuration_is_described_whole() -> None:
         (FieldInfo("on", 0, 1, "whether", (), "w1s"), FieldInfo("colour", 1, 3, "", (("off", 0), ("red", 4)), "")),
     )  # fmt: skip
     camera = StreamStatus(
-        "camera", LAB.streams["camera"].channel, "s2mm", (4, 8), "uint16", 5, cyclic=True, stride=32, limit=2.5
+        "camera",
+        LAB.streams["camera"].channel,
+        "s2mm",
+        (4, 8, 3),
+        "uint8",
+        5,
+        cyclic=True,
+        backpressure=True,
+        stride=32,
+        limit=2.5,
+        format="bgr",
     )
     assert told == ConfigInfo(
         "lab",

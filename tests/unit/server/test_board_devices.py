@@ -200,6 +200,8 @@ def test_an_fpga_manager_is_known_by_its_number(monkeypatch: pytest.MonkeyPatch,
     assert [BoardDevices(root).fpga_manager(name) for name in (None, "fpga0", "fpga12")] == [
         (0, root), (0, root), (12, root),
     ]  # fmt: skip
+    with pytest.raises(DeviceNotFound, match=r"no fpga_manager 'cm_icap0': their names are fpga0, fpga1, …"):
+        BoardDevices(root).fpga_manager("cm_icap0")
 
 
 # ---- a board that goes, is started anew, or sleeps ------------------------------------------------
