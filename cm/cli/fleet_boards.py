@@ -30,11 +30,12 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     show = verbs.add_parser("show", help="print everything that is in it, as it lies there")
     move = verbs.add_parser(
         "move",
-        help="copy the wanted state into another store, which must have none",
-        description="Copy the wanted state into another store, which must have none. Afterwards start the bridges, and "
+        help="copy the wanted state into another store",
+        description="Copy the wanted state into another store, which has none. Afterwards start the bridges, and "
         "whoever changes the fleet, with the new --store. The old one is left as it is; no change may be open in it.",
     )
     move.add_argument("to", metavar="TO", help="keeper, etcd's https://HOST:2379,…, or a file about etcd")
+    move.add_argument("--replace", action="store_true", help="also into one that has older state, which is gone then")
     for each in (show, move):
         add_fleet_options(each, run_store, boards=False)
 
@@ -91,7 +92,7 @@ def run_store(args: argparse.Namespace) -> int:
     """Show, or copy; the exit status."""
     with connected_fleet(args) as fleet:
         if args.verb == "move":
-            count = fleet.move_store(args.to)
+            count = fleet.move_store(args.to, args.replace)
             return answer(args, {"to": args.to, "values": count}, f"{count} values are in {args.to} now")
         print_json({name: entry.value for name, entry in fleet.stored().items()})
     return 0

@@ -232,6 +232,8 @@ def test_the_wanted_state_moves_to_another_store_and_back(
         assert main(["fleet", "store", "move", other.urls, *where]) == 0
         assert main(["fleet", "ls", *where[:2], "--store", other.urls]) == 0
         moved = capsys.readouterr().out
+        assert main(["fleet", "store", "move", store, *where[:2], "--store", other.urls, "--replace"]) == 0
+        capsys.readouterr()
         assert main(["fleet", "ls", *where]) == 0
         assert [line.split() for line in capsys.readouterr().out.splitlines()] == [
             line.split() for line in moved.splitlines()[1:]

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import fnmatch
 import getpass
 import os
@@ -11,7 +12,6 @@ import secrets
 import time
 from collections.abc import AsyncIterator, Generator, Iterable, Mapping
 from contextlib import asynccontextmanager, suppress
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import TracebackType
@@ -26,7 +26,19 @@ from cm.networks.fleet.coordinator import Coordinator, Course, Opening, Progress
 from cm.networks.fleet.errors import ChangeFailed, FleetRefused, NoSuchBoard
 from cm.networks.fleet.presence import Presence
 from cm.networks.fleet.queries import AWAY, SILENT, Answer
-from cm.networks.fleet.store import BOARDS, Entry, Put, Settings, StoreAway, StoreRefused, View, key, packed, views
+from cm.networks.fleet.store import (
+    BOARDS,
+    Entry,
+    Put,
+    Settings,
+    StoreAway,
+    StoreRefused,
+    View,
+    copied,
+    key,
+    packed,
+    views,
+)
 from cm.networks.fleet.zenoh_session import Network, from_environment, in_loop, member_of, opened_store, session
 from cm.wire import fleet as wire
 from cm.wire import topics
@@ -261,7 +273,7 @@ class Fleet:
         """A board's answer, or an error that says why there is none."""
         found = [each async for each in queries.answers(self.session, where, payload, beside, timeout)]
         if found:
-            return replace(found[0], board=board)
+            return dataclasses.replace(found[0], board=board)
         return Answer(board, error=SILENT if board in self._presence.boards else AWAY)
 
     # ---- the inventory --------------------------------------------------------------------------
@@ -298,26 +310,15 @@ class Fleet:
         """Everything in the store, as it lies there."""
         return await self._store.get("")
 
-    async def move_store(self, to: str) -> int:
-        """Copy the wanted state into another store, which must have none; how many values there were.
+    async def move_store(self, to: str, replace: bool = False) -> int:
+        """Copy the wanted state into another store; how many values there were.
 
-        Raises StoreRefused if a change is open, or the other is not empty.
+        `replace`: also into one that has some, such as that from which it was moved once; that is gone then. Raises
+        StoreRefused if a change is open in either, if the other is not empty or, with `replace`, if it is the newer.
         """
-        other = opened_store(replace(self._network, store=to), self.session, self.caller)
+        other = opened_store(dataclasses.replace(self._network, store=to), self.session, self.caller)
         try:
-            found = await self._store.get("")
-            known = views(found)
-            if any(view.open for view in known.values()):
-                raise StoreRefused("a change is open: wait for its end")
-            if await other.get(""):
-                raise StoreRefused(f"{to} has wanted state already")
-            kept = {k: entry.value for k, entry in found.items() if not k.endswith(("/claim", "/wanted"))}
-            for name, view in known.items():  # in the name of who moves it: a keeper lets nobody else's in
-                if view.wanted:
-                    kept[key(name, "wanted")] = packed(replace(view.wanted, by=self.caller))
-            for name, value in kept.items():  # one by one: a store bounds the length of a transaction
-                await other.txn({name: 0}, {name: Put(value)})
-            return len(kept)
+            return await copied(self._store, other, to, self.caller, replace)
         finally:
             await other.close()
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import AsyncIterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import Any, NamedTuple, Protocol
 
@@ -131,6 +131,7 @@ class View:
         return (self.revisions or {}).get(part, 0)
 
 
+_NEVER = Entry("0", 0)
 _KINDS: dict[str, Any] = {"settings": Settings, "wanted": Wanted, "claim": Claim}
 
 
@@ -154,6 +155,32 @@ def views(found: Mapping[str, Entry]) -> dict[str, View]:
             parts.setdefault(board, {})[part] = _unpacked(name, part, entry.value)
             revisions.setdefault(board, {})[part] = entry.revision
     return {board: View(revisions=revisions[board], **values) for board, values in sorted(parts.items())}
+
+
+async def copied(source: Store, target: Store, name: str, caller: str, over: bool) -> int:
+    """The wanted state into another store, which is called `name`, in its caller's name; how many values there are.
+
+    `over`: also into one that has some, which is not newer; broken off, it can be done again so. Raises StoreRefused.
+    """
+    found, there = await source.get(""), await target.get("")
+    known, last = views(found), int(there.get(GENERATION, _NEVER).value)
+    if any(view.open for view in (*known.values(), *views(there).values())):
+        raise StoreRefused("a change is open: wait for its end")
+    if there and not over:
+        raise StoreRefused(
+            f"{name} has wanted state already, up to generation {last}: --replace puts this in its place"
+        )
+    if last > (newest := int(found.get(GENERATION, _NEVER).value)):
+        raise StoreRefused(f"{name} has wanted state up to generation {last}, newer than the {newest} here")
+    kept = {k: entry.value for k, entry in found.items() if not k.endswith(("/claim", "/wanted"))}
+    for board, view in known.items():  # in the name of who moves it: a keeper lets nobody else's in
+        if view.wanted:
+            kept[key(board, "wanted")] = packed(replace(view.wanted, by=caller))
+    puts = {**dict.fromkeys(there), **{k: Put(value) for k, value in kept.items()}}
+    for k, put in puts.items():  # one by one: a store bounds the length of a transaction
+        if not await target.txn({k: there[k].revision if k in there else 0}, {k: put}):
+            raise StoreRefused(f"{name}: somebody else writes {k}: --replace begins again")
+    return len(kept)
 
 
 def _unpacked(name: str, part: str, text: str) -> Any:
