@@ -181,7 +181,7 @@ def _until(statuses: Iterator[tuple[str, BoardStatus | None]], board: str, wante
 def test_a_board_whose_manager_is_down_is_told_to_be_gone(
     boards: Boards, fleet: Fleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cm.networks.fleet.aio._SILENCE", 2.0)
+    monkeypatch.setattr("cm.networks.fleet.presence._SILENCE", 2.0)
     with fleet.watch("c3") as statuses:
         next(each for each in statuses if each[1] is not None)
         boards["c3"].manager.stop()

@@ -39,7 +39,7 @@ from cm.networks.fleet.store import (
     packed,
     views,
 )
-from cm.networks.fleet.zenoh_session import Network, from_environment, in_loop, member_of, opened_store, session
+from cm.networks.fleet.zenoh_session import Network, from_environment, member_of, opened_store, session
 from cm.wire import fleet as wire
 from cm.wire import topics
 from cm.wire.encode import decode_event, decode_plan, decode_registers, decode_reply, encode_request
@@ -48,8 +48,6 @@ from cm.wire.messages.status import ErrorInfo, FrameInfo, PlanInfo, RegValues
 
 ALL = ("*",)  # boards
 ABSENT = ("refuse", "wait", "go-on")
-_WAITING = 1000  # statuses
-_SILENCE = 10.0  # seconds without a status after which a board counts as gone, as a bridge does that hangs
 _LOOK = 0.05  # seconds between two looks at who is there
 
 
@@ -199,45 +197,8 @@ class Fleet:
 
         If more than a thousand wait to be read, the oldest are lost.
         """
-        come: asyncio.Queue[tuple[str, bytes | None]] = asyncio.Queue()
-        heard: dict[str, float] = {}  # when, of each board
-
-        def put(board: str, status: bytes | None) -> None:
-            if status is None:
-                heard.pop(board, None)
-            else:
-                heard[board] = time.monotonic()
-            if come.qsize() >= _WAITING:
-                come.get_nowait()
-            come.put_nowait((board, status))
-
-        def gone(board: str) -> None:
-            if boards in ("*", board):
-                put(board, None)
-
-        async def each() -> AsyncIterator[tuple[str, BoardStatus | None]]:
-            while True:
-                board, status = await come.get()
-                yield board, None if status is None else wire.board_status(status)
-
-        async def look() -> None:
-            while True:
-                await asyncio.sleep(_SILENCE / 10)
-                silent = time.monotonic() - _SILENCE
-                for board in [name for name, at in heard.items() if at < silent]:
-                    put(board, None)
-
-        tell, looking = in_loop(put), asyncio.create_task(look())
-        subscriber = self.session.declare_subscriber(
-            keys.key(boards, "status"), lambda each: tell(keys.board_of(str(each.key_expr)), bytes(each.payload))
-        )
-        self._presence.gone.add(gone)
-        try:
-            yield each()
-        finally:
-            self._presence.gone.discard(gone)
-            subscriber.undeclare()
-            looking.cancel()
+        async with self._presence.statuses(self.session, boards) as statuses:
+            yield statuses
 
     async def _each(self, rest: str, boards: str | Iterable[str], timeout: float = 0.0) -> dict[str, Answer]:
         """An answer for each board; one that is absent or does not answer gets an error that says so."""

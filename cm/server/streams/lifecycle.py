@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from enum import Enum
 from types import MappingProxyType
@@ -137,6 +138,9 @@ class StreamOverrides:
         self._runs.clear()
 
 
+_REST = 0.9  # seconds after which a stream that could not be opened is due again; we are asked once a second
+
+
 class StreamLifecycle:
     """The streams of the loaded mode, their phases, and their overrides."""
 
@@ -146,6 +150,7 @@ class StreamLifecycle:
         self.streams: Mapping[str, Stream] = {}
         self._overrides = StreamOverrides()
         self._phases: dict[str, StreamPhase] = {}
+        self._not_before: dict[str, float] = {}  # by stream of this mode that could not be opened
 
     def phase(self, name: str) -> StreamPhase:
         """Return a stream's phase; an unknown stream is closed."""
@@ -167,6 +172,7 @@ class StreamLifecycle:
             self._overrides.mode_changed()
         before, self.streams = self.streams, {n: self._overrides.of(s) for n, s in streams.items()}
         self.config, self.mode = config, mode
+        self._not_before.clear()
         for name in self._in(_P.HELD, _P.HELD_STALLED):
             self.after(name, _E.RELEASE)
         return [name for name in self._in(_P.OPEN) if self.streams.get(name) != before.get(name)]
@@ -182,8 +188,15 @@ class StreamLifecycle:
         """Yield the streams to open and to close now."""
         for name, stream in list(self.streams.items()):
             event = decide(self.phase(name), self.is_wanted(stream, users(stream)))
-            if event is not None:
+            if event is _E.CLOSE or (event is _E.OPEN and time.monotonic() >= self._not_before.get(name, 0.0)):
                 yield event, stream
+
+    def could_not_open(self, name: str) -> None:
+        """Note that a stream could not be opened: it is due again after a while, or in another mode.
+
+        Its closing would otherwise be an event upon which it is asked for at once.
+        """
+        self._not_before[name] = time.monotonic() + _REST
 
     def is_wanted(self, stream: Stream, users: Users) -> bool:
         """Whether a stream shall run if it can."""

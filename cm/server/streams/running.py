@@ -13,7 +13,6 @@ import os
 import select
 import socket
 import sys
-import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
@@ -118,12 +117,20 @@ TakeSteps = Callable[[OpenStream, Iterator[None], Callable[[CmError | OSError], 
 class ZmqClients:
     """The daemon's own clients for ZeroMQ: at most one per stream, made when it is needed."""
 
-    def __init__(self, loop: Loop, plane: Plane, deliver: Callable[[Frame], None], take_steps: TakeSteps) -> None:
+    def __init__(
+        self,
+        loop: Loop,
+        plane: Plane,
+        deliver: Callable[[Frame], None],
+        take_steps: TakeSteps,
+        on_error: Callable[[ErrorInfo], None],
+    ) -> None:
         """`take_steps` takes the steps by which a client joins a stream; it passes an error to the function given."""
         self._loop = loop
         self._plane = plane
         self._deliver = deliver
         self._take_steps = take_steps
+        self._on_error = on_error
         self._clients: dict[str, ZmqReader | ZmqWriter] = {}
 
     def reader(self, opened: OpenStream) -> ZmqReader:
@@ -147,10 +154,13 @@ class ZmqClients:
         self._take_steps(opened, made.steps, lambda error: self._refused(opened, made, error))
 
     def _refused(self, opened: OpenStream, made: ZmqReader | ZmqWriter, error: CmError | OSError) -> None:
-        """There are no slots for this client: its waiting requests get the error."""
+        """There are no slots for this client: its waiting requests get the error, and subscribers find it reported."""
         if self._clients.get(opened.stream.name) is made:
             del self._clients[opened.stream.name]
             made.close(error)
+            if opened.holders.started:  # otherwise it is the stream that cannot be opened, which is reported as that
+                name = opened.stream.name
+                self._on_error(ErrorInfo("no_slots", f"frames of {name!r} do not pass over ZeroMQ: {error}"))
 
     def busy(self, name: str) -> bool:
         """Whether a single read or write is under way, or was a moment ago."""
@@ -237,7 +247,6 @@ class Subscribers(Protocol):
 
 _LOG = logging.getLogger(__name__)
 _EVENTS = 32  # of the plane that are taken in one turn of the loop
-_REST = 0.9  # seconds after which a stream that could not be opened is tried again; we are asked once a second
 
 
 class RunningStreams:
@@ -266,9 +275,8 @@ class RunningStreams:
         self.open: dict[str, OpenStream] = {}
         self._totals = StreamTotals()
         self.failures: dict[str, ErrorInfo] = {}  # by stream of this mode: why it last failed
-        self.not_before: dict[str, float] = {}  # by stream of this mode that could not be opened
         self.locals = LocalClients(self.plane, on_error)
-        self.zmq = ZmqClients(loop, self.plane, subscribers.frame, self._take)
+        self.zmq = ZmqClients(loop, self.plane, subscribers.frame, self._take, on_error)
         self._steps = steps
         self._stalled = StalledChannels(devices.probe_dma)
         loop.add(self.plane.fileno(), self._plane_event)
@@ -286,7 +294,7 @@ class RunningStreams:
         for event, stream in self._lifecycle.due(self.users):
             if event is StreamEvent.CLOSE:
                 self.stop(stream.name)
-            elif time.monotonic() >= self.not_before.get(stream.name, 0.0):  # closing it is an event too
+            else:
                 self._start_quietly(stream)
         for opened in list(self.open.values()):
             self.zmq.refresh(opened, self.has_subscriber(opened.stream))
@@ -426,7 +434,7 @@ class RunningStreams:
             self._unopened(stream.name, error)
 
     def _unopened(self, name: str, error: CmError | OSError, told: bool = False) -> None:
-        self.not_before[name] = time.monotonic() + _REST
+        self._lifecycle.could_not_open(name)
         if told:
             return
         code = error.code if isinstance(error, CmError) else "device_error"
@@ -528,7 +536,6 @@ class Streams:
             self._driver.stop(name)
         self._idle.clear()
         self._driver.failures.clear()
-        self._driver.not_before.clear()
         for opened in self._driver.open.values():
             opened.label(config.name if config else "", mode or "")
         self.refresh()

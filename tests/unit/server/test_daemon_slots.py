@@ -354,22 +354,26 @@ def test_if_a_slot_cannot_be_allocated_half_way_all_are_freed(
 def test_if_a_slot_cannot_be_allocated_other_readers_go_on(
     slots: Allocator, camera: Daemon, client: Callable[..., Client]
 ) -> None:
-    other = client(camera, Open("camera", depth=4))
+    other = client(camera, Open("camera", depth=32))
     reads(other)
     had, used = camera.stream("camera").slots, memory(camera)
     slots.fails_at = 40
-    assert client(camera, Open("camera", depth=60)).refusal()[0] == "no_slots"
+    assert client(camera, Open("camera", depth=30)).refusal()[0] == "no_slots"
+    slots.fails_at = 0
+    subscriber = Subscriber(camera, b"cm_stream/camera")
+    until(lambda: "frames of 'camera' do not pass over ZeroMQ" in str(camera.status.last_error))
+    subscriber.close()
     until(lambda: camera.stream("camera").slots == had)
     until(lambda: memory(camera) < used + SPARE)
     reads(other)
     slots.fails_at = 1 << 20
-    assert client(camera, Open("camera", depth=60)).geometry().depth == 60
+    assert client(camera, Open("camera", depth=30)).geometry().depth == 30
 
 
 def test_if_a_stream_gets_no_slots_at_all_everyone_is_told_why_and_it_is_tried_again_after_a_while(
     slots: Allocator, camera: Daemon, client: Callable[..., Client], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cm.server.streams.running._REST", 3600.0)
+    monkeypatch.setattr("cm.server.streams.lifecycle._REST", 3600.0)
     until(lambda: closed(camera))
     camera.done(ConfigureStream("camera", slots=4))
     made, slots.fails_at = slots.all, 3
@@ -383,7 +387,7 @@ def test_if_a_stream_gets_no_slots_at_all_everyone_is_told_why_and_it_is_tried_a
     assert (code, "no memory for DMA" in message) == ("device_error", True), message
     code, message = camera.refused(rq.ReadData("camera", 30.0))
     assert (code, "no memory for DMA" in message) == ("device_error", True), message
-    monkeypatch.setattr("cm.server.streams.running._REST", 0.0)
+    monkeypatch.setattr("cm.server.streams.lifecycle._REST", 0.0)
     camera.load("colorise")  # which forgets it
     slots.fails_at = 1 << 20
     until(lambda: camera.stream("camera").open)
