@@ -22,6 +22,7 @@ from cm.schema import loads
 from cm.schema.model import Config
 from cm.server.bitstream_and_overlay_files import BoardFiles
 from cm.server.devices import BoardDevices
+from cm.simulation.software import Board as SimBoard
 from cm.wire.messages.requests import ChangeMode, CheckRegion
 from cm.wire.messages.status import RegValues
 
@@ -292,6 +293,30 @@ def make_rig(
     env = Environment(faulty, opened, journal, nobody, clock, nobody, settings)
     known = {config.name: config for config in configs or (camera(),)}
     return Rig(Manager(known, env), devices, faulty, fault, nobody, journal, clock, opened)
+
+
+def place_of(made: Rig, sim: SimBoard, configs: Mapping[str, Config]) -> str:
+    """The board's mode as config/mode, "" for none; manager, streams and board must agree, as far as all is known."""
+    status, board, held = made.manager.status(), made.manager.state, sim.control.state()
+    assert not status.fpga_busy
+    assert made.data_plane.runs[1:] == (board.mode, board.modules)
+    assert board.mode is None or made.data_plane.runs[0] == board.config
+    if board.static_lost:
+        assert not status.config_name
+        return ""
+    for name, region in board.regions.items():
+        assert region.phase.value in ("ready", "failed", "unknown"), (name, region)
+        real = held["regions"][name]
+        if region.phase.value == "ready":
+            assert (real["module"], real["decoupled"]) == (region.module, False), name
+        assert region.phase.value != "failed" or real["decoupled"], name
+    assert sorted(held["overlays"]) == sorted(o.name for o in board.overlays)
+    if not (board.config and board.mode):
+        return ""
+    config = configs[board.config]
+    there = {name: region.module for name, region in board.regions.items() if region.phase.value == "ready"}
+    modules = [config.modules[name] for name in config.modes[board.mode].modules]
+    return f"{board.config}/{board.mode}" if all(there.get(m.region) == m.name for m in modules) else ""
 
 
 def killed_at(

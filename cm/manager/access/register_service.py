@@ -20,7 +20,6 @@ from cm.manager.access.register_view import (
     find,
     is_free,
     place_of,
-    plainly,
     split_name,
 )
 from cm.manager.errors import AccessDenied, NothingLoaded, RegionBusy, listed
@@ -223,13 +222,9 @@ class RegisterService:
         checked = []
         for write in writes:
             place = known.get(write.name) or self._find(view, write.name)
-            checked.append(plainly(place, write) or self._checked(view, place, write))
+            checked.append(checked_write(place, write))
         self._check_leases(checked, lease)
         return checked
-
-    def _checked(self, view: View, place: Place, write: RegWrite) -> Checked:
-        _, value, mask = checked_write(view.registers, write, lambda: self._elsewhere(write.name, view.registers))
-        return place, value, mask
 
     def _do(self, view: View, checked: list[Checked]) -> RegValues:
         for place, _, _ in checked:

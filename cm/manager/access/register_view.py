@@ -23,12 +23,8 @@ def split_name(name: str) -> tuple[str, str | None]:
     return register, field if dot else None
 
 
-def _nowhere() -> str:
-    return ""
-
-
 def find(
-    registers: Mapping[str, Register], name: str, elsewhere: Callable[[], str] = _nowhere
+    registers: Mapping[str, Register], name: str, elsewhere: Callable[[], str]
 ) -> tuple[Register, BitField | None]:
     """The register, and the field if one is named.
 
@@ -48,46 +44,6 @@ def find(
             f"register {register_name!r} has no field {field_name!r}{hint(field_name, register.fields)}"
         )
     return register, field
-
-
-def checked_write(
-    registers: Mapping[str, Register], write: RegWrite, elsewhere: Callable[[], str] = _nowhere
-) -> tuple[Register, int, int]:
-    """A write → register, value, mask in the register's place; refuses what must not be written.
-
-    Raises UnknownRegister, AccessDenied or OutOfRange; nothing was touched.
-    """
-    register, field = find(registers, write.name, elsewhere)
-    if register.access is Access.RO:
-        raise AccessDenied(f"register {register.name!r} is read-only")
-    full = (1 << register.width) - 1
-    if write.named:
-        write = _by_name(write, field)
-    if field is not None:
-        if field.access in _READ_ONLY:
-            raise AccessDenied(f"field {write.name!r} is read-only")
-        limit = (1 << field.width) - 1
-        if write.mask is not None:
-            raise InvalidRequest(f"{write.name!r} is a field: give a value or a mask, not both")
-        in_range(write.name, write.value, 0, limit)
-        return register, write.value << field.lsb, field.mask
-    in_range(write.name, write.value, 0, full)
-    if write.mask is None or write.mask == full:
-        in_range(write.name, write.value, register.minimum or 0, full if register.maximum is None else register.maximum)
-        return register, write.value, full
-    if not 0 <= write.mask <= full:
-        raise OutOfRange(f"register {write.name!r}: mask {write.mask:#x} does not fit {register.width} bits")
-    return register, write.value & write.mask, write.mask
-
-
-def _by_name(write: RegWrite, field: BitField | None) -> RegWrite:
-    """A write that names a value, with the value in numbers. Raises OutOfRange."""
-    names = field.values if field is not None else {}
-    if not names:
-        raise OutOfRange(f"register {write.name!r} takes an integer, not {write.named!r}: its values have no names")
-    if write.named not in names:
-        raise OutOfRange(f"register {write.name!r} has no value {write.named!r}{hint(write.named, names)}")
-    return RegWrite(write.name, names[write.named], write.mask)
 
 
 def in_range(name: str, value: int, low: int, high: int) -> None:
@@ -136,14 +92,37 @@ def place_of(register: Register, field: BitField | None) -> Place:
     return Place(register, field, *where, low, high, lsb, mask, register.kept, clears, shown)
 
 
-def plainly(place: Place, write: RegWrite) -> Checked | None:
-    """A write of a number that is allowed; None for all other writes, whatever is wrong with them.
-
-    `register_names.checked_write` gives the same result in four times the time.
-    """
+def checked_write(place: Place, write: RegWrite) -> Checked:
+    """A write that is allowed. Raises AccessDenied, OutOfRange or InvalidRequest; nothing was touched."""
     if write.mask is None and not write.named and place.low <= write.value <= place.high:
-        return place, write.value << place.lsb, place.mask
-    return None
+        return place, write.value << place.lsb, place.mask  # the usual case
+    register, field = place.register, place.field
+    if register.access is _RO:
+        raise AccessDenied(f"register {register.name!r} is read-only")
+    if write.named:
+        write = _by_name(write, field)
+    if field is not None and field.access in _READ_ONLY:
+        raise AccessDenied(f"field {write.name!r} is read-only")
+    if field is not None and write.mask is not None:
+        raise InvalidRequest(f"{write.name!r} is a field: give a value or a mask, not both")
+    mask = place.mask if write.mask is None else write.mask
+    if mask == place.mask:
+        in_range(write.name, write.value, place.low, place.high)
+        return place, write.value << place.lsb, mask
+    in_range(write.name, write.value, 0, place.mask)
+    if not 0 <= mask <= place.mask:
+        raise OutOfRange(f"register {write.name!r}: mask {mask:#x} does not fit {register.width} bits")
+    return place, write.value & mask, mask
+
+
+def _by_name(write: RegWrite, field: BitField | None) -> RegWrite:
+    """A write that names a value, with the value in numbers. Raises OutOfRange."""
+    names = field.values if field is not None else {}
+    if not names:
+        raise OutOfRange(f"register {write.name!r} takes an integer, not {write.named!r}: its values have no names")
+    if write.named not in names:
+        raise OutOfRange(f"register {write.name!r} has no value {write.named!r}{hint(write.named, names)}")
+    return RegWrite(write.name, names[write.named], write.mask)
 
 
 class View:

@@ -94,22 +94,6 @@ def test_whichever_operation_fails_the_region_is_as_the_status_says(made: Rig, s
     assert {"gpio.open", "gpio.drive", "gpio.read", "icap.load", "journal.write"} <= failed
 
 
-def test_under_persistent_failures_a_region_is_as_the_status_says(made: Rig, sim: SimBoard) -> None:
-    ends = set()
-    for number in range(0, 60, 2):
-        assert made.go("default", config="emio") is None
-        made.arm(number, times=10_000)
-        error = made.go("other", config="emio")
-        made.arm(-1)
-        if error is None:
-            break
-        board = regions(sim)
-        for region in made.manager.status().regions:
-            assert region.state != "ready" or board[region.name] == (region.module, False), f"{number}: {error}"
-            ends.add(region.state)
-    assert "failed" in ends
-
-
 def test_a_line_that_does_not_follow_loads_nothing(made: Rig, sim: SimBoard) -> None:
     before = sim.control.state()["loads"]
     sim.control.inject("gpio_stuck", "zynq_gpio:54")

@@ -12,7 +12,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from manager_support import Rig, killed_at, rig
+from manager_support import Rig, killed_at, place_of, rig
 
 from cm.schema.model import Config
 from cm.simulation.software import Board as SimBoard
@@ -26,26 +26,6 @@ def go(made: Rig, place: str) -> str:
     config, _, mode = place.partition("/")
     error = made.go(mode, config=config)
     return error.code if error else ""
-
-
-def where(made: Rig, sim: SimBoard, configs: dict[str, Config]) -> str:
-    """The mode in which the manager says the board is; its regions and overlays are checked."""
-    state, held = made.manager.state, sim.control.state()
-    assert not made.manager.status().fpga_busy
-    if state.static_lost:
-        return ""
-    for name, region in state.regions.items():
-        assert region.phase.value in ("ready", "failed", "unknown"), (name, region)
-        real = held["regions"][name]
-        if region.phase.value == "ready":
-            assert (real["module"], real["decoupled"]) == (region.module, False), name
-    assert sorted(held["overlays"]) == sorted(o.name for o in state.overlays)
-    if not (state.config and state.mode):
-        return ""
-    config = configs[state.config]
-    there = {name: region.module for name, region in state.regions.items() if region.phase.value == "ready"}
-    modules = [config.modules[name] for name in config.modes[state.mode].modules]
-    return f"{state.config}/{state.mode}" if all(there.get(m.region) == m.name for m in modules) else ""
 
 
 @pytest.mark.parametrize("seed", [SEED, SEED + 1])
@@ -62,7 +42,7 @@ def test_the_board_is_where_the_manager_says_it_is(
             killed_at(sim.root, tmp_path, configs.values(), (config, mode), chance.randrange(60))
         with rig(sim.root, tmp_path, *configs.values()) as made:
             made.manager.wait_idle()
-            before = where(made, sim, configs)
+            before = place_of(made, sim, configs)
             for _ in range(10):
                 goal = chance.choice(places)
                 if chance.random() < 0.6:
@@ -70,7 +50,7 @@ def test_the_board_is_where_the_manager_says_it_is(
                 code = go(made, goal)
                 said = f"seed {seed}: from {before} to {goal}, {made.fault.at, made.fault.times}: {code}"
                 made.arm(-1)
-                end = where(made, sim, configs)
+                end = place_of(made, sim, configs)
                 assert code or end == goal, said
                 assert code in ("", "undo_failed") or not before or end == before, said
                 before = end

@@ -46,7 +46,7 @@ def test_an_image_of_the_whole_device_is_loaded_again_before_anything_is_accesse
     assert made.go("full", config="whole") is None
     done = slept(made)
     assert "fpga_manager.load" in done
-    assert not [name for name in done[: done.index("fpga_manager.load")] if name.startswith("window")]
+    assert not [name for name in done[: done.index("fpga_manager.load")] if name.startswith("uio")]
     state = made.manager.state
     assert (state.config, state.mode, state.static_lost) == ("whole", "full", False)
 

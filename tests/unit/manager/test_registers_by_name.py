@@ -19,7 +19,7 @@ from cm.manager.inputs import Window
 from cm.manager.state.board_state import BoardState, RegionPhase, RegionState
 from cm.manager.state.journal import ManagerState
 from cm.schema import loads
-from cm.schema.model import Access, Register
+from cm.schema.model import Access, Memory, Register
 from cm.wire.messages.requests import RegWrite, TakeLease
 from cm.wire.messages.status import RegValue, RegValues
 
@@ -56,9 +56,11 @@ config:
 """)
 CELLS = {0x1000: 0xA3, 0x1004: 5, 0x1008: 0x77, 0x1014: 0x1B, 0x2000: 7, 0x3000: 8, 0x1040: 6}
 
+MAP = 3
+
 
 class Cells:
-    """A device that records its accesses."""
+    """A device that records its accesses, all of which are to one of its maps."""
 
     def __init__(self, cells: Mapping[int, int]) -> None:
         self.cells, self.done = dict(cells), list[tuple[str, int, int]]()
@@ -67,13 +69,24 @@ class Cells:
     def window(self, address: int, width: int) -> Window:
         if address in self.missing:
             raise DeviceNotFound(2, "nothing there")
-        return Window(self, 0, address)  # type: ignore[arg-type]
+        return Window(self, MAP, address)  # type: ignore[arg-type]
 
     def read(self, offset: int, width: int = 32, number: int = 0) -> int:
+        assert number == MAP
         self.done.append(("read", offset, width))
         return self.cells.get(offset, 0)
 
+    def read_block(self, offset: int, length: int, number: int = 0) -> bytearray:
+        return bytearray(
+            b"".join(self.read(at, 32, number).to_bytes(4, "little") for at in range(offset, offset + length, 4))
+        )
+
+    def write_block(self, offset: int, data: memoryview, number: int = 0) -> None:
+        for at in range(0, len(data), 4):
+            self.write(offset + at, int.from_bytes(data[at : at + 4], "little"), 32, number)
+
     def write(self, offset: int, value: int, width: int = 32, number: int = 0) -> None:
+        assert number == MAP
         self.done.append(("write", offset, value))
         self.cells[offset] = value
 
@@ -148,6 +161,13 @@ def test_other_bits_of_what_cannot_be_read_are_those_last_written_or_none(
     assert device.done == done
     if access is Access.WO:
         assert refused(lambda: RegisterBus(device).read(register)) == (AccessDenied, "register 'r' is write-only")
+
+
+def test_a_block_is_moved_from_its_place_in_the_map_of_its_window() -> None:
+    device: Any = Cells({})
+    bus, memory = RegisterBus(device), Memory("block", 0x1000, 64, 0)
+    bus.write_block(memory, 8, memoryview(b"abcdefgh"))
+    assert (bus.read_block(memory, 12, 4), device.cells.keys()) == (b"efgh", {0x1008, 0x100C})
 
 
 def test_what_was_written_before_is_kept_where_it_cannot_be_read(bench: Bench) -> None:
@@ -339,16 +359,16 @@ def test_registers_that_reading_leaves_alone_are_offered_with_their_fields(bench
     bench.service.offer(("light", "ident", "loop", "secret", "depth", "flags", "door", "gain", "unknown"), table)
     everything = 0, (1 << 64) - 1
     assert table.told == {
-        "light": ((0, 0x1014, 32), everything),
-        "light.on": ((0, 0x1014, 32), (0, 1)),
-        "light.colour": ((0, 0x1014, 32), (1, 14)),
-        "light.seen": ((0, 0x1014, 32), (4, 16)),
-        "light.begin": ((0, 0x1014, 32), (5, 32)),
-        "ident": ((0, 0x1008, 32), everything),
-        "ident.low": ((0, 0x1008, 32), (0, 15)),
-        "door": ((0, 0x1020, 32), everything),
-        "door.shut": ((0, 0x1020, 32), (0, 1)),
-        "gain": ((0, 0x2000, 32), everything),  # though the device of `flags` is not there
+        "light": ((MAP, 0x1014, 32), everything),
+        "light.on": ((MAP, 0x1014, 32), (0, 1)),
+        "light.colour": ((MAP, 0x1014, 32), (1, 14)),
+        "light.seen": ((MAP, 0x1014, 32), (4, 16)),
+        "light.begin": ((MAP, 0x1014, 32), (5, 32)),
+        "ident": ((MAP, 0x1008, 32), everything),
+        "ident.low": ((MAP, 0x1008, 32), (0, 15)),
+        "door": ((MAP, 0x1020, 32), everything),
+        "door.shut": ((MAP, 0x1020, 32), (0, 1)),
+        "gain": ((MAP, 0x2000, 32), everything),  # though the device of `flags` is not there
     }
 
     def hangs(*_: object) -> None:
