@@ -134,15 +134,6 @@ def test_pr_mode_says_what_kind_of_change_runs_and_that_it_failed(made: Rig, sim
     assert made.manager.status().pr_mode.value == "error"
 
 
-def test_a_change_tells_where_it_goes_from_its_beginning_on(made: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[Progress | None] = []
-    monkeypatch.setattr(made.data_plane, "progressed", lambda: told.append(made.manager.status().progress))
-    at(made, "duo/default")
-    assert {(told.target_config, told.target_mode) if told else None for told in told} == {("duo", "default")}
-    assert next(told.step for told in told if told) == "validate"
-    assert made.manager.status().progress is None
-
-
 def test_a_lost_static_part_is_not_accessed_and_takes_no_partial_bitstream(made: Rig, sim: SimBoard) -> None:
     """What the boot loader had loaded cannot be restored: only a whole image helps."""
     at(made, "duo/default")
@@ -171,17 +162,6 @@ def test_what_is_lost_is_still_known_after_a_restart(
         assert any("full image" in note for note in again.notes)
         assert error_of(again, "duo/default") == "static_unknown"
         at(again, "whole/default")
-
-
-def test_a_whole_image_by_overlay_is_refused_before_anything_is_touched(
-    sim: SimBoard, configs: dict[str, Config], tmp_path: Path
-) -> None:
-    wrong = replace(configs["whole"], loader=LoaderKind.OVERLAY)
-    with rig(sim.root, tmp_path, configs["duo"], wrong) as made:
-        at(made, "duo/default")
-        assert error_of(made, "whole/default") == "load_failed"
-        assert made.manager.status().mode == "default"
-        assert set(made.fault.names) == {"journal.write"}
 
 
 # ---- overlays -----------------------------------------------------------------------
@@ -568,7 +548,11 @@ def refused(sim: SimBoard, config: Config, folder: Path, mode: str = "default") 
         return code
 
 
-def test_what_is_wrong_with_a_bitstream_is_found_before_anything_is_touched(sim: SimBoard, tmp_path: Path) -> None:
+def test_what_is_wrong_with_a_bitstream_is_found_before_anything_is_touched(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
+    whole = replace(configs["whole"], loader=LoaderKind.OVERLAY)
+    assert refused(sim, whole, tmp_path) == "load_failed"
     duo = custom(sim, DUO, tmp_path / "duo")
     folder = tmp_path / "duo"
     wrong = {**duo.modules, "a0": replace(duo.modules["a0"], sha256="0" * 64)}
@@ -878,6 +862,7 @@ def test_each_step_is_told_with_how_far_it_is_and_counted(made: Rig, monkeypatch
     made.data_plane.calls.clear()
     plan = made.manager.plan(ChangeMode("duo", "both"))
     at(made, "duo/both")
+    assert (told[0].step, made.manager.status().progress) == ("validate", None)
     assert all((one.change, one.target_config, one.target_mode) == (2, "duo", "both") for one in told)
     begun = [one for one in told[1:] if not one.bytes_done]
     assert [(one.step, one.subject, one.bytes_total) for one in begun] == [

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from manager_support import Rig, camera, make_rig, rig
+from manager_support import Rig, camera, make_rig, place_of, rig
 
 from cm.simulation.software import Board as SimBoard
 
@@ -37,20 +37,10 @@ def truth(sim: SimBoard) -> dict[str, object]:
 
 
 def settled(made: Rig, sim: SimBoard) -> str:
-    """Where the board is, a mode or ``cut off``; checks that the manager says the same."""
-    status, held = made.manager.status(), truth(sim)
-    region = next(r for r in status.regions if r.name == "prr0")
-    assert not status.fpga_busy
-    if region.state == "ready":
-        assert held["decoupled"] is False
-        assert held["module"] == region.module
-        expected = {"default": "default", "edge_detection": "edge"}[status.mode]
-        assert region.module == expected
-        return status.mode
-    assert region.state == "failed"
-    assert status.last_error is not None
-    assert "prr0" in status.last_error.message
-    return "cut off"
+    """Where the board is, a mode or ``cut off``, which is told."""
+    place, error = place_of(made, sim, {"camera": camera()}), made.manager.status().last_error
+    assert place or (error is not None and "prr0" in error.message)
+    return place.removeprefix("camera/") or "cut off"
 
 
 def operations(made: Rig) -> int:
