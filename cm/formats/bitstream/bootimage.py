@@ -14,8 +14,8 @@ _SYNC_LITTLE = bytes.fromhex("665599aa")
 SEARCH = 1 << 16  # bytes: in a plain .bin the sync word stands within the first few hundred
 
 
-def find_sync(data: memoryview, start: int, end: int) -> tuple[int, bool]:
-    """Return where the first word-aligned sync word is, and whether it is swapped; -1 if there is none."""
+def find_sync(data: memoryview, start: int, end: int) -> tuple[int, bool] | None:
+    """Return where the first word-aligned sync word is, and whether it is swapped."""
     found = []
     window = bytes(data[start:end])
     for pattern, swapped in ((_SYNC_BIG, False), (_SYNC_LITTLE, True)):
@@ -24,13 +24,13 @@ def find_sync(data: memoryview, start: int, end: int) -> tuple[int, bool]:
             at = window.find(pattern, at + 1)
         if at >= 0:
             found.append((start + at, swapped))
-    return min(found, default=(-1, False))
+    return min(found, default=None)
 
 
 def whole_words(data: memoryview) -> tuple[memoryview, int]:
     """Return the words of `data`, and how many bytes of one more there are."""
     rest = len(data) % 4
-    return (data[: len(data) - rest], rest) if rest else (data, 0)
+    return data[: len(data) - rest], rest
 
 
 _PADDING = {bytes([255] * 4), bytes.fromhex("000000bb"), bytes.fromhex("11220044")}
@@ -107,20 +107,22 @@ def _boot_stream(data: memoryview) -> tuple[int, int, bool, bool]:
     """Return where the bitstream begins and ends, whether it is swapped, and whether it is encrypted."""
     headers = list(_headers(data))
     for begin, end, encrypted in _partitions(data, headers):
-        sync, swapped = find_sync(data, begin, min(begin + SEARCH, end))
-        if sync >= 0 or encrypted:
-            return begin, end, swapped if sync >= 0 else True, encrypted
+        sync = find_sync(data, begin, min(begin + SEARCH, end))
+        if sync or encrypted:
+            return begin, end, sync is None or sync[1], encrypted
     if headers:
         raise NoSync(f"a boot image of {len(headers)} partitions, none of which is a bitstream for the PL")
     # No table, or a damaged one: the first sync word behind the header, and all that follows.
-    sync, swapped = find_sync(data, _BOOT_HEADER, len(data))
-    if sync < 0:
+    sync = find_sync(data, _BOOT_HEADER, len(data))
+    if sync is None:
         raise NoSync("a boot image without a bitstream partition: no sync word after its header")
-    return _begin_of_stream(data, sync, swapped), len(data), swapped, _key_source(data) != 0
+    return _begin_of_stream(data, *sync), len(data), sync[1], _key_source(data) != 0
 
 
 def find_bitstream(data: memoryview) -> BootStream:
     """Find the bitstream of a boot image, without the zeros at its end. Raises `NoSync`."""
     begin, end, swapped, encrypted = _boot_stream(data)
-    length = end - begin if encrypted else len(bytes(data[begin:end]).rstrip(b"\0"))
-    return BootStream(begin, min(end, begin + -(-length // 4) * 4), swapped, encrypted)
+    if not encrypted:
+        length = len(bytes(data[begin:end]).rstrip(b"\0"))
+        end = begin + length + -length % 4
+    return BootStream(begin, end, swapped, encrypted)

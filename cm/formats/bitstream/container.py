@@ -26,9 +26,8 @@ _KINDS = 0x28, {0x46504449, 0x50504449}  # FPDI, PPDI: what the table says that 
 _ID_CODE, _PDI_ID, _PARENT_ID, _EXTENDED = 0x18, 0x20, 0x24, 0x44
 
 
-def _word(table: memoryview, at: int) -> int:
-    word: int = struct.unpack_from("<I", table, at)[0]
-    return word
+def _word(data: memoryview, at: int) -> int:
+    return int.from_bytes(data[at : at + 4], "little")
 
 
 def _is_table(table: memoryview) -> bool:
@@ -39,7 +38,7 @@ def _is_table(table: memoryview) -> bool:
 def _find_table(data: memoryview) -> memoryview | None:
     at, signature = _SIGNATURE
     if bytes(data[at : at + len(signature)]) == signature:
-        begin = _word(data, _TABLE_AT) if len(data) >= _TABLE_AT + 4 else len(data)
+        begin = _word(data, _TABLE_AT)
         return data[begin : begin + _TABLE]
     return data[:_TABLE] if _is_table(data[:_TABLE]) else None  # a partial one has no boot header
 
@@ -150,7 +149,7 @@ def check_head(head: memoryview) -> None:
 
 
 def _text(data: memoryview) -> str:
-    return bytes(data).decode("utf-8", "surrogateescape")
+    return bytes(data).decode(errors="surrogateescape")
 
 
 def _text_field(data: memoryview, at: int, key: str) -> tuple[str, int]:
@@ -196,7 +195,7 @@ def pack_bit(header: BitHeader, stream: bytes) -> bytes:
     name = ";".join([header.design, *pairs])
     parts = [_BIT_MAGIC]
     for key, text in zip("abcd", (name, header.part, header.date, header.time), strict=True):
-        raw = text.encode("utf-8", "surrogateescape") + b"\0"
+        raw = text.encode(errors="surrogateescape") + b"\0"
         parts.append(key.encode() + struct.pack(">H", len(raw)) + raw)
     parts.append(b"e" + struct.pack(">I", len(stream)) + stream)
     return b"".join(parts)
@@ -205,10 +204,10 @@ def pack_bit(header: BitHeader, stream: bytes) -> bytes:
 def _open_bit(data: memoryview) -> Image:
     header, offset = _parse_header(data)
     stream, rest = whole_words(data[offset:])
-    at, swapped = find_sync(stream, 0, min(len(stream), SEARCH))
-    if at < 0:
+    sync = find_sync(stream, 0, SEARCH)
+    if sync is None:
         raise NoSync(f"no sync word AA995566 in the first {min(len(stream), SEARCH)} bytes after the .bit header")
-    if swapped:
+    if sync[1]:
         raise BadContainer("the words behind the .bit header are byte-swapped: convert a .bit from the original file")
     return Image(Container.BIT, header, stream, offset, False, rest)
 
@@ -226,12 +225,12 @@ _OTHERS = (
 
 def _find_in_bin(data: memoryview) -> bool:
     """Return whether the words of a .bin are swapped."""
-    at, swapped = find_sync(data, 0, min(len(data), SEARCH))
-    if at < 0:
+    sync = find_sync(data, 0, SEARCH)
+    if sync is None:
         searched = bytes(data[:SEARCH])
         plain = f"neither a .bit header nor a boot image, and no sync word in the first {len(searched)} bytes"
         raise NoSync(next((what for mark, what in _OTHERS if mark.match(searched)), plain))
-    return swapped
+    return sync[1]
 
 
 def _open_bin(data: memoryview) -> Image:

@@ -32,8 +32,8 @@ def _runs(events: native.Events, family: Family) -> Iterator[tuple[int, FrameAdd
 def _last_column(row: Row, address: FrameAddress, frames: int, padding: int) -> int:
     """Return the column of a run's last frame, or the number of columns if it goes past the end of the row."""
     end = row.starts[address.column] + address.minor + frames  # one past the last
-    if row.starts[-1] < end <= row.starts[-1] + padding:
-        end = row.starts[-1]
+    if end <= row.starts[-1] + padding:
+        end = min(end, row.starts[-1])
     last = address.column
     while last < row.columns and row.starts[last + 1] < end:
         last += 1

@@ -63,7 +63,7 @@ class Row:
 
     def frames(self, column: int) -> int:
         """Return the frames of a column; 0 where there is none."""
-        return self.starts[column + 1] - self.starts[column] if 0 <= column < self.columns else 0
+        return self.starts[column + 1] - self.starts[column] if column < self.columns else 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ def _counts(text: str) -> list[int]:
 @cache  # of that die alone: a board has one, and a manager keeps what it has asked for
 def geometry_of(device: str | None) -> Geometry | None:
     """Return the geometry of a device by its name (`xc7z020`); None if it is not known."""
-    dies = json.loads(_COLUMNS.read_text("utf-8"))["dies"]
+    dies = json.loads(_COLUMNS.read_bytes())["dies"]
     columns = next((die["columns"] for die in dies if device in die["devices"]), None)
     if columns is None:
         return None

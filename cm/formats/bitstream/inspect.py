@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from itertools import zip_longest
+
 from cm.device.native import bitstream as native
 from cm.formats.bitstream import frames
 from cm.formats.bitstream.container import Image, Source, named, open_image, read_source
@@ -40,8 +42,8 @@ def _identify(image: Image, rules: Rules) -> tuple[str | None, int | None, Famil
     if idcode is None and not rules.encrypted:
         rules.refuse(UnknownDevice, "no IDCODE is written: the device would not check that the bitstream is its own")
     elif family is None and (part or idcode is not None):
-        found = "" if idcode is None else f"IDCODE {idcode:08X}, "
-        rules.refuse(UnknownDevice, f"{found}part {part}: neither 7-series nor UltraScale+")
+        found = ([] if idcode is None else [f"IDCODE {idcode:08X}"]) + ([f"part {part}"] if part else [])
+        rules.refuse(UnknownDevice, f"{', '.join(found)}: neither 7-series nor UltraScale+")
     if len(set(rules.idcodes)) > 1:
         rules.refuse(WrongDevice, "sections for different devices: " + ", ".join(f"{x:08X}" for x in rules.idcodes))
     named = device_by_name(part) if part else None
@@ -51,9 +53,8 @@ def _identify(image: Image, rules: Rules) -> tuple[str | None, int | None, Famil
 
 
 def _sections(image: Image, rules: Rules, writes: native.Events, family: Family | None) -> tuple[Section, ...]:
-    ends = [*rules.desyncs, len(image.stream) // 4]
     result = []
-    for sync, end in zip(rules.syncs, ends, strict=False):
+    for sync, end in zip_longest(rules.syncs, rules.desyncs, fillvalue=len(image.stream) // 4):
         count = frames.frames_between(writes, family, sync, end) if family else 0
         result.append(Section(image.offset + 4 * sync, 4 * (end - sync), count))
     return tuple(result)

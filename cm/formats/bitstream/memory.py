@@ -75,9 +75,10 @@ def frames_in(source: Source) -> tuple[Device, dict[int, int]]:
     """
     report = inspect(source)
     verify(report, Expectation())
-    device = device_by_idcode(report.idcode) if report.idcode is not None else None
+    assert report.idcode is not None  # else it was refused
+    device = device_by_idcode(report.idcode)
     if device is None:
-        raise UnknownDevice(f"{report.device or 'a device without an IDCODE'}: its frames are not known")
+        raise UnknownDevice(f"{report.device or f'IDCODE {report.idcode:08X}'}: its frames are not known")
     memory = FrameMemory(device)
     memory.load(open_image(source))
     return device, dict(sorted(memory.frames.items()))

@@ -15,7 +15,7 @@ from cm.formats.bitstream.assemble import StreamWriter
 from cm.formats.bitstream.container import Image
 from cm.formats.bitstream.geometry import FrameAddress, decode_far, frame_order
 from cm.formats.bitstream.idcodes import Device, Family
-from cm.formats.bitstream.mask import Mask
+from cm.formats.bitstream.mask import Mask, Masks
 from cm.formats.bitstream.memory import frames_of
 from cm.formats.bitstream.packets import (
     BUS_WIDTH_DETECT,
@@ -111,23 +111,19 @@ class LoadedFrames:
     def __init__(self, device: Device, image: Image, mask: Mask) -> None:
         self._device, self._family = device, device.family
         self._cut: dict[int, tuple[Slice, ...]] = {}
-        self._order = order = frame_order(device.name, device.family)
-        self.why = mask.why
+        order = frame_order(device.name, device.family)
+        self._place = order.place if order is not None else {}
+        loaded = frames_of(image, order) if order is not None else {}
+        masked: Masks = {}
         if order is None:
-            self._frames: dict[int, int] = {}
             self.why = f"the frames of {device.name}'s columns are not public"
-            self._ignored: Mapping[int, int] = {}
-            self.unjudged: tuple[FrameAddress, ...] = ()
-            return
-        loaded = frames_of(image, order)
-        if mask.source != "msk" and self._made_up(loaded):
-            mask = Mask(
-                lambda _: {}, "none", "no circuit is in these frames: they were assembled for the simulated board"
-            )
-        self.why, masked = mask.why, mask.of(loaded)
-        self._frames = {far: frame for far, frame in loaded.items() if masked.get(far, 0) is not None}
+        elif mask.source != "msk" and self._made_up(loaded):
+            self.why = "no circuit is in these frames: they were assembled for the simulated board"
+        else:
+            self.why, masked = mask.why, mask.of(loaded)
+        left = {far for far, ignored in masked.items() if ignored is None}
+        self._frames = {far: frame for far, frame in loaded.items() if far not in left}
         self._ignored = {far: ignored for far, ignored in masked.items() if ignored}
-        left = [far for far in loaded if far not in self._frames]
         self.unjudged = tuple(decode_far(far, self._family) for far in sorted(left))
 
     @property
@@ -148,8 +144,8 @@ class LoadedFrames:
 
     def _sliced(self, most: int) -> Iterator[Slice]:
         run: list[int] = []
-        for far in self._in_order():
-            if run and (len(run) == most or self._place(far) != self._place(run[-1]) + 1):
+        for far in sorted(self._frames, key=self._place.__getitem__):
+            if run and (len(run) == most or self._place[far] != self._place[run[-1]] + 1):
                 yield self._slice(tuple(run))
                 run = []
             run.append(far)
@@ -166,13 +162,6 @@ class LoadedFrames:
             return None
         runs = [(frame.far, [native.swap(self._in_memory(frame.far))]) for frame in frames]
         return native.swap(repair_words(self._device, runs))
-
-    def _place(self, far: int) -> int:
-        assert self._order is not None
-        return self._order.place[far]
-
-    def _in_order(self) -> list[int]:
-        return sorted(self._frames, key=self._place) if self._order is not None else []
 
     def _slice(self, fars: tuple[int, ...]) -> Slice:
         family = self._family

@@ -94,8 +94,7 @@ def _assembled(device: Device, source: Source, frames: Frames) -> bytes:
     for far, order in _in_runs(sorted(frames), geometry, device.family):
         data = b"".join(to_bytes(frames[address]) for address in order)
         runs.append(FrameRun(decode_far(far, device.family), data + bytes(BYTES)))
-    made = assemble(device, runs, design="moved")
-    return convert(made, image.container, image.header)
+    return convert(assemble(device, runs), image.container, image.header)
 
 
 def _in_runs(addresses: Sequence[int], geometry: Geometry, family: Family) -> list[tuple[int, list[int]]]:
@@ -126,8 +125,8 @@ def readdressed(source: Source, moves: Moves) -> bytes:
         raise CannotRelocate("boot images are read, not written: give the .bit or .bin")
     words = bytearray(convert(source, Container.BIN_STRAIGHT))
     checks = []
-    for at, register, count in _writes(words):
-        (value,) = struct.unpack_from(">I", words, 4 * at) if count else (0,)
+    for at, register in _writes(words):
+        (value,) = struct.unpack_from(">I", words, 4 * at)
         if register == Register.FAR and value & ~0x7F in moves:
             struct.pack_into(">I", words, 4 * at, moves[value & ~0x7F] | value & 0x7F)
         elif register == Register.CRC:
@@ -141,8 +140,8 @@ def readdressed(source: Source, moves: Moves) -> bytes:
     return result
 
 
-def _writes(words: bytes | bytearray) -> Iterator[tuple[int, int, int]]:
-    """The writes of a good stream: index of the first word of data, register, count."""
+def _writes(words: bytes | bytearray) -> Iterator[tuple[int, int]]:
+    """The writes of a good stream: index of the first word of data, register."""
     at, end, inside, register = 0, len(words) // 4, False, 0
     while at < end:
         (header,) = struct.unpack_from(">I", words, 4 * at)
@@ -158,7 +157,7 @@ def _writes(words: bytes | bytearray) -> Iterator[tuple[int, int, int]]:
         else:
             continue
         if count:
-            yield at, register, count
+            yield at, register
         if register == Register.CMD and count and struct.unpack_from(">I", words, 4 * at) == (Command.DESYNC,):
             inside = False
         at += count

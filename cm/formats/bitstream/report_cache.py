@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reports of files, cached by a file's content hash and inode state, never by its name.
+"""Reports of files, cached by the state of a file's inode, never by its name.
 
 A file that was replaced under the same name (PYNQ#1545) has another inode or another change time,
 and is read again.
@@ -39,8 +39,7 @@ class ReportCache:
 
     def __init__(self, capacity: int = 256) -> None:
         self._capacity = capacity
-        self._by_inode: OrderedDict[InodeState, str] = OrderedDict()
-        self._by_hash: OrderedDict[str, Report] = OrderedDict()
+        self._kept: OrderedDict[InodeState, Report] = OrderedDict()
 
     def inspect(self, path: Path) -> Report:
         """Return the file's report, from the cache where its inode did not change since.
@@ -52,11 +51,9 @@ class ReportCache:
     def known(self, path: Path) -> Report | None:
         """The report of a file that was inspected before and did not change since; raises OSError."""
         state = _state(path)
-        digest = self._by_inode.get(state, "")
-        report = self._by_hash.get(digest)
+        report = self._kept.get(state)
         if report is not None:
-            self._by_inode.move_to_end(state)
-            self._by_hash.move_to_end(digest)
+            self._kept.move_to_end(state)
         return report
 
     def read(self, path: Path) -> Inspected:
@@ -76,8 +73,6 @@ class ReportCache:
         return Inspected(data, report)
 
     def _keep(self, state: InodeState, report: Report) -> None:
-        self._by_inode[state] = report.sha256
-        self._by_hash[report.sha256] = report
-        for table in (self._by_inode, self._by_hash):
-            while len(table) > self._capacity:
-                table.popitem(last=False)
+        self._kept[state] = report
+        if len(self._kept) > self._capacity:
+            self._kept.popitem(last=False)

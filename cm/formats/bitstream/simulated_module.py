@@ -55,7 +55,7 @@ def identify_bytes(data: bytes) -> ModuleIdentity | None:
     name, model = data[_LAYOUT.size : end], data[end : end + model_length]
     if len(name) + len(model) != name_length + model_length or digest != _digest(name, model):
         return None
-    return ModuleIdentity(name.decode("utf-8", "replace"), model.decode("utf-8", "replace"))
+    return ModuleIdentity(name.decode(errors="replace"), model.decode(errors="replace"))
 
 
 def default_footprint(index: int, device: str | Device, size: int = DEFAULT_SIZE) -> tuple[FrameRange, ...]:
@@ -118,9 +118,8 @@ def assemble_module(
 
 def _share(wanted: int, there: Sequence[int]) -> list[int]:
     """Fill columns with that many frames from the first on, at least one in the first."""
-    begins = accumulate(there, initial=0)
-    filled = [min(count, max(1, wanted) - begin) for begin, count in zip(begins, there, strict=False)]
-    return [count for count in filled if count > 0]
+    left = (max(1, wanted) - begin for begin in accumulate(there, initial=0))
+    return [count for count in map(min, there, left) if count > 0]
 
 
 def _runs(identity: bytes, frame_bytes: int, columns: Sequence[tuple[FrameAddress, int]]) -> list[FrameRun]:

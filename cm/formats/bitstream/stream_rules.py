@@ -48,7 +48,7 @@ class Rules:
         self.crc_bad = 0
         self._uncovered: list[tuple[int, int]] = []  # writes since the last CRC or RCRC
         self._gaps: list[Refusal] = []  # refusals only if the stream has CRCs at all
-        self._reset = False  # the last packet was RCRC
+        self._reset: bool  # the last packet was RCRC
         self._started = False  # a section with START in it has ended
         self._starting = False
 
@@ -76,7 +76,7 @@ class Rules:
         elif event.kind == native.DESYNC:
             self._boundary(event, "DESYNC")
             self.desyncs.append(event.word + 2)
-            self._started |= self._starting
+            self._started = self._starting
         elif event.kind == native.OPAQUE:
             self.encrypted = True
         elif not self.encrypted:

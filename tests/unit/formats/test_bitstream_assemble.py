@@ -27,9 +27,9 @@ from cm.formats.bitstream.container import BitHeader
 from cm.formats.bitstream.errors import UnknownDevice
 from cm.formats.bitstream.inspection_report import Footprint
 from cm.formats.bitstream.simulated_module import ModuleIdentity, identify_bytes
-from cm.formats.bitstream.verify import expect_static
+from cm.formats.bitstream.verify import Expectation, expect_module, expect_static
 from cm.schema import load
-from cm.schema.model import FrameRange
+from cm.schema.model import FrameRange, StaticIdentity
 
 CAMERA = Path(__file__).resolve().parents[3] / "cm" / "data" / "camera" / "camera.yaml"
 
@@ -135,7 +135,7 @@ def test_a_module_goes_where_its_arguments_say() -> None:
         (0, "xc7z020", 404 * 42 + 1, (0, 1)),
         (1, "xc7z020", 1, (32, 0)),
         (2, "xc7z020", 1, (33, 0)),
-        (5, "xc7z020", 404 * 36 + 1, (5, 1)),  # more regions than rows: there columns of logic
+        (3, "xc7z020", 404 * 36 + 1, (3, 1)),  # more regions than rows: there columns of logic
         (1, "xck26", 372 * 16 + 1, (1, 1)),
         (0, "xck26", 1 << 30, (0, 1023)),
     ],
@@ -152,11 +152,21 @@ def test_names_that_do_not_fit_a_frame_are_refused_with_their_limit() -> None:
         assemble_module("x" * 128, model="y" * 129)
 
 
-def test_a_static_image_must_match_its_schema() -> None:
-    config = replace(load(CAMERA), sha256="0" * 64, idcode=0x123, allow_encrypted=True)
-    expect = expect_static(config)
-    assert (expect.device, expect.sha256, expect.idcode) == ("xc7z020", "0" * 64, 0x123)
-    assert (expect.partial, expect.allow_encrypted) == (False, True)
+def test_a_static_image_and_a_module_must_match_their_schema() -> None:
+    config = replace(
+        load(CAMERA), sha256="0" * 64, idcode=0x123, allow_encrypted=True, static=StaticIdentity(user_id=0xC0FFEE)
+    )
+    expected = Expectation("xc7z020", 0x123, False, (), 0xC0FFEE, True, "0" * 64)
+    assert expect_static(config) == expected
+    assert expect_static(replace(config, static=None)) == replace(expected, user_id=None)
+    module = replace(config.modules["edge"], sha256="1" * 64)
+    region, learned = config.regions[module.region], (FrameRange(0, 0, 1, 2),)
+    of_module = replace(expected, partial=True, footprint=learned, allow_encrypted=False, sha256="1" * 64)
+    assert expect_module(config, module, learned) == of_module
+    own = replace(region, footprint=(FrameRange(0, 0, 3, 4),), allow_encrypted=True)
+    stated = replace(config, regions={region.name: own}, static=None)
+    of_module = replace(of_module, footprint=own.footprint, user_id=None, allow_encrypted=True)
+    assert expect_module(stated, module, learned) == of_module
 
 
 def test_a_frame_names_its_module_unless_one_byte_of_either_name_is_another() -> None:

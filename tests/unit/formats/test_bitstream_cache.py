@@ -3,13 +3,14 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import BinaryIO
 
 import pytest
-from bitstream_support import small, two_sections
+from bitstream_support import small
 
 import cm.formats.bitstream.report_cache as cache_module
 from cm.formats.bitstream import ReportCache, inspect
-from cm.formats.bitstream.errors import NoSync
+from cm.formats.bitstream.container import read_bitstream
 
 
 @pytest.fixture
@@ -66,14 +67,6 @@ def test_file_changed_in_place_with_its_old_time_is_read_again(tmp_path: Path) -
     assert cache.inspect(path).design == "two"
 
 
-def test_bytes_come_with_the_report_of_these_bytes(tmp_path: Path) -> None:
-    path = tmp_path / "a.bit"
-    path.write_bytes(two_sections())
-    found = ReportCache().read(path)
-    assert found.data == two_sections()
-    assert found.report == inspect(two_sections())
-
-
 def test_cache_forgets_the_least_recently_used(tmp_path: Path, counted: list[int]) -> None:
     paths = [tmp_path / f"{index}.bit" for index in range(3)]
     cache = ReportCache(capacity=2)
@@ -89,13 +82,22 @@ def test_cache_forgets_the_least_recently_used(tmp_path: Path, counted: list[int
     assert cache.known(paths[2]) is None
 
 
-def test_refused_file_is_not_kept(tmp_path: Path) -> None:
-    path = tmp_path / "a.bit"
-    path.write_bytes(b"no bitstream")
-    with pytest.raises(NoSync):
-        ReportCache().inspect(path)
+@pytest.mark.parametrize(("changes", "kept"), [(0, True), (2, True), (3, False)])
+def test_a_file_that_is_written_while_it_is_read_is_read_thrice_and_not_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, changes: int, kept: bool
+) -> None:
+    path, left = tmp_path / "a.bit", list(range(changes))
 
+    def reading(file: BinaryIO) -> bytes:
+        data = read_bitstream(file)
+        if left:
+            path.write_bytes(small(design="d" * (20 - left.pop())))
+        return data
 
-def test_missing_file_is_the_systems_error(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError):
-        ReportCache().inspect(tmp_path / "none.bit")
+    path.write_bytes(small())
+    monkeypatch.setattr(cache_module, "read_bitstream", reading)
+    cache = ReportCache()
+    found = cache.read(path)
+    assert found.report == inspect(found.data)
+    assert cache.known(path) == (found.report if kept else None)
+    assert not left

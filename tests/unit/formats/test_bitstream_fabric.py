@@ -6,9 +6,9 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 
 import pytest
-from bitstream_support import frames
+from bitstream_support import HERE, frames
 
-from cm.formats.bitstream import FrameAddress, FrameRun, assemble
+from cm.formats.bitstream import Container, Device, Family, FrameAddress, FrameRun, assemble, convert
 from cm.formats.bitstream.errors import BadPacket, CrcMismatch, UnknownDevice
 from cm.formats.bitstream.memory import frames_in
 from cm.formats.xray.drawing import svg
@@ -49,8 +49,15 @@ def test_a_bitstream_that_is_damaged_or_of_another_family_has_no_frames() -> Non
         frames_in(good.replace(frames(3)[:404], frames(3)[1:405]))
     with pytest.raises(BadPacket):
         frames_in(assemble("xc7z020", [FrameRun(FrameAddress(0, 0, 127), frames(2))]))
-    with pytest.raises(UnknownDevice, match="frames of its columns are not known"):
-        frames_in(assemble("xczu3eg", [FrameRun(FrameAddress(0, 0, 26), bytes(372 * 3))]))
+    ultrascale = assemble("xczu3eg", [FrameRun(FrameAddress(0, 0, 26), bytes(372 * 3))])
+    unlisted = assemble(Device("xczu28dr", 0x04A11093, Family.ULTRASCALE_PLUS), [FrameRun(HERE, bytes(372))])
+    for data, told in (
+        (ultrascale, "xczu3eg: the frames of its columns are not known"),
+        (unlisted, "xczu28dr: its frames are not known"),
+        (convert(unlisted, Container.BIN_SWAPPED), "IDCODE 04A11093: its frames are not known"),
+    ):
+        with pytest.raises(UnknownDevice, match=f"^{told}$"):
+            frames_in(data)
 
 
 def test_the_picture_shows_each_frame_and_what_is_wrong_in_red() -> None:

@@ -107,6 +107,7 @@ def test_devices_are_known_by_part_and_idcode(part: str, idcode: int) -> None:
         ("", 0x13701093, "", Family.SERIES7),
         ("", 0x14A01093, "", Family.ULTRASCALE_PLUS),
         ("", 0x04801093, "", None),
+        ("", None, "", None),
         ("xc7z020", 0x04A43093, "xc7z020", Family.ULTRASCALE_PLUS),  # an IDCODE that is known goes before all
     ],
 )
@@ -153,7 +154,7 @@ def test_bitstream_for_another_package_is_refused_where_the_board_names_its_own(
 def test_encrypted_file_that_hides_its_idcode_loads_where_that_is_permitted() -> None:
     hidden = bit(0x30016004, 1, 2, 3, 4, 0x30034001, 4, 9, 9, 9, 9)
     data = convert(hidden, Container.BIN_SWAPPED)
-    assert "encrypted" in codes(data, Expectation("xc7z020", partial=True))
+    assert codes(data, Expectation("xc7z020", partial=True)) == ["unknown_device", "encrypted"]
     assert codes(data, Expectation("xc7z020", partial=True, allow_encrypted=True)) == []
 
 
@@ -177,8 +178,9 @@ def test_versal_image_is_named_and_refused(partial: bool) -> None:
 
 
 def test_versal_image_that_ends_in_its_header_is_refused() -> None:
+    told = r"^a Versal \.pdi whose image header table is damaged or missing; Versal is not supported$"
     for length in (0x18, 0xC4, 0xF70, 0xF80):
-        with pytest.raises(UnknownDevice, match="damaged or missing"):
+        with pytest.raises(UnknownDevice, match=told):
             inspect(pdi()[:length])
 
 

@@ -69,6 +69,7 @@ def test_there_and_back_gives_the_same_bytes_and_between_only_the_addresses_diff
         ((FrameRange(0, 32, 41, 45), LOWER[1]), "column 41 of row 0 has 36 frames, column 42 of row 32 has 28"),
         ((FrameRange(0, 1, 40, 44), LOWER[1]), "column 40 of row 0 has 36 frames, column 40 of row 1 has 0"),
         (LOWER[:1], "the regions have 0, 1 and 0 rows of columns"),
+        ((), "the regions have 0, 1 and no rows of columns"),
     ],
 )
 def test_another_sequence_of_columns_is_refused_at_the_first_difference(
@@ -76,6 +77,9 @@ def test_another_sequence_of_columns_is_refused_at_the_first_difference(
 ) -> None:
     with pytest.raises(CannotRelocate, match=told):
         moves(UPPER, target)
+    nowhere = FrameRange(0, 1, 40, 44), FrameRange(0, 33, 40, 44)
+    with pytest.raises(CannotRelocate, match="column 40 of row 1 has 0 frames, column 40 of row 33 has 0"):
+        moves(nowhere[:1], nowhere[1:])
 
 
 def test_rows_of_a_region_keep_their_order_across_the_middle() -> None:
@@ -108,5 +112,7 @@ def test_frames_that_are_not_of_the_region_are_named() -> None:
 def test_a_run_that_ends_a_row_is_not_moved_to_where_none_ends() -> None:
     """Behind a row two frames are dropped; in the middle of one they would be the next column's."""
     data = assemble("xc7z010", [FrameRun(FrameAddress(0, 0, 55, 40), bytes(404 * 5))])
-    with pytest.raises(CannotRelocate, match="goes over the end of its row, and would not do so in the other region"):
+    with pytest.raises(
+        CannotRelocate, match=r"^a run of frames goes over the end of its row, and would not do so in the other region$"
+    ):
         readdressed(data, {0x1B80: 0})

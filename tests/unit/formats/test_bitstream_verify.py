@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import re
+
 import pytest
 from bitstream_support import HERE, bit, frames, small
 
@@ -89,6 +91,7 @@ def test_where_columns_are_not_public_a_run_may_be_as_long_as_the_widest(
     """`learned`: so many frames may be of one column: those of the widest, and one that pushes the last one out."""
     one = FrameRange(block_type, 0, 5, 5)
     here, ranges = FrameAddress(block_type, 0, 5), (one, FrameRange(block_type + 1, 0, 5, 9))
+    assert footprint_of(inspect(on_ultrascale(here, 1))) == (one,)
     assert codes(on_ultrascale(here, fit), Expectation(footprint=ranges)) == []
     assert footprint_of(inspect(on_ultrascale(here, learned))) == (one,)
     if block_type < 2:
@@ -124,19 +127,53 @@ def test_a_bitstream_that_does_not_say_its_device_is_refused_with_what_would_hel
     assert said.message == f"cannot tell {told}: give the device's IDCODE, or a .bit"
 
 
-def test_header_that_hides_a_full_bitstream_is_found_out() -> None:
-    full = small(partial=False)
-    header = inspect(small()).header
-    disguised = convert(convert(full, Container.BIN_SWAPPED), Container.BIT, header)
-    found = refusals(inspect(disguised), Expectation(partial=True))
-    assert [item.code for item in found] == ["not_partial"]
-    assert "sets WBSTAR and TIMER" in found[0].message
+HIDDEN = bit(0x30018001, 0x03727093, 0x30016004, 1, 2, 3, 4, 0x30034001, 4, 9, 9, 9, 9)  # encrypted
+DISGUISED = convert(convert(small(partial=False), Container.BIN_SWAPPED), Container.BIT, inspect(small()).header)
+REGION, WHOLE = (
+    "a full bitstream{}: a region needs a partial one",
+    "a partial bitstream{}: the whole device needs a full one",
+)
+SAYS_PARTIAL = " (its header says partial, but it sets WBSTAR and TIMER)"
+SAYS_FULL = " (its header says full, but it does not set WBSTAR and TIMER)"
 
 
-def test_a_header_that_says_full_of_what_looks_partial_is_named() -> None:
-    renamed = small().replace(b"PARTIAL=TRUE", b"PARTIAL=NONE")
-    with pytest.raises(BitstreamError, match="its header says full, but it does not set WBSTAR and TIMER"):
-        verify(inspect(renamed), Expectation(partial=True))
+def said_full(data: bytes) -> bytes:
+    return data.replace(b"PARTIAL=TRUE", b"PARTIAL=NONE")
+
+
+@pytest.mark.parametrize(
+    ("data", "partial", "encrypted", "told"),
+    [
+        (small(), True, False, None),
+        (small(), False, False, WHOLE.format("")),
+        (small(partial=False), True, False, REGION.format("")),
+        (small(partial=False), False, False, None),
+        (DISGUISED, True, False, REGION.format(SAYS_PARTIAL)),
+        (DISGUISED, False, False, WHOLE.format(SAYS_PARTIAL)),
+        (said_full(small()), True, False, REGION.format(SAYS_FULL)),
+        (said_full(small()), False, False, WHOLE.format(SAYS_FULL)),
+        (HIDDEN, True, True, None),
+        (
+            HIDDEN,
+            True,
+            False,
+            "encrypted, so its frames cannot be checked: set allow_encrypted for the region to permit it",
+        ),
+        (HIDDEN, False, True, WHOLE.format("")),
+        (said_full(HIDDEN), False, True, None),  # it hides whether it sets WBSTAR and TIMER
+    ],
+)
+def test_header_and_packets_must_both_be_of_what_is_wanted(
+    data: bytes, partial: bool, encrypted: bool, told: str | None
+) -> None:
+    found = refusals(inspect(data), Expectation(partial=partial, allow_encrypted=encrypted))
+    assert [item.message for item in found] == ([] if told is None else [told])
+
+
+def test_all_reasons_are_reported_and_the_first_names_the_error() -> None:
+    named = "built for xc7z020 (IDCODE 03727093), meant for xc7z010 (IDCODE 03722093)"
+    with pytest.raises(WrongDevice, match=f"^{re.escape(named)}. {WHOLE.format('')}$"):
+        verify(inspect(small()), Expectation("xc7z010", partial=False))
 
 
 def test_frames_of_another_region_are_refused_by_name() -> None:
@@ -159,21 +196,6 @@ def test_other_file_than_recorded_is_refused() -> None:
         verify(report, Expectation(sha256="A" * 64))
 
 
-def test_encrypted_bitstream_needs_permission() -> None:
-    data = bit(0x30018001, 0x03727093, 0x30016004, 1, 2, 3, 4, 0x30034001, 4, 9, 9, 9, 9)
-    (refused,) = refusals(inspect(data), Expectation(partial=True))
-    why = "encrypted, so its frames cannot be checked: set allow_encrypted for the region to permit it"
-    assert (refused.code, refused.message) == ("encrypted", why)
-    assert codes(data, Expectation(partial=True, allow_encrypted=True)) == []
-
-
-def test_all_reasons_are_reported_and_the_first_names_the_error() -> None:
-    with pytest.raises(WrongDevice) as caught:
-        verify(inspect(small()), Expectation("xc7z010", partial=False))
-    assert "meant for xc7z010" in str(caught.value)
-    assert "needs a full one" in str(caught.value)
-
-
 def test_every_refusal_has_its_own_code() -> None:
     assert len(errors_by_code()) == 1 + len(BitstreamError.__subclasses__())
 
@@ -192,8 +214,3 @@ def test_module_keeps_to_a_stated_footprint() -> None:
     report = inspect(assemble_module("edge", footprint=OWNED, size=10**6))
     assert refusals(report, Expectation(footprint=OWNED)) == ()
     assert report.frames == 2 * 36 + 2
-
-
-def test_same_arguments_give_the_same_bytes() -> None:
-    assert assemble_module("edge") == assemble_module("edge")
-    assert assemble_module("edge") != assemble_module("zoom")

@@ -18,7 +18,8 @@ from xray_oracle import DATABASE, frames_read, part, read_bits, run
 from cm.design.debian_packages import PackagesUnavailable, PackageTree, fetch
 from cm.formats.bitstream import FrameRun, assemble
 from cm.formats.bitstream.geometry import decode_far
-from cm.formats.bitstream.idcodes import Family
+from cm.formats.bitstream.idcodes import Family, device_by_name
+from cm.formats.bitstream.mask import mask_for
 from cm.formats.xray import (
     Database,
     DatabaseMissing,
@@ -270,3 +271,8 @@ def test_a_database_or_a_part_that_is_not_there_is_reported(
         Database.open("xczu3eg")
     assert Database.open("xc7a35tcsg324-1").fabric == "xc7a50t"
     assert Database.open("xc7z020").idcode & 0xFFFFFFF == 0x3727093
+    frames, device = {0x1400: 1, 0x800100: 1}, device_by_name("xc7z020")
+    assert device is not None
+    mask = mask_for(tmp_path / "no.bit", device)
+    assert (mask.source, mask.why) == ("xray", "Project X-Ray's database says what is not compared")
+    assert mask.of(frames) == volatile_bits(Database.open("xc7z020"), frames)
