@@ -65,12 +65,10 @@ class _Memory:
         self.begin = 0
 
     def to_device(self) -> None:
-        if self._mappings.is_begun(0):
-            self._mappings.end(0)
+        self._mappings.end(0)
 
     def from_device(self) -> None:
-        if not self._mappings.is_begun(0):
-            self._mappings.begin(0)
+        self._mappings.begin(0)
 
     def free(self) -> None:
         self.to_device()

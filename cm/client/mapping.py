@@ -56,10 +56,6 @@ class SlotMappings:
         """The mapping of a slot, which lives from here on as long as something else refers to it."""
         return self._maps.pop(slot)
 
-    def is_begun(self, slot: int) -> bool:
-        """Whether the processor uses a slot now, as far as the caches are concerned."""
-        return slot in self._begun
-
     def add(self, first: int, fds: Sequence[int]) -> None:
         """Map slots, all pages at once, and take over their descriptors."""
         access = mmap.PROT_READ | (mmap.PROT_WRITE if self.geometry.writable else 0)
@@ -77,21 +73,18 @@ class SlotMappings:
                 self._fds.extend(fds)
 
     def begin(self, slot: int) -> None:
-        """Announce that the processor is about to read or write."""
-        if self._syncs:
+        """Announce that the processor is about to read or write; twice is fine."""
+        if self._syncs and slot not in self._begun:
             self._sync(slot, 0)
             self._begun.add(slot)
 
     def end(self, slot: int) -> None:
-        """The processor is done."""
-        if self._syncs:
-            self._end(slot)
-
-    def _end(self, slot: int) -> None:
-        self._sync(slot, _END)
-        self._begun.discard(slot)
-        if self._closed and not self._begun:
-            self._close_fds()
+        """The processor is done; twice is fine."""
+        if slot in self._begun:
+            self._sync(slot, _END)
+            self._begun.discard(slot)
+            if self._closed and not self._begun:
+                self._close_fds()
 
     def _sync(self, slot: int, end: int) -> None:
         argument = struct.pack("=Q", end | _READ | (_WRITE if self.geometry.writable else 0))

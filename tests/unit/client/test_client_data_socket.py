@@ -5,21 +5,26 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import fcntl
 import inspect
+import itertools
 import os
 import re
 import socket
+import struct
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from manager_process import short_folder
 
 from cm.client import aio
 from cm.client.board import Board
-from cm.client.errors import ConnectionLost, LateRelease, RequestBusy, TransferFailed
+from cm.client.errors import ConnectionLost, FrameReleased, LateRelease, RequestBusy, TransferFailed
 from cm.errors import InvalidRequest, Timeout
 from cm.wire import plane_packets as packets
 from cm.wire.plane_packets import Descriptor, Geometry, Open
@@ -68,6 +73,8 @@ class Manager:
         """Send this to the next client once it has asked for something; the slots go with a SLOTS packet."""
 
         def serve() -> None:
+            if self._peer is not None:
+                self._peer.close()
             self._peer, _ = self._listener.accept()
             self._peer.settimeout(HUNG)
             self._asked = self._peer.recv(packets.PACKET_MAX)
@@ -342,6 +349,131 @@ def test_memory_comes_with_its_address_and_goes_with_its_last_array(
         assert await asyncio.to_thread(manager.peer.recv, 1) == b""  # the loop holds it until it has its turn
 
     used(client, manager, course)
+
+
+BEGIN, END, READ, WRITE = 0, 4, 1, 2  # of linux/dma-buf.h
+
+
+@pytest.fixture
+def synchronised(manager: Manager, monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
+    """What is done to slots, as if their memory needed it: their numbers, and flags. Each first try is interrupted."""
+    done: list[tuple[int, int]] = []
+    tries = itertools.cycle((errno.EINTR, errno.EAGAIN, 0))
+    numbers = {os.fstat(slot).st_ino: number for number, slot in enumerate(manager.slots)}
+
+    def ioctl(fd: int, request: int, argument: bytes) -> None:
+        error = next(tries)
+        if error:
+            raise OSError(error, "again")
+        assert request == 0x40086200
+        done.append((numbers[os.fstat(fd).st_ino], *struct.unpack("=Q", argument)))
+
+    monkeypatch.setattr(fcntl, "ioctl", ioctl)
+    return done
+
+
+@BOTH
+def test_memory_that_is_not_coherent_is_synchronised_once_at_each_end(
+    client: Callable[..., Any], manager: Manager, synchronised: list[tuple[int, int]]
+) -> None:
+    async def reads(board: Any) -> None:
+        stream = board.stream("camera", HUNG)
+        first, second = [await now(stream.read()) for _ in range(2)]
+        assert synchronised == [(1, BEGIN | READ), (0, BEGIN | READ)]
+        first.release()
+        first.release()
+        assert synchronised[2:] == [(1, END | READ)]
+        await now(stream.close())
+        del second
+        assert synchronised[3:] == [(0, END | READ)]
+
+    async def writes(board: Any) -> None:
+        writer = await now(_writer(board.writer("to_pl", HUNG)))
+        await now(writer.write(b"abcdef"))
+        assert synchronised == [(1, BEGIN | READ | WRITE), (1, END | READ | WRITE)]
+        await now(writer.close())
+
+    async def holds(board: Any) -> None:
+        array = await now(board.allocate(6, timeout=HUNG))
+        expected = [(0, BEGIN | READ | WRITE)]
+        assert synchronised == expected
+        array.sync_from_device()
+        assert synchronised == expected, "it is the processor's"
+        for sync, flags in ((array[1:].sync_to_device, END), (array.sync_from_device, BEGIN), (array.free, END)):
+            sync()
+            expected.append((0, flags | READ | WRITE))
+            assert synchronised == expected
+        array.sync_to_device()
+        array.free()  # twice is fine
+        assert synchronised == expected
+
+    given = replace(FORM, coherent=False)
+    ours = replace(given, writable=True)
+    address = Descriptor(kind=packets.ADDRESS, sequence=0x1000)
+    for course, sent in (
+        (reads, (geometry(given), SLOTS, frame(1, 0), frame(0, 1))),
+        (writes, (geometry(ours), SLOTS, GRANT)),
+        (holds, (geometry(ours), SLOTS, address)),
+    ):
+        synchronised.clear()
+        manager.answers(*sent)
+        used(client, manager, course)
+
+
+@BOTH
+@pytest.mark.parametrize("problem", [errno.ENOTTY, errno.EIO])
+def test_ordinary_memory_needs_no_synchronising_and_what_cannot_be_synchronised_goes_back(
+    client: Callable[..., Any], manager: Manager, monkeypatch: pytest.MonkeyPatch, problem: int
+) -> None:
+    def ioctl(*_: Any) -> None:
+        raise OSError(problem, os.strerror(problem))
+
+    monkeypatch.setattr(fcntl, "ioctl", ioctl)
+    manager.answers(geometry(replace(FORM, coherent=False)), SLOTS, frame(1, 0))
+
+    async def course(board: Any) -> Any:
+        stream = board.stream("camera", HUNG)
+        try:
+            return (await now(stream.read())).tolist()
+        except OSError as error:  # not pytest.raises, which keeps what was read
+            return error.errno
+        finally:
+            assert manager.got().kind == packets.RELEASE
+
+    assert used(client, manager, course) == (problem if problem == errno.EIO else [[10, 11, 12], [13, 14, 15]])
+
+
+LOOKS = (
+    "all", "any", "argmax", "argsort", "astype", "byteswap", "clip", "conj", "copy", "cumsum", "diagonal", "dumps",
+    "flatten", "item", "max", "mean", "min", "nonzero", "prod", "ravel", "round", "squeeze", "std", "sum",
+    "tobytes", "tolist", "trace", "transpose", "var", "view", "__copy__", "__dlpack__", "__reduce__",
+)  # fmt: skip
+
+
+def test_whatever_looks_at_the_bytes_of_a_frame_that_was_given_back_is_refused(manager: Manager) -> None:
+    manager.answers(geometry(), SLOTS, frame(1, 4))
+
+    async def course(board: Any) -> None:
+        held = board.stream("camera", HUNG).read()
+        kept = held.copy()
+        held.release()
+        assert held.released
+        for name in LOOKS:
+            with pytest.raises(
+                FrameReleased, match=r"frame 4 of 'camera' was given back; keep a copy\(\) of what you need"
+            ):
+                getattr(held, name)()
+        with pytest.raises(FrameReleased):
+            held[0]
+        with pytest.raises(FrameReleased):
+            held + 1
+        with pytest.raises(FrameReleased):
+            np.concatenate([held, kept])
+        assert (repr(held), str(held)) == ("<frame 4 of 'camera', given back>",) * 2
+        assert held._repr_png_() is None
+        assert kept.tolist() == [[10, 11, 12], [13, 14, 15]]
+
+    used(Board, manager, course)
 
 
 @BOTH

@@ -33,6 +33,7 @@ from cm.schema.problems import Problem, SchemaError
 from cm.wire.encode import encode_request
 from cm.wire.messages.requests import ReadData, RegWrite
 from cm.wire.messages.status import ErrorInfo
+from cm.wire.topics import ipc_endpoints
 
 
 @pytest.mark.parametrize(
@@ -264,6 +265,30 @@ def test_sockets_that_are_not_for_this_user_say_for_whom_they_are(
     with pytest.raises(NotAdmitted) as refused:
         resolve(tmp_path, None)
     assert str(refused.value) == f"this user may not use the sockets in {tmp_path}: {told}"
+
+
+@pytest.mark.parametrize(
+    ("owner", "named", "ours"), [(4242, False, False), (4242, True, True), (0, False, True), (1000, False, True)]
+)
+def test_a_folder_that_another_user_has_made_is_used_only_if_it_is_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, owner: int, named: bool, ours: bool
+) -> None:
+    folder = tmp_path / "cm"
+    folder.mkdir()
+    (folder / "req").touch()
+    monkeypatch.setattr(find_manager, "SYSTEM_DIR", tmp_path / "none")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.delenv("CM_RUNTIME_DIR", raising=False)
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    stat = Path.stat
+    monkeypatch.setattr(
+        Path, "stat", lambda self, **how: SimpleNamespace(st_uid=owner) if self == folder else stat(self, **how)
+    )
+    if ours:
+        assert resolve(folder if named else None, None) == ipc_endpoints(folder)
+    else:
+        with pytest.raises(NotAdmitted, match=f"^{folder} belongs to another user: its manager is not ours$"):
+            resolve(None, None)
 
 
 @pytest.mark.parametrize(

@@ -130,3 +130,31 @@ def test_a_relay_that_is_closed_ends_what_waits_and_tells_no_more() -> None:
         assert (told, relay.up) == ([True], False)
 
     relayed(course)
+
+
+def test_a_relay_hands_on_what_is_published_until_it_is_told_not_to() -> None:
+    port = free_ports(3)
+    with zmq.Context() as context, context.socket(zmq.XPUB) as published:
+        published.linger = 0
+        published.setsockopt(zmq.RCVTIMEO, int(HUNG * 1000))
+        published.bind(f"tcp://127.0.0.1:{port}")
+
+        async def course() -> None:
+            relay, taken = Relay(f"tcp://127.0.0.1:{port}"), list[list[bytes]]()
+            try:
+                listening = relay.subscribe(b"cm_status", b"cm_irq", take=taken.append, depth=3)
+                heard = {await asyncio.to_thread(published.recv) for _ in range(2)}
+                assert heard == {b"\x01cm_status", b"\x01cm_irq"}
+                for number in range(40):
+                    published.send_multipart([b"cm_status", b"%d" % number])
+                    published.send_multipart([b"cm_other", b"0"])
+                    await until(lambda number=number: len(taken) > number)
+                assert taken == [[b"cm_status", b"%d" % number] for number in range(40)]
+                listening.close()
+                listening.close()
+                heard = {await asyncio.to_thread(published.recv) for _ in range(2)}
+                assert heard == {b"\x00cm_status", b"\x00cm_irq"}
+            finally:
+                await relay.close()
+
+        asyncio.run(course())

@@ -15,7 +15,8 @@ import pytest
 import zmq
 from manager_process import short_folder
 
-from cm.client import aio
+from cm.client import aio, request_reply
+from cm.client.aio import request_reply as aio_request_reply
 from cm.client.aio.relay import Relay
 from cm.client.aio.waiting import within
 from cm.client.board import Board
@@ -26,7 +27,20 @@ from cm.errors import InvalidRequest, Timeout
 from cm.wire.decode import decode_request
 from cm.wire.encode import encode_reply
 from cm.wire.messages import requests as rq
-from cm.wire.messages.status import ConfigInfo, ErrorInfo, LeaseInfo, RegValue, RegValues, Reply, Status, StreamStatus
+from cm.wire.messages.status import (
+    ConfigInfo,
+    ErrorInfo,
+    InterruptInfo,
+    Irq,
+    LeaseInfo,
+    MemoryInfo,
+    RegisterInfo,
+    RegValue,
+    RegValues,
+    Reply,
+    Status,
+    StreamStatus,
+)  # fmt: skip
 
 HUNG = 60.0
 STREAM = StreamStatus("camera", "dma0", "s2mm")
@@ -142,6 +156,11 @@ ASKED: list[tuple[Callable[[Any], Any], rq.Request]] = [
     (lambda b: b.set_mode("edge", lease="l"), rq.ChangeMode("", "edge", lease="l")),
     (lambda b: b.cancel(), rq.CancelChange()),
     (lambda b: b.plan("edge", "camera"), rq.PlanChange("camera", "edge")),
+    (lambda b: b.plan(), rq.PlanChange()),
+    (lambda b: b.config(), rq.ReadConfig()),
+    (lambda b: b.read(), rq.ReadData("", 1.0)),
+    (lambda b: b.configure_memory("table", 0x1000, 64), rq.DefineMemory("table", 0x1000, 64)),
+    (lambda b: b.check_region("prr0"), rq.CheckRegion("prr0")),
     (lambda b: b.check_region("prr0", repair=True, lease="l"), rq.CheckRegion("prr0", repair=True, lease="l")),
     (lambda b: b.check_region("prr0", reload=True), rq.CheckRegion("prr0", repair=True, reload=True)),
     (lambda b: b.map_region("prr0"), rq.MapRegion("prr0")),
@@ -222,6 +241,45 @@ def test_what_a_guest_and_a_client_of_another_machine_cannot_have_is_refused(
         begun(client, use, manager.address, guest=guest)()
 
 
+class Asked(Exception):
+    """How long the answer to a request would be waited for."""
+
+
+@BOTH
+@pytest.mark.parametrize(
+    ("use", "short", "long"),
+    [
+        (lambda b: b.configs if isinstance(b, Board) else b.configs(), 2.0, 70.0),
+        (lambda b: b.ask(calls.status(), 3.0), 3.0, 3.0),
+        (lambda b: b.load("camera"), None, None),
+        (lambda b: b.load("camera", timeout=3.0), 3.0, 3.0),
+        (lambda b: b.set_mode("edge", timeout=3.0), 3.0, 3.0),
+        (lambda b: b.load_async("camera"), 2.0, 70.0),
+        (lambda b: b.plan("edge"), 30.0, 70.0),
+        (lambda b: b.map_region("prr0"), 30.0, 70.0),
+        (lambda b: b.remove_config("camera"), 60.0, 70.0),
+        (lambda b: b.check_region("prr0"), 60.0, 70.0),
+        (lambda b: b.check_region("prr0", timeout=3.0), 3.0, 3.0),
+        (lambda b: b.provision(__file__), 60.0, 70.0),
+        (lambda b: b.write("to_pl", b"abc"), 7.0, 75.0),
+        (lambda b: b.read("camera", 3.0), 5.0, 73.0),
+    ],
+)
+def test_how_long_an_answer_is_waited_for(
+    manager: Manager, monkeypatch: pytest.MonkeyPatch, client: Any, use: Any, short: float | None, long: float | None
+) -> None:
+    """Of a board that waits 2 s for other answers, and of one that waits 70 s."""
+
+    def ask(_: Any, __: Any, timeout: float | None, *___: Any) -> Any:
+        raise Asked(timeout)
+
+    for link in (request_reply.Link, aio_request_reply.Link):
+        monkeypatch.setattr(link, "ask", ask)
+    for board_waits, found in ((2.0, short), (70.0, long)):
+        with pytest.raises(Asked, match=f"^{found}$"):
+            client(use, manager.address, board_waits)
+
+
 async def now(value: Any) -> Any:
     """What both boards give: the one at once, the other when it is awaited."""
     return await value if inspect.isawaitable(value) else value
@@ -272,6 +330,70 @@ def test_registers_are_answered_by_name(manager: Manager, client: Callable[..., 
         manager.asked()
         manager.answer(RegValues(tuple(RegValue(*value) for value in values), "camera", "edge", 11))
     assert ended() == [{"focus": 7, "zoom": 2}, {"focus": 3}, 11, 5]
+
+
+IRQS = ConfigInfo("camera", mode="edge", interrupts=(InterruptInfo("done"), InterruptInfo("lost")))
+VALUES = RegValues((RegValue("focus", 7), RegValue("zoom", 2)), "camera", "edge", 11)
+HELD = ConfigInfo(
+    "camera",
+    mode="edge",
+    registers=(RegisterInfo("focus", 0x1000, 32, "rw"), RegisterInfo("zoom", 0x1004, 32, "rw")),
+    memories=(MemoryInfo("table", 0x2000, 64), MemoryInfo("log", 0x3000, 64, modes=("default",))),
+)
+
+
+@pytest.mark.parametrize(
+    ("use", "answers", "found"),
+    [
+        (lambda b: list(b.interrupts), [IRQS] * 2, ["done", "lost"]),
+        (lambda b: ("done" in b.interrupts, "dome" in b.interrupts), [IRQS] * 2, (True, False)),
+        (lambda b: (len(b.interrupts), b.interrupts.names), [IRQS] * 2, (2, ("done", "lost"))),
+        (lambda b: b.interrupts._ipython_key_completions_(), [IRQS], ["done", "lost"]),
+        (lambda b: b.interrupts["done"].count, [Irq("done", 5, 9)], 5),
+        (lambda b: list(b.registers), [VALUES] * 2, ["focus", "zoom"]),
+        (lambda b: len(b.registers), [VALUES], 2),
+        (lambda b: b.registers.update({"focus": 7}, zoom=2), [VALUES], None),
+        (lambda b: b.registers.update(zoom=2), [VALUES], None),
+        (lambda b: b.registers.update(), [], None),
+        (lambda b: b.registers._ipython_key_completions_(), [HELD], ["focus", "zoom"]),
+        (lambda b: [n for n in dir(b.registers) if n in ("focus", "zoom", "read")], [HELD], ["focus", "read", "zoom"]),
+        (lambda b: ">7<" in b.registers._repr_html_(), [HELD, VALUES], True),
+        (lambda b: list(b.memories), [HELD] * 2, ["table"]),
+        (lambda b: (len(b.memories), "log" in b.memories), [HELD] * 2, (1, False)),
+        (lambda b: b.memories._ipython_key_completions_(), [HELD], ["table"]),
+        (lambda b: "camera/edge" in b._repr_html_(), [Status("camera", "edge")], True),
+    ],
+)
+def test_what_the_blocking_client_has_is_a_mapping_of_what_the_manager_says(
+    manager: Manager, use: Any, answers: list[Any], found: Any
+) -> None:
+    ended = begun(blocking, use, manager.address)
+    for answer in answers:
+        manager.asked()
+        manager.answer(answer)
+    assert ended() == found
+
+
+@BOTH
+def test_what_is_shown_of_a_board_and_its_parts(manager: Manager, client: Callable[..., Any]) -> None:
+    async def course(board: Any) -> list[str]:
+        parts = (
+            board,
+            board.registers,
+            board.interrupts,
+            board.interrupts["done"],
+            board.memories,
+            board.memories["a"],
+        )
+        shown = [repr(part) for part in parts]
+        await now(board.close())
+        return [*shown, repr(board)]
+
+    itself = f"<board at {manager.address}>"
+    parts = [f"<{part} of {itself}>" for part in ("registers", "interrupts", "memories")]
+    closed = itself.replace(">", ", closed>")
+    expected = [itself, *parts[:2], "<interrupt done>", parts[2], "<Memory a>", closed]
+    assert client(course, manager.address) == expected
 
 
 @BOTH
