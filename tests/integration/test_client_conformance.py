@@ -267,16 +267,6 @@ def test_several_leases_are_used_together(board: Any, other: Any) -> None:
             other.registers.write({"focus": 4})
 
 
-def test_a_lease_can_be_taken_and_given_back_by_hand(board: Any, other: Any) -> None:
-    lease_ = board.lease("registers:focus", exclusive=True)
-    assert lease_.take()
-    with pytest.raises(RequestBusy):
-        other.registers.write({"focus": 4})
-    lease_.release()
-    lease_.release()
-    other.registers.write({"focus": 4})
-
-
 # ---- registers ------------------------------------------------------------------------------------
 
 
@@ -297,16 +287,6 @@ def test_an_unknown_register_is_an_error_or_the_default(board: Any) -> None:
     assert board.registers.get("focs", 7) == 7
     with pytest.raises(RequestNotFound, match="focs"):
         board.registers.read("focs")
-
-
-def test_a_value_that_would_be_converted_is_refused(board: Any) -> None:
-    board.registers.write({"focus": 2})
-    for value in (2.9, True, "3", None, -1, 1 << 64, np.float64(2), np.bool_(True)):
-        with pytest.raises(InvalidRequest, match="focus"):
-            board.registers.write({"focus": value})
-    assert board.registers.read("focus") == {"focus": 2}
-    with pytest.raises(InvalidRequest, match=rf"from 0 to 2\*\*64 - 1, not {1 << 64}"):
-        board.registers.write({"focus": 1 << 64})
 
 
 def test_registers_are_mapped_on_the_managers_machine_only(board: Any, reach: tuple[str, dict[str, Any]]) -> None:
@@ -360,14 +340,6 @@ def test_events_of_a_register_that_no_mode_has_are_refused_and_of_a_field_are_th
         assert [v.name for v in listening.next().values] == ["led"]
 
 
-def test_several_registers_are_written_as_pairs_in_their_order(board: Any) -> None:
-    with board.registers.events("focus", timeout=60) as listening:
-        assert board.registers.write([("focus", 3), ("zoom", 1), ("focus", 2)]) == {"focus": 2, "zoom": 1}
-        assert [(v.name, v.value) for v in listening.next().values][-1] == ("focus", 2)
-    with pytest.raises(InvalidRequest, match="or pairs"):
-        board.registers.write("focus")
-
-
 # ---- interrupts -----------------------------------------------------------------------------------
 
 
@@ -392,6 +364,7 @@ def test_a_wait_ends_with_an_interrupt_since_the_last_wait(board: Any, sim: SimB
         interrupt.wait(timeout=0.2)  # all that came were waited for
     with interrupt.events(timeout=0.2) as listening, pytest.raises(Timeout):
         listening.next()
+    assert set(board.interrupts.names) == {"frame_done", "loop_done"}
 
 
 def test_others_interrupts_do_not_prolong_the_time_out(board: Any, sim: SimBoard) -> None:
@@ -413,13 +386,6 @@ def test_others_interrupts_do_not_prolong_the_time_out(board: Any, sim: SimBoard
         ended.set()
         disturber.join()
     assert waited < 30  # with a time-out that begins anew it would never have ended
-
-
-def test_interrupts_have_names(board: Any) -> None:
-    assert set(board.interrupts.names) == {"frame_done", "loop_done"}
-    assert board.interrupts["frame_done"].name == "frame_done"
-    with pytest.raises(RequestNotFound, match="frame_don"):
-        board.interrupts["frame_don"].wait(timeout=1)
 
 
 # ---- data -----------------------------------------------------------------------------------------
@@ -464,15 +430,6 @@ def test_waiting_for_a_later_write_lasts_as_long_as_requested(board: Any) -> Non
             frames.after({"focus": 2})
 
 
-def test_a_stream_without_frames_tells_its_own_time_out(board: Any) -> None:
-    board.set_mode("loopback")
-    with board.stream("from_pl", timeout=0.2) as frames:
-        with pytest.raises(Timeout, match=r"0\.2 s"):
-            frames.read()
-        with pytest.raises(Timeout, match=r"0\.1 s"):
-            frames.read(timeout=0.1)
-
-
 def test_without_waiting_one_gets_what_is_there(board: Any, reach: tuple[str, dict[str, Any]]) -> None:
     def at_once(read: Callable[..., Any]) -> Any:
         try:
@@ -515,12 +472,6 @@ def test_what_a_stream_cannot_have_is_refused_whichever_way_its_frames_come(
     assert repr(board.stream("camera")) == "<stream camera>"
 
 
-def test_a_file_that_is_no_text_is_not_sent(board: Any, tmp_path: Path) -> None:
-    (tmp_path / "camera.yaml").write_bytes(b"\x7fELF\xff")
-    with pytest.raises(InvalidRequest, match=r"camera\.yaml is no runtime schema"):
-        board.provision(tmp_path / "camera.yaml")
-
-
 def test_a_time_out_may_be_none_or_infinite_and_nothing_else_but_a_number(board: Any) -> None:
     for forever in (None, float("inf"), 1e9):
         board.timeout = forever
@@ -545,11 +496,6 @@ def test_a_time_out_may_be_none_or_infinite_and_nothing_else_but_a_number(board:
         listening.next()
 
 
-def test_an_unknown_stream_is_an_error_when_it_is_opened(board: Any) -> None:
-    with pytest.raises(RequestNotFound, match="camra"):
-        board.stream("camra", timeout=60).open()
-
-
 def test_frames_are_read_and_written_with_a_copy(board: Any) -> None:
     board.set_mode("loopback")
     with board.stream("from_pl", timeout=60) as frames:
@@ -559,13 +505,6 @@ def test_frames_are_read_and_written_with_a_copy(board: Any) -> None:
         assert (frames.read() == PICTURE).all()
     board.set_mode("default")
     assert board.read("camera", timeout=60).shape == (480, 640)
-
-
-def test_a_stream_can_be_set(board: Any) -> None:
-    board.set_mode("loopback")
-    assert board.configure_stream("from_pl", rate=50.0).limit == 50.0
-    with pytest.raises(RequestInvalid):
-        board.configure_stream("from_pl", dtype="float13")
 
 
 def test_slots_are_borrowed_filled_and_sent(board: Any, reach: tuple[str, dict[str, Any]]) -> None:

@@ -93,27 +93,6 @@ def test_a_written_array_is_read_back_with_its_shape_and_dtype(board: cm.Board) 
     assert np.array_equal(np.asarray(taps), values)
 
 
-def test_a_part_is_read_and_written_by_bytes(board: cm.Board) -> None:
-    taps = board.memories["taps"]
-    taps.write(np.zeros((32, 64)).astype("int16"))
-    taps.write(np.array([1, -2], "int16"), offset=0x80)
-    assert taps.read(0x7C, 12).tolist() == [0, 0, 1, -2, 0, 0]
-    taps.write(b"\5\0\6\0", offset=0xFFC)
-    assert taps.read(0xFF8).tolist() == [0, 0, 5, 6]
-
-
-def test_elements_smaller_than_a_word_are_read_alone_and_written_in_words(board: cm.Board) -> None:
-    scratch = board.memories["scratch"]
-    values = noise(0x400)
-    scratch.write(values)
-    assert (scratch[5], scratch[-1]) == (values[5], values[-1])
-    assert scratch[3:10].tolist() == values[3:10].tolist()
-    scratch[4:8] = [1, 2, 3, 4]
-    assert scratch[3:9].tolist() == [values[3], 1, 2, 3, 4, values[8]]
-    with pytest.raises(InvalidRequest, match="multiples of 4"):
-        scratch[5] = 1
-
-
 def test_a_memory_longer_than_one_message_is_moved_in_several(board: cm.Board) -> None:
     big = board.memories["big"]
     values = noise(10 * MIB, "uint32")

@@ -482,6 +482,8 @@ def test_a_compressed_frame_is_what_it_claims_to_be() -> None:
         (compressed(packed, 7), "frame 4 of 'camera' has not the 7 bytes that it claims"),
         (compressed(packed[:-6], 6), "frame 4 of 'camera' has not the 6 bytes that it claims"),
         (compressed(b"abcdef" * 9, 6), "frame 4 of 'camera' is not an lz4 frame: "),
+        (compressed(b"", 6), "frame 4 of 'camera' has not the 6 bytes that it claims"),
+        (compressed(lz4.compress(bytes(1 << 20)), 6), "frame 4 of 'camera' has not the 6 bytes that it claims"),
         (compressed(packed, 6, "zstd"), "frame 4 of 'camera' is compressed with 'zstd'"),
         (compressed(packed, 6)[:2], "FrameInfo in 2 parts came on a stream's topic"),
         (message_of_another_kind(), "Status in 3 parts came on a stream's topic"),

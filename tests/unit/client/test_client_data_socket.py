@@ -157,7 +157,7 @@ def test_frames_come_with_what_is_known_of_them_and_go_back(client: Callable[...
         first = await now(stream.read(HUNG))
         assert manager.asked == Open("camera", depth=2, lease="l")
         assert stream.geometry == FORM
-        assert first.tolist() == [[10, 11, 12], [13, 14, 15]]
+        assert (first.tolist(), first.flags.writeable) == ([[10, 11, 12], [13, 14, 15]], False)
         info = first.info
         assert (info.stream, info.config_name, info.mode) == ("camera", "camera", "edge")
         assert (info.sequence, info.timestamp_ns, info.length, info.shape) == (4, 1004, 6, (2, 3))
