@@ -248,15 +248,8 @@ class RegisterService:
             return self._bus.take_flags(register, clear, _flags(view.config, name))
 
     def _look(self) -> View:
-        view, state = self._view, self._state
-        if (
-            view is not None
-            and view.board is state.latest
-            and view.locked is state.locked
-            and view.configs is state.configs
-        ):
-            return view  # the usual case
-        if view is None or not view.still_holds(state):
+        view = self._view
+        if view is None or not view.still_holds(self._state):
             view = self._view = self._renewed(view)
         return view
 

@@ -17,7 +17,7 @@ from cm.manager.errors import NothingToUndo
 from cm.schema import load
 from cm.schema.model import Config
 from cm.simulation.software import Board as SimBoard
-from cm.wire.messages.requests import ChangeMode, RegWrite
+from cm.wire.messages.requests import ChangeMode, CheckRegion, RegWrite
 from cm.wire.messages.status import ErrorInfo
 
 SECOND = f"""
@@ -178,7 +178,7 @@ def test_an_undo_that_is_killed_anywhere_can_be_asked_for_again(
     assert number > 20
 
 
-def test_only_the_last_change_is_undone_and_only_if_its_way_back_was_kept(made: Rig) -> None:
+def test_only_the_last_change_is_undone_and_only_if_its_way_back_was_kept(made: Rig, sim: SimBoard) -> None:
     written_by_hand(made)
     assert changed(made, ChangeMode("duo", "both", undoable="c1")) is None
     assert not_undone(made, ChangeMode("duo", "other", undo="c1")) == (
@@ -196,6 +196,12 @@ def test_only_the_last_change_is_undone_and_only_if_its_way_back_was_kept(made: 
     assert changed(made, ChangeMode("ported", "only", undoable="c5")) is None
     assert changed(made, ChangeMode("duo", "other", undo="c5")) is None
     assert (made.manager.state.mode, made.manager.state.static_config) == ("other", "whole")
+    sim.control.inject("icap_crc")
+    assert changed(made, ChangeMode("duo", "default", undoable="c6")) is not None
+    assert not_undone(made, ChangeMode("duo", "other", undo="c6")) == gone.format("c6")
+    assert changed(made, ChangeMode("duo", "default", undoable="c7")) is None
+    assert made.manager.repair(CheckRegion("prr0", repair=True)).wait(30.0)  # which voids nothing
+    assert changed(made, ChangeMode("duo", "other", undo="c7")) is None
 
 
 def not_undone(made: Rig, request: ChangeMode) -> str:

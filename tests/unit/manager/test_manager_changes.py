@@ -917,6 +917,12 @@ def test_what_is_to_be_restored_is_on_disk_before_it_is_changed(made: Rig, confi
     record = made.journal.read()
     assert record is not None
     assert (record.pending, record.number, record.state.values["lamp"]) == (None, 3, 5)
+    made.fault.watch = lambda _: None
+    assert made.fault.names[-3:] == ["uio.read", "journal.write", "journal.write"]  # the last step, and the end
+    at(made, "duo/lit")  # which has nothing to do
+    record = made.journal.read()
+    assert record is not None
+    assert record.number == 4
 
 
 def test_what_was_written_is_told_to_streams_before_anybody_else(made: Rig, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -377,6 +377,9 @@ def test_what_was_cut_short_is_undone_with_what_there_was_before_it() -> None:
     finding, _ = found(replace(BOTH, regions=lost("right"), mode="slow"), cut, cells={0x1010: 8, 0x101C: 2})
     assert finding.interrupted is not None
     assert finding.interrupted.values == {"led": 8, "gain": 7}  # as they read; it writes `tone` itself
+    same, _ = found(BOTH, replace(cut, values={"tone": 4}), cells={0x101C: 2})
+    assert same.interrupted is not None
+    assert same.interrupted.values["tone"] == 2  # which it had no need to write: somebody else did
     there = destination(finding.state, finding.interrupted, {"lab": LAB})
     assert there == Destination(LAB, "slow")
     change = repair(12, there, finding.interrupted, finding.state)

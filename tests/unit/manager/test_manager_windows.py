@@ -6,6 +6,7 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,6 +23,7 @@ from cm.errors import Busy, CmError
 from cm.manager.access.register_windows import Loan, WindowRequest
 from cm.manager.errors import NoWindow, RegionBusy
 from cm.schema import loads
+from cm.schema.model import Register
 from cm.server.devices import BoardDevices
 from cm.simulation.software import Board as SimBoard
 from cm.wire.messages.requests import BreakLease, RegWrite, TakeLease
@@ -103,14 +105,20 @@ def test_what_the_kernel_refuses_is_a_sentence(made: Rig, number: int, kind: typ
     assert made.manager.leases.told() == ()
 
 
-def test_pages_that_another_region_has_registers_in_are_not_lent(sim: SimBoard, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("what", "place"),
+    [("identity", "base_address: 0x6000, offset: 0x1000"), ("decoupler", "base_address: 0x1000, offset: 0x0, bit: 1")],
+)
+def test_pages_that_another_region_has_registers_in_are_not_lent(
+    sim: SimBoard, tmp_path: Path, what: str, place: str
+) -> None:
     text = CAMERA.read_text("utf-8")
-    shared = text.replace("{base_address: 0x6000, offset: 0x1000}", "{base_address: 0x2000, offset: 0x1800}")
+    shared = text.replace(place, "base_address: 0x2000, offset: 0x1800")
     assert shared != text
     config = loads(shared, source=CAMERA)
     with rig(sim.root, tmp_path, config) as found:
         assert found.go("edge_detection") is None
-        with pytest.raises(NoWindow, match=r"identity of region prr1 lies in the pages of edge \(0x3000 to 0x3fff\)"):
+        with pytest.raises(NoWindow, match=rf"{what} of region prr1 lies in the pages of edge \(0x3000 to 0x3fff\)"):
             lend(found)
 
 
@@ -148,13 +156,16 @@ def test_a_change_takes_windows_back_before_it_cuts_the_region_off(made: Rig) ->
     assert told == [(1, "camera", "default")]
 
 
-def test_what_a_window_wrote_is_there_after_a_failed_change_however_busy_the_machine_is(
-    made: Rig, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("sure", [2, 3])  # of focus, zoom and threshold
+def test_what_a_window_wrote_is_there_after_a_failed_change_or_forgotten_where_the_machine_is_busy(
+    made: Rig, monkeypatch: pytest.MonkeyPatch, sure: int
 ) -> None:
     monkeypatch.setattr("cm.manager.access.register_windows._READING", -1.0)
-    threshold = next(r for r in lend(made).place.registers if r.name == "threshold")
-    window = made.devices.window(threshold.address, threshold.width)
-    window.device.write(window.offset, 99, threshold.width, window.map)
+    monkeypatch.setattr("cm.manager.access.register_windows._SURE", sure)
+    made.manager.write_registers((RegWrite("threshold", 9), RegWrite("focus", 3)))
+    recorded = [r for r in lend(made).place.registers if r.name in ("threshold", "focus")]
+    for register in recorded:
+        by_hand(made, register, 7)
     loads: list[str] = []
 
     def watch(name: str) -> None:
@@ -164,14 +175,19 @@ def test_what_a_window_wrote_is_there_after_a_failed_change_however_busy_the_mac
     made.fault.watch = watch
     assert made.go("default") is not None
     assert len(loads) > 1  # the way back
-    assert made.manager.registers.read(("threshold",)).values[0].value == 99
+    values = [value.value for value in made.manager.registers.read(tuple(r.name for r in recorded)).values]
+    assert [value == 7 for value in values] == [True, sure == 3]
+
+
+def by_hand(made: Rig, register: Register, value: int) -> None:
+    """Write as who has the window does."""
+    window = made.devices.window(register.address, register.width)
+    window.device.write(window.offset, value, register.width, window.map)
 
 
 def test_what_a_client_gives_back_is_taken_from_the_kernel_and_what_it_wrote_is_known(made: Rig) -> None:
     loan = lend(made)
-    threshold = next(r for r in loan.place.registers if r.name == "threshold")
-    window = made.devices.window(threshold.address, threshold.width)
-    window.device.write(window.offset, 99, threshold.width, window.map)
+    by_hand(made, next(r for r in loan.place.registers if r.name == "threshold"), 99)
     made.arm(-1)
     told = made.manager.windows.give_back(loan.number)
     assert told is not None
@@ -260,6 +276,13 @@ def test_windows_of_nothing_or_of_what_has_no_registers_are_refused(sim: SimBoar
         assert asked(found, name="prr1") == "NoWindow: 'prr1' has no registers"
 
 
+def test_a_window_of_a_board_in_no_mode_has_what_all_modes_have(made: Rig) -> None:
+    config = made.manager.configs["camera"]
+    made.manager.add_config(replace(config, modes={name: config.modes[name] for name in ("default", "loopback")}))
+    loan = asked(made)
+    assert (loan.info.mode, "threshold" in {register.name for register in loan.info.registers}) == ("", True)
+
+
 def test_a_window_tells_what_is_in_it_and_who_has_it(made: Rig) -> None:
     changes: list[int] = []
     made.manager.windows.changed = lambda: changes.append(len(made.manager.mapped))
@@ -314,9 +337,7 @@ def test_a_window_ends_with_its_lease_and_its_board(made: Rig) -> None:
 def test_what_cannot_be_read_again_is_not_known_any_more(made: Rig, fails: int) -> None:
     made.manager.write_registers((RegWrite("threshold", 9), RegWrite("focus", 3)))
     loan = lend(made)
-    threshold = next(r for r in loan.place.registers if r.name == "threshold")
-    window = made.devices.window(threshold.address, threshold.width)
-    window.device.write(window.offset, 99, threshold.width, window.map)
+    by_hand(made, next(r for r in loan.place.registers if r.name == "threshold"), 99)
     reads = count(1)
     made.fault.watch = lambda name: _fail(name == "uio.read" and next(reads) <= fails)
     told = made.manager.windows.give_back(loan.number)

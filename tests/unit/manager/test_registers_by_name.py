@@ -197,6 +197,11 @@ OF_PLAIN, OF_BYTE = "outside 0 to 4294967295 (0x0 to 0xffffffff)", "outside 2 to
         (RegWrite("light.seen", 1), AccessDenied, "field 'light.seen' is read-only"),
         (RegWrite("loop.done", 0), AccessDenied, "field 'loop.done' is read-only"),
         (RegWrite("light.on", 1, 1), InvalidRequest, "'light.on' is a field: give a value or a mask, not both"),
+        (
+            RegWrite("light.colour", 0, 1, named="red"),
+            InvalidRequest,
+            "'light.colour' is a field: give a value or a mask, not both",
+        ),
         (RegWrite("door.key", 16), OutOfRange, "register 'door.key': 16 (0x10) is outside 0 to 15 (0x0 to 0xf)"),
         (RegWrite("door.key", -1), OutOfRange, "register 'door.key': -1 (-0x1) is outside 0 to 15 (0x0 to 0xf)"),
         (
