@@ -134,7 +134,9 @@ def test_pr_mode_says_what_kind_of_change_runs_and_that_it_failed(made: Rig, sim
     assert made.manager.status().pr_mode.value == "error"
 
 
-def test_a_lost_static_part_is_not_accessed_and_takes_no_partial_bitstream(made: Rig, sim: SimBoard) -> None:
+def test_a_lost_static_part_is_not_accessed_and_takes_no_partial_bitstream_also_after_a_restart(
+    made: Rig, sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
     """What the boot loader had loaded cannot be restored: only a whole image helps."""
     at(made, "duo/default")
     sim.control.inject("fpga_manager_error")
@@ -148,20 +150,11 @@ def test_a_lost_static_part_is_not_accessed_and_takes_no_partial_bitstream(made:
         "the load of a full image failed, so it is unknown what the device holds; duo is partial and needs its static "
         "part: load a full configuration, or restart the board",
     )
-    at(made, "whole/default", "duo/default")
-
-
-def test_what_is_lost_is_still_known_after_a_restart(
-    made: Rig, sim: SimBoard, configs: dict[str, Config], tmp_path: Path
-) -> None:
-    at(made, "duo/default")
-    sim.control.inject("fpga_manager_error")
-    assert error_of(made, "whole/default") == "undo_failed"
     made.close()
     with rig(sim.root, tmp_path / "state", *configs.values()) as again:
         assert any("full image" in note for note in again.notes)
         assert error_of(again, "duo/default") == "static_unknown"
-        at(again, "whole/default")
+        at(again, "whole/default", "duo/default")
 
 
 # ---- overlays -----------------------------------------------------------------------
@@ -361,10 +354,6 @@ def test_a_configuration_is_not_replaced_while_it_is_changed_to(made: Rig, held:
     assert made.manager.in_use("duo")
     with pytest.raises(UnknownConfig, match=r"^no configuration 'whole'; there are duo, "):
         made.manager.describe("whole", {})
-
-
-def test_only_a_change_that_runs_can_be_cancelled(made: Rig) -> None:
-    assert not made.manager.cancel()
 
 
 def test_a_configuration_is_described_as_it_is_loaded(made: Rig, configs: dict[str, Config]) -> None:
@@ -676,6 +665,7 @@ def test_a_replaced_configuration_without_the_mode_leaves_the_board_in_none(
     assert made.manager.registers.read(("led",)).values
     assert made.manager.describe("", {}).mode == ""
     at(made, "duo/default")
+    assert not made.manager.cancel()  # nothing runs
 
 
 # ---- the worker, and what it expects --------------------------------------------------
@@ -829,20 +819,24 @@ def test_a_mode_that_was_removed_while_its_change_waited_is_unknown(
     assert second.error.code == "unknown_mode"
 
 
-def test_a_board_that_is_restarted_during_a_change_waits_for_its_end(made: Rig) -> None:
+@pytest.mark.parametrize(
+    "happened", ["the board was restarted while a change runs", "the machine slept while a change ran"]
+)
+def test_what_happens_to_the_board_during_a_change_waits_for_its_end(made: Rig, happened: str) -> None:
+    note = made.manager.board_slept if "slept" in happened else made.manager.board_restarted
     seen: list[str] = []
 
-    def restart(_: str) -> None:
+    def noticed(_: str) -> None:
         try:
-            made.manager.board_restarted()
+            note()
         except ChangeBusy as error:
             seen.append(str(error))
 
     made.arm(-1)
-    made.fault.watch = restart
+    made.fault.watch = noticed
     assert made.go("default", config="duo") is None
     made.fault.watch = lambda _: None  # what is recorded at the end is not during a change
-    assert "the board was restarted while a change runs; its end is awaited" in seen
+    assert f"{happened}; its end is awaited" in seen
 
 
 # ---- what a change tells and records on its way ------------------------------------------

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 from manager_support import Rig, rig
 
-from cm.manager.errors import ChangeBusy
 from cm.schema.model import Config
 from cm.server.board_watch import Sleep
 from cm.simulation.software import Board as SimBoard
@@ -79,22 +78,6 @@ def test_a_load_that_fails_after_a_sleep_leaves_no_claim(made: Rig) -> None:
 def test_a_board_that_holds_nothing_stays_as_it_is(made: Rig) -> None:
     assert slept(made) == ["journal.write"]
     assert made.manager.state.config is None
-
-
-def test_a_sleep_during_a_change_waits_for_its_end(made: Rig) -> None:
-    seen: list[str] = []
-
-    def sleep(_: str) -> None:
-        try:
-            made.manager.board_slept()
-        except ChangeBusy as error:
-            seen.append(str(error))
-
-    made.arm(-1)
-    made.fault.watch = sleep
-    assert made.go("default", config="duo") is None
-    made.fault.watch = lambda _: None  # what is recorded at the end is not during a change
-    assert "the machine slept while a change ran; its end is awaited" in seen
 
 
 def test_a_sleep_is_noticed_once() -> None:

@@ -45,35 +45,30 @@ def pending(from_config: str | None, from_mode: str | None, from_static: str | N
     return Pending(7, "other", "two", from_config, from_mode, from_static=from_static)
 
 
-def test_a_board_that_is_in_a_mode_stays_in_it() -> None:
-    assert destination(BoardState("part", "two"), None, ALL) == Destination(PARTIAL, "two")
-    assert destination(BoardState("part", "two"), pending("whole", "one"), ALL) == Destination(PARTIAL, "two")
-
-
-@pytest.mark.parametrize("state", [BoardState(), BoardState("gone", "one"), BoardState("part", "gone")])
-def test_without_a_mode_that_is_served_there_is_nowhere_to_go(state: BoardState) -> None:
-    assert destination(state, None, ALL) is None
-
-
 @pytest.mark.parametrize(
-    ("cut", "there"),
+    ("state", "cut", "there"),
     [
-        (pending("whole", "one"), Destination(FULL, "one")),
-        (pending("part", "two", "whole"), Destination(PARTIAL, "two", "whole")),
-        (pending("part", "two"), None),
-        (pending("part", "two", "gone"), None),
-        (pending("part", "gone", "whole"), None),
-        (pending("part", None, "whole"), None),
-        (pending("gone", "one", "whole"), None),
-        (pending(None, None), None),
+        (BoardState("part", "two"), None, Destination(PARTIAL, "two")),
+        (BoardState("part", "two"), pending("whole", "one"), Destination(PARTIAL, "two")),
+        (BoardState(), None, None),
+        (BoardState("gone", "one"), None, None),
+        (BoardState("part", "gone"), None, None),
+        (BoardState("part", None), pending("whole", "one"), None),  # a known configuration is not left
+        # the change has lost the image: it goes back if that is served
+        (BoardState(), pending("whole", "one"), Destination(FULL, "one")),
+        (BoardState(), pending("part", "two", "whole"), Destination(PARTIAL, "two", "whole")),
+        (BoardState(), pending("part", "two"), None),
+        (BoardState(), pending("part", "two", "gone"), None),
+        (BoardState(), pending("part", "gone", "whole"), None),
+        (BoardState(), pending("part", None, "whole"), None),
+        (BoardState(), pending("gone", "one", "whole"), None),
+        (BoardState(), pending(None, None), None),
     ],
 )
-def test_a_change_that_lost_the_image_goes_back_if_that_is_served(cut: Pending, there: Destination | None) -> None:
-    assert destination(BoardState(), cut, ALL) == there
-
-
-def test_a_known_configuration_in_no_mode_is_not_left_for_the_one_before() -> None:
-    assert destination(BoardState("part", None), pending("whole", "one"), ALL) is None
+def test_a_board_stays_in_its_mode_or_goes_back_to_the_one_before(
+    state: BoardState, cut: Pending | None, there: Destination | None
+) -> None:
+    assert destination(state, cut, ALL) == there
 
 
 # ---- where a request goes ----------------------------------------------------------------

@@ -224,6 +224,11 @@ def left(phase: RegionPhase) -> BoardState:
         ),
         # clocks
         (Goal(LAB, "one"), board(clocks={}), [CLOCK0, "set clock fclk1 to 50 MHz (now 50 MHz)"]),
+        (
+            Goal(LAB, "two"),
+            board(clocks={"fclk1": 50_000_000}),
+            [STOP, CUT, CLOCK0, "load iir into left by icap", *JOINED[:2]],
+        ),
         (Goal(LAB, "one", rates={"fclk0": 33_000_000}), ONE, ["set clock fclk0 to 33 MHz (now 99.999999 MHz)"]),
     ],
 )

@@ -265,15 +265,7 @@ def test_a_name_is_read_or_refused_with_the_reason(bench: Bench, name: str, told
     assert bench.cells.done == []
 
 
-ALL = [
-    "plain",
-    "byte",
-    "ident",
-    "flags",
-    "light",
-    "door",
-    "gain",
-]  # that can be read, and reading which changes nothing
+ALL = ["plain", "byte", "ident", "flags", "light", "door", "gain"]  # that reading does not change
 
 
 def test_without_names_all_is_read_that_can_be_and_that_reading_does_not_change(bench: Bench) -> None:
