@@ -101,14 +101,14 @@ def _options(args: argparse.Namespace) -> Options:
 
 def _fleet(args: argparse.Namespace) -> Callable[[], Fleet] | None:
     """How to reach the fleet, where one is given; None for one board alone."""
-    if not (args.fleet or args.router or args.zenoh_config):
+    if not (args.fleet or args.router or args.zenoh_config or args.store):
         return None
     from cm.networks.fleet import aio as fleet
     from cm.networks.fleet.zenoh_session import endpoint, zenoh_module
 
     zenoh_module()  # said at once where it is missing
     routers = tuple(map(endpoint, args.router))
-    return lambda: fleet.connect(routers, config=args.zenoh_config)
+    return lambda: fleet.connect(routers, config=args.zenoh_config, store=args.store)
 
 
 def _address(text: str) -> tuple[str, int]:

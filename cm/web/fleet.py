@@ -24,9 +24,11 @@ _SHOWN = 500  # boards at most; the page is told how many there are
 class FleetWatch:
     """Follows a fleet, and tells pages a table of its boards: the topic ``fleet``."""
 
-    def __init__(self, connect: Callable[[], Fleet], topics: Topics) -> None:
+    def __init__(self, connect: Callable[[], Fleet], topics: Topics, say: Callable[[str], None]) -> None:
+        """`say` is told in words, once each, why the fleet is not reached, and that it is."""
         self._connect = connect
         self._topics = topics
+        self._say, self._wrong = say, ""
         self._rows: dict[str, dict[str, Any]] = {}
         self._statuses: dict[str, BoardStatus] = {}
 
@@ -39,11 +41,17 @@ class FleetWatch:
                     await self._follow(fleet)
             except (CmError, OSError) as error:
                 self._tell(str(error))
+                if self._wrong != (wrong := f"{error} (the page waits for it)"):
+                    self._say(wrong)
+                    self._wrong = wrong
             await asyncio.sleep(_RECONNECT)
 
     async def _follow(self, fleet: Fleet) -> None:
         self._rows, self._statuses = {}, {}
         self._tell("")
+        if self._wrong:
+            self._say("the fleet is there")
+            self._wrong = ""
         teller = asyncio.create_task(self._tell_on())
         try:
             async with fleet.watch() as statuses:

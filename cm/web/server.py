@@ -99,8 +99,12 @@ class PageServer:
         self._open: dict[web.WebSocketResponse, object] = {}  # pages, with their connections
         self._strangers = Strangers()
 
-    async def serve(self, on_ready: Callable[[str], None]) -> None:
-        """`on_ready` is given the page's address, with the token. Raises InvalidRequest."""
+    async def serve(self, say: Callable[[str], None]) -> None:
+        """`say` is given the page's address, with the token, then what there is to say of the fleet.
+
+        Raises InvalidRequest.
+        """
+        fleet = None
         runner = web.AppRunner(self._application(), access_log=None, keepalive_timeout=_IDLE)
         await runner.setup()
         try:
@@ -110,12 +114,18 @@ class PageServer:
             if host in ("0.0.0.0", "::"):  # all interfaces: browsers need a name
                 host = os.uname().nodename
             where = f"[{host}]" if ":" in host else host
-            on_ready(f"{scheme}://{where}:{port}/#token={self._options.gate.token}")
+            say(f"{scheme}://{where}:{port}/#token={self._options.gate.token}")
+            if self._options.fleet is not None:
+                from cm.web.fleet import FleetWatch  # zenoh is needed only for a fleet
+
+                fleet = asyncio.create_task(FleetWatch(self._options.fleet, self._hub.topics, say).run())
             while True:
                 await asyncio.sleep(_LOOK)
                 assert runner.server is not None
                 self._strangers.send_off(runner.server.connections, self._open.values())
         finally:
+            if fleet is not None:
+                await _ended(fleet)
             await runner.cleanup()
 
     async def _listen(self, runner: web.AppRunner) -> None:
@@ -135,16 +145,10 @@ class PageServer:
         return app
 
     async def _follow(self, _: web.Application) -> AsyncIterator[None]:
-        tasks = [asyncio.create_task(self._hub.run())]
-        if self._options.fleet is not None:
-            from cm.web.fleet import FleetWatch  # zenoh is needed only for a fleet
-
-            tasks.append(asyncio.create_task(FleetWatch(self._options.fleet, self._hub.topics).run()))
+        task = asyncio.create_task(self._hub.run())
         yield
         await self._watching.close()
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        await _ended(task)
 
     async def _hang_up(self, _: web.Application) -> None:
         for socket in tuple(self._open):
@@ -192,3 +196,8 @@ class PageServer:
         finally:
             del self._open[socket]
         return socket
+
+
+async def _ended(task: asyncio.Task[None]) -> None:
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)

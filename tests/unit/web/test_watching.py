@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Streams that pages show."""
+"""Streams and fleets that pages show."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
+from cm.errors import CmError
+from cm.web.fleet import FleetWatch
 from cm.web.shown_streams import Watching
 from cm.web.topics import Topics
 
@@ -74,3 +77,31 @@ def test_a_stream_is_closed_when_its_last_picture_is_made() -> None:
 
     assert asyncio.run(watched()) == set()
     assert board.held is False
+
+
+def test_why_a_fleet_is_not_reached_is_said_once_and_that_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+
+    class Reached(Exception):
+        """Ends the test."""
+
+    class Fleet:
+        """One that is there at the third try."""
+
+        tries = 0
+
+        async def __aenter__(self) -> Fleet:
+            Fleet.tries += 1
+            if Fleet.tries < 3:
+                raise CmError("no router answers at tcp/fleet.lan:7447")
+            return self
+
+        async def __aexit__(self, *_: object) -> None: ...
+
+        def watch(self) -> Any:
+            raise Reached
+
+    monkeypatch.setattr("cm.web.fleet._RECONNECT", 0.0)
+    with pytest.raises(Reached):
+        asyncio.run(FleetWatch(Fleet, Topics(), said.append).run())  # type: ignore[arg-type]
+    assert said == ["no router answers at tcp/fleet.lan:7447 (the page waits for it)", "the fleet is there"]
