@@ -43,7 +43,7 @@ def requested(request: DefineMemory, config: Config) -> Memory:
         raise InvalidRequest(f"memory {name!r}: access {request.access!r}; it is one of rw, ro, wo")
     dtype = request.dtype or "uint32"
     memory = Memory(
-        name, request.address, request.length, 0, _ACCESS[request.access], dtype, request.shape or None, doc=""
+        name, request.address, request.length, access=_ACCESS[request.access], dtype=dtype, shape=request.shape or None
     )
     _check_form(memory)
     return memory

@@ -29,7 +29,7 @@ from cm.schema import loads
 from cm.schema.model import Config, LoaderKind, Module
 from cm.server.bitstream_and_overlay_files import BoardFiles
 from cm.simulation.software import Board as SimBoard
-from cm.wire.messages.requests import ChangeMode, RegWrite, TakeLease
+from cm.wire.messages.requests import ChangeMode, CheckRegion, RegWrite, TakeLease
 from cm.wire.messages.status import ChangeInfo, ErrorInfo, Progress, Reply
 
 # IDCODE of the xc7z020, IV, DWC and the words that only the device can read
@@ -384,6 +384,8 @@ def test_a_configuration_is_described_as_it_is_loaded(made: Rig, configs: dict[s
     assert (made.manager.describe("whole", {}).mode, made.manager.describe("whole", {}).type) == ("", "full")
     made.manager.add_config(replace(configs["duo"], source=None))
     assert made.manager.describe("duo", {}) == replace(told, schema="")
+    at(made, "duo/other")
+    assert [x.name for x in made.manager.describe("", {}).streams] == ["through0", "through1"]  # prr1 keeps its own
 
 
 def test_a_board_that_is_gone_is_noticed_by_a_change_that_has_nothing_to_do(made: Rig) -> None:
@@ -664,6 +666,10 @@ def test_a_replaced_configuration_without_the_mode_leaves_the_board_in_none(
     assert (status.config_name, status.mode) == ("duo", "")
     assert made.manager.registers.read(("led",)).values
     assert made.manager.describe("", {}).mode == ""
+    with pytest.raises(NothingLoaded):
+        made.manager.repair(CheckRegion("prr0"))
+    with pytest.raises(RegionBusy, match="nothing is loaded that could be compared"):
+        made.manager.prepared_check("prr0")
     at(made, "duo/default")
     assert not made.manager.cancel()  # nothing runs
 

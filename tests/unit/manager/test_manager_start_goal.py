@@ -381,8 +381,8 @@ def test_what_was_cut_short_is_undone_with_what_there_was_before_it() -> None:
     assert (change.number, change.config, change.mode, change.static) == (12, "lab", "slow", None)
     assert (change.also, change.found, change.rates) == (("fft",), {(0x1040, 32): 9}, {"fclk0": 50})
     assert change.values == {"led": 8, "gain": 7, "tone": 0}
-    again = repair(13, there, None, finding.state)
-    assert (again.also, again.found, again.values) == ((), {}, finding.state.values)
+    again = repair(13, replace(there, static="whole"), None, finding.state)
+    assert (again.also, again.found, again.values, again.static) == ((), {}, finding.state.values, "whole")
 
 
 @pytest.mark.parametrize(

@@ -301,6 +301,11 @@ def test_clocks_that_nothing_sets_are_told_once_and_a_rate_that_cannot_be_is_ref
         (Goal(WHOLE, "bare"), BoardState("whole", "full", static_sha256="whole"), []),
         (
             Goal(WHOLE, "bare"),
+            BoardState("whole", "bare", static_sha256="before it was built anew"),
+            ["load the whole device from whole.bit by fpga_manager"],
+        ),
+        (
+            Goal(WHOLE, "bare"),
             BoardState("whole", "bare", static_sha256="whole", static_lost=True),
             ["load the whole device from whole.bit by fpga_manager"],
         ),
