@@ -65,6 +65,7 @@ def test_a_socket_is_set_before_it_connects(keys: Keys | None) -> None:
         made += [sockets.requests()[0], sockets.requests(immediate=True)[0]]
         assert [socket.getsockopt(zmq.IMMEDIATE) for socket in made[2:]] == [0, 1]
         assert [socket.getsockopt(zmq.HEARTBEAT_IVL) for socket in made[2:]] == [2000, 2000]
+        assert [socket.getsockopt(zmq.HEARTBEAT_TIMEOUT) for socket in made[2:]] == [6000, 6000]
         for socket in made:
             assert [socket.getsockopt(one) for one in (zmq.LINGER, zmq.IPV6)] == [0, 1]
             assert socket.getsockopt(zmq.MECHANISM) == (zmq.NULL if keys is None else zmq.CURVE)

@@ -278,6 +278,38 @@ def test_a_manager_that_hangs_up_is_lost(client: Callable[..., Any], manager: Ma
 
 
 @BOTH
+def test_a_stream_that_is_closed_gives_back_what_it_has_not_read_and_then_what_is_held(
+    client: Callable[..., Any], manager: Manager
+) -> None:
+    manager.answers(geometry(), SLOTS, frame(1, 4))
+
+    async def course(board: Any) -> None:
+        stream = board.stream("camera", HUNG)
+        held = await now(stream.read())
+        manager.sends(frame(0, 5), Descriptor(kind=packets.GENERATION, sequence=9))
+        await now(stream.close())
+        await now(stream.close())
+        assert (stream.geometry, stream.lost) == (None, 0)
+        assert [manager.got() for _ in range(2)] == [
+            frame(0, 5)._replace(kind=packets.RELEASE),
+            Descriptor(kind=packets.LEAVE),
+        ]
+        assert (held.tolist(), held.sequence) == ([[10, 11, 12], [13, 14, 15]], 4)
+        del held
+        assert manager.got() == frame(1, 4)._replace(kind=packets.RELEASE)
+        assert await asyncio.to_thread(manager.peer.recv, 1) == b""
+        manager.answers(geometry(), SLOTS, frame(1, 7), frame(0, 9))
+        sequences = [(await now(stream.read())).sequence for _ in range(2)]
+        assert (sequences, stream.lost) == ([7, 9], 1)
+        await now(stream.close())
+        manager.answers(geometry(), SLOTS, frame(1, 1), frame(0, 4))
+        sequences = [(await now(stream.read())).sequence for _ in range(2)]
+        assert (sequences, stream.lost) == ([1, 4], 3)  # 1 of before, and 2
+
+    used(client, manager, course)
+
+
+@BOTH
 def test_a_frame_that_was_taken_away_is_named(client: Callable[..., Any], manager: Manager) -> None:
     manager.answers(geometry(), SLOTS, Descriptor(1, packets.LATE, sequence=4))
 
