@@ -14,7 +14,6 @@ import pytest
 from manager_support import Rig, rig
 
 from cm.device import DeviceBusy, DeviceNotFound, DevicePermission, FpgaManager, Icap
-from cm.schema import loads
 from cm.schema.model import Config, LoaderKind
 from cm.simulation.software import Board as SimBoard
 
@@ -123,10 +122,3 @@ def test_the_fpga_manager_loads_what_the_icap_refuses_if_it_may_and_the_next_cha
         assert status.regions[0].loader == f"fpga_manager (icap: {refusal})"
         assert made.go("default", config="duo") is None
         assert loaders(made) == {"icap"}
-
-
-def test_the_schema_takes_it_for_regions_and_not_for_the_whole_device() -> None:
-    text = "config:\n  name: x\n  regions:\n    r: {loader: auto}\n  modules: {m: {}}\n  modes: {d: {modules: [m]}}\n"
-    assert loads(text).regions["r"].loader is LoaderKind.AUTO
-    with pytest.raises(Exception, match="loader"):
-        loads(text.replace("  regions:", "  type: full\n  loader: auto\n  regions:"))

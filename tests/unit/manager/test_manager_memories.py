@@ -131,24 +131,22 @@ def test_a_long_transfer_goes_piece_by_piece(made: Rig) -> None:
 
 
 @pytest.mark.parametrize(
-    ("offset", "length", "shape", "dtype"),
+    ("name", "offset", "length", "form"),
     [
-        (0, 0, (32, 64), "int16"),
-        (4, 8, (4,), "int16"),
-        (0xFFC, 4, (2,), "int16"),
+        ("taps", 0, 0, ((32, 64), "int16")),
+        ("taps", 4, 8, ((4,), "int16")),
+        ("taps", 0xFFC, 4, ((2,), "int16")),
+        ("pairs", 8, 16, ((16,), "uint8")),  # not of whole elements
+        ("pairs", 16, 8, ((8,), "uint8")),
+        ("pairs", 16, 32, ((2,), "complex128")),
+        ("pairs", 0, 0, ((4,), "complex128")),
     ],
 )
-def test_the_form_is_that_of_the_schema(
-    made: Rig, offset: int, length: int, shape: tuple[int, ...], dtype: str
+def test_the_form_of_what_is_read_is_that_of_the_schema_if_it_can_be(
+    made: Rig, name: str, offset: int, length: int, form: tuple[tuple[int, ...], str]
 ) -> None:
-    assert made.manager.memories.begin_read("taps", offset, length).form == (shape, dtype)
-
-
-def test_parts_that_are_not_whole_elements_are_bytes(made: Rig) -> None:
     define(made, "pairs", 0x60100, 64, dtype="complex128")
-    assert made.manager.memories.begin_read("pairs", 8, 16).form == ((16,), "uint8")
-    assert made.manager.memories.begin_read("pairs", 16, 32).form == ((2,), "complex128")
-    assert made.manager.memories.begin_read("pairs", 0, 0).form == ((4,), "complex128")
+    assert made.manager.memories.begin_read(name, offset, length).form == form
 
 
 def refused(call: Callable[[], object]) -> tuple[type[Exception], str]:

@@ -91,17 +91,14 @@ def kinds(rig: Rig, config: str = "one", mode: str = "default") -> list[str]:
     return [step.kind for step in rig.manager.plan(ChangeMode(config_name=config, mode=mode)).steps]
 
 
-def test_the_port_may_come_with_the_configurations_own_overlay(made: Rig, sim: SimBoard) -> None:
-    assert made.go("default", config="one") is None
-    assert applied(sim) == ["one_static", "one_a"]
-    assert made.manager.status().mode == "default"
-
-
-def test_the_plan_shows_the_whole_way(made: Rig) -> None:
+def test_the_port_may_come_with_the_configurations_own_overlay_and_the_plan_shows_it(made: Rig, sim: SimBoard) -> None:
     steps = kinds(made)
     assert steps[:2] == ["validate", "overlay_apply"]
     assert steps.index("overlay_apply") < steps.index("decouple") < steps.index("load") < steps.index("publish")
     assert steps.count("overlay_apply") == 2
+    assert made.go("default", config="one") is None
+    assert applied(sim) == ["one_static", "one_a"]
+    assert made.manager.status().mode == "default"
 
 
 def test_the_overlay_stays_while_the_configuration_does(made: Rig, sim: SimBoard) -> None:

@@ -182,6 +182,7 @@ def refused(call: Callable[[], object]) -> tuple[type[Exception], str]:
     return caught.type, str(caught.value)
 
 
+ONE_OF_BOTH = "is a field: give a value or a mask, not both"
 OF_PLAIN, OF_BYTE = "outside 0 to 4294967295 (0x0 to 0xffffffff)", "outside 2 to 9 (0x2 to 0x9)"
 
 
@@ -196,12 +197,8 @@ OF_PLAIN, OF_BYTE = "outside 0 to 4294967295 (0x0 to 0xffffffff)", "outside 2 to
         (RegWrite("ident.low", 1), AccessDenied, "register 'ident' is read-only"),
         (RegWrite("light.seen", 1), AccessDenied, "field 'light.seen' is read-only"),
         (RegWrite("loop.done", 0), AccessDenied, "field 'loop.done' is read-only"),
-        (RegWrite("light.on", 1, 1), InvalidRequest, "'light.on' is a field: give a value or a mask, not both"),
-        (
-            RegWrite("light.colour", 0, 1, named="red"),
-            InvalidRequest,
-            "'light.colour' is a field: give a value or a mask, not both",
-        ),
+        (RegWrite("light.on", 1, 1), InvalidRequest, f"'light.on' {ONE_OF_BOTH}"),
+        (RegWrite("light.colour", 0, 1, named="red"), InvalidRequest, f"'light.colour' {ONE_OF_BOTH}"),
         (RegWrite("door.key", 16), OutOfRange, "register 'door.key': 16 (0x10) is outside 0 to 15 (0x0 to 0xf)"),
         (RegWrite("door.key", -1), OutOfRange, "register 'door.key': -1 (-0x1) is outside 0 to 15 (0x0 to 0xf)"),
         (

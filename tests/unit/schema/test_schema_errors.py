@@ -58,6 +58,8 @@ CASES = [
     ("sha256 too short", "bad_value", "modules.a.sha256", "64 hexadecimal digits", "modules: {a: {§sha256: abc}}"),
     ("negative address", "value_range", "mmio[0].base_address", "at least 0",
      "mmio: [{§base_address: -4, registers: {}}]"),
+    ("the whole device by whatever port there is", "bad_value", "loader", "Only with `type: full`",
+     "type: full\n§loader: auto"),
     ("default above max", "value_range", "mmio[0].registers.r.default", "from 0 to 3",
      "mmio: [{base_address: 0, registers: {r: {offset: 0, max: 3, §default: 4}}}]"),
     ("default below min", "value_range", "mmio[0].registers.r.default", "from 1 to 255",
