@@ -16,7 +16,7 @@ from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequenc
 from typing import Any
 
 from cm.errors import Busy, CmError
-from cm.networks.fleet.bridge.manager_and_notes import packed, unpacked
+from cm.networks.fleet.bridge.notes_file import packed, unpacked
 from cm.networks.fleet.coordinator import LEASE, Coordinator, Course, Opening
 from cm.networks.fleet.keeper import Ledger
 from cm.networks.fleet.reconciling_board import Board, Notes, NotUndone, Part, Place, Planned, Seen, Unsettled

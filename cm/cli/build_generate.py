@@ -126,7 +126,7 @@ def run_check(args: argparse.Namespace) -> int:
     if system is not None and args.flow == "open":
         found += check_open(system)
         if not any(finding.error for finding in found):
-            from cm.design.openflow.moved import check_moved  # takes the database's modules along
+            from cm.design.openflow.relocatable_modules import check_moved  # takes the database's modules along
 
             found += check_moved(system)
     told = [{"rule": f.rule, "error": f.error, "message": f.text(project.source)} for f in found]

@@ -13,8 +13,8 @@ from cm.cli.common import add_json_option, answer, print_json, print_table
 from cm.design.errors import BuildError, MissingTool
 from cm.design.generate.generation import behind, load_design, output_folder
 from cm.design.hdl.errors import ParserMissing
-from cm.design.openflow.attempt import Settings
 from cm.design.openflow.flow import OpenFlow
+from cm.design.openflow.placement_attempt import Settings
 from cm.design.openflow.rules import refuse_open
 from cm.design.openflow.tools import fetch_tools, find_tools
 from cm.design.project.load import load_project

@@ -13,7 +13,7 @@ from pathlib import Path
 from cm.design.errors import BuildError
 from cm.design.hdl.errors import ModuleNotFound
 from cm.design.hdl.extract import Sources, read, roots
-from cm.design.hdl.flat import needs_wrapper
+from cm.design.hdl.flat_wrappers import needs_wrapper
 from cm.design.hdl.flatten import flatten
 from cm.design.hdl.ipxact import load_component_xml, load_xci
 from cm.design.hdl.model import ModuleInfo, Problem

@@ -24,11 +24,11 @@ from pathlib import Path
 from cm.errors import Forbidden
 from cm.manager.manager import Manager
 from cm.manager.planner import target
-from cm.server.rights.gate import Gate
+from cm.server.client_quotas import place_of
+from cm.server.rights.admission import Gate
 from cm.server.rights.model import Access, Role
 from cm.server.rights.principal import DATA, IPC, Principal, from_id, of_process
 from cm.server.rights.required_rights import Scene, mapping, opening
-from cm.server.shares import place_of
 from cm.wire.plane_packets import SOCKET, Open
 from cm.wire.topics import Endpoints
 
@@ -77,7 +77,7 @@ class Connections:
         self._counted, self._next_count = Counter[str](), 0.0
 
     def counted(self) -> Counter[str]:
-        """How many lead to each place (`cm.server.shares.Client.place`); counted in a tenth of the time at most."""
+        """How many lead to each place (`cm.server.client_quotas.Client.place`), counted at most a tenth of the time."""
         began = time.monotonic()
         if began < self._next_count:
             return self._counted

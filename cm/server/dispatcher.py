@@ -18,12 +18,12 @@ from cm.manager.execution.worker import Change
 from cm.manager.manager import Manager
 from cm.schema.model import Memory
 from cm.server.board_watch import BoardWatch
+from cm.server.client_quotas import LITTLE, PENDING, REPLY, TRACKED, Client, Ring, TooMuchWaiting
 from cm.server.error_replies import Respond, refusal
-from cm.server.handlers import Handlers, takes_long
 from cm.server.publisher import Publisher
 from cm.server.read_cache import ReadCache
+from cm.server.request_handlers import Handlers, takes_long
 from cm.server.rights.model import Role
-from cm.server.shares import LITTLE, PENDING, REPLY, TRACKED, Client, Ring, TooMuchWaiting
 from cm.server.sockets import Loop, Sockets
 from cm.wire import multipart
 from cm.wire.decode import Frame, decode_request, split_text

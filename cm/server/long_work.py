@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol, TypeVar
 
 from cm.errors import Busy
-from cm.server.shares import PENDING, Client, Ring
+from cm.server.client_quotas import PENDING, Client, Ring
 from cm.server.sockets import Loop
 
 Done = Callable[[Exception | None], None]

@@ -24,9 +24,9 @@ from prometheus_client.core import (
 )
 
 from cm.manager.status_reports import ChangeCounts, Distribution, Histogram, Times
-from cm.server.handlers import Services
+from cm.server.client_quotas import with_holdings
 from cm.server.metrics_server import MetricsServer
-from cm.server.shares import with_holdings
+from cm.server.request_handlers import Services
 from cm.server.streams.stream import Moved
 from cm.wire.messages.status import SensorStatus, Status
 

@@ -26,9 +26,9 @@ from cm._version import __version__
 from cm.manager.manager import Manager
 from cm.manager.status_reports import Moment
 from cm.schema.model import ITEM_BYTES, Config, Stream
+from cm.server.client_quotas import Tracker
 from cm.server.interrupts import InterruptWatch
 from cm.server.settings.model import StreamSettings
-from cm.server.shares import Tracker
 from cm.server.sockets import Loop
 from cm.server.streams.compression import Compressor, compressions
 from cm.server.streams.running import Streams

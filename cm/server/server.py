@@ -17,10 +17,10 @@ from cm.manager.state.journal import Journal
 from cm.schema.model import Config
 from cm.server.bitstream_and_overlay_files import BoardFiles, Footprints
 from cm.server.board_watch import BoardWatch
+from cm.server.client_quotas import Clients
 from cm.server.connections import Connections, Sessions, raise_descriptors
 from cm.server.devices import BoardDevices
 from cm.server.dispatcher import Dispatcher
-from cm.server.handlers import Handlers, MemoryTransfers, Services
 from cm.server.interrupts import InterruptWatch
 from cm.server.lease_watch import LeaseWatch
 from cm.server.long_work import ClientJobs, Steps
@@ -30,10 +30,10 @@ from cm.server.provision import Provisioner
 from cm.server.publisher import Publisher, StatusTold, mark
 from cm.server.read_cache import ReadCache
 from cm.server.reload import ReloadContext, Reloader, renewal
-from cm.server.rights.gate import Gate
+from cm.server.request_handlers import Handlers, MemoryTransfers, Services
+from cm.server.rights.admission import Gate
 from cm.server.rights.policy import system_users
 from cm.server.sensor_watch import SensorWatch
-from cm.server.shares import Clients
 from cm.server.sockets import Authenticator, Loop, Sockets
 from cm.server.streams.data_socket import DataSocket
 from cm.server.streams.running import Streams

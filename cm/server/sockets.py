@@ -117,7 +117,7 @@ class Sockets:
         # No client can take another's replies by its routing id: while the first connection with that id lasts, a
         # second one gets none. Clients that set no id, as ours, get one from ROUTER.
         self.req.setsockopt(zmq.ROUTER_HANDOVER, 0)
-        self.req.setsockopt(zmq.SNDHWM, 0)  # replies are bounded by bytes: see cm/server/shares.py
+        self.req.setsockopt(zmq.SNDHWM, 0)  # replies are bounded by bytes: see cm/server/client_quotas.py
         for socket in self.all:
             socket.setsockopt(zmq.LINGER, 0)  # a client that does not read must not keep the manager from ending
             socket.setsockopt(zmq.IPV6, 1)

@@ -12,9 +12,9 @@ from typing import ClassVar
 
 from cm.errors import Busy, CmError, InvalidRequest, NotFound
 from cm.frozen import replace
+from cm.server.client_quotas import Client
 from cm.server.error_replies import Respond
 from cm.server.settings.model import Limits
-from cm.server.shares import Client
 from cm.wire.messages import requests as rq
 from cm.wire.messages.status import Reply, UploadInfo
 

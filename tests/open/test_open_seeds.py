@@ -14,8 +14,8 @@ from conftest import EXAMPLES
 
 from cm.design.errors import StepFailed
 from cm.design.generate.generation import generate, load_design, output_folder
-from cm.design.openflow.attempt import Settings, Unroutable
 from cm.design.openflow.flow import OpenFlow
+from cm.design.openflow.placement_attempt import Settings, Unroutable
 from cm.design.openflow.tools import Tool, Tools
 
 ARC = "Failed to route arc 0 of net 'x', from X1Y1/A to X2Y2/B."

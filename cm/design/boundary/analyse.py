@@ -15,7 +15,7 @@ from cm.design.hdl.associate import restated
 from cm.design.hdl.compare_ipxact import compare
 from cm.design.hdl.errors import HdlError, ModuleNotFound, WrongParameter
 from cm.design.hdl.extract import Sources, read
-from cm.design.hdl.flat import Flat, needs_wrapper
+from cm.design.hdl.flat_wrappers import Flat, needs_wrapper
 from cm.design.hdl.flatten import flatten
 from cm.design.hdl.hls_registers import HDL, differences, hls_registers
 from cm.design.hdl.ipxact import load_component_xml, load_xci

@@ -12,7 +12,7 @@ from typing import Any
 from cm.design.hdl.clock_reset_names import is_clock, is_reset, reset_polarity
 from cm.design.hdl.errors import HdlError
 from cm.design.hdl.extract import Sources
-from cm.design.hdl.flat import IN, OUT, Flat, FlatPort, unique_ports, wrapper_name
+from cm.design.hdl.flat_wrappers import IN, OUT, Flat, FlatPort, unique_ports, wrapper_name
 from cm.design.hdl.model import Port, PortDirection
 from cm.design.hdl.verilog import VerilogReader, expression
 

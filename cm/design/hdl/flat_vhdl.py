@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from cm.design.hdl.errors import HdlError
 from cm.design.hdl.extract import Sources
-from cm.design.hdl.flat import IN, OUT, Flat, FlatPort, field_name, unique_ports, wrapper_name
+from cm.design.hdl.flat_wrappers import IN, OUT, Flat, FlatPort, field_name, unique_ports, wrapper_name
 from cm.design.hdl.model import PortDirection
 from cm.design.hdl.vhdl import Declaration, VhdlReader
 from cm.design.hdl.vhdl_expr import NotFlat, Unknown, Value, base_type, width_of

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from cm.design.hdl.errors import HdlError
 from cm.design.hdl.extract import Sources, read
-from cm.design.hdl.flat import Flat
 from cm.design.hdl.flat_verilog import flat_verilog
 from cm.design.hdl.flat_vhdl import flat_vhdl
+from cm.design.hdl.flat_wrappers import Flat
 from cm.design.hdl.model import Language, ModuleInfo, Problem
 
 

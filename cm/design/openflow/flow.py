@@ -14,10 +14,10 @@ from cm.design.generate.inputs import module_files
 from cm.design.generate.output_tree import write_whole
 from cm.design.generate.verilog_module import Netlist
 from cm.design.openflow import images
-from cm.design.openflow.attempt import Attempt, Context, Settings, Unroutable
 from cm.design.openflow.layout import layouts
-from cm.design.openflow.moved import MOVERS, moved_image, moves_of
 from cm.design.openflow.netlists import MODULE_TOP, TOP, module_side, open_system, open_top, static_side
+from cm.design.openflow.placement_attempt import Attempt, Context, Settings, Unroutable
+from cm.design.openflow.relocatable_modules import MOVERS, moved_image, moves_of
 from cm.design.openflow.rules import refuse_open
 from cm.design.openflow.steps import Steps, Tell, key_of
 from cm.design.openflow.synth import ROUTER, Sources, resolved, script, synthesise

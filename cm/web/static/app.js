@@ -8,7 +8,7 @@ import { Device } from "./device.js";
 import { Maps } from "./maps.js";
 import { Changes } from "./changes.js";
 import { Registers } from "./registers.js";
-import { Beside } from "./beside.js";
+import { Notices } from "./notices.js";
 import { Charts } from "./charts.js";
 import { Fleet } from "./fleet.js";
 import { theme } from "./theme.js";
@@ -41,7 +41,7 @@ const device = new Device({ ask, failed, control });
 const maps = new Maps({ ask: (what, words) => link.ask(what, words), control });
 const changes = new Changes({ ask, failed, control });
 const registers = new Registers(byId("registers"), { ask, failed, control });
-const beside = new Beside();
+const notices = new Notices();
 const charts = new Charts(byId("charts"));
 const fleet = new Fleet();
 
@@ -57,7 +57,7 @@ const handlers = {
     device.show(state);
     maps.show(state);
     changes.show(state);
-    beside.leases(state.status);
+    notices.leases(state.status);
   },
   watched: () => streams.show(state),
   config() {
@@ -66,8 +66,8 @@ const handlers = {
   },
   configs: () => device.show(state),
   registers: () => registers.show(state),
-  interrupts: () => beside.interrupts(state.interrupts),
-  errors: () => beside.errors(state.errors),
+  interrupts: () => notices.interrupts(state.interrupts),
+  errors: () => notices.errors(state.errors),
   changes: () => changes.show(state),
   fleet: () => fleet.show(state.fleet),
   history: (points) => charts.begin(points),

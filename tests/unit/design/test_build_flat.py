@@ -11,7 +11,7 @@ from build_support import MINIMAL, needs, project
 
 from cm.cli.main import main
 from cm.design.generate.generation import generate, load_design, output_folder
-from cm.design.hdl.flat import field_name
+from cm.design.hdl.flat_wrappers import field_name
 
 pytest.importorskip("pyslang", reason="needs pyslang: the extra [build] is not installed")
 pytest.importorskip("jinja2", reason="needs jinja2: the extra [build] is not installed")

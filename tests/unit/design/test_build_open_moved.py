@@ -14,7 +14,7 @@ from build_support import AXIL_MODULE, project
 from cm.design.errors import BuildError
 from cm.design.generate.generation import load_design
 from cm.design.openflow.layout import Layout
-from cm.design.openflow.moved import check_moved, moved_image, moves_of
+from cm.design.openflow.relocatable_modules import check_moved, moved_image, moves_of
 from cm.design.openflow.rules import check_open
 from cm.design.plan.system import System
 from cm.design.runtime.answers import Answers

@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 
 from cm.errors import Busy
+from cm.server.client_quotas import LITTLE, PENDING, Clients, RepliesUnread, Ring, TooMuchWaiting
 from cm.server.long_work import WAITING_MAX, ClientJobs, Steps
 from cm.server.rights.principal import Principal, from_id
 from cm.server.settings.model import USUAL
-from cm.server.shares import LITTLE, PENDING, Clients, RepliesUnread, Ring, TooMuchWaiting
 from cm.wire.messages.status import ClientStatus, Reply
 
 LIMITS = replace(USUAL, waiting_bytes=1000, replies_bytes=100_000)

@@ -13,12 +13,12 @@ import pytest
 
 from cm.device import DeviceGone
 from cm.server import dispatcher
+from cm.server.client_quotas import LITTLE, REPLY, TRACKED, Clients
 from cm.server.dispatcher import Dispatcher
 from cm.server.long_work import Steps
 from cm.server.rights.model import Role
 from cm.server.rights.principal import from_id
 from cm.server.settings.model import USUAL
-from cm.server.shares import LITTLE, REPLY, TRACKED, Clients
 from cm.wire.encode import decode_reply, encode_reply, encode_request
 from cm.wire.messages import requests as rq
 from cm.wire.messages.status import ErrorInfo, Reply, Status
@@ -178,7 +178,7 @@ def test_who_does_not_read_is_refused_then_not_even_told_and_served_again_once_i
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     looks = count()  # the clock goes on between two requests
-    monkeypatch.setattr("cm.server.shares.monotonic_ns", lambda: bench.dispatcher.taken * 10**9 + next(looks))
+    monkeypatch.setattr("cm.server.client_quotas.monotonic_ns", lambda: bench.dispatcher.taken * 10**9 + next(looks))
     bench.clients.renew(replace(USUAL, replies_bytes=100_000))
     client = bench.clients.of(ONE)
     bench.reply = Reply(Status("camera"), payload=(bytes(LITTLE),))

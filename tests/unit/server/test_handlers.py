@@ -15,15 +15,15 @@ from cm.device import DeviceGone
 from cm.errors import Forbidden
 from cm.manager.errors import ChangeBusy
 from cm.schema import loads
-from cm.server import handlers
-from cm.server.handlers import CHANGES_EACH, Handlers, MemoryTransfers, SentConfigs
+from cm.server import request_handlers as handlers
+from cm.server.client_quotas import Clients
 from cm.server.provision import Owned, Sender
-from cm.server.rights.gate import Gate
+from cm.server.request_handlers import CHANGES_EACH, Handlers, MemoryTransfers, SentConfigs
+from cm.server.rights.admission import Gate
 from cm.server.rights.model import Access, Grant, Role
 from cm.server.rights.policy import Users
 from cm.server.rights.principal import from_id
 from cm.server.settings.model import USUAL
-from cm.server.shares import Clients
 from cm.wire.encode import decode_reply, encode_reply
 from cm.wire.messages import requests as rq
 from cm.wire.messages.status import (

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from cm.cli.serve import Lines
 from cm.errors import Forbidden
+from cm.server.rights.admission import Gate
 from cm.server.rights.audit import BURST, Audit, described
-from cm.server.rights.gate import Gate
 from cm.server.rights.model import Access
 from cm.server.rights.policy import Users
 from cm.server.rights.principal import Principal, of_process

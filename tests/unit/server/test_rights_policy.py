@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from cm.errors import Forbidden, InvalidRequest
 from cm.manager.planner import target
 from cm.schema import load_folder
-from cm.server.rights.gate import Gate
+from cm.server.rights.admission import Gate
 from cm.server.rights.keys import authorized, pairs_of
 from cm.server.rights.model import Access, AuthorizedKey, Grant, Need, Rights, Role
 from cm.server.rights.policy import Users, rights_of, system_users

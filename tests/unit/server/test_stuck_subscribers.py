@@ -17,7 +17,7 @@ from manager_process import CAMERA
 from cm.errors import Forbidden
 from cm.schema import load_folder
 from cm.server.connections import Connections, Sessions, raise_descriptors
-from cm.server.rights.gate import Gate
+from cm.server.rights.admission import Gate
 from cm.server.rights.model import Access, AuthorizedKey, Grant, Role
 from cm.server.rights.policy import Users
 from cm.server.rights.principal import introduced, of_process

@@ -13,9 +13,9 @@ import pytest
 
 from cm.errors import InvalidRequest
 from cm.server import uploads
+from cm.server.client_quotas import Client, Clients
 from cm.server.rights.principal import Principal, from_id
 from cm.server.settings.model import USUAL
-from cm.server.shares import Client, Clients
 from cm.server.uploads import EACH, TooMuchUploaded, UnknownUpload, UploadFailed, Uploads
 from cm.wire.messages.requests import File, Provision, Upload, WriteData
 from cm.wire.messages.status import ErrorInfo, Reply, UploadInfo

@@ -10,7 +10,7 @@ from typing import Any, get_args
 import pytest
 
 from cm.errors import InvalidRequest
-from cm.server.handlers import Handlers
+from cm.server.request_handlers import Handlers
 from cm.wire.cm_pb2 import DataConfig, File, Lease, ReadConfig, WriteConfig, WriteData
 from cm.wire.decode import decode_request, split_text
 from cm.wire.encode import encode_request

@@ -21,7 +21,8 @@ from cm.errors import Busy, CmError, NotInstalled
 from cm.networks.fleet import keys
 from cm.networks.fleet.bridge import clock
 from cm.networks.fleet.bridge.bundles import Bundles, Import
-from cm.networks.fleet.bridge.manager_and_notes import ManagedBoard, NotesFile
+from cm.networks.fleet.bridge.managed_board import ManagedBoard
+from cm.networks.fleet.bridge.notes_file import NotesFile
 from cm.networks.fleet.bridge.publishing import BEAT, Publications
 from cm.networks.fleet.bridge.query_answers import Queries
 from cm.networks.fleet.keeper import Keeper

@@ -13,7 +13,7 @@ from typing import Any
 from cm.client.core import calls
 from cm.client.errors import RequestNotFound
 from cm.errors import CmError
-from cm.networks.fleet.bridge.manager_and_notes import ManagedBoard
+from cm.networks.fleet.bridge.managed_board import ManagedBoard
 from cm.networks.fleet.bundles import fetched
 from cm.wire.messages.fleet import BundleState, FetchBundle
 from cm.wire.messages.status import ErrorInfo

@@ -17,7 +17,7 @@ from cm.client.core import calls
 from cm.client.errors import RequestFailed
 from cm.errors import Busy, CmError, NotFound
 from cm.networks.fleet import keys
-from cm.networks.fleet.bridge.manager_and_notes import ManagedBoard
+from cm.networks.fleet.bridge.managed_board import ManagedBoard
 from cm.networks.fleet.bridge.publishing import encoding
 from cm.networks.fleet.keys import VERBS
 from cm.networks.fleet.reconciling_board import Board

@@ -1,24 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a board of a fleet is given: its manager, asked in a caller's name, and a file on its disk."""
+"""What a board of a fleet does with its manager, which is asked in a caller's name."""
 
 from __future__ import annotations
 
 import contextlib
-import errno
-import json
-import os
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 from cm.client.aio.relay import Relay
 from cm.client.core import calls
 from cm.client.errors import ConnectionLost, NoAnswer, RequestFailed
 from cm.errors import CmError
-from cm.networks.fleet.reconciling_board import Notes, NotUndone, Part, Place, Planned, Seen, Unsettled
+from cm.networks.fleet.reconciling_board import NotUndone, Part, Place, Planned, Seen, Unsettled
 from cm.wire.messages import requests as rq
 from cm.wire.messages.fleet import FleetStep
-from cm.wire.messages.status import ErrorInfo
 
 HOLD = 15.0  # seconds for which others are kept off; renewed while a change is open and the store answers
 
@@ -86,46 +81,3 @@ class ManagedBoard:
             await self.load(part.old, part.caller, part.lease, undo=part.change)
         except RequestFailed as error:
             raise NotUndone(str(error)) if error.code == NotUndone.code else error from None
-
-
-class NotesFile:
-    """A board's notes, replaced in one step; whole after a kill.
-
-    Nothing is synced: a loss of power takes what the hardware held, and what was noted of it means nothing any more.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        self._path, self._new = folder / "notes.json", folder / ".notes.new"
-
-    def read(self) -> Notes:
-        """What was written last; nothing, if that is damaged or of another version."""
-        try:
-            return unpacked(self._path.read_bytes())
-        except (FileNotFoundError, ValueError, KeyError, TypeError):
-            return Notes()
-
-    def write(self, notes: Notes) -> None:
-        """By system calls: what a buffered file adds takes longer than they do, four times a change."""
-        data, new = packed(notes), os.open(self._new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
-        try:
-            if os.write(new, data) != len(data):
-                raise OSError(errno.ENOSPC, f"{self._new} could not be written whole: is the disk full?")
-        finally:
-            os.close(new)
-        self._new.replace(self._path)
-
-
-def packed(notes: Notes) -> bytes:
-    """As they lie on the disk."""
-    return json.dumps(notes, default=lambda each: {name: getattr(each, name) for name in each.__slots__}).encode()
-
-
-def unpacked(data: bytes) -> Notes:
-    """The inverse of `packed`. Raises ValueError, KeyError, TypeError."""
-    plain = json.loads(data)
-    part = plain["part"]
-    if part is not None:
-        error = ErrorInfo(**part["error"]) if part["error"] else None
-        part = Part(**{**part, "old": tuple(part["old"]), "goal": tuple(part["goal"]), "error": error})
-    return Notes(**{**plain, "place": tuple(plain["place"]), "part": part})

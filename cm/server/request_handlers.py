@@ -20,16 +20,16 @@ from cm.manager.manager import Manager
 from cm.manager.status_reports import config_list, is_long
 from cm.schema.model import Config, Stream
 from cm.server.board_watch import BoardWatch
+from cm.server.client_quotas import Client, Clients, with_holdings
 from cm.server.connections import Connections, Sessions
 from cm.server.error_replies import Respond, error_info, refusal
 from cm.server.interrupts import InterruptWatch
 from cm.server.lease_watch import LeaseWatch
 from cm.server.long_work import ClientJobs, Done, Result, Steps
 from cm.server.provision import Provisioner, Sender
-from cm.server.rights.gate import Gate, check
+from cm.server.rights.admission import Gate, check
 from cm.server.rights.model import Role
 from cm.server.rights.required_rights import provisioning
-from cm.server.shares import Client, Clients, with_holdings
 from cm.server.sockets import Loop
 from cm.server.streams.running import Streams
 from cm.server.streams.stream import Frame

@@ -3,7 +3,7 @@
 
 import { at, byId, empty, h, keyed, text } from "./dom.js";
 
-export class Beside {
+export class Notices {
   interrupts(found) {
     const node = byId("interrupts");
     keyed(node, Object.entries(found), ([name]) => name, ([name]) => {
