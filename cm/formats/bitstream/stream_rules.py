@@ -48,7 +48,7 @@ class Rules:
         self.crc_bad = 0
         self._uncovered: list[tuple[int, int]] = []  # writes since the last CRC or RCRC
         self._gaps: list[Refusal] = []  # refusals only if the stream has CRCs at all
-        self._reset: bool  # the last packet was RCRC
+        self._reset = False  # the last packet was RCRC
         self._started = False  # a section with START in it has ended
         self._starting = False
 
