@@ -46,8 +46,7 @@ class SlotMappings:
         shape = self.geometry.shape
         if not self.geometry.stride or shape is None:
             return None
-        packed = np.empty(shape, self.dtype)[:0].strides if 0 in shape else _packed(shape, self.dtype.itemsize)
-        return (self.geometry.stride, *packed[1:])
+        return (self.geometry.stride, *_packed(shape, self.dtype.itemsize)[1:])
 
     def __len__(self) -> int:
         return len(self._maps)

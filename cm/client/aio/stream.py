@@ -42,14 +42,13 @@ class Stream:
         `write` is what `registers.write` returned, or a generation of the registers. Raises Timeout.
         """
         wanted = FirstAfter(self.name, write, timeout, self._timeout)
-        for left in wanted.limits():
+        while True:
             try:
-                frame = await self.read(left)
+                frame = await self.read(wanted.left())
             except Timeout:
                 raise wanted.nothing() from None
             if wanted.has(frame):
                 return frame
-        raise AssertionError("limits end by an exception")
 
     async def open(self) -> None:
         """Connect; `read` does it by itself. Raises RequestNotFound for an unknown stream."""

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from cm.client.core.flow_effects import Deadline, Limit, seconds
@@ -33,20 +32,19 @@ def number(write: Written | int) -> int:
 
 
 class FirstAfter:
-    """To read frames until one began after a write: iterate over the remaining time-outs, and offer each frame."""
+    """To read frames until one began after a write: ask for the time that is left, and offer each frame."""
 
     def __init__(self, stream: str, write: Written | int, timeout: Limit, default: float | None) -> None:
         self._generation = number(write)
         self._deadline = Deadline(seconds(timeout, default))
         self._stream = stream
 
-    def limits(self) -> Iterator[float | None]:
-        """How long each read may take. Raises Timeout when nothing is left."""
-        while True:
-            left = self._deadline.left
-            if left is not None and left <= 0:
-                raise self.nothing()
-            yield left
+    def left(self) -> float | None:
+        """How long the next read may take. Raises Timeout when nothing is left."""
+        left = self._deadline.left
+        if left is not None and left <= 0:
+            raise self.nothing()
+        return left
 
     def has(self, frame: Frame) -> bool:
         """Whether this frame is the one; others are given back."""

@@ -72,6 +72,15 @@ def test_items_are_read_with_the_words_around_them_and_no_others(
     assert len(held.memory) == shape[0]
 
 
+def test_a_memory_is_an_array_where_one_is_wanted() -> None:
+    held = Held("int16", (8, 6))
+    assert np.array_equal(np.asarray(held.memory), held.values)
+    assert np.asarray(held.memory, "float32").dtype == np.float32
+    assert np.array_equal([row.tolist() for row in held.memory], held.values)
+    with pytest.raises(ValueError, match=r"^memory 'table' cannot be had without a copy$"):
+        held.memory.__array__(copy=False)
+
+
 @pytest.mark.parametrize(
     ("dtype", "shape", "key", "given"),
     [

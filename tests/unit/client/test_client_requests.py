@@ -30,6 +30,7 @@ from cm.wire.messages import requests as rq
 from cm.wire.messages.status import (
     ConfigInfo,
     ErrorInfo,
+    FrameInfo,
     InterruptInfo,
     Irq,
     LeaseInfo,
@@ -72,8 +73,8 @@ class Manager:
         """What stood between its number and the empty frame."""
         return self._envelope[2:-1]
 
-    def answer(self, body: Any = None, error: tuple[str, str] | None = None) -> None:
-        reply = Reply(body, ErrorInfo(*error) if error else None)
+    def answer(self, body: Any = None, *payload: bytes, error: tuple[str, str] | None = None) -> None:
+        reply = Reply(body, ErrorInfo(*error) if error else None, payload=payload)
         self._socket.send_multipart([*self._envelope, *map(bytes, encode_reply(b"cm", reply))])
 
     def close(self) -> None:
@@ -372,6 +373,32 @@ def test_what_the_blocking_client_has_is_a_mapping_of_what_the_manager_says(
         manager.asked()
         manager.answer(answer)
     assert ended() == found
+
+
+@BOTH
+def test_a_memory_asks_for_what_it_needs_of_itself(manager: Manager, client: Callable[..., Any]) -> None:
+    async def course(board: Any) -> list[Any]:
+        table = board.memories["table"]
+        info = table.info if client is blocking else await table.info()
+        found = [(await now(read)).tolist() for read in (table.get(slice(1, 3)), table.read(60), table.read(8, 4))]
+        await now(table.put(slice(1, 2), [7], "l"))
+        return [info.size, *found, await now(table.write(b"abcd", 8, "l")), await now(table.write([9]))]
+
+    ended = begun(client, course, manager.address)
+    info, describe = MemoryInfo("table", 0x2000, 64), rq.DescribeData("table")
+    expected: list[tuple[rq.Request, Any]] = [(describe, info), (describe, info)]
+    for offset, length in ((4, 8), (60, 4), (8, 4)):
+        expected += [(describe, info)] * (offset == 60)
+        part = FrameInfo("table", 0, 0, length, (length // 4,), "uint32")
+        expected.append((rq.ReadData("table", offset=offset, length=length), (part, bytes(range(1, length + 1)))))
+    written = FrameInfo("table", 0, 0, 4)
+    expected += [(describe, info), (describe, info), (rq.WriteData("table", b"\x07\0\0\0", "l", 4), written)]
+    expected += [(rq.WriteData("table", b"abcd", "l", 8), written)]
+    expected += [(describe, info), (rq.WriteData("table", b"\x09\0\0\0"), written)]
+    for request, answer in expected:
+        assert manager.asked() == request
+        manager.answer(*(answer if type(answer) is tuple else (answer,)))
+    assert ended() == [64, [0x04030201, 0x08070605], [0x04030201], [0x04030201], 4, 4]
 
 
 @BOTH
