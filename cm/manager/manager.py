@@ -17,9 +17,9 @@ from cm.manager.access.memory_service import MemoryService
 from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_service import RegisterService
 from cm.manager.errors import ChangeBusy, NothingLoaded, UnknownRegion, hint
-from cm.manager.execution.region_readback import Checked, Outcome, Pace, Scan, checked_region, loaded_map
+from cm.manager.execution.region_readback import Checked, Pace, Scan, checked_region, loaded_map
 from cm.manager.execution.transaction import Tools, plan_to
-from cm.manager.execution.worker import Change, Worker
+from cm.manager.execution.worker import Change, Look, Worker
 from cm.manager.loaders import Loaders
 from cm.manager.planner import Goal
 from cm.manager.recovery import destination, is_whole, repair, take_stock, undo, way_back
@@ -307,19 +307,18 @@ class Manager:
     ) -> None:
         """Compare a region; `on_done` is called at the end, from the worker's thread. Raises ChangeBusy.
 
-        `pace`: pauses between slices, as of a `Scan`.
+        `pace`: pauses between slices, as of a `Look`.
         """
-        started = self._env.time.monotonic()
+        started, scan = self._env.time.monotonic(), Scan(what, self._state, self._env.devices)
 
-        def done(outcome: Outcome) -> None:
-            scan, error = outcome
+        def done(error: Exception | None) -> None:
             if error is None:
                 self._worker.note(scan)
                 if scan.wrong or pace is None:  # passes in the background that find nothing are counted, not told
                     self.reporter.changed()
             on_done(error or scan.result(self._env.time.monotonic() - started))
 
-        self._worker.look(Scan(what, self._state, self._env.devices, done, pace))
+        self._worker.look(Look(scan, done, pace))
 
     def repair(self, request: CheckRegion, on_done: Callable[[Change], None] | None = None) -> Change:
         """Accept a change that compares a region and repairs it; `on_done` as for `submit`."""

@@ -182,49 +182,25 @@ Pace = Callable[[float, Callable[[], None]], None]  # seconds of a slice, and wh
 
 
 class Scan:
-    """One pass over a region; `step` by step in the worker's thread. `done` gets the result, or what went wrong."""
+    """One pass over a region, in the worker's thread: `step` by step until the last, and then `close`; or `run`."""
 
-    def __init__(
-        self,
-        what: Checked,
-        state: ManagerState,
-        devices: Devices,
-        done: Callable[[Outcome], None],
-        pace: Pace | None = None,
-    ) -> None:
-        """`pace`: called after each slice but the last; the next comes when it says so."""
+    def __init__(self, what: Checked, state: ManagerState, devices: Devices) -> None:
         self.what = what
-        self.pace = pace
         self.wrong: list[WrongFrame] = []
-        self._state, self._devices, self._done = state, devices, done
+        self._state, self._devices = state, devices
         self._at = 0
         self._reader: Reader | None = None
-
-    def step(self) -> bool:
-        """Read a slice; whether that was the last. An error ends it, and is told."""
-        try:
-            ended = self._slice()
-        except Exception as error:  # noqa: BLE001 (whoever asked is told)
-            self.end(error)
-            return True
-        if ended:
-            self.end(None)
-        return ended
 
     def run(self) -> None:
         """All of it at once. Raises what went wrong."""
         try:
-            while not self._slice():
+            while not self.step():
                 pass
         finally:
-            self._close()
+            self.close()
 
-    def end(self, error: Exception | None) -> None:
-        """It is over."""
-        self._close()
-        self._done((self, error))
-
-    def _slice(self) -> bool:
+    def step(self) -> bool:
+        """Read a slice; whether that was the last. Raises RegionBusy if the region was changed meanwhile."""
         what = self.what
         held = self._state.board.region(what.region.name)
         if held.phase is not RegionPhase.READY or held.sha256 != what.image.sha256:
@@ -240,7 +216,8 @@ class Scan:
         self.wrong.extend(self._reader.rest())
         return True
 
-    def _close(self) -> None:
+    def close(self) -> None:
+        """Give back what it took of the port."""
         if self._reader is not None:
             self._reader.close()
             self._reader = None
@@ -264,9 +241,6 @@ class Scan:
             config_name=what.config.name,
             mode=what.mode,
         )
-
-
-Outcome = tuple[Scan, "Exception | None"]
 
 
 def _told(frame: WrongFrame) -> FrameError:

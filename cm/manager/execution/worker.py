@@ -13,7 +13,7 @@ from cm.frozen import dataclass, field, replace
 from cm.manager import planner
 from cm.manager.access.leases import Leases
 from cm.manager.errors import Cancelled, ChangeBusy, RegionWrong
-from cm.manager.execution.region_readback import Scan, bits_of, checked_region
+from cm.manager.execution.region_readback import Pace, Scan, bits_of, checked_region
 from cm.manager.execution.rollback import Rollback, failure_of
 from cm.manager.execution.transaction import StepContext, Tools, plan_to, take_steps
 from cm.manager.planner import Goal, Plan
@@ -83,13 +83,22 @@ class Change:
             self.on_done(self)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Look:
+    """A check that takes its turns between changes; `done` is told that it is over, or what went wrong."""
+
+    scan: Scan
+    done: Callable[[Exception | None], None]
+    pace: Pace | None = None  # called after each slice but the last: the next comes when it says so
+
+
 class Worker:
     """The queue of changes and its thread. A defect in one change, or at its end, must not harm later ones."""
 
     def __init__(self, tools: Tools, leases: Leases) -> None:
         self._tools = tools
         self._leases = leases
-        self._queue: queue.SimpleQueue[Change | Scan | None] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[Change | Look | None] = queue.SimpleQueue()
         self._count = threading.Condition()
         self._changes = self._scans = 0  # that wait or run
         self._thread = threading.Thread(target=self._work, name="cm-changes", daemon=True)
@@ -118,13 +127,13 @@ class Worker:
         self._newest = change
         return change
 
-    def look(self, scan: Scan) -> None:
+    def look(self, look: Look) -> None:
         """Let a check wait for its turns, a slice in each. Raises ChangeBusy if too many wait."""
         with self._count:
             if self._scans >= SCANS:
                 raise ChangeBusy(f"{SCANS} checks of regions run or wait already; try again when one has ended")
             self._scans += 1
-        self._queue.put(scan)
+        self._queue.put(look)
 
     @property
     def coming(self) -> str | None:
@@ -151,7 +160,7 @@ class Worker:
     def _work(self) -> None:
         while (work := self._queue.get()) is not None:
             try:
-                if isinstance(work, Scan):
+                if isinstance(work, Look):
                     self._look(work)
                 else:
                     self._turn(work)
@@ -159,21 +168,29 @@ class Worker:
                 self._tools.reporter.set_error(_internal(problem))
                 self._tools.reporter.changed()
 
-    def _look(self, scan: Scan) -> None:
+    def _look(self, look: Look) -> None:
         """Read a slice of a region; the next one after the changes that wait now."""
-        if self._stopping.is_set():
-            scan.end(Cancelled("the configuration manager is stopping"))
-        else:
-            started = self._tools.time.monotonic()
-            if not scan.step():
-                again = functools.partial(self._queue.put, scan)
-                if scan.pace is None:
+        started = self._tools.time.monotonic()
+        try:
+            if self._stopping.is_set():
+                raise Cancelled("the configuration manager is stopping")
+            if not look.scan.step():
+                again = functools.partial(self._queue.put, look)
+                if look.pace is None:
                     again()
                 else:
-                    scan.pace(self._tools.time.monotonic() - started, again)
+                    look.pace(self._tools.time.monotonic() - started, again)
                 return
+        except Exception as problem:  # noqa: BLE001 (whoever asked is told)
+            self._over(look, problem)
+        else:
+            self._over(look, None)
+
+    def _over(self, look: Look, error: Exception | None) -> None:
+        look.scan.close()
         with self._count:
             self._scans -= 1
+        look.done(error)
 
     def _turn(self, change: Change) -> None:
         if self._stopping.is_set():
@@ -282,7 +299,7 @@ class Worker:
     def _scan(self, change: Change) -> Scan:
         tools = self._tools
         what = checked_region(change.repairs, tools.state, tools.devices, tools.files)
-        scan = Scan(what, tools.state, tools.devices, lambda _: None)
+        scan = Scan(what, tools.state, tools.devices)
         scan.run()
         self.note(scan)
         return scan
