@@ -11,7 +11,6 @@ import pytest
 from manager_process import Manager, served
 
 import cm
-from cm.client.frame import Frame
 from cm.client.stream import Stream
 
 
@@ -69,11 +68,3 @@ def test_a_reader_that_joins_learns_the_generation_that_others_know(board: cm.Bo
         before.after(written)
         with board.stream("camera", timeout=30) as stream:
             assert stream.read().generation == written.generation
-
-
-def test_a_copy_of_a_frame_that_was_given_back_is_no_frame_of_a_generation(board: cm.Board) -> None:
-    with board.stream("camera", timeout=30) as stream:
-        frame = stream.read()
-        copy = frame.copy()
-    assert isinstance(frame, Frame)
-    assert not hasattr(copy, "generation")

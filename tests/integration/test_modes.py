@@ -58,12 +58,6 @@ def test_interrupts_reach_every_client_while_another_holds_the_board(board: cm.B
             assert counts == sorted(set(counts))
 
 
-def test_progress_is_reported_while_loading(board: cm.Board) -> None:
-    steps: list[str] = []
-    board.load(mode="edge_detection", progress=lambda p: steps.append(p.step))
-    assert {"validate", "load", "publish"} <= set(steps)
-
-
 def test_the_first_mode_need_not_name_an_empty_region(own: tuple[Manager, SimBoard]) -> None:
     """Its registers answer for nobody yet; they get their defaults when a module comes."""
     with own[0].connected() as board:

@@ -113,21 +113,6 @@ def test_a_reader_that_does_not_synchronise_sees_old_bytes(apart: Setup) -> None
     assert told == {"same": False}
 
 
-def test_a_reader_synchronises_what_it_takes_once_at_each_end(apart: Setup) -> None:
-    before = apart.counts("camera")
-    told = apart.run(
-        """
-        with board.stream("camera", timeout=60) as stream:
-            sharp = [float(np.abs(np.diff(frame.astype(int))).mean()) for frame in islice(stream, 20)]
-            frame = stream.read()
-            frame.release(); frame.release(); del frame
-        tell(sharp=min(sharp), flat=max(sharp))
-        """
-    )
-    assert 0.5 < told["sharp"] <= told["flat"] < 60, "no pictures of a camera"
-    assert apart.added("camera", before) == {"read_starts": 21, "read_ends": 21}
-
-
 def test_frames_that_are_never_read_cost_nothing(apart: Setup) -> None:
     before = apart.counts("camera")
     apart.run(
@@ -286,25 +271,6 @@ def test_bitstreams_reach_the_port(apart: Setup) -> None:
     added = apart.added("icap", before)
     assert added.get("write_starts", 0) == added.get("write_ends", 0)
     assert not added.keys() - {"write_starts", "write_ends"}
-
-
-def test_asyncio_synchronises_the_same(apart: Setup) -> None:
-    told, to_pl, from_pl = loop(
-        apart,
-        """
-        import asyncio
-        async def main():
-            async with cm.aio.connect(runtime_dir=sys.argv[1], timeout=60) as twin:
-                async with twin.stream("from_pl", timeout=60) as stream, twin.writer("to_pl", timeout=60) as writer:
-                    for number in range(3):
-                        async with writer.slot() as array:
-                            array[...] = PICTURE
-                        assert ((await stream.read()) == PICTURE).all()
-        asyncio.run(main())
-        """,
-    )
-    assert not told
-    assert (to_pl, from_pl) == ({"write_starts": 3, "write_ends": 3}, {"read_starts": 3, "read_ends": 3})
 
 
 @pytest.fixture(scope="module")

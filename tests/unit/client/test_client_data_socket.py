@@ -330,7 +330,7 @@ def test_a_slot_is_granted_filled_sent_and_free_again(client: Callable[..., Any]
 
     async def course(board: Any) -> None:
         writer = await now(_writer(board.writer("to_pl", HUNG)))
-        assert (writer.free, writer.under_way) == (1, 0)
+        assert (writer.free, writer.under_way, repr(writer)) == (1, 0, "<writer of to_pl>")
         await now(writer.write(b"abcdef"))
         assert os.pread(manager.slots[1], 6, 0) == b"abcdef"
         assert manager.got() == Descriptor(1, packets.SUBMIT, EPOCH, 0, 6, 0)

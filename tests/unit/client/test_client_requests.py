@@ -232,6 +232,7 @@ def test_a_bridge_asks_in_the_name_of_its_guest(
         (lambda b: b.writer("to_pl"), "", "a writer needs the manager's data socket, which only its own machine has"),
         (lambda b: b.echo(64), "", "an echo needs the manager's data socket"),
         (lambda b: b.allocate(64), "", "memory for the PL needs the manager's data socket"),
+        (lambda b: b.set_mode(None), "", "a mode is named by a word, not None"),
         (lambda b: b.clients(), "a\nb", "a name of at most 64 characters, all printable"),
     ],
 )
@@ -404,14 +405,8 @@ def test_a_memory_asks_for_what_it_needs_of_itself(manager: Manager, client: Cal
 @BOTH
 def test_what_is_shown_of_a_board_and_its_parts(manager: Manager, client: Callable[..., Any]) -> None:
     async def course(board: Any) -> list[str]:
-        parts = (
-            board,
-            board.registers,
-            board.interrupts,
-            board.interrupts["done"],
-            board.memories,
-            board.memories["a"],
-        )
+        irqs, memories = board.interrupts, board.memories
+        parts = (board, board.registers, irqs, irqs["done"], memories, memories["a"], board.stream("camera", copy=True))
         shown = [repr(part) for part in parts]
         await now(board.close())
         return [*shown, repr(board)]
@@ -419,7 +414,7 @@ def test_what_is_shown_of_a_board_and_its_parts(manager: Manager, client: Callab
     itself = f"<board at {manager.address}>"
     parts = [f"<{part} of {itself}>" for part in ("registers", "interrupts", "memories")]
     closed = itself.replace(">", ", closed>")
-    expected = [itself, *parts[:2], "<interrupt done>", parts[2], "<Memory a>", closed]
+    expected = [itself, *parts[:2], "<interrupt done>", parts[2], "<Memory a>", "<stream camera>", closed]
     assert client(course, manager.address) == expected
 
 
