@@ -68,4 +68,4 @@ def test_pieces_grow_again_when_accesses_are_fast(monkeypatch: pytest.MonkeyPatc
     for _ in range(6):
         work.step()
     service._each = 1
-    assert max(done(monkeypatch, service, work)[6:]) == 16
+    assert done(monkeypatch, service, work)[:12] == [16, 8, 4, 2, 1, 1, 1, 2, 4, 8, 16, 16]
