@@ -204,12 +204,16 @@ class Writer:
                 self._collect()
                 left = None if until is None else max(0.0, until - time.monotonic())
         except BlockingIOError:
-            raise Timeout(
-                f"stream {self.name!r}: the hardware took nothing within {timeout or 0:g} s; "
-                "is anything reading the output, and is the region coupled?"
-            ) from None
+            raise Timeout(self.nothing(timeout)) from None
         except ConnectionLost as error:
             raise self._closed or error from None  # closed by another thread
+
+    def nothing(self, limit: float | None) -> str:
+        """Why no slot may have come back, in a sentence."""
+        return (
+            f"stream {self.name!r}: the hardware took nothing within {limit or 0:g} s; "
+            "is anything reading the output, and is the region coupled?"
+        )
 
     def _collect(self) -> None:
         """Note which frames are done; their slots are free again, unless the hardware repeats the frame."""

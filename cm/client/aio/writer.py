@@ -121,8 +121,7 @@ class AsyncWriter:
             try:
                 await self._waits.readable(writer.fileno(), deadline.left)
             except asyncio.TimeoutError:
-                limit = deadline.limit or 0
-                raise Timeout(f"stream {self._wanted.name!r}: the hardware took nothing within {limit:g} s") from None
+                raise Timeout(writer.nothing(deadline.limit)) from None
 
     def __repr__(self) -> str:
         return f"<writer of {self.name or 'an echo'}>"

@@ -336,7 +336,7 @@ def test_a_slot_is_granted_filled_sent_and_free_again(client: Callable[..., Any]
         assert manager.got() == Descriptor(1, packets.SUBMIT, EPOCH, 0, 6, 0)
         assert (writer.free, writer.under_way) == (0, 1)
         for wait in (lambda: writer.flush(0.125), lambda: writer.write(b"ghijkl", 0.125)):
-            with pytest.raises(Timeout, match=r"'to_pl': the hardware took nothing within 0\.125 s"):
+            with pytest.raises(Timeout, match=r"'to_pl': the hardware took nothing within 0\.125 s; is anything"):
                 await now(wait())
         manager.sends(done(0))
         await now(writer.flush(HUNG))
@@ -353,12 +353,74 @@ def test_a_slot_is_granted_filled_sent_and_free_again(client: Callable[..., Any]
     used(client, manager, course)
 
 
+OURS = Geometry(PAGE, 6, writable=True, shape=(2, 3), stream="to_pl")
+WORDS = replace(OURS, frame_length=12, dtype="uint16")
+PICTURE = replace(OURS, shape=(1, 2, 3), format="bgr")
+
+
+@BOTH
+@pytest.mark.parametrize(
+    ("form", "data", "sent"),
+    [
+        (OURS, b"abcdef", b"abcdef"),
+        (OURS, np.frombuffer(b"abcdef", np.uint8), b"abcdef"),
+        (OURS, np.frombuffer(b"abcdef", np.int16), "takes frames of (2, 3) uint8; this one is (3,) int16"),
+        (OURS, [1, 2], "takes frames of 6 bytes, (2, 3) uint8; this one has 16, (2,) int64"),
+        (WORDS, np.arange(6, dtype=np.uint16), bytes([0, 0, 1, 0, 2, 0, 3, 0, 4, 0, 5, 0])),
+        (WORDS, bytearray(b"abcdefghijkl"), b"abcdefghijkl"),
+        (WORDS, np.arange(6, dtype=np.int16).reshape(3, 2), bytes([0, 0, 1, 0, 2, 0, 3, 0, 4, 0, 5, 0])),
+        (PICTURE, np.arange(6, dtype=np.uint8).reshape(1, 2, 3), bytes([2, 1, 0, 5, 4, 3])),
+        (PICTURE, np.arange(6, dtype=np.uint8), bytes(range(6))),
+        (replace(OURS, stride=8), b"abcdef", b"abc\2\3\4\5\0def"),
+        (replace(OURS, frame_length=0, shape=None), np.array([1], np.int32), bytes([1, 0, 0, 0])),
+        (replace(OURS, frame_length=0, shape=None), b"ab", b"ab"),
+    ],
+)
+def test_what_is_written_lies_in_the_slot_as_the_stream_has_it(
+    client: Callable[..., Any], manager: Manager, form: Geometry, data: Any, sent: bytes | str
+) -> None:
+    os.pwrite(manager.slots[1], b"\xff\0\1\2\3\4\5\0", 0)
+    manager.answers(geometry(form), SLOTS, GRANT)
+
+    async def course(board: Any) -> None:
+        writer = await now(_writer(board.writer("to_pl", HUNG)))
+        if isinstance(sent, str):
+            with pytest.raises(InvalidRequest, match="^" + re.escape(f"stream 'to_pl' {sent}") + "$"):
+                await now(writer.write(data))
+            assert (writer.free, writer.under_way) == (1, 0), "it is not lost"
+            return
+        await now(writer.write(data))
+        assert os.pread(manager.slots[1], len(sent), 0) == sent
+        assert manager.got() == Descriptor(1, packets.SUBMIT, EPOCH, 0, form.frame_length or len(sent), 0)
+
+    used(client, manager, course)
+
+
+@BOTH
+def test_a_slot_is_free_again_unless_the_hardware_repeats_it_or_its_memory_is_of_before(
+    client: Callable[..., Any], manager: Manager
+) -> None:
+    later = Descriptor(1, packets.DONE, EPOCH + 1, sequence=1)
+    for form, answer, free in ((OURS, done(0), 1), (replace(OURS, cyclic=True), done(0), 0), (OURS, later, 0)):
+        manager.answers(geometry(form), SLOTS, GRANT)
+
+        async def course(board: Any, answer: Descriptor = answer, free: int = free) -> None:
+            writer = await now(_writer(board.writer("to_pl", HUNG)))
+            await now(writer.write(b"abcdef"))
+            manager.sends(answer._replace(sequence=0))
+            await now(writer.flush())
+            assert (writer.free, writer.under_way) == (free, 0)
+
+        used(client, manager, course)
+
+
 @BOTH
 def test_a_writer_that_gets_no_slot_says_so(client: Callable[..., Any], manager: Manager) -> None:
     manager.answers(geometry(), SLOTS)
+    hint = r"; is anything reading the output, and is the region coupled\?$"
 
     async def course(board: Any) -> None:
-        with pytest.raises(Timeout, match=r"'to_pl': the hardware took nothing within 0\.125 s"):
+        with pytest.raises(Timeout, match=r"^stream 'to_pl': the hardware took nothing within 0\.125 s" + hint):
             await now(_writer(board.writer("to_pl", 0.125)))
 
     used(client, manager, course)
