@@ -24,6 +24,7 @@ from cm.manager.errors import ChangeBusy, HeldBy, NothingLoaded, RegionBusy, Unk
 from cm.manager.execution.worker import Change
 from cm.manager.inputs import Image
 from cm.manager.loaders import Job, Loaders
+from cm.manager.state.board_state import OverlayState
 from cm.manager.state.journal import Pending
 from cm.schema import loads
 from cm.schema.model import Config, LoaderKind, Module
@@ -167,6 +168,8 @@ def test_overlays_go_before_their_region_is_cut_off_and_come_after_it_is_loaded(
     assert steps[:2] == ["overlays.remove", "overlays.remove"]  # kernel_base, cm-prr0
     assert steps[2:6] == ["uio.write", "overlays.apply", "overlays.apply", "uio.write"]
     assert sim.control.state()["overlays"] == ["cm-prr1", "cm-prr0", "kernel_base"]
+    state = made.manager.state
+    assert state.overlays[0] == OverlayState("cm-prr1", state.region("prr1").sha256 or "")
 
 
 def test_a_loading_overlay_that_was_taken_off_is_put_on_again(
@@ -526,6 +529,7 @@ def test_a_plan_touches_nothing(made: Rig) -> None:
     assert plan.seconds > 0
     assert made.fault.names == []
     assert made.manager.state is before
+    assert made.manager.plan(ChangeMode(mode="both")) == plan
     again = [made.manager.plan(ChangeMode("duo", "default", force=force)).bytes > 0 for force in (False, True)]
     assert again == [False, True]
 

@@ -47,7 +47,7 @@ config:
     fft: {region: right, mmio: [{base_address: 0x40000, memories: {twiddle: {size: 256}}}]}
   mmio:
     - base_address: 0x1000
-      registers: {led: {offset: 0x10}}
+      registers: {led: {offset: 0x10}, tiny: {offset: 0x20, width: 8}}
       memories: {scratch: {offset: 0x800, size: 0x400}}
   memories:
     big: {base_address: 0x10000000, size: 0x800000}
@@ -146,7 +146,8 @@ def test_the_form_of_what_is_read_is_that_of_the_schema_if_it_can_be(
     made: Rig, name: str, offset: int, length: int, form: tuple[tuple[int, ...], str]
 ) -> None:
     define(made, "pairs", 0x60100, 64, dtype="complex128")
-    assert made.manager.memories.begin_read(name, offset, length).form == form
+    begun = made.manager.memories.begin_read(name, offset, length)
+    assert (begun.form, begun.data) == (form, b"")  # nothing was read yet
 
 
 def refused(call: Callable[[], object]) -> tuple[type[Exception], str]:
@@ -387,6 +388,7 @@ def test_an_impossible_block_is_refused(made: Rig, given: dict[str, Any], text: 
         (0x1000, 16, "the decoupler of region 'left' at 0x1000"),
         (0x1010, 4, "register 'led' at 0x1010"),
         (0x1008, 12, "register 'led' at 0x1010"),
+        (0x1020, 4, "register 'tiny' at 0x1020"),
         (0x20010, 4, "the identity of region 'left' at 0x20010"),
         (0x1BFC, 8, "memory 'scratch' at 0x1800"),
         (0x1C00, 4, ""),

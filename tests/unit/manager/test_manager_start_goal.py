@@ -304,6 +304,7 @@ def test_overlays_that_only_a_lost_record_knew_are_taken_for_ours() -> None:
         ),
         ({}, changing("repair", "left"), {}, {"regions": lost("left")}, [f"{SAID} repair"]),
         ({"regions": lost("right")}, None, {}, {}, []),  # as it was known before
+        ({"mode": "gone"}, None, {"cells": {0x1010: 8}}, {}, []),  # whose registers are not known
         ({}, changing("registers", "led"), {}, {"values": {"gain": 7, "tone": 0, "led": 5}}, [f"{SAID} registers"]),
         (
             {},

@@ -324,6 +324,7 @@ def test_an_image_of_the_whole_device_is_loaded_where_it_is_not_there(
     loads_it = any("whole device" in text for text in steps)
     full = [step for step in made.steps if isinstance(step, LoadStatic)]
     assert (made.full, len(full)) == (loads_it, int(loads_it))
+    assert ("whole.bit" in "".join(step.text for step in made.steps[:1])) is loads_it
     assert texts(made) == steps
     assert not full or (full[0].timeout, full[0].config, full[0].loader) == (8.0, "whole", LoaderKind.FPGA_MANAGER)
 
