@@ -9,6 +9,7 @@ import os
 import queue
 import threading
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -456,7 +457,7 @@ def test_a_stream_asks_for_the_newest_frame_for_as_long_as_it_was_told(
     [
         ({"compression": "zip"}, "cannot be compressed with 'zip'"),
         ({"compression": "zip", "copy": True}, "cannot be compressed with 'zip'"),
-        ({"compression": "lz4", "copy": True, "newest": True}, "leave out one of them"),
+        ({"compression": "lz4", "copy": True, "newest": True}, "^newest=True requests .* leave out one of them$"),
         ({"depth": -1, "copy": True}, "a stream of depth -1"),
         ({"timeout": "5", "copy": True}, "a number of seconds, or None"),
     ],
@@ -466,6 +467,19 @@ def test_what_no_stream_can_be_is_refused_before_anything_is_asked(
 ) -> None:
     with pytest.raises(InvalidRequest, match=says):
         begun(client, lambda board: board.stream("camera", **options), manager.address)()
+
+
+def test_what_cannot_be_done_in_this_way_says_in_which(manager: Manager) -> None:
+    """By the blocking client, and by the asyncio one."""
+
+    def delete(board: Any) -> None:
+        del board.registers["focus"]
+
+    with pytest.raises(TypeError, match=r"^a register cannot be deleted$"):
+        blocking(delete, manager.address)
+    (Path(manager.address.removeprefix("ipc://")).parent / "data").touch()
+    with pytest.raises(InvalidRequest, match=r"^enter the writer first: async with board\.writer\(…\) as writer$"):
+        on_a_loop(lambda board: board.writer("to_pl").write(b"abc"), manager.address)
 
 
 @pytest.mark.parametrize("client", [blocking, on_a_loop, over_a_relay], ids=["blocking", "asyncio", "relay"])
