@@ -39,7 +39,6 @@ from cm.client.errors import (
     ConnectionLost,
     RequestBusy,
     RequestFailed,
-    RequestForbidden,
     RequestInvalid,
     RequestNotFound,
 )
@@ -119,12 +118,6 @@ def test_a_mode_is_entered_with_or_without_a_look_at_its_progress(board: Any) ->
     assert {p.target_mode for p in told} <= {"edge_detection"}
 
 
-def test_what_is_no_mode_is_an_error_and_changes_nothing(board: Any) -> None:
-    with pytest.raises(RequestNotFound, match="edg_detection"):
-        board.set_mode("edg_detection")
-    assert board.mode == "default"
-
-
 def test_a_change_can_be_followed(board: Any) -> None:
     handle = board.load_async("camera", "edge_detection")
     assert handle.wait(timeout=60) > 0
@@ -150,26 +143,6 @@ def test_cancelling_a_change_that_is_not_running_does_nothing(board: Any) -> Non
     handle.cancel()
     board.cancel()
     assert board.mode == "edge_detection"
-
-
-def test_a_plan_says_what_would_be_done(board: Any) -> None:
-    plan = board.plan("edge_detection", "camera")
-    assert plan.mode == "edge_detection"
-    assert plan.bytes > 0
-    assert board.mode == "default"
-
-
-def test_a_region_is_compared_with_what_was_loaded_and_repaired(board: Any, sim: SimBoard) -> None:
-    assert board.check_region("prr0").verdict == "good"
-    sim.control.upset("prr0")
-    assert board.check_region("prr0", repair=True).repaired == "frames"
-
-
-def test_what_was_loaded_into_a_region_is_counted(board: Any) -> None:
-    found = board.map_region("prr0")
-    assert (found.region, found.config_name, found.device) == ("prr0", "camera", "xc7z020")
-    assert found.columns
-    assert all(sum(c.switches) + sum(c.logic) + c.clock == sum(c.bits) > 0 for c in found.columns)
 
 
 def test_watching_begins_with_the_present_status(board: Any) -> None:
@@ -212,11 +185,6 @@ def test_a_configuration_can_be_sent(board: Any, sim: SimBoard, tmp_path: Path) 
 # ---- leases ---------------------------------------------------------------------------------------
 
 
-def test_a_lease_that_is_not_held_cannot_be_broken(board: Any) -> None:
-    with pytest.raises((RequestNotFound, RequestForbidden), match=r"number 12345|role admin"):  # as it has the right
-        board.break_lease(12345)
-
-
 def test_within_a_lease_its_holders_own_calls_pass_and_others_do_not(board: Any, other: Any) -> None:
     with board.lease("region:prr0", seconds=60, holder="the test") as lease_:
         assert lease_.scope == "region:prr0"
@@ -227,18 +195,6 @@ def test_within_a_lease_its_holders_own_calls_pass_and_others_do_not(board: Any,
         lease_.renew()
         other.set_mode("default", lease=lease_.id)
     other.set_mode("edge_detection")
-
-
-def test_a_lease_on_an_unknown_scope_is_refused_and_one_that_was_not_taken_is_not_renewed(board: Any) -> None:
-    for scope, says in (
-        ("region:nosuch", "there are prr0, prr1"),
-        ("registers:focs", "did you mean 'focus'"),
-        ("memories:x", "scratchpad"),
-    ):
-        with pytest.raises(RequestNotFound, match=says):
-            board.lease(scope).take()
-    with pytest.raises(InvalidRequest, match="lease on board is not held"):
-        board.lease().renew()
 
 
 def test_what_ends_a_block_passes_as_it_is_although_its_lease_has_ended_before(
@@ -265,16 +221,6 @@ def test_several_leases_are_used_together(board: Any, other: Any) -> None:
 
 
 # ---- registers ------------------------------------------------------------------------------------
-
-
-def test_registers_are_read_and_written_by_name(board: Any) -> None:
-    assert board.registers.write({"focus": 2}) == {"focus": 2}
-    assert board.registers.read("focus") == {"focus": 2}
-    assert board.registers.read()["focus"] == 2
-    assert board.registers.write_masked("focus", 1, 3) & 3 == 1
-    assert board.registers.info["focus"].name == "focus"
-    for value in (5, np.uint8(5), np.int64(5)):
-        assert board.registers.write({"focus": value}) == {"focus": 5}
 
 
 def test_an_unknown_register_is_an_error_or_the_default(board: Any) -> None:
@@ -557,19 +503,6 @@ def test_memory_for_the_pl_is_an_array_with_an_address(board: Any, reach: tuple[
         board.allocate(1 << 40)
 
 
-def test_memories_are_arrays_by_name(board: Any) -> None:
-    memory = board.memories["scratchpad"]
-    whole = memory.read()
-    assert memory.info.name == "scratchpad"
-    assert "scratchpad" in board.memories.info
-    values = np.arange(whole.size, dtype=whole.dtype).reshape(whole.shape)
-    assert memory.write(values) == values.nbytes
-    assert (memory.get(slice(0, 4)) == values[:4]).all()
-    memory.put(slice(0, 4), values[4:8])
-    assert (memory.read()[:4] == values[4:8]).all()
-    assert board.configure_memory("again", memory.info.address + 64, 64, dtype="uint8", access="ro").read().nbytes == 64
-
-
 # ---- the end --------------------------------------------------------------------------------------
 
 
@@ -738,7 +671,7 @@ ONLY = {  # for mappings, for event loops, and for what a thread has to do itsel
     "Memories": {"get", "items", "keys", "values"},
     "EventStream": {"open"},
     "Stream": {"aclose"},
-    "Writer": {"poll", "fileno", "open", "catch_up", "lend", "send"},
+    "Writer": {"poll", "fileno", "open", "catch_up", "lend", "send", "nothing"},
 }
 
 
@@ -767,8 +700,9 @@ def parameters(function: Any) -> list[tuple[str, Any, Any]]:
     return [(p.name, p.kind, p.default) for p in found]
 
 
-def test_every_public_method_of_a_board_is_tried_here() -> None:
-    text = Path(__file__).read_text(encoding="utf-8")
+def test_every_public_method_of_a_board_is_tried_here_or_where_requests_are() -> None:
+    requests = Path(__file__).parents[1] / "unit/client/test_client_requests.py"
+    text = Path(__file__).read_text(encoding="utf-8") + requests.read_text(encoding="utf-8")
     names = {(owner.__name__, name) for owner, _ in TWINS for name in public(owner)}
     beyond = {("Board", n) for n in ("ask", "run", "subscribe", "timeout")}
     beyond |= {(owner, name) for owner, only in ONLY.items() for name in only}
