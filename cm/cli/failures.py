@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 from cm.cli.colours import painted
@@ -44,7 +45,17 @@ def code_and_sentence(error: CmError | OSError) -> tuple[str, str]:
     if isinstance(error, CmError):
         return error.code, str(error)
     reason = error.strerror or str(error)
+    if isinstance(error, FileNotFoundError) and not str(error.filename or "").startswith("/") and _nowhere():
+        return "io", "the folder in which this was called is gone: cd to one that is there"
     return "io", f"{error.filename}: {reason}" if error.filename else reason
+
+
+def _nowhere() -> bool:
+    try:
+        os.getcwd()  # noqa: PTH109 (a command of every day does without pathlib)
+    except FileNotFoundError:
+        return True
+    return False
 
 
 def tell(code: str, message: str) -> None:

@@ -30,6 +30,7 @@ from cm.cli.serve_settings import (
 from cm.errors import InvalidRequest
 from cm.server.settings.model import FILE as SETTINGS_FILE
 from cm.server.settings.model import Settings as Defaults
+from cm.wire.topics import ipc_endpoints
 
 _SWITCH = 0.0005  # seconds, a tenth of Python's own
 _SILENCE = 3.0  # seconds of a start without a word
@@ -195,6 +196,7 @@ def _has_terminal() -> bool:
 
 def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitStack) -> Options:
     runtime = args.runtime_dir or (settings and settings.runtime_dir) or default_runtime_dir()
+    ipc_endpoints(runtime)  # too long for a socket: refused before anything is made in it
     paths = args.config or (_simulated_schemas(args, runtime) if args.sim else [])
     board = _simulated_root(args, runtime, paths, stack) if args.sim else None
     # While the simulator starts, in a process of its own, this one gets on with its imports, also of what comes later.

@@ -122,6 +122,24 @@ def test_a_silent_folder_is_not_put_down_to_a_host_that_was_not_asked(monkeypatc
     assert str(refused.value).endswith("within 0.1 s")
 
 
+@pytest.mark.parametrize("words", [["build", "check"], ["bitstream", "inspect", "a.bit"], ["keygen", "keys"]])
+def test_a_folder_that_is_gone_is_not_put_down_to_a_file_in_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str]
+) -> None:
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert said(capsys, *words) == "cm: the folder in which this was called is gone: cd to one that is there\n"
+
+
+def test_a_runtime_folder_that_is_too_long_is_refused_before_anything_is_made(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folders = ["--runtime-dir", str(tmp_path / ("x" * 99) / "run"), "--state-dir", str(tmp_path / "state")]
+    assert "is too long for a socket" in said(capsys, "serve", "--sim", *folders)
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize("option", ["--state-dir", "--runtime-dir"])
 @pytest.mark.parametrize("board", [[], ["--sim"]], ids=["a board", "a simulated board"])
 def test_a_file_in_the_place_of_a_folder_is_called_a_file(tmp_path: Path, option: str, board: list[str]) -> None:
