@@ -43,7 +43,6 @@ _WITH_MANAGER = (
     "local_reads",
     "memories",
     "modes",
-    "plane",
     "register_windows",
     "remote_streams",
     "stream_format",

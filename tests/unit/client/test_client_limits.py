@@ -8,6 +8,7 @@ import grp
 import math
 import os
 import pickle
+import re
 import socket
 from pathlib import Path
 from types import SimpleNamespace
@@ -310,6 +311,46 @@ def test_a_manager_that_cannot_be_found_is_refused_in_words(endpoint: str, folde
     with pytest.raises((InvalidRequest, NotFound)) as refused:
         resolve(endpoint, folder)
     assert str(refused.value) == told
+
+
+@pytest.mark.parametrize("host", ["kria", "kria-2.local", "10.0.0.1", "[fe80::1%eth0]", "a_b", "a*", "1"])
+def test_a_host_is_a_name_or_an_address(host: str) -> None:
+    assert resolve(f"tcp://{host}:5560", None).req == f"tcp://{host}:5562"
+
+
+@pytest.mark.parametrize(
+    "host", ["[::]", ".a", "-a", "%a", "]a[", "_a", "*a", "[::1", "::1]", "a b", "kri\xe4", "a$", "."]
+)
+def test_what_is_no_host_is_refused_before_zeromq_does(host: str) -> None:
+    with pytest.raises(InvalidRequest, match=r"tcp://host\[:port\]"):
+        resolve(f"tcp://{host}:5560", None)
+
+
+def test_on_other_systems_there_is_no_manager_of_ones_own_and_no_data_socket(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    for name in ("req", "data"):
+        (tmp_path / name).touch()
+    monkeypatch.delenv("CM_RUNTIME_DIR", raising=False)
+    monkeypatch.setattr(find_manager, "sys", SimpleNamespace(platform="win32"))
+    told = (
+        "a configuration manager runs on a Linux board, not here: say which one, "
+        "connect('tcp://kria.local'), --connect tcp://kria.local, or CM_CONNECT=tcp://kria.local"
+    )
+    with pytest.raises(InvalidRequest, match=f"^{re.escape(told)}$"):
+        find_manager.find(None, None, None)
+    place = find_manager.find(tmp_path, None, None)
+    assert (place.data, place.local, find_manager.deserted(place.endpoints.req)) == (None, True, "")
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with pytest.raises(NotAdmitted, match=r"members of its group \(sudo usermod -aG its group "):
+        resolve(tmp_path, None)
+
+
+def test_a_key_may_have_a_colon_in_it_and_a_comment_none_of_the_keys(tmp_path: Path) -> None:
+    keys = [("0" * n + ":" + "0" * (39 - n)) for n in (0, 20, 39)]
+    lines = [f"{name}: {key}" for name, key in zip(("server-public", "public", "secret"), keys, strict=True)]
+    (tmp_path / "my.key").write_text("\n".join(["made by cm", *lines, "# secret: none"]))
+    assert load_keys(tmp_path / "my.key") == Keys(*(key.encode() for key in keys))
 
 
 def test_a_guests_name_has_64_characters_at_most_and_keys_are_looked_for_where_a_network_is_between(
