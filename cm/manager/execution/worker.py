@@ -75,9 +75,9 @@ class Change:
         ended = ChangeInfo(self.number, done=True, seconds=self.seconds, generation=self.generation)
         return Reply(ended) if self.error is None else Reply(error=self.error)
 
-    def finish(self, error: ErrorInfo | None, seconds: float) -> None:
+    def finish(self, error: ErrorInfo | None) -> None:
         """Its end."""
-        self.error, self.seconds = error, seconds
+        self.error = error
         self._done.set()
         if self.on_done is not None:
             self.on_done(self)
@@ -195,7 +195,7 @@ class Worker:
     def _turn(self, change: Change) -> None:
         if self._stopping.is_set():
             self._ended()
-            change.finish(ErrorInfo("cancelled", "the configuration manager is stopping"), 0.0)
+            change.finish(ErrorInfo("cancelled", "the configuration manager is stopping"))
             return
         self._run(change)
         self._tools.state.keep_times()
@@ -212,14 +212,14 @@ class Worker:
             state.way_back = WayBack(change.undoable, state.pending) if change.undoable else None
         change.generation = state.written()
         self._tools.data_plane.wrote(change.generation)
-        seconds = time.monotonic() - started
+        change.seconds = time.monotonic() - started
         state.pending, self.running = None, None
-        reporter.ended(change.number, error, seconds)
+        reporter.ended(change.number, error, change.seconds)
         state.release_regions()
         reporter.note(state.settle())
         self._ended()
         reporter.changed()
-        change.finish(error, seconds)
+        change.finish(error)
 
     def _begin(self, change: Change) -> None:
         state, self.running = self._tools.state, change

@@ -275,8 +275,8 @@ def _checked(line: bytes) -> bytes | None:
 def _understood(body: bytes) -> Record:
     try:
         return _from_plain(json.loads(body))
-    except (ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
-        raise OtherVersion(str(error)) from None
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError):
+        raise OtherVersion from None
 
 
 def _pending_from_plain(plain: Mapping[str, Any]) -> Pending:

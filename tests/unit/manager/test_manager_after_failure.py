@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from manager_schemas import REGIONS, written
-from manager_support import Rig, killed_at, rig
+from manager_support import Rig, killed_at, place_of, rig
 
 from cm.device import DeviceError, Root, Uio
 from cm.manager.errors import NothingToUndo
@@ -223,6 +223,7 @@ def test_a_region_of_the_image_that_was_there_is_coupled_again_unless_its_load_h
             error = failing_at(fresh, number, "duo", "default")
             begun = {"prr0", "prr1"} if fresh.fault.names.count("icap.load") > 1 else set()
             begun |= {"prr0"} if "icap.load" in fresh.fault.names else set()
+            assert place_of(fresh, sim, configs) == ("" if error else "duo/default")
             if error is None:
                 break
             for region in fresh.manager.status().regions:
@@ -328,6 +329,12 @@ def persistently(made: Rig, mode: str, *, config: str, at: str, from_: int = 0, 
     return f"{error.code}: {error.message}"
 
 
+GONE = (
+    "going back failed too: the static part that duo was running in is gone, and it is not the manager's to load: load "
+    "a full configuration, or restart the board"
+)
+
+
 @pytest.mark.parametrize(
     ("before", "goal", "fails", "text"),
     [
@@ -364,18 +371,29 @@ def persistently(made: Rig, mode: str, *, config: str, at: str, from_: int = 0, 
             [("duo", "default")],
             ("whole", "default"),
             {"at": "fpga_manager.load"},
-            "undo_failed: load the whole device from whole.bit by fpga_manager: injected at fpga_manager.load; going "
-            "back failed too: the static part that duo was running in is gone, and it is not the manager's to load: "
-            "load a full configuration, or restart the board; what the device holds is not known, so nothing in it is "
-            "accessed",
+            "undo_failed: load the whole device from whole.bit by fpga_manager: injected at fpga_manager.load; "
+            f"{GONE}; what the device holds is not known, so nothing in it is accessed",
+        ),
+        (
+            [("duo", "default")],
+            ("ported", "only"),
+            {"at": "uio.write"},
+            f"undo_failed: set led = 0x9: injected at uio.write; {GONE}; the device holds the image of ported, and is "
+            "in no mode",
+        ),
+        (
+            [],
+            ("duo", "default"),
+            {"at": "uio.write", "from_": 4},
+            "device_error: set gain = 0x1: injected at uio.write; there was no mode to go back to; what was loaded "
+            "stays, in no mode",
         ),
         (
             [("duo", "default")],
             ("whole", "full"),
             {"at": "icap.load"},
-            "undo_failed: load w0 into prr0 by icap: injected at icap.load; going back failed too: the static part "
-            "that duo was running in is gone, and it is not the manager's to load: load a full configuration, or "
-            "restart the board; regions left decoupled: prr0, prr1",
+            f"undo_failed: load w0 into prr0 by icap: injected at icap.load; {GONE}; regions left decoupled: prr0, "
+            "prr1",
         ),
         (
             [("duo", "default"), ("duo", "other")],

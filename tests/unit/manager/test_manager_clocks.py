@@ -209,18 +209,6 @@ def test_a_manager_that_is_killed_while_it_sets_clocks_brings_them_back(
     assert back > 4
 
 
-def test_clocks_that_changed_while_no_manager_ran_are_reported_and_set_again(
-    sim: SimBoard, configs: dict[str, Config], tmp_path: Path
-) -> None:
-    with rig(sim.root, tmp_path, *configs.values()) as first:
-        assert first.go("default", config="fast") is None
-    PlClocks(sim.root).find("fclk0").rate = 10_000_000
-    with rig(sim.root, tmp_path, *configs.values()) as again:
-        assert any("clock fclk0 runs at 10 MHz" in note or "clock fclk0 runs at 9.9" in note for note in again.notes)
-        again.manager.wait_idle()
-        assert rates(sim) == (FAST, 99_999_999)
-
-
 def test_rates_round_down_as_the_dividers_do() -> None:
     """Rates that the mainline driver derives from an IOPLL of 1 GHz; the lowest divides it by 63 twice."""
     pll = PLL["7series"]

@@ -94,18 +94,6 @@ def test_whichever_operation_fails_the_region_is_as_the_status_says(made: Rig, s
     assert {"gpio.open", "gpio.drive", "gpio.read", "icap.load", "journal.write"} <= failed
 
 
-def test_a_line_that_does_not_follow_loads_nothing(made: Rig, sim: SimBoard) -> None:
-    before = sim.control.state()["loads"]
-    sim.control.inject("gpio_stuck", "zynq_gpio:54")
-    error = made.go("other", config="emio")
-    sim.control.clear("gpio_stuck")
-    assert error is not None
-    assert error.code == "verify_failed"
-    assert "line 54 of zynq_gpio, reads 0 after 1" in error.message
-    assert sim.control.state()["loads"] == before
-    assert regions(sim) == {"left": ("a", False), "right": ("c", False)}
-
-
 def test_the_manager_holds_its_lines_while_it_runs(made: Rig, sim: SimBoard) -> None:
     with pytest.raises(OSError, match="it is in use"):
         GpioLine.open("zynq_gpio", 54, sim.root)
@@ -120,19 +108,6 @@ def test_a_line_that_the_chip_does_not_have_is_told_by_its_name(sim: SimBoard, c
     assert error is not None
     assert "no-such-line" in error.message
     assert "gpioinfo lists them" in error.message
-
-
-def test_a_region_whose_line_was_changed_while_no_manager_ran_is_brought_back_at_start(
-    made: Rig, sim: SimBoard, config: Config, tmp_path: Path
-) -> None:
-    made.close()
-    with GpioLine.open("zynq_gpio", 54, sim.root) as line:
-        line.value = 1
-    assert regions(sim)["left"] == ("a", True)
-    with rig(sim.root, tmp_path, config) as again:
-        assert any("left: it stands decoupled" in note for note in again.notes), again.notes
-        assert again.go("default", config="emio") is None
-        assert regions(sim) == {"left": ("a", False), "right": ("c", False)}
 
 
 def test_a_line_travels_with_the_schema(config: Config) -> None:

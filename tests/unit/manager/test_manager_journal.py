@@ -138,14 +138,14 @@ def test_the_journal_is_bounded_and_a_kill_while_it_is_replaced_loses_nothing(jo
 
 
 def test_a_short_write_is_an_error_and_the_next_one_takes_its_place(
-    journal: Journal, monkeypatch: pytest.MonkeyPatch
+    journal: Journal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     journal.write(FULL)
     write = os.pwrite
     for torn in (9, 100, 1):
         with monkeypatch.context() as patch:
             patch.setattr(os, "pwrite", lambda fd, data, at, torn=torn: write(fd, data[:-torn], at))
-            with pytest.raises(OSError, match="whole"):
+            with pytest.raises(OSError, match=f"{tmp_path}/journal could not be written whole: is the disk full"):
                 journal.write(replace(FULL, number=8))
         assert journal.read() == FULL
     small = Record("boot", BoardState(), number=9)
@@ -206,6 +206,9 @@ def test_a_load_counts_as_hung_after_what_the_schema_says_or_twenty_times_what_i
     two = known.observed(LoaderKind.ICAP, 100, 1.0).observed(LoaderKind.ICAP, 123_456, 2.0)
     assert two.measured == {LoaderKind.ICAP: (100.0, 61_730.0)}  # four digits are recorded
     assert two.rate(LoaderKind.ICAP) == 61_730.0
+    assert (
+        known.observed(LoaderKind.ICAP, 500, 1e-6).observed(LoaderKind.ICAP, 600, 1e-6).rate(LoaderKind.ICAP) == 600e6
+    )
     assert (two.took(("load", 3.0), ("load", 2.0)).overhead("load"), two.overhead("load")) == (2.0, 0.0)
 
 
@@ -229,7 +232,7 @@ def test_a_bad_record_on_a_read_only_file_system_is_no_more_than_bad(
     (tmp_path / "journal").write_bytes(b"rubbish")
     with monkeypatch.context() as patch:
         patch.setattr(Path, "replace", fails)
-        with pytest.raises(StoreCorrupt, match="could not be set aside"):
+        with pytest.raises(StoreCorrupt, match=r"holds no whole line; it could not be set aside \(.*read-only"):
             journal.read()
 
 

@@ -10,7 +10,6 @@ import pytest
 from manager_support import Rig, rig
 
 from cm.schema.model import Config
-from cm.server.board_watch import Sleep
 from cm.simulation.software import Board as SimBoard
 from cm.wire.messages.status import ErrorInfo
 
@@ -78,13 +77,9 @@ def test_a_load_that_fails_after_a_sleep_leaves_no_claim(made: Rig) -> None:
 def test_a_board_that_holds_nothing_stays_as_it_is(made: Rig) -> None:
     assert slept(made) == ["journal.write"]
     assert made.manager.state.config is None
-
-
-def test_a_sleep_is_noticed_once() -> None:
-    asleep = 5.0
-    watch = Sleep(lambda: asleep)
-    assert not watch.slept()
-    asleep = 65.0
-    assert watch.slept()
-    watch.noted()
-    assert not watch.slept()
+    made.fault.make = lambda _: OSError(28, "full")
+    made.arm(0)
+    made.manager.board_slept()
+    assert made.manager.status().last_error == ErrorInfo(
+        "store", "the state record could not be written: [Errno 28] full"
+    )

@@ -80,7 +80,10 @@ def test_modules_of_another_static_part_are_refused_before_anything_is_touched(m
     made.arm(-1)
     error = made.go("default", config="theirs")
     assert error.code == "wrong_static"
-    assert "expected 0xa5a50002, the board has 0xa5a50001" in error.message
+    assert error.message.startswith(
+        "check that the static part is 0xa5a50002: theirs was made with another static design than the device holds: "
+        "expected 0xa5a50002, the board has 0xa5a50001; load the image that belongs to it; "
+    )
     assert "uio.write" not in made.fault.names
     after = sim.control.state()
     assert (after["regions"], after["loads"]) == (before["regions"], before["loads"])

@@ -137,17 +137,6 @@ def test_after_persistent_failures_the_status_says_what_is_known_of_the_board(
         place_of(made, sim, configs)
 
 
-def test_a_first_change_that_fails_leaves_what_it_touched_cut_off(
-    sim: SimBoard, configs: dict[str, Config], tmp_path: Path
-) -> None:
-    for number in range(0, 45, 3):
-        with rig(sim.root, tmp_path / str(number), *configs.values()) as fresh:
-            fresh.arm(number)
-            error = fresh.go("default", config="duo")
-            fresh.arm(-1)
-            assert where(fresh, sim, configs) == ("" if error else "duo/default")
-
-
 @pytest.mark.parametrize(
     ("way", "operation"),
     [

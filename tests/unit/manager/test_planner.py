@@ -338,6 +338,9 @@ def test_a_partial_configuration_goes_back_to_the_image_that_it_ran_on() -> None
         "load the whole device from whole.bit by fpga_manager",
         "apply overlay base",
     ]
+    unhurried = replace(WHOLE, timeout=None)
+    (full,) = [step for step in plan(Goal(unhurried, "bare"), ONE).steps if isinstance(step, LoadStatic)]
+    assert full.timeout == 2.0 + 20.0 * 4000 / 145e6
     with pytest.raises(CmError) as refused:
         plan(Goal(LAB, "two"), BoardState(static_lost=True))
     assert str(refused.value) == (

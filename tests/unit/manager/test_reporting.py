@@ -179,7 +179,7 @@ def test_the_status_tells_of_a_change_from_its_beginning_to_its_end() -> None:
         status = reporter.status()
         return status.fpga_busy, status.pr_mode, status.progress, status.last_error
 
-    assert now() == (False, PrMode.IDLE, None, None)
+    assert (now(), reporter.status().last_change) == ((False, PrMode.IDLE, None, None), 0)
     for full, kind in ((False, PrMode.PARTIAL), (True, PrMode.FULL)):
         reporter.begun(4, "lab", "two", full)
         assert now() == (True, kind, Progress(4, "lab", "two", "validate"), None)
