@@ -72,8 +72,8 @@ def _headers(data: memoryview) -> Iterator[tuple[int, ...]]:
         yield words
 
 
-def _key_source(data: memoryview) -> int:
-    return int(struct.unpack_from("<I", data, _BOOT_KEY_SOURCE)[0])
+def _names_key(data: memoryview) -> bool:
+    return any(data[_BOOT_KEY_SOURCE : _BOOT_KEY_SOURCE + 4])
 
 
 def _partitions(data: memoryview, headers: Iterable[tuple[int, ...]]) -> Iterator[tuple[int, int, bool]]:
@@ -82,9 +82,9 @@ def _partitions(data: memoryview, headers: Iterable[tuple[int, ...]]) -> Iterato
     On Zynq the two lengths of a partition differ where it is encrypted, but by its padding too: then
     the boot header names the key's source (UG821). On Zynq UltraScale+ an attribute says it (UG1283).
     """
-    key = _key_source(data)
+    key = _names_key(data)
     for words in headers:
-        zynq = words[5], words[6], key != 0 and words[0] != words[1]
+        zynq = words[5], words[6], key and words[0] != words[1]
         zynqmp = words[8], words[9], words[9] & _BOOT_ENCRYPTED != 0
         for offset, attributes, encrypted in (zynq, zynqmp):
             begin, end = 4 * offset, 4 * (offset + words[1])
@@ -116,7 +116,7 @@ def _boot_stream(data: memoryview) -> tuple[int, int, bool, bool]:
     sync = find_sync(data, _BOOT_HEADER, len(data))
     if sync is None:
         raise NoSync("a boot image without a bitstream partition: no sync word after its header")
-    return _begin_of_stream(data, *sync), len(data), sync[1], _key_source(data) != 0
+    return _begin_of_stream(data, *sync), len(data), sync[1], _names_key(data)
 
 
 def find_bitstream(data: memoryview) -> BootStream:

@@ -194,9 +194,9 @@ def pack_bit(header: BitHeader, stream: bytes) -> bytes:
     pairs = (key if value is None else f"{key}={value}" for key, value in header.fields)
     name = ";".join([header.design, *pairs])
     parts = [_BIT_MAGIC]
-    for key, text in zip("abcd", (name, header.part, header.date, header.time), strict=True):
+    for key, text in {b"a": name, b"b": header.part, b"c": header.date, b"d": header.time}.items():
         raw = text.encode(errors="surrogateescape") + b"\0"
-        parts.append(key.encode() + struct.pack(">H", len(raw)) + raw)
+        parts.append(key + struct.pack(">H", len(raw)) + raw)
     parts.append(b"e" + struct.pack(">I", len(stream)) + stream)
     return b"".join(parts)
 

@@ -76,6 +76,11 @@ class Geometry:
         """Return a row; None where the device has none, or nothing is known of it."""
         return self.rows.get((block_type, row))
 
+    def frames(self, at: FrameAddress) -> int:
+        """Return the frames of the column of an address; 0 where there is none."""
+        row = self.row(at.block_type, at.row)
+        return row.frames(at.column) if row is not None else 0
+
 
 def _counts(text: str) -> list[int]:
     """Return frame counts from their short form: ``42 36x2`` is 42, 36, 36."""

@@ -6,7 +6,6 @@ UG470 table 5-23, UG570 table 9-19.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator
 from enum import IntEnum
 from typing import Final
@@ -81,6 +80,11 @@ def type2(count: int) -> int:
     return 0x50000000 | count
 
 
+def word_of(words: bytes | bytearray, at: int) -> int:
+    """Return one of big-endian words."""
+    return int.from_bytes(words[4 * at : 4 * at + 4], "big")
+
+
 @dataclass(frozen=True, slots=True)
 class FrameWrite:
     """Frame data that packets carry, big-endian, from frame address `far` on, which increments by itself.
@@ -97,7 +101,7 @@ class FrameWrite:
 def packet_events(image: Image, port: native.PacketProcessor) -> Iterator[native.Event]:
     """Run the whole stream through a port, and give its events one by one."""
     done = 0
-    while done < len(image.stream) // 4:
+    while 4 * done < len(image.stream):
         used, events = port.feed(image.stream, image.swapped, done)
         done += used
         yield from events
@@ -109,8 +113,7 @@ def frame_writes(image: Image) -> Iterator[FrameWrite]:
     run: FrameWrite | None = None
     for at, kind, _, far, count, before, repeated in packet_events(image, native.PacketProcessor()):
         if kind == native.FRAMES:
-            (header,) = struct.unpack_from(">I", words, 4 * at)
-            first = at + (1 if header & TYPE1_LIMIT else 2)  # 0: a type 2 header with the count follows
+            first = at + (1 if word_of(words, at) & TYPE1_LIMIT else 2)  # 0: a type 2 header with the count follows
             data = words[4 * first : 4 * (first + count)]
             if run is not None and before:
                 run = FrameWrite(far, run.data + data)

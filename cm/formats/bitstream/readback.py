@@ -144,7 +144,7 @@ class LoadedFrames:
 
     def _sliced(self, most: int) -> Iterator[Slice]:
         run: list[int] = []
-        for far in sorted(self._frames, key=self._place.__getitem__):
+        for far in sorted(self._frames):
             if run and (len(run) == most or self._place[far] != self._place[run[-1]] + 1):
                 yield self._slice(tuple(run))
                 run = []

@@ -25,10 +25,12 @@ from cm.formats.bitstream.merge import (
     merge,
     module_of,
 )
-from cm.formats.bitstream.packets import SYNC, Command, Register, packet_events
+from cm.formats.bitstream.packets import TYPE1_LIMIT, Register, packet_events, type1, word_of
 from cm.formats.xray import Database, to_bytes
 from cm.formats.xray.frames import BYTES, ECC_MASK, Frames
 from cm.schema.model import FrameRange
+
+_FAR = type1(Register.FAR, 1)
 
 
 def column_moves(device: Device, source: Sequence[FrameRange], target: Sequence[FrameRange]) -> Moves:
@@ -45,12 +47,11 @@ def column_moves(device: Device, source: Sequence[FrameRange], target: Sequence[
         for number in range(_width(one)):
             here = FrameAddress(one.block_type, one.row, one.column_first + number)
             there = FrameAddress(other.block_type, other.row, other.column_first + number)
-            rows = [geometry.row(at.block_type, at.row) for at in (here, there)]
-            counts = [row.frames(at.column) if row else 0 for row, at in zip(rows, (here, there), strict=True)]
-            if counts[0] != counts[1] or not counts[0]:
+            before, after = geometry.frames(here), geometry.frames(there)
+            if before != after or not before:
                 raise CannotRelocate(
-                    f"column kinds differ: column {here.column} of row {here.row} has {counts[0]} frames, "
-                    f"column {there.column} of row {there.row} has {counts[1]}"
+                    f"column kinds differ: column {here.column} of row {here.row} has {before} frames, "
+                    f"column {there.column} of row {there.row} has {after}"
                 )
             moves[encode_far(here, device.family)] = encode_far(there, device.family)
     return moves
@@ -91,26 +92,28 @@ def _assembled(device: Device, source: Source, frames: Frames) -> bytes:
     image, geometry = open_image(source), geometry_of(device.name)
     assert geometry is not None  # `column_moves` knew it
     runs = []
-    for far, order in _in_runs(sorted(frames), geometry, device.family):
-        data = b"".join(to_bytes(frames[address]) for address in order)
-        runs.append(FrameRun(decode_far(far, device.family), data + bytes(BYTES)))
+    for run in _in_runs(sorted(frames), geometry, device.family):
+        data = b"".join(to_bytes(frames[address]) for address in run)
+        runs.append(FrameRun(decode_far(run[0], device.family), data + bytes(BYTES)))
     return convert(assemble(device, runs), image.container, image.header)
 
 
-def _in_runs(addresses: Sequence[int], geometry: Geometry, family: Family) -> list[tuple[int, list[int]]]:
-    """Frames that follow each other, also from column to column, as the port counts: the first, and all."""
-    found: list[tuple[int, list[int]]] = []
-    after = -1
+def _in_runs(addresses: Sequence[int], geometry: Geometry, family: Family) -> list[list[int]]:
+    """Frames that follow each other, also from column to column, as the port counts."""
+    found: list[list[int]] = []
     for address in addresses:
-        if address == after:
-            found[-1][1].append(address)
-        else:
-            found.append((address, [address]))
-        at = decode_far(address, family)
-        row = geometry.row(at.block_type, at.row)
-        last = row is not None and at.minor + 1 == row.frames(at.column)
-        after = encode_far(FrameAddress(at.block_type, at.row, at.column + 1), family) if last else address + 1
+        if not found or address != _after(found[-1][-1], geometry, family):
+            found.append([])
+        found[-1].append(address)
     return found
+
+
+def _after(address: int, geometry: Geometry, family: Family) -> int:
+    """The address of the next frame within its row."""
+    at = decode_far(address, family)
+    if at.minor + 1 < geometry.frames(at):
+        return address + 1
+    return encode_far(FrameAddress(at.block_type, at.row, at.column + 1), family)
 
 
 def readdressed(source: Source, moves: Moves) -> bytes:
@@ -124,48 +127,36 @@ def readdressed(source: Source, moves: Moves) -> bytes:
     if image.container is Container.BOOTGEN:
         raise CannotRelocate("boot images are read, not written: give the .bit or .bin")
     words = bytearray(convert(source, Container.BIN_STRAIGHT))
-    checks = []
-    for at, register in _writes(words):
-        (value,) = struct.unpack_from(">I", words, 4 * at)
-        if register == Register.FAR and value & ~0x7F in moves:
-            struct.pack_into(">I", words, 4 * at, moves[value & ~0x7F] | value & 0x7F)
-        elif register == Register.CRC:
-            checks.append(at)
-    events = packet_events(open_image(bytes(words)), native.PacketProcessor())
-    for at, event in zip(checks, (event for event in events if event.kind == native.CRC), strict=True):
-        struct.pack_into(">I", words, 4 * at, event.count)
+    for at in _far_writes(words):
+        far = word_of(words, at)
+        if far & ~0x7F in moves:
+            struct.pack_into(">I", words, 4 * at, moves[far & ~0x7F] | far & 0x7F)
+    for event in packet_events(open_image(bytes(words)), native.PacketProcessor()):
+        if event.kind == native.CRC:
+            struct.pack_into(">I", words, 4 * event.word + 4, event.count)
     result = convert(bytes(words), image.container, image.header)
     if frames_in(result)[1] != wanted:
         raise CannotRelocate("a run of frames goes over the end of its row, and would not do so in the other region")
     return result
 
 
-def _writes(words: bytes | bytearray) -> Iterator[tuple[int, int]]:
-    """The writes of a good stream: index of the first word of data, register."""
-    at, end, inside, register = 0, len(words) // 4, False, 0
-    while at < end:
-        (header,) = struct.unpack_from(">I", words, 4 * at)
+def _far_writes(words: bytes | bytearray) -> Iterator[int]:
+    """Where a good stream writes FAR: indices of its values. What stands outside of sync has no form of a write."""
+    at = 0
+    while 4 * at < len(words):
+        header = word_of(words, at)
         at += 1
-        if not inside:
-            inside = header == SYNC
-            continue
-        kind, count = header >> 29, 0
-        if kind == 1 and header >> 27 & 3:
-            register, count = header >> 13 & 0x1F, header & 0x7FF
-        elif kind == 2:
-            count = header & 0x7FFFFFF
-        else:
-            continue
-        if count:
-            yield at, register
-        if register == Register.CMD and count and struct.unpack_from(">I", words, 4 * at) == (Command.DESYNC,):
-            inside = False
-        at += count
+        if header == _FAR:
+            yield at
+        if header >> 29 == 1:
+            at += header & TYPE1_LIMIT
+        elif header >> 29 == 2:
+            at += header & 0x7FFFFFF
 
 
 def _place(item: FrameRange) -> tuple[int, int, int]:
     """In the order of the device from its bottom, so that regions of several rows keep it."""
-    return item.block_type, -(item.row & 31) if item.row & 32 else item.row + 1, item.column_first
+    return item.block_type, -item.row if item.row & 32 else item.row, item.column_first
 
 
 def _width(item: FrameRange) -> int:

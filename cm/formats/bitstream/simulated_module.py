@@ -53,7 +53,7 @@ def identify_bytes(data: bytes) -> ModuleIdentity | None:
     _, digest, name_length, model_length = _LAYOUT.unpack_from(data)
     end = _LAYOUT.size + name_length
     name, model = data[_LAYOUT.size : end], data[end : end + model_length]
-    if len(name) + len(model) != name_length + model_length or digest != _digest(name, model):
+    if digest != _digest(name, model):
         return None
     return ModuleIdentity(name.decode(errors="replace"), model.decode(errors="replace"))
 
@@ -79,8 +79,7 @@ def _row(device: Device, index: int) -> int:
 def _column_frames(device: Device, column: FrameAddress) -> int:
     """Return the frames of a column; those of a CLB column where the device is not known, or has no such row."""
     geometry = geometry_of(device.name)
-    row = geometry.row(column.block_type, column.row) if geometry else None
-    return (row.frames(column.column) if row else 0) or _COLUMN_FRAMES[device.family]
+    return (geometry.frames(column) if geometry else 0) or _COLUMN_FRAMES[device.family]
 
 
 def _columns(footprint: Iterable[FrameRange]) -> list[FrameAddress]:

@@ -44,20 +44,12 @@ class Rules:
         self.desyncs: list[int] = []
         self.registers: set[int] = set()
         self.encrypted = False
-        self.crc_good = 0
-        self.crc_bad = 0
+        self.crc = CrcResult.ABSENT  # over all CRCs of the stream
         self._uncovered: list[tuple[int, int]] = []  # writes since the last CRC or RCRC
         self._gaps: list[Refusal] = []  # refusals only if the stream has CRCs at all
-        self._reset = False  # the last packet was RCRC
+        self._reset: bool  # of RCRC and CRC the last one was RCRC
         self._started = False  # a section with START in it has ended
         self._starting = False
-
-    @property
-    def crc(self) -> CrcResult:
-        """The result over all CRCs of the stream."""
-        if self.crc_bad:
-            return CrcResult.WRONG
-        return CrcResult.OK if self.crc_good else CrcResult.ABSENT
 
     def refuse(self, error: type[BitstreamError], message: str) -> None:
         """Note a problem; people get to read the first of each code."""
@@ -109,7 +101,6 @@ class Rules:
             self._command(event)
             if event.value == Command.RCRC:
                 return
-        self._reset = False
         self._uncovered.append((event.reg, event.value))
 
     def _command(self, event: native.Event) -> None:
@@ -141,10 +132,11 @@ class Rules:
         self._reset = False
         self._uncovered.clear()
         if event.value != event.count:
-            self.crc_bad += 1
+            self.crc = CrcResult.WRONG
             message = f"word {event.word}: CRC {event.value:08X} in the stream, {event.count:08X} computed"
             self.refuse(CrcMismatch, message)
             return
-        self.crc_good += 1
+        if self.crc is CrcResult.ABSENT:
+            self.crc = CrcResult.OK
         if event.extra == 0:
             self._gaps.append(Refusal.of(BadPacket, f"word {event.word}: a CRC that covers nothing"))

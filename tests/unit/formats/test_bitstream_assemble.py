@@ -62,16 +62,10 @@ def test_the_same_arguments_give_the_same_bytes_while_the_assembler_is_not_chang
     assert short(make()) == wanted
 
 
-def test_a_module_fills_its_columns_one_after_the_other() -> None:
-    (range_,) = default_footprint(0, "xc7z020", 404 * 80)
-    found = inspect(assemble_module("edge", size=404 * 80)).footprint
-    assert [item.column for item in found] == list(range(range_.column_first, range_.column_last + 1))
-    assert sum(item.frames for item in found) == 80 + len(found), "each run ends with a frame of padding"
-
-
-def test_a_small_module_fills_no_more_columns_of_its_region_than_it_needs() -> None:
-    found = inspect(assemble_module("edge", footprint=[FrameRange(0, 0, 2, 9)], size=404 * 40)).footprint
-    assert [item.column for item in found] == [2, 3]
+@pytest.mark.parametrize(("count", "columns"), [(40, [2, 3]), (72, [2, 3]), (73, [2, 3, 4]), (9999, [*range(2, 10)])])
+def test_a_small_module_fills_no_more_columns_of_its_region_than_it_needs(count: int, columns: list[int]) -> None:
+    found = inspect(assemble_module("edge", footprint=[FrameRange(0, 0, 2, 9)], size=404 * count)).footprint
+    assert [item.column for item in found] == columns
 
 
 @pytest.mark.parametrize(

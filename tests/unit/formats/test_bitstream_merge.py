@@ -82,18 +82,10 @@ def test_frames_that_follow_each_other_are_one_run_there_too_from_column_to_colu
         assert [(run.column, run.frames) for run in inspect(data).footprint] == [(40, 73)]
 
 
-def test_a_wire_that_both_drive_is_named(database: Database) -> None:
-    blank = frames_of(database, [("INT_L_X16Y10", "SS2BEG0.SL1END0")])
-    module = partial(frames_of(database, [("INT_L_X16Y60", "SS2BEG0.LOGIC_OUTS_L12")]))
-    refused = told(database, module, blank, {UPPER: LOWER})
-    assert "INT_L_X16Y10.SS2BEG0 has two drivers" in refused
-    assert refused.endswith("SL1END0, and 1 more"), "the bit that both set, which is the other reason"
-
-
 def test_a_wire_that_turns_back_at_the_edge_of_the_device_leads_out_of_another_region(database: Database) -> None:
-    module = partial(frames_of(database, [("INT_L_X16Y99", "NN2BEG0.LOGIC_OUTS_L0")]))
-    refused = told(database, module, {}, {UPPER: LOWER})
-    assert "wire NN2BEG0 of INT_L_X16Y49, which the module uses, leads out of the region: to INT_L_X16Y5" in refused
+    features = [("CLBLL_L_X16Y98", "SLICEL_X0.ALUT.INIT[5]"), ("INT_L_X16Y99", "NN2BEG0.LOGIC_OUTS_L0")]
+    refused = told(database, partial(frames_of(database, features)), {}, {UPPER: LOWER})
+    assert refused == "wire NN2BEG0 of INT_L_X16Y49, which the module uses, leads out of the region: to INT_L_X16Y50"
 
 
 def test_a_wire_that_turns_back_only_there_has_other_ends(database: Database) -> None:
@@ -114,21 +106,55 @@ def test_another_static_parts_module_is_refused(database: Database) -> None:
     assert "the bitstream was made for another one" in told(database, partial({}), blank, {UPPER: LOWER})
 
 
-def test_a_clock_row_that_is_driven_by_another_clock_is_refused(database: Database) -> None:
-    spine = {"CLK_HROW_TOP_R_X82Y78": 0, "CLK_HROW_BOT_R_X82Y26": 1}
-    lines = [(tile, f"CLK_HROW_CK_MUX_OUT_R8.CLK_HROW_R_CK_GCLK{clock}") for tile, clock in spine.items()]
-    module = partial(frames_of(database, [("HCLK_L_X85Y78", "ENABLE_BUFFER.HCLK_CK_BUFHCLK8")]))
-    refused = told(database, module, frames_of(database, lines), {UPPER: LOWER})
-    assert "line 8 of the clock row at HCLK_L_X85Y26 is driven by CLK_HROW_CK_MUX_OUT_R8.CLK_HROW_R_CK_GCLK1" in refused
-    same = frames_of(database, [(tile, "CLK_HROW_CK_MUX_OUT_R8.CLK_HROW_R_CK_GCLK0") for tile in spine])
-    assert relocate(module, {UPPER: LOWER}, same, database)
+LUT, LINE = "SLICEL_X0.ALUT.INIT[37]", "HCLK_CK_BUFHCLK8"
+LEAF, ENABLE = ("HCLK_L_X85Y78", f"HCLK_LEAF_CLK_B_TOPL0.{LINE}"), ("HCLK_L_X85Y78", f"ENABLE_BUFFER.{LINE}")
 
 
-def test_a_leaf_of_the_clock_that_the_old_static_part_had_is_missed(database: Database) -> None:
-    leaf = ("HCLK_L_X85Y78", "HCLK_LEAF_CLK_B_TOPL0.HCLK_CK_BUFHCLK8")
-    from_leaf = ("INT_L_X16Y75", "CLK_L0.GCLK_L_B6_WEST")
-    blank = frames_of(database, [leaf])
-    module = partial(frames_of(database, [leaf, from_leaf]))
-    refused = told(database, module, blank, {UPPER: LOWER})
-    missed = "HCLK_L_X85Y26.HCLK_LEAF_CLK_B_TOPL0.HCLK_CK_BUFHCLK8, which the static part of its old region has"
-    assert refused == f"the module and the static part are in each other's way there: the module needs {missed}"
+@pytest.mark.parametrize(
+    ("static", "module", "reason"),
+    [
+        ([("INT_L_X16Y10", "SS2BEG0.SL1END0")], [("INT_L_X16Y60", "SS2BEG0.LOGIC_OUTS_L12")],
+         "INT_L_X16Y10.SS2BEG0 has two drivers: INT_L_X16Y10.SS2BEG0.LOGIC_OUTS_L12 and INT_L_X16Y10.SS2BEG0.SL1END0, "
+         "and 1 more"),  # the bit that both set
+        ([("CLBLL_L_X16Y11", "SLICEL_X0.AFFMUX.AX")], [("CLBLL_L_X16Y61", "SLICEL_X0.AFFMUX.F7")],
+         "CLBLL_L_X16Y11.SLICEL_X0.AFFMUX.AX is not there any more once both are, and 1 more"),
+        ([("CLBLL_L_X16Y11", LUT)], [("CLBLL_L_X16Y61", LUT)], "bit 5 of word 22 of frame 00401421 is set by both"),
+        ([LEAF], [LEAF, ("INT_L_X16Y75", "CLK_L0.GCLK_L_B6_WEST")],
+         f"the module needs HCLK_L_X85Y26.{LEAF[1]}, which the static part of its old region has"),
+        ([ENABLE], [ENABLE, LEAF],
+         f"the module needs HCLK_L_X85Y26.{ENABLE[1]}, which the static part of its old region has"),
+    ],
+    ids=["drivers", "feature", "bit", "leaf", "line"],
+)  # fmt: skip
+def test_what_a_module_and_the_static_part_cannot_have_together_is_named(
+    database: Database, static: list[tuple[str, str]], module: list[tuple[str, str]], reason: str
+) -> None:
+    refused = told(database, partial(frames_of(database, module)), frames_of(database, static), {UPPER: LOWER})
+    assert refused == f"the module and the static part are in each other's way there: {reason}"
+
+
+@pytest.mark.parametrize(
+    ("column", "row", "top", "bottom", "reason"),
+    [
+        (0x1400, "HCLK_L_X85Y78", "MUX_OUT_R8.CLK_HROW_R_CK_GCLK0", "MUX_OUT_R8.CLK_HROW_R_CK_GCLK0", None),
+        (0x1400, "HCLK_L_X85Y78", "MUX_OUT_R9.CLK_HROW_R_CK_GCLK0", "MUX_OUT_R9.CLK_HROW_R_CK_GCLK1", None),
+        (0x1400, "HCLK_L_X85Y78", "MUX_OUT_R8.CLK_HROW_R_CK_GCLK0", "MUX_OUT_R8.CLK_HROW_R_CK_GCLK1",
+         "X85Y26 is driven by {1}, where the module comes from by {0}"),
+        (0xC00, "HCLK_L_X46Y78", "MUX_OUT_L8.CLK_HROW_R_CK_GCLK0", "MUX_OUT_R8.CLK_HROW_R_CK_GCLK0",
+         "X46Y26 is driven by nothing, where the module comes from by {0}"),
+        (0x1400, "HCLK_L_X85Y78", "BUFHCE_X1Y8.IN_USE", "BUFHCE_X0Y8.IN_USE",
+         "X85Y26 is driven by nothing, where the module comes from by {0}"),
+    ],
+    ids=["same", "another line", "right", "left", "buffer"],
+)  # fmt: skip
+def test_a_clock_row_that_is_driven_by_another_clock_is_refused(
+    database: Database, column: int, row: str, top: str, bottom: str, reason: str | None
+) -> None:
+    drivers = [("BUFHCE." if one.startswith("BUFHCE") else "CLK_HROW_CK_") + one for one in (top, bottom)]
+    blank = frames_of(database, zip(("CLK_HROW_TOP_R_X82Y78", "CLK_HROW_BOT_R_X82Y26"), drivers, strict=True))
+    module = partial(frames_of(database, [(row, f"ENABLE_BUFFER.{LINE}")]), column)
+    moves = {column: column | 1 << 22, 0x800180: 0xC00180}
+    if reason is None:
+        assert relocate(module, moves, blank, database)
+    else:
+        assert told(database, module, blank, moves) == "line 8 of the clock row at HCLK_L_" + reason.format(*drivers)

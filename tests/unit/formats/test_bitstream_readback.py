@@ -78,6 +78,7 @@ def test_a_repair_is_a_sound_bitstream_that_starts_nothing() -> None:
 
 def test_without_a_mask_what_is_in_block_ram_is_not_judged_and_the_answer_says_so(bitstream: Path) -> None:
     frames = loaded(bitstream)
+    assert mask_for(bitstream, ZYNQ).source == "none"
     assert (frames.judged, len(frames.unjudged)) == (2, 2)
     assert {place.block_type for place in frames.unjudged} == {1}
     assert frames.why == (
@@ -90,6 +91,7 @@ def test_a_mask_beside_the_bitstream_says_what_is_compared(bitstream: Path) -> N
     mask = [FrameRun(at, b"\0\0\0\1" * (3 * FRAME // 4)) for at in (LOGIC, CONTENTS)]
     bitstream.with_suffix(".msk").write_bytes(assemble(ZYNQ, mask))
     frames = loaded(bitstream)
+    assert mask_for(bitstream, ZYNQ).source == "msk"
     assert (frames.judged, frames.unjudged, frames.why) == (4, (), "plain.msk says what is not compared")
     part = frames.slices(2)[0]
     good = bytearray(part.reply_length - 2 * FRAME) + swap(b"\1\2\3\4" * (2 * FRAME // 4))
@@ -136,6 +138,9 @@ def test_slices_hold_frames_that_follow_each_other_and_no_more_than_asked_for(tm
     frames = LoadedFrames(ZYNQ, open_image(path), EVERYTHING)
     sizes = [(part.reply_length // FRAME) - 1 for part in frames.slices(25)]
     assert frames.why == "no circuit is in these frames: they were assembled for the simulated board"
+    assert LoadedFrames(ZYNQ, open_image(path), Mask(lambda _: {}, "msk", "stated")).why == "stated"
+    nowhere = assemble(ZYNQ, [FrameRun(FrameAddress(2, 0, 0), bytes(2 * FRAME))])
+    assert LoadedFrames(ZYNQ, open_image(nowhere), EVERYTHING).slices(25) == ()
     assert sum(sizes) == frames.judged == 60
     assert max(sizes) <= 25
 

@@ -103,6 +103,12 @@ def test_only_devices_whose_columns_are_known_are_moved_within() -> None:
         column_moves(device, UPPER, LOWER)
 
 
+def test_only_what_is_written_to_far_is_a_frame_address() -> None:
+    """Column 8's is also what is written to CTL0."""
+    here, there = (assemble("xc7z010", [FrameRun(FrameAddress(0, 0, at), bytes(808))]) for at in (8, 10))
+    assert readdressed(here, {0x400: 0x500}) == there
+
+
 def test_frames_that_are_not_of_the_region_are_named() -> None:
     data = assemble("xc7z010", [FrameRun(FrameAddress(0, 0, 39), bytes(808))])
     with pytest.raises(CannotRelocate, match="frame 00001380 is not of the region"):
