@@ -280,7 +280,7 @@ class Manager:
             running = self._worker.running
             raise ChangeBusy(f"a change to {f'{running.config}/{running.mode}' if running else 'a mode'} is running")
         number = self._state.next_number()
-        change = Change(number, config.name, mode, request.force, None, scopes, request.lease, on_done=on_done)
+        change = Change(number, config.name, mode, request.force, scopes=scopes, lease=request.lease, on_done=on_done)
         change.asked, change.undoable = True, request.undoable
         if request.undo:
             if self._worker.busy:
@@ -330,8 +330,9 @@ class Manager:
             raise UnknownRegion(f"configuration {config.name!r} has no region {request.name!r}{known}")
         scopes = (f"region:{request.name}",)
         self.leases.check(scopes, request.lease)
-        change = Change(self._state.next_number(), config.name, mode, False, None, scopes, request.lease)
-        change.repairs, change.reloads, change.on_done = request.name, request.reload, on_done
+        number = self._state.next_number()
+        change = Change(number, config.name, mode, scopes=scopes, lease=request.lease, on_done=on_done)
+        change.repairs, change.reloads = request.name, request.reload
         return self._worker.add(change)
 
     @property

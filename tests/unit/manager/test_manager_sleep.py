@@ -40,13 +40,17 @@ def test_every_region_of_the_mode_is_loaded_again(made: Rig) -> None:
     assert {region.phase.value for region in state.regions.values()} == {"ready"}
 
 
-def test_an_image_of_the_whole_device_is_loaded_again_before_anything_is_accessed(made: Rig) -> None:
-    assert made.go("full", config="whole") is None
+@pytest.mark.parametrize(("config", "mode"), [("whole", "full"), ("duo", "both")])
+def test_an_image_of_the_whole_device_is_loaded_again_before_anything_is_accessed(
+    made: Rig, config: str, mode: str
+) -> None:
+    assert made.go("default", config="whole") is None
+    assert made.go(mode, config=config) is None
     done = slept(made)
-    assert "fpga_manager.load" in done
     assert not [name for name in done[: done.index("fpga_manager.load")] if name.startswith("uio")]
+    assert done.count("icap.load") == 2
     state = made.manager.state
-    assert (state.config, state.mode, state.static_lost) == ("whole", "full", False)
+    assert (state.config, state.mode, state.static_config, state.static_lost) == (config, mode, "whole", False)
 
 
 def test_nothing_is_claimed_until_the_load_has_ended(made: Rig) -> None:

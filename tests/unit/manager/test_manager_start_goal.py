@@ -6,7 +6,7 @@ from __future__ import annotations
 import errno
 from collections.abc import Mapping
 from dataclasses import replace
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
 import pytest
@@ -150,7 +150,7 @@ BOTH = BoardState(
     "both",
     regions=HELD,
     overlays=(OverlayState("base", "b"), OverlayState("extra", "e")),
-    values={"led": 5, "gain": 7, "tone": 0},
+    values=MappingProxyType({"led": 5, "gain": 7, "tone": 0}),
     clocks={"fclk0": 99},
 )
 
@@ -269,7 +269,7 @@ SAID = "the change to lab/other was cut short at"
             ["region left: its identity register cannot be read (no answer); its content is not trusted"],
         ),
         ({"cells": {0x1010: 8, 0x2020: 9, 0x101C: 1}}, {"values": {"led": 8, "gain": 9, "tone": 1}}, []),
-        ({"cells": {0x1010: None, 0x2020: None}}, {}, []),
+        ({"cells": {0x1010: None, 0x2020: None, 0x101C: 1}}, {"values": BOTH.values | {"tone": 1}}, []),
     ],
 )
 def test_what_is_recorded_is_kept_as_far_as_the_board_agrees(
@@ -279,6 +279,17 @@ def test_what_is_recorded_is_kept_as_far_as_the_board_agrees(
     assert list(finding.notes) == notes
     assert finding.state == (BoardState() if change is None else replace(BOTH, **change))
     assert not {"cm-left", "cm-right"} & {*(board.overlays_on or ())}
+
+
+def test_a_whole_image_that_the_kernel_says_went_wrong_leaves_nothing_to_trust() -> None:
+    board: Any = Board(said="write error")
+    record = Record("boot", replace(BOTH, static_sha256="w", static_config="whole"))
+    finding = reconcile(record, {"lab": LAB, "whole": FULL}, board, RegisterBus(board))
+    assert finding.state == slept(record.state)
+    assert finding.notes == (
+        "the fpga_manager says 'write error', so what whole loaded is not trusted",
+        "a load of a full image did not end well; nothing in the device is accessed",
+    )
 
 
 def test_overlays_that_only_a_lost_record_knew_are_taken_for_ours() -> None:
@@ -304,6 +315,14 @@ def test_overlays_that_only_a_lost_record_knew_are_taken_for_ours() -> None:
         ),
         ({}, changing("repair", "left"), {}, {"regions": lost("left")}, [f"{SAID} repair"]),
         ({"regions": lost("right")}, None, {}, {}, []),  # as it was known before
+        ({"clocks": {"fclk0": 0}}, None, {"clock": None}, {}, []),  # which nothing sets
+        (
+            {"mode": "slow", "regions": HELD | {"right": RegionState(CUT, "fft", "f2")}},  # it was ready before
+            changing("load", "left"),
+            {},
+            {},
+            ["region right was decoupled, with fft in it", f"{SAID} load"],
+        ),
         ({"mode": "gone"}, None, {"cells": {0x1010: 8}}, {}, []),  # whose registers are not known
         ({}, changing("registers", "led"), {}, {"values": {"gain": 7, "tone": 0, "led": 5}}, [f"{SAID} registers"]),
         (
