@@ -150,9 +150,7 @@ def test_encrypted_file_that_hides_its_idcode_loads_where_that_is_permitted() ->
         ("0XFFFFFFFF", 0xBADCAFE, []),
     ],
 )
-def test_user_ids_of_static_designs_are_compared_where_both_are_set(
-    set_to: str, expected: int, wanted: list[str]
-) -> None:
+def test_user_ids_are_compared_where_both_are_set(set_to: str, expected: int, wanted: list[str]) -> None:
     data = small().replace(b"UserID=0XFFFFFFFF", f"UserID={set_to}".encode())
     assert codes(data, Expectation(user_id=expected)) == wanted
 

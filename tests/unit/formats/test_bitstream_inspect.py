@@ -98,6 +98,8 @@ def test_frames_written_twice_count_once_in_the_footprint() -> None:
         at_end = assemble("xc7z020", [FrameRun(FrameAddress(0, 0, 26, 35), frames(count))])
         assert inspect(at_end).footprint == (Footprint(0, 0, 26, count, 26),)
     assert inspect(small(partial=False)).footprint == (Footprint(0, 0, 26, 1),)  # it may go where it wants to
+    half = bit(*RCRC, *IDCODE, 0x30002001, 26 << 7 | 34, 0x30004000 | 350, *[0] * 350, *DESYNC)
+    assert inspect(half).footprint == (Footprint(0, 0, 26, 3, 26),)  # what is not a whole frame reaches no further
 
 
 def test_silicon_revision_does_not_matter() -> None:

@@ -134,27 +134,29 @@ def test_what_a_module_and_the_static_part_cannot_have_together_is_named(
 
 
 @pytest.mark.parametrize(
-    ("column", "row", "top", "bottom", "reason"),
+    ("row", "used", "top", "bottom", "reason"),
     [
-        (0x1400, "HCLK_L_X85Y78", "MUX_OUT_R8.CLK_HROW_R_CK_GCLK0", "MUX_OUT_R8.CLK_HROW_R_CK_GCLK0", None),
-        (0x1400, "HCLK_L_X85Y78", "MUX_OUT_R9.CLK_HROW_R_CK_GCLK0", "MUX_OUT_R9.CLK_HROW_R_CK_GCLK1", None),
-        (0x1400, "HCLK_L_X85Y78", "MUX_OUT_R8.CLK_HROW_R_CK_GCLK0", "MUX_OUT_R8.CLK_HROW_R_CK_GCLK1",
-         "X85Y26 is driven by {1}, where the module comes from by {0}"),
-        (0xC00, "HCLK_L_X46Y78", "MUX_OUT_L8.CLK_HROW_R_CK_GCLK0", "MUX_OUT_R8.CLK_HROW_R_CK_GCLK0",
-         "X46Y26 is driven by nothing, where the module comes from by {0}"),
-        (0x1400, "HCLK_L_X85Y78", "BUFHCE_X1Y8.IN_USE", "BUFHCE_X0Y8.IN_USE",
-         "X85Y26 is driven by nothing, where the module comes from by {0}"),
+        ("X85", ENABLE[1], "MUX_OUT_R8.CLK_HROW_R_CK_GCLK0", "MUX_OUT_R8.CLK_HROW_R_CK_GCLK0", None),
+        ("X85", ENABLE[1], "MUX_OUT_R9.CLK_HROW_R_CK_GCLK0", "MUX_OUT_R9.CLK_HROW_R_CK_GCLK1", None),
+        ("X85", ENABLE[1], "MUX_OUT_R8.CLK_HROW_R_CK_GCLK0", "MUX_OUT_R8.CLK_HROW_R_CK_GCLK1", "line 8 {0} {1}"),
+        ("X46", ENABLE[1], "MUX_OUT_L8.CLK_HROW_R_CK_GCLK0", "MUX_OUT_R8.CLK_HROW_R_CK_GCLK0", "line 8 {0} nothing"),
+        ("X85", ENABLE[1], "BUFHCE_X1Y8.IN_USE", "BUFHCE_X0Y8.IN_USE", "line 8 {0} nothing"),
+        ("X85", "HCLK_LEAF_CLK_B_TOPL0.HCLK_CK_OUTIN_L0", "MUX_OUT_R11.CLK_HROW_R_CK_GCLK0",
+         "MUX_OUT_R11.CLK_HROW_R_CK_GCLK1", "line 11 {0} {1}"),  # it may have to do with any of the lines
     ],
-    ids=["same", "another line", "right", "left", "buffer"],
+    ids=["same", "another line", "right", "left", "buffer", "any line"],
 )  # fmt: skip
 def test_a_clock_row_that_is_driven_by_another_clock_is_refused(
-    database: Database, column: int, row: str, top: str, bottom: str, reason: str | None
+    database: Database, row: str, used: str, top: str, bottom: str, reason: str | None
 ) -> None:
     drivers = [("BUFHCE." if one.startswith("BUFHCE") else "CLK_HROW_CK_") + one for one in (top, bottom)]
     blank = frames_of(database, zip(("CLK_HROW_TOP_R_X82Y78", "CLK_HROW_BOT_R_X82Y26"), drivers, strict=True))
-    module = partial(frames_of(database, [(row, f"ENABLE_BUFFER.{LINE}")]), column)
+    column = {"X85": UPPER, "X46": 0xC00}[row]
+    module = partial(frames_of(database, [(f"HCLK_L_{row}Y78", used)]), column)
     moves = {column: column | 1 << 22, 0x800180: 0xC00180}
     if reason is None:
         assert relocate(module, moves, blank, database)
     else:
-        assert told(database, module, blank, moves) == "line 8 of the clock row at HCLK_L_" + reason.format(*drivers)
+        line, here, there = reason.format(*drivers).rsplit(" ", 2)
+        of = f"of the clock row at HCLK_L_{row}Y26 is driven by {there}, where the module comes from by {here}"
+        assert told(database, module, blank, moves) == f"{line} {of}"
