@@ -25,6 +25,13 @@ class CmError(Exception):
         return (_again, made[:2], *made[2:])
 
 
+def sentence(error: Exception) -> str:
+    """For people; what the system refused as ``FILE: reason``, without its number."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return str(error)
+
+
 def _again(kind: type[CmError], arguments: tuple[Any, ...]) -> CmError:
     error = kind.__new__(kind, *arguments)
     if not error.args:  # builtin system errors leave that to their `__init__`

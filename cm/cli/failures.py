@@ -7,7 +7,7 @@ import os
 import sys
 
 from cm.cli.colours import painted
-from cm.errors import CmError
+from cm.errors import CmError, sentence
 
 EXIT_FAILED = 1  # refused or failed
 EXIT_USAGE = 2
@@ -44,10 +44,9 @@ def code_and_sentence(error: CmError | OSError) -> tuple[str, str]:
     """As ``--json`` has them; the code is `io` for what the system refused."""
     if isinstance(error, CmError):
         return error.code, str(error)
-    reason = error.strerror or str(error)
     if isinstance(error, FileNotFoundError) and not str(error.filename or "").startswith("/") and _nowhere():
         return "io", "the folder in which this was called is gone: cd to one that is there"
-    return "io", f"{error.filename}: {reason}" if error.filename else reason
+    return "io", sentence(error)
 
 
 def _nowhere() -> bool:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from cm.errors import CmError, InvalidRequest
 from cm.frozen import replace
+from cm.home import state_home
 from cm.server.rights.keys import FOLDER, OLD_FOLDER
 from cm.server.settings.model import FILE as SETTINGS_FILE
 from cm.server.settings.model import FORMER_LIMITS, LimitSettings
@@ -151,8 +152,7 @@ def default_state_dir(runtime: Path, sim: bool) -> Path:
         return Path(given)
     if os.geteuid() == 0:
         return Path("/var/lib/cm")
-    home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
-    return Path(home) / "cm"
+    return state_home() / "cm"
 
 
 def default_runtime_dir() -> Path:

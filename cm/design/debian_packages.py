@@ -22,6 +22,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from cm.errors import CmError
+from cm.home import cache_home
 
 KEYRING = Path("/usr/share/keyrings/debian-archive-keyring.gpg")
 _SECONDS = 1800.0  # for one call: a slow line, and packages of hundreds of megabytes
@@ -184,8 +185,7 @@ SUITE = "sid"  # nextpnr and prjxray are not in a release yet
 
 def default_folder() -> Path:
     """Return the default place of trees: below the user's cache folder."""
-    home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(home) / "fpga-cm" / "packages"
+    return cache_home() / "fpga-cm" / "packages"
 
 
 def fetch(

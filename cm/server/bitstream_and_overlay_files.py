@@ -569,7 +569,7 @@ class Footprints:
         try:
             _write_learned(self._path, _encode(self._learned))
         except OSError as error:
-            _LOG.warning("learned footprints could not be written: %s", error)
+            _LOG.warning("learned footprints could not be written to %s: %s", self._path, error.strerror)
 
 
 def _holds(learned: LearnedFootprint, config: Config, region: str, sha256_of: Callable[[str], str | None]) -> bool:

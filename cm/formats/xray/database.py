@@ -12,6 +12,7 @@ from typing import Any
 
 from cm.formats.xray.features import DatabaseMissing, Feature, XrayError, read_features
 from cm.formats.xray.tiles import BLOCKS, Segbits, Tile, read_ppips, read_segbits, read_tiles
+from cm.home import cache_home
 
 VARIABLE = "CM_XRAY_DATABASE"
 _INSTALLED = Path("/usr/share/prjxray/database")  # where Debian's prjxray-database has it
@@ -23,7 +24,7 @@ def find_database(setting: Path | None = None) -> Path:
     Raises DatabaseMissing, which names the places that were searched.
     """
     named = setting or (Path(os.environ[VARIABLE]) if os.environ.get(VARIABLE) else None)
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fpga-cm" / "packages"
+    cache = cache_home() / "fpga-cm" / "packages"
     fetched = sorted(cache.glob("*/usr/share/prjxray/database"), key=lambda path: path.stat().st_mtime, reverse=True)
     places = [named] if named else [_INSTALLED, *fetched]
     found = next((place for place in places if place.is_dir()), None)

@@ -27,6 +27,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Generic, TypeVar
 
+from cm.errors import sentence
 from cm.frozen import dataclass, field, replace
 from cm.manager.errors import RecordFailed, StateInUse, StoreCorrupt
 from cm.manager.state.board_state import BoardState, OverlayState, RegionPhase, RegionState
@@ -352,15 +353,18 @@ class Journal:
     def write(self, record: Record) -> None:
         """Add a record; it survives the death of this process from here on. Raises OSError."""
         line = encode(record, self._texts)
-        if self._at + len(line) > LENGTH:
-            self._rotate(line)
-        else:
-            self._put(self._fd, line, self._at)
-            self._at += len(line)
+        try:
+            if self._at + len(line) > LENGTH:
+                self._rotate(line)
+            else:
+                self._put(self._fd, line, self._at)
+                self._at += len(line)
+        except OSError as error:  # a descriptor has no name to tell
+            raise OSError(error.errno, error.strerror, str(self._path)) from None
 
     def _put(self, descriptor: int, line: bytes, at: int) -> None:
         if os.pwrite(descriptor, line, at) != len(line):
-            raise OSError(errno.ENOSPC, f"state record {self._path} could not be written whole: is the disk full?")
+            raise OSError(errno.ENOSPC, "it was not written whole: is the disk full?")
 
     def _rotate(self, line: bytes) -> None:
         if self._spare < 0:
@@ -647,7 +651,7 @@ class ManagerState:
         try:
             self._journal.write(known)
         except OSError as error:
-            raise RecordFailed(f"the state record could not be written: {error}") from error
+            raise RecordFailed(f"the state record could not be written: {sentence(error)}") from error
         self._recorded, self._dirty, self.urgent = known, False, False
 
     def try_record(self) -> ErrorInfo | None:

@@ -72,7 +72,14 @@ def connect(
     if not routers and config is None:
         routers = from_environment()
     network = Network(connect=routers, config=Path(config) if config else None, store=store)
-    return Fleet(network, caller or member_of(network.config) or getpass.getuser(), timeout)
+    return Fleet(network, caller or member_of(network.config) or _user(), timeout)
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (ImportError, KeyError, OSError):  # a number without an account, as in a container
+        return f"uid-{os.getuid()}"
 
 
 class Fleet:

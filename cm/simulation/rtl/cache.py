@@ -12,13 +12,14 @@ import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
+from cm.home import cache_home
+
 KEPT = 60  # days without a use
 
 
 def cache_folder() -> Path:
     """``$XDG_CACHE_HOME/fpga-cm/rtl``, by default below ``~/.cache``."""
-    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(home) / "fpga-cm" / "rtl"
+    return cache_home() / "fpga-cm" / "rtl"
 
 
 def digest(parts: Iterable[str | bytes]) -> str:

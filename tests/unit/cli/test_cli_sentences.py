@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import os
 import socket
 import subprocess
 from collections.abc import Callable
@@ -15,11 +16,13 @@ import zmq
 from manager_process import short_folder
 
 import cm.aio
+import cm.fleet
 from cm import child
 from cm.cli.connection import connected
 from cm.cli.main import main
 from cm.client.errors import NoAnswer
 from cm.errors import InvalidRequest
+from cm.home import cache_home, state_home
 
 
 def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
@@ -130,6 +133,19 @@ def test_a_folder_that_is_gone_is_not_put_down_to_a_file_in_it(
     monkeypatch.chdir(tmp_path / "gone")
     (tmp_path / "gone").rmdir()
     assert said(capsys, *words) == "cm: the folder in which this was called is gone: cd to one that is there\n"
+
+
+def test_a_user_without_an_account_and_a_home_ends_in_no_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As ``docker run --user 4242`` has it."""
+
+    def nobody(number: int) -> None:
+        raise KeyError(f"getpwuid(): uid not found: {number}")
+
+    monkeypatch.setattr("pwd.getpwuid", nobody)
+    for name in ("HOME", "LOGNAME", "USER", "LNAME", "USERNAME", "XDG_CACHE_HOME", "XDG_STATE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    assert (cache_home(), state_home()) == (Path("/.cache"), Path("/.local/state"))
+    assert cm.fleet.aio.connect("tcp/fleet.lan:7447").caller == f"uid-{os.getuid()}"
 
 
 def test_a_runtime_folder_that_is_too_long_is_refused_before_anything_is_made(

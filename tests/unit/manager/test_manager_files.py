@@ -162,7 +162,7 @@ def test_if_the_file_cannot_be_written_a_footprint_is_known_until_the_manager_en
     image(files, duo, "a0")
     unread, unwritten = caplog.messages
     assert unread.startswith(f"learned footprints in {tmp_path}/state/footprints are not used ([Errno 20]")
-    assert unwritten.startswith("learned footprints could not be written: [Errno 17]")
+    assert unwritten == f"learned footprints could not be written to {tmp_path}/state/footprints: File exists"
     put(duo, "b0", module("b0", 1))
     with pytest.raises(FootprintOutside):
         image(files, duo, "b0")

@@ -456,4 +456,4 @@ def test_schemas_that_may_not_be_read_are_told_in_one_line(tmp_path, monkeypatch
 
     monkeypatch.setattr(Path, "iterdir", denied)  # root may read all
     assert main(["--root", str(tmp_path / "root"), "--config", str(tmp_path)]) == 1
-    assert capsys.readouterr().err == f"cm sim: [Errno 13] Permission denied: '{tmp_path}'\n"
+    assert capsys.readouterr().err == f"cm sim: {tmp_path}: Permission denied\n"

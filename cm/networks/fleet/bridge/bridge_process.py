@@ -18,6 +18,7 @@ from cm.client.aio.relay import Relay
 from cm.client.core import calls
 from cm.client.errors import NotAdmitted
 from cm.errors import Busy, CmError, NotInstalled
+from cm.home import state_home
 from cm.networks.fleet import keys
 from cm.networks.fleet.bridge import clock
 from cm.networks.fleet.bridge.bundles import Bundles, Import
@@ -251,5 +252,4 @@ def default_state() -> Path:
     with suppress(AttributeError):
         if os.geteuid() == 0:
             return Path("/var/lib/cm/fleet")
-    home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
-    return Path(home) / "cm" / "fleet"
+    return state_home() / "cm" / "fleet"

@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from cm.errors import CmError
+from cm.errors import CmError, sentence
 from cm.loop import Loop
 from cm.schema.model import Config
 from cm.simulation.software.errors import NodeError, SimError
@@ -101,11 +101,11 @@ def run(args: argparse.Namespace, make: MakeLogic = SoftwareLogic) -> int:
             spec = spec.with_static(args.static_identity)
         root = Root(args.root)
     except (CmError, OSError) as error:
-        return failed(error, args)
+        return failed(sentence(error), args)
     try:
         _serve(args, partial(Machine, root=root, spec=spec, models=models, options=options, make=make), parent)
     except (CmError, OSError) as error:
-        print(f"cm sim: {error}", file=sys.stderr)
+        print(f"cm sim: {sentence(error)}", file=sys.stderr)
         return 1
     finally:
         root.close()
