@@ -19,7 +19,7 @@ from cm.manager.errors import LoadFailed, LoadUnsupported, NoPort, StepTimeout, 
 from cm.manager.inputs import Image
 from cm.manager.state.board_state import loading_overlay
 from cm.manager.state.steps import Choice
-from cm.schema.model import Config, LoaderKind, Module, Region
+from cm.schema.model import Config, LoaderKind, Region
 
 if TYPE_CHECKING:
     from cm.manager.interfaces import (
@@ -42,13 +42,11 @@ Start = Callable[[OnBytes], None]  # loads, telling how far it is; returns when 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """An image and where it goes; region and module are None for the whole device."""
+    """An image and where it goes; the region is None for the whole device."""
 
-    config: Config
     image: Image
     region: Region | None = None
-    module: Module | None = None
-    overlay: bytes = b""  # by which the module is loaded, for LoaderKind.OVERLAY
+    overlay: bytes = b""  # by which a module is loaded, for LoaderKind.OVERLAY
     port: str | None = None  # its name, where there are several
 
 
@@ -393,7 +391,7 @@ class Loaders:
                 return
             with contextlib.suppress(CmError, OSError):
                 region = config.regions[module.region]
-                yield Job(config, self._files.image(config, module), region, module, port=region.loader_name)
+                yield Job(self._files.image(config, module), region, port=region.loader_name)
 
     def forget(self) -> None:
         """The board was lost: drop what belongs to it."""

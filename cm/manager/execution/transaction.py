@@ -182,11 +182,11 @@ def _take(run: StepContext, step: Step, action: Callable[[StepContext, Any], Non
 IDENTITY_READS = 1000  # each read takes longer than a clock cycle of the region, all of them longer than any reset
 
 
-def job_of(run: StepContext, step: s.Load | s.LoadStatic) -> Job:
+def job_of(step: s.Load | s.LoadStatic) -> Job:
     """What a loader is given for a step."""
     if isinstance(step, s.LoadStatic):
-        return Job(run.plan.goal.config, step.image)
-    return Job(run.plan.goal.config, step.image, step.region, step.module, step.overlay, step.region.loader_name)
+        return Job(step.image)
+    return Job(step.image, step.region, step.overlay, step.region.loader_name)
 
 
 def decouple(run: StepContext, step: s.Decouple) -> None:
@@ -214,7 +214,7 @@ def load(run: StepContext, step: s.Load) -> None:
     """Load one region; before the port is touched, what it held is forgotten, and that is recorded."""
     run.check_cancelled()
     name = step.region.name
-    with run.tools.loaders.kind(step.port_kind).prepared(job_of(run, step), step.timeout) as start:
+    with run.tools.loaders.kind(step.port_kind).prepared(job_of(step), step.timeout) as start:
         _forget_content(run, step)
         run.begun.add(name)
         try:
@@ -235,7 +235,7 @@ def _through(run: StepContext, step: s.Load, start: Start) -> None:
     try:
         _timed(run, step, start)
     except (Busy, PermissionError) as refused:
-        loader, job, choice = run.tools.loaders.instead(job_of(run, step), state.configs[config], refused)
+        loader, job, choice = run.tools.loaders.instead(job_of(step), state.configs[config], refused)
         with loader.prepared(job, step.timeout) as other:
             other(run.tell)
         state.choose(config, {step.region.name: choice})
@@ -255,7 +255,7 @@ def _forget_content(run: StepContext, step: s.Load) -> None:
 def load_static(run: StepContext, step: s.LoadStatic) -> None:
     """Load the whole device; everything that it held is forgotten first."""
     run.check_cancelled()
-    with run.tools.loaders.kind(step.port_kind).prepared(job_of(run, step), step.timeout) as start:
+    with run.tools.loaders.kind(step.port_kind).prepared(job_of(step), step.timeout) as start:
         _forget_device(run, step)
         run.tools.registers.forget()
         _timed(run, step, start)
@@ -322,7 +322,7 @@ def validate(run: StepContext, _: s.Validate) -> None:
     plan = run.plan
     for step in (*plan.steps, *(() if plan.ports_later else plan.then)):
         if isinstance(step, s.Load | s.LoadStatic):
-            run.tools.loaders.kind(step.port_kind).check(job_of(run, step))
+            run.tools.loaders.kind(step.port_kind).check(job_of(step))
     run.tools.state.lock_regions(plan.regions, whole=plan.full)
     run.tools.take_back(plan.goal.config.name, plan.goal.mode)
     run.check_cancelled()

@@ -502,8 +502,7 @@ def test_prefetch_keeps_to_its_budget_and_does_not_push_out_what_it_fetched(
         files = CountingFiles(sim.root)
         modules = [duo.modules[name] for name in BOTH_REGIONS]
         jobs = [
-            Job(duo, files.image(duo, m), duo.regions[m.region], m, port=duo.regions[m.region].loader_name)
-            for m in modules
+            Job(files.image(duo, m), duo.regions[m.region], port=duo.regions[m.region].loader_name) for m in modules
         ]
         largest = max(job.image.length for job in jobs)
         loaders = Loaders(made.devices, files, made.clock, prefetch_bytes=2 * largest + 8192)
@@ -669,14 +668,17 @@ def test_a_replaced_configuration_without_the_mode_leaves_the_board_in_none(
     ],
 )
 def test_a_defect_of_ours_in_a_step_brings_the_board_back_and_is_called_one(
-    made: Rig, error: Exception, code: str, text: str
+    made: Rig, error: Exception, code: str, text: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     at(made, "duo/default")
     made.fault.make = lambda _: error
+    told: list[Any] = []
+    monkeypatch.setattr(made.data_plane, "progressed", lambda: told.append(made.manager.status().progress))
     made.fault.watch = lambda name: made.arm(0) if name == "icap.load" and made.fault.at < 0 else None
     assert made.go("both", config="duo") == ErrorInfo(
         code, f"load b0 into prr0 by icap: {text}; the board is back in duo/default"
     )
+    assert {progress.change for progress in told} == {2}  # of the way back, too
 
 
 def test_a_listener_that_fails_at_the_end_of_a_change_does_not_stop_later_changes(made: Rig) -> None:

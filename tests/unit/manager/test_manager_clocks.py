@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import errno
-import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -41,7 +40,6 @@ CLOCKS = {
     "fast": ("partial", "{fclk0: {rate: 142_860_000}, fclk1: 100_000_000}"),
     "odd": ("partial", "{fclk0: 97_000_000}"),
     "lax": ("partial", "{fclk0: {rate: 97_000_000, tolerance: 10}}"),
-    "gone": ("partial", "{video: 25_000_000}"),
 }
 
 
@@ -55,14 +53,9 @@ def configs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Config]:
 
 @pytest.fixture(scope="module")
 def sim(configs: dict[str, Config]) -> Iterator[SimBoard]:
-    """A board that has the clocks of the processing system only."""
     folder = configs["slow"].source
     assert folder is not None
-    given = [folder.parent / f"{name}.yaml" for name in CLOCKS if name != "gone"]
-    with SimBoard(given, arguments=["--icap-rate", "0", "--pcap-rate", "0"]) as board:
-        images = board.root / "lib/firmware/cm"
-        (images / "gone").mkdir()
-        shutil.copy(images / "slow/slow_a.bit", images / "gone/gone_a.bit")
+    with SimBoard([folder.parent], arguments=["--icap-rate", "0", "--pcap-rate", "0"]) as board:
         yield board
 
 
@@ -114,13 +107,6 @@ def test_an_impossible_rate_is_refused_before_anything_is_touched(made: Rig, sim
     assert "icap.load" not in made.fault.names
     assert made.go("default", config="lax") is None
     assert rates(sim)[0] == 90_909_090
-
-
-def test_a_clock_that_the_board_does_not_have_is_refused_with_those_it_has(made: Rig) -> None:
-    error = made.go("default", config="gone")
-    assert error.code == "device_not_found"
-    assert "no clock 'video'" in error.message
-    assert "there are fclk0, fclk1, fclk2, fclk3" in error.message
 
 
 def test_without_a_driver_clocks_stay_unchanged_and_that_is_reported_once(

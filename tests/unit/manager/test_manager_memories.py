@@ -326,8 +326,10 @@ def test_a_block_is_forgotten_with_a_schema_that_takes_its_place_and_with_the_bo
     made.manager.add_config(configs["filter"])
     assert made.manager.memories.find("block") is None
     define(made, "block", 0x60100, 64)
+    before = made.devices.uio("uio0")
     made.manager.board_restarted()
     assert not made.manager.memories.defined()
+    assert made.devices.uio("uio0") is not before
 
 
 def test_a_block_may_be_defined_anew(made: Rig) -> None:

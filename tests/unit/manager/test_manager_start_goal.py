@@ -315,6 +315,7 @@ def test_overlays_that_only_a_lost_record_knew_are_taken_for_ours() -> None:
         ),
         ({}, changing("repair", "left"), {}, {"regions": lost("left")}, [f"{SAID} repair"]),
         ({"regions": lost("right")}, None, {}, {}, []),  # as it was known before
+        ({"values": {"gain": 7, "tone": 0}}, None, {"cells": {0x1010: 3}}, {}, []),  # as its reset left it
         ({"clocks": {"fclk0": 0}}, None, {"clock": None}, {}, []),  # which nothing sets
         (
             {"mode": "slow", "regions": HELD | {"right": RegionState(CUT, "fft", "f2")}},  # it was ready before

@@ -61,6 +61,7 @@ class Kernel(Lender):
     def __init__(self) -> None:
         super().__init__(0)
         self._ids = count(1)
+        self.granted: list[tuple[int, int, bool]] = []
         self.ended: list[WindowEvent] = []
 
     def revoke(self, address: int, length: int) -> int:
@@ -72,6 +73,7 @@ class Kernel(Lender):
         return 99
 
     def grant(self, address: int, length: int, write: bool = False) -> Any:
+        self.granted.append((address, length, write))
         return SimpleNamespace(id=next(self._ids), fd=os.memfd_create("pages"))
 
     def take(self) -> list[WindowEvent]:
@@ -243,6 +245,7 @@ def test_what_the_kernel_took_back_is_told_to_its_holder_and_not_known_any_more(
     made.manager.windows.collect()  # nothing more
     assert told == [(int(WindowEnd.BRIDGE), "camera", "edge_detection")]
     assert (others, len(made.manager.mapped)) == ([], 1)
+    assert lender.granted == [(0x3000, 0x1000, True)] * 2
     assert "threshold" not in made.manager.state.values
 
 
@@ -344,7 +347,9 @@ def test_a_window_ends_with_its_lease_and_its_board(made: Rig) -> None:
     made.manager.leases.request(BreakLease(lease.number))
     assert told == [(int(WindowEnd.CALL), "camera", "edge_detection")]
     lend(made, kernel, told)
+    before = made.devices.uio("uio0")
     made.manager.board_lost(OSError("gone"))
+    assert made.devices.uio("uio0") is not before
     assert told[1:] == [(int(WindowEnd.GONE), "camera", "edge_detection")]
     assert (made.manager.mapped, made.manager.windows.fileno()) == ((), -1)
     status = made.manager.status()

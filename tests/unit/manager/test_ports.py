@@ -185,9 +185,8 @@ def image(name: str, **more: Any) -> Image:
 
 
 def job(module: str = "b", **more: Any) -> Job:
-    chosen = CONFIG.modules[module]
-    region = CONFIG.regions[chosen.region]
-    return Job(CONFIG, image(f"{module}.bit", **more), region, chosen, port=region.loader_name)
+    region = CONFIG.regions[CONFIG.modules[module].region]
+    return Job(image(f"{module}.bit", **more), region, port=region.loader_name)
 
 
 def refused(call: Callable[[], object]) -> tuple[type[Exception], str]:
@@ -204,7 +203,7 @@ def test_an_image_is_written_once_and_its_own_end_is_waited_for(bench: Bench) ->
     bench.port.ends = ["none yet", {"cookie": 99, "status": 5}]  # an earlier load's
     assert bench.load(job(encrypted=True)) == [7]
     assert bench.port.done == ["begin write", "end write", "unmap", (b"b.bit", False, True)]
-    assert bench.load(Job(CONFIG, image("b.bit"), port="icap1")) == []
+    assert bench.load(Job(image("b.bit"), port="icap1")) == []
     assert bench.port.done[4:] == [(b"b.bit", True, False)]
     assert (bench.read, len(bench.port.buffers)) == (["b.bit"], 1)
     exactly = Bench(budget=PAGE)
@@ -256,7 +255,7 @@ def test_the_port_refuses_images_of_other_devices_and_is_asked_once(bench: Bench
 
 
 def test_buffers_keep_to_their_budget_and_the_oldest_go_first(bench: Bench) -> None:
-    a, b, c = (Job(CONFIG, image(name), CONFIG.regions["fixed"], port="icap1") for name in ("a", "b", "c"))
+    a, b, c = (Job(image(name), CONFIG.regions["fixed"], port="icap1") for name in ("a", "b", "c"))
     long = replace(a, image=image("long", length=PAGE + 1))
     for each in (a, b, a, c, a, b):
         bench.load(each)
@@ -348,7 +347,7 @@ def test_the_kernel_is_told_a_name_and_asked_what_came_of_it(bench: Bench) -> No
 def test_a_whole_image_does_not_go_by_overlay_and_a_leftover_one_is_removed_first(bench: Bench) -> None:
     overlay = bench.loaders.kind(LoaderKind.OVERLAY)
     overlay.check(job("d"))
-    assert refused(lambda: overlay.check(Job(CONFIG, image("all.bit")))) == (
+    assert refused(lambda: overlay.check(Job(image("all.bit")))) == (
         LoadFailed,
         "all.bit: a whole image is loaded by fpga_manager or icap, not by overlay",
     )
@@ -404,7 +403,7 @@ def test_a_refused_load_goes_by_the_other_port_where_that_is_left_open_and_can(b
 
     def instead(name: str | None) -> Any:
         region = config.regions[name] if name else None
-        made = Job(config, image("a.bit"), region, port=region.loader_name if region else None)
+        made = Job(image("a.bit"), region, port=region.loader_name if region else None)
         return bench.loaders.instead(made, CONFIG, no)
 
     loader, given, choice = instead("free")
