@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -123,9 +124,10 @@ def test_shared_leases_stand_beside_each_other_and_keep_off_clients_without_one(
 
 
 def test_a_lease_ends_after_its_time_unless_it_is_renewed(leases: Leases, clock: Clock) -> None:
-    mine = take(leases, "board", seconds=10)
+    mine = take(leases, "board", seconds=9.5)
     clock.now += 9
-    leases.request(RenewLease(mine.id, 10))
+    renewed = replace(mine, seconds=10.0)
+    assert (leases.request(RenewLease(mine.id, 10.0)), leases.held()) == (renewed, (renewed,))
     clock.now += 9.5
     assert kept_off(lambda: leases.check(("board",)))
     assert (leases.holds(mine.id), leases.expire(), leases.any_held) == (True, 0.5, True)

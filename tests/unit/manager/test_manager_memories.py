@@ -346,6 +346,7 @@ def test_a_block_may_be_defined_anew(made: Rig) -> None:
         (0x21000, 64, "left"),  # over taps
         (0x20100, 64, "left"),  # beside the registers of left
         (0x40000, 64, "right"),
+        (0x40200, 64, "right"),  # beside what begins with its window
         (0x60040, 64, None),
     ],
 )

@@ -119,6 +119,10 @@ def bench() -> Bench:
     [
         (RegWrite("plain", 0xFFFFFFFF), [("write", 0x1000, 0xFFFFFFFF), ("read", 0x1000, 32)], 0xFFFFFFFF),
         (RegWrite("plain", 0x5F, 0xF), [("read", 0x1000, 32), ("write", 0x1000, 0xAF), ("read", 0x1000, 32)], 0xAF),
+        (RegWrite("plain", 0, 0xF), [("read", 0x1000, 32), ("write", 0x1000, 0xA0), ("read", 0x1000, 32)], 0xA0),
+        (RegWrite("plain", 0xFFFFFFFF, 0xF), [("read", 0x1000, 32), ("write", 0x1000, 0xAF), ("read", 0x1000, 32)], 0xAF),
+        (RegWrite("byte", 9, 0xF), [("read", 0x1004, 8), ("write", 0x1004, 9), ("read", 0x1004, 8)], 9),
+        (RegWrite("byte", 2, 0xF), [("read", 0x1004, 8), ("write", 0x1004, 2), ("read", 0x1004, 8)], 2),
         (RegWrite("plain", 1, 0), [("read", 0x1000, 32), ("write", 0x1000, 0xA3), ("read", 0x1000, 32)], 0xA3),
         (RegWrite("plain", 9, 0xFFFFFFFF), [("write", 0x1000, 9), ("read", 0x1000, 32)], 9),
         (RegWrite("byte", 2), [("write", 0x1004, 2), ("read", 0x1004, 8)], 2),
