@@ -10,7 +10,7 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cm.cli.common import print_table
+from cm.cli.common import positive, print_table
 from cm.errors import InvalidRequest
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="this tree and another (a checkout with its .venv) in turns, instead",
     )
-    parser.add_argument("--boards", type=int, default=0, metavar="N", help="size of the fleet (50; --quick: 3)")
+    parser.add_argument("--boards", type=positive, default=0, metavar="N", help="size of the fleet (50; --quick: 3)")
     parser.add_argument("--store", choices=("keeper", "etcd"), default="keeper", help="store of the fleet (keeper)")
     parser.add_argument(
         "--dir", type=Path, metavar="DIR", help="where everything lies that is measured (/tmp; a tmpfs: /dev/shm)"

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cm.cli.common import add_connection_options, run_until_told
+from cm.cli.common import add_connection_options, parsed, run_until_told
 from cm.cli.fleet_options import add_network_options, network_of
 from cm.errors import CmError, InvalidRequest
 
@@ -77,7 +77,7 @@ def add_fleet_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser
     )
     parser.add_argument(
         "--lease",
-        type=float,
+        type=parsed("a time of 1 s or more", float, lambda value: 1 <= value < 1e6),
         default=10.0,
         metavar="SECONDS",
         help="how long a bridge may hang before the fleet regards it as gone (10)",
@@ -124,6 +124,7 @@ def _options(args: argparse.Namespace) -> Options:
 
 def _name(asked: str, config: Path | None) -> str:
     """The board's: that of its certificate, under which alone the router lets it through. Raises InvalidRequest."""
+    from cm.networks.fleet import keys
     from cm.networks.fleet.zenoh_session import member_of
 
     certified = member_of(config)
@@ -132,15 +133,16 @@ def _name(asked: str, config: Path | None) -> str:
             f"--name {asked}: the certificate in {config} is that of {certified!r}, and the router lets no other name "
             f"through; leave --name out, or make one with `cm fleet keys DIR board {asked}`"
         )
-    return asked or certified
+    return keys.check(asked, "board") if asked else certified
 
 
 def _importer(out: Path, settings: Path | None, after: str) -> Import:
     """What ``cm import archive`` does, under the same policy."""
+    from cm.cli.import_ import read_settings, unpack_signed
+
+    read_settings(settings)  # what is wrong with them is said now, and not when an archive comes
 
     def take(archive: Path) -> tuple[str, str]:
-        from cm.cli.import_ import unpack_signed
-
         out.mkdir(parents=True, exist_ok=True)
         done, found = unpack_signed(archive, out, settings)
         if after:

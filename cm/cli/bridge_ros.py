@@ -11,7 +11,7 @@ import sys
 import threading
 from typing import TYPE_CHECKING, NoReturn
 
-from cm.cli.common import add_connection_options
+from cm.cli.common import add_connection_options, interval
 from cm.errors import InvalidRequest, NotInstalled
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def add_ros_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser])
     )
     parser.add_argument(
         "--patience",
-        type=float,
+        type=interval,
         default=5.0,
         metavar="SECONDS",
         help="time after which a manager that does not answer counts as gone (5)",

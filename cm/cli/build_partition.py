@@ -32,12 +32,11 @@ def add_partition_parser(actions: argparse._SubParsersAction[argparse.ArgumentPa
     )
     percent = parsed("a number above 0 and at most 100", lambda s: float(s.removesuffix("%")), lambda v: 0 < v <= 100)
     count = parsed("a number of regions", digits, lambda value: value > 0)
+    rate = parsed("a number above 0", float, lambda value: 0 < value < 1e9)
     seconds = parsed("a time in seconds", float, lambda value: 0 < value < 1e6)
     add_schema_argument(parser)
     parser.add_argument("--objective", choices=("worst", "mean"), default="worst", help="default: worst")
-    parser.add_argument(
-        "--rate", type=float, metavar="MB/S", help="rate of the configuration port (default: its limit)"
-    )
+    parser.add_argument("--rate", type=rate, metavar="MB/S", help="rate of the configuration port (default: its limit)")
     parser.add_argument(
         "--budget",
         type=percent,

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cm.cli.build_generate import add_out_option, add_schema_argument
-from cm.cli.common import add_json_option, answer, print_json, print_table
+from cm.cli.common import add_json_option, answer, positive, print_json, print_table
 from cm.design.errors import BuildError, MissingTool
 from cm.design.generate.generation import behind, load_design, output_folder
 from cm.design.hdl.errors import ParserMissing
@@ -96,7 +96,12 @@ def add_run_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser])
     parser.add_argument("--flow", choices=("vivado", "open"), default="vivado", help="default: vivado")
     parser.add_argument("--vivado", metavar="PATH", help="the program or its folder (default: XILINX_VIVADO, PATH)")
     parser.add_argument(
-        "-j", "--jobs", type=int, default=2, metavar="N", help="how many steps may run at the same time (default: 2)"
+        "-j",
+        "--jobs",
+        type=positive,
+        default=2,
+        metavar="N",
+        help="how many steps may run at the same time (default: 2)",
     )
     more = "only what this module's bitstream needs (may be repeated)"
     parser.add_argument("--module", action="append", default=[], metavar="NAME", help=more)

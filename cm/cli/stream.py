@@ -101,11 +101,12 @@ def run_list(args: argparse.Namespace) -> int:
 
 def _add_settings(parser: argparse.ArgumentParser) -> None:
     add, switch, shape = parser.add_argument, argparse.BooleanOptionalAction, parsed("a shape such as 480x640", extents)
+    fps = parsed("a number of frames per second above 0, or inf", float, lambda value: value > 0)
     completes(add("stream", metavar="STREAM"), "<stream>")
     add("--shape", type=shape, default=(), metavar="AxB…", help="shape of a whole frame, slowest axis first: 480x640")
     add("--dtype", default="", help="numpy's name of the element type, such as uint8")
     add("--slots", type=natural, default=0, metavar="N", help="number of buffers to begin with")
-    add("--rate", type=float, default=0.0, metavar="FPS", help="pass on at most so many frames per second; inf: all")
+    add("--rate", type=fps, default=0.0, metavar="FPS", help="pass on at most so many frames per second; inf: all")
     add("--stride", type=natural, default=0, metavar="BYTES", help="bytes from one line to the next in memory")
     add("--direction", default="", help="s2mm or mm2s; changes nothing: it is refused unless it is the stream's own")
     add("--cyclic", action=switch, default=None, help="repeat a written frame until the next one, or send it once")
