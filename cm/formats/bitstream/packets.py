@@ -101,7 +101,7 @@ class FrameWrite:
 def packet_events(image: Image, port: native.PacketProcessor) -> Iterator[native.Event]:
     """Run the whole stream through a port, and give its events one by one."""
     done = 0
-    while 4 * done < len(image.stream):
+    while done < len(image.stream) // 4:
         used, events = port.feed(image.stream, image.swapped, done)
         done += used
         yield from events

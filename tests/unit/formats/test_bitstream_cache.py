@@ -80,4 +80,3 @@ def test_a_file_that_is_written_while_it_is_read_is_read_thrice_and_not_kept(
     found = cache.read(path)
     assert found.report == inspect(found.data)
     assert cache.known(path) == (found.report if kept else None)
-    assert not left

@@ -238,7 +238,7 @@ def test_a_sync_word_is_looked_for_in_the_first_64_kib_and_where_words_begin(pat
         ((("UserID", "0xC0FFEE"), ("PARTIAL", "FALSE")), 0xC0FFEE, False),
         ((("UserID", "0XFFFFFFFF"), ("PARTIAL", None)), None, False),
         ((("UserID", "123456789"),), None, False),
-        ((("UserID", "none"), ("UserID", "1")), None, False),
+        ((("UserID", "1=1"), ("UserID", "1")), None, False),
     ],
 )
 def test_a_header_says_which_static_design_and_whether_it_is_partial(

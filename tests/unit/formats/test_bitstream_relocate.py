@@ -104,9 +104,8 @@ def test_only_devices_whose_columns_are_known_are_moved_within() -> None:
 
 
 def test_only_what_is_written_to_far_is_a_frame_address() -> None:
-    """Column 8's is also what is written to CTL0."""
     here, there = (assemble("xc7z010", [FrameRun(FrameAddress(0, 0, at), bytes(808))]) for at in (8, 10))
-    assert readdressed(here, {0x400: 0x500}) == there
+    assert readdressed(here, {0x400: 0x500}) == there  # 0x400 is also what is written to CTL0
 
 
 def test_frames_that_are_not_of_the_region_are_named() -> None:
