@@ -52,7 +52,7 @@ def png(array: Array) -> bytes:
     head = struct.pack(">IIBBBBB", columns, rows, 8, _COLOUR_TYPES[pixels.shape[2]], 0, 0, 0)
     lines = np.zeros((rows, 1 + columns * pixels.shape[2]), np.uint8)  # each begins with its filter: 0, none
     lines[:, 1:] = pixels.reshape(rows, -1)
-    data = zlib.compress(lines.tobytes(), 6)
+    data = zlib.compress(lines.tobytes())
     return b"".join((_SIGNATURE, _chunk(b"IHDR", head), _chunk(b"IDAT", data), _chunk(b"IEND", b"")))
 
 

@@ -421,6 +421,25 @@ def test_a_slot_is_free_again_unless_the_hardware_repeats_it_or_its_memory_is_of
 
 
 @BOTH
+def test_a_round_trip_sends_a_whole_frame_and_waits_for_it(client: Callable[..., Any], manager: Manager) -> None:
+    manager.answers(geometry(OURS), SLOTS, GRANT)
+
+    async def course(board: Any) -> None:
+        writer = await now(_writer(board.writer("to_pl", HUNG)))
+        blocks = client is Board
+        for number, length in enumerate((0, 4)):
+            given = (length,) if length else ()
+            made = asyncio.to_thread(writer.round_trip, *given) if blocks else writer.round_trip(*given)
+            ended = asyncio.ensure_future(made)
+            assert await asyncio.to_thread(manager.got) == Descriptor(1, packets.SUBMIT, EPOCH, 0, length or 6, number)
+            assert not ended.done()
+            manager.sends(done(number))
+            assert (await ended).slot == 1
+
+    used(client, manager, course)
+
+
+@BOTH
 def test_a_writer_that_gets_no_slot_says_so(client: Callable[..., Any], manager: Manager) -> None:
     manager.answers(geometry(), SLOTS)
     hint = r"; is anything reading the output, and is the region coupled\?$"

@@ -7,6 +7,7 @@ import asyncio
 import inspect
 import os
 import queue
+import socket
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -425,6 +426,12 @@ def test_a_board_waits_for_answers_as_long_as_it_was_told(manager: Manager, clie
     ended = begun(client, lambda board: board.clients(), manager.address, timeout=0.125)
     with pytest.raises(NoAnswer, match=rf"at {manager.address} within 0\.125 s"):
         ended()
+    left = Path(manager.address.removeprefix("ipc://"))
+    left.unlink()
+    with socket.socket(socket.AF_UNIX) as killed:
+        killed.bind(str(left))
+    with pytest.raises(NoAnswer, match="nobody serves that socket any more, the manager was killed"):
+        client(lambda board: board.clients(), manager.address, timeout=0.125)
 
 
 @BOTH
