@@ -65,13 +65,12 @@ def test_where_the_static_part_is_the_same_the_bitstream_goes_there_and_back(dat
 
 
 def test_what_the_static_part_has_there_stays_and_what_it_had_here_does_not_come_along(database: Database) -> None:
-    blank = frames_of(database, [("INT_L_X16Y60", SWITCH), ("INT_L_X16Y13", SWITCH)])
-    module = frames_of(database, [("INT_L_X16Y60", SWITCH), ("CLBLL_L_X16Y61", "SLICEL_X0.ALUT.INIT[5]")])
+    blank = frames_of(database, [("INT_L_X16Y60", SWITCH), LEAF, ("INT_L_X16Y13", SWITCH)])
+    own = [("CLBLL_L_X16Y61", "SLICEL_X0.ALUT.INIT[5]"), ("INT_L_X16Y70", "NN2BEG0.LOGIC_OUTS_L0")]
+    module = frames_of(database, [("INT_L_X16Y60", SWITCH), LEAF, *own])
     there = relocate(partial(module), {UPPER: LOWER}, blank, database)
-    assert decode(database, frames_in(there)[1]).features == {
-        Feature("INT_L_X16Y13", SWITCH),
-        Feature("CLBLL_L_X16Y11", "SLICEL_X0.ALUT.INIT[5]"),
-    }
+    wanted = [("INT_L_X16Y13", SWITCH), ("CLBLL_L_X16Y11", own[0][1]), ("INT_L_X16Y20", own[1][1])]
+    assert decode(database, frames_in(there)[1]).features == {Feature(*one) for one in wanted}
 
 
 def test_frames_that_follow_each_other_are_one_run_there_too_from_column_to_column(database: Database) -> None:
