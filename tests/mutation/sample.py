@@ -88,9 +88,12 @@ class Entries:
     times: dict[str, float]  # by test
 
     def of(self, mutant: Mutant) -> list[str]:
-        """Tests, or files of tests, that enter the changed function."""
+        """Tests, or files of tests, that enter the changed function; all the package's own if it runs at import."""
         found = self.lines.contexts_by_lineno(str((self.tree / mutant.path).resolve()))
-        return sorted({test for line in mutant.lines for test in found.get(line, ()) if test})
+        entered = {test for line in mutant.lines for test in found.get(line, ())}
+        own = f"tests/unit/{Path(mutant.path).parts[1]}/"
+        loading = {file_of(test) for test in self.times if test.startswith(own)} if entered == {""} else set()
+        return sorted(entered - {""} | loading)
 
     def seconds(self, tests: list[str], own: str) -> dict[str, float]:
         """The files of these tests, first the package's own, the fastest first, and what the tests take."""
