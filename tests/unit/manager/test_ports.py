@@ -74,7 +74,7 @@ class Port:
     def __init__(self) -> None:
         self.info = SimpleNamespace(idcode=0x23727093, denied=False, readable=True, max_length=1 << 20, clock_hz=0)
         self.done: list[Any] = []
-        self.buffers: list[Buffer] = []
+        self.buffers, self.filled = list[Buffer](), list[Buffer]()  # all, and those that reads filled
         self.ends: list[Any] = []
         self.busy, self.holds, self.clock = 0, False, 0.0
 
@@ -97,6 +97,7 @@ class Port:
 
     def read(self, buffer: Buffer, request: slice, reply: slice, closing: slice, cookie: int) -> None:
         self.done.append((request, reply, closing))
+        self.filled.append(buffer)
         self.cookie = cookie
 
     def wait(self, timeout: float) -> Any:
@@ -447,6 +448,7 @@ def test_slices_are_judged_while_the_next_one_is_read(bench: Bench) -> None:
     assert reader.read(part(b"ask", [4])) == [3, 8]
     assert reader.read(part(bytes(PAGE), [5])) == [4, 8]
     assert (bench.port.buffers, reader.rest(), list(reader.rest())) == (both, [5, 8], [])
+    assert all(one is not other for one, other in zip(bench.port.filled, bench.port.filled[1:], strict=False))
     bench.port.holds = True
     reader.close()  # the port has them: they go with it
     assert len(bench.port.buffers) == 2
