@@ -248,6 +248,10 @@ def test_what_others_hold_is_shown_and_keeps_the_page_off(page: Any, camera: tup
         page.click("li[data-mode=colorise] .go")
         page.wait_for_selector("li[data-mode=colorise] .note:not([hidden])")
         assert "held by calibration" in page.text_content("li[data-mode=colorise] .note")
+        before = board.registers["focus"]
+        page.get_by_role("slider", name="focus").press("ArrowRight")
+        page.wait_for_selector("[data-register=focus] .note:not([hidden])")
+        seen(page, f"document.querySelector('[data-register=focus] input').value === '{before}'")
         shoot(page, "lease")
     seen(page, "!document.querySelector('#leases code')")
 

@@ -12,8 +12,10 @@ export class Registers {
     Object.assign(this, { node, ask, failed, control });
   }
 
-  show({ config, registers = {}, status }) {
+  show(state) {
+    const { config, registers = {}, status } = state;
     if (!status) return;
+    this.again = () => this.show(state); // where a write was refused, its control goes back to what the register holds
     const visible = (config?.registers ?? []).filter((r) => !r.modes.length || r.modes.includes(config.mode));
     const groups = new Map();
     for (const register of visible) {
@@ -47,7 +49,7 @@ export class Registers {
     const row = { field, own: null };
     const send = throttled((value) => this.ask("write", { name, value }).then(
       () => { note.hidden = true; if (row.own?.value === value) row.own.answered = performance.now(); },
-      (error) => { row.own = null; tell(note, error); },
+      (error) => { row.own = null; tell(note, error); this.again(); },
     ));
     const write = (value) => {
       row.own = { value, answered: Infinity };
@@ -71,7 +73,8 @@ export class Registers {
       return h("input", { type: "checkbox", role: "switch", ...label, onchange: (event) => write(event.target.checked ? 1 : 0) });
     }
     if (high - low < 2 ** SLIDER_BITS) {
-      return h("input", { type: "range", min: low, max: high, step: 1, ...label, oninput: (event) => write(event.target.valueAsNumber) });
+      return h("input", { type: "range", min: low, max: high, step: 1, ...label, onchange: () => this.again(),
+        oninput: (event) => write(event.target.valueAsNumber) });
     }
     return h("input", { type: "text", inputmode: "text", spellcheck: "false", ...label, onchange: (event) => typed(event.target, write) });
   }
