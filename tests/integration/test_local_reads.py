@@ -286,13 +286,6 @@ def test_a_killed_client_leaves_nothing(board: cm.Board, manager: Manager) -> No
     assert board.registers["led"] >= 0
 
 
-def test_reads_end_with_their_board(reader: Any) -> None:
-    registers = reader.registers
-    reader.close()
-    with pytest.raises(BoardClosed):
-        registers.read("led")
-
-
 def test_a_board_that_is_closed_by_another_thread_ends_its_reads(board: cm.Board, manager: Manager) -> None:
     with manager.connected() as other:
         local(manager, other)
