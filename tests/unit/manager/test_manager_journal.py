@@ -145,7 +145,7 @@ def test_a_short_write_is_an_error_and_the_next_one_takes_its_place(
     for torn in (9, 100, 1):
         with monkeypatch.context() as patch:
             patch.setattr(os, "pwrite", lambda fd, data, at, torn=torn: write(fd, data[:-torn], at))
-            with pytest.raises(OSError, match=f"{tmp_path}/journal could not be written whole: is the disk full"):
+            with pytest.raises(OSError, match=f"it was not written whole: is the disk full.: '{tmp_path}/journal'"):
                 journal.write(replace(FULL, number=8))
         assert journal.read() == FULL
     small = Record("boot", BoardState(), number=9)

@@ -84,6 +84,4 @@ def test_a_board_that_holds_nothing_stays_as_it_is(made: Rig) -> None:
     made.fault.make = lambda _: OSError(28, "full")
     made.arm(0)
     made.manager.board_slept()
-    assert made.manager.status().last_error == ErrorInfo(
-        "store", "the state record could not be written: [Errno 28] full"
-    )
+    assert made.manager.status().last_error == ErrorInfo("store", "the state record could not be written: full")
