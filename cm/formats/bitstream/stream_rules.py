@@ -47,7 +47,7 @@ class Rules:
         self.crc = CrcResult.ABSENT  # over all CRCs of the stream
         self._uncovered: list[tuple[int, int]] = []  # writes since the last CRC or RCRC
         self._gaps: list[Refusal] = []  # refusals only if the stream has CRCs at all
-        self._reset: bool  # of RCRC and CRC the last one was RCRC
+        self._reset = False  # of RCRC and CRC the last one was RCRC
         self._started = False  # a section with START in it has ended
         self._starting = False
 
