@@ -20,8 +20,7 @@ from cm.hashes import sha256
 
 def _take(image: Image) -> tuple[Rules, native.Events, list[int]]:
     """Read a whole stream: the rules after its last event, the events that write frames, the lengths of its fills."""
-    port, rules, writes, fills = native.PacketProcessor(), Rules(), native.Events(), []
-    rules.encrypted = image.encrypted
+    port, rules, writes, fills = native.PacketProcessor(), Rules(image.encrypted), native.Events(), []
     for event in packet_events(image, port):
         if event.kind in (native.FRAMES, native.MULTI):
             writes.append(event)

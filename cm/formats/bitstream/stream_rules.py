@@ -37,19 +37,19 @@ _FAULTS = {
 class Rules:
     """Follows a stream's events (all but FRAMES and MULTI) and collects what is wrong with it."""
 
-    def __init__(self) -> None:
+    def __init__(self, encrypted: bool) -> None:
+        """`encrypted`: the container says so already."""
         self.problems: list[Refusal] = []
         self.idcodes: list[int] = []
         self.syncs: list[int] = []
         self.desyncs: list[int] = []
         self.registers: set[int] = set()
-        self.encrypted = False
+        self.encrypted = encrypted
         self.crc = CrcResult.ABSENT  # over all CRCs of the stream
         self._uncovered: list[tuple[int, int]] = []  # writes since the last CRC or RCRC
         self._gaps: list[Refusal] = []  # refusals only if the stream has CRCs at all
         self._reset = False  # of RCRC and CRC the last one was RCRC
-        self._started = False  # a section with START in it has ended
-        self._starting = False
+        self._starts: set[int] = set()  # numbers of the sections with START in them
 
     def refuse(self, error: type[BitstreamError], message: str) -> None:
         """Note a problem; people get to read the first of each code."""
@@ -68,7 +68,6 @@ class Rules:
         elif event.kind == native.DESYNC:
             self._boundary(event, "DESYNC")
             self.desyncs.append(event.word + 2)
-            self._started = self._starting
         elif event.kind == native.OPAQUE:
             self.encrypted = True
         elif not self.encrypted:
@@ -116,9 +115,10 @@ class Rules:
 
     def _start(self, event: native.Event) -> None:
         """No tool starts a device twice in one bitstream, however many sections it has."""
-        if self._started:
+        section = len(self.syncs)
+        if self._starts - {section}:
             self.refuse(BadContainer, f"word {event.word}: a second image follows the first: give one at a time")
-        self._starting = True
+        self._starts.add(section)
 
     def _boundary(self, event: native.Event, name: str) -> None:
         """RCRC and DESYNC: what was written since the last CRC or RCRC stays unchecked."""
