@@ -97,7 +97,7 @@ class LocalReads:
                 self._miss(name, questions)
                 value = None
             ready.put(turn)
-        except BlockingIOError:
+        except (BlockingIOError, TimeoutError):  # the latter where LIMITS_ARE_KNOWN is False
             self._late()
             return None
         except (OSError, struct.error):  # hung up on, or closed by another thread

@@ -14,7 +14,7 @@ import zmq
 from manager_process import short_folder
 from zmq.utils.monitor import recv_monitor_message
 
-from cm.client.connections import Sockets
+from cm.client.connections import Living, Sockets
 from cm.client.core.connection_monitor import Handshake
 from cm.client.find_manager import Keys
 from cm.errors import InvalidRequest
@@ -54,6 +54,15 @@ def test_a_signal_handler_may_close_what_its_thread_is_closing(monkeypatch: pyte
     user.join(60)
     sockets.close()
     assert sockets.closed
+
+
+def test_of_what_is_no_longer_there_nothing_is_kept() -> None:
+    living, things = Living(), [threading.Event() for _ in range(3)]
+    for thing in things:
+        living.add(thing)
+    assert sorted(map(id, living)) == sorted(map(id, things))
+    del thing, things
+    assert vars(living) == vars(Living())
 
 
 @pytest.mark.parametrize("keys", [None, Keys(b"s" * 40, b"p" * 40, b"c" * 40)], ids=["plain", "with keys"])

@@ -433,6 +433,16 @@ def test_the_newest_frame_is_asked_for_again_while_the_stream_is_stopped() -> No
         went(reader.reading(None), request_error(ErrorInfo("busy", "")))
 
 
+@pytest.mark.parametrize(("raw", "seen"), [(False, [3, 2, 1]), (True, [1, 2, 3])])
+def test_pixels_come_in_rgb_or_as_they_lie_in_memory(raw: bool, seen: list[int]) -> None:
+    info = told.FrameInfo("camera", 4, 5, 3, (1, 1, 3), format="bgr")
+    asked: Any = next(NewestReader(Wanted("camera", None, newest=True, raw=raw)).reading(None))
+    assert asked.call.result(Reply(info, payload=(b"\1\2\3",))).tolist() == [[seen]]
+    message = [b"cm_stream/camera", encode_frame_info(info), b"\1\2\3"]
+    reader = PublishedReader(Wanted("camera", None, raw=raw), lambda *_: Listened())
+    assert went(reader.reading(None), STREAM, message)[0].tolist() == [[seen]]
+
+
 class Numbered(NamedTuple):
     """A frame of a generation, and whether it was given back."""
 

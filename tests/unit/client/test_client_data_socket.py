@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 from manager_process import short_folder
 
-from cm.client import aio
+from cm.client import aio, data_connection
 from cm.client.board import Board
 from cm.client.errors import ConnectionLost, FrameReleased, LateRelease, RequestBusy, TransferFailed
 from cm.errors import InvalidRequest, Timeout
@@ -183,6 +183,7 @@ def test_frames_come_with_what_is_known_of_them_and_go_back(client: Callable[...
 
 
 @BOTH
+@pytest.mark.parametrize("known", [True, False], ids=["64 bits", "32 bits"])
 @pytest.mark.parametrize(
     ("sent", "says"),
     [
@@ -193,8 +194,9 @@ def test_frames_come_with_what_is_known_of_them_and_go_back(client: Callable[...
     ids=["nothing", "stopped", "all are held"],
 )
 def test_a_frame_that_does_not_come_is_a_time_out_with_the_reason(
-    client: Callable[..., Any], manager: Manager, sent: tuple[Any, ...], says: str
+    client: Any, manager: Manager, sent: tuple[Any, ...], says: str, known: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(data_connection, "LIMITS_ARE_KNOWN", known)
     manager.answers(*sent)
 
     async def course(board: Any) -> None:

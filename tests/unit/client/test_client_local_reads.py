@@ -118,7 +118,11 @@ def test_a_name_that_leads_elsewhere_is_asked_for_more_seldom_each_time(manager:
     assert tried == [0, 2, 6, 14, 30, 62, 126, 190, 254, 318]
 
 
-def test_an_answer_that_comes_too_late_is_to_no_other_question(manager: Manager, clock: SimpleNamespace) -> None:
+@pytest.mark.parametrize("known", [True, False], ids=["64 bits", "32 bits"])
+def test_an_answer_that_comes_too_late_is_to_no_other_question(
+    manager: Manager, clock: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, known: bool
+) -> None:
+    monkeypatch.setattr(local_reads, "LIMITS_ARE_KNOWN", known)
     reads, peer = opened(manager, patience=0.05)
     assert (reads.read("led"), len(asked(peer))) == (None, 1)
     assert (reads.read("led"), asked(peer)) == (None, []), "not at once"

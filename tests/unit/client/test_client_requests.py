@@ -232,6 +232,7 @@ def test_a_bridge_asks_in_the_name_of_its_guest(
         (lambda b: b.watch(), "web:ann", "is handed to the bridge, not to 'web:ann'"),
         (lambda b: b.writer("to_pl"), "web:ann", "a writer needs the manager's data socket, which knows no guests"),
         (lambda b: b.writer("to_pl"), "", "a writer needs the manager's data socket, which only its own machine has"),
+        (lambda b: b.registers.window("edge"), "", "a window needs the manager's data socket, which only"),
         (lambda b: b.echo(64), "", "an echo needs the manager's data socket"),
         (lambda b: b.allocate(64), "", "memory for the PL needs the manager's data socket"),
         (lambda b: b.set_mode(None), "", "a mode is named by a word, not None"),
