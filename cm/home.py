@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Folders of this user, as the XDG base directory specification has them, also for a user who has no home."""
+"""This user: folders, as the XDG base directory specification has them, and name; also for who has neither.
+
+A number without an account and $HOME, as in a container.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +21,18 @@ def state_home() -> Path:
 
 
 def _home() -> Path:
-    """/ for a number without an account and $HOME, as in a container: it is the system that refuses to write there."""
+    """/ where there is none: it is the system that refuses to write there."""
     try:
         return Path.home()
     except RuntimeError:
         return Path("/")
+
+
+def account(otherwise: str) -> str:
+    """The name of this user's account, or what is given."""
+    import getpass  # here: starting the manager does without
+
+    try:
+        return getpass.getuser()
+    except (ImportError, KeyError, OSError):
+        return otherwise

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import getpass
 import os
 import signal
 import subprocess
@@ -19,6 +18,7 @@ from cm.cli.connection import connected, window_use
 from cm.cli.parser import Parser
 from cm.client.core import calls, leases
 from cm.errors import CmError, NotFound
+from cm.home import account
 from cm.wire.messages.json_values import plain
 from cm.wire.messages.requests import TakeLease
 
@@ -81,7 +81,7 @@ def run_take(args: argparse.Namespace) -> int:
     """Hold it; the exit status, that of COMMAND if there is one."""
     if args.seconds is not None and args.command:
         args.refuse("--seconds: with a COMMAND, the lease is held for as long as that runs")
-    holder = args.holder or _user()
+    holder = args.holder or account(f"pid {os.getpid()}")
     with connected(args) as board:
         if args.seconds is not None:
             return _leave(board, args, holder)
@@ -98,13 +98,6 @@ def run_take(args: argparse.Namespace) -> int:
         finally:
             with suppress(CmError):  # somebody broke it, or the manager went away
                 lease.release()
-
-
-def _user() -> str:
-    try:
-        return getpass.getuser()
-    except (ImportError, KeyError, OSError):  # a number without an account
-        return f"pid {os.getpid()}"
 
 
 def _leave(board: Board, args: argparse.Namespace, holder: str) -> int:

@@ -376,7 +376,7 @@ class Loaders:
 
         Nothing is looked for while loads find their images there: a file that was replaced is read by the first load.
         """
-        if not self._prefetches or config is None or config is self._icap.prefetched:
+        if not self._prefetches or config is None or config is self._icap.prefetched or not go_on():
             return
         jobs = list(self._jobs(resolved(config, (), self._devices)[0], go_on))
         if go_on():
@@ -455,10 +455,7 @@ def _against_icap(region: Region, devices: Devices) -> str:
 
 def _against_fpga_manager(name: str | None, devices: Devices) -> str:
     try:
-        return (
-            ""
-            if devices.fpga_manager(name).can_load
-            else "this kernel's fpga_manager has no firmware attribute (linux-xlnx has)"
-        )
+        can_load = devices.fpga_manager(name).can_load
+        return "" if can_load else "this kernel's fpga_manager has no firmware attribute (linux-xlnx has)"
     except (CmError, OSError) as error:
         return str(error)

@@ -6,7 +6,6 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 import fnmatch
-import getpass
 import os
 import secrets
 import time
@@ -21,6 +20,7 @@ from cm.client.core.calls import write_data, write_registers
 from cm.client.errors import request_error
 from cm.client.frame import Frame, frame_of
 from cm.errors import InvalidRequest
+from cm.home import account
 from cm.networks.fleet import bundles, keys, queries
 from cm.networks.fleet.coordinator import Coordinator, Course, Opening, Progress, nothing
 from cm.networks.fleet.errors import ChangeFailed, FleetRefused, NoSuchBoard
@@ -72,14 +72,7 @@ def connect(
     if not routers and config is None:
         routers = from_environment()
     network = Network(connect=routers, config=Path(config) if config else None, store=store)
-    return Fleet(network, caller or member_of(network.config) or _user(), timeout)
-
-
-def _user() -> str:
-    try:
-        return getpass.getuser()
-    except (ImportError, KeyError, OSError):  # a number without an account, as in a container
-        return f"uid-{os.getuid()}"
+    return Fleet(network, caller or member_of(network.config) or account(f"uid-{os.getuid()}"), timeout)
 
 
 class Fleet:

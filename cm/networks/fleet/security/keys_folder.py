@@ -18,9 +18,9 @@ from cm.errors import Busy, InvalidRequest, NotFound
 from cm.networks.fleet import keys
 from cm.networks.fleet.security.access_rules import Member, access_control, verbs_of
 from cm.networks.fleet.security.certificates import Identity, authority, hosts_of, issued
+from cm.networks.fleet.zenoh_session import PORT
 
 _MEMBERS, _CA, _CA_KEY, ROUTER = "members.json", "ca.pem", "ca.key", "router"
-PORT = 7447
 _RESERVED = frozenset(("ca", ROUTER, "members", keys.NOBODY))
 
 
