@@ -80,7 +80,7 @@ COMMANDS = (
         linux=True,
     ),
     Command("completion", "cm.cli.completion", "print a completion script for a shell", "shell"),
-    Command("help", "cm.cli.parser", "describe a command", "shell"),
+    Command("help", "cm.cli.help", "describe a command", "shell"),
 )
 
 _EARLIER = {"check": ["config", "check"], "configs": ["config", "list"], "data": ["stream", "set"]}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The parser of `cm`: all arguments of one command; ``cm help``."""
+"""The parser of `cm`: all arguments of one command."""
 
 from __future__ import annotations
 
@@ -182,27 +182,3 @@ def _epilog() -> str:
             lines.append(f"  {heading.ljust(8)}  {command.name.ljust(width)}  {command.help}")
             before = command.group
     return "\n".join([*lines, "", EPILOG])
-
-
-def add_help(parser: argparse.ArgumentParser) -> None:
-    """Describe the command."""
-    from cm.cli.common import completes  # here: `cm --help` needs no JSON
-
-    words = parser.add_argument(
-        "words", metavar="COMMAND", nargs="*", help="a command, such as `reg write` (default: list all)"
-    )
-    completes(words, *(command.name for command in COMMANDS))
-    parser.set_defaults(run=run_help)
-
-
-def run_help(args: argparse.Namespace) -> int:
-    """Print it; the exit status."""
-    words: list[str] = args.words
-    if words:
-        refuse_unknown(build_parser(None), words[0])
-    parser = build_parser(words[0] if words else None)
-    try:
-        parser.parse_args([*words, "--help"])
-    except SystemExit as end:  # argparse has printed the help, or why there is none
-        return end.code if isinstance(end.code, int) else 1
-    return 0

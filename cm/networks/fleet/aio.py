@@ -24,6 +24,7 @@ from cm.home import account
 from cm.networks.fleet import bundles, keys, queries
 from cm.networks.fleet.coordinator import Coordinator, Course, Opening, Progress, nothing
 from cm.networks.fleet.errors import ChangeFailed, FleetRefused, NoSuchBoard
+from cm.networks.fleet.keeper import opened_store
 from cm.networks.fleet.presence import Presence
 from cm.networks.fleet.queries import AWAY, SILENT, Answer
 from cm.networks.fleet.store import (
@@ -39,7 +40,7 @@ from cm.networks.fleet.store import (
     packed,
     views,
 )
-from cm.networks.fleet.zenoh_session import Network, from_environment, member_of, opened_store, session
+from cm.networks.fleet.zenoh_session import Network, from_environment, member_of, session
 from cm.wire import fleet as wire
 from cm.wire import topics
 from cm.wire.encode import decode_event, decode_plan, decode_registers, decode_reply, encode_request

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import os
 import queue
 import secrets
 import sqlite3
@@ -21,10 +22,12 @@ from typing import Any
 
 from cm.errors import Busy, CmError, InvalidRequest
 from cm.networks.fleet import queries
+from cm.networks.fleet.etcd import Cluster, Etcd
 from cm.networks.fleet.keys import STORE
-from cm.networks.fleet.store import BOARDS, Entry, Put, StoreAway, StoreRefused, key
-from cm.networks.fleet.zenoh_session import in_loop, is_alive, zenoh_module
+from cm.networks.fleet.store import BOARDS, Entry, Put, Store, StoreAway, StoreRefused, key
+from cm.networks.fleet.zenoh_session import Network, in_loop, is_alive, metadata_of, zenoh_module
 
+KEEPER = "keeper"  # what names it as the store
 _TIMEOUT = 3.0  # seconds for an answer
 _TICK = 0.25  # seconds between two looks at leases
 _CHANGED, _ALIVE = f"{STORE}/changed", f"{STORE}/alive"
@@ -247,3 +250,12 @@ class KeeperStore:
         if "error" in answer:
             raise StoreRefused(str(answer["error"]))
         return answer["ok"]
+
+
+def opened_store(network: Network, opened: Any, caller: str) -> Store:
+    """Where the wanted state is, for a caller: the keeper, reached through the session `opened`, or etcd.
+
+    Raises InvalidRequest.
+    """
+    store = network.store or os.environ.get("CM_FLEET_STORE") or metadata_of(network.config, "store") or KEEPER
+    return KeeperStore(opened, caller) if store == KEEPER else Etcd(Cluster.read(store))

@@ -13,10 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from cm.errors import CmError, InvalidRequest, NotInstalled
-from cm.networks.fleet.store import Store
 
 PORT = 7447
-KEEPER = "keeper"
 LEASE = 10.0  # seconds, zenoh's own
 _PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws", "unixsock-stream", "unixpipe", "serial", "vsock")
 _TRY = 3000  # milliseconds of one try to reach a router
@@ -115,24 +113,13 @@ def settings_of(path: Path) -> Any:
 
 def member_of(config: Path | None) -> str:
     """The name in a file that ``cm fleet keys`` wrote; empty in another, and without a file. Raises NoNetwork."""
-    return _metadata(config, "name")
+    return metadata_of(config, "name")
 
 
-def _metadata(config: Path | None, what: str) -> str:
+def metadata_of(config: Path | None, what: str) -> str:
+    """One of the words that ``cm fleet keys`` wrote into a file of settings; empty where it has none."""
     said = (json.loads(settings_of(config).get_json("metadata")) or {}).get(what) if config else ""
     return said if isinstance(said, str) else ""
-
-
-def opened_store(network: Network, opened: Any, caller: str) -> Store:
-    """Where the wanted state is, for a caller; `opened` is the session, through which a keeper is reached.
-
-    Raises InvalidRequest.
-    """
-    from cm.networks.fleet.etcd import Cluster, Etcd
-    from cm.networks.fleet.keeper import KeeperStore
-
-    said = network.store or os.environ.get("CM_FLEET_STORE") or _metadata(network.config, "store") or KEEPER
-    return KeeperStore(opened, caller) if said == KEEPER else Etcd(Cluster.read(said))
 
 
 def _unreachable(routers: tuple[str, ...]) -> str:

@@ -26,10 +26,10 @@ from cm.networks.fleet.bridge.managed_board import ManagedBoard
 from cm.networks.fleet.bridge.notes_file import NotesFile
 from cm.networks.fleet.bridge.publishing import BEAT, Publications
 from cm.networks.fleet.bridge.query_answers import Queries
-from cm.networks.fleet.keeper import Keeper
+from cm.networks.fleet.keeper import Keeper, opened_store
 from cm.networks.fleet.reconciling_board import Board, Seen
 from cm.networks.fleet.store import BOARDS, Settings, Store, StoreAway, StoreRefused, packed, views
-from cm.networks.fleet.zenoh_session import Network, is_alive, opened_store, session
+from cm.networks.fleet.zenoh_session import Network, is_alive, session
 from cm.wire import fleet as wire
 from cm.wire import topics
 from cm.wire.messages.fleet import ClockSync

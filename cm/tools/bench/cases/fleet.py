@@ -201,7 +201,8 @@ async def _in_turns(local: LocalFleet, bench: Run, client: float) -> dict[str, f
     """
     from cm.networks.fleet import aio, queries
     from cm.networks.fleet.coordinator import Coordinator, Opening
-    from cm.networks.fleet.zenoh_session import Network, opened_store
+    from cm.networks.fleet.keeper import opened_store
+    from cm.networks.fleet.zenoh_session import Network
     from cm.wire.fleet import encode_step
     from cm.wire.messages.fleet import FleetState, FleetStep
 
