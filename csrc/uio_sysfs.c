@@ -153,12 +153,29 @@ struct query {
 	uint64_t address, length;
 };
 
+/*
+ * uio_pdrv_genirq and cm_window call a device as its node without the address ("filter");
+ * uio_pdrv_genirq from 6.12 on with it ("filter@43c00000").  Both are taken for either.
+ */
+static bool named(const char *wanted, const struct cm_uio_info *info)
+{
+	size_t length = strcspn(wanted, "@");
+
+	if (!strcmp(wanted, info->name))
+		return true;
+	if (strncmp(wanted, info->name, length) || (wanted[length] && info->name[length]))
+		return false;
+	if (!wanted[length])
+		return info->name[length] == '@';
+	return info->map_count && strtoull(wanted + length + 1, NULL, 16) == info->maps[0].address;
+}
+
 static bool answers(const struct query *query, const struct cm_uio_info *info, unsigned int *map)
 {
 	int found;
 
 	if (query->name)
-		return !strcmp(query->name, info->name);
+		return named(query->name, info);
 	found = covering_map(info, query->address, query->length);
 	*map = (unsigned int)found;
 	return found >= 0;

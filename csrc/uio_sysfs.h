@@ -45,7 +45,10 @@ int cm_uio_describe(const char *root, unsigned int number, struct cm_uio_info *i
  */
 int cm_uio_list(const char *root, unsigned int *numbers, size_t room);
 
-/* The first device of that name ("uioN" works too).  ENOENT if there is none. */
+/*
+ * The first device of that name, with or without its node's address, whichever the kernel
+ * shows ("uioN" works too).  ENOENT if there is none.
+ */
 int cm_uio_find_name(const char *root, const char *name, struct cm_uio_info *info);
 
 /* The device whose map @map covers [address, address + length).  ENOENT if none does. */

@@ -170,25 +170,28 @@ class Uio(Device):
         try:
             native.enable_interrupt(self._handle)
         except OSError as error:
-            raise self._error(error, "enable the interrupt of", self._no_interrupt(error)) from error
+            raise self._interrupt_error(error, "enable the interrupt of") from error
 
     def take(self) -> int | None:
         """Return the count of interrupts so far (modulo 2^32) if one came since the last take; never blocks."""
         try:
             return native.take(self._handle)
         except OSError as error:
-            raise self._error(error, "take the interrupt of", self._no_interrupt(error)) from error
+            raise self._interrupt_error(error, "take the interrupt of") from error
 
     def wait(self, timeout: float | None = None) -> int:
         """Wait up to ``timeout`` seconds for an interrupt and return the count; DeviceTimeout."""
         try:
             return native.wait_interrupt(self._handle, timeout)
         except OSError as error:
-            raise self._error(error, "wait for the interrupt of", self._no_interrupt(error)) from error
+            raise self._interrupt_error(error, "wait for the interrupt of") from error
 
-    @staticmethod
-    def _no_interrupt(error: OSError) -> str:
-        return "the device has no interrupt: give its device-tree node one" if error.errno == errno.EIO else ""
+    def _interrupt_error(self, error: OSError, doing: str) -> DeviceError:
+        """UIO answers EIO for a device without an interrupt, and EIO or EINVAL once its driver was unbound."""
+        if error.errno in (errno.EIO, errno.EINVAL) and not self.present:
+            return device_error(errno.ENODEV, doing, self.path, "its driver was unbound, as when its overlay goes")
+        none = "the device has no interrupt: give its device-tree node one"
+        return self._error(error, doing, none if error.errno == errno.EIO else "")
 
     def _whole(self, length: int) -> int:
         """`length`, after a check that a window is that long, before any memory is allocated for it."""

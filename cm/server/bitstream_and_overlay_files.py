@@ -192,10 +192,14 @@ class FirmwareFolder:
         return f"{_CONVERTED}/{image.sha256}.bin"
 
     def _custom(self) -> Path | None:
-        """The folder that the kernel searches first, if it was given one."""
+        """The folder that the kernel searches first, if it was given one.
+
+        sysfs shows the value and ends it with a newline. One more is the value's own, as `echo` writes it: 6.1 looks in
+        a folder whose name ends so, 6.12 does not. As no kernel is asked which it does, it is no folder of either.
+        """
         with contextlib.suppress(OSError, UnicodeDecodeError):
-            custom = (self._root / _CUSTOM).read_text(encoding="utf-8").strip()
-            if custom:
+            custom = (self._root / _CUSTOM).read_text(encoding="utf-8").removesuffix("\n")
+            if custom and not custom.endswith("\n"):
                 return self._root / custom.lstrip("/")
         return None
 

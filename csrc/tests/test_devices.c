@@ -47,6 +47,23 @@ static void a_uio_device_is_found_by_name_number_and_address(void)
 	fake_root_remove(root);
 }
 
+static void a_uio_device_is_found_whether_or_not_the_kernel_adds_the_address_to_its_name(void)
+{
+	char *root = fake_root_make();
+	struct cm_uio_info info;
+
+	make_uio(root, 0, "filter@43c00000\n", "0x43c00000\n", "0x1000\n"); /* Linux 6.12 */
+	make_uio(root, 1, "mixer\n", "0x43c10000\n", "0x1000\n"); /* Linux 6.1 */
+	CHECK(!cm_uio_find_name(root, "filter", &info) && info.number == 0);
+	CHECK(!cm_uio_find_name(root, "filter@43c00000", &info) && info.number == 0);
+	CHECK(!cm_uio_find_name(root, "mixer@43c10000", &info) && info.number == 1);
+	CHECK_ERRNO(cm_uio_find_name(root, "mixer@43c00000", &info), ENOENT);
+	CHECK_ERRNO(cm_uio_find_name(root, "filter@43c10000", &info), ENOENT);
+	CHECK_ERRNO(cm_uio_find_name(root, "filt", &info), ENOENT);
+	CHECK_ERRNO(cm_uio_find_name(root, "mix@43c10000", &info), ENOENT);
+	fake_root_remove(root);
+}
+
 static void a_malformed_attribute_is_einval(void)
 {
 	char *root = fake_root_make();
@@ -310,6 +327,7 @@ static void a_read_names_its_parts_and_ends_with_an_event(void)
 int main(void)
 {
 	RUN(a_uio_device_is_found_by_name_number_and_address);
+	RUN(a_uio_device_is_found_whether_or_not_the_kernel_adds_the_address_to_its_name);
 	RUN(a_malformed_attribute_is_einval);
 	RUN(a_register_holds_what_was_written);
 	RUN(an_access_that_does_not_fit_reaches_no_bus);

@@ -262,6 +262,23 @@ def test_enabling_the_interrupt_writes_one(uio: tuple[device.Uio, Memory, FakeNo
     assert node.written == [b"\1\0\0\0"]
 
 
+@pytest.mark.parametrize("number", [errno.EIO, errno.EINVAL])  # of a read, of a write
+def test_an_interrupt_of_a_device_whose_driver_was_unbound_is_of_one_that_has_gone(
+    uio: tuple[device.Uio, Memory, FakeNode], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    opened, _, _ = uio
+    (tmp_path / "sys/class/uio/uio3").rename(tmp_path / "sys/class/uio/gone")
+
+    def dead(*_: object) -> None:
+        raise OSError(number, "from the kernel")
+
+    for name in ("take", "enable_interrupt", "wait_interrupt"):
+        monkeypatch.setattr(f"cm.device.native.uio.{name}", dead)
+    for call in (opened.take, opened.enable_interrupt, lambda: opened.wait(0)):
+        with pytest.raises(device.DeviceGone, match="its driver was unbound"):
+            call()
+
+
 def test_use_after_close_is_its_own_error(uio: tuple[device.Uio, Memory, FakeNode]) -> None:
     regs, _, _ = uio
     regs.close()

@@ -308,6 +308,17 @@ def test_copies_go_to_the_folder_that_the_kernel_was_given(duo: Config, tmp_path
     assert not (firmware / name).exists()
 
 
+def test_no_copy_goes_to_a_folder_that_was_told_to_the_kernel_by_echo(
+    duo: Config, tmp_path: Path, firmware: Path
+) -> None:
+    place = tell_kernel(tmp_path / "root", "/run/cm/firmware")
+    parameter = tmp_path / "root/sys/module/firmware_class/parameters/path"
+    parameter.write_text("/run/cm/firmware\n\n", encoding="ascii")  # the value's own newline, and that of sysfs
+    name = opened(tmp_path).firmware_name(image(opened(tmp_path), duo, "a0"))
+    assert (firmware / name).is_file()
+    assert not (place / name).exists()
+
+
 def test_a_file_of_that_name_in_the_kernels_first_folder_is_what_is_compared(
     duo: Config, tmp_path: Path, firmware: Path
 ) -> None:
