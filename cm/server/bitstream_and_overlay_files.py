@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
-from cm.errors import CmError, InvalidRequest
+from cm.errors import CmError, InvalidRequest, sentence
 from cm.formats import fdt
 from cm.formats.bitstream import (
     Container,
@@ -43,6 +43,7 @@ from cm.manager.errors import BadOverlay
 from cm.manager.inputs import Image
 from cm.schema.model import Config, FrameRange, Module, Overlay, Region
 from cm.schema.named_files import bitstream_path, find_file, overlay_path
+from cm.server.durable_files import write
 from cm.server.private_folders import own_folder
 from cm.wire.messages.status import RegionColumn
 
@@ -260,13 +261,11 @@ def _write(target: Path, data: bytes) -> None:
     import tempfile  # 1 MiB, not needed without the kernel's firmware loader
 
     descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=".", suffix=".new")
+    os.close(descriptor)
     new = Path(name)
     try:
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fchmod(descriptor, 0o644)
-            os.fsync(descriptor)
+        write(new, data)
+        new.chmod(0o644)
         new.replace(target)
     except BaseException:
         new.unlink(missing_ok=True)
@@ -571,25 +570,16 @@ class Footprints:
         if self._path is None:
             return
         try:
-            _write_learned(self._path, _encode(self._learned))
+            new = self._path.with_suffix(".new")
+            write(new, _encode(self._learned), 0o600)
+            new.replace(self._path)
         except OSError as error:
-            _LOG.warning("learned footprints could not be written to %s: %s", self._path, error.strerror)
+            _LOG.warning("learned footprints could not be written: %s", sentence(error))
 
 
 def _holds(learned: LearnedFootprint, config: Config, region: str, sha256_of: Callable[[str], str | None]) -> bool:
     module = config.modules.get(learned.module)
     return module is not None and module.region == region and sha256_of(learned.module) == learned.sha256
-
-
-def _write_learned(path: Path, data: bytes) -> None:
-    """Replace the file in one step, safe against a loss of power."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    new = path.with_suffix(".new")
-    with new.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    new.replace(path)
 
 
 def _encode(learned: Mapping[_Key, LearnedFootprint]) -> bytes:

@@ -6,12 +6,12 @@ from __future__ import annotations
 import errno
 import json
 import logging
-import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from cm.errors import Busy, CmError, Forbidden, InvalidRequest
+from cm.device.native.folder_exchange import exchange
+from cm.errors import Busy, CmError, Forbidden, InvalidRequest, sentence
 from cm.frozen import dataclass, replace
 from cm.hashes import sha256
 from cm.manager.errors import UnknownConfig, listed
@@ -20,6 +20,7 @@ from cm.schema import load, loads
 from cm.schema.model import Config
 from cm.schema.named_files import named_files
 from cm.schema.problems import did_you_mean
+from cm.server.durable_files import sync, write
 from cm.server.garbage_collector import keeping
 from cm.server.private_folders import own_folder
 from cm.server.settings.model import USUAL, Limits
@@ -51,6 +52,12 @@ class NoSpace(CmError):
     """The disk is full; nothing has changed."""
 
     code = "no_space"
+
+
+class NotStored(CmError):
+    """The disk refused; the sentence says what is there now."""
+
+    code = "store"
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,13 +118,16 @@ def check_files(config: Config, files: tuple[File, ...]) -> None:
 
 
 @contextmanager
-def room_for(config: str) -> Iterator[None]:
+def _stored_or_not(config: str) -> Iterator[None]:
+    """What the disk refuses before a configuration stands in its place has changed nothing."""
     try:
         yield
     except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
-            raise
-        raise NoSpace(f"configuration {config!r}: no room on the manager's disk; nothing has changed") from error
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise NoSpace(
+                f"configuration {config!r}: no room on the manager's disk ({sentence(error)}); nothing has changed"
+            ) from error
+        raise NotStored(f"configuration {config!r}: {sentence(error)}; nothing has changed") from error
 
 
 _LOG = logging.getLogger("cm")
@@ -190,8 +200,8 @@ class Provisioner:
         """Check the schema, and put it and its files in place of any configuration of that name.
 
         Raises SchemaError, InvalidRequest (also if only signed ones are accepted), Reserved, NotTheirs, QuotaExceeded,
-        NoSpace, and what `allowed` raises for the configuration's name. The folder is written under another name and
-        renamed, so a killed manager leaves the old one or the new one.
+        NoSpace, NotStored, and what `allowed` raises for the configuration's name. The folder is written under another
+        name and takes the old one's place in one step, so whatever fails leaves the old one or the new one.
         """
         if not self._unsigned:
             raise InvalidRequest(f"a configuration over the wire is refused: {_SIGNED_ONLY}")
@@ -203,7 +213,7 @@ class Provisioner:
         check_files(config, files)
         written = schema.encode()
         self._check_quota(config.name, len(written) + sum(len(f.data) for f in files), len(written), sender)
-        with room_for(config.name):
+        with _stored_or_not(config.name):
             own_folder(self._folder)
             self._write(config.name, written, files, sender)
         place = self._folder / config.name
@@ -211,13 +221,14 @@ class Provisioner:
         return replace(config, source=place.absolute() / SCHEMA_FILE, sha256_source=sha256(written))
 
     def remove(self, name: str, sender: Sender) -> None:
-        """Remove a configuration that a client sent. Raises UnknownConfig, Reserved, NotTheirs."""
+        """Remove a configuration that a client sent. Raises UnknownConfig, Reserved, NotTheirs, NotStored."""
         if name not in self.owned and name not in self.reserved:
             raise UnknownConfig(f"no client sent a configuration {name!r}; there are {listed(self.owned)}")
         self._check_owner(name, sender)
         place, gone = self._folder / name, self._folder / f".{name}-removed"
-        place.rename(gone)
-        _sync(self._folder)
+        with _stored_or_not(name):
+            place.rename(gone)
+            self._confirm(name, lambda: gone.rename(place))
         _remove(gone)
         self.owned = {known: owned for known, owned in self.owned.items() if known != name}
 
@@ -252,35 +263,52 @@ class Provisioner:
 
         new = Path(tempfile.mkdtemp(prefix=f".{name}-", dir=self._folder))
         try:
-            _write(new / SCHEMA_FILE, schema)
-            _write(new / _OWNER, json.dumps({"account": sender.account, "name": sender.name}).encode())
+            write(new / SCHEMA_FILE, schema)
+            write(new / _OWNER, json.dumps({"account": sender.account, "name": sender.name}).encode())
             for file in files:
-                _write(new / file.name, file.data)
-            _sync(new)
-            self._swap(new, self._folder / name)
-        except BaseException:
-            _remove(new)
-            raise
+                write(new / file.name, file.data)
+            sync(new)
+            self._put_in_place(new, self._folder / name)
+        finally:
+            _remove(new)  # what it took the place of stands there now
 
-    def _swap(self, new: Path, place: Path) -> None:
-        old = place.with_name(f".{place.name}.old")
-        _remove(old)
-        if place.exists():
-            place.rename(old)
-        new.rename(place)
-        _sync(self._folder)
-        _remove(old)
+    def _put_in_place(self, new: Path, place: Path) -> None:
+        if not place.exists():
+            new.rename(place)
+            self._confirm(place.name, lambda: place.rename(new))
+            return
+        _exchange(new, place)
+        self._confirm(place.name, lambda: _exchange(new, place))
+
+    def _confirm(self, name: str, undo: Callable[[], object]) -> None:
+        """Have the disk confirm which folder has the name. Where it does not, the step is undone as far as it goes."""
+        try:
+            sync(self._folder)
+        except OSError as error:
+            with suppress(OSError):
+                undo()
+            raise NotStored(
+                f"configuration {name!r}: the disk did not confirm it ({sentence(error)}); whether it is the old one "
+                "or the new one is not known until the manager starts again"
+            ) from error
 
     def recover(self) -> None:
-        """After a kill between the two renames: put the old configuration back; drop leftovers."""
-        for old in self._folder.glob(".*.old") if self._folder.exists() else ():
-            place = self._folder / old.name[1:].removesuffix(".old")
-            if place.exists():
-                _remove(old)
-            else:
-                old.rename(place)
+        """Drop what a kill left of a configuration on its way in or out."""
         for half in self._folder.glob(".*-*") if self._folder.exists() else ():
             _remove(half)
+
+
+def _exchange(new: Path, place: Path) -> None:
+    try:
+        exchange(str(new), str(place))
+    except OSError as error:
+        if error.errno in (errno.EINVAL, errno.ENOSYS):
+            raise NotStored(
+                f"configuration {place.name!r}: the file system of {place.parent} cannot exchange two folders in one "
+                "step (renameat2); nothing has changed: remove the old one first (cm config remove)"
+            ) from error
+        error.filename = str(place)
+        raise
 
 
 def _owned(folder: Path) -> Owned:
@@ -298,19 +326,3 @@ def _remove(folder: Path) -> None:
     import shutil
 
     shutil.rmtree(folder, ignore_errors=True)
-
-
-def _write(path: Path, data: bytes | memoryview) -> None:
-    """Write to the disk, not only to its cache: the renames that follow must not overtake the content."""
-    with path.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def _sync(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

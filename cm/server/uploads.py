@@ -80,7 +80,7 @@ class Uploads:
             _write(upload.fd, part)
         except OSError as error:
             self._drop(key)
-            raise UploadFailed(f"upload {part.id!r}: {error.strerror}") from error
+            raise UploadFailed(f"upload {part.id!r} in {self._folder}: {error.strerror}") from error
         upload.got += len(part.data)
         upload.until = time.monotonic() + IDLE
         return UploadInfo(part.id, upload.length, upload.got)
@@ -109,7 +109,7 @@ class Uploads:
                 os.truncate(file.fileno(), part.length)
                 return os.dup(file.fileno())
         except OSError as error:
-            raise UploadFailed(f"upload {part.id!r}: {error.strerror}") from error
+            raise UploadFailed(f"upload {part.id!r} in {self._folder}: {error.strerror}") from error
 
     @staticmethod
     def _check(upload: _Upload, part: rq.Upload) -> None:

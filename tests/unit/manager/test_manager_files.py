@@ -46,6 +46,7 @@ def module(name: str, region: int) -> bytes:
 def duo(tmp_path: Path) -> Config:
     folder = tmp_path / "duo"
     folder.mkdir()
+    (tmp_path / "state").mkdir()
     for name in ("a0", "a1", "b0", "b1"):
         (folder / f"{name}.bit").write_bytes(module(name, int(name[1])))
     (folder / "schema.yaml").write_text(DUO, encoding="utf-8")
@@ -157,12 +158,13 @@ def test_a_kill_while_it_is_written_leaves_the_old_one(
 def test_if_the_file_cannot_be_written_a_footprint_is_known_until_the_manager_ends(
     duo: Config, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
+    (tmp_path / "state").rmdir()
     (tmp_path / "state").write_text("no folder", encoding="ascii")
     files = opened(tmp_path)
     image(files, duo, "a0")
     unread, unwritten = caplog.messages
     assert unread.startswith(f"learned footprints in {tmp_path}/state/footprints are not used ([Errno 20]")
-    assert unwritten == f"learned footprints could not be written to {tmp_path}/state/footprints: File exists"
+    assert unwritten == f"learned footprints could not be written: {tmp_path}/state/footprints.new: Not a directory"
     put(duo, "b0", module("b0", 1))
     with pytest.raises(FootprintOutside):
         image(files, duo, "b0")

@@ -3,19 +3,24 @@
 
 from __future__ import annotations
 
+import errno
 import gc
 import hashlib
+import itertools
+import os
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from mmap import mmap
 from pathlib import Path
 
 import pytest
 
+from cm.device.native.folder_exchange import exchange
 from cm.errors import Forbidden, InvalidRequest
 from cm.manager.errors import ChangeBusy, UnknownConfig
 from cm.schema import SchemaError, loads
-from cm.server.provision import SCHEMA_FILE, NoSpace, Owned, Provisioner, QuotaExceeded, Reserved, Sender
+from cm.server.provision import SCHEMA_FILE, NoSpace, NotStored, Owned, Provisioner, QuotaExceeded, Reserved, Sender
 from cm.server.settings.model import USUAL
 from cm.wire.messages.requests import File
 
@@ -144,36 +149,105 @@ def test_a_bad_schema_or_a_refusal_leaves_the_old_one(provisioner: Provisioner) 
     assert content(provisioner) == before
 
 
-@pytest.mark.parametrize("after", range(3))
-def test_a_kill_at_any_of_the_renames_leaves_the_old_one_or_the_new(
-    provisioner: Provisioner, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after: int
+class Killed(BaseException):
+    """A process that is gone: it cleans up nothing."""
+
+
+@pytest.mark.parametrize("after", [False, True])
+def test_a_kill_at_the_exchange_leaves_the_old_one_or_the_new(
+    provisioner: Provisioner, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after: bool
 ) -> None:
-    class Killed(BaseException):
-        pass
-
     provisioner.store(SCHEMA, FILES)
-    count = 0
-    rename = Path.rename
 
-    def dying(self: Path, target: Path) -> Path:
-        nonlocal count
-        count += 1
-        if count > after:
-            raise Killed
-        return rename(self, target)
+    def dying(one: str, other: str) -> None:
+        if after:
+            exchange(one, other)
+        raise Killed
 
     with monkeypatch.context() as patch:
-        patch.setattr(Path, "rename", dying)
-        patch.setattr("cm.server.provision._remove", lambda *_, **__: None)  # a dead process cleans up nothing
-        if after < 2:
-            with pytest.raises(Killed):
-                provisioner.store(SCHEMA, (File("one.bit", b"new"),))
-        else:
+        patch.setattr("cm.server.provision.exchange", dying)
+        patch.setattr("cm.server.provision._remove", lambda _: None)
+        with pytest.raises(Killed):
             provisioner.store(SCHEMA, (File("one.bit", b"new"),))
     again = Provisioner(tmp_path / "configs")
     again.recover()
-    assert content(again)["one.bit"] == (b"new" if after == 2 else b"1")
+    assert content(again)["one.bit"] == (b"new" if after else b"1")
     assert [p.name for p in (tmp_path / "configs").iterdir()] == ["sent"]
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.ENOSPC, errno.EDQUOT])
+@pytest.mark.parametrize("lasting", [False, True])
+@pytest.mark.parametrize("first", [False, True])
+def test_whatever_sync_fails_the_old_one_or_the_new_one_is_there_whole_and_a_second_try_stores_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, lasting: bool, first: bool
+) -> None:
+    new = (File("one.bit", b"new"),)
+    for at in range(5):  # three files, the folder, and the folder that holds it
+        provisioner = Provisioner(tmp_path / str(at))
+        if not first:
+            provisioner.store(SCHEMA, FILES)
+        before = content(provisioner)
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "fsync", failing(os.fsync, at, number, lasting))
+            if at < 4:
+                with pytest.raises((NoSpace, NotStored)) as refused:
+                    provisioner.store(SCHEMA, new)
+                assert str(tmp_path / str(at)) in str(refused.value)
+            else:
+                with pytest.raises(NotStored, match="not known until the manager starts again"):
+                    provisioner.store(SCHEMA, new)
+        restarted = Provisioner(tmp_path / str(at))
+        restarted.recover()
+        assert content(restarted) == content(provisioner) == before
+        assert set(provisioner.owned) == set() if first else {"sent"}
+        provisioner.store(SCHEMA, new)
+        assert content(provisioner)["one.bit"] == b"new"
+
+
+def failing(call: Callable[[int], None], at: int, number: int, lasting: bool) -> Callable[[int], None]:
+    """A system call on a descriptor whose call number `at` fails, or all from there on."""
+    calls = itertools.count()
+
+    def made(descriptor: int) -> None:
+        count = next(calls)
+        if count == at or (lasting and count > at):
+            raise OSError(number, os.strerror(number))
+        call(descriptor)
+
+    return made
+
+
+def test_a_removal_that_the_disk_does_not_confirm_leaves_the_configuration_and_its_files(
+    provisioner: Provisioner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    provisioner.store(SCHEMA, FILES)
+    before = content(provisioner)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", failing(os.fsync, 0, errno.EIO, lasting=True))
+        with pytest.raises(NotStored, match=r"'sent': the disk did not confirm it \(.*/configs: Input/output error\)"):
+            provisioner.remove("sent", ROOT)
+    assert (content(provisioner), set(provisioner.owned)) == (before, {"sent"})
+    provisioner.remove("sent", ROOT)
+    assert (content(provisioner), set(provisioner.owned)) == ({}, set())
+
+
+def test_a_file_system_that_exchanges_nothing_keeps_the_old_one_and_says_what_to_do(
+    provisioner: Provisioner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    provisioner.store(SCHEMA, FILES)
+    before = content(provisioner)
+
+    def cannot(one: str, other: str) -> None:
+        raise OSError(errno.EINVAL, "Invalid argument")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("cm.server.provision.exchange", cannot)
+        with pytest.raises(NotStored, match=r"nothing has changed: remove the old one first \(cm config remove\)"):
+            provisioner.store(SCHEMA, (File("one.bit", b"new"),))
+    assert content(provisioner) == before
+    provisioner.remove("sent", ROOT)
+    provisioner.store(SCHEMA, (File("one.bit", b"new"),))
+    assert content(provisioner)["one.bit"] == b"new"
 
 
 def test_if_only_signed_configurations_are_accepted_none_can_be_provisioned(
@@ -348,7 +422,7 @@ def test_a_long_schema_is_read_without_a_search_for_garbage_in_all_that_there_is
 def test_a_full_disk_changes_nothing(small_disk: Path) -> None:
     provisioner = Provisioner(small_disk / "configs")
     provisioner.store(SCHEMA, FILES, sender=ANNA)
-    with pytest.raises(NoSpace, match=r"^configuration 'sent': no room on the manager.s disk; nothing has changed$"):
+    with pytest.raises(NoSpace, match=r"^configuration 'sent': no room on the manager.s disk \(.*one\.bit: No space.*\); nothing has changed$"):
         provisioner.store(SCHEMA, (File("one.bit", bytes(4 << 20)),), sender=ANNA)
     assert content(provisioner)["one.bit"] == b"1"
     assert [p.name for p in (small_disk / "configs").iterdir()] == ["sent"]
