@@ -9,7 +9,6 @@ A step that fails leaves the board where the record says. Going back is another 
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -400,13 +399,11 @@ def repair(run: StepContext, step: s.Repair) -> None:
 def publish(run: StepContext, step: s.Publish) -> None:
     """The board is in the mode: record it, and release registers and streams.
 
-    A record that cannot be written now undoes nothing: the last one says that this change was nearly done, and after a
-    crash the board goes back to the mode before. Writing is tried once more when the change has ended, and a failure is
-    reported.
+    Without that record a restart would go back to the mode before, so the change fails and does that itself. Raises
+    RecordFailed.
     """
     run.update(lambda state: _entered(state, run.plan.goal, run.written))
-    with contextlib.suppress(RecordFailed):
-        run.record(None)
+    run.record(None)
     run.tools.state.release_regions()
     run.tools.data_plane.resume(run.plan.goal.config, step.mode, run.tools.state.board.modules)
 

@@ -131,20 +131,16 @@ def test_a_record_that_cannot_be_written_refuses_the_change_before_anything_is_t
 
 
 def test_a_record_that_fails_from_any_operation_on_leaves_the_board_whole(made: Rig, sim: SimBoard) -> None:
-    ends = {}
+    """The last operation is the record that the mode was entered: nothing is done before it is written."""
     for number in range(operations(made)):
         made.arm(-1)
         Disk(made, number)
         error = made.go("edge_detection")
-        ends[number] = settled(made, sim)
-        assert ends[number] == ("edge_detection" if error is None else "default"), f"operation {number}: {error}"
-        assert error is None or error.code == "store"
-        assert made.manager.status().last_error is not None
-        assert made.manager.status().last_error.code == "store"  # type: ignore[union-attr]
+        assert settled(made, sim) == "default", f"operation {number}: {error}"
+        assert error.code == "store"
+        assert made.manager.status().last_error == error
         made.fault.watch = lambda _: None
         assert made.go("default") is None
-    assert ends[0] == "default"
-    assert ends[len(ends) - 1] == "edge_detection"  # nothing is undone for the record of the end
 
 
 def test_a_manager_that_dies_after_its_record_failed_comes_back_to_the_mode_before(
@@ -159,11 +155,13 @@ def test_a_manager_that_dies_after_its_record_failed_comes_back_to_the_mode_befo
             assert dying.go("default") is None
             dying.arm(-1)
             Disk(dying, number)
-            dying.go("edge_detection")  # no record of what became of it, nor of the end: as if killed
+            error = dying.go("edge_detection")  # no record of what became of it, nor of the end: as if killed
+            told = settled(dying, sim)
+            assert told == ("default" if error else "edge_detection")
         with rig(sim.root, tmp_path, camera(timeout=HUNG)) as again:
             again.manager.wait_idle()
             recorded = number >= count  # that the mode was entered is the last that is recorded
-            assert settled(again, sim) == ("edge_detection" if recorded else "default"), f"operation {number}"
+            assert settled(again, sim) == told == ("edge_detection" if recorded else "default"), f"operation {number}"
             assert recorded or any("cut short" in note for note in again.notes)
 
 
