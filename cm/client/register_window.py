@@ -27,6 +27,7 @@ from cm.device.native.window import read as read_wide
 from cm.device.native.window import read32, write_plain
 from cm.device.register_window import MappedWindow, WindowEnd
 from cm.errors import InvalidRequest, Timeout
+from cm.field_access import KINDS, Rest, changed_too, must_not_be_read, rest_of
 from cm.frozen import replace
 from cm.wire import plane_packets as packets
 from cm.wire.encode import decode_table
@@ -139,7 +140,7 @@ class RegisterWindow:
         self._folder, self._wanted, self._timeout = folder, wanted, timeout
         self._leases, self._owner = leases, owner
         self._lock = threading.RLock()  # of taking pages anew
-        self._seen: dict[str, int] = {}  # what was written to write-only registers
+        self._seen: dict[str, int] = {}  # what was written to registers that are not read for a write of a field
         self._why: BoardClosed | None = None
         self._fate: tuple[int, str, str] | None = None
         self._loan: _Loan | None = None
@@ -478,15 +479,13 @@ def _writer(register: RegisterInfo, offset: int, writable: bool) -> Callable[[An
 
     if register.access == "ro" or not writable:
         return refuse
-    return write_and_keep if register.fields and _is_not_read(register) else write
+    return write_and_keep if any(_rest(register, 1 << f.lsb).last for f in register.fields) else write
 
 
-_ZERO = ("ro", "rc", "w1c", "w1s", "w1t")  # fields that a write of another leaves alone by a 0
-
-
-def _is_not_read(register: RegisterInfo) -> bool:
-    """Whether the rest of a register is what was last written, when a field of it is."""
-    return register.access == "wo" or any(field.access == "rc" for field in register.fields)
+def _rest(register: RegisterInfo, mask: int) -> Rest:
+    """What a write of the bits in `mask` writes to the others."""
+    fields = [(f.name, ((1 << f.width) - 1) << f.lsb, f.access or register.access) for f in register.fields]
+    return rest_of((register.access, register.width), fields, mask)
 
 
 def _field_reader(read: Callable[[Any], int], mask: int, lsb: int) -> Callable[[Any], int]:
@@ -500,21 +499,20 @@ def _field_writer(
     values: Mapping[str, int],
     whole: tuple[Callable[[Any], int], Callable[[Any, Any], None]],
 ) -> Callable[[Any, Any], None]:
-    """Writes the field and leaves the rest; of a write-one-to-clear register the rest is written as 0."""
+    """Writes the field, and to the rest what leaves it as it is."""
     (mask, lsb), (read, write) = place, whole
-    kept = ~mask & ~sum(((1 << f.width) - 1) << f.lsb for f in register.fields if f.access in _ZERO)
+    others = _rest(register, mask)
+    does = {f"{register.name}.{f.name}": f.access or register.access for f in register.fields}
 
     def rest(window: Any) -> int:
-        if register.access == "w1c":
-            return 0
-        if not _is_not_read(register):
-            return read(window) & kept
-        if register.name not in window._seen:
-            why = "is write-only" if register.access == "wo" else "has a field that reading clears"
+        kept = others.ones | (read(window) & others.read if others.read else 0)
+        last = window._seen.get(register.name, None if others.last else 0)
+        if last is None:
+            why = must_not_be_read(register.access, does.values())
             raise RequestInvalid(
                 ErrorInfo("access", f"register {register.name!r} {why}: write the whole of it here first")
             )
-        return int(window._seen[register.name]) & kept
+        return int(kept | last & others.last)
 
     def put(window: Any, value: Any) -> None:
         if isinstance(value, str):
@@ -528,10 +526,8 @@ def _field_writer(
         write(window, rest(window) | number << lsb)
 
     def refuse(_: Any, __: Any) -> NoReturn:
-        _no_access(name, writes=True)
+        if not KINDS[does[name]].writable:
+            _no_access(name, writes=True)
+        raise RequestInvalid(ErrorInfo("access", changed_too(name, register.name, others)))
 
-    return (
-        refuse
-        if any(f"{register.name}.{f.name}" == name and f.access in ("ro", "rc") for f in register.fields)
-        else put
-    )
+    return put if KINDS[does[name]].writable and not others.changed else refuse

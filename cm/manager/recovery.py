@@ -29,7 +29,7 @@ from cm.manager.state.board_state import (
 )
 from cm.manager.state.journal import ManagerState, Pending, Record
 from cm.manager.state.steps import Place, hertz
-from cm.schema.model import Access, Config, ConfigType, LoaderKind, Module, Region, Register
+from cm.schema.model import Config, ConfigType, LoaderKind, Module, Region, Register
 
 if TYPE_CHECKING:
     from cm.manager.interfaces import Devices
@@ -97,8 +97,7 @@ def _as_it_reads(finding: Finding, configs: Mapping[str, Config], registers: Reg
     spared = frozenset() if cut is None else _written_by(cut, configs)
     live: dict[str, int] = {}
     for register in config.visible_registers(state.mode).values():
-        changes = register.access is not Access.RW or register.volatile
-        if changes or place_of(register) in spared or not _answers(register, state):
+        if not register.keeps or place_of(register) in spared or not _answers(register, state):
             continue
         try:
             value = registers.read(register)

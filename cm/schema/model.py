@@ -13,6 +13,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar
 
+from cm.field_access import KINDS, Kind, Rest, rest_of
 from cm.frozen import dataclass, field
 from cm.schema.pictures import CameraInfo
 
@@ -67,20 +68,28 @@ class Direction(str, Enum):
 
 
 class FieldAccess(str, Enum):
-    """What bits do when their register is read or written, where that differs from the register's access."""
+    """What bits do when their register is read or written, by UVM's names; `cm.field_access` has what follows."""
 
     RW = "rw"
     RO = "ro"
     WO = "wo"
-    W1C = "w1c"
-    W1S = "w1s"  # a written 1 sets, the hardware clears
-    W1T = "w1t"  # a written 1 toggles
     RC = "rc"  # read-only, and reading clears
+    RS = "rs"  # read-only, and reading sets
+    WRC = "wrc"  # read-write, and reading clears
+    WRS = "wrs"  # read-write, and reading sets
+    WC = "wc"  # any write clears
+    WS = "ws"  # any write sets
+    W1C = "w1c"  # a written 1 clears, and so on
+    W1S = "w1s"  # also of bits that the hardware clears by itself
+    W1T = "w1t"  # toggles
+    W0C = "w0c"  # a written 0 clears, and so on
+    W0S = "w0s"
+    W0T = "w0t"
 
     @property
-    def is_kept(self) -> bool:
-        """Whether a write of other bits of the register has to write these as they are: of the rest, 0 does nothing."""
-        return self in (FieldAccess.RW, FieldAccess.WO)
+    def kind(self) -> Kind:
+        """What these bits do."""
+        return KINDS[self.value]
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,15 +132,25 @@ class Register:
         """Physical address."""
         return self.base_address + self.offset
 
-    @property
-    def kept(self) -> int:
-        """The bits that a write of others has to write as they are."""
-        return ~sum(f.mask for f in self.fields.values() if f.access is not None and not f.access.is_kept)
+    def access_of(self, field: BitField) -> FieldAccess:
+        """What a field's bits do: its own access, or else the register's."""
+        return field.access or FieldAccess(self.access.value)
+
+    def rest(self, mask: int) -> Rest:
+        """What a write of the bits in `mask` writes to the others."""
+        fields = [(f.name, f.mask, self.access_of(f).value) for f in self.fields.values()]
+        return rest_of((self.access.value, self.width), fields, mask)
 
     @property
-    def clears(self) -> bool:
-        """Whether reading it clears a field."""
-        return any(f.access is FieldAccess.RC for f in self.fields.values())
+    def read_changes(self) -> bool:
+        """Whether reading it clears or sets a field."""
+        return any(self.access_of(f).kind.read_changes for f in self.fields.values())
+
+    @property
+    def keeps(self) -> bool:
+        """Whether it reads as what was last written, as far as is known."""
+        plain = self.access is Access.RW and not self.volatile
+        return plain and all(f.access in (None, FieldAccess.RW) for f in self.fields.values())
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from bisect import bisect_left
 from collections.abc import Iterator, Mapping
 
 from cm.schema.construct import Context
-from cm.schema.model import Access, BitField, Config, FieldAccess, Mode, Register
+from cm.schema.model import Access, BitField, Config, Mode, Register
 from cm.schema.problems import KeyPath, did_you_mean, key_path
 
 _Placed = tuple[KeyPath, Register]  # where it stands in the file, and the register
@@ -110,8 +110,8 @@ def check_fields(register: Register, path: KeyPath, context: Context) -> None:
                 hint = f"{other.name} has bits {other.lsb + other.width - 1}:{other.lsb}"
                 context.report(here, "field_overlap", f"field {name} overlaps field {other.name}", hint)
         used.append(field)
-        whole = register.access is not Access.RW and field.access is not None
-        if whole and (field.access in (FieldAccess.RO, FieldAccess.RC)) is not (register.access is Access.RO):
+        whole = register.access in (Access.RO, Access.WO) and field.access is not None
+        if whole and register.access_of(field).kind.writable is (register.access is Access.RO):
             message = f"a field of other access in a register of {register.access.value}"
             context.report((*here, "access"), "not_applicable", message, "access of the register: rw")
         for word, value in field.values.items():

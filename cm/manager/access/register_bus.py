@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from cm.field_access import Rest
 from cm.manager.access.register_view import Place, in_range
 from cm.manager.errors import AccessDenied, VerifyFailed
 from cm.manager.inputs import Window
@@ -108,34 +109,24 @@ class RegisterBus:
         value = self.read(register)
         standing = value & clear
         if standing:
-            kept = 0 if register.access is Access.W1C else value & ~flags & register.kept
+            rest = register.rest(clear | flags)
+            kept = value & (rest.read | rest.last) | rest.ones
             self.write_address(register.address, register.width, kept | standing)
         return value
 
-    def write(
-        self, register: Register, value: int, mask: int, last: int | None, kept: int = -1, unread: bool = False
-    ) -> int:
+    def write(self, register: Register, value: int, mask: int, last: int | None, rest: Rest | None = None) -> int:
         """Write the bits in `mask`; returns the whole value written.
 
-        The other bits are read first; of a write-only register, or one that must not be read (`unread`), they are those
-        last written, and a write-one-to-clear register's, like those that are not in `kept`, are written as 0, which
-        does nothing.
+        `rest` (None: as the register says) is written to the others: they are read if they have to be, and `last` is
+        what was last written to them.
         """
-        full = (1 << register.width) - 1
-        if mask != full:
-            value = self._merged(register, value, mask, last, unread) & (kept | mask)
-            in_range(
-                register.name, value, register.minimum or 0, full if register.maximum is None else register.maximum
-            )
+        full, rest = (1 << register.width) - 1, rest or register.rest(mask)
+        value |= rest.ones | (last or 0) & rest.last
+        if rest.read:
+            value |= self.read_address(register.address, register.width) & rest.read
+        in_range(register.name, value, register.minimum or 0, full if register.maximum is None else register.maximum)
         self.write_address(register.address, register.width, value)
         return value
-
-    def _merged(self, register: Register, value: int, mask: int, last: int | None, unread: bool) -> int:
-        if register.access is Access.W1C:
-            return value
-        unread = unread or register.access is Access.WO
-        rest = (last or 0) if unread else self.read_address(register.address, register.width)
-        return (rest & ~mask) | value
 
 
 def drive(registers: RegisterBus, decoupler: Decoupler, cut: bool) -> None:

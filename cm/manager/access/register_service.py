@@ -19,6 +19,7 @@ from cm.manager.access.register_view import (
     checked_write,
     find,
     is_free,
+    missing,
     place_of,
     split_name,
 )
@@ -181,7 +182,7 @@ class RegisterService:
         with self._lock:  # a change that begins meanwhile waits, and withdraws them
             view = self._look()
             for register in filter(None, map(view.registers.get, registers)):
-                if register.region not in view.free or register.access is _WO or register.clears:
+                if register.region not in view.free or register.access is _WO or register.read_changes:
                     continue
                 fields = [field for field in register.fields.values() if field.access is not _FIELD_WO]
                 for field in (None, *fields):
@@ -219,10 +220,12 @@ class RegisterService:
 
     def _check(self, view: View, writes: tuple[RegWrite, ...], lease: str) -> list[Checked]:
         known = view.places
-        checked = []
+        checked: list[Checked] = []
         for write in writes:
             place = known.get(write.name) or self._find(view, write.name)
             checked.append(checked_write(place, write))
+            if place.rest.unread or write.mask is not None:
+                self._check_known(checked)
         self._check_leases(checked, lease)
         return checked
 
@@ -279,7 +282,7 @@ class RegisterService:
     def _readable(self, view: View) -> list[Place]:
         readable = (r for r in view.registers.values() if r.access is not _WO and r.region in view.free)
         places = [view.places.get(r.name) or self._find(view, r.name) for r in readable]
-        return [place for place in places if not place.clears]  # who wants that names it
+        return [place for place in places if not place.read_changes]  # who wants that names it
 
     def _read(self, place: Place, view: View) -> RegValue:
         register, field = place.register, place.field
@@ -299,13 +302,16 @@ class RegisterService:
         if mask == place.mask and place.field is None:
             bus.write_address(place.address, place.width, value)
         else:
-            last = self._state.written_value(register.name)
-            if place.clears and last is None:
-                last = register.reset or 0
-            value = bus.write(register, value, mask, last, place.kept, place.clears)
+            rest = place.rest if mask == place.mask else register.rest(mask)
+            value = bus.write(register, value, mask, self._last(register), rest)
         self._state.note_written(register.name, value, register.access is _WO)
         shown = value if not place.shown else bus.read_address(place.address, place.width)
         return value_of(register, shown)
+
+    def _last(self, register: Register) -> int | None:
+        """What a register holds that is not read, as far as is known."""
+        last = self._state.written_value(register.name)
+        return register.reset if last is None else last
 
     def check_region(self, region: str | None, what: str) -> None:
         """Raise RegionBusy while `region` (None: the static part) is being changed, or is isolated."""
@@ -320,6 +326,16 @@ class RegisterService:
         locked = region in self._state.locked
         how = "being reconfigured" if locked else self._state.latest.region(region or "").phase.value
         raise RegionBusy(f"{what} lies in {where}, which is {how}")
+
+    def _check_known(self, checked: list[Checked]) -> None:
+        """Refuse the last write, if it would need to know what was never written; one before it may write that."""
+        place, _, mask = checked[-1]
+        register = place.register
+        if mask == (1 << register.width) - 1 or not register.rest(mask).unread or self._last(register) is not None:
+            return
+        full = (1 << register.width) - 1
+        if not any(p.register is register and p.field is None and m == full for p, _, m in checked):
+            raise missing(place, mask)
 
     def _check_leases(self, checked: list[Checked], lease: str) -> None:
         if not self._leases.any_held:

@@ -7,13 +7,13 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from cm.errors import InvalidRequest
+from cm.field_access import Rest, changed_too, must_not_be_read
 from cm.manager.errors import AccessDenied, OutOfRange, UnknownRegister, hint
 from cm.manager.state.board_state import BoardState, RegionPhase
 from cm.manager.state.journal import LockedRegions, ManagerState
-from cm.schema.model import Access, BitField, Config, FieldAccess, Register
+from cm.schema.model import Access, BitField, Config, Register
 from cm.wire.messages.requests import RegWrite
 
-_READ_ONLY = (FieldAccess.RO, FieldAccess.RC)
 _RO, _READY = Access.RO, RegionPhase.READY  # looking them up in the enum's class takes time
 
 
@@ -67,8 +67,8 @@ class Place(NamedTuple):
     high: int
     lsb: int
     mask: int
-    kept: int  # of the other bits, those to be written as they are
-    clears: bool  # reading the register clears a field of it
+    rest: Rest  # what is written to the other bits
+    read_changes: bool  # reading the register changes a field of it
     shown: bool  # after a write, it is read
 
 
@@ -84,12 +84,16 @@ def place_of(register: Register, field: BitField | None) -> Place:
     else:
         low = max(low, register.minimum or 0)
         high = high if register.maximum is None else min(high, register.maximum)
-    if register.access is _RO or (field is not None and field.access in _READ_ONLY):
+    rest, changes = register.rest(mask), register.read_changes
+    if not _is_writable(register, field) or rest.changed:
         low, high = 1, 0
-    clears = register.clears
-    shown = register.access is Access.RW and not clears
+    shown = register.access is Access.RW and not changes
     where = (register.region, register.address, register.width)
-    return Place(register, field, *where, low, high, lsb, mask, register.kept, clears, shown)
+    return Place(register, field, *where, low, high, lsb, mask, rest, changes, shown)
+
+
+def _is_writable(register: Register, field: BitField | None) -> bool:
+    return register.access is not _RO and (field is None or register.access_of(field).kind.writable)
 
 
 def checked_write(place: Place, write: RegWrite) -> Checked:
@@ -101,11 +105,14 @@ def checked_write(place: Place, write: RegWrite) -> Checked:
         raise AccessDenied(f"register {register.name!r} is read-only")
     if write.named:
         write = _by_name(write, field)
-    if field is not None and field.access in _READ_ONLY:
+    if not _is_writable(register, field):
         raise AccessDenied(f"field {write.name!r} is read-only")
     if field is not None and write.mask is not None:
         raise InvalidRequest(f"{write.name!r} is a field: give a value or a mask, not both")
     mask = place.mask if write.mask is None else write.mask
+    rest = place.rest if mask == place.mask else register.rest(mask)
+    if rest.changed:
+        raise AccessDenied(changed_too(write.name, register.name, rest))
     if mask == place.mask:
         in_range(write.name, write.value, place.low, place.high)
         return place, write.value << place.lsb, mask
@@ -113,6 +120,17 @@ def checked_write(place: Place, write: RegWrite) -> Checked:
     if not 0 <= mask <= place.mask:
         raise OutOfRange(f"register {write.name!r}: mask {mask:#x} does not fit {register.width} bits")
     return place, write.value & mask, mask
+
+
+def missing(place: Place, mask: int) -> AccessDenied:
+    """The refusal of a write that would have to write other fields as they were last written, which is not known."""
+    register = place.register
+    rest = place.rest if mask == place.mask else register.rest(mask)
+    why = must_not_be_read(register.access.value, [register.access_of(f).value for f in register.fields.values()])
+    return AccessDenied(
+        f"register {register.name!r} {why}, and what {rest.unread[0]} holds is not known: write the whole of it first, "
+        "or say its reset in the schema"
+    )
 
 
 def _by_name(write: RegWrite, field: BitField | None) -> RegWrite:

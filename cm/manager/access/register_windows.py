@@ -156,7 +156,7 @@ class Windows:
         return grant.id, grant.fd
 
     def _values(self, place: Place) -> dict[str, int]:
-        return {r.name: self._bus.read(r) for r in place.registers if _is_recorded(r) and r.access is Access.RW}
+        return {r.name: self._bus.read(r) for r in place.registers if r.keeps}
 
     def _check(self, place: Place, request: WindowRequest) -> None:
         self._registers.check_region(place.region, f"window {request.name!r}")
@@ -318,7 +318,7 @@ class Windows:
         found, unknown = [], []
         for number, register in enumerate(filter(_is_recorded, place.registers)):
             late = number >= _SURE and until is not None and self._time.monotonic() > until
-            if register.access is not Access.RW or late:
+            if not register.keeps or late:
                 unknown.append(register.name)
                 continue
             try:

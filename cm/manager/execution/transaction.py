@@ -32,7 +32,7 @@ from cm.manager.state.board_state import (
 from cm.manager.state.journal import ManagerState
 from cm.manager.state.steps import Step
 from cm.manager.status_reports import StatusReporter
-from cm.schema.model import Access, Config, LoaderKind, Register
+from cm.schema.model import Config, LoaderKind, Register
 from cm.wire.messages.status import Progress
 
 if TYPE_CHECKING:
@@ -339,7 +339,7 @@ def set_register(run: StepContext, step: s.SetRegister) -> None:
     run.tools.registers.write_address(register.address, register.width, step.value)
     if not step.restores:
         _note(run, register, step.value)
-    if not _keeps_its_value(register):
+    if not register.keeps:
         return
     value = run.tools.registers.read(register)
     if value != step.value:
@@ -366,7 +366,7 @@ def _names_before(run: StepContext, register: Register) -> set[str]:
 
 def _remember(run: StepContext, register: Register) -> None:
     """What a register of the static part or of a region that stays held, if it has not been written yet."""
-    if register.region in run.plan.regions or run.plan.full or not _keeps_its_value(register):
+    if register.region in run.plan.regions or run.plan.full or not register.keeps:
         return
     same = run.board.config == run.plan.goal.config.name
     names = {register.name} if same else _names_before(run, register)
@@ -376,10 +376,6 @@ def _remember(run: StepContext, register: Register) -> None:
     run.found[place_of(register)] = value
     run.tools.state.note_found(place_of(register), value)
     run.record(run.step)  # a kill between the write and the next step must not lose it
-
-
-def _keeps_its_value(register: Register) -> bool:
-    return register.access is Access.RW and not register.volatile
 
 
 def repair(run: StepContext, step: s.Repair) -> None:
