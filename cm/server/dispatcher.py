@@ -26,13 +26,14 @@ from cm.server.request_handlers import Handlers, takes_long
 from cm.server.rights.model import Role
 from cm.server.sockets import Loop, Sockets
 from cm.wire import multipart
-from cm.wire.decode import Frame, decode_request, split_text
+from cm.wire.decode import decode_request, split_text
 from cm.wire.encode import encode_reply
 from cm.wire.envelope import envelope_length, guest_named, split_envelope
 from cm.wire.messages import requests as rq
 from cm.wire.messages.status import ErrorInfo, Reply
 from cm.wire.multipart import Message, receive_from
 from cm.wire.parse import LONG, in_slices
+from cm.wire.request_table import Frame
 from cm.wire.topics import READ_REG, WRITE_REG
 
 

@@ -11,9 +11,10 @@ from collections.abc import Callable, Sequence
 
 from cm.errors import InvalidRequest
 from cm.manager.access.register_view import Prepared
-from cm.wire.decode import Frame, decode_request
+from cm.wire.decode import decode_request
 from cm.wire.encode import RegisterReply
 from cm.wire.messages.requests import ReadReg
+from cm.wire.request_table import Frame
 
 _LONGEST, _KEPT = 256, 256  # bytes of a request that is kept, and how many are
 

@@ -10,18 +10,14 @@ from typing import Any, TypeVar
 from google.protobuf.message import DecodeError, Message
 
 from cm.errors import InvalidRequest
-from cm.frozen import names, replace
-from cm.hashes import sha256
 from cm.wire import cm_pb2 as pb
 from cm.wire import protobuf_messages, topics
 from cm.wire.messages import requests as rq
 from cm.wire.messages import status as st
+from cm.wire.request_table import BY_KIND
 
 Frame = bytes | memoryview
 _M = TypeVar("_M", bound=Message)
-_CHANGE = protobuf_messages.Twin(
-    rq.ChangeMode, pb.WriteConfig, [name for name in rq.ChangeMode.__annotations__ if name != "name_or_mode"]
-)
 
 
 def parsed(kind: type[_M], data: bytes) -> _M:
@@ -34,12 +30,19 @@ def parsed(kind: type[_M], data: bytes) -> _M:
 
 def encode_request(request: rq.Request) -> list[Frame]:
     """A request → ``[topic][message][payload…]``. Raises InvalidRequest for what no message can hold."""
+    row = BY_KIND[type(request)]
     try:
-        return _REQUESTS[type(request)](request)
+        return row.encode(request)
     except InvalidRequest:
         raise
     except (TypeError, ValueError, OverflowError) as error:  # protobuf's: wrong types, numbers out of range, half pairs
-        raise InvalidRequest(f"{type(request).__name__}: {_wrong_type(request) or error}") from None
+        said = _wrong_type(request) or _out_of_range(row.twin, request) or error
+        raise InvalidRequest(f"{type(request).__name__}{_whose(request)}: {said}") from None
+
+
+def _whose(request: rq.Request) -> str:
+    named = getattr(request, "stream", "") or getattr(request, "name", "")
+    return f" of {named!r}" if isinstance(named, str) and named else ""
 
 
 _KINDS: dict[str, tuple[str, Callable[[Any], object]]] = {  # by annotation: what it is called, and what refuses others
@@ -79,168 +82,35 @@ def _unlike(kind: str, value: Any) -> str:
     return ""
 
 
-def _change_mode(r: rq.ChangeMode) -> list[Frame]:
-    if r.name_or_mode:
-        return [topics.TEXT_CONFIG, r.name_or_mode.encode()]
-    return [topics.WRITE_CONFIG, _CHANGE.to_pb(r).SerializeToString()]
+def _out_of_range(twin: Any, data: Any) -> str:
+    """The first field that cannot be encoded on its own, as it was given; empty if that is not the mistake."""
+    for name, value in zip(twin.names, twin.values(data), strict=False):
+        if part := twin.parts.get(name):
+            each = value if isinstance(value, tuple) else () if value is None else (value,)
+            found = next(filter(None, (_out_of_range(part, one) for one in each)), "")
+        else:
+            found = "" if twin.fits(name, value) else f"{name}={value!r} is out of its range"
+        if found:
+            return found
+    return ""
 
 
-def _provision(r: rq.Provision) -> list[Frame]:
-    if not r.schema:  # on the wire that is a change of the mode
-        raise InvalidRequest("the schema is empty (begin with config:)")
-    files = [
-        pb.File(name=f.name, upload=f.upload, sha256=f.sha256)
-        if f.upload
-        else pb.File(name=f.name, length=len(f.data), sha256=f.sha256 or sha256(f.data))
-        for f in r.files
-    ]
-    message = _CHANGE.to_pb(r.change) if r.change is not None else pb.WriteConfig(provision_only=True)
-    message.MergeFrom(pb.WriteConfig(schema=r.schema, files=files, lease=r.lease))
-    return [topics.WRITE_CONFIG, message.SerializeToString(), *(f.data for f in r.files if not f.upload)]
-
-
-def _write_reg(r: rq.WriteReg) -> list[Frame]:
-    for write in r.writes:
-        if not 0 <= write.value < 1 << 64:
-            raise InvalidRequest(f"register {write.name!r}: value {write.value} does not fit 64 bits, unsigned")
-    writes = [pb.RegWrite(name=w.name, value=w.value, mask=w.mask, named=w.named) for w in r.writes]
-    return [topics.WRITE_REG, pb.WriteReg(writes=writes, lease=r.lease).SerializeToString()]
-
-
-def _read_data(r: rq.ReadData) -> list[Frame]:
-    _place(r.stream, r.offset, r.length)
-    message = pb.ReadData(stream=r.stream, timeout=r.timeout, offset=r.offset, length=r.length)
-    return [topics.READ_DATA, message.SerializeToString()]
-
-
-def _write_data(r: rq.WriteData) -> list[Frame]:
-    _place(r.stream, r.offset)
-    return [
-        topics.WRITE_DATA,
-        pb.WriteData(
-            stream=r.stream, lease=r.lease, offset=r.offset, upload=r.upload, format=r.format
-        ).SerializeToString(),
-        *(() if r.upload else (r.data,)),
-    ]
-
-
-def _upload(r: rq.Upload) -> list[Frame]:
-    message = pb.Upload(id=r.id, length=r.length, offset=r.offset, discard=r.discard).SerializeToString()
-    return [topics.UPLOAD, message, *(() if r.discard else (r.data,))]
-
-
-def _place(name: str, *numbers: int) -> None:
-    for number in numbers:
-        if not 0 <= number < 1 << 64:
-            raise InvalidRequest(
-                f"memory {name!r}: {number} is no place or length in it: those are 0 or more, below 2⁶⁴"
-            )
-
-
-def _configure_stream(r: rq.ConfigureStream) -> list[Frame]:
-    try:
-        message = protobuf_messages.STREAM_SETTINGS.to_pb(r)
-    except (TypeError, ValueError, OverflowError) as error:
-        said = _wrong_type(r) or f"{_wrong_setting(r)} is out of its range: {error}"
-        raise InvalidRequest(f"stream {r.stream!r}: {said}") from None
-    return [topics.DATA_CONFIG, message.SerializeToString()]
-
-
-def _wrong_setting(r: rq.ConfigureStream) -> str:
-    """The first that cannot be encoded on its own, as it was given."""
-    for name in names(rq.ConfigureStream):
-        value = getattr(r, name)
-        try:
-            protobuf_messages.STREAM_SETTINGS.to_pb(replace(rq.ConfigureStream("s"), **{name: value}))
-        except (TypeError, ValueError, OverflowError):
-            return f"{name}={value!r}"
-    return "a setting"
-
-
-def _define_memory(r: rq.DefineMemory) -> list[Frame]:
-    _place(r.name, r.address or 0, r.length)
-    try:
-        message = pb.DataConfig(
-            stream=r.name,
-            address=r.address,
-            length=r.length,
-            shape=r.shape,
-            dtype=r.dtype,
-            access=r.access,
-            region=r.region,
-            lease=r.lease,
-        )
-    except (TypeError, ValueError, OverflowError) as error:
-        said = _wrong_type(r) or f"a property is out of its range: {error}"
-        raise InvalidRequest(f"memory {r.name!r}: {said}") from None
-    return [topics.DATA_CONFIG, message.SerializeToString()]
-
-
-def _lease(message: pb.Lease) -> list[Frame]:
-    return [topics.LEASE, message.SerializeToString()]
-
-
-def _config(message: pb.ReadConfig) -> list[Frame]:
-    return [topics.READ_CONFIG, message.SerializeToString()]
-
-
-_REQUESTS: dict[type, Callable[[Any], list[Frame]]] = {
-    rq.ReadStatus: lambda r: [topics.STATUS, pb.ReadStatus(clients=r.clients).SerializeToString()],
-    rq.ReadConfig: lambda r: _config(pb.ReadConfig(config_name=r.config_name)),
-    rq.ListConfigs: lambda _: _config(pb.ReadConfig(list=True)),
-    rq.PlanChange: lambda r: _config(pb.ReadConfig(config_name=r.config_name, plan_mode=r.mode, plan=True)),
-    rq.ChangeMode: _change_mode,
-    rq.CancelChange: lambda _: [topics.WRITE_CONFIG, pb.WriteConfig(cancel=True).SerializeToString()],
-    rq.Provision: _provision,
-    rq.RemoveConfig: lambda r: [
-        topics.WRITE_CONFIG,
-        pb.WriteConfig(config_name=r.config_name, remove=True, lease=r.lease).SerializeToString(),
-    ],
-    rq.ReadReg: lambda r: [topics.READ_REG, pb.ReadReg(names=r.names).SerializeToString()],
-    rq.WriteReg: _write_reg,
-    rq.DescribeData: lambda r: [
-        topics.DATA_CONFIG,
-        pb.DataConfig(stream=r.name, lease=r.lease).SerializeToString(),
-    ],
-    rq.ConfigureStream: _configure_stream,
-    rq.DefineMemory: _define_memory,
-    rq.ReadData: _read_data,
-    rq.WriteData: _write_data,
-    rq.Upload: _upload,
-    rq.CheckRegion: lambda r: [topics.REGION, protobuf_messages.REGION_CHECKED.to_pb(r).SerializeToString()],
-    rq.MapRegion: lambda r: [topics.REGION, pb.Region(name=r.name, map=True).SerializeToString()],
-    rq.ReadIrq: lambda r: [topics.IRQ, pb.ReadIrq(name=r.name).SerializeToString()],
-    rq.TakeLease: lambda r: _lease(protobuf_messages.LEASE_TAKEN.to_pb(r)),
-    rq.RenewLease: lambda r: _lease(protobuf_messages.LEASE_RENEWED.to_pb(r)),
-    rq.BreakLease: lambda r: _lease(pb.Lease(number=r.number, release=True)),
-    rq.ReleaseLease: lambda r: _lease(pb.Lease(id=r.id, release=True)),
+_BODIES: dict[type, tuple[str, Any]] = {  # of a reply: the field of Reply, and what makes it and reads it
+    st.Status: ("status", protobuf_messages.STATUS),
+    st.ConfigInfo: ("config", protobuf_messages.CONFIG),
+    st.RegValues: ("registers", protobuf_messages.REGISTERS),
+    st.FrameInfo: ("frame", protobuf_messages.FRAME),
+    st.PlanInfo: ("plan", protobuf_messages.PLAN),
+    st.LeaseInfo: ("lease", protobuf_messages.LEASE),
+    st.ChangeInfo: ("change", protobuf_messages.CHANGE),
+    st.Irq: ("irq", protobuf_messages.IRQ),
+    st.UploadInfo: ("upload", protobuf_messages.UPLOADED),
+    st.RegionCheck: ("region", protobuf_messages.CHECK),
+    st.RegionMap: ("region_map", protobuf_messages.MAP),
+    st.MemoryInfo: ("memory", protobuf_messages.MEMORY),
+    st.StreamStatus: ("stream", protobuf_messages.STREAM_BODY),
 }
-
-# body type → field of Reply, and the pair of functions of cm.wire.protobuf_messages
-_BODIES: dict[type, tuple[str, Callable[[Any], Any], Callable[[Any], Any]]] = {
-    st.Status: ("status", protobuf_messages.STATUS.to_pb, protobuf_messages.STATUS.from_pb),
-    st.ConfigInfo: ("config", protobuf_messages.CONFIG.to_pb, protobuf_messages.CONFIG.from_pb),
-    st.RegValues: ("registers", protobuf_messages.registers_to_pb, protobuf_messages.registers_from_pb),
-    st.FrameInfo: ("frame", protobuf_messages.FRAME.to_pb, protobuf_messages.FRAME.from_pb),
-    st.PlanInfo: ("plan", protobuf_messages.PLAN.to_pb, protobuf_messages.PLAN.from_pb),
-    st.LeaseInfo: ("lease", protobuf_messages.LEASE.to_pb, protobuf_messages.LEASE.from_pb),
-    st.ChangeInfo: ("change", protobuf_messages.CHANGE.to_pb, protobuf_messages.CHANGE.from_pb),
-    st.Irq: ("irq", protobuf_messages.IRQ.to_pb, protobuf_messages.IRQ.from_pb),
-    st.UploadInfo: (
-        "upload",
-        lambda x: pb.Upload(id=x.id, length=x.length, offset=x.got),
-        lambda m: st.UploadInfo(m.id, m.length, m.offset),
-    ),
-    st.RegionCheck: ("region", protobuf_messages.CHECK.to_pb, protobuf_messages.CHECK.from_pb),
-    st.RegionMap: ("region_map", protobuf_messages.MAP.to_pb, protobuf_messages.MAP.from_pb),
-    st.MemoryInfo: ("memory", protobuf_messages.MEMORY.to_pb, protobuf_messages.MEMORY.from_pb),
-    st.StreamStatus: (
-        "stream",
-        lambda s: pb.Stream(state=protobuf_messages.STREAM.to_pb(s)),
-        lambda m: protobuf_messages.STREAM.from_pb(m.state),
-    ),
-}
-_FROM_FIELD = {field: decode for field, _, decode in _BODIES.values()}
+_FROM_FIELD = {field: codec.from_pb for field, codec in _BODIES.values()}
 
 
 def encode_reply(topic: bytes, reply: st.Reply, sequence: int | None = None) -> list[Frame]:
@@ -256,8 +126,8 @@ def encode_reply(topic: bytes, reply: st.Reply, sequence: int | None = None) -> 
     elif isinstance(body, st.Status):
         message.status.MergeFromString(protobuf_messages.STATUS.encoded(body))
     elif body is not None:
-        field, to_pb, _ = _BODIES[type(body)]
-        getattr(message, field).CopyFrom(to_pb(body))
+        field, codec = _BODIES[type(body)]
+        getattr(message, field).CopyFrom(codec.to_pb(body))
     return [topic, message.SerializeToString() + reply.encoded, *reply.payload]
 
 

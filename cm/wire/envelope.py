@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from cm.wire.decode import TOPICS, Frame
+from cm.wire.decode import TOPICS
+from cm.wire.request_table import Frame
 
 GUEST = b"for="  # begins the frame before the empty one, if a bridge speaks for a guest
 

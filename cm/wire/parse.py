@@ -40,15 +40,19 @@ def in_slices(
     """Read a long request, some with each `next`; in the end one of the two is called."""
     message = bytes(frames[1])
     try:
-        request = yield from text.in_slices(message) if text.is_mapping(message) else writes_in_slices(message)
+        request = yield from writes(message)
     except InvalidRequest as error:
         refuse(error)
     else:
         done(request)
 
 
-def writes_in_slices(message: bytes) -> Generator[None, None, WriteReg]:
-    """A WriteReg message → its request. Raises InvalidRequest."""
+def writes(message: bytes) -> Generator[None, None, WriteReg]:
+    """A request to write registers, some with each `next`: a message, or plain text. Raises InvalidRequest."""
+    return text.in_slices(message) if text.is_mapping(message) else _in_slices(message)
+
+
+def _in_slices(message: bytes) -> Generator[None, None, WriteReg]:
     m = _parsed(pb.WriteReg, "cm_write_reg", message)
     bounds.check_count("cm_write_reg", "writes", len(m.writes))
     made: list[RegWrite] = []

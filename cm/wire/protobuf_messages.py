@@ -6,14 +6,13 @@ Data and message have fields of the same names, so that for most of them it is e
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import attrgetter
 from typing import Any, Generic, TypeVar
 
 from google.protobuf.message import Message
 
 from cm.wire import cm_pb2 as pb
-from cm.wire.messages import requests as rq
 from cm.wire.messages import status as st
 
 _D = TypeVar("_D")
@@ -26,15 +25,26 @@ class Twin(Generic[_D, _M]):
     A tuple is repeated there; what may be None need not be set, or is empty if it is text.
     """
 
-    def __init__(self, kind: type[_D], message: type[_M], names: Sequence[str] = (), **parts: Any) -> None:
-        """`names`: the fields that are written, if not all; `parts`: how those are that are data themselves."""
+    def __init__(
+        self,
+        kind: type[_D],
+        message: type[_M],
+        names: Sequence[str] = (),
+        renamed: Mapping[str, str] | None = None,
+        **parts: Any,
+    ) -> None:
+        """`names`: the fields that are written, if not all; `renamed`: those with other names in the message; `parts`:
+        how those are written that are data themselves.
+        """
         hints = {name: str(hint) for name, hint in kind.__annotations__.items()}
-        self._kind, self._message, self._names = kind, message, tuple(names or hints)
-        self._parts = {name: part for name, part in parts.items() if name in self._names}
+        self._kind, self._message, self.names = kind, message, tuple(names or hints)
+        self.theirs = tuple([(renamed or {}).get(name, name) for name in self.names])
+        self.parts = {name: part for name, part in parts.items() if name in self.names}
         self._lists = frozenset(name for name, hint in hints.items() if "tuple[" in hint)
         self._unset = frozenset(name for name, hint in hints.items() if "None" in hint and hint != "str | None")
-        self._other = [(at, n) for at, n in enumerate(hints) if n in parts or n in self._lists or "None" in hints[n]]
-        self.values = attrgetter(*self._names)  # of data or of a message
+        special = [n in parts or n in self._lists or "None" in hints[n] for n in self.names]
+        self._other = [(at, n) for at, n in enumerate(self.names) if special[at]]
+        self.values, self._read = _getter(self.names), _getter(self.theirs)
 
     def to_pb(self, data: _D) -> _M:
         """The message."""
@@ -42,26 +52,40 @@ class Twin(Generic[_D, _M]):
 
     def given(self, data: _D) -> dict[str, Any]:
         """What the message is made of; within it, protobuf makes the parts, without a copy of each."""
-        given = dict(zip(self._names, self.values(data), strict=True))
-        for name, part in self._parts.items():
+        given = dict(zip(self.theirs, self.values(data), strict=False))
+        for name, part in self.parts.items():
             if value := given[name]:
                 given[name] = [part.given(one) for one in value] if name in self._lists else part.given(value)
         return given
 
-    def from_pb(self, message: Any) -> _D:
-        """The data."""
-        values = [*self.values(message)]
+    def fits(self, name: str, value: object) -> bool:
+        """Whether the message can hold a value of this field."""
+        try:
+            self._message(**{self.theirs[self.names.index(name)]: value})
+        except (TypeError, ValueError, OverflowError):
+            return False
+        return True
+
+    def from_pb(self, message: Any, **more: Any) -> _D:
+        """The data, with `more` fields that are not in the message."""
+        values = [*self._read(message)]
         for at, name in self._other:
-            value, part = values[at], self._parts.get(name)
+            value, part = values[at], self.parts.get(name)
             if name in self._lists:
                 values[at] = tuple([part.from_pb(one) for one in value] if part else value)
-            elif name in self._unset and not message.HasField(name):
+            elif name in self._unset and not message.HasField(self.theirs[at]):
                 values[at] = None
             elif part:
                 values[at] = part.from_pb(value)
             elif name not in self._unset:
                 values[at] = value or None
-        return self._kind(*values)
+        return self._kind(**dict(zip(self.names, values, strict=False)), **more)
+
+
+def _getter(names: Sequence[str]) -> Callable[[Any], tuple[Any, ...]]:
+    """Of all of them, a tuple, also where they are fewer than two."""
+    getter: Callable[[Any], tuple[Any, ...]] = attrgetter(*names, *("__class__", "__class__")[len(names) :])
+    return getter
 
 
 class _NamedValue:
@@ -87,15 +111,12 @@ class _PrMode:
         return cls._all[number] if 0 <= number < len(cls._all) else st.PrMode.ERROR
 
 
-STREAM_SETTINGS = Twin(rq.ConfigureStream, pb.DataConfig)
-LEASE_TAKEN = Twin(rq.TakeLease, pb.Lease)
-LEASE_RENEWED = Twin(rq.RenewLease, pb.Lease)
-REGION_CHECKED = Twin(rq.CheckRegion, pb.Region)
 ERROR = Twin(st.ErrorInfo, pb.Error)
 FRAME = Twin(st.FrameInfo, pb.Frame)
 LEASE = Twin(st.LeaseInfo, pb.Lease)
 CHANGE = Twin(st.ChangeInfo, pb.Change)
 IRQ = Twin(st.Irq, pb.Irq)
+UPLOADED = Twin(st.UploadInfo, pb.Upload, renamed={"got": "offset"})
 MEMORY = Twin(st.MemoryInfo, pb.MemoryInfo)
 STREAM = Twin(st.StreamStatus, pb.StreamState, clients=Twin(st.StreamClient, pb.StreamClient), last_error=ERROR)
 CHECK = Twin(st.RegionCheck, pb.RegionCheck, wrong=Twin(st.FrameError, pb.FrameError))
@@ -112,6 +133,21 @@ CONFIG = Twin(
     memories=MEMORY,
     entries=Twin(st.ConfigEntry, pb.ConfigEntry),
 )
+
+
+class _StreamBody:
+    """A stream's state, as it stands in a reply."""
+
+    @staticmethod
+    def to_pb(stream: st.StreamStatus) -> pb.Stream:
+        return pb.Stream(state=STREAM.given(stream))
+
+    @staticmethod
+    def from_pb(message: pb.Stream) -> st.StreamStatus:
+        return STREAM.from_pb(message.state)
+
+
+STREAM_BODY = _StreamBody
 _LASTING = ("configs", "streams", "sensors", "clocks", "version", "started_ns", "board")
 _SELDOM = ("regions", "clients", "windows")
 _OF_STATUS: dict[str, Any] = {
@@ -212,3 +248,10 @@ def registers_from_pb(m: pb.RegValues) -> st.RegValues:
 def _value_from_pb(m: pb.RegValue) -> st.RegValue:
     fields = m.fields
     return st.RegValue(m.name, m.value, tuple(sorted([(name, fields[name]) for name in fields])) if fields else ())
+
+
+class _Registers:
+    to_pb, from_pb = staticmethod(registers_to_pb), staticmethod(registers_from_pb)
+
+
+REGISTERS = _Registers

@@ -14,6 +14,7 @@ from cm.errors import Timeout
 from cm.tools.conformance.peer import Broken, Peer, check, refused, until
 from cm.tools.conformance.runner import Outcome
 from cm.wire import cm_pb2 as pb
+from cm.wire.request_table import BY_TOPIC
 from cm.wire.topics import Endpoints
 
 _NEWER = b"\xc2\xbb\x01\x03new"  # field 3000 of every message: a field that is newer than the manager
@@ -57,9 +58,14 @@ def an_unknown_topic_is_named(peer: Peer) -> None:
 
 
 def what_is_no_message_is_refused(peer: Peer) -> None:
-    """bytes that protobuf cannot read, and payload where none belongs"""
-    refused(peer.ask("cm_read_reg", b"\xff\xff\xff"), "invalid_request")
-    refused(peer.ask("cm_status", b"", b"payload"), "invalid_request")
+    """on each topic: bytes that protobuf cannot read, payload where none belongs, and two requests in one message"""
+    for topic, rows in BY_TOPIC.items():
+        name = topic.decode()
+        refused(peer.ask(name, b"\xff\xff\xff"), "invalid_request")
+        refused(peer.ask(name, b"", b"payload", b"payload"), "invalid_request")
+        both = {mark: True for row in rows for mark in row.true}
+        if len(both) > 1:
+            refused(peer.ask(name, rows[0].message(**both).SerializeToString()), "invalid_request")
 
 
 def fields_of_newer_clients_are_ignored(peer: Peer) -> None:

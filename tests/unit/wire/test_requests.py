@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import runpy
 from hashlib import sha256
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, get_args
 
@@ -11,7 +13,7 @@ import pytest
 
 from cm.errors import InvalidRequest
 from cm.server.request_handlers import Handlers
-from cm.wire.cm_pb2 import DataConfig, File, Lease, ReadConfig, WriteConfig, WriteData
+from cm.wire.cm_pb2 import DataConfig, File, Lease, ReadConfig, Region, WriteConfig, WriteData
 from cm.wire.decode import decode_request, split_text
 from cm.wire.encode import encode_request
 from cm.wire.messages import requests as rq
@@ -77,24 +79,49 @@ def test_every_intent_is_among_them_and_has_a_handler() -> None:
 @pytest.mark.parametrize(
     ("topic", "message", "intent"),
     [
-        (b"cm_read_config", ReadConfig(config_name="a", list=True, plan=True), rq.ListConfigs()),
-        (b"cm_read_config", ReadConfig(plan_mode="edge"), rq.PlanChange("", "edge")),
-        (b"cm_write_config", WriteConfig(cancel=True, mode="edge", schema="config: {}"), rq.CancelChange()),
         (b"cm_write_config", WriteConfig(schema="s", provision_only=True, mode="edge"), rq.Provision("s")),
         (b"cm_data_config", DataConfig(stream="a", address=0), rq.DefineMemory("a", 0)),
-        (b"cm_data_config", DataConfig(stream="a", access="ro", slots=3), rq.DefineMemory("a", access="ro")),
+        (
+            b"cm_data_config",
+            DataConfig(stream="a", dtype="int8", access="ro"),
+            rq.DefineMemory("a", dtype="int8", access="ro"),
+        ),
         (b"cm_data_config", DataConfig(stream="a", force=True), rq.ConfigureStream("a", force=True)),
-        (b"cm_data_config", DataConfig(stream="a", slots=7), rq.ConfigureStream("a", slots=7)),
         (b"cm_data_config", DataConfig(stream="a", cyclic=False), rq.ConfigureStream("a", cyclic=False)),
         # field 7 as written by clients without field presence: true is written, false is omitted
         (b"cm_data_config", DataConfig.FromString(b"\x0a\x01a\x38\x01"), rq.ConfigureStream("a", cyclic=True)),
-        (b"cm_lease", Lease(id="a", release=True, seconds=3), rq.ReleaseLease("a")),
-        (b"cm_lease", Lease(id="a", scope="board"), rq.RenewLease("a", 0.0)),
+        (b"cm_lease", Lease(id="a"), rq.RenewLease("a", 0.0)),
         (b"cm_lease", Lease(release=True), rq.ReleaseLease("")),
     ],
 )
-def test_messages_with_several_intents_keep_their_meaning(topic: bytes, message: Any, intent: rq.Request) -> None:
+def test_a_message_is_the_request_whose_fields_it_has(topic: bytes, message: Any, intent: rq.Request) -> None:
     assert decode_request([topic, message.SerializeToString()]) == intent
+
+
+@pytest.mark.parametrize(
+    ("topic", "message", "said"),
+    [
+        (b"cm_read_config", ReadConfig(config_name="a", list=True), r"config_name, list .* ListConfigs \(list\)"),
+        (
+            b"cm_read_config",
+            ReadConfig(plan_mode="edge"),
+            r"plan_mode are .* PlanChange \(config_name, plan, plan_mode",
+        ),
+        (b"cm_write_config", WriteConfig(cancel=True, mode="edge"), r"cancel, mode are no request together"),
+        (
+            b"cm_write_config",
+            WriteConfig(config_name="a", mode="edge", remove=True),
+            r"RemoveConfig \(config_name, lease",
+        ),
+        (b"cm_data_config", DataConfig(stream="a", access="ro", slots=3), "access, slots, stream are no request"),
+        (b"cm_region", Region(name="left", map=True, repair=True), r"MapRegion \(map, name\)"),
+        (b"cm_lease", Lease(id="a", scope="board"), r"RenewLease \(id, pid, seconds\)"),
+        (b"cm_lease", Lease(id="a", number=3, release=True), r"BreakLease \(number, release\)"),
+    ],
+)
+def test_fields_of_two_requests_in_one_message_are_refused(topic: bytes, message: Any, said: str) -> None:
+    with pytest.raises(InvalidRequest, match=said):
+        decode_request([topic, message.SerializeToString()])
 
 
 @pytest.mark.parametrize(
@@ -132,10 +159,10 @@ def test_what_is_no_name_is_refused_in_words(request_: Any, said: str) -> None:
 @pytest.mark.parametrize(
     ("setting", "said"),
     [
-        ({"shape": ("x",)}, r"stream 'camera': each of its shape is a whole number, not 'x' \(str\)$"),
-        ({"slots": 1.5}, r"stream 'camera': slots is a whole number, not 1.5 \(float\)$"),
-        ({"slots": -1, "rate": 3.0}, "stream 'camera': slots=-1 is out of its range"),
-        ({"rate": 3.0, "dtype": 5}, r"stream 'camera': dtype is text, not 5 \(int\)$"),
+        ({"shape": ("x",)}, r"of 'camera': each of its shape is a whole number, not 'x' \(str\)$"),
+        ({"slots": 1.5}, r"of 'camera': slots is a whole number, not 1.5 \(float\)$"),
+        ({"slots": -1, "rate": 3.0}, "ConfigureStream of 'camera': slots=-1 is out of its range"),
+        ({"rate": 3.0, "dtype": 5}, r"of 'camera': dtype is text, not 5 \(int\)$"),
     ],
 )
 def test_a_setting_that_cannot_be_is_named(setting: dict[str, Any], said: str) -> None:
@@ -144,7 +171,7 @@ def test_a_setting_that_cannot_be_is_named(setting: dict[str, Any], said: str) -
 
 
 def test_a_place_before_a_memory_is_called_one() -> None:
-    with pytest.raises(InvalidRequest, match=r"memory 'taps': -4 is no place or length .* 0 or more"):
+    with pytest.raises(InvalidRequest, match="ReadData of 'taps': offset=-4 is out of its range"):
         encode_request(rq.ReadData("taps", offset=-4, length=8))
 
 
@@ -155,3 +182,9 @@ def test_an_empty_schema_is_no_change_of_the_mode(change: rq.ChangeMode | None) 
     for message in (WriteConfig(provision_only=True), WriteConfig(files=[File(name="a.bit", upload="u")], mode="edge")):
         with pytest.raises(InvalidRequest, match="the schema to be provisioned is empty"):
             decode_request([b"cm_write_config", message.SerializeToString()])
+
+
+def test_the_page_has_the_table_as_it_is() -> None:
+    docs = Path(__file__).parents[3] / "docs"
+    page, maker = (docs / "protocol.md").read_text(encoding="utf-8"), runpy.run_path(str(docs / "request_tables.py"))
+    assert maker["page"](page) == page, "run: python docs/request_tables.py"

@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Write the table of requests in ``protocol.md`` from `cm.wire.request_table`: ``python docs/request_tables.py``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cm.wire.request_table import ROWS, Row
+
+PAGE = Path(__file__).parent / "protocol.md"
+BEGIN = "<!-- made by docs/request_tables.py: begin -->\n"
+END = "<!-- made by docs/request_tables.py: end -->\n"
+
+
+def page(text: str) -> str:
+    """`text` with the table made anew."""
+    head, rest = text.split(BEGIN)
+    return head + BEGIN + table() + END + rest.split(END)[1]
+
+
+def table() -> str:
+    """A row for each request."""
+    rows = ["| request | topic | fields of its message | behind it |", "|---|---|---|---|"]
+    return "\n".join([*rows, *map(_row, ROWS), ""])
+
+
+def _row(row: Row) -> str:
+    order = [field.name for field in row.message.DESCRIPTOR.fields if field.name in row.fields]
+    fields = ", ".join(f"**`{name}`**" if name in row.marks else f"`{name}`" for name in order)
+    behind = f"a frame of data{f', unless `{row.unless}`' if row.unless else ''}" if row.payload else ""
+    behind = "a frame for each of `files`" if "files" in row.fields else behind
+    return f"| {row.kind.__name__} | `{row.topic.decode()}` | {fields or 'none'} | {behind} |"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
