@@ -40,8 +40,8 @@ class Violation(AssertionError):
 class SimStore:
     """The keeper's ledger behind the network, for one process."""
 
-    def __init__(self, world: World, lossy: bool = True) -> None:
-        self.world, self.lossy = world, lossy
+    def __init__(self, world: World, lossy: bool = True, whose: str = "board") -> None:
+        self.world, self.lossy, self.whose = world, lossy, whose
 
     async def _asked(self, work: Callable[[Ledger], Any]) -> Any:
         world = self.world
@@ -49,7 +49,15 @@ class SimStore:
         if world.store_down or (self.lossy and world.lost()):
             raise StoreAway("the store is away")
         world.ledger.expire()
+        world.asked += self.whose in world.troubled
+        trouble = world.trouble if world.asked == world.trouble_at and self.whose in world.troubled else ""
+        if trouble == "refused":
+            raise StoreRefused("the disk is full")
         answer = work(world.ledger)
+        if trouble == "lost":
+            raise StoreAway("the answer was lost")
+        if trouble == "asked again":  # as etcd's next member is, where the answer was lost
+            answer = work(world.ledger)
         if self.lossy and world.lossy and world.chance.random() < 0.03:
             world.later(work)  # delivered once more
         await world.turn()
@@ -215,6 +223,8 @@ class World:
     def __init__(self, seed: int | str, size: int) -> None:
         self.chance = random.Random(seed)
         self.now, self.lossy, self.store_down = 0.0, True, False
+        self.asked = 0  # requests of those in trouble that reached the store, of which one may end badly
+        self.trouble, self.trouble_at, self.troubled = "", 0, ("board", "coordinator")  # refused, lost, asked again
         self.waiting: list[asyncio.Future[None]] = []
         self.sleeping: list[tuple[float, asyncio.Future[None]]] = []
         self.again: list[Callable[[Ledger], Any]] = []
@@ -302,7 +312,7 @@ class World:
     async def change(
         self, caller: str, goal: Place, members: Sequence[str], policy: Policy, away: Sequence[str] = ()
     ) -> Course | None:
-        store = SimStore(self)
+        store = SimStore(self, whose="coordinator")
         coordinator = Coordinator(
             store, lambda *asked: self.ask(*asked, caller), caller, f"{caller}-{goal[1]}",
             sorted(members), *goal, policy, dict.fromkeys(away, SILENT), clock=lambda: self.now, sleep=self.sleep,

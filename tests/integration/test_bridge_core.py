@@ -141,6 +141,23 @@ def test_a_reader_goes_on_after_the_mode_has_changed_the_shape(manager: Manager,
     reader.stop()
 
 
+def test_a_frame_that_is_not_taken_ends_no_reader(manager: Manager, board: cm.Board) -> None:
+    found: queue.Queue[int] = queue.Queue()
+    failures = iter([ValueError("of another shape than was announced")])
+
+    def take(record: FrameRecord) -> None:
+        for failure in failures:
+            raise failure
+        found.put(record.step)
+
+    with following(manager) as told:
+        camera = told.until("config").stream("camera")
+    reader = FrameReader(board, camera, take)
+    reader.start()
+    assert found.get(timeout=PATIENCE) == 640
+    reader.stop()
+
+
 def test_requests_are_carried_out_and_refusals_are_errors(board: cm.Board, commands: Commands) -> None:
     steps: list[str] = []
     assert commands.plan(US, mode="edge_detection").bytes > 0

@@ -118,6 +118,47 @@ def test_a_coordinator_that_dies_at_any_step_leaves_all_boards_in_one_mode_with_
     assert len(ends) > 40
 
 
+async def amid(trouble: str, step: int, whose: tuple[str, ...]) -> tuple[Decision | str | None, bool]:
+    """What is told of a change of which one request to the store ends badly; also whether there are so many."""
+    world = World(1, 3)
+    world.lossy, world.trouble, world.trouble_at, world.troubled = False, trouble, step, whose
+    client = asyncio.create_task(world.change("anna", ("camera", "edge"), sorted(world.boards), Policy.ALL))
+    await world.run(client)
+    reached = world.asked >= step
+    await world.heal()
+    world.judge()
+    if client.result() is not None:
+        return client.result().decision, reached
+    assert world.history == {}
+    assert {seen.place for board in world.boards.values() for seen in board.told} == {HOME}, "a board was changed"
+    return "nothing was changed", reached
+
+
+@pytest.mark.parametrize("whose", [("coordinator",), ("coordinator", "board")])
+@pytest.mark.parametrize("trouble", ["lost", "asked again", "refused"])
+def test_whichever_answer_of_the_store_is_lost_or_a_refusal_what_is_told_is_what_was_done(
+    trouble: str, whose: tuple[str, ...]
+) -> None:
+    ends: list[Decision | str | None] = []
+    while True:
+        end, reached = asyncio.run(amid(trouble, len(ends) + 1, whose))
+        if not reached:
+            break
+        ends.append(end)
+    nothing, back, kept = "nothing was changed", Decision.REVERT, Decision.KEEP
+    if len(whose) > 1:
+        assert set(ends) <= {nothing, back, kept}
+    else:
+        assert (
+            ends
+            == {
+                "asked again": [kept] * 4,
+                "lost": [nothing, nothing, *[kept] * (len(ends) - 2)],  # two: what it reads first, and its lease
+                "refused": [nothing, nothing, nothing, back, *[kept] * (len(ends) - 4)],
+            }[trouble]
+        )
+
+
 def test_two_changes_of_the_same_boards_come_one_after_the_other() -> None:
     async def one(seed: int) -> None:
         world = World(seed, 4)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -17,6 +18,7 @@ from cm.networks.bridge.records import FrameRecord, StreamFormat, frame_record
 if TYPE_CHECKING:
     from cm.client.writer import Writer
 
+_LOG = logging.getLogger("cm.bridge")
 _WAIT = 0.25  # seconds between two checks whether a reader is to end
 _REREAD = 1.0  # seconds between two tries to read a stream that fails
 
@@ -64,7 +66,9 @@ class FrameReader:
         while not self._ending.is_set():
             try:
                 self._read()
-            except (CmError, OSError) as error:  # the manager goes away, or the mode has no such stream just now
+            except Exception as error:  # noqa: BLE001 (the manager goes away, the mode has no such stream, `take` fails)
+                if not isinstance(error, (CmError, OSError)):
+                    _LOG.exception("frames of %s: it is tried again", self._format.name)
                 self.problem = str(error)
                 self._ending.wait(_REREAD)
 

@@ -40,7 +40,7 @@ from cm.networks.fleet.store import (
     packed,
     views,
 )
-from cm.networks.fleet.zenoh_session import Network, from_environment, member_of, session
+from cm.networks.fleet.zenoh_session import Network, closed, from_environment, member_of, session
 from cm.wire import fleet as wire
 from cm.wire import topics
 from cm.wire.encode import decode_event, decode_plan, decode_registers, decode_reply, encode_request
@@ -111,7 +111,7 @@ class Fleet:
         """Disconnect; twice is fine."""
         if self.session is not None:
             await self._store.close()
-            await asyncio.to_thread(self.session.close)
+            await asyncio.to_thread(closed, self.session)
 
     # ---- who is there -----------------------------------------------------------------------
 
@@ -262,9 +262,9 @@ class Fleet:
         for name in found:
             view = known[name]
             expect = {key(name, part): view.revision(part) for part in ("wanted", "claim")}
-            if view.open or not await self._store.txn(
-                expect, {key(name, part): None for part in ("settings", "wanted")}
-            ):
+            puts = dict.fromkeys(key(name, part) for part in ("settings", "wanted"))
+            done = not view.open and await self._store.txn(expect, puts)
+            if not done and name in await self.inventory():  # not there: done, and asked again as the answer was lost
                 raise StoreRefused(f"a change is open on {name}: wait for its end")
         return found
 

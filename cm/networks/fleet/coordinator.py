@@ -28,6 +28,7 @@ from cm.networks.fleet.store import (
     Put,
     Store,
     StoreAway,
+    StoreRefused,
     View,
     Wanted,
     key,
@@ -45,7 +46,7 @@ LEASE = 5  # seconds that a coordinator may be silent: then others may close its
 _OPENING = LEASE + 3.0  # seconds for another's change to end: it may be one whose coordinator is dead
 _NONE = Entry("0", 0)
 _OPERATIONS = 128  # of one transaction, that etcd takes without --max-txn-ops
-_DECIDING = LEASE + 5.0  # seconds in which a store that does not answer is asked again for the decision
+SETTLED = LEASE + 5.0  # seconds after which no board is undecided, from when the store answers and writes
 
 
 def nothing(phase: str, board: str, answer: FleetState | ErrorInfo) -> None:
@@ -75,6 +76,7 @@ class Course:
 
     `decision` is None if the store did not answer when it was to decide: boards go to what it says. `states` are the
     boards' own words at the end, `silent` says why there is none. `causes`: what went wrong before the decision.
+    `leased`: it was taken back, and the store has not ended its lease yet: until then boards wait.
     """
 
     id: str
@@ -83,6 +85,7 @@ class Course:
     states: dict[str, FleetState] = field(default_factory=dict)
     silent: dict[str, ErrorInfo] = field(default_factory=dict)
     causes: dict[str, ErrorInfo] = field(default_factory=dict)
+    leased: bool = False
     touched: bool = False  # whether any board was asked to go anywhere
     figures: dict[str, FleetState] = field(default_factory=dict)  # the boards' answers of prepare and apply
     legs: list[Leg] = field(default_factory=list)
@@ -151,7 +154,7 @@ class Coordinator:
         self._goals: dict[str, tuple[str, str]] = {}
 
     async def run(self, opening: Opening) -> Course:
-        """Raises Busy, StoreAway, StoreRefused: then nothing was changed."""
+        """Raises Busy, StoreAway, StoreRefused: then no board was asked for anything."""
         keeping = asyncio.ensure_future(self._keep(opening.lease))
         try:
             try:
@@ -178,11 +181,20 @@ class Coordinator:
         end, newest, self._views = self.clock() + _OPENING, opening.newest, opening.views
         while True:
             taken = {n: claim for n in self.members if (claim := self._view(n).open) is not None}
-            if not taken and await self._claimed(opening.lease, newest):
+            name, claim = next(iter(taken.items()), ("", None))
+            if claim is not None and claim.change == self.change:  # by a transaction whose answer was lost
+                self._generation = self.course.generation = claim.generation
+                self._opened = self._view(name).revision("claim")
                 break
-            if taken and self.clock() > end:
-                name, claim = next(iter(taken.items()))
+            late = self.clock() > end
+            if claim is not None and late:
                 raise Busy(f"change {claim.change} of {claim.by} is open on {name}: try again when it has ended")
+            try:
+                if claim is None and await self._claimed(opening.lease, newest):
+                    break
+            except StoreAway:  # it may have been done, or may still be
+                if late:
+                    raise
             await self.sleep(0.1)
             found = await self.store.get("")
             newest, self._views = found.get(GENERATION, _NONE), views(found)
@@ -209,7 +221,7 @@ class Coordinator:
     async def _keep(self, lease: str) -> None:
         while not self._lost:
             await self.sleep(LEASE / 3)
-            with contextlib.suppress(StoreAway):
+            with contextlib.suppress(StoreAway, StoreRefused):
                 self._lost = not await self.store.keep(lease)
 
     # ---- the boards ---------------------------------------------------------------------------
@@ -269,15 +281,23 @@ class Coordinator:
             if self._lost:
                 self.course.causes.setdefault("the store", ErrorInfo("lease", "the coordinator's lease has ended"))
         if self.course.decision is Decision.REVERT:
-            await self._revoke(lease)
+            self.course.leased = not await self._revoke(lease)
         self.course.legs.append(Leg("decide", self.clock() - begun))
 
-    async def _revoke(self, lease: str) -> None:
-        with contextlib.suppress(StoreAway):  # it runs out by itself
+    async def _revoke(self, lease: str) -> bool:
+        """False: it runs out by itself, as soon as the store can write that."""
+        try:
             await self.store.revoke(lease)
+        except (StoreAway, StoreRefused) as error:
+            self.course.causes.setdefault("the store", ErrorInfo(error.code, str(error)))
+            return False
+        return True
 
     async def _kept(self) -> Decision | None:
-        """The transaction; one whose answer is lost is asked for again, and cannot be done twice."""
+        """The transaction; one whose answer is lost is asked for again, and cannot be done twice.
+
+        One that was refused, and no other, was not done, and never will be.
+        """
         puts: dict[str, Put | None] = {}
         for name in self.members:
             config, mode = self._goals[name]
@@ -287,14 +307,17 @@ class Coordinator:
         first = self.members[0]  # where a repetition finds that it was done
         expect = {key(name, "claim"): self._opened for name in self.members}
         expect[key(first, "wanted")] = self._view(first).revision("wanted")
-        end = self.clock() + _DECIDING
+        end, lost = self.clock() + SETTLED, False
         while True:
             try:
                 if await self.store.txn(expect, puts):
                     return Decision.KEEP
                 return await self._told()
-            except StoreAway as error:
+            except (StoreAway, StoreRefused) as error:
                 self.course.causes["the store"] = ErrorInfo(error.code, str(error))
+                lost = lost or isinstance(error, StoreAway)
+                if not lost:
+                    return Decision.REVERT
                 if self.clock() > end:
                     return None
                 await self.sleep(0.2)

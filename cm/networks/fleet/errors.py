@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from cm.errors import CmError, NotFound
-from cm.networks.fleet.coordinator import Course
+from cm.networks.fleet.coordinator import SETTLED, Course
 from cm.wire.messages.fleet import Decision
 from cm.wire.messages.status import ErrorInfo
 
@@ -50,11 +50,16 @@ def sentence(course: Course) -> str:
     causes = {name: error.message for name, error in course.causes.items()}
     if course.decision is None:
         return (
-            f"what was decided is not known ({told(causes)}); boards go where the store says, and `cm fleet status` "
-            "shows it"
+            f"what was decided is not known until the store answers ({told(causes)}): boards go where it says, within "
+            f"{SETTLED:g} s from then, and `cm fleet status` shows it"
         )
     if not course.touched and course.decision is Decision.REVERT:
         return f"nothing was changed: {told(causes)}"
+    if course.leased:
+        return (
+            f"the change is taken back ({told(causes)}), but its lease stands yet: boards are in the mode before "
+            f"within {SETTLED:g} s from when the store can write again, and `cm fleet status` shows it"
+        )
     differing = course.differing
     where = "in the new mode" if course.decision is Decision.KEEP else "back in the mode before"
     others = told({name: why for name, why in causes.items() if differing.get(name) != why})

@@ -10,13 +10,14 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import logging
 import os
 import queue
 import secrets
 import sqlite3
-import threading
 import time
 from collections.abc import AsyncIterator, Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -28,10 +29,12 @@ from cm.networks.fleet.store import BOARDS, Entry, Put, Store, StoreAway, StoreR
 from cm.networks.fleet.zenoh_session import Network, in_loop, is_alive, metadata_of, zenoh_module
 
 KEEPER = "keeper"  # what names it as the store
+_LOG = logging.getLogger("cm.fleet")
 _TIMEOUT = 3.0  # seconds for an answer
 _TICK = 0.25  # seconds between two looks at leases
 _CHANGED, _ALIVE = f"{STORE}/changed", f"{STORE}/alive"
 OPERATIONS = ("get", "join", "txn", "grant", "keep", "revoke")  # the first two are a board's, the first a reader's
+_UNREADABLE = (ValueError, KeyError, TypeError, AttributeError, ArithmeticError, RecursionError, sqlite3.Error)
 _TABLES = """
 CREATE TABLE IF NOT EXISTS entries (key TEXT PRIMARY KEY, value TEXT, revision INTEGER, lease TEXT) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS leases (id TEXT PRIMARY KEY, seconds REAL);
@@ -126,7 +129,10 @@ class Ledger:
 
 
 class Keeper:
-    """Offers a ledger in a zenoh session, from a thread of its own. Raises Busy if the fleet has a keeper."""
+    """Offers a ledger in a zenoh session, from a thread of its own. Raises Busy if the fleet has a keeper.
+
+    `ended` is that thread's: whoever has a keeper ends with it.
+    """
 
     def __init__(self, session: Any, path: Path) -> None:
         if is_alive(session, _ALIVE):
@@ -137,8 +143,8 @@ class Keeper:
         self._queries: queue.SimpleQueue[Any] = queue.SimpleQueue()
         came = zenoh_module().handlers.Callback(self._queries.put, indirect=False)
         self._queryable = session.declare_queryable(f"{STORE}/*/*", came, complete=True)
-        self._thread = threading.Thread(target=self._run, name="cm-keeper", daemon=True)
-        self._thread.start()
+        self._thread = ThreadPoolExecutor(1, "cm-keeper")
+        self.ended = self._thread.submit(self._run)
         self._token = session.liveliness().declare_token(_ALIVE)
 
     def close(self) -> None:
@@ -146,19 +152,28 @@ class Keeper:
         self._token.undeclare()
         self._queryable.undeclare()
         self._queries.put(None)
-        self._thread.join()
+        self._thread.shutdown()
         self._ledger.close()
 
     def _run(self) -> None:
+        """What a disk or the network does not take costs one answer, or one look at leases, and is tried again."""
+        said = ""
         while True:
-            with contextlib.suppress(queue.Empty):
-                query = self._queries.get(timeout=_TICK)
-                if query is None:
-                    return
-                with query:
-                    answer = json.dumps(self._answer(str(query.key_expr), query.payload)).encode()
-                    query.reply(str(query.key_expr), answer, encoding="application/json")
-            self._ledger.expire()
+            try:
+                with contextlib.suppress(queue.Empty):
+                    query = self._queries.get(timeout=_TICK)
+                    if query is None:
+                        return
+                    with query:
+                        answer = json.dumps(self._answer(str(query.key_expr), query.payload)).encode()
+                        query.reply(str(query.key_expr), answer, encoding="application/json")
+                self._ledger.expire()
+            except (sqlite3.Error, zenoh_module().ZError) as error:
+                if str(error) != said:
+                    _LOG.warning("the keeper: %s; it is tried again", error)
+                said = str(error)
+            else:
+                said = ""
 
     def _tell(self, changes: dict[str, Entry]) -> None:
         for name, entry in changes.items():
@@ -170,7 +185,9 @@ class Keeper:
             return {"ok": self._done(operation, caller, json.loads(bytes(payload)) if payload is not None else {})}
         except CmError as error:
             return {"code": error.code, "error": str(error)}
-        except (ValueError, KeyError, TypeError, AttributeError, sqlite3.Error) as error:
+        except sqlite3.OperationalError as error:
+            return {"code": StoreRefused.code, "error": f"the keeper cannot write: {error}"}
+        except _UNREADABLE as error:
             return {"code": "invalid_request", "error": f"{type(error).__name__}: {error}"}
 
     def _done(self, operation: str, caller: str, asked: dict[str, Any]) -> Any:

@@ -178,7 +178,8 @@ async def copied(source: Store, target: Store, name: str, caller: str, over: boo
             kept[key(board, "wanted")] = packed(replace(view.wanted, by=caller))
     puts = {**dict.fromkeys(there), **{k: Put(value) for k, value in kept.items()}}
     for k, put in puts.items():  # one by one: a store bounds the length of a transaction
-        if not await target.txn({k: there[k].revision if k in there else 0}, {k: put}):
+        done = await target.txn({k: there[k].revision if k in there else 0}, {k: put})
+        if not done and (await target.get(k)).get(k, Entry("", 0)).value != (put.value if put else ""):
             raise StoreRefused(f"{name}: somebody else writes {k}: --replace begins again")
     return len(kept)
 

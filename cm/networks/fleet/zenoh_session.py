@@ -94,6 +94,12 @@ def session(network: Network) -> Any:
         raise NoNetwork(f"{where}: {why}") from None
 
 
+def closed(session: Any) -> None:
+    """Close it; zenoh raises that it could not say farewell where the network is gone."""
+    with contextlib.suppress(zenoh_module().ZError):
+        session.close()
+
+
 def is_alive(session: Any, key: str) -> bool:
     """Whether somebody has a token of that name."""
     return any(reply.ok is not None for reply in session.liveliness().get(key, timeout=2.0))

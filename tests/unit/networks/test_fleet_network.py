@@ -7,14 +7,16 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import pytest
+import zenoh
 
 import cm.fleet
 from cm import child
 from cm.cli.parser import build_parser
 from cm.errors import InvalidRequest
-from cm.networks.fleet.zenoh_session import Network, NoNetwork, endpoint, session
+from cm.networks.fleet.zenoh_session import Network, NoNetwork, closed, endpoint, session
 
 CLOSED = "127.0.0.1:9"
 
@@ -112,3 +114,10 @@ def test_a_command_that_used_zenoh_ends_without_shutting_python_down() -> None:
     done = subprocess.run(command, capture_output=True, text=True, env=child.environment(), check=False, timeout=60)
     assert (done.returncode, done.stdout) == (1, "")
     assert "is it there?" in done.stderr
+
+
+def test_without_a_network_a_session_is_closed_all_the_same() -> None:
+    gone = MagicMock()
+    gone.close.side_effect = zenoh.ZError("the farewell was not sent")
+    closed(gone)
+    gone.close.assert_called_once_with()

@@ -6,18 +6,22 @@ from __future__ import annotations
 import asyncio
 import base64
 import json
+import queue
+import resource
 import threading
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import pytest
+from manager_process import until
 
 from cm.errors import InvalidRequest
 from cm.networks.fleet.etcd import Cluster, Etcd
-from cm.networks.fleet.keeper import Ledger, _check_names
+from cm.networks.fleet.keeper import Keeper, Ledger, _check_names
 from cm.networks.fleet.store import (
     Claim,
     Entry,
@@ -155,6 +159,75 @@ def test_what_no_version_wrote_is_named(tmp_path: Path) -> None:
     assert found["b1"].settings == Settings(("a",))
     with pytest.raises(InvalidRequest, match="boards/b1/wanted"):
         views({"boards/b1/wanted": Entry("{}", 1)})
+
+
+class Queried:
+    """A zenoh session with a keeper in it, and nobody else."""
+
+    def __init__(self) -> None:
+        self.take: Callable[[Any], None] = lambda _: None
+
+    def declare_queryable(self, _: str, handler: Any, complete: bool) -> Any:
+        self.take = handler.callback
+        return MagicMock()
+
+    def liveliness(self) -> Any:
+        tokens = MagicMock()
+        tokens.get.return_value = []
+        return tokens
+
+    def put(self, *_: Any) -> None: ...
+
+    def ask(self, operation: str, **what: Any) -> Any:
+        """As a coordinator that waits; raises what came instead of an answer."""
+        query, answered = MagicMock(), queue.SimpleQueue[bytes]()
+        query.key_expr, query.payload = f"cm-store/{operation}/anna", json.dumps(what).encode()
+        query.reply = lambda _, answer, encoding: answered.put(answer)
+        self.take(query)
+        return json.loads(answered.get(timeout=30.0))
+
+
+@contextmanager
+def full_disk() -> Iterator[None]:
+    """No file of this process may become longer than it was."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+def test_a_lease_that_ends_while_the_keepers_disk_is_full_ends_when_there_is_room(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    session = Queried()
+    keeper = Keeper(session, tmp_path / "store.sqlite")
+    try:
+        lease = session.ask("grant", seconds=0.3)["ok"]
+        claim = packed(Claim(1, "c", "anna"))
+        assert session.ask("txn", expect={}, puts={"boards/b1/claim": [claim, lease]})["ok"]
+        with full_disk():
+            until(lambda: "it is tried again" in caplog.text, 30.0)
+            assert session.ask("grant", seconds=5)["code"] == "store_refused"
+            assert set(session.ask("get", prefix="")["ok"]) == {"boards/b1/claim"}
+        until(lambda: session.ask("get", prefix="")["ok"] == {}, 30.0)
+    finally:
+        keeper.close()
+    assert keeper.ended.result() is None
+
+
+def test_a_keeper_that_fails_in_a_way_that_nobody_foresaw_ends_what_runs_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(_: Ledger) -> None:
+        raise MemoryError("no page is left")
+
+    keeper = Keeper(Queried(), tmp_path / "store.sqlite")
+    monkeypatch.setattr(Ledger, "expire", fails)
+    with pytest.raises(MemoryError):
+        keeper.ended.result(30.0)
+    keeper.close()
 
 
 # ---- etcd -----------------------------------------------------------------------------------

@@ -29,7 +29,7 @@ from cm.networks.fleet.bridge.query_answers import Queries
 from cm.networks.fleet.keeper import Keeper, opened_store
 from cm.networks.fleet.reconciling_board import Board, Seen
 from cm.networks.fleet.store import BOARDS, Settings, Store, StoreAway, StoreRefused, packed, views
-from cm.networks.fleet.zenoh_session import Network, is_alive, session
+from cm.networks.fleet.zenoh_session import Network, closed, is_alive, session
 from cm.wire import fleet as wire
 from cm.wire import topics
 from cm.wire.messages.fleet import ClockSync
@@ -81,7 +81,7 @@ class Bridge:
             try:
                 await self._serve(board, relay, network)
             finally:
-                await asyncio.to_thread(network.close)
+                await asyncio.to_thread(closed, network)
         finally:
             await relay.close()
 
@@ -101,7 +101,17 @@ class Bridge:
     async def _serve(self, board: str, relay: Relay, network: Any) -> None:
         await _alone(board, network, self.options.network.lease)
         folder = self.options.state / board
-        keeper = await asyncio.to_thread(Keeper, network, folder / "store.sqlite") if self.options.keeps else None
+        if not self.options.keeps:
+            await self._take_part(board, relay, network, folder)
+            return
+        keeper = await asyncio.to_thread(Keeper, network, folder / "store.sqlite")
+        try:
+            await self._take_part(board, relay, network, folder, asyncio.wrap_future(keeper.ended))
+        finally:
+            await asyncio.to_thread(keeper.close)
+
+    async def _take_part(self, board: str, relay: Relay, network: Any, folder: Path, *more: Awaitable[None]) -> None:
+        """Until one of the tasks ends, or of `more`: whatever a bridge promises goes on, or it ends as a whole."""
         store = opened_store(self.options.network, network, board)
         managed = ManagedBoard(relay, self.options.own_name, self._seen_now)
         self._board = Board(board, store, managed, NotesFile(folder), time.monotonic, self.options.follow)
@@ -114,9 +124,9 @@ class Bridge:
         told = relay.subscribe(topics.STATUS, topics.READ_REG, topics.IRQ, take=partial(self._told, publications))
         work = (
             relay.refused(), self._beat(publications), self._look_at_clock(), self._reconcile(publications),
-            self._follow_store(board, store),
+            self._follow_store(board, store), *more,
         )  # fmt: skip
-        tasks = [asyncio.create_task(each) for each in work]
+        tasks = [asyncio.ensure_future(each) for each in work]
         try:
             await asyncio.gather(*tasks)
         finally:
@@ -128,8 +138,6 @@ class Bridge:
             publications.offer_streams(())
             queries.end()
             await store.close()
-            if keeper is not None:
-                await asyncio.to_thread(keeper.close)
 
     # ---- the status -----------------------------------------------------------------------
 

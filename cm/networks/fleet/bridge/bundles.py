@@ -50,9 +50,10 @@ class Bundles:
         archive = self.folder / f"{bundle.sha256}.tar"
         try:
             config, signer = await asyncio.to_thread(self._taken, self.take, bundle, archive)
-        except CmError as error:
+        except (CmError, OSError) as error:  # a full disk, too
             have = archive.stat().st_size if archive.exists() else 0
-            return BundleState(bundle.sha256, bundle.length, have, error=ErrorInfo(error.code, str(error)))
+            code = error.code if isinstance(error, CmError) else "io"
+            return BundleState(bundle.sha256, bundle.length, have, error=ErrorInfo(code, str(error)))
         return BundleState(bundle.sha256, bundle.length, bundle.length, config, signer)
 
     def _taken(self, take: Import, bundle: FetchBundle, archive: Path) -> tuple[str, str]:
