@@ -120,4 +120,13 @@ async def _as_a_board(about: str) -> None:
         await store.txn({}, {key("b1", "wanted"): Put("x")})
     with pytest.raises(StoreRefused, match="permission denied"):
         await store.get("")
+    gaps = []
+
+    async def watch() -> None:
+        async for changes in store.watch("boards/b2/"):
+            gaps.append(changes)
+
+    with pytest.raises(asyncio.TimeoutError):  # what it may not read is asked for twice in that time
+        await asyncio.wait_for(watch(), 2.0)
+    assert gaps == [{}, {}]
     await store.close()

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import base64
 import json
+import logging
 import ssl
 import time
 from collections.abc import AsyncIterator, Iterable, Mapping
@@ -21,6 +22,7 @@ from urllib.parse import urlsplit
 from cm.errors import InvalidRequest
 from cm.networks.fleet.store import BOARDS, Entry, Put, StoreAway, StoreRefused, key
 
+_LOG = logging.getLogger("cm.fleet")
 PREFIX = "cm/"  # of all our keys: others may use the same cluster
 _ONE = 2.0  # seconds for one member's answer
 _SOON = 0.3  # and for that of one of which nothing was heard: one that is stopped takes connections, too
@@ -29,6 +31,7 @@ _ALL = 8.0  # and for that of any
 _MANY = 3.0  # more for an answer with all boards
 _PACE = 200e3  # bytes a second of a large request, beyond that
 _QUIET = 15.0  # seconds without a word after which a watch asks another member
+_PAUSE, _LONGEST_PAUSE = 0.5, 8.0  # seconds until a watch that failed is asked for again; doubled with each refusal
 _ANOTHER_MEMBER = (4, 14)  # gRPC's DEADLINE_EXCEEDED, UNAVAILABLE: another member may do it
 _UNAUTHENTICATED = 16
 _NOT_FOUND = 5
@@ -174,36 +177,46 @@ class Etcd:
         await asyncio.sleep(0)
 
     async def watch(self, prefix: str) -> AsyncIterator[dict[str, Entry]]:
-        """It resumes where it was, at another member if one is silent."""
-        revision, number = 0, self._first
+        """It resumes where it was, at another member if one is silent. Where etcd refuses, that is asked again.
+
+        Of that it tells nothing but a gap, so that whoever listens reads, and learns the reason.
+        """
+        revision, number, pause, said = 0, self._first, _PAUSE, ""
         while not self._closed:
             asked = {**_range(prefix), **({"start_revision": str(revision + 1)} if revision else {})}
             connection = self._connected(self._cluster.members[number % len(self._cluster.members)])
             number += 1
             try:
                 async for found in self._told(connection, {"create_request": asked}):
-                    if found.get("canceled"):  # compacted: what was missed is read anew
-                        revision = 0
+                    if found.get("canceled"):
+                        if not int(found.get("compact_revision", 0)):
+                            raise _Failed(_UNAUTHENTICATED, str(found.get("cancel_reason") or "it gives no reason"))
+                        revision = 0  # what was missed is read anew
                         break
                     if found.get("events") or not revision:
                         yield _entries(event["kv"] for event in found["events"]) if revision else {}
-                    revision = int(found["header"]["revision"])
+                    revision, pause, said = int(found["header"]["revision"]), _PAUSE, ""
             except asyncio.TimeoutError:
                 pass
-            except (*_BROKEN, KeyError, _Failed):
+            except (*_BROKEN, KeyError, _Failed) as error:
                 yield {}
-                await asyncio.sleep(0.5)
+                if isinstance(error, _Failed) and error.code not in _ANOTHER_MEMBER:
+                    self._token = ""
+                    if str(error) != said:
+                        _LOG.warning("etcd does not tell what changes under %s: %s", PREFIX + prefix, error)
+                    said, pause = str(error), min(2 * pause, _LONGEST_PAUSE)
+                await asyncio.sleep(pause)
             finally:
                 connection.close()
 
     async def _told(self, connection: _Connection, asked: Mapping[str, Any]) -> AsyncIterator[dict[str, Any]]:
-        """The messages of a stream, each a line. Raises `asyncio.TimeoutError` if there is none for long."""
+        """The messages of a stream, each a line. Raises `asyncio.TimeoutError` if there is none for long, EOFError."""
         pieces, left = connection.posted("watch", _json(asked), await self._logged_in(connection)), b""
-        with suppress(StopAsyncIteration):
-            while True:
-                *lines, left = (left + await asyncio.wait_for(anext(pieces), _QUIET)).split(b"\n")
-                for line in lines:
-                    yield _parsed(line)["result"]
+        while piece := await asyncio.wait_for(anext(pieces, b""), _QUIET):
+            *lines, left = (left + piece).split(b"\n")
+            for line in lines:
+                yield _parsed(line)["result"]
+        raise EOFError("the member ended the watch")
 
     # ---- requests -------------------------------------------------------------------------
 

@@ -247,7 +247,7 @@ class Gateway:
                 body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
                 gateway.asked.append((self.path, body))
                 status, found = answer(self.path, body, self.headers)
-                data = json.dumps(found).encode()
+                data = json.dumps(found).encode() + b"\n"
                 self.send_response(status)
                 self.send_header("Content-Length", str(len(data)))
                 self.end_headers()
@@ -377,6 +377,63 @@ def test_a_users_token_is_fetched_and_fetched_again_when_it_has_ended(tmp_path: 
         cluster = {"members": [member.url], "user": "anna", "password_file": str(tmp_path / "password")}
         (tmp_path / "store.json").write_text(json.dumps(cluster))
         assert done(Cluster.read(str(tmp_path / "store.json")), lambda store: store.get("")) == [{}]
+
+
+@pytest.mark.parametrize("reason", ["etcdserver: permission denied", "rpc error: code = Unauthenticated", None])
+def test_a_watch_that_etcd_refuses_is_asked_for_again_after_a_pause_with_a_new_token_and_said_once(
+    reason: str | None, tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """etcd says so with 200: 3.4 and 3.5 cancel the watch in the message that says that it was created."""
+    logins, pauses = [], []
+    refused = {"header": {"revision": "5"}, "created": True, "canceled": True, "watch_id": "-1"}
+
+    def answer(path: str, _: dict[str, Any], headers: Any) -> tuple[int, dict[str, Any]]:
+        if path == "/v3/auth/authenticate":
+            logins.append(path)
+            return 200, {"token": f"t{len(logins)}"}
+        if len(logins) < 6:
+            return 200, {"result": {**refused, **({"cancel_reason": reason} if reason else {})}}
+        return 200, {"result": {"header": {"revision": "7"}, "created": True}}
+
+    async def told_of(store: Etcd) -> list[dict[str, Entry]]:
+        found = []
+        async for changes in store.watch("boards/b1/"):
+            found.append(changes)
+            if len(found) == 6:
+                break
+        return found
+
+    rests = asyncio.sleep
+
+    async def rest(seconds: float) -> None:
+        pauses.append(seconds)
+        await rests(0)
+
+    (tmp_path / "password").write_text("secret")
+    with gateway(answer) as member:
+        cluster = Cluster((member.url,), user="anna", password_file=str(tmp_path / "password"))
+        monkeypatch.setattr("asyncio.sleep", rest)
+        assert done(cluster, told_of) == [[{}] * 6]  # of each gap: it is read, and whoever may not is told why
+    assert [pause for pause in pauses if pause] == [1.0, 2.0, 4.0, 8.0, 8.0]
+    assert len(logins) == 6
+    assert [record.message for record in caplog.records] == [
+        f"etcd does not tell what changes under cm/boards/b1/: {reason or 'it gives no reason'}"
+    ]
+
+
+def test_a_watch_that_was_compacted_away_is_read_anew_at_once() -> None:
+    answers = iter([{"created": True}, {"canceled": True, "compact_revision": "6"}, {"created": True}])
+
+    def answer(*_: Any) -> tuple[int, dict[str, Any]]:
+        return 200, {"result": {"header": {"revision": "7"}, **next(answers)}}
+
+    async def told_of(store: Etcd) -> list[dict[str, Entry]]:
+        watch = store.watch("").__aiter__()
+        return [await anext(watch) for _ in range(3)]
+
+    with gateway(answer) as member:
+        assert done(Cluster((member.url,)), told_of) == [[{}, {}, {}]]
+        assert [body["create_request"].get("start_revision") for _, body in member.asked] == [None, "8", None]
 
 
 def test_a_lease_that_has_ended_is_no_error() -> None:
