@@ -18,15 +18,13 @@ from cm.design.runtime.answers import load_answers
 from cm.frozen import replace
 
 
-def add_collect_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the action."""
-    parser = actions.add_parser(
-        "collect",
-        help="make a configuration for the target from bitstreams and hardware descriptions",
-        description="Take .xsa, .hdf, .hwh, .bit and .bin files (or folders of them), check that they"
+def fill_collect(parser: argparse.ArgumentParser) -> None:
+    """Describe the action."""
+    parser.description = (
+        "Take .xsa, .hdf, .hwh, .bit and .bin files (or folders of them), check that they"
         " belong together, and write <config>/, ready for /lib/firmware/cm/, and "
         "<config>.tar.gz. With --schema, the files come from that build schema's flow; "
-        "without it, from any flow.",
+        "without it, from any flow."
     )
     parser.add_argument(
         "paths", nargs="*", type=Path, metavar="PATH", help="files or folders (default with --schema: its bitstreams/)"

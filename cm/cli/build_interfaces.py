@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import argparse
-import re
 import textwrap
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from cm.cli.build import add_define_option, assignment
 from cm.cli.common import add_json_option, print_json, print_table
 from cm.design.hdl.compare_ipxact import Difference, compare
 from cm.design.hdl.extract import Sources
@@ -18,18 +18,15 @@ from cm.design.hdl.model import ModuleInfo, Problem, Reset
 from cm.design.hdl.user_protocols import load_protocols
 from cm.design.input_kinds import read_inputs
 
-_ASSIGNMENT = re.compile(r"([A-Za-z_]\w*)(?:=(.*))?", re.DOTALL)
 _DESCRIPTION = """\
 Find AXI4, AXI4-Lite, AXI4-Stream and your own protocols, clocks, resets and interrupts in HDL, by Vivado's
 attributes first, then by names. Ports that belong to none of them are listed with the reason. Without --top, the
 modules that no other module in the files instantiates are shown."""
 
 
-def add_interfaces_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the command."""
-    parser = subparsers.add_parser(
-        "interfaces", help="find the bus interfaces of HDL modules", description=_DESCRIPTION
-    )
+def fill_interfaces(parser: argparse.ArgumentParser) -> None:
+    """Describe the action."""
+    parser.description = _DESCRIPTION
     parser.add_argument(
         "files", nargs="+", type=Path, metavar="FILE", help="Verilog, SystemVerilog, VHDL, .core, component.xml, .xci"
     )
@@ -45,24 +42,10 @@ def add_interfaces_parser(subparsers: argparse._SubParsersAction[argparse.Argume
     add_json_option(parser, run)
 
 
-def add_define_option(parser: argparse.ArgumentParser) -> None:
-    """Macros for the preprocessor."""
-    parser.add_argument(
-        "-D", "--define", action="append", default=[], type=_assignment, metavar="NAME[=VALUE]", help="define a macro"
-    )
-
-
-def _assignment(text: str) -> tuple[str, str]:
-    match = _ASSIGNMENT.fullmatch(text)
-    if match is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE")
-    return match[1], match[2] if match[2] is not None else "1"
-
-
 def _parameter(text: str) -> tuple[str, str]:
     if "=" not in text:
         raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE")
-    return _assignment(text)
+    return assignment(text)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from cm.cli.build_generate import add_schema_argument
+from cm.cli.build import add_schema_argument
 from cm.cli.common import add_json_option, digits, naming, parsed, print_json, print_table
 from cm.design.boundary.analyse import analyse
 from cm.design.errors import BuildError
@@ -20,15 +20,13 @@ from cm.design.partition.utilisation import read_utilisation, static_report, wit
 from cm.design.project.load import load_project
 
 
-def add_partition_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the action."""
-    parser = actions.add_parser(
-        "partition",
-        help="propose regions, and which modules share one",
-        description="Propose which modules should share a region, so that the worst or the mean time "
+def fill_partition(parser: argparse.ArgumentParser) -> None:
+    """Describe the action."""
+    parser.description = (
+        "Propose which modules should share a region, so that the worst or the mean time "
         "of a change of mode is smallest within the device's resources, and compare it "
         "with the present assignment. Needs the modes, and the resources of each module: "
-        "from `resources:` in the build schema, else from Vivado's utilisation report.",
+        "from `resources:` in the build schema, else from Vivado's utilisation report."
     )
     percent = parsed("a number above 0 and at most 100", lambda s: float(s.removesuffix("%")), lambda v: 0 < v <= 100)
     count = parsed("a number of regions", digits, lambda value: value > 0)

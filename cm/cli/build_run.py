@@ -8,7 +8,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from cm.cli.build_generate import add_out_option, add_schema_argument
+from cm.cli.build import add_out_option, add_schema_argument
 from cm.cli.common import add_json_option, answer, positive, print_json, print_table
 from cm.design.errors import BuildError, MissingTool
 from cm.design.generate.generation import behind, load_design, output_folder
@@ -25,15 +25,13 @@ from cm.design.run.make import run_flow
 from cm.design.run.vivado import find_vivado
 
 
-def add_tools_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the action."""
-    parser = actions.add_parser(
-        "tools",
-        help="show which open tools are found, or fetch them",
-        description="Show which yosys, nextpnr and Project X-Ray database cm build run --flow open "
+def fill_tools(parser: argparse.ArgumentParser) -> None:
+    """Describe the action."""
+    parser.description = (
+        "Show which yosys, nextpnr and Project X-Ray database cm build run --flow open "
         "would use: those on PATH, otherwise those that --fetch downloaded from Debian's "
         "packages (some 50 MB, verified with apt's signed lists; without root, nothing is"
-        " compiled or installed).",
+        " compiled or installed)."
     )
     parser.add_argument("--fetch", action="store_true", help="fetch what is missing")
     parser.add_argument("--tools", type=Path, metavar="DIR", help="folder for them (default: in your cache folder)")
@@ -81,15 +79,13 @@ def _tell(sentence: str) -> None:
     print(sentence, flush=True)
 
 
-def add_run_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the action."""
-    parser = actions.add_parser(
-        "run",
-        help="run the flow, in Vivado or with open tools, as far as inputs have changed",
-        description="Run the generated flow. Steps whose inputs are unchanged are skipped; after an "
+def fill_run(parser: argparse.ArgumentParser) -> None:
+    """Describe the action."""
+    parser.description = (
+        "Run the generated flow. Steps whose inputs are unchanged are skipped; after an "
         "error or an interruption, the next run continues where this one stopped. --flow "
         "open uses yosys, nextpnr and Project X-Ray's database instead of Vivado "
-        "(docs/open-flow.md).",
+        "(docs/open-flow.md)."
     )
     add_schema_argument(parser)
     add_out_option(parser)
@@ -164,14 +160,12 @@ def _print_plan(planned: Sequence[Planned], stale: str, as_json: bool) -> None:
     print_table([(p.step.name, words[p.state], p.step.title) for p in planned], ("step", "state", "what"))
 
 
-def add_pack_parsers(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add both actions."""
-    parser = actions.add_parser(
-        "pack",
-        help="pack the generated flow with everything it reads for a host with Vivado",
-        description="Pack the generated flow with everything it reads for a host with Vivado. That host needs neither "
+def fill_pack(parser: argparse.ArgumentParser) -> None:
+    """Describe the action."""
+    parser.description = (
+        "Pack the generated flow with everything it reads for a host with Vivado. That host needs neither "
         "this package nor Python: extract the archive, run make in its build folder, then make back, and pass "
-        "back.tar.gz to cm build unpack.",
+        "back.tar.gz to cm build unpack."
     )
     add_schema_argument(parser)
     add_out_option(parser)
@@ -179,11 +173,13 @@ def add_pack_parsers(actions: argparse._SubParsersAction[argparse.ArgumentParser
     more = "only this module in its region's abstract shell, nothing of the static design (may be repeated)"
     parser.add_argument("--module", action="append", default=[], metavar="NAME", help=more)
     add_json_option(parser, run_pack)
-    parser = actions.add_parser(
-        "unpack",
-        help="unpack the results of a packed flow",
-        description="Take stamps, logs, reports, checkpoints and bitstreams of an archive (make back) or of a folder"
-        " that was copied back. Nothing is taken if a file that the steps read has changed since it was packed.",
+
+
+def fill_unpack(parser: argparse.ArgumentParser) -> None:
+    """Describe the action."""
+    parser.description = (
+        "Take stamps, logs, reports, checkpoints and bitstreams of an archive (make back) or of a folder"
+        " that was copied back. Nothing is taken if a file that the steps read has changed since it was packed."
     )
     parser.add_argument("source", type=Path, metavar="BACK", help="back.tar.gz, or the folder")
     add_schema_argument(parser)

@@ -128,10 +128,14 @@ def add_command(command: Command, subparsers: argparse._SubParsersAction[argpars
         module = import_module(command.module)
         fill = getattr(module, f"add_{command.name}", None) or module.fill_parser
         fill(subparsers.add_parser(command.name, help=command.help))
-    except ModuleNotFoundError as error:
-        if error.name == command.module:
-            raise CommandMissing(f"the command {command.name} is not part of this installation") from error
-        sentence = f"the command {command.name} needs the Python module {error.name}, which is not installed"
-        raise CommandMissing(sentence) from error
-    except ImportError as error:  # a library of another version, or our own that was not built
-        raise CommandMissing(f"the command {command.name} cannot be used here: {error}") from error
+    except ImportError as error:
+        raise missing(command.name, command.module, error) from error
+
+
+def missing(command: str, module: str, error: ImportError) -> CommandMissing:
+    """The error for a command whose `module`, or what that needs, cannot be imported."""
+    if not isinstance(error, ModuleNotFoundError):  # a library of another version, or our own that was not built
+        return CommandMissing(f"the command {command} cannot be used here: {error}")
+    if error.name == module:
+        return CommandMissing(f"the command {command} is not part of this installation")
+    return CommandMissing(f"the command {command} needs the Python module {error.name}, which is not installed")

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from collections.abc import Callable
 from typing import Any, NoReturn
 
 from cm._version import __version__
@@ -52,10 +53,26 @@ Exit status: 0 done, 1 refused or failed, 2 wrong usage."""
 class _Below(argparse._SubParsersAction):  # type: ignore[type-arg]
     """The commands below one: the help of each says what it does, if only with its line in the list of them."""
 
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._later: dict[str, Callable[[argparse.ArgumentParser], None]] = {}
+
     def add_parser(self, name: str, **options: Any) -> Any:
+        """`fill`, among the options, gives the parser its arguments when the command is used, and may import then."""
         about = options.get("help") or ""
         options.setdefault("description", f"{about[:1].upper()}{about[1:]}." if about else None)
+        self._later |= {name: options.pop("fill")} if "fill" in options else {}
         return super().add_parser(name, **options)
+
+    def fill(self, *names: str) -> None:
+        """Give these commands their arguments."""
+        for name in names:
+            if name in self._later:
+                self._later.pop(name)(self.choices[name])
+
+    def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
+        self.fill(values[0])
+        super().__call__(parser, namespace, values, option_string)
 
 
 class Parser(argparse.ArgumentParser):
@@ -136,6 +153,10 @@ def build_full_parser() -> argparse.ArgumentParser:
         except CommandMissing:
             if command.name not in subparsers.choices:
                 subparsers.add_parser(command.name, help=command.help)
+    for below in subparsers.choices.values():
+        for action in below._actions:
+            if isinstance(action, _Below):
+                action.fill(*action.choices)
     return parser
 
 

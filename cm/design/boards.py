@@ -10,11 +10,11 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 from cm.design.errors import BuildError
+from cm.frozen import dataclass
 
 FOLDER = Path(__file__).parent / "data" / "boards"
 _SLICE = re.compile(r"(\w+)(?:\[(\d+)(?::(\d+))?\])?")

@@ -17,11 +17,11 @@ import re
 import shutil
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
 from cm.errors import CmError
+from cm.frozen import dataclass
 from cm.home import cache_home
 
 KEYRING = Path("/usr/share/keyrings/debian-archive-keyring.gpg")

@@ -6,7 +6,6 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -30,6 +29,7 @@ from cm.design.render import Renderer
 from cm.design.runtime.answers import Answers
 from cm.design.runtime.schema import runtime_config
 from cm.errors import CmError
+from cm.frozen import dataclass
 
 DEFAULT_PART = "xc7z020clg400-1"
 # part → a board that has it, as named in its board file in Xilinx/XilinxBoardStore 20bbb12

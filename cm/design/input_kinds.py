@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cm.design.errors import BuildError
@@ -18,6 +17,7 @@ from cm.design.hdl.flatten import flatten
 from cm.design.hdl.ipxact import load_component_xml, load_xci
 from cm.design.hdl.model import ModuleInfo, Problem
 from cm.design.project.fusesoc import core_files
+from cm.frozen import dataclass, replace
 
 CPP = (".cpp", ".cc", ".cxx", ".c")
 

@@ -20,10 +20,9 @@ Kernel interrupt numbers count from 32 (`GIC_SPI`). Checked against public sourc
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from cm.design.errors import BuildError
 from cm.design.parts import device_of
+from cm.frozen import dataclass
 
 
 @dataclass(frozen=True, slots=True)

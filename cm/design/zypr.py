@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from cm.design.hdl.model import Interface, Mode, ModuleInfo
 from cm.design.hdl.register_maps import identifier
 from cm.design.input_kinds import read_inputs
 from cm.design.platforms import platform_of
+from cm.frozen import dataclass
 from cm.schema.clock_rates import PLL, hertz, rate_problem, rounded
 from cm.schema.model import Clock
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from cm.design.boundary.make import boundary
@@ -25,6 +24,7 @@ from cm.design.hdl.user_protocols import UserProtocol, load_protocols
 from cm.design.hdl.vhdl_text import missing_units
 from cm.design.project.model import ModuleSpec, Project, in_libraries
 from cm.design.project.source_position import fault
+from cm.frozen import dataclass, field, replace
 from cm.schema.problems import did_you_mean
 
 _SUBJECT = re.compile(r"(?:port )?(\w+)(?:\.(\w+))?")

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from cm.design.boundary.model import BoundaryPort, Connection, Fit, Role
@@ -13,6 +12,7 @@ from cm.design.boundary.rules import Missing, Policy, lacks_input, lacks_output,
 from cm.design.boundary.slots import Slot
 from cm.design.hdl.axi_signals import aximm, axis
 from cm.design.hdl.model import Interface, Mode, ModuleInfo, PortDirection
+from cm.frozen import dataclass, field
 
 IN, OUT = PortDirection.IN, PortDirection.OUT
 _FAILURES = "its data would be cut or padded: give both the same width, or put a width converter inside the module"

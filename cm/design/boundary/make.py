@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 from cm.design.boundary.buses import Fitting, bus_interface, bus_ports, fit_bus
 from cm.design.boundary.model import Adaptation, Boundary, BoundaryPort
@@ -20,6 +19,7 @@ from cm.design.boundary.scalar_signals import (
 )
 from cm.design.boundary.slots import Slot, make_slots
 from cm.design.hdl.model import Interface, ModuleInfo, Polarity
+from cm.frozen import replace
 
 
 def boundary(given: Mapping[str, ModuleInfo]) -> Boundary:

@@ -7,10 +7,10 @@ are made of interface and logical signal (`s_axi_awaddr`, `m_axis_tdata`), in lo
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from enum import Enum
 
 from cm.design.hdl.model import Interface, PortDirection
+from cm.frozen import dataclass, field
 
 
 class Role(str, Enum):

@@ -8,10 +8,10 @@ What is not known to be safe is refused.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from enum import Enum
 
 from cm.design.hdl.model import Mode
+from cm.frozen import dataclass
 
 
 class Policy(str, Enum):

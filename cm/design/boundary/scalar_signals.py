@@ -8,7 +8,6 @@ to it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 from cm.design.boundary.buses import IN, OUT, Fitting
 from cm.design.boundary.model import BoundaryPort, Connection, Fit, Role
@@ -16,6 +15,7 @@ from cm.design.boundary.slots import identifier
 from cm.design.hdl.associate import undecided
 from cm.design.hdl.clock_reset_names import REGION_CLOCK
 from cm.design.hdl.model import Mode, ModuleInfo, Polarity, Port, PortDirection, Reset, unique
+from cm.frozen import dataclass, field
 
 
 @dataclass(slots=True)

@@ -6,9 +6,9 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 from cm.design.hdl.model import Interface, Mode, ModuleInfo, unique
+from cm.frozen import dataclass, field
 
 
 @dataclass(slots=True)

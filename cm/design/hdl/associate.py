@@ -7,10 +7,10 @@ Nothing is paired because it is left over: a reset on the wrong clock passes eve
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
 
 from cm.design.hdl.clock_reset_names import clock_domain, reset_domain, words
 from cm.design.hdl.model import FoundBy, Interface, ModuleClock, ModuleInfo, PortDirection, Problem, Reset, Stated
+from cm.frozen import dataclass, replace
 
 _BARE = frozenset(["", "ap", "axi", "axis", "sys"])  # the domains of aclk, ap_clk, axi_aclk
 _SIDES = frozenset(["s", "m", "i", "o", "in", "out", "slave", "master"])

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
 from functools import cache
 from types import MappingProxyType
 
 from cm.design.hdl.model import Port, PortDirection
+from cm.frozen import dataclass, field, replace
 
 _IN, _OUT = PortDirection.IN, PortDirection.OUT
 _ADDRESS_SIGNALS = ("ID", "ADDR", "LEN", "SIZE", "BURST", "LOCK", "CACHE", "PROT", "QOS", "REGION", "USER")

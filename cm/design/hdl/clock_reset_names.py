@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 
 from cm.design.hdl.model import Mode, Polarity, Port, PortDirection
+from cm.frozen import replace
 
 
 def _words(text: str) -> frozenset[str]:

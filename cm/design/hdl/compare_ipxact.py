@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 from cm.design.hdl.model import Interface, ModuleInfo
+from cm.frozen import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 
 from cm.design.hdl import vivado_attributes
 from cm.design.hdl.associate import associate
@@ -28,6 +27,7 @@ from cm.design.hdl.model import (
 from cm.design.hdl.user_protocols import UserProtocol
 from cm.design.hdl.validate_bus import judge, make_interface
 from cm.design.hdl.vivado_attributes import Tagged, read_tags
+from cm.frozen import replace
 
 NOTHING_STATED = Stated()
 NOTHING_KNOWN = "belongs to no bus, clock, reset or interrupt that could be recognised"

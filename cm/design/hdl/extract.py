@@ -6,7 +6,6 @@ from __future__ import annotations
 import codecs
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 
@@ -17,6 +16,7 @@ from cm.design.hdl.user_protocols import UserProtocol
 from cm.design.hdl.verilog import VerilogReader
 from cm.design.hdl.vhdl import VhdlReader
 from cm.design.hdl.vhdl_text import VHDL_SUFFIXES
+from cm.frozen import dataclass, field
 
 _FEW = 8  # most names that a sentence lists
 _NO_FILES: Mapping[Path, str] = MappingProxyType({})

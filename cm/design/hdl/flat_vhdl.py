@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 from cm.design.hdl.errors import HdlError
 from cm.design.hdl.extract import Sources
@@ -14,6 +13,7 @@ from cm.design.hdl.model import PortDirection
 from cm.design.hdl.vhdl import Declaration, VhdlReader
 from cm.design.hdl.vhdl_expr import NotFlat, Unknown, Value, base_type, width_of
 from cm.design.hdl.vhdl_text import VHDL_SUFFIXES, blank_comments, design_units
+from cm.frozen import dataclass
 
 _RECORD = re.compile(r"\btype\s+(\w+)\s+is\s+record\b(.*?)\bend\s+record\b", re.IGNORECASE | re.DOTALL)
 _CONTEXT = re.compile(r"\b(?:library\s+[\w\s,]+|use\s+[\w.]+)\s*;", re.IGNORECASE)

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from cm.design.hdl.errors import HdlError
 from cm.design.hdl.model import ModuleInfo, PortDirection
+from cm.frozen import dataclass
 
 IN, OUT = PortDirection.IN, PortDirection.OUT
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 from cm.design.hdl.errors import HdlError
@@ -12,6 +11,7 @@ from cm.design.hdl.flat_verilog import flat_verilog
 from cm.design.hdl.flat_vhdl import flat_vhdl
 from cm.design.hdl.flat_wrappers import Flat
 from cm.design.hdl.model import Language, ModuleInfo, Problem
+from cm.frozen import replace
 
 
 def flatten(info: ModuleInfo, wanted: Sources) -> tuple[ModuleInfo, Flat | None]:

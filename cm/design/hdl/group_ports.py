@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 
 from cm.design.hdl.axi_signals import Protocol
 from cm.design.hdl.model import Port, PortDirection
+from cm.frozen import dataclass
 
 _LEADING = re.compile(r"^(i|in|o|out)_", re.IGNORECASE)
 _INFIX = re.compile(r"(?<=.)_(i|in|o|out)_$", re.IGNORECASE)  # s_axis_i_tdata beside s_axis_o_tready

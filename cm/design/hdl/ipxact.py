@@ -15,7 +15,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -41,6 +40,7 @@ from cm.design.hdl.user_protocols import UserProtocol
 from cm.design.hdl.validate_bus import make_interface
 from cm.design.hdl.vivado_attributes import clock_of, polarity_of
 from cm.formats.hwh.reader import root_of
+from cm.frozen import dataclass, field, replace
 
 
 def component_root(data: bytes) -> ElementTree.Element:

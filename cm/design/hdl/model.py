@@ -9,10 +9,11 @@ Nothing here knows a parser. Names of ports are spelled as in the source; logica
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
 from enum import Enum
 from types import MappingProxyType
 from typing import Any, TypeVar
+
+from cm.frozen import dataclass, field
 
 _Named = TypeVar("_Named", "Port", "Interface")
 

@@ -14,7 +14,6 @@ protocols:
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -23,6 +22,7 @@ from cm.design.hdl.axi_signals import Protocol, Signal, make_protocol
 from cm.design.hdl.errors import HdlError
 from cm.design.hdl.model import Mode, PortDirection
 from cm.design.project.load import DesignFile
+from cm.frozen import dataclass
 from cm.schema.problems import KeyPath
 from cm.schema.tree import locate
 

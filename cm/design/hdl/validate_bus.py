@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from types import MappingProxyType
 
 from cm.design.hdl.axi_signals import Protocol, axi_flavour
 from cm.design.hdl.model import FoundBy, Interface, Mode, Port
+from cm.frozen import dataclass
 
 _TITLES = {"aximm": "AXI", "axis": "AXI4-Stream"}
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -19,6 +18,7 @@ from typing import Any
 from cm.design.hdl.errors import HdlError, parser_missing
 from cm.design.hdl.model import Language, ModuleInfo, Problem
 from cm.design.hdl.verilog_ports import read_instance
+from cm.frozen import dataclass
 
 VERILOG_SUFFIXES = (".v", ".vh", ".vo", ".verilog")
 # Vivado reads `.v` files as Verilog-2005, where `do`, `bit`, `final` are names. On line 1, to keep line numbers.

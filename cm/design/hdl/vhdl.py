@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -18,6 +17,7 @@ from cm.design.hdl.errors import WrongParameter
 from cm.design.hdl.model import Language, ModuleInfo, Parameter, Port, PortDirection, Problem
 from cm.design.hdl.vhdl_expr import NotFlat, Subtypes, Unknown, Value, evaluate, load_parser, no_value_of, width_of
 from cm.design.hdl.vhdl_text import Unit, blank_comments, design_units, instances, signal_attributes
+from cm.frozen import dataclass
 
 _INTERFACE_DECLARATIONS = (
     "interface_declaration",

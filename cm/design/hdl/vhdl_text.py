@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from cm.design.hdl.model import Problem
+from cm.frozen import dataclass
 
 VHDL_SUFFIXES = (".vhd", ".vhdl")
 _COMMENT = re.compile(r"\"(?:[^\"\n]|\"\")*\"|'.'|--[^\n]*|/\*.*?\*/", re.DOTALL)

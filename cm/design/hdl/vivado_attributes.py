@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
 
 from cm.design.hdl.axi_signals import Protocol, make_protocol
 from cm.design.hdl.clock_reset_names import reset_polarity
@@ -26,6 +25,7 @@ from cm.design.hdl.model import (
     Stated,
 )
 from cm.design.hdl.validate_bus import judge, make_interface
+from cm.frozen import dataclass, field, replace
 
 _INFO = re.compile(
     r"\s*(?P<vlnv>[\w.-]+[:/][\w.-]+[:/](?P<kind>[\w.-]+)[:/][\w.-]+)\s+(?P<bus>\S+)\s+(?P<signal>\S+)\s*"

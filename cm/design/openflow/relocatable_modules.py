@@ -10,9 +10,8 @@ from cm.design.generate.wrapper import black_box
 from cm.design.openflow.images import neighbours
 from cm.design.openflow.job import shape
 from cm.design.openflow.layout import Layout, layouts
-from cm.design.openflow.rules import RULE
 from cm.design.plan.system import Implementation, RegionPlan, System
-from cm.design.project.source_position import Finding, fault
+from cm.design.project.source_position import OPEN_FLOW, Finding, fault
 from cm.formats.bitstream import device_by_name, merge, relocate
 from cm.formats.bitstream.errors import CannotRelocate
 from cm.formats.bitstream.geometry import decode_far
@@ -92,7 +91,7 @@ def check_moved(system: System) -> Iterator[Finding]:
     except DatabaseMissing as problem:
         unknown = str(problem)
     except BuildError as problem:
-        yield Finding(RULE, ("regions",), str(problem))
+        yield Finding(OPEN_FLOW, ("regions",), str(problem))
         return
     for origin, one in system.moved:
         home, region = origin.region, one.region
@@ -104,7 +103,7 @@ def check_moved(system: System) -> Iterator[Finding]:
             if not unknown:
                 moves_between(system, places[home.name], places[region.name], database)
         except CannotRelocate as problem:
-            yield Finding(RULE, _key(one), _sentence(origin, one, problem), _HINT)
+            yield Finding(OPEN_FLOW, _key(one), _sentence(origin, one, problem), _HINT)
             continue
         told = f"{one.name}.bit is made of {origin.name}.bit: {known}"
         yield Finding("relocatable", _key(one), told, error=False)

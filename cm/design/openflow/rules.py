@@ -13,11 +13,10 @@ from cm.design.plan.dma_engines import Dma, EngineKind
 from cm.design.plan.floorplan import rectangle
 from cm.design.plan.system import Implementation, RegionPlan, System
 from cm.design.project.model import in_libraries
-from cm.design.project.source_position import Finding
+from cm.design.project.source_position import OPEN_FLOW, Finding
 from cm.formats.bitstream.geometry import geometry_of
 from cm.schema.model import Direction
 
-RULE = "open flow"
 DEVICES = ("xc7z010", "xc7z020")
 # Cells that yosys emits and nextpnr places, and that have been tried in a region or in a static part
 CELLS = re.compile(
@@ -30,14 +29,14 @@ _WAYS = {Direction.MM2S: "from memory", Direction.S2MM: "to memory"}
 
 def check_open(system: System) -> list[Finding]:
     """Findings about what in a system the open flow cannot do."""
-    found = [Finding(RULE, key, message, hint) for key, message, hint in _system(system)]
+    found = [Finding(OPEN_FLOW, key, message, hint) for key, message, hint in _system(system)]
     for region in system.regions:
         found += [
-            Finding(RULE, ("regions", region.name, *key), message, hint) for key, message, hint in _region(region)
+            Finding(OPEN_FLOW, ("regions", region.name, *key), message, hint) for key, message, hint in _region(region)
         ]
     for one in system.implementations:
         key = ("modules", one.module.name)
-        found += [Finding(RULE, key, message, hint) for message, hint in _module(one)]
+        found += [Finding(OPEN_FLOW, key, message, hint) for message, hint in _module(one)]
     return found
 
 

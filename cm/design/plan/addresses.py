@@ -10,9 +10,9 @@ A range of addresses.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 from cm.design.errors import BuildError
+from cm.frozen import dataclass
 
 
 @dataclass(frozen=True, slots=True)

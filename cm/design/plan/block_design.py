@@ -7,7 +7,6 @@ Which of its ports connect the design to memory is chosen here.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cm.design.errors import BuildError
@@ -15,6 +14,7 @@ from cm.design.hdl.model import Interface
 from cm.design.plan.addresses import Window
 from cm.design.plan.dma_cells import DmaCell, dma_cell
 from cm.design.plan.system import System, used_clocks
+from cm.frozen import dataclass, replace
 
 MAX_SLAVES = 16  # at one SmartConnect (PG247)
 HPM_WIDTH = 128  # bits of UltraScale+'s register ports

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 
 from cm.design.boundary.model import Boundary, BoundaryPort, Role
 from cm.design.hdl.model import Interface, Mode, PortDirection
@@ -14,6 +13,7 @@ from cm.design.plan.switch import check_switched
 from cm.design.plan.system import Line, RegionPlan, RegisterBus, StreamBus, clock_of
 from cm.design.project.model import ConnectionSpec, Project, RegionSpec
 from cm.design.project.source_position import fault
+from cm.frozen import dataclass, field
 from cm.schema.problems import KeyPath, did_you_mean
 
 _CONNECTIONS = {

@@ -8,10 +8,10 @@ VDMA refuses the width of its S2MM stream (BD 41-737), and an MCDMA takes it fro
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 from cm.design.plan.dma_engines import Dma, Engine, EngineKind
 from cm.design.plan.system import System
+from cm.frozen import dataclass
 from cm.schema.model import Direction
 
 Setting = tuple[str, object]

@@ -8,10 +8,10 @@ AXI MCDMA (PG288, 16 each way), and video streams have an AXI VDMA (PG020).
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from enum import Enum
 
 from cm.design.plan.addresses import Window
+from cm.frozen import dataclass
 from cm.schema.model import Direction
 
 MC_CHANNELS = 16  # of an MCDMA, in each direction

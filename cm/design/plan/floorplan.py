@@ -6,12 +6,12 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from cm.design.project.model import Resources
+from cm.frozen import dataclass
 
 DEVICES = Path(__file__).parents[1] / "data" / "site_grids.json"
 CLOCK_REGION = "CLOCKREGION"

@@ -19,11 +19,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
 from cm.design.platforms import Platform
 from cm.design.project.model import Project
 from cm.design.project.source_position import fault
+from cm.frozen import dataclass
 
 State = tuple[str | None, ...]  # module per region, in the order of the regions
 Pair = tuple[int, str]

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from cm.design.boards import Pin
 from cm.design.errors import BuildError
 from cm.design.plan.system import RegionPlan, System
 from cm.design.project.model import ConnectionSpec
+from cm.frozen import dataclass
 from cm.schema.problems import KeyPath
 
 _RAW = re.compile(r"[A-Z]{1,2}\d{1,2}")

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 
 from cm.design.boundary.model import Boundary
 from cm.design.errors import BuildError
@@ -29,6 +28,7 @@ from cm.design.plan.system import (
 from cm.design.platforms import Platform, platform_of
 from cm.design.project.model import ConnectionSpec, Project
 from cm.design.project.source_position import fault
+from cm.frozen import replace
 from cm.schema.model import Direction, LoaderKind
 
 MAX_INTERRUPTS = 128  # of all modules together: cm_control.v

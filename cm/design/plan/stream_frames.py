@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 from cm.design.plan.dma_engines import Dma, EngineKind
 from cm.design.plan.system import RegionPlan, StreamBus, SwitchPlan
 from cm.design.project.model import Project
 from cm.design.project.source_position import fault
+from cm.frozen import replace
 from cm.schema.model import ITEM_BYTES
 from cm.schema.pictures import format_misfit, pixel_shape
 from cm.schema.problems import KeyPath

@@ -8,7 +8,6 @@ shared interrupts (``IRQF_SHARED``), and checks which of its channels raised one
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
 
 from cm.design.errors import BuildError
 from cm.design.hdl.model import Interface, Mode
@@ -17,6 +16,7 @@ from cm.design.plan.dma_engines import MC_CHANNELS, Dma, EngineKind
 from cm.design.plan.system import RegionPlan, StreamBus
 from cm.design.project.model import ConnectionSpec, Project, RegionSpec
 from cm.design.project.source_position import fault
+from cm.frozen import dataclass, replace
 from cm.schema.model import Direction
 from cm.schema.problems import KeyPath
 

@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from cm.design.boundary.model import Boundary, BoundaryPort, Role
 from cm.design.hdl.clock_reset_names import REGION_CLOCK
@@ -17,6 +16,7 @@ from cm.design.plan.dma_engines import Dma, Engine, engines_of
 from cm.design.plan.minimal_runs import Cover
 from cm.design.platforms import Platform
 from cm.design.project.model import ConnectionSpec, ModuleSpec, Project, RegionSpec
+from cm.frozen import dataclass
 
 
 @dataclass(frozen=True, slots=True)

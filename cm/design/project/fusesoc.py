@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ import yaml
 
 from cm.design.errors import BuildError
 from cm.design.project.model import ModuleSpec
+from cm.frozen import dataclass, field, replace
 
 _TOKEN = re.compile(r"\s*(?:(!?)([\w+-]+)\s*\?\s*\(|(\))|([^\s()]+))")
 _RELATION = re.compile(r"(>=|<=|>|<|=|~|\^)?(.*)")

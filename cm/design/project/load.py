@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +31,7 @@ from cm.design.project.model import (
     StaticSpec,
     SwitchSpec,
 )
+from cm.frozen import replace
 from cm.schema.construct import Context, bit_fields
 from cm.schema.loader import Loading, decoded
 from cm.schema.model import Access, Clock, LoaderKind, Memory, Register

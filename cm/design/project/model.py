@@ -7,12 +7,12 @@ Paths are absolute; mappings keep the order of the file. Nothing here knows YAML
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 from cm.design.boards import BoardDefinition
+from cm.frozen import dataclass, field
 from cm.schema.model import Clock, LoaderKind, Memory, Register
 
 

@@ -6,13 +6,15 @@ What a check has found: a sentence, its place in the build schema, and where the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 from cm.design.errors import BuildError
+from cm.frozen import dataclass
 from cm.schema.problems import KeyPath, Problem, key_path
 from cm.schema.reader import Refused, read
 from cm.schema.tree import Mark, locate
+
+OPEN_FLOW = "open flow"  # the rule of a finding about what the open tools cannot do
 
 
 def fault(source: Path, key: KeyPath, message: str, hint: str = "") -> BuildError:

@@ -13,7 +13,6 @@ The file (``answers.yaml`` in the output folder, or any given) is a flat map, so
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ import yaml
 
 from cm.design.errors import BuildError
 from cm.design.project.model import empty
+from cm.frozen import dataclass, field
 
 
 @dataclass(frozen=True, slots=True)

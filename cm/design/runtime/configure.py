@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from cm.design.errors import BuildError
 from cm.design.plan.system import System
 from cm.design.runtime.answers import Answers, at_key, parse_answers
 from cm.design.runtime.schema import runtime_config
+from cm.frozen import dataclass
 from cm.schema.model import ITEM_BYTES
 from cm.schema.problems import did_you_mean
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 
 from cm.design.errors import BuildError
@@ -19,6 +18,7 @@ from cm.design.plan.system import Implementation, RegionPlan, RegisterBus, Switc
 from cm.design.project.model import ModeSpec, ModuleSpec
 from cm.design.project.source_position import fault
 from cm.design.runtime.answers import Answers, StreamAnswer
+from cm.frozen import replace
 from cm.schema import dump
 from cm.schema.model import (
     Access,

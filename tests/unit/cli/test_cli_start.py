@@ -44,3 +44,13 @@ def test_a_command_that_asks_and_prints_imports_little(camera: Daemon, words: li
     assert done.returncode == 0, done.stderr[-500:]
     assert "cm.client.board" in imported
     assert imported & HEAVY == set()
+
+
+def test_an_action_of_build_imports_no_other_action() -> None:
+    program = "import sys; from cm.cli.main import main; main(['build', 'check', 'none.yaml']); print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=False)
+    assert "none.yaml:1:1: cannot be read" in done.stderr
+    imported = {name for name in done.stdout.split() if name.startswith("cm.")}
+    assert {name for name in imported if name.startswith("cm.cli.build_")} == {"cm.cli.build_check"}
+    rooms = ("cm.design.collect", "cm.design.generate", "cm.design.openflow", "cm.design.partition", "cm.design.run.")
+    assert {name for name in imported if name.startswith(rooms)} == set()

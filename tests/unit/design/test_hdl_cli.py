@@ -14,7 +14,7 @@ pytest.importorskip("tree_sitter_vhdl")
 
 from hdl_support import DATA
 
-from cm.cli.build_interfaces import add_interfaces_parser
+from cm.cli.build_interfaces import fill_interfaces
 
 CAMERA = (str(DATA / "camera_edge.v"), "-I", str(DATA / "include"))
 
@@ -22,8 +22,8 @@ CAMERA = (str(DATA / "camera_edge.v"), "-I", str(DATA / "include"))
 def run(*words: str) -> int:
     """Run the command with these words."""
     parser = argparse.ArgumentParser()
-    add_interfaces_parser(parser.add_subparsers())
-    args = parser.parse_args(["interfaces", *words])
+    fill_interfaces(parser)
+    args = parser.parse_args(words)
     status: int = args.run(args)
     return status
 
