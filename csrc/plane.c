@@ -367,6 +367,7 @@ static int attach(struct client *client, struct stream *stream, uint32_t depth, 
 	client->frames = 0;
 	client->dropped = 0;
 	client->generation = 0;
+	client->failed = 0;
 	if (client_send(client, geometry.bytes, size) || client_send_slots(client, stream, 0))
 		return 0; /* the thread disconnects it, and reports that */
 	if (stream->setup.write)

@@ -41,20 +41,21 @@ int client_send(struct client *client, const void *packet, size_t size)
 	return -1;
 }
 
-/* A separate packet, if it has changed, so that the format of descriptors stays the same. */
-static int tell_generation(struct client *client, const struct stream *stream, uint64_t generation)
+/* A number of the frames that follow, in a packet of its own if it has changed: a descriptor has no room for it. */
+static int tell(struct client *client, const struct stream *stream, uint8_t kind, uint64_t *told,
+		uint64_t number)
 {
 	struct cm_plane_descriptor packet = {
-		.kind = CM_PLANE_GENERATION,
+		.kind = kind,
 		.flags = stream->epoch,
-		.sequence = generation,
+		.sequence = number,
 	};
 
-	if (client->generation == generation)
+	if (*told == number)
 		return 0;
 	if (try_send(client, &packet, sizeof(packet)))
 		return -1;
-	client->generation = generation;
+	*told = number;
 	return 0;
 }
 
@@ -63,7 +64,9 @@ int client_offer(struct client *client, const struct stream *stream, uint32_t nu
 {
 	if (!stream->setup.backpressure && client->held_count >= client->depth)
 		return -1;
-	if (tell_generation(client, stream, stream->slot[number].generation))
+	if (tell(client, stream, CM_PLANE_GENERATION, &client->generation,
+		 stream->slot[number].generation) ||
+	    tell(client, stream, CM_PLANE_FAILED, &client->failed, stream->stats.errors))
 		return -1;
 	if (try_send(client, &stream->slot[number].frame, sizeof(struct cm_plane_descriptor)))
 		return -1;

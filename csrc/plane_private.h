@@ -62,6 +62,7 @@ struct client {
 	uint64_t frames;     /* handed to it, or taken from it, well; since it was attached */
 	uint64_t dropped;    /* that it did not get */
 	uint64_t generation; /* that it was told last */
+	uint64_t failed;     /* transfers of its stream, likewise */
 	bool leaving;	     /* wants no more frames */
 	bool broken;	     /* to be dropped */
 	int error;

@@ -244,6 +244,7 @@ static void read_done(struct cm_plane *plane, struct stream *stream,
 		return;
 	if (completion->status) {
 		note_error(stream, -completion->status);
+		stream->sequence++; /* the frame that failed has a number: readers see the gap */
 	} else if (!too_soon(stream, completion->timestamp_ns)) {
 		slot->frame = (struct cm_plane_descriptor){
 			.slot = (uint16_t)number,

@@ -13,10 +13,10 @@
 #include <sys/resource.h>
 #include <sys/socket.h>
 #include <sys/syscall.h>
-#include <time.h>
 #include <unistd.h>
 
 #include "client/cm_plane_wire.h"
+#include "clock.h"
 
 #define EVENTS_AT_ONCE 16
 #define BUCKETS 1024
@@ -100,15 +100,9 @@ static bool value_of(struct cm_reads *reads, const char *name, size_t length, ui
 
 static int lock_in_time(struct cm_reads *reads)
 {
-	struct timespec until;
+	struct timespec until = cm_clock_timespec(cm_clock_deadline(PATIENCE_NS));
 
-	clock_gettime(CLOCK_REALTIME, &until);
-	until.tv_nsec += PATIENCE_NS;
-	if (until.tv_nsec >= 1000000000) {
-		until.tv_nsec -= 1000000000;
-		until.tv_sec++;
-	}
-	errno = pthread_mutex_timedlock(&reads->table_lock, &until);
+	errno = pthread_mutex_clocklock(&reads->table_lock, CLOCK_MONOTONIC, &until);
 	return errno ? -1 : 0;
 }
 

@@ -125,8 +125,23 @@ static void *map(int fd, size_t length, int protection, off_t offset)
 	return base == MAP_FAILED ? NULL : base;
 }
 
+/* An access behind a file's end would end this process with SIGBUS; what is no file ends where it says. */
+static int check_size(int fd, uint64_t length)
+{
+	struct stat st;
+
+	if (fstat(fd, &st))
+		return -1;
+	if (!S_ISREG(st.st_mode) || (uint64_t)st.st_size >= length)
+		return 0;
+	errno = EPROTO;
+	return -1;
+}
+
 static int map_state(struct cm_grant *grant, int fd)
 {
+	if (check_size(fd, grant->page))
+		return -1;
 	grant->state = map(fd, grant->page, PROT_READ, 0);
 	if (!grant->state)
 		return -1;
@@ -145,24 +160,12 @@ static int map_pages(struct cm_grant *grant, int fd)
 		errno = EINVAL;
 		return -1;
 	}
+	if (check_size(fd, grant->page + grant->length))
+		return -1;
 	if (grant->writable)
 		protection |= PROT_WRITE;
 	grant->registers = map(fd, (size_t)grant->length, protection, (off_t)grant->page);
 	return grant->registers ? 0 : -1;
-}
-
-/* A state of fewer bytes than a page would end this process with SIGBUS. */
-static int map_memory_of_state(struct cm_grant *grant, int fd)
-{
-	struct stat st;
-
-	if (fstat(fd, &st))
-		return -1;
-	if ((uint64_t)st.st_size < grant->page) {
-		errno = EPROTO;
-		return -1;
-	}
-	return map_state(grant, fd);
 }
 
 static int ask_for_state(struct cm_grant *grant)
@@ -174,7 +177,7 @@ static int ask_for_state(struct cm_grant *grant)
 			    CM_NODE_FD_RECEIVE))
 		return -1;
 	grant->offset = answer.offset;
-	result = map_memory_of_state(grant, answer.fd);
+	result = map_state(grant, answer.fd);
 	close(answer.fd);
 	return result;
 }

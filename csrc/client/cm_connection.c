@@ -176,8 +176,13 @@ int connection_receive(const struct connection *connection, struct packet *packe
 	}
 	packet->size = (size_t)got;
 	packet->bytes[got] = '\0';
-	if (packet->size >= sizeof(packet->head))
+	if (packet->size >= sizeof(packet->head)) {
+		if (packet->head.kind != CM_PLANE_SLOTS && packet->head.kind != CM_PLANE_WINDOW) {
+			packet_close(packet); /* nobody would look for them there */
+			packet->fd_count = 0;
+		}
 		return 0;
+	}
 	packet_close(packet);
 	errno = got ? EPROTO : ECONNRESET;
 	return -1;
@@ -193,13 +198,20 @@ static void read_mode(struct connection *connection, const char *names, const ch
 static int begin(struct connection *connection, const struct packet *packet)
 {
 	size_t fixed = sizeof(packet->head) + sizeof(struct cm_plane_geometry);
-	struct cm_memory *memory = packet->size < fixed ? NULL : calloc(1, sizeof(*memory));
+	struct cm_plane_geometry geometry = { .dimensions = UINT32_MAX };
+	struct cm_memory *memory;
 
-	if (!memory) {
-		errno = packet->size < fixed ? EPROTO : ENOMEM;
+	if (packet->size >= fixed)
+		memcpy(&geometry, packet->bytes + sizeof(packet->head), sizeof(geometry));
+	if (geometry.dimensions > CM_PLANE_DIMENSIONS ||
+	    !memchr(geometry.dtype, 0, sizeof(geometry.dtype))) {
+		errno = EPROTO;
 		return -1;
 	}
-	memcpy(&memory->geometry, packet->bytes + sizeof(packet->head), sizeof(memory->geometry));
+	memory = calloc(1, sizeof(*memory));
+	if (!memory)
+		return -1;
+	memory->geometry = geometry;
 	memory->epoch = packet->head.flags;
 	memory->next = connection->memories;
 	connection->memories = memory;
@@ -210,12 +222,24 @@ static int begin(struct connection *connection, const struct packet *packet)
 	return 0;
 }
 
+/* An access behind the end of what is mapped would end this process with SIGBUS. */
+static void *map_whole(int fd, uint64_t length, int protection)
+{
+	off_t there = lseek(fd, 0, SEEK_END); /* fstat() says nothing of a DMA buffer */
+
+	if (there < 0 || length > (uint64_t)there || length != (size_t)length) {
+		errno = EPROTO;
+		return MAP_FAILED;
+	}
+	return mmap(NULL, (size_t)length, protection, MAP_SHARED | MAP_POPULATE, fd, 0);
+}
+
 static int map_slot(struct cm_memory *memory, int fd)
 {
 	uint32_t number = memory->slots;
 	bool writes = memory->geometry.flags & CM_PLANE_WRITABLE;
-	void *map = mmap(NULL, memory->geometry.slot_length, PROT_READ | (writes ? PROT_WRITE : 0),
-			 MAP_SHARED | MAP_POPULATE, fd, 0);
+	void *map =
+		map_whole(fd, memory->geometry.slot_length, PROT_READ | (writes ? PROT_WRITE : 0));
 
 	if (map == MAP_FAILED) {
 		int error = errno;
@@ -279,8 +303,6 @@ static void stop(struct connection *connection)
 
 int connection_take(struct connection *connection, const struct packet *packet)
 {
-	if (packet->head.kind != CM_PLANE_SLOTS)
-		packet_close(packet); /* of a newer manager */
 	switch (packet->head.kind) {
 	case CM_PLANE_GEOMETRY:
 		return begin(connection, packet);
@@ -299,7 +321,8 @@ int connection_take(struct connection *connection, const struct packet *packet)
 	case CM_PLANE_REFUSED:
 		return refused(connection, packet);
 	default:
-		return 0; /* of a newer manager */
+		packet_close(packet); /* of a newer manager */
+		return 0;
 	}
 }
 

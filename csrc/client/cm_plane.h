@@ -104,7 +104,7 @@ const char *cm_reader_mode(const struct cm_reader *reader);
  */
 uint64_t cm_reader_generation(const struct cm_reader *reader);
 
-/* Frames lost because the reader held as many as it may. */
+/* Frames missing between those that were read: the reader held as many as it may, or their transfer failed. */
 uint64_t cm_reader_lost(const struct cm_reader *reader);
 
 /* Why the manager refused: "code: sentence". */

@@ -56,6 +56,9 @@
 /* that READ has to be made by a request (cm_read_reg); the next one perhaps not */
 #define CM_PLANE_ELSEWHERE 32
 
+/* reader: @sequence transfers of the stream have failed since it began; each of them had a frame's number */
+#define CM_PLANE_FAILED 33
+
 /* flags of OPEN; those of other packets are the low bits of the epoch, which change with GEOMETRY */
 #define CM_PLANE_OPEN_WRITE 1
 #define CM_PLANE_OPEN_ECHO \

@@ -11,7 +11,8 @@
 #include "cm_private.h"
 #include "window.h"
 
-#define TOLD_MS 1000 /* at most until a manager that took pages back says why */
+#define TOLD_MS 1000	     /* at most until a manager that took pages back says why */
+#define TABLE_MAX (64 << 20) /* bytes */
 
 struct cm_registers {
 	struct connection connection;
@@ -60,12 +61,18 @@ struct cm_registers *cm_registers_open(const char *runtime_dir, const char *name
 	return registers;
 }
 
+static void forget_table(struct cm_registers *registers)
+{
+	free(registers->table);
+	registers->table = NULL;
+}
+
 void cm_registers_close(struct cm_registers *registers)
 {
 	if (!registers)
 		return;
 	cm_grant_unmap(registers->grant);
-	free(registers->table);
+	forget_table(registers);
 	connection_close(&registers->connection);
 	free(registers);
 }
@@ -82,6 +89,10 @@ static int read_table(struct cm_registers *registers, int fd)
 
 	if (fstat(fd, &st))
 		return -1;
+	if (st.st_size > TABLE_MAX) {
+		errno = EPROTO;
+		return -1;
+	}
 	registers->table_size = (size_t)st.st_size;
 	registers->table = malloc(registers->table_size + 1);
 	if (!registers->table)
@@ -104,11 +115,13 @@ static int map(struct cm_registers *registers, const struct packet *packet)
 		result = registers->grant ? 1 : -1;
 	}
 	packet_close(packet);
-	if (result > 0) {
-		registers->address = packet->head.sequence;
-		memcpy(registers->names, packet->bytes + sizeof(packet->head), length);
+	if (result < 0) {
+		forget_table(registers);
+		return -1;
 	}
-	return result;
+	registers->address = packet->head.sequence;
+	memcpy(registers->names, packet->bytes + sizeof(packet->head), length);
+	return 1;
 }
 
 /* The @number'th of several texts that each end with a NUL; "" behind the last. */

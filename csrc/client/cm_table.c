@@ -74,11 +74,17 @@ static int next(struct bytes *message, struct field *field)
 	return -1;
 }
 
-static bool is(struct bytes text, const char *word)
+/* A text that is left out is empty, and points nowhere: memcmp() must not be given that. */
+static bool begins(const char *word, struct bytes text)
 {
 	size_t length = (size_t)(text.end - text.at);
 
-	return strlen(word) == length && !memcmp(word, text.at, length);
+	return !length || !strncmp(word, (const char *)text.at, length);
+}
+
+static bool is(struct bytes text, const char *word)
+{
+	return strlen(word) == (size_t)(text.end - text.at) && begins(word, text);
 }
 
 static uint64_t bits(uint64_t width)
@@ -213,7 +219,7 @@ static int find_in(struct bytes message, const char *name, struct cm_register *f
 		return 1;
 	}
 	length = (size_t)(info.name.end - info.name.at);
-	if (strlen(name) <= length || memcmp(name, info.name.at, length) || name[length] != '.')
+	if (strlen(name) <= length || !begins(name, info.name) || name[length] != '.')
 		return 0;
 	return find_field(message, &info, name + length + 1, found);
 }

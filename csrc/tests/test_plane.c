@@ -455,9 +455,10 @@ static void speaker_end(struct speaker *speaker)
 	fake_root_remove(speaker->root);
 }
 
-static void say_slots(const struct speaker *speaker, uint16_t first, uint32_t said, uint32_t count)
+/* A packet with the descriptors of @count files of @length bytes. */
+static void say_with(const struct speaker *speaker, struct cm_plane_descriptor head, uint32_t count,
+		     off_t length)
 {
-	struct cm_plane_descriptor head = { .slot = first, .kind = CM_PLANE_SLOTS, .offset = said };
 	union {
 		char bytes[CMSG_SPACE(8 * sizeof(int))];
 		struct cmsghdr align;
@@ -475,12 +476,52 @@ static void say_slots(const struct speaker *speaker, uint16_t first, uint32_t sa
 	header->cmsg_len = CMSG_LEN(count * sizeof(int));
 	for (uint32_t i = 0; i < count; i++) {
 		memory[i] = memfd_create("slot", MFD_CLOEXEC);
-		CHECK(!ftruncate(memory[i], LENGTH));
+		CHECK(!ftruncate(memory[i], length));
 	}
 	memcpy(CMSG_DATA(header), memory, count * sizeof(int));
 	CHECK(sendmsg(speaker->connection, &message, 0) == (ssize_t)sizeof(head));
 	for (uint32_t i = 0; i < count; i++)
 		close(memory[i]);
+}
+
+static void say_slots(const struct speaker *speaker, uint16_t first, uint32_t said, uint32_t count)
+{
+	struct cm_plane_descriptor head = { .slot = first, .kind = CM_PLANE_SLOTS, .offset = said };
+
+	say_with(speaker, head, count, LENGTH);
+}
+
+static void a_slot_that_is_shorter_than_said_is_an_error(void)
+{
+	struct cm_plane_descriptor head = { .kind = CM_PLANE_SLOTS, .offset = 1 };
+	const off_t lengths[] = { 0, LENGTH - 1 };
+
+	for (size_t i = 0; i < 2; i++) {
+		struct speaker speaker = speaker_make();
+		struct cm_frame frame;
+		int opened = open_descriptors();
+
+		say_with(&speaker, head, 1, lengths[i]);
+		CHECK_ERRNO(cm_reader_next(speaker.reader, 1000, &frame), EPROTO);
+		CHECK(open_descriptors() == opened);
+		speaker_end(&speaker);
+	}
+}
+
+static void descriptors_that_come_with_a_frame_are_closed(void)
+{
+	struct speaker speaker = speaker_make();
+	struct cm_plane_descriptor head = { .kind = CM_PLANE_FRAME, .length = LENGTH };
+	struct cm_frame frame;
+	int opened;
+
+	say_slots(&speaker, 0, 1, 1);
+	opened = open_descriptors();
+	say_with(&speaker, head, 4, LENGTH);
+	CHECK(cm_reader_next(speaker.reader, 1000, &frame) == 1);
+	CHECK(!cm_reader_release(speaker.reader, &frame));
+	CHECK(open_descriptors() == opened);
+	speaker_end(&speaker);
 }
 
 static void slots_without_room_for_their_descriptors_are_an_error(void)
@@ -702,6 +743,8 @@ int main(void)
 	RUN(a_writer_gets_its_slots_back);
 	RUN(slots_without_room_for_their_descriptors_are_an_error);
 	RUN(slots_out_of_order_are_an_error);
+	RUN(a_slot_that_is_shorter_than_said_is_an_error);
+	RUN(descriptors_that_come_with_a_frame_are_closed);
 	RUN(a_stream_that_is_long_in_ending_holds_up_no_other);
 	return 0;
 }
