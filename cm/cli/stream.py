@@ -72,7 +72,7 @@ def run_list(args: argparse.Namespace) -> int:
             s.name,
             s.channel,
             s.direction,
-            "x".join(map(str, s.shape)) or "-",
+            "x".join(map(str, s.shape)) or (f"to {s.slot_bytes}" if s.slot_bytes else "-"),
             _elements(s),
             s.slots,
             *_flow(s),

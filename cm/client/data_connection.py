@@ -49,6 +49,7 @@ class DataConnection:
         self.generation = 0  # of the registers, under which the frames that come began; 0: not known
         self.address = 0  # of memory that was asked for, as devices see it
         self.lost = 0
+        self._failed = self._told = 0  # transfers of the stream, by now and at the frame before
         self.held = 0
         self.done: deque[Descriptor] = deque()
         self.granted: deque[Descriptor] = deque()
@@ -62,6 +63,7 @@ class DataConnection:
             packets.SLOTS: self._slots,
             packets.LABEL: self._label,
             packets.GENERATION: self._generation,
+            packets.FAILED: self._transfers_failed,
             packets.ADDRESS: self._address,
             packets.STOPPED: self._stopped,
             packets.REFUSED: self._refused,
@@ -144,11 +146,14 @@ class DataConnection:
             raise BlockingIOError(errno.EAGAIN, f"no packet within {seconds:g} s")
 
     def _frame(self, memory: SlotMappings, head: Descriptor) -> Frame:
-        if self._expected is not None:
-            self.lost += (head.sequence - self._expected) % _SEQUENCES
-        self._expected = head.sequence + 1
+        lost = failed = 0
+        if self._expected is not None and head.sequence != self._expected:
+            lost = (head.sequence - self._expected) % _SEQUENCES
+            failed = min(self._failed - self._told, lost)
+            self.lost += lost
+        self._expected, self._told = head.sequence + 1, self._failed
         self.held += 1
-        frame = lend(memory, head, self.names, self.give_back, self.generation)
+        frame = lend(memory, head, self.names, self.give_back, (self.generation, failed, lost))
         return self._in_rgb(frame, memory.geometry.format) if memory.coded and not self.wanted.raw else frame
 
     def _in_rgb(self, frame: LocalFrame, form: str) -> Frame:
@@ -224,7 +229,7 @@ class DataConnection:
         self.memory = SlotMappings(geometry, head.flags)
         self.names = self.memory.names
         self._expected = None
-        self.generation = 0
+        self.generation = self._failed = 0
 
     def _slots(self, head: Descriptor, _: int, fds: list[int]) -> None:
         if self.memory is not None:
@@ -241,6 +246,9 @@ class DataConnection:
 
     def _generation(self, head: Descriptor, _: int, __: list[int]) -> None:
         self.generation = head.sequence
+
+    def _transfers_failed(self, head: Descriptor, _: int, __: list[int]) -> None:
+        self._failed = head.sequence
 
     def _stopped(self, _: Descriptor, __: int, ___: list[int]) -> None:
         self._end_memory()

@@ -32,7 +32,7 @@ _LOOK = (
 def checked(kind: _T) -> _T:
     """A class of arrays whose methods call its `_check` first.
 
-    What C takes of an array without asking it cannot be checked: its buffer, and `numpy.asarray`.
+    What C takes of an array without asking it cannot be checked: its buffer, and `numpy.asarray`; they are empty then.
     """
     for name in _LOOK:
         setattr(kind, name, _checking(getattr(np.ndarray, name)))

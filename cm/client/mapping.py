@@ -36,6 +36,7 @@ class SlotMappings:
         self.dtype = np.dtype(geometry.dtype)
         self.coded = geometry.format not in AS_IT_IS  # its pixels are not those of an array in RGB
         self.strides = self._strides()
+        self.whole = geometry.frame_length or geometry.slot_length  # bytes of a frame that is written
         self._maps: list[mmap.mmap] = []
         self._fds: list[int] = []  # kept where the memory needs synchronising
         self._begun: set[int] = set()  # slots that the processor uses now, where that matters
@@ -106,9 +107,7 @@ class SlotMappings:
 
     def slot_array(self, slot: int, length: int = 0) -> npt.NDArray[Any]:
         """A slot to write a frame to; `length` bytes of it, a whole frame if 0."""
-        geometry = self.geometry
-        whole = geometry.frame_length or geometry.slot_length
-        array: npt.NDArray[Any] = self.array(Descriptor(slot, length=length or whole))
+        array: npt.NDArray[Any] = self.array(Descriptor(slot, length=length or self.whole))
         return array
 
     def close(self) -> None:
@@ -149,6 +148,8 @@ class LocalFrame(Frame):
     @property
     def info(self) -> FrameInfo:
         lease = self._held()
+        if lease.last is not None:
+            return lease.last[0]
         frame, memory = lease.frame, lease.memory
         return FrameInfo(
             memory.names[0],
@@ -159,33 +160,35 @@ class LocalFrame(Frame):
             str(self.dtype),
             lease.names[1],
             lease.names[2],
-            generation=lease.generation,
+            generation=lease.counts[0],
             format=memory.geometry.format if self.ndim == 3 else "",
+            failed=lease.counts[1],
+            lost=lease.counts[2],
         )
 
     @property
     def sequence(self) -> int:
-        """Number in the stream; a gap is a loss."""
         return self._held().frame.sequence
 
     @property
     def timestamp_ns(self) -> int:
-        """CLOCK_MONOTONIC of this machine at the end of the transfer."""
         return self._held().frame.timestamp_ns
 
     @property
     def generation(self) -> int:
-        """Generation of the registers when this frame began; 0: unknown."""
-        return self._held().generation
+        return self._held().counts[0]
 
     def release(self) -> None:
         """Give the slot back now; any use of the frame raises FrameReleased from here on. Twice is fine.
 
-        Arrays and buffers made from it, even now (`np.asarray(frame)`, `frame[0]`, `memoryview(frame)`), show whatever
-        comes into the slot next.
+        What C takes of it without asking is empty then (`np.asarray(frame)`, `memoryview(frame)`). Arrays and buffers
+        made from it before show whatever comes into the slot next.
         """
-        if self._lease is not None:
-            self._lease.end()
+        lease = self._lease
+        if lease is not None and not lease.ended:
+            lease.last = self.info, self.base  # the base is what those arrays lie in
+            np.ndarray.__setstate__(self, (1, (0,) * self.ndim, self.dtype, False, b""))  # type: ignore[arg-type]
+            lease.end()
 
     @property
     def released(self) -> bool:
@@ -261,7 +264,7 @@ def _plain(value: Any) -> Any:
 class Lease:
     """The right to a slot's content."""
 
-    __slots__ = ("_give_back", "ended", "frame", "generation", "memory", "names")
+    __slots__ = ("_give_back", "counts", "ended", "frame", "last", "memory", "names")
 
     def __init__(
         self,
@@ -269,13 +272,14 @@ class Lease:
         frame: Descriptor,
         names: tuple[str, str, str],
         give_back: Callable[[SlotMappings, Descriptor], None],
-        generation: int = 0,
+        counts: tuple[int, int, int],
     ) -> None:
-        self.generation = generation
+        self.counts = counts  # as `FrameInfo` has them: generation, failed, lost
         self.memory = memory
         self.frame = frame
         self.names = names
         self.ended = False
+        self.last: tuple[FrameInfo, Any] | None = None  # of a frame that was given back: what it was, and lay in
         self._give_back = give_back
 
     def end(self) -> None:
@@ -290,10 +294,10 @@ def lend(
     frame: Descriptor,
     names: tuple[str, str, str],
     give_back: Callable[[SlotMappings, Descriptor], None],
-    generation: int = 0,
+    counts: tuple[int, int, int] = (0, 0, 0),
 ) -> LocalFrame:
     """A leased frame as an array."""
     array: LocalFrame = memory.array(frame, LocalFrame)
-    array._lease = Lease(memory, frame, names, give_back, generation)
+    array._lease = Lease(memory, frame, names, give_back, counts)
     memory.begin(frame.slot)
     return array

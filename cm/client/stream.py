@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from cm.client.core.flow_effects import DEFAULT, Deadline, Flow, Limit, at_least, seconds, time_limit
 from cm.client.core.generations import FirstAfter, Written
-from cm.client.core.remote_stream import NewestReader, PublishedReader, Reader, Wanted
-from cm.client.errors import BoardClosed, ConnectionLost
+from cm.client.core.remote_stream import NewestReader, PublishedReader, Reader, Wanted, closed
+from cm.client.errors import ConnectionLost
 from cm.client.frame import Frame
 from cm.client.request_reply import Link
-from cm.errors import Timeout
+from cm.errors import CmError, Timeout
 from cm.wire.plane_packets import Geometry, Open
 
 if TYPE_CHECKING:
@@ -55,12 +55,15 @@ class Stream:
         raise NotImplementedError
 
     def close(self) -> None:
-        """Disconnect; twice is fine."""
+        """Disconnect, for good; twice is fine. Later reads, and those that wait in other threads, say so."""
         raise NotImplementedError
 
     @property
     def lost(self) -> int:
-        """Frames that came while we were too slow."""
+        """Frames missing between those that were read: they came while we were too slow, or their transfer failed.
+
+        `frame.info.lost` is how many are missing right before a frame, `frame.info.failed` how many of those failed.
+        """
         raise NotImplementedError
 
     def __repr__(self) -> str:
@@ -98,7 +101,7 @@ class LocalStream(Stream):
         self.name = wanted.name
         self._newest = newest
         self._lost_before = 0
-        self._ended: BoardClosed | None = None
+        self._ended: CmError | None = None
 
     def open(self) -> None:
         self._connected()
@@ -107,13 +110,15 @@ class LocalStream(Stream):
         if self._connection is not None:  # dropped without being closed
             self.close()
 
-    def end(self, because: BoardClosed) -> None:
-        """The board is closed; any later use raises BoardClosed."""
+    def end(self, because: CmError) -> None:
+        """The board is closed; any later use raises `because`, and so does a call that waits in another thread."""
         self._ended = because
-        opening = self._opening
-        if opening is not None:
-            opening.close()  # its thread raises `because`
-        self.close()
+        if self._connection is not None:
+            self._lost_before += self._connection.lost
+        for connection in (self._opening, self._connection):
+            if connection is not None:
+                connection.close()
+        self._connection = None
 
     def _connected(self) -> DataConnection:
         if self._ended is not None:
@@ -176,7 +181,7 @@ class LocalStream(Stream):
         except BlockingIOError:
             raise Timeout(self.nothing(limit)) from None
         except ConnectionLost as error:
-            raise self._ended or error from None  # the board was closed by another thread
+            raise self._ended or error from None  # closed by another thread
 
     def poll(self) -> Frame | None:
         """The next frame if there is one already; never waits."""
@@ -211,10 +216,8 @@ class LocalStream(Stream):
         return text
 
     def close(self) -> None:
-        if self._connection is not None:
-            self._lost_before += self._connection.lost
-            self._connection.close()
-            self._connection = None
+        if self._ended is None:
+            self.end(closed(self.name))
 
 
 class RemoteStream(Stream):
@@ -233,11 +236,7 @@ class RemoteStream(Stream):
         return self._board.run(flow)
 
     def open(self) -> None:
-        try:
-            self._run(self._reader.opening())
-        except BaseException:
-            self.close()
-            raise
+        self._run(self._reader.opening())
 
     @property
     def lost(self) -> int:
@@ -265,11 +264,11 @@ class NewestStream(RemoteStream):
         return NewestReader(wanted)
 
     def _run(self, flow: Flow[_T]) -> _T:
-        if self._link is None:
-            self._link = self._connect()
-        return self._link.run(flow)
+        link = self._link = self._link or self._connect()
+        return link.run(flow)
 
     def close(self) -> None:
+        super().close()
         if self._link is not None:
             self._link.close()
             self._link = None

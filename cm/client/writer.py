@@ -17,6 +17,7 @@ import numpy.typing as npt
 from cm.client.core.flow_effects import DEFAULT, Limit, seconds, time_limit
 from cm.client.data_connection import DataConnection
 from cm.client.errors import BoardClosed, ConnectionLost, TransferFailed
+from cm.client.mapping import SlotMappings
 from cm.client.pixel_formats import AS_IT_IS, from_rgb, is_rgb
 from cm.errors import CmError, InvalidRequest, Timeout
 from cm.wire import plane_packets as packets
@@ -99,25 +100,28 @@ class Writer:
     @contextmanager
     def lend(self, length: int = 0, timeout: Limit = DEFAULT) -> Iterator[npt.NDArray[Any]]:
         """As `slot`, for those who have just caught up."""
+        grant, memory = self._borrow(length, timeout)
         try:
-            grant, memory = self._borrow(timeout)
-            array = memory.slot_array(grant.slot, length)
-            memory.begin(grant.slot)
-        except _BROKEN:
-            self._check()
-            raise
-        try:
-            yield array
+            yield self._begun(grant, memory, length)
         except BaseException:
             memory.end(grant.slot)
             self._put_back(grant, memory)
             raise
         memory.end(grant.slot)
         try:
-            self._submit(grant, array.nbytes if not memory.geometry.stride else memory.geometry.frame_length)
+            self._submit(grant, length or memory.whole)
         except _BROKEN:
             self._check()
             raise
+
+    def _begun(self, grant: Descriptor, memory: SlotMappings, length: int) -> npt.NDArray[Any]:
+        try:
+            array = memory.slot_array(grant.slot, length)
+            memory.begin(grant.slot)
+        except _BROKEN:
+            self._check()
+            raise
+        return array
 
     def write(self, data: npt.ArrayLike, timeout: Limit = DEFAULT) -> None:
         """Copy a frame, as an array or its bytes, into a slot and send it; returns at once. Raises as `slot` does.
@@ -161,8 +165,8 @@ class Writer:
 
     def round_trip(self, length: int = 0) -> Descriptor:
         """Send a slot as it is and wait until it is done: the cost of a frame without its bytes."""
-        grant, memory = self._borrow(DEFAULT)
-        self._submit(grant, length or memory.geometry.frame_length or memory.geometry.slot_length)
+        grant, memory = self._borrow(length, DEFAULT)
+        self._submit(grant, length or memory.whole)
         connection, number = self._connection, self._next - 1
         connection.set_timeout(self._timeout)
         while number in self._under_way:
@@ -175,15 +179,32 @@ class Writer:
         if self._closed is not None:
             raise self._closed
 
-    def _borrow(self, timeout: Limit) -> tuple[Descriptor, Any]:
+    def _borrow(self, length: int, timeout: Limit) -> tuple[Descriptor, SlotMappings]:
+        """A slot for `length` bytes, 0: all of it. What is wrong with the length is said before a slot is taken."""
         self._check()
         self._raise_failures()
-        if not self._connection.granted:
-            self._wait(lambda: bool(self._connection.granted), seconds(timeout, self._timeout))
+        connection = self._connection
+        if not connection.granted:
+            self._wait(lambda: bool(connection.granted), seconds(timeout, self._timeout))
             self._raise_failures()
-        return self._connection.granted.pop(), self._connection.memory
+        memory = connection.memory
+        if memory is None:  # closed by another thread
+            raise self._closed or ConnectionLost(f"the stream {self.name!r} was stopped")
+        if length:
+            self._check_length(length, memory)
+        return connection.granted.pop(), memory
 
-    def _put_back(self, grant: Descriptor, memory: Any) -> None:
+    def _check_length(self, length: int, memory: SlotMappings) -> None:
+        form = memory.geometry
+        if form.stride and length != memory.whole:
+            raise InvalidRequest(
+                f"stream {self.name!r}: its lines lie apart, so only whole frames of {memory.whole} bytes"
+            )
+        if not 0 < length <= memory.whole:
+            more = "" if form.frame_length else "; the schema's slot_bytes says how many"
+            raise InvalidRequest(f"stream {self.name!r}: a slot takes 1 to {memory.whole} bytes, not {length}{more}")
+
+    def _put_back(self, grant: Descriptor, memory: SlotMappings) -> None:
         if memory is self._connection.memory:
             self._connection.granted.append(grant)
 

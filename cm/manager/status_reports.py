@@ -193,6 +193,7 @@ def stream_status(stream: Stream) -> StreamStatus:
         stride=stream.stride or 0,
         limit=stream.limit or 0.0,
         format=stream.format or "",
+        slot_bytes=stream.slot_bytes or 0,
     )
 
 

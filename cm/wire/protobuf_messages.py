@@ -112,7 +112,7 @@ class _PrMode:
 
 
 ERROR = Twin(st.ErrorInfo, pb.Error)
-FRAME = Twin(st.FrameInfo, pb.Frame)
+FRAME = Twin(st.FrameInfo, pb.Frame, [*st.FrameInfo.__annotations__][:-1])  # but for `lost`, which is the reader's
 LEASE = Twin(st.LeaseInfo, pb.Lease)
 CHANGE = Twin(st.ChangeInfo, pb.Change)
 IRQ = Twin(st.Irq, pb.Irq)

@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from itertools import islice
 from pathlib import Path
@@ -22,7 +23,7 @@ from plane_stress import warm
 
 import cm
 from cm.client.errors import TransferFailed
-from cm.errors import Timeout
+from cm.errors import InvalidRequest, Timeout
 from cm.simulation.software import Board as SimBoard
 from cm.wire import plane_packets as packets
 from cm.wire.messages.status import ClientStatus
@@ -300,6 +301,77 @@ def test_a_failed_block_sends_nothing(loop: cm.Board) -> None:
             reader.read(timeout=0.2)
         writer.write(np.full((480, 640), 3, np.uint8))
         assert reader.read()[0, 0] == 3
+
+
+@pytest.mark.parametrize("copy", [False, True], ids=["local", "over ZeroMQ"])
+def test_transfers_that_fail_leave_a_gap_and_the_frame_behind_it_says_how_many_and_why(
+    board: cm.Board, shared: tuple[Manager, SimBoard], copy: bool
+) -> None:
+    with board.stream("camera", depth=32, copy=copy, timeout=60) as stream:
+        last = stream.read().sequence
+        shared[1].control.inject("dma_error", "camera", count=3)
+        for frame in stream:
+            if frame.info.failed:
+                break
+            last = frame.sequence
+        assert frame.info.failed == 3
+        assert frame.info.lost == frame.sequence - last - 1 >= 3
+        assert stream.lost >= 3
+        assert stream.read().info.failed == 0, "what was told is not told again"
+
+
+def test_a_packet_that_is_longer_than_its_slot_leaves_a_gap(loop: cm.Board) -> None:
+    loop.configure_stream("from_pl", shape=(64,), force=True)
+    loop.configure_stream("to_pl", shape=(128,), force=True)
+    with loop.stream("from_pl", timeout=60) as reader, loop.writer("to_pl", timeout=60) as writer:
+        with writer.slot(64) as slot:
+            slot[...] = 1
+        assert reader.read().shape == (64,)
+        writer.write(np.zeros(128, np.uint8))
+        with writer.slot(64) as slot:
+            slot[...] = 2
+        info = reader.read().info
+        assert (info.lost, info.failed) == (1, 1)
+
+
+@pytest.mark.parametrize("length", [-1, 480 * 640 + 1, 1 << 40])
+def test_a_wrong_length_costs_a_writer_no_slot(loop: cm.Board, length: int) -> None:
+    with loop.writer("to_pl", depth=2, timeout=60) as writer:
+        for _ in range(5):
+            with pytest.raises(InvalidRequest, match="takes 1 to 307200 bytes"), writer.slot(length):
+                pass
+        until(lambda: writer.catch_up() or writer.free == 2)  # type: ignore[func-returns-value]
+
+
+def test_a_stream_that_was_closed_stays_so_and_says_so(board: cm.Board) -> None:
+    for copy in (False, True):
+        stream = board.stream("camera", copy=copy, timeout=60)
+        stream.read()
+        stream.close()
+        with pytest.raises(InvalidRequest, match="'camera' was closed: ask for another"):
+            stream.read()
+
+
+def test_a_reader_whose_stream_another_thread_closes_is_told_that(board: cm.Board) -> None:
+    board.load("camera", "loopback")
+    stream = board.stream("from_pl", timeout=60)
+    stream.open()
+    closing = threading.Timer(0.1, stream.close)
+    closing.start()
+    with pytest.raises(InvalidRequest, match="'from_pl' was closed"):
+        stream.read()
+    closing.join()
+
+
+def test_nothing_is_seen_of_a_frame_that_was_given_back(board: cm.Board) -> None:
+    with board.stream("camera", timeout=60) as stream:
+        frame = stream.read()
+        info, row = frame.info, frame[0]
+        frame.release()
+        assert np.asarray(frame).size == 0 == memoryview(frame).nbytes
+        assert frame.info == info
+        assert row.shape == (640,), "arrays made before stay mapped"
+        row.sum()
 
 
 def test_a_failed_transfer_is_reported(loop: cm.Board, shared: tuple[Manager, SimBoard]) -> None:

@@ -55,7 +55,7 @@ class Stream:
         raise NotImplementedError
 
     async def close(self) -> None:
-        """Disconnect; twice is fine."""
+        """Disconnect, for good; twice is fine. Later reads, and tasks that wait for a frame, say so."""
         raise NotImplementedError
 
     async def aclose(self) -> None:
@@ -64,7 +64,7 @@ class Stream:
 
     @property
     def lost(self) -> int:
-        """Frames that came while we were too slow."""
+        """Frames missing between those that were read; see `cm.client.stream.Stream.lost`."""
         raise NotImplementedError
 
     def __repr__(self) -> str:
@@ -118,6 +118,7 @@ class AsyncLocalStream(Stream):
         return frame
 
     async def close(self) -> None:
+        self._waits.end()
         self._stream.close()
 
     def end(self, because: BoardClosed) -> None:
@@ -144,11 +145,7 @@ class AsyncRemoteStream(Stream):
         return self._reader.lost
 
     async def open(self) -> None:
-        try:
-            await self._board.run(self._reader.opening())
-        except BaseException:
-            await self.close()
-            raise
+        await self._board.run(self._reader.opening())
 
     async def read(self, timeout: Limit = DEFAULT) -> Frame:
         return await self._board.run(self._reader.reading(timeout))

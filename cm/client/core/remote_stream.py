@@ -23,7 +23,7 @@ from cm.client.core.flow_effects import (
 from cm.client.errors import RequestFailed, RequestTimeout
 from cm.client.frame import Frame, frame_of
 from cm.errors import InvalidRequest, Timeout
-from cm.frozen import dataclass
+from cm.frozen import dataclass, replace
 from cm.wire import topics
 from cm.wire.encode import decode_event
 from cm.wire.messages.requests import ConfigureStream
@@ -77,6 +77,7 @@ class Arrivals:
         self._raw = raw
         self.lost = 0
         self._expected: int | None = None
+        self._failed = 0
 
     def frame(self, frames: Sequence[Any]) -> Frame:
         """Raises InvalidRequest for what is not a frame."""
@@ -86,10 +87,14 @@ class Arrivals:
         return self.count(frame_of(info, unpacked(info, frames[2]), self._raw))
 
     def count(self, frame: Frame) -> Frame:
-        """Note the frame's number."""
-        if self._expected is not None and frame.sequence > self._expected:
-            self.lost += frame.sequence - self._expected
-        self._expected = frame.sequence + 1
+        """Note the frame's number, and on it what is missing before it, and why."""
+        info = frame.info
+        lost = max(0, info.sequence - self._expected) if self._expected is not None else 0
+        failed = min(max(0, info.failed - self._failed), lost)
+        self._expected, self._failed = info.sequence + 1, info.failed
+        self.lost += lost
+        if lost or info.failed:
+            frame._info = replace(info, failed=failed, lost=lost)
         return frame
 
 
@@ -118,6 +123,11 @@ def lz4_frame() -> Any:
         raise InvalidRequest(
             "compressed frames need the package lz4: pip install 'fpga-cm[lz4]', or apt install python3-lz4"
         ) from None
+
+
+def closed(name: str) -> InvalidRequest:
+    """The error for any use of a stream after it was closed."""
+    return InvalidRequest(f"the stream {name!r} was closed: ask for another, board.stream({name!r})")
 
 
 def is_stopped(error: RequestFailed) -> bool:
@@ -149,6 +159,7 @@ class PublishedReader:
         self._wanted = wanted
         self._subscribe = subscribe
         self._subscription: Subscription | None = None
+        self._closed = False
         self._arrivals = Arrivals(wanted.raw)
 
     @property
@@ -156,6 +167,8 @@ class PublishedReader:
         return self._arrivals.lost
 
     def opening(self) -> Flow[None]:
+        if self._closed:
+            raise closed(self._wanted.name)
         if self._subscription is None:
             # raises for an unknown stream, and for a compression that the manager does not have
             yield Ask(calls.configure_stream(ConfigureStream(self._wanted.name, compression=self._wanted.compression)))
@@ -172,6 +185,7 @@ class PublishedReader:
                 return self._arrivals.frame(frames)
 
     def close(self) -> None:
+        self._closed = True
         if self._subscription is not None:
             self._subscription.close()
             self._subscription = None
@@ -182,6 +196,7 @@ class NewestReader:
 
     def __init__(self, wanted: Wanted) -> None:
         self._wanted = wanted
+        self._closed = False
         self._arrivals = Arrivals()
 
     @property
@@ -189,9 +204,15 @@ class NewestReader:
         return self._arrivals.lost
 
     def opening(self) -> Flow[None]:
+        self._check()
         yield Ask(calls.describe_stream(self._wanted.name))  # raises for an unknown stream
 
+    def _check(self) -> None:
+        if self._closed:
+            raise closed(self._wanted.name)
+
     def reading(self, timeout: Limit) -> Flow[Frame]:
+        self._check()
         deadline = Deadline(seconds(timeout, self._wanted.timeout))
         while True:
             left = ASK_FOR if deadline.left is None else min(ASK_FOR, deadline.left)
@@ -207,7 +228,7 @@ class NewestReader:
                     raise
 
     def close(self) -> None:
-        """Nothing is open between two reads."""
+        self._closed = True  # nothing is open between two reads
 
 
 def reading_next(name: str, timeout: float | None, answer: float | None) -> Flow[Frame]:

@@ -18,7 +18,7 @@ _MAX_FRAME = 1 << 30
 _NUMBERS = "biufc"  # kinds of numpy's dtypes that a frame may be made of
 _DTYPE_NAME = 15  # bytes that a packet has for it
 _LENGTH_BITS = 26  # of an AXI DMA's length register at most
-_FLAT = 1 << 20  # bytes of a slot where neither schema nor channel says how long a frame is
+_SLOT = 1 << 20  # bytes where neither schema nor channel says how long a frame is
 
 
 def changed(stream: Stream, request: ConfigureStream) -> Stream:
@@ -88,7 +88,7 @@ def setup(info: DmaInfo, stream: Stream) -> StreamSetup:
             f"{name} has no shape, and channel {info.name} cannot tell how many bytes arrived: "
             "give the stream the shape of its frames, each of which must end with TLAST"
         )
-    length = frame or info.frame_length or min(_FLAT, info.max_length)
+    length = frame or stream.slot_bytes or info.frame_length or min(_SLOT, info.max_length)
     one, what = (line_bytes, "a line") if video else (length, "a frame")
     if one > info.max_length:
         raise InvalidRequest(

@@ -90,7 +90,7 @@ class ZmqReader(ZmqClient):
     def __init__(self, loop: Loop, plane: Plane, opened: OpenStream, deliver: Callable[[Frame], None]) -> None:
         self._deliver = deliver
         self._readers: deque[tuple[Done, Timer]] = deque()
-        self._generation = 0
+        self._generation = self._failed = 0
         super().__init__(loop, plane, opened, _READ_DEPTH)
 
     @property
@@ -114,6 +114,8 @@ class ZmqReader(ZmqClient):
     def _take(self, packet: Descriptor) -> None:
         if packet.kind == packets.GENERATION:
             self._generation = packet.sequence
+        if packet.kind == packets.FAILED:
+            self._failed = packet.sequence
         if packet.kind != packets.FRAME:
             return
         try:
@@ -125,7 +127,7 @@ class ZmqReader(ZmqClient):
         slot = self._stream.slots[packet.slot]
         slot.sync_begin(write=False)
         try:
-            frame = Frame(self._stream.info(packet, self._generation), self._bytes(packet))
+            frame = Frame(self._stream.info(packet, self._generation, self._failed), self._bytes(packet))
             readers, self._readers = self._readers, deque()
             kept = replace(frame, data=memoryview(bytes(frame.data))) if readers else frame  # one copy for all reads
             for done, timer in readers:

@@ -156,8 +156,11 @@ class OpenStream:
 
     # ---- reports ----------------------------------------------------------------------
 
-    def info(self, frame: Descriptor, generation: int = 0) -> FrameInfo:
-        """Describe a frame; an incomplete one is flat bytes. `generation`: of the registers under which it began."""
+    def info(self, frame: Descriptor, generation: int = 0, failed: int = 0) -> FrameInfo:
+        """Describe a frame; an incomplete one is flat bytes. `generation`: of the registers under which it began.
+
+        `failed`: transfers of the stream that failed before it.
+        """
         whole = frame.length == frame_bytes(self.stream) and self.stream.shape is not None
         return FrameInfo(
             stream=self.stream.name,
@@ -170,6 +173,7 @@ class OpenStream:
             mode=self._names[1],
             generation=generation,
             format=(self.stream.format or "") if whole else "",
+            failed=failed,
         )
 
     def status(self) -> StreamStatus:
@@ -187,6 +191,7 @@ class OpenStream:
             clients=tuple(self._clients()),
             exact=not (self.writes or self.channel.tells_length or self.channel.type is DmaType.VDMA),
             max_length=self.channel.max_length,
+            slot_bytes=self.setup.length,
             last_error=transfer_error(counts, self.setup),
         )
 

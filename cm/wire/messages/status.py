@@ -194,6 +194,7 @@ class StreamStatus:
     max_length: int = 0  # bytes of one transfer at most; 0 while the stream is closed
     last_error: ErrorInfo | None = None  # why it last failed, or lost a transfer, in this mode
     format: str = ""  # of its pixels in memory
+    slot_bytes: int = 0  # of a frame at most, as it is in memory; of a closed stream: as the schema says, or 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -470,6 +471,8 @@ class FrameInfo:
     offset: int = 0
     generation: int = 0  # of the registers, when the frame began; 0: not known
     format: str = ""  # of the payload's pixels, as in the runtime schema; empty: shape and dtype say all
+    failed: int = 0  # of the `lost`, those whose transfer failed; in a message: of all since the stream was opened
+    lost: int = 0  # frames between the reader's last one and this: they failed, or came while it was too slow
 
 
 @dataclass(frozen=True, slots=True)

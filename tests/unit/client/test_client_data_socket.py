@@ -292,6 +292,8 @@ def test_a_stream_that_is_closed_gives_back_what_it_has_not_read_and_then_what_i
         await now(stream.close())
         await now(stream.close())
         assert (stream.geometry, stream.lost) == (None, 0)
+        with pytest.raises(InvalidRequest, match="'camera' was closed: ask for another"):
+            await now(stream.read())
         assert [manager.got() for _ in range(2)] == [
             frame(0, 5)._replace(kind=packets.RELEASE),
             Descriptor(kind=packets.LEAVE),
@@ -300,13 +302,26 @@ def test_a_stream_that_is_closed_gives_back_what_it_has_not_read_and_then_what_i
         del held
         assert manager.got() == frame(1, 4)._replace(kind=packets.RELEASE)
         assert await asyncio.to_thread(manager.peer.recv, 1) == b""
-        manager.answers(geometry(), SLOTS, frame(1, 7), frame(0, 9))
-        sequences = [(await now(stream.read())).sequence for _ in range(2)]
-        assert (sequences, stream.lost) == ([7, 9], 1)
+
+    used(client, manager, course)
+
+
+@BOTH
+def test_what_is_missing_before_a_frame_is_told_with_it_and_why(client: Callable[..., Any], manager: Manager) -> None:
+    failed = [Descriptor(kind=packets.FAILED, sequence=count) for count in (2, 5)]
+    manager.answers(geometry(), SLOTS, failed[0], frame(1, 7), frame(0, 9), failed[1], frame(1, 14), frame(0, 15))
+
+    async def course(board: Any) -> None:
+        stream = board.stream("camera", HUNG)
+        told = [(await now(stream.read())).info for _ in range(4)]
+        assert [(info.sequence, info.lost, info.failed) for info in told] == [
+            (7, 0, 0),  # what failed before it is no gap of ours
+            (9, 1, 0),
+            (14, 4, 3),
+            (15, 0, 0),
+        ]
         await now(stream.close())
-        manager.answers(geometry(), SLOTS, frame(1, 1), frame(0, 4))
-        sequences = [(await now(stream.read())).sequence for _ in range(2)]
-        assert (sequences, stream.lost) == ([1, 4], 3)  # 1 of before, and 2
+        assert stream.lost == 5
 
     used(client, manager, course)
 

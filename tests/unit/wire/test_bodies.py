@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import Enum
 from itertools import count
 from typing import Any, get_args, get_origin, get_type_hints
@@ -49,6 +50,8 @@ def empty(kind: Any) -> Any:
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_body_is_unchanged_after_the_wire(kind: Any, make: Any) -> None:
     body = make(kind)
+    if isinstance(body, status.FrameInfo):
+        body = replace(body, lost=0)  # which each reader counts for itself
     assert decode_reply(encode_reply(b"topic", status.Reply(body, sequence=3))).body == body
 
 
