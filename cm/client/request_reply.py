@@ -13,10 +13,9 @@ from zmq import zmq_poll
 
 from cm.client.connections import Socket, Sockets, not_subscribed
 from cm.client.core.calls import Call
-from cm.client.core.flow_effects import DEFAULT, AskBeside, Flow, Limit, Pause, Receive, seconds
-from cm.client.core.requests import Requests, result
+from cm.client.core.flow_effects import DEFAULT, AskBeside, Deadline, Flow, Limit, Pause, Receive, seconds
+from cm.client.core.requests import CONNECTING, Requests, result
 from cm.client.errors import ConnectionLost, NotAdmitted
-from cm.client.find_manager import deserted
 from cm.wire import multipart
 
 _T = TypeVar("_T")
@@ -156,12 +155,16 @@ class Link:
         return self.ask(effect.call, seconds(effect.timeout, self.timeout), beside)
 
     def _wait(self, number: bytes, timeout: float | None, beside: AskBeside | None) -> list[bytes | memoryview]:
-        until = None if timeout is None else time.monotonic() + timeout
+        deadline, connecting = Deadline(timeout), Deadline(self.timeout)
         other = beside.subscription.socket if beside else None
         sources = self._sources if other is None else [*self._sources, (other, _POLLIN)]
         while True:
-            left = -1 if until is None else _milliseconds(until - time.monotonic())
-            ready = dict(zmq_poll(sources, left))
+            left = deadline.left
+            if not self._handshake.up:  # a request waits as long as it may, but for a connection no longer than others
+                if absent := self._requests.absent():
+                    raise absent
+                left = min(x for x in (left, connecting.left, CONNECTING) if x is not None)
+            ready = dict(zmq_poll(sources, -1 if left is None else _milliseconds(left)))
             if beside is not None and other is not None and other in ready:
                 beside.take(other.recv_multipart())
             if self._socket in ready:
@@ -175,7 +178,9 @@ class Link:
                 if self._handshake.lost:
                     raise self._requests.lost()
             elif not ready and left == 0:
-                raise self._handshake.suspected or self._requests.no_answer(timeout, deserted(self._requests.address))
+                raise self._handshake.suspected or self._requests.no_answer(
+                    deadline.limit if deadline.left == 0 else connecting.limit
+                )
 
     def _send(self, frames: Sequence[Any]) -> None:
         """Raise if it cannot be sent: a socket that was not admitted has no peer, and would wait for ever."""

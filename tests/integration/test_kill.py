@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import random
 import resource
@@ -17,9 +18,10 @@ from manager_process import Manager, environment, until
 from manager_schemas import written
 
 import cm
+import cm.aio
 from cm import child
 from cm.client.errors import ConnectionLost, NoAnswer, RequestFailed
-from cm.errors import CmError
+from cm.errors import CmError, Timeout
 from cm.simulation.software import Board as SimBoard
 
 Own = tuple[Manager, SimBoard]
@@ -51,6 +53,42 @@ def test_a_request_to_a_killed_manager_fails_at_once(own: Own) -> None:
         killer.join()
     manager._reap()
     manager.start()
+
+
+def test_that_the_manager_was_killed_is_known_at_once_however_long_a_request_may_take(own: Own) -> None:
+    manager, _ = own
+    with manager.connected() as board:
+        manager.kill()
+        begun = time.monotonic()
+        for request in (lambda: board.check_region("prr0"), lambda: board.load("camera", "default")):
+            with pytest.raises((ConnectionLost, NoAnswer)):
+                request()
+        with pytest.raises(NoAnswer, match="nobody serves that socket any more, the manager was killed; start it"):
+            board.set_mode("default")  # which may take for ever
+        assert time.monotonic() - begun < 30, "a check may take 60 s"
+
+    async def asynchronous() -> None:
+        waiting = cm.aio.Board(manager.runtime)
+        with pytest.raises(NoAnswer, match="the manager was killed"):
+            await waiting.set_mode("default")
+        await waiting.close()
+
+    asyncio.run(asynchronous())
+    manager.start()
+
+
+def test_a_wait_for_an_interrupt_beside_a_stopped_manager_ends_in_its_time(own: Own) -> None:
+    manager, _ = own
+    with manager.connected() as board:
+        board.load("camera", "loopback")
+        os.kill(manager.pid, signal.SIGSTOP)
+        try:
+            begun = time.monotonic()
+            with pytest.raises(Timeout):
+                board.interrupts["loop_done"].wait(timeout=1)
+            assert time.monotonic() - begun < 4, "other answers are waited for for 5 s and more"
+        finally:
+            os.kill(manager.pid, signal.SIGCONT)
 
 
 def test_going_to_the_mode_that_is_loaded_asks_the_board_whether_it_is_there(own: Own) -> None:

@@ -16,9 +16,9 @@ from cm.client.aio.waiting import wake, within
 from cm.client.connections import Sockets, not_subscribed
 from cm.client.core.calls import Call
 from cm.client.core.connection_monitor import Handshake
-from cm.client.core.flow_effects import DEFAULT, Ask, AskBeside, Flow, Limit, Pause, Receive, seconds
-from cm.client.core.requests import LOOKS, Requests, result
-from cm.client.find_manager import deserted
+from cm.client.core.flow_effects import DEFAULT, Ask, AskBeside, Deadline, Flow, Limit, Pause, Receive, seconds
+from cm.client.core.requests import CONNECTING, LOOKS, Requests, result
+from cm.client.errors import NoAnswer
 
 _T = TypeVar("_T")
 
@@ -173,15 +173,32 @@ class Link:
             self.unanswered.add(number)
         sending = asyncio.ensure_future(self._socket.send_multipart(frames))  # would never end if we are not admitted
         sending.add_done_callback(partial(_hand_on, waiting))
+        looking = asyncio.create_task(self._connected(waiting)) if not self._up() else None
         try:
             reply = await within(waiting, timeout)
+        except NoAnswer:  # a TimeoutError too
+            raise
         except asyncio.TimeoutError:
             suspected = self._handshake.suspected if self._handshake else None
-            raise suspected or self._requests.no_answer(timeout, deserted(self._requests.address)) from None
+            raise suspected or self._requests.no_answer(timeout) from None
         finally:
             self._pending.pop(number, None)
             sending.cancel()
+            if looking is not None:
+                looking.cancel()
         return result(call, reply)
+
+    def _up(self) -> bool:
+        return self._handshake is not None and self._handshake.up
+
+    async def _connected(self, waiting: asyncio.Future[list[bytes]]) -> None:
+        """A request waits as long as it may, but for a connection no longer than others."""
+        connecting = Deadline(self.timeout)
+        while not self._up() and not waiting.done():
+            if problem := self._requests.absent() or (connecting.left == 0 and self._requests.no_answer(self.timeout)):
+                waiting.set_exception(problem)
+                return
+            await asyncio.sleep(CONNECTING)
 
     async def run(self, flow: Flow[_T]) -> _T:
         """Run a flow to its end. Raises what it raises."""

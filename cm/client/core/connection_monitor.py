@@ -26,6 +26,7 @@ class Handshake:
         self._failures = 0
         self.refused: NotAdmitted | None = None  # the refusal, once it is certain; the socket does not connect any more
         self.suspected: NotAdmitted | None = None  # reported at a time-out, as the socket keeps trying
+        self.up = False  # whether there is a connection now
         self.lost = False  # whether an established connection has ended since this was set to False
 
     def take(self, event: int, value: int) -> None:
@@ -33,6 +34,7 @@ class Handshake:
         if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
             self._failures = 0
             self.suspected = None
+            self.up = True
         elif event == zmq.EVENT_HANDSHAKE_FAILED_AUTH:
             self.refused = NotAdmitted(self._unknown())
         elif event == zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL:
@@ -47,7 +49,7 @@ class Handshake:
                     "file's 'server-public', takes no more connections, or is not up behind what forwards its port"
                 )
         elif not self._failures:
-            self.lost = True
+            self.lost, self.up = True, False
 
     def _unknown(self) -> str:
         if self._keys:

@@ -14,6 +14,7 @@ from cm.wire.messages.status import ConfigInfo, Irq, RegValues, Status
 
 T = TypeVar("T")
 _ANSWER = 5.0  # least seconds that subscribing waits for the manager's answer
+_SOON = 1.0  # the same in one call that subscribes and waits
 
 
 class Events(Generic[T]):
@@ -52,21 +53,21 @@ class Events(Generic[T]):
             if event is not None:
                 return event
 
-    def _settled(self) -> Flow[None]:
+    def _settled(self, least: float = _ANSWER) -> Flow[Deadline]:
         """Wait until the manager has our subscriptions.
 
         It applies them in order, and sends the current status at once to a new subscriber to it, so when this comes,
         the topics subscribed to before it are in effect (docs/protocol.md). That is the manager's answer, so a
-        time-out that is meant for events does not cut it short.
+        time-out that is meant for events does not cut it short below `least`. What is left is for the other answers.
         """
-        deadline = Deadline(at_least(self._timeout, _ANSWER))
+        deadline = Deadline(at_least(self._timeout, least))
         while True:
             frames = yield Receive(self.subscription, deadline.left)
             if frames is None:
                 raise Timeout(f"the manager published no status within {deadline.limit or 0:g} s")
             if isinstance(decode_event(frames), Status):
-                break
-        self.subscription.unsubscribe(topics.STATUS)
+                self.subscription.unsubscribe(topics.STATUS)
+                return deadline
 
 
 class StatusEvents(Events[Status]):
@@ -110,7 +111,8 @@ class RegisterEvents(Events[RegValues]):
 class InterruptEvents(Events[Irq]):
     """Each interrupt of one name from now on; with `since`, the latest one first if it is not that of then.
 
-    `since` is a time of an interrupt in ns (0: none), as counts start again with each configuration.
+    `since` is a time of an interrupt in ns (0: none), as counts start again with each configuration. The time-out is
+    for all then: opening, which may take `_SOON` though, and the event.
     """
 
     topics = (topics.IRQ, topics.STATUS)
@@ -121,10 +123,11 @@ class InterruptEvents(Events[Irq]):
         self._since = since
         self._after = 0
         self._came: Irq | None = None
+        self._whole = Deadline(self._timeout)
 
     def opening(self) -> Flow[None]:
-        yield from self._settled()
-        latest: Irq = yield Ask(calls.interrupt(self._name))
+        deadline = yield from self._settled(_ANSWER if self._since is None else _SOON)
+        latest: Irq = yield Ask(calls.interrupt(self._name), deadline.left)
         self._after = latest.timestamp_ns
         if self._since is not None and latest.count and latest.timestamp_ns != self._since:
             self._came = latest
@@ -132,7 +135,7 @@ class InterruptEvents(Events[Irq]):
     def next(self, timeout: Limit = DEFAULT) -> Flow[Irq]:
         """The one that came before, or the next one. Raises Timeout."""
         if self._came is None:
-            return (yield from super().next(timeout))
+            return (yield from super().next(timeout if self._since is None else self._whole.left))
         came, self._came = self._came, None
         return came
 
@@ -141,4 +144,5 @@ class InterruptEvents(Events[Irq]):
         return event if new else None
 
     def nothing(self, limit: float | None) -> str:
+        limit = limit if self._since is None else self._timeout
         return f"interrupt {self._name!r} did not come within {limit or 0:g} s"

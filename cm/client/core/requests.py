@@ -9,11 +9,13 @@ from typing import Any, TypeVar
 
 from cm.client.core.calls import Call
 from cm.client.errors import ConnectionLost, NoAnswer
+from cm.client.find_manager import deserted
 from cm.wire.encode import decode_reply, encode_request
 from cm.wire.envelope import GUEST
 from cm.wire.messages import requests as rq
 
 _T = TypeVar("_T")
+CONNECTING = 0.1  # seconds after which it is looked again whether anybody is there, while there is no connection
 LOOKS = (  # change nothing
     *(rq.ReadReg, rq.ReadStatus, rq.ReadConfig, rq.ListConfigs, rq.PlanChange, rq.ReadIrq, rq.DescribeData),
     rq.ReadData,
@@ -41,10 +43,14 @@ class Requests:
         """The reply, without the frames of the request that came back."""
         return frames[self._envelope :]
 
-    def no_answer(self, limit: float | None, why: str = "") -> NoAnswer:
+    def absent(self) -> NoAnswer | None:
+        """The error where the socket itself says that nobody will answer; for as long as there is no connection."""
+        why = deserted(self.address)
+        return NoAnswer(f"no configuration manager at {self.address}: {why}") if why else None
+
+    def no_answer(self, limit: float | None) -> NoAnswer:
         """Nothing came within `limit` seconds."""
-        reason = f": {why}" if why else ""
-        return NoAnswer(f"no answer from a configuration manager at {self.address} within {limit or 0:g} s{reason}")
+        return NoAnswer(f"no answer from a configuration manager at {self.address} within {limit or 0:g} s")
 
     def lost(self) -> ConnectionLost:
         """The manager went away."""
