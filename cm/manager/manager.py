@@ -8,6 +8,7 @@ immutable values that are swapped (`cm.manager.state.journal`).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from cm.frozen import dataclass, replace
@@ -22,7 +23,7 @@ from cm.manager.execution.transaction import Tools, plan_to
 from cm.manager.execution.worker import Change, Look, Worker
 from cm.manager.loaders import Loaders
 from cm.manager.planner import Goal
-from cm.manager.recovery import destination, is_whole, repair, take_stock, undo, way_back
+from cm.manager.recovery import destination, held_images, is_whole, repair, take_stock, under_schema, undo, way_back
 from cm.manager.state.board_state import BoardState, slept
 from cm.manager.state.journal import Journal, ManagerState, Pending
 from cm.manager.status_reports import Moment, StatusReporter, config_info
@@ -150,7 +151,7 @@ class Manager:
 
     def reconcile(self, new_board: bool = False) -> tuple[str, ...]:
         """Compare record and board (again). Called before the worker starts, or when it is idle."""
-        finding = take_stock(self._state, self._env.devices, self._bus, new_board)
+        finding = take_stock(self._state, self._env.devices, self._bus, self._env.files, new_board)
         if finding.notes:
             self.reporter.set_notice(ErrorInfo("reconciled", "; ".join(finding.notes)))
         self._repair(finding.interrupted)
@@ -217,16 +218,35 @@ class Manager:
 
     # ---- configurations -----------------------------------------------------------
 
-    def add_config(self, config: Config) -> None:
-        """Make a configuration known (again). Raises ChangeBusy while it is being changed to."""
+    def images_of(self, config: Config) -> Mapping[str, str]:
+        """What `add_config` has to know of a new schema of the loaded configuration; reads its files. Any thread."""
+        replaces = self.state.config == config.name and self.state.schema != config.sha256_source
+        return held_images(config, self.state, self._env.files) if replaces else {}
+
+    def add_config(self, config: Config, images: Mapping[str, str] = MappingProxyType({})) -> None:
+        """Make a configuration known (again). Raises ChangeBusy while it is being changed to.
+
+        `images`: those that a new schema of the loaded one has of what the board holds (`images_of`); what it holds
+        beside that is not offered under this schema.
+        """
         self.check_replaceable(config.name)
         self._env.files.forget(config.name)
         self._state.add_config(config)
-        if self.state.config == config.name and self.state.mode not in config.modes:
-            self._state.update(lambda state: replace(state, mode=None))  # it is in none of the present modes
-        if self.state.config == config.name and not self._worker.busy:
-            self._env.data_plane.resume(config, self.state.mode, self.state.modules)
+        if self.state.config == config.name:
+            self._under_schema(config, images)
+            if not self._worker.busy:
+                self._env.data_plane.resume(self.loaded_config(), self.state.mode, self.state.modules)
         self.reporter.changed()
+
+    def _under_schema(self, config: Config, images: Mapping[str, str]) -> None:
+        notes: list[str] = []
+        if self.state.mode not in config.modes:
+            self._state.update(lambda state: replace(state, mode=None))  # it is in none of the present modes
+        if self.state.schema != config.sha256_source:
+            self._state.update(lambda state: under_schema(state, config, images, notes))
+        if notes:
+            self._forget_windows()
+            self.reporter.set_notice(ErrorInfo("reconciled", "; ".join(notes)))
 
     def forget_config(self, name: str) -> None:
         """Make a configuration unknown. Raises ChangeBusy while it is in use."""

@@ -8,6 +8,7 @@ under way when the manager died. Touches nothing but leftover overlays of a step
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -32,7 +33,7 @@ from cm.manager.state.steps import Place, hertz
 from cm.schema.model import Config, ConfigType, LoaderKind, Module, Region, Register
 
 if TYPE_CHECKING:
-    from cm.manager.interfaces import Devices
+    from cm.manager.interfaces import Devices, Files
 
 _EMPTY = ("power off", "reset")  # states of an fpga_manager whose device holds nothing
 
@@ -47,15 +48,17 @@ class Finding:
 
 
 def reconcile(
-    record: Record | None, configs: Mapping[str, Config], devices: Devices, registers: RegisterBus
+    record: Record | None, configs: Mapping[str, Config], devices: Devices, registers: RegisterBus, files: Files
 ) -> Finding:
     """What the board holds, as far as record and board agree. Raises DeviceError where the board cannot be asked."""
-    finding = _as_it_reads(_compare(record, configs, devices, registers), configs, registers)
+    finding = _as_it_reads(_compare(record, configs, devices, registers, files), configs, registers)
     notes = list(finding.notes)
     return replace(finding, state=_adopted(finding.state, configs, devices, notes), notes=tuple(notes))
 
 
-def _compare(record: Record | None, configs: Mapping[str, Config], devices: Devices, registers: RegisterBus) -> Finding:
+def _compare(
+    record: Record | None, configs: Mapping[str, Config], devices: Devices, registers: RegisterBus, files: Files
+) -> Finding:
     if record is None:
         return Finding(BoardState())
     boot_id = devices.boot_id()
@@ -73,7 +76,10 @@ def _compare(record: Record | None, configs: Mapping[str, Config], devices: Devi
     if state.static_lost:
         notes.append("a load of a full image did not end well; nothing in the device is accessed")
     else:
-        state = _regions(state, configs.get(state.config or ""), record.pending, registers, notes)
+        config = configs.get(state.config or "")
+        state = _regions(state, config, record.pending, registers, notes)
+        if config is not None and config.sha256_source != state.schema:
+            state = under_schema(state, config, held_images(config, state, files), notes)
     if record.pending is not None:
         notes.append(
             f"the change to {record.pending.config}/{record.pending.mode} was cut short at {record.pending.step}"
@@ -250,6 +256,45 @@ def _region(
     return region.after(RegionEvent.LOSE)
 
 
+def held_images(config: Config, state: BoardState, files: Files) -> Mapping[str, str]:
+    """The sha256 of what the regions hold as a configuration has it, by region, and of its whole image by "".
+
+    Left out is what it has no module, or no good file, of.
+    """
+    found: dict[str, str] = {}
+    for name, region in state.regions.items():
+        module = config.modules.get(region.module or "")
+        if module is not None and module.region == name:
+            with suppress(CmError, OSError):
+                found[name] = module.sha256 or files.image(config, module).sha256
+    if config.type is ConfigType.FULL:
+        with suppress(CmError, OSError):
+            found[""] = config.sha256 or files.static_image(config).sha256
+    return found
+
+
+def under_schema(state: BoardState, config: Config, images: Mapping[str, str], notes: list[str]) -> BoardState:
+    """What is known of the board once its configuration has another schema, whose `images` are those given.
+
+    That schema says nothing of other builds, so what holds one is not trusted; without what it is made of, the board
+    is in no configuration, and no register of it is offered.
+    """
+    static = config.type is not ConfigType.FULL or state.static_sha256 == images.get("")
+    other = [n for n, r in state.regions.items() if r.sha256 is not None and not (static and r.sha256 == images.get(n))]
+    whole = static and _used(config, state.mode).isdisjoint(other)
+    if not static:
+        notes.append(f"the device holds another build of {config.name} than its schema names now")
+    for name in other:
+        held = state.region(name)
+        if static:
+            notes.append(f"region {name} holds another build of {held.module} than {config.name} names now")
+        state = state.with_region(name, held.after(RegionEvent.LOSE))
+    if whole:
+        return replace(state, schema=config.sha256_source)
+    notes.append(f"nothing of it is used until it is loaded: cm load {config.name}")
+    return replace(state, config=None, mode=None, values=MappingProxyType({}))
+
+
 def _used(config: Config | None, mode: str | None) -> set[str]:
     """The regions of a mode."""
     found = config.modes.get(mode or "") if config else None
@@ -300,14 +345,16 @@ class Destination:
     static: str | None = None
 
 
-def take_stock(state: ManagerState, devices: Devices, registers: RegisterBus, new_board: bool = False) -> Finding:
+def take_stock(
+    state: ManagerState, devices: Devices, registers: RegisterBus, files: Files, new_board: bool = False
+) -> Finding:
     """Compare record and board, and begin with what both say. Raises DeviceError.
 
     `new_board`: one that was started since is another one, of which nothing is recorded.
     """
     record, lost = state.read_record()
     other = new_board and record is not None and record.boot_id != devices.boot_id()
-    finding = reconcile(None if other else record, state.configs, devices, registers)
+    finding = reconcile(None if other else record, state.configs, devices, registers, files)
     if lost:
         finding = replace(finding, notes=(lost, *finding.notes))
     state.adopt(record, finding.state, devices.boot_id())

@@ -122,6 +122,8 @@ def _stored_or_not(config: str) -> Iterator[None]:
     """What the disk refuses before a configuration stands in its place has changed nothing."""
     try:
         yield
+    except CmError:  # some are an OSError too
+        raise
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             raise NoSpace(

@@ -71,7 +71,7 @@ class Reloader:
     """Reads in another thread and applies in the loop's: everything, or nothing if reading fails.
 
     A configuration that is loaded, or being loaded, keeps the schema that it was loaded with. Its new schema waits
-    until the board holds another configuration.
+    until the board holds another configuration, or until all of it is loaded again by force.
     """
 
     def __init__(self, surroundings: ReloadContext, configs: Mapping[str, Config]) -> None:
@@ -120,7 +120,10 @@ class Reloader:
         self._ours = (self._ours - gone) | found.configs.keys()
         self.continue_waiting()
         for name in sorted(self._waiting):
-            _LOG.warning("configuration %s is in use; its new version takes effect when another is loaded", name)
+            _LOG.warning(
+                "configuration %s is in use; its new version takes effect when another is loaded, or by "
+                "cm load %s --force", name, name,
+            )  # fmt: skip
         for note in found.notes:
             _LOG.warning("%s", note)
         _LOG.info("reloaded; configurations: %s", ", ".join(found.configs) or "none")
@@ -133,8 +136,15 @@ class Reloader:
     def continue_waiting(self) -> None:
         """Apply schemas that wait and whose configuration is no longer in use; called now and then."""
         for name in [name for name in self._waiting if not self._s.manager.in_use(name)]:
-            config = self._waiting.pop(name)
-            if config is None:
-                self._s.manager.forget_config(name)
+            if self._waiting[name] is not None:
+                self.renew(name)
             else:
-                self._s.manager.add_config(self._s.complete(config))
+                del self._waiting[name]
+                self._s.manager.forget_config(name)
+
+    def renew(self, name: str) -> None:
+        """Apply a new schema that waits, though its configuration may be loaded."""
+        config = self._waiting.get(name)
+        if config is not None and not self._s.manager.changing:
+            del self._waiting[name]
+            self._s.manager.add_config(self._s.complete(config))

@@ -371,6 +371,7 @@ class Services:
     board: BoardWatch
     status: Callable[[], Status]
     complete: Callable[[Config], Config]  # adds what only the board knows
+    renew_config: Callable[[str], None]  # applies a new schema that waits for the end of its configuration
     sessions: Sessions
     steps: Steps
     clients: Clients
@@ -492,6 +493,8 @@ class Handlers:
         self._run_job(client, lambda: self._s.manager.plan(change), lambda plan: respond(Reply(plan)), respond)
 
     def _change_mode(self, request: rq.ChangeMode, respond: Respond, began: Began, connection: str) -> None:
+        if request.force:
+            self._s.renew_config(request.config_name)
         respond_at_end = (lambda _: None) if request.no_wait else respond
         change = self._begin(partial(self._s.manager.submit, request), respond_at_end, began, connection)
         if request.no_wait:
@@ -557,15 +560,25 @@ class Handlers:
     def _provision(self, request: rq.Provision, respond: Respond, began: Began, connection: str) -> None:
         self._s.manager.leases.check(("config",), request.lease)
         whose = self._sent.allowed(connection), self._sent.sender(connection)
-        store = partial(self._s.provisioner.store, request.schema, request.files, *whose)
+        store = partial(self._stored, partial(self._s.provisioner.store, request.schema, request.files, *whose))
         client = self._s.clients.of(connection)
         then = partial(self._provisioned, request, respond, began, connection)
         self._run_job(client, store, then, respond)
 
+    def _stored(self, store: Callable[[], Config]) -> tuple[Config, Mapping[str, str]]:
+        config = store()
+        return config, self._s.manager.images_of(config)
+
     def _provisioned(
-        self, request: rq.Provision, respond: Respond, began: Began, connection: str, config: Config
+        self,
+        request: rq.Provision,
+        respond: Respond,
+        began: Began,
+        connection: str,
+        stored: tuple[Config, Mapping[str, str]],
     ) -> None:
-        self._s.manager.add_config(self._s.complete(config))
+        config, images = stored
+        self._s.manager.add_config(self._s.complete(config), images)
         if request.change is None:
             self._read_config(rq.ReadConfig(config.name), respond, self._s.clients.of(connection))
         else:

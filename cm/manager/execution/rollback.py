@@ -172,7 +172,8 @@ class Rollback:
         if same:  # otherwise the rates are those of the image that is there now
             problems += self._rates_again(failure.rates)
         mode = before.mode if self._holds_as_before() else None
-        self._state.update(lambda state: replace(state, config=before.config if same else None, mode=mode))
+        config = before.config if same else None
+        self._state.update(lambda state: replace(state, config=config, mode=mode, schema=before.schema))
         try:
             self._state.record(None)
         except RecordFailed as error:

@@ -408,7 +408,7 @@ def _entered(state: BoardState, goal: Goal, written: dict[str, int]) -> BoardSta
     """In another configuration the same names are other registers: only values that this change wrote are known."""
     if state.config != goal.config.name:
         state = replace(state, values=MappingProxyType(dict(written)))
-    return replace(state, config=goal.config.name, mode=goal.mode)
+    return replace(state, config=goal.config.name, mode=goal.mode, schema=goal.config.sha256_source)
 
 
 def set_clock(run: StepContext, step: s.SetClock) -> None:

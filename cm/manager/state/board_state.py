@@ -124,6 +124,7 @@ class BoardState:
 
     config: str | None = None
     mode: str | None = None
+    schema: str = ""  # the sha256 of the text by which that configuration was loaded
     static_sha256: str | None = None  # of a full image that this manager loaded; None: what was there at boot
     static_config: str | None = None  # the configuration of that image
     static_lost: bool = False  # a load of a full image began and did not end well

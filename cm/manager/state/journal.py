@@ -41,7 +41,7 @@ _MARGIN = 20.0  # a load may take this many times what is expected before it cou
 _GRACE = 2.0  # seconds that any load may take
 _RECENT = 5  # measurements of a kind that count
 
-_VERSION = 2
+_VERSION = 3
 _T = TypeVar("_T")
 _json = json.JSONEncoder(separators=(",", ":")).encode
 
@@ -172,7 +172,7 @@ class Texts:
         """An object."""
         s = r.state
         static = s.static_sha256, s.static_config, s.static_lost
-        begin = self._begin.of(r.boot_id, r.number, s.config, s.mode, *static, s.regions, s.overlays)
+        begin = self._begin.of(r.boot_id, r.number, s.config, s.mode, s.schema, *static, s.regions, s.overlays)
         values = self._values.of(s.values, s.clocks)
         pending, back = "null", ""
         if r.pending is not None:
@@ -205,6 +205,7 @@ def _begin(
     number: int,
     config: str | None,
     mode: str | None,
+    schema: str,
     static_sha256: str | None,
     static_config: str | None,
     static_lost: bool,
@@ -214,6 +215,7 @@ def _begin(
     state = {
         "config": config,
         "mode": mode,
+        "schema": schema,
         "static": [static_sha256, static_config, static_lost],
         "regions": {n: [x.phase.value, x.module, x.sha256] for n, x in regions.items()},
         "overlays": [[o.name, o.sha256] for o in overlays],
@@ -281,14 +283,11 @@ def _understood(body: bytes) -> Record:
 
 
 def _pending_from_plain(plain: Mapping[str, Any]) -> Pending:
-    return Pending(**{**plain, "found": tuple((int(a), int(w), int(v)) for a, w, v in plain.get("found", ()))})
+    return Pending(**{**plain, "found": tuple((int(a), int(w), int(v)) for a, w, v in plain["found"])})
 
 
 def _from_plain(plain: Mapping[str, Any]) -> Record:
-    """Raises ValueError, KeyError, TypeError, IndexError or AttributeError for what is not of this version.
-
-    "seconds", "clocks" and what is pending beyond its step came later; what an older program wrote has none.
-    """
+    """Raises ValueError, KeyError, TypeError, IndexError or AttributeError for what is not of this version."""
     if plain["version"] != _VERSION:
         raise ValueError(plain["version"])
     state = plain["state"]
@@ -299,6 +298,7 @@ def _from_plain(plain: Mapping[str, Any]) -> Record:
         state=BoardState(
             config=state["config"],
             mode=state["mode"],
+            schema=state["schema"],
             static_sha256=state["static"][0],
             static_config=state["static"][1],
             static_lost=state["static"][2],
@@ -307,20 +307,15 @@ def _from_plain(plain: Mapping[str, Any]) -> Record:
             ),
             overlays=tuple(OverlayState(n, h) for n, h in state["overlays"]),
             values=MappingProxyType(dict(state["values"])),
-            clocks=MappingProxyType(dict(state.get("clocks", {}))),
+            clocks=MappingProxyType(dict(state["clocks"])),
         ),
         pending=None if plain["pending"] is None else _pending_from_plain(plain["pending"]),
         throughput=Throughput(
-            MappingProxyType({LoaderKind(k): _several(v) for k, v in plain["throughput"].items()}),
-            MappingProxyType({str(k): _several(v) for k, v in plain.get("seconds", {}).items()}),
+            MappingProxyType({LoaderKind(k): tuple(map(float, v)) for k, v in plain["throughput"].items()}),
+            MappingProxyType({str(k): tuple(map(float, v)) for k, v in plain["seconds"].items()}),
         ),
         way_back=None if back is None else WayBack(back[0], _pending_from_plain(back[1])),
     )
-
-
-def _several(plain: float | list[float]) -> tuple[float, ...]:
-    """Measurements; older programs wrote their mean."""
-    return tuple(map(float, plain)) if isinstance(plain, list) else (float(plain),)
 
 
 __all__ = ["Journal", "Pending", "Record"]

@@ -6,7 +6,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
-import json
 import os
 import zlib
 from collections.abc import Iterator
@@ -18,7 +17,7 @@ import pytest
 
 from cm.manager.errors import StateInUse, StoreCorrupt
 from cm.manager.state.board_state import BoardState, OverlayState, RegionPhase, RegionState
-from cm.manager.state.journal import LENGTH, Journal, Pending, Record, Texts, Throughput, WayBack, encode, newest
+from cm.manager.state.journal import LENGTH, Journal, Pending, Record, Throughput, WayBack
 from cm.schema.model import LoaderKind, Region
 
 FULL = Record(
@@ -26,6 +25,7 @@ FULL = Record(
     BoardState(
         config="camera",
         mode="edge",
+        schema="12",
         static_sha256="ab",
         static_config="whole",
         regions=MappingProxyType({"prr0": RegionState(RegionPhase.READY, "edge", "cd"), "prr1": RegionState()}),
@@ -165,22 +165,6 @@ def test_a_second_manager_with_the_same_state_folder_is_refused(journal: Journal
     again = Journal(tmp_path)
     assert again.read() == FULL
     again.close()
-
-
-def test_what_an_older_program_wrote_without_seconds_is_read(journal: Journal) -> None:
-    journal.write(FULL)
-    plain = json.loads(encode(FULL, Texts()).split(b" ", 1)[1])
-    assert plain.pop("seconds") == {"load": [0.5]}
-    assert plain["state"].pop("clocks") == {"fclk0": 99_999_999}
-    for later in ("held", "values", "found", "rates"):
-        plain["pending"].pop(later)
-    plain["throughput"] = {"icap": 123.5}  # a mean
-    body = json.dumps(plain).encode()
-    record = newest(b"\n%08x %b\n" % (zlib.crc32(body), body))
-    measured = Throughput(MappingProxyType({LoaderKind.ICAP: (123.5,)}))
-    cut = Pending(7, "camera", "default", "camera", "edge", "load", "prr0", "base", "whole")
-    state = replace(FULL.state, clocks=MappingProxyType({}))
-    assert record == replace(FULL, throughput=measured, state=state, pending=cut)
 
 
 def test_one_disturbed_measurement_does_not_change_the_estimate() -> None:

@@ -422,7 +422,10 @@ def test_a_long_schema_is_read_without_a_search_for_garbage_in_all_that_there_is
 def test_a_full_disk_changes_nothing(small_disk: Path) -> None:
     provisioner = Provisioner(small_disk / "configs")
     provisioner.store(SCHEMA, FILES, sender=ANNA)
-    with pytest.raises(NoSpace, match=r"^configuration 'sent': no room on the manager.s disk \(.*one\.bit: No space.*\); nothing has changed$"):
+    with pytest.raises(
+        NoSpace,
+        match=r"^configuration 'sent': no room on the manager.s disk \(.*one\.bit: No space.*\); nothing has changed$",
+    ):
         provisioner.store(SCHEMA, (File("one.bit", bytes(4 << 20)),), sender=ANNA)
     assert content(provisioner)["one.bit"] == b"1"
     assert [p.name for p in (small_disk / "configs").iterdir()] == ["sent"]

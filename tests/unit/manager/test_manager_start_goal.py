@@ -32,6 +32,8 @@ from cm.schema import loads
 from cm.schema.model import Config
 from cm.wire.messages.requests import ChangeMode
 
+FILES: Any = SimpleNamespace()  # of which nothing is asked: schemas here have no text of their own
+
 
 def config(name: str, kind: str) -> Config:
     return loads(f"config:\n  name: {name}\n  type: {kind}\n  modes: {{one: {{}}, two: {{}}}}\n")
@@ -148,6 +150,7 @@ HELD = {"left": RegionState(READY, "fir", "f1"), "right": RegionState(READY, "ff
 BOTH = BoardState(
     "lab",
     "both",
+    LAB.sha256_source,
     regions=HELD,
     overlays=(OverlayState("base", "b"), OverlayState("extra", "e")),
     values=MappingProxyType({"led": 5, "gain": 7, "tone": 0}),
@@ -204,7 +207,7 @@ class Board:
 
 def found(state: BoardState, cut: Pending | None = None, **there: Any) -> tuple[Finding, Board]:
     board: Any = Board(**there)
-    return reconcile(Record("boot", state, cut), {"lab": LAB}, board, RegisterBus(board)), board
+    return reconcile(Record("boot", state, cut), {"lab": LAB}, board, RegisterBus(board), FILES), board
 
 
 def lost(*names: str) -> dict[str, RegionState]:
@@ -284,7 +287,7 @@ def test_what_is_recorded_is_kept_as_far_as_the_board_agrees(
 def test_a_whole_image_that_the_kernel_says_went_wrong_leaves_nothing_to_trust() -> None:
     board: Any = Board(said="write error")
     record = Record("boot", replace(BOTH, static_sha256="w", static_config="whole"))
-    finding = reconcile(record, {"lab": LAB, "whole": FULL}, board, RegisterBus(board))
+    finding = reconcile(record, {"lab": LAB, "whole": FULL}, board, RegisterBus(board), FILES)
     assert finding.state == slept(record.state)
     assert finding.notes == (
         "the fpga_manager says 'write error', so what whole loaded is not trusted",
@@ -294,7 +297,7 @@ def test_a_whole_image_that_the_kernel_says_went_wrong_leaves_nothing_to_trust()
 
 def test_overlays_that_only_a_lost_record_knew_are_taken_for_ours() -> None:
     board: Any = Board(overlays=["theirs", "extra", "cm-left"])
-    finding = reconcile(None, {"lab": LAB}, board, RegisterBus(board))
+    finding = reconcile(None, {"lab": LAB}, board, RegisterBus(board), FILES)
     assert finding.state == BoardState(overlays=(OverlayState("extra", ""), OverlayState("cm-left", "")))
     assert finding.notes == (
         "overlay extra is applied, but not recorded; the next change removes it",

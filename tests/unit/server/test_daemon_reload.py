@@ -105,8 +105,10 @@ def test_a_loaded_configuration_keeps_its_schema_until_it_is_unloaded(
     until(lambda: "reloaded; configurations: other" in caplog.messages)
     told = [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
     assert told == [
-        "configuration camera is in use; its new version takes effect when another is loaded", "listen takes a restart",
-    ]  # fmt: skip
+        "configuration camera is in use; its new version takes effect when another is loaded, or by "
+        "cm load camera --force",
+        "listen takes a restart",
+    ]
     served.load("edge_detection")
     served.done(ChangeMode("other", "default"))
     until(lambda: names(served) == {"other"})
@@ -124,6 +126,19 @@ def test_a_changed_schema_of_the_loaded_configuration_applies_once_it_is_unloade
     served.done(ChangeMode("other", "default"))
     until(lambda: served.ask(rq.PlanChange("camera", "colorise")).error is not None)
     assert served.refused(ChangeMode("camera", "colorise"))[0] == "unknown_mode"
+
+
+def test_a_changed_schema_of_the_loaded_configuration_applies_at_once_to_a_forced_load(
+    served: Daemon, source: Source, reload: Any
+) -> None:
+    """The way out where its bitstreams were built anew: what the old schema says of them is not true any more."""
+    served.load("default")
+    fewer = {name: mode for name, mode in source.camera.modes.items() if name != "colorise"}
+    reload(Reloaded({"camera": source.named("camera", modes=fewer), "other": source.named("other")}, ACCESS))
+    until(lambda: "other" in names(served))
+    served.done(ChangeMode("camera", "default", force=True))
+    assert served.refused(ChangeMode("camera", "colorise"))[0] == "unknown_mode"
+    served.load("edge_detection")
 
 
 def test_a_folder_with_a_damaged_schema_removes_no_configuration(served: Daemon, source: Source, reload: Any) -> None:

@@ -167,7 +167,7 @@ def test_a_full_disk_is_told_and_leaves_nothing_that_counts(
 
     before = descriptors()
     monkeypatch.setattr(uploads.mmap if call == "mmap" else os, call, full)
-    with pytest.raises(UploadFailed, match="upload 'a'( in .*)?: No space left on device"):
+    with pytest.raises(UploadFailed, match=r"upload 'a'( in .*)?: No space left on device"):
         used(kept, one)
     monkeypatch.undo()
     assert one.upload_bytes == left
