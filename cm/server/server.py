@@ -100,11 +100,11 @@ class Server:
         self._leases = LeaseWatch(self._loop, leases)
         self._memories = MemoryTransfers(self._steps, self._manager.memories)
         self._board = BoardWatch(self._devices.boot_id, self._manager, self._streams, self._interrupts, self._autoload)
+        self._service = ServiceManager()
         self._reloader = self._make_reloader()
         self._dispatcher = self._make_dispatcher()
         self._metrics: Metrics | None = None
         self._sensors = SensorWatch(options.root, self._publisher.measured)
-        self._service = ServiceManager()
 
     def _configs(self) -> dict[str, Config]:
         self._provisioner.recover()
