@@ -11,7 +11,7 @@ from pathlib import Path
 
 from cm.design.errors import BuildError
 from cm.design.hdl.errors import ModuleNotFound
-from cm.design.hdl.extract import Sources, read, roots
+from cm.design.hdl.extract import Sources, read
 from cm.design.hdl.flat_wrappers import needs_wrapper
 from cm.design.hdl.flatten import flatten
 from cm.design.hdl.ipxact import load_component_xml, load_xci
@@ -70,27 +70,8 @@ def read_inputs(
 
 
 def _of_hdl(wanted: Sources, every: bool) -> tuple[list[Given], Sequence[Problem]]:
-    reading = read(wanted)
-    folders = list(dict.fromkeys(path.parent for path in wanted.files))
-    if (
-        reading.twice and len(folders) > 1 and not every
-    ):  # exports of one tool, each with its own copy of what they share
-        return _by_folder(wanted, folders), reading.problems
-    modules = reading.modules if wanted.top or every else roots(reading.modules)
-    return [Given(info, reading.files[info.name]) for info in modules], reading.problems
-
-
-def _by_folder(wanted: Sources, folders: Sequence[Path]) -> list[Given]:
-    """The modules of each folder with its own files first; those that another folder's module instantiates are none."""
-    found: dict[str, Given] = {}
-    below: set[str] = set()
-    for folder in folders:
-        reading = read(replace(wanted, files=sorted(wanted.files, key=lambda path: path.parent != folder)))
-        for info in reading.modules if wanted.top else roots(reading.modules):
-            if Path(info.file).parent == folder:
-                found.setdefault(info.name, Given(info, reading.files[info.name]))
-        below |= {name for info in reading.modules for name in info.instantiates}
-    return [given for name, given in found.items() if name not in below or wanted.top]
+    reading = read(wanted, roots=not every)
+    return [Given(info, reading.files[info.name]) for info in reading.modules], reading.problems
 
 
 def _of_core(path: Path, top: str | None, cores: Sequence[Path]) -> list[Given]:
@@ -101,9 +82,6 @@ def _of_core(path: Path, top: str | None, cores: Sequence[Path]) -> list[Given]:
     held = Sources(listed.sources, None, listed.include_dirs, listed.defines, parameters, libraries=listed.libraries)
     if not held.paths:
         raise BuildError(f"{path}: target default has no Verilog or VHDL")
-    known = read(held).modules
     own = {str(file) for file in listed.own}
-    wanted = top or listed.top
-    mine = [info for info in roots(known) if info.file in own]
-    chosen = [info for info in known if info.name == wanted] if wanted else mine
-    return [Given(info, origin=path) for info in chosen]
+    found = read(replace(held, top=top or listed.top), roots=True).modules
+    return [Given(info, origin=path) for info in found if held.top or info.file in own]

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 
 from cm.design.hdl.model import Mode, Polarity, Port, PortDirection
 from cm.frozen import replace
@@ -41,9 +42,10 @@ _INT = re.compile(r"int\d*")
 _NOT_INTERRUPT = _words("en enable mask clr clear ack pending status id num sel vector")
 
 
-def words(name: str) -> list[str]:
+@lru_cache(maxsize=1024)
+def words(name: str) -> tuple[str, ...]:
     """Split a name into words, in lower case: "S_AXI_ACLK" and "sAxiAclk" have three."""
-    return [word for word in _CAMEL.sub("_", name).lower().split("_") if word]
+    return tuple(word for word in _CAMEL.sub("_", name).lower().split("_") if word)
 
 
 def is_clock(port: Port) -> bool:
@@ -90,7 +92,7 @@ def interrupt_mode(port: Port) -> Mode | None:
     return {PortDirection.OUT: Mode.MASTER, PortDirection.IN: Mode.SLAVE}.get(port.direction)
 
 
-def _says_interrupt(found: list[str]) -> bool:
+def _says_interrupt(found: Sequence[str]) -> bool:
     """`int` is short for many things: it counts only as the last word."""
     last = next((word for word in reversed(found) if word not in _IO_WORDS and not word.isdigit()), "")
     return any(_INTERRUPT.fullmatch(word) for word in found) or bool(_INT.fullmatch(last))

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import codecs
 import re
+from collections import ChainMap
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -64,18 +65,21 @@ class Reading:
 
     `outside`: what the modules instantiate, at any depth, that no file declares (known for Verilog only); `files`:
     by module, its file, those of what it instantiates, and those of their languages without a module, such as packages
-    and macros, in order; `twice`: whether several files declare one module.
+    and macros, in order.
     """
 
     modules: tuple[ModuleInfo, ...]
     problems: tuple[Problem, ...]
     outside: tuple[str, ...]
     files: Mapping[str, tuple[Path, ...]]
-    twice: bool
 
 
-def read(wanted: Sources, generated: Mapping[Path, str] = _NO_FILES) -> Reading:
+def read(wanted: Sources, generated: Mapping[Path, str] = _NO_FILES, *, roots: bool = False) -> Reading:
     """Return the modules in the order of the files, with their interfaces; `generated`: text of files not yet written.
+
+    `roots`: without a top, only the modules that no other one instantiates; all where each is instantiated. Several
+    folders may declare one module (exports of one tool, each with its own copy of what they share): each module sees
+    the units of its own folder before those of others.
 
     Raises `HdlError` for files that cannot be read or hold no module, `ModuleNotFound` for `top`,
     `ParserMissing` if a parser is not installed. A module's `problems` say what is wrong inside it.
@@ -87,19 +91,12 @@ def read(wanted: Sources, generated: Mapping[Path, str] = _NO_FILES) -> Reading:
         files.add(path, _read_text(path))
     for path, text in generated.items():
         files.add(path, text)
-    files.check(wanted.top)
-    found = files.evaluate(wanted.top, wanted.parameters)
+    found = files.evaluate(files.chosen(wanted.top, roots), wanted.parameters)
     modules = [detect(module, wanted.protocols, wanted.stated) for module in found]
     _check_parameters(modules, wanted.parameters)
     names = [module.name for module in modules]
     problems = (*files.problems, *files.hollow(names))
-    return Reading(tuple(modules), problems, files.outside(names), {n: files.needs(n) for n in names}, files.twice)
-
-
-def roots(modules: Sequence[ModuleInfo]) -> list[ModuleInfo]:
-    """Return the modules that no other of them instantiates; all of them if each is instantiated by another."""
-    used = {name.lower() for module in modules for name in module.instantiates if name.lower() != module.name.lower()}
-    return [module for module in modules if module.name.lower() not in used] or list(modules)
+    return Reading(tuple(modules), problems, files.outside(names), {n: files.needs(n) for n in names})
 
 
 class _Files:
@@ -111,17 +108,18 @@ class _Files:
         self._verilog: VerilogReader | None = None
         self._vhdl: VhdlReader | None = None
         self._found: dict[str, tuple[Language, Path]] = {}
+        self._homes: dict[str, dict[Path, Path]] = {}  # by name in lower case: folder → file, the first one first
         self._below: dict[str, tuple[str, ...]] = {}
         self._vhdl_below: dict[str, tuple[str, ...]] = {}  # searched, not parsed: too vague to report one as missing
-        self._optional: set[Path] = set()  # needed only by those that instantiate their modules
-        self._paths: list[Path] = []
+        self._instantiated: set[str] = set()  # in lower case, by another module, of whichever file
+        self._shared: dict[bool, set[Path]] = {}  # by whether they are VHDL: files without modules, or with interfaces
+        self._paths: dict[Path, int] = {}  # and their places in the order
         self._errors: dict[Path, tuple[Problem, ...]] = {}  # of files with modules
         self._hollow: dict[str, Problem] = {}
         self.problems: list[Problem] = []
-        self.twice = False
 
     def add(self, path: Path, text: str) -> None:
-        self._paths.append(path)
+        self._paths.setdefault(path, len(self._paths))
         if _ENCRYPTED.search(text):
             what = "parts of this file are encrypted (`protect) and cannot be read: a component.xml describes more"
             self.problems.append(Problem(what, str(path)))
@@ -129,14 +127,19 @@ class _Files:
             self._vhdl = self._vhdl or VhdlReader()
             entities = self._vhdl.parse(path, text)
             self._register([(entity.name, ()) for entity in entities], Language.VHDL, path)
-            self._vhdl_below |= {entity.name.lower(): entity.instantiates for entity in entities}
+            for entity in entities:
+                self._vhdl_below.setdefault(entity.name.lower(), entity.instantiates)
+                self._use(entity.name, entity.instantiates)
+            if not entities:
+                self._shared.setdefault(True, set()).add(path)
             if not entities and "package" not in text.lower():
                 self.problems.append(Problem("no entity in this file", str(path)))
             return
         self._verilog = self._verilog or VerilogReader(self._include_dirs, self._defines)
         tree = self._verilog.parse(path, text)
         self._register(tree.modules, tree.language, path)
-        self._optional -= {path} if tree.interfaces else set()
+        if tree.interfaces or not tree.modules:
+            self._shared.setdefault(False, set()).add(path)
         self._below |= {name.lower(): () for name in tree.interfaces}
         for name, line in tree.hollow:
             what = "nothing drives its outputs: a black box is 0 in simulation, and empty unless vendor IP fills it"
@@ -148,15 +151,18 @@ class _Files:
 
     def _register(self, units: Iterable[tuple[str, tuple[str, ...]]], language: Language, path: Path) -> None:
         for name, below in units:
-            self._optional.add(path)
+            self._use(name, below)
+            self._homes.setdefault(name.lower(), {}).setdefault(path.parent, path)
             if name in self._found:
-                self.twice = True
                 first = self._found[name][1]
                 text = f"module {name} is declared in {first} too: the first one is taken here, synthesis may take this"
                 self.problems.append(Problem(text, str(path)))
             else:
                 self._found[name] = (language, path)
                 self._below[name.lower()] = below
+
+    def _use(self, name: str, below: Iterable[str]) -> None:
+        self._instantiated |= {other.lower() for other in below} - {name.lower()}
 
     def hollow(self, modules: Sequence[str]) -> list[Problem]:
         """What `modules` instantiate, at any depth, and that has nothing inside."""
@@ -168,12 +174,16 @@ class _Files:
         return tuple(sorted(self._reached(modules)[1].values()))
 
     def needs(self, module: str) -> tuple[Path, ...]:
-        """The files that synthesis of `module` needs."""
-        reached = self._reached([module], self._below | self._vhdl_below)[0]
-        homes = {path for name, (_, path) in self._found.items() if name.lower() in reached}
-        vhdl = {_is_vhdl(path) for path in homes}
-        shared = {path for path in self._paths if path not in self._optional and _is_vhdl(path) in vhdl}
-        return tuple(path for path in self._paths if path in homes | shared)
+        """The files that synthesis of `module` needs; of several that declare one module, that in its own folder."""
+        own = self._found[module][1].parent
+        reached = self._reached([module], ChainMap(self._below, self._vhdl_below))[0]
+        homes = {
+            self._homes[name].get(own) or next(iter(self._homes[name].values()))
+            for name in reached
+            if name in self._homes
+        }
+        shared = (self._shared.get(kind, ()) for kind in {_is_vhdl(path) for path in homes})
+        return tuple(sorted(homes.union(*shared), key=self._paths.__getitem__))
 
     def _reached(
         self, modules: Iterable[str], below: Mapping[str, tuple[str, ...]] | None = None
@@ -194,12 +204,18 @@ class _Files:
                 found[name.lower()] = name
         return seen, found
 
-    def check(self, top: str | None) -> None:
+    def chosen(self, top: str | None, roots: bool) -> list[str]:
+        """`top`, or all modules, or all `roots`. Raises `HdlError` where there are none."""
         if not self._found:
             detail = "; ".join(str(problem) for problem in self.problems[:3])
             raise HdlError(f"no module and no entity in {_few(self._paths)}{': ' + detail if detail else ''}")
-        if top is not None and self._name(top) is None:
+        if top is None:
+            free = [name for name in self._found if name.lower() not in self._instantiated] if roots else []
+            return free or list(self._found)
+        name = self._name(top)
+        if name is None:
             raise ModuleNotFound(f"no module {top} in {_few(self._paths)}; there are: {_few(self._found)}")
+        return [name]
 
     def _name(self, top: str) -> str | None:
         """Find a module's name: Verilog's exactly, VHDL's regardless of case."""
@@ -208,8 +224,7 @@ class _Files:
         vhdl = [name for name, (language, _) in self._found.items() if language is Language.VHDL]
         return next((name for name in vhdl if name.lower() == top.lower()), None)
 
-    def evaluate(self, top: str | None, parameters: Mapping[str, str]) -> list[ModuleInfo]:
-        wanted = list(self._found) if top is None else [self._name(top) or top]
+    def evaluate(self, wanted: Sequence[str], parameters: Mapping[str, str]) -> list[ModuleInfo]:
         vhdl = [name for name in wanted if self._found[name][0] is Language.VHDL]
         verilog = [name for name in wanted if self._found[name][0] is not Language.VHDL]
         below = self.needs(verilog[0]) if len(verilog) == 1 else ()

@@ -61,6 +61,7 @@ class Tree:
     errors: tuple[Problem, ...]
     modules: tuple[tuple[str, tuple[str, ...]], ...]  # name, and the names of the modules that it instantiates
     interfaces: tuple[str, ...]
+    packages: tuple[str, ...]
     hollow: tuple[tuple[str, int], ...]  # modules with outputs and nothing inside, and their lines
 
 
@@ -105,16 +106,19 @@ class VerilogReader:
 
     def parse(self, path: Path, text: str) -> Tree:
         """Parse one file and keep it for `read`."""
-        # A file of macros among the sources applies to the files after it, as in Vivado's compilation order.
-        before = "".join(f'`include "{_utf8(header.resolve())}" ' for header in self._headers)
+        # A file of macros among the sources applies to the files after it, as in Vivado's compilation order; of several
+        # of one name, that of the file's own folder.
+        known = {header.name: header for header in self._headers if header.parent == path.parent}
+        headers = [header for header in self._headers if known.get(header.name, header) == header]
+        before = "".join(f'`include "{_utf8(header)}" ' for header in headers)
         # so does a default_nettype that a file leaves set
         before += "`default_nettype none " if self._untyped else ""
-        kinds = _NETTYPE.findall(_COMMENTS.sub(" ", text))
+        kinds = _NETTYPE.findall(_COMMENTS.sub(" ", text)) if "`default_nettype" in text else []
         self._untyped = kinds[-1] == "none" if kinds else self._untyped
         tree = self._parse(path, before + text)
         self._trees.append(tree)
         if not tree.modules and "`define" in text:
-            self._headers.append(path)
+            self._headers.append(path.resolve())
         return tree
 
     def _parse(self, path: Path, text: str) -> Tree:
@@ -152,16 +156,17 @@ class VerilogReader:
             problems,
             modules=tuple((name, tuple(dict.fromkeys(_instances(d.members)))) for name, d in modules),
             interfaces=tuple(name for name, d in names.items() if d.kind.name == "InterfaceDeclaration"),
+            packages=tuple(d.header.name.valueText for d in declared if d.kind.name == "PackageDeclaration"),
             hollow=tuple((n, self._sources.getLineNumber(d.header.name.location)) for n, d in modules if _hollow(d)),
         )
 
     def _problems(self, path: Path, syntax: Any) -> Iterator[Problem]:
         # those of the files that `parse` puts before this one have been reported with themselves
-        known = {header.resolve() for header in self._headers if header != path}
+        known = set(self._headers)
         for diagnostic in syntax.diagnostics:
             said, own = self._file(diagnostic)
             file = path if own else said  # which it includes
-            if diagnostic.isError() and file not in known:
+            if diagnostic.isError() and (own or file not in known):
                 line = self._sources.getLineNumber(diagnostic.location)
                 yield Problem(self._message(diagnostic), str(file), line, breaks=True)
 
@@ -187,16 +192,38 @@ class VerilogReader:
         if not wanted:
             return []
         given = {name: expression(value) for name, value in parameters.items()}
-        compilation = self._compile(wanted, given)
-        found = self._semantic(compilation, below)
-        owners = {name: (tree, below) for tree in reversed(self._trees) for name, below in tree.modules}
-        return [
-            read_instance(
-                compilation, self._sources, instance, tree.path, tree.language, (*tree.errors, *found), below, given
-            )
-            for instance in compilation.getRoot().topInstances
-            for tree, below in [owners[instance.name]]
-        ]
+        owners = {name: (tree, inside) for tree in reversed(self._trees) for name, inside in tree.modules}
+        modules: list[ModuleInfo] = []
+        for trees, some in self._groups({name: owners[name][0].path.parent for name in wanted}):
+            compilation = self._compile(some, given, trees)
+            found = self._semantic(compilation, below)
+            for instance in compilation.getRoot().topInstances:
+                tree, inside = owners[instance.name]
+                errors = (*tree.errors, *found)
+                read = (compilation, self._sources, instance, tree.path, tree.language, errors, inside, given)
+                modules.append(read_instance(*read))
+        return modules
+
+    def _groups(self, homes: Mapping[str, Path]) -> Iterator[tuple[Sequence[Tree], set[str]]]:
+        """Trees to compile, and the modules of `homes`, by name, to evaluate with them.
+
+        Those of a folder that has packages or interfaces which another one has too see their own.
+        """
+        folders: dict[str, set[Path]] = {}
+        for tree in self._trees:
+            for unit in (*tree.interfaces, *tree.packages):
+                folders.setdefault(unit, set()).add(tree.path.parent)
+        own = {folder for found in folders.values() if len(found) > 1 for folder in found}
+        groups: dict[Path | None, set[str]] = {}
+        for name, folder in homes.items():
+            groups.setdefault(folder if folder in own else None, set()).add(name)
+        for first, names in groups.items():
+            others = [tree for tree in self._trees if tree.path.parent != first]
+            if first is None:
+                yield self._trees, names
+            else:
+                mine = [tree for tree in self._trees if tree.path.parent == first]
+                yield [*mine, *(tree for tree in others if tree.interfaces or tree.packages)], names
 
     def _semantic(self, compilation: Any, paths: Iterable[Path]) -> tuple[Problem, ...]:
         """Errors in these files that stop synthesis, once for each place."""
@@ -215,14 +242,14 @@ class VerilogReader:
 
     def elaborate(self, name: str, parameters: Mapping[str, str]) -> Any:
         """slang's body of a module as a top, with `parameters` as expressions. Raises `HdlError`."""
-        compilation = self._compile({name}, parameters)
+        compilation = self._compile({name}, parameters, self._trees)
         self._kept.append(compilation)  # what it returns does not keep it alive
         for instance in compilation.getRoot().topInstances:
             if instance.name == name:
                 return instance.body
         raise HdlError(f"module {name} could not be elaborated")
 
-    def _compile(self, names: set[str], parameters: Mapping[str, str]) -> Any:
+    def _compile(self, names: set[str], parameters: Mapping[str, str], trees: Sequence[Tree]) -> Any:
         ast = self._slang.ast
         options = ast.CompilationOptions()
         flags = sum(int(getattr(ast.CompilationFlags, flag)) for flag in _FLAGS)
@@ -230,7 +257,7 @@ class VerilogReader:
         options.topModules = names
         options.paramOverrides = [f"{name}={value}" for name, value in parameters.items()]
         compilation = ast.Compilation(self._slang.Bag([options]))
-        for tree in self._trees:
+        for tree in trees:
             compilation.addSyntaxTree(tree.syntax)
         return compilation
 

@@ -38,6 +38,7 @@ CASES = (
     ),
     Case("sync", ("frame_sync",)),
     Case("advisor", ("advisor",)),
+    Case("build", ("build_interfaces_81", "build_interfaces_1000", "build_check", "build_generate")),
     Case("rtl", ("rtl_frames", "rtl_frames_wide", "rtl_registers")),
     Case("ros2", ("ros2_publish", "ros2_trip")),
     Case("fleet", ("fleet_discovery", "fleet_status", "fleet_change", "fleet_model")),

@@ -18,6 +18,8 @@ from hdl_support import DATA, extract, lite, module, ports, stream
 from cm.design.hdl.errors import HdlError, ParserMissing
 from cm.design.hdl.extract import Sources, read
 from cm.design.hdl.model import FoundBy, Language, Mode, Polarity, PortDirection
+from cm.design.hdl.verilog import VerilogReader
+from cm.design.input_kinds import read_inputs
 
 
 def test_a_nettype_that_a_file_leaves_behind_counts_for_those_after_it(tmp_path: Path) -> None:
@@ -438,3 +440,45 @@ def test_a_verilog_header_among_the_sources_leaves_systemverilog_its_keywords(tm
     (tmp_path / "a.sv").write_text("module a (input logic clk, output logic [sizes::HIGH:0] o);\nendmodule\n")
     (found,) = extract([tmp_path.resolve() / name for name in ("width.vh", "sizes.sv", "a.sv")])
     assert (found.problems, found.port("o").width) == ((), 16)
+
+
+def folders_of_exports(path: Path, count: int) -> list[Path]:
+    """Folders with a top each, and a unit, a package and macros of one name, but of other widths."""
+    files = []
+    for number in range(count):
+        folder = path / f"export{number}"
+        folder.mkdir(parents=True)
+        (folder / "defs.v").write_text(f"`define BITS {number + 1}\n")
+        (folder / "types.sv").write_text(f"package types; localparam WIDTH = {number + 1}; endpackage\n")
+        (folder / "unit.v").write_text("module unit (input clk); endmodule\n")
+        top = f"module top{number} (input [types::WIDTH-1:0] a, input [`BITS-1:0] b); unit u (); endmodule\n"
+        (folder / "top.sv").write_text(top)
+        files += [folder / name for name in ("defs.v", "types.sv", "unit.v", "top.sv")]
+    return files
+
+
+def test_each_module_of_many_folders_sees_the_files_of_its_own_folder_first(tmp_path: Path) -> None:
+    files = folders_of_exports(tmp_path, 3)
+    found = read(Sources(files), roots=True)
+    assert [(m.name, m.port("a").width, m.port("b").width) for m in found.modules] == [
+        ("top0", 1, 1),
+        ("top1", 2, 2),
+        ("top2", 3, 3),
+    ]
+    assert [path for path in found.files["top1"] if path.name == "unit.v"] == [tmp_path / "export1" / "unit.v"]
+
+
+def test_each_file_is_parsed_once_however_many_folders_there_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parsed: list[Path] = []
+    once = VerilogReader._tree
+
+    def counted(reader: VerilogReader, path: Path, *args: Any) -> Any:
+        parsed.append(path)
+        return once(reader, path, *args)
+
+    monkeypatch.setattr(VerilogReader, "_tree", counted)
+    files = folders_of_exports(tmp_path, 20)
+    assert [one.info.name for one in read_inputs(Sources(files))[0]] == [f"top{number}" for number in range(20)]
+    assert parsed == files
