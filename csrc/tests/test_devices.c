@@ -53,7 +53,7 @@ static void a_uio_device_is_found_whether_or_not_the_kernel_adds_the_address_to_
 	struct cm_uio_info info;
 
 	make_uio(root, 0, "filter@43c00000\n", "0x43c00000\n", "0x1000\n"); /* Linux 6.12 */
-	make_uio(root, 1, "mixer\n", "0x43c10000\n", "0x1000\n"); /* Linux 6.1 */
+	make_uio(root, 1, "mixer\n", "0x43c10000\n", "0x1000\n");	    /* Linux 6.1 */
 	CHECK(!cm_uio_find_name(root, "filter", &info) && info.number == 0);
 	CHECK(!cm_uio_find_name(root, "filter@43c00000", &info) && info.number == 0);
 	CHECK(!cm_uio_find_name(root, "mixer@43c10000", &info) && info.number == 1);
