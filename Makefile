@@ -26,7 +26,7 @@ ROUNDS ?= 8
 STOPPED ?= 4
 
 .DEFAULT_GOAL := help
-.PHONY: help help-all setup docs web-picture notebooks demo demo-authors demo-open demo-scrub demo-ros demo-fleet device-suite test test-bare test-lowest $(FURTHER:%=test-%) test-c test-node test-go test-rtl test-open test-bench test-ros test-fleet etcd test-vm vm strangers soak fuzz mutation bench bench-compare bench-counts lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
+.PHONY: help help-all setup docs web-picture notebooks demo demo-authors demo-open demo-scrub demo-ros demo-fleet device-suite test test-bare test-lowest $(FURTHER:%=test-%) test-c test-node test-go test-rtl test-open test-bench test-ros test-fleet etcd test-images test-vm vm strangers soak fuzz mutation bench bench-compare bench-counts lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
 
 help: ## the targets that most people need
 	@awk -F':[^#]*## ' '/^[a-z-]+:[^#]*## /{printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -145,6 +145,9 @@ test-rtl: $(VENV)/.installed-test-rtl ### the HDL and what is generated from it,
 	$(PYTEST) tests/rtl $(PYTEST_ARGS)
 	$(PYTEST) tests/device --board=rtl $(PYTEST_ARGS)
 	$(BIN)/cm demo --rtl --out build/demo-rtl
+
+test-images: $(VENV)/.installed-test-design ### overlays on trees of stock images, made of Debian's kernel source, which is fetched (apt: device-tree-compiler cpp; LINUX=DIR: an unpacked one)
+	$(PYTEST) tests/images $(PYTEST_ARGS)
 
 test-vm: $(VENV)/.installed-test-design ### kernel modules and the whole manager on a board in QEMU
 	@$(MAKE) --no-print-directory -C tests/vm test PYTHON="$(abspath $(BIN)/python)" TIERS="$(TIERS)" REQUIRED=$(REQUIRED)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from cm.cli.build import add_schema_argument
 from cm.cli.common import add_json_option, answer
@@ -22,6 +23,12 @@ def fill_check(parser: argparse.ArgumentParser) -> None:
     add_schema_argument(parser)
     parser.add_argument(
         "--flow", choices=("vivado", "open"), default="vivado", help="which tools' limits to check (default: vivado)"
+    )
+    parser.add_argument(
+        "--image",
+        type=Path,
+        metavar="FILE.dtb",
+        help="the device tree of a board's image (/sys/firmware/fdt there): what the design's overlays clash with",
     )
     add_json_option(parser, run_check)
 
@@ -44,6 +51,10 @@ def run_check(args: argparse.Namespace) -> int:
             from cm.design.openflow.relocatable_modules import check_moved
 
             found += check_moved(system)
+    if system is not None and args.image is not None:
+        from cm.design.collect.stock_image import check_image
+
+        found += check_image(system, args.image)
     told = [{"rule": f.rule, "error": f.error, "message": f.text(project.source)} for f in found]
     text = [*lines(project, analysis, system), *(f"{_judge(f)}: {f.text(project.source)}" for f in found)]
     answer(args, as_dict(project, analysis, system) | {"findings": told}, "\n".join(text))
@@ -53,4 +64,6 @@ def run_check(args: argparse.Namespace) -> int:
 def _judge(finding: Finding) -> str:
     if not finding.error:
         return "note"
+    if finding.rule == "image":
+        return "clashes with the image"
     return "refused by the open tools" if finding.rule == OPEN_FLOW else "would be refused"

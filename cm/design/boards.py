@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The board library: parts, Vivado's board parts, pins by connector, pblocks that public designs have used.
+"""The board library: parts, Vivado's board parts, pins by connector, pblocks that public designs have used, and the
+interrupts of the PL that a stock image has given away.
 
 One JSON file for each board in ``data/boards/``, each fact with its public source. A preset of the processing system
 (DDR, MIO, reference clocks) comes from Vivado's board files, which `BoardDefinition.board_part` names.
@@ -41,6 +42,7 @@ class BoardDefinition:
     clocks: Mapping[str, int]
     connectors: Mapping[str, tuple[Pin, ...]]
     pblocks: Mapping[str, tuple[str, ...]]
+    taken_interrupts: tuple[int, ...]  # SPIs of the PL that a stock image's tree gives to another node
     sources: Mapping[str, str]
 
     def pins(self, text: str) -> tuple[Pin, ...]:
@@ -80,5 +82,6 @@ def _read() -> Iterator[BoardDefinition]:
             clocks=data["clocks"],
             connectors=connectors,
             pblocks={name: tuple(ranges) for name, ranges in data["pblocks"].items()},
+            taken_interrupts=tuple(data.get("taken_interrupts", ())),
             sources=data["sources"],
         )

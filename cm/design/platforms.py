@@ -47,19 +47,27 @@ class Platform:
     ultrascale: bool
     icap_rate_max: int  # Hz
     compatible: str  # device tree of the board's SoC
+    taken: tuple[int, ...] = ()  # SPIs of the PL that the board's stock image gives to others
+
+    @property
+    def irq_wires(self) -> list[tuple[str, int]]:
+        """All wires from PL to PS, as pin and SPI; `spi` leaves out those that are taken."""
+        return [(pin, first + bit) for pin, lines, first in self.irq_pins for bit in range(lines)]
 
     @property
     def irq_count(self) -> int:
-        """Interrupt lines from PL to PS."""
-        return sum(lines for _, lines, _ in self.irq_pins)
+        """Interrupt lines from PL to PS that a design may use."""
+        return len(self._free)
 
     def spi(self, line: int) -> int:
         """GIC SPI of PL interrupt `line`."""
-        for _, lines, first in self.irq_pins:
-            if line < lines:
-                return first + line
-            line -= lines
-        raise BuildError(f"{self.name} has {self.irq_count} interrupt lines from the PL; one more was asked for")
+        if line >= self.irq_count:
+            raise BuildError(f"{self.name} has {self.irq_count} interrupt lines from the PL; one more was asked for")
+        return self._free[line]
+
+    @property
+    def _free(self) -> list[int]:
+        return [spi for _, spi in self.irq_wires if spi not in self.taken]
 
     def spi_at(self, pin: str, index: int) -> int | None:
         """GIC SPI of bit `index` of a pin of the PS; None where it is not a shared interrupt (nFIQ, nIRQ)."""

@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
 
 from cm.frozen import dataclass, field
 
@@ -57,6 +59,20 @@ class Fdt:
     root: FdtNode
     reserved: tuple[tuple[int, int], ...] = ()  # address and length in bytes
     boot_cpu: int = 0
+
+
+def read_folder(folder: Path) -> FdtNode:
+    """A tree as the kernel shows the live one, ``/proc/device-tree``: a folder for each node. Raises OSError."""
+    node = FdtNode()
+    for entry in sorted(folder.iterdir()):
+        if entry.is_dir():
+            child = read_folder(entry)
+            child.name = entry.name
+            node.children.append(child)
+        else:
+            with suppress(PermissionError):
+                node.properties[entry.name] = entry.read_bytes()
+    return node
 
 
 def overlay(target_path: str, content: FdtNode) -> FdtNode:

@@ -46,6 +46,7 @@ proc ip_pins {ip} {
             {m_axi_s2mm_aclk c_include_s2mm 1} {s_axis_s2mm_aclk c_include_s2mm 1} {M_AXI_S2MM c_include_s2mm 1} {S_AXIS_S2MM c_include_s2mm 1} {s2mm_introut c_include_s2mm 1}} }
         proc_sys_reset { return {{slowest_sync_clk "" 0} {ext_reset_in "" 0} {peripheral_aresetn "" 0} {interconnect_aresetn "" 0}} }
         xlconcat { return {{dout "" 0} {In([0-9]+) NUM_PORTS 0}} }
+        xlconstant { return {{dout "" 0}} }
         processing_system7 { return {{FCLK_RESET0_N "" 0} {M_AXI_GP0 PCW_USE_M_AXI_GP0 1} {M_AXI_GP0_ACLK PCW_USE_M_AXI_GP0 1} {IRQ_F2P PCW_IRQ_F2P_INTR 1}
             {FCLK_CLK([0-9]) PCW_EN_CLK%_PORT 1} {S_AXI_HP([0-9]) PCW_USE_S_AXI_HP% 1} {S_AXI_HP([0-9])_ACLK PCW_USE_S_AXI_HP% 1}} }
         zynq_ultra_ps_e { return {{pl_resetn0 "" 0} {M_AXI_HPM0_FPD PSU__USE__M_AXI_GP0 1} {maxihpm0_fpd_aclk PSU__USE__M_AXI_GP0 1}

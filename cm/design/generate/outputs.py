@@ -37,6 +37,12 @@ def render_schema(system: System, answers: Answers) -> str:
     return next(renderer.render(t, context) for name, t, context in software_outputs(system, answers) if name == wanted)
 
 
+def render_overlays(system: System) -> dict[str, str]:
+    """The overlays alone, by name: <project>_static and module_<module>."""
+    renderer, entries = _renderer(system, system.project.folder / "build"), software_outputs(system, Answers())
+    return {Path(n).stem: renderer.render(t, context) for n, t, context in entries if n.endswith(".dtso")}
+
+
 def render_identified(system: System, out: Path, answers: Answers) -> dict[str, str]:
     """As `render_all`, of a system that has the identity of its static part."""
     renderer = _renderer(system, out)

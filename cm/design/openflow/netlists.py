@@ -133,9 +133,14 @@ def add_engines(net: Netlist, system: System, ports: Mapping[str, int]) -> None:
     _registers(net, domain, prefix, system.engines)
     for number, engine in enumerate(system.engines):
         _engine(net, system, engine, number + 1, ports)
-    lines = {dma.line: f"irq_{dma.name}" for dma in system.dmas}
-    lines[0] = "irq"
-    net.assign(net.wire("irq_lines", INTERRUPTS), concat(lines.get(n, "1'b0") for n in reversed(range(INTERRUPTS))))
+    spi = system.platform.spi
+    lines = {spi(0): "irq"} | {spi(dma.line): f"irq_{dma.name}" for dma in system.dmas}
+    net.assign(net.wire("irq_lines", INTERRUPTS), _wires(system, lines))
+
+
+def _wires(system: System, by_spi: Mapping[int, str]) -> str:
+    """All wires of interrupts, of which only those in `by_spi` carry a signal."""
+    return concat(by_spi.get(spi, "1'b0") for _, spi in reversed(system.platform.irq_wires))
 
 
 def _registers(net: Netlist, domain: Domain, prefix: str, engines: tuple[Engine, ...]) -> None:
@@ -238,7 +243,7 @@ def open_top(system: System) -> Netlist:
         outer |= {f"m_axi_{name}": f"ps_{name}" for name, _, _ in LITE} | {"irq": "irq_lines"}
     else:
         outer |= {f"m_axi_{name}": f"{prefix}{name}" for name, _, _ in LITE}
-        outer["irq"] = f"{{{zeros(INTERRUPTS - 1)}, irq}}"
+        outer["irq"] = _wires(system, {system.platform.spi(0): "irq"})
     for way, half in ((Direction.MM2S, READ), (Direction.S2MM, WRITE)):
         for number in range(len(channels[way])):
             outer |= {memory_pin(number, name): memory_pin(number, name) for name, _ in (*half.asks, *half.answers)}

@@ -92,6 +92,9 @@ class MemoryInterconnect:
     sources: tuple[str, ...]
 
 
+UNUSED_LINE = "[get_bd_pins no_interrupt/dout]"
+
+
 @dataclass(frozen=True, slots=True)
 class InterruptBundle:
     """A bundle of interrupt lines to a pin of the processing system."""
@@ -160,7 +163,6 @@ def _ps_settings(
     system: System, clocks: list[ClockPin], memories: list[MemoryInterconnect]
 ) -> Iterator[tuple[str, object]]:
     pins = system.platform.clock_pins
-    groups = max([dma.line for dma in system.dmas], default=0) + 1
     if system.platform.name == "zynq7000":
         yield "PCW_USE_M_AXI_GP0", 1
         for memory in memories:
@@ -181,7 +183,7 @@ def _ps_settings(
         yield f"PSU__USE__S_AXI_GP{memory.port.number}", 1
         yield f"PSU__SAXIGP{memory.port.number}__DATA_WIDTH", WIDTH[True]
     yield "PSU__USE__IRQ0", 1
-    yield "PSU__USE__IRQ1", int(groups > 8)
+    yield "PSU__USE__IRQ1", int(_wires(system) > 8)
     for clock in clocks:
         index = pins.index(clock.pin)
         yield f"PSU__FPGA_PL{index}_ENABLE", 1
@@ -250,21 +252,27 @@ def _memories(system: System, dmas: list[DmaCell]) -> Iterator[MemoryInterconnec
 
 
 def _interrupts(system: System) -> Iterator[InterruptBundle]:
-    """Line 0 is the control registers'; the others are channels', each one's or several joined by the static part."""
-    crowded = system.crowded
+    """Line 0 is the control registers'; the others are channels', each one's or several joined by the static part.
+
+    A wire that the board's image has given away stays at 0.
+    """
+    crowded, platform = system.crowded, system.platform
     cells = {channel.name: f"dma_{engine.name}" for engine in system.engines for channel in engine.channels}
-    by_line = {0: "[get_bd_ports irq]"}
+    by_spi = {platform.spi(0): "[get_bd_ports irq]"}
     for dma in system.dmas:
         own = f"[get_bd_pins {cells[dma.name]}/{dma.interrupt_pin}]"
-        by_line[dma.line] = f"[get_bd_ports irq_line_{dma.line}]" if dma.line in crowded else own
-    sources = [by_line[line] for line in sorted(by_line)]
+        by_spi[platform.spi(dma.line)] = f"[get_bd_ports irq_line_{dma.line}]" if dma.line in crowded else own
     merged: dict[str, list[str]] = {}
-    for pin, lines, _ in system.platform.irq_pins:
-        share, sources = sources[:lines], sources[lines:]
-        if share:
-            merged.setdefault(pin, []).extend(share)
+    for pin, spi in platform.irq_wires[: _wires(system)]:
+        merged.setdefault(pin, []).append(by_spi.get(spi, UNUSED_LINE))
     for index, (pin, share) in enumerate(merged.items()):
         yield InterruptBundle(f"interrupt_lines_{index}", pin, tuple(share))
+
+
+def _wires(system: System) -> int:
+    """How many wires of interrupts go to the processing system: up to the last one in use."""
+    last = system.platform.spi(max([dma.line for dma in system.dmas], default=0))
+    return 1 + [spi for _, spi in system.platform.irq_wires].index(last)
 
 
 def _joined(system: System) -> Iterator[tuple[str, str, int]]:

@@ -42,7 +42,8 @@ def plan_system(project: Project, boundaries: Mapping[str, Boundary]) -> System:
 class _Planner:
     def __init__(self, project: Project) -> None:
         self._project = project
-        self._platform: Platform = platform_of(project.part)
+        taken = project.kit.taken_interrupts if project.kit else ()
+        self._platform: Platform = replace(platform_of(project.part), taken=taken)
         self._addresses = Allocator(self._platform.base, self._platform.size, tuple(project.clocks))
         self._notes: list[str] = []
 

@@ -125,11 +125,15 @@ connect_bd_intf_net [get_bd_intf_pins dma_icap/M_AXI_MM2S] [get_bd_intf_pins mem
 # interrupts: line 0 is the concentrator's, then one per DMA engine
 create_bd_port -dir I -type intr irq
 set_property CONFIG.SENSITIVITY {LEVEL_HIGH} [get_bd_ports irq]
+# wires that the board's stock image gives to others
+set none [cm_ip xlconstant no_interrupt]
+set_property CONFIG.CONST_VAL {0} $none
 set lines [cm_ip xlconcat interrupt_lines_0]
-set_property CONFIG.NUM_PORTS 3 $lines
-connect_bd_net [get_bd_ports irq] [get_bd_pins interrupt_lines_0/In0]
-connect_bd_net [get_bd_pins dma_icap/mm2s_introut] [get_bd_pins interrupt_lines_0/In1]
-connect_bd_net [get_bd_pins dma_camera/s2mm_introut] [get_bd_pins interrupt_lines_0/In2]
+set_property CONFIG.NUM_PORTS 4 $lines
+connect_bd_net [get_bd_pins no_interrupt/dout] [get_bd_pins interrupt_lines_0/In0]
+connect_bd_net [get_bd_ports irq] [get_bd_pins interrupt_lines_0/In1]
+connect_bd_net [get_bd_pins dma_icap/mm2s_introut] [get_bd_pins interrupt_lines_0/In2]
+connect_bd_net [get_bd_pins dma_camera/s2mm_introut] [get_bd_pins interrupt_lines_0/In3]
 connect_bd_net [get_bd_pins interrupt_lines_0/dout] [get_bd_pins ps7/IRQ_F2P]
 
 # addresses
