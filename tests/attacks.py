@@ -25,7 +25,7 @@ from cm.server.rights.keys import read_key_file
 from cm.wire import plane_packets as packets
 from cm.wire.encode import decode_reply, encode_request
 from cm.wire.messages import requests as rq
-from cm.wire.plane_packets import Descriptor, Open, encode_open
+from cm.wire.plane_packets import Descriptor, Open, Purpose, encode_open
 
 PATIENCE = 60_000  # milliseconds until a reply is missed
 MODES = ("default", "edge_detection", "colorise")
@@ -214,7 +214,7 @@ class Attacker:
 
     def allocate(self) -> None:
         for i in range(self.rounds // 8):
-            with self.data(Open("", allocate=True, length=(1, 16 << 20, 64 << 20)[i % 3])) as peer, suppress(OSError):
+            with self.data(Open("", Purpose.ALLOCATE, length=(1, 16 << 20, 64 << 20)[i % 3])) as peer, suppress(OSError):
                 peer.recv(4096)
                 self.did["allocated"] += 1
 

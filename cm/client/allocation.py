@@ -16,7 +16,7 @@ from cm.client.data_connection import DataConnection
 from cm.client.errors import BoardClosed
 from cm.client.mapping import SlotMappings
 from cm.errors import InvalidRequest, Timeout
-from cm.wire.plane_packets import Open
+from cm.wire.plane_packets import Open, Purpose
 
 
 class DeviceArray(np.ndarray[Any, np.dtype[Any]]):
@@ -96,7 +96,7 @@ class _Request:
     """A request for memory. Memory that has come outlives the board."""
 
     def __init__(self, folder: Path, length: int) -> None:
-        self._connection = DataConnection(folder, Open("", length=length, allocate=True))
+        self._connection = DataConnection(folder, Open("", Purpose.ALLOCATE, length=length))
         self._ended: BoardClosed | None = None
         self._answered = False
 

@@ -45,7 +45,7 @@ from cm.wire.messages.status import (
     Status,
     StreamStatus,
 )
-from cm.wire.plane_packets import Open
+from cm.wire.plane_packets import Open, Purpose
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -336,12 +336,12 @@ class Board(Guarded):
         `depth` slots (0: 4) are ours. On the manager's machine only; `write` works from anywhere.
         `lease`: your lease's id, if the stream's region is under a lease.
         """
-        wanted = Open(name, write=True, depth=depth, lease=self._leases.named(lease))
+        wanted = Open(name, Purpose.WRITE, depth=depth, lease=self._leases.named(lease))
         return self._writer(self._place.data_folder("a writer"), wanted, timeout)
 
     def echo(self, length: int, timeout: float | None = 5.0, *, depth: int = 2) -> Writer:
         """Slots of `length` bytes that need no hardware: what is sent is done at once. For measuring."""
-        wanted = Open("", depth=depth, echo=True, length=length)
+        wanted = Open("", Purpose.ECHO, depth=depth, length=length)
         return self._writer(self._place.data_folder("an echo"), wanted, timeout)
 
     def _writer(self, folder: Path, wanted: Open, timeout: float | None) -> Writer:

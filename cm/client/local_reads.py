@@ -24,7 +24,7 @@ from cm.client.after_fork import not_for_children
 from cm.client.data_socket import LIMITS_ARE_KNOWN, connect, limit
 from cm.client.errors import BoardClosed
 from cm.errors import CmError
-from cm.wire.plane_packets import DESCRIPTOR, NAME_MAX, PACKET_MAX, READ, REGISTERS, VALUE, Open, encode_open
+from cm.wire.plane_packets import DESCRIPTOR, NAME_MAX, PACKET_MAX, READ, REGISTERS, VALUE, Open, Purpose, encode_open
 
 _SHORTEST, _LONGEST = 0.01, 30.0  # seconds until the next attempt after one that failed, twice as many each time
 _SKIPPED = 63  # reads of a name, at most, that are not tried after some that led elsewhere
@@ -168,7 +168,7 @@ class LocalReads:
         sock = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
         try:
             connect(sock, self._folder)
-            sock.send(encode_open(Open("", registers=True)), _FLAGS)
+            sock.send(encode_open(Open("", Purpose.REGISTERS)), _FLAGS)
         except BlockingIOError:  # others connect without end
             sock.close()
             self._rest()

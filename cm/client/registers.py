@@ -15,7 +15,7 @@ from cm.client.errors import RequestNotFound
 from cm.client.events import EventStream
 from cm.wire.messages import notebook
 from cm.wire.messages.status import RegisterInfo, RegValues
-from cm.wire.plane_packets import Open
+from cm.wire.plane_packets import Open, Purpose
 
 if TYPE_CHECKING:
     from cm.client.connections import ByName
@@ -58,9 +58,8 @@ class Registers(MutableMapping[str, int]):
         On the manager's machine only; needs the role `map`. Raises RequestFailed ("no_window" where they cannot be
         mapped: the registers go by requests as before), RequestBusy.
         """
-        return self._open_window(
-            Open(name, write=write, window=True, exclusive=exclusive, wait=wait, lease=lease), timeout
-        )
+        purpose = Purpose.WRITABLE_WINDOW if write else Purpose.WINDOW
+        return self._open_window(Open(name, purpose, lease=lease, exclusive=exclusive, wait=wait), timeout)
 
     def __getitem__(self, name: str) -> int:
         value = self._reads.read(name)

@@ -21,7 +21,7 @@ from cm.client.mapping import SlotMappings
 from cm.client.pixel_formats import AS_IT_IS, from_rgb, is_rgb
 from cm.errors import CmError, InvalidRequest, Timeout
 from cm.wire import plane_packets as packets
-from cm.wire.plane_packets import Descriptor, Geometry, Open
+from cm.wire.plane_packets import Descriptor, Geometry, Open, Purpose
 
 # What memory and socket raise if another thread closes the writer meanwhile; then that is what is said.
 _BROKEN = (CmError, OSError, LookupError, ValueError, AttributeError)
@@ -39,7 +39,7 @@ class Writer:
         self._timeout = timeout = time_limit(timeout)
         self._connection = DataConnection(folder, wanted)
         self.name: str = wanted.name
-        self._stands = wanted.echo  # no hardware is behind an echo: nothing takes its slots back
+        self._stands = wanted.purpose is Purpose.ECHO  # no hardware is behind an echo: nothing takes its slots back
         self._next = 0
         self._under_way: set[int] = set()  # sequences
         self._failed: list[Descriptor] = []

@@ -364,11 +364,23 @@ class Manager:
         """Wait until no change runs or waits."""
         self._worker.wait_idle()
 
-    def cancel(self) -> bool:
-        """Cancel the running change, if there is one."""
-        if (running := self._worker.running) is not None:
-            running.cancel()
-        return running is not None
+    @property
+    def running(self) -> Change | None:
+        """The change that runs."""
+        return self._worker.running
+
+    @property
+    def coming(self) -> Config | None:
+        """The configuration to which the change goes that was asked for last, until that has ended."""
+        return self.configs.get(self._worker.coming or "")
+
+    def cancel(self, number: int | None = None) -> bool:
+        """Cancel the running change, if there is one, and it has this number where one is given."""
+        running = self._worker.running
+        if running is None or number not in (None, running.number):
+            return False
+        running.cancel()
+        return True
 
     def plan(self, request: ChangeMode) -> PlanInfo:
         """What a change would do; touches nothing, but reads and validates all files."""

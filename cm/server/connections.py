@@ -24,11 +24,12 @@ from pathlib import Path
 from cm.errors import Forbidden
 from cm.manager.manager import Manager
 from cm.manager.planner import target
+from cm.manager.touched import Scene
 from cm.server.client_quotas import place_of
 from cm.server.rights.admission import Gate
-from cm.server.rights.model import Access, Role
+from cm.server.rights.model import Access
 from cm.server.rights.principal import DATA, IPC, Principal, from_id, of_process
-from cm.server.rights.required_rights import Scene, mapping, opening
+from cm.server.rights.required_rights import RIGHTS, needs_of
 from cm.wire.plane_packets import SOCKET, Open
 from cm.wire.topics import Endpoints
 
@@ -169,8 +170,16 @@ class Sessions:
 
     def scene(self) -> Scene:
         """What is needed to understand requests, if the client may not do everything."""
-        manager, state = self._manager, self._manager.state
-        return Scene(manager.loaded_config(), state.mode, lambda r: target(r, manager.configs, state.config))
+        manager, state, running = self._manager, self._manager.state, self._manager.running
+        return Scene(
+            manager.loaded_config(),
+            state.mode,
+            lambda r: target(r, manager.configs, state.config),
+            state.modules,
+            running.number if running else 0,
+            running.touches if running else (),
+            manager.coming,
+        )
 
     def whose(self, connection: socket.socket) -> str:
         """The client at the other end of a connection to the data socket, as the gate knows it. Raises OSError."""
@@ -179,14 +188,9 @@ class Sessions:
 
     def check_open(self, connection: socket.socket, wanted: Open) -> None:
         """Raise Forbidden if a connection to the data socket requests something that it has no right to."""
-        who, writes, scene = self.whose(connection), wanted.write or wanted.allocate, self.scene()
-        if wanted.registers:  # nobody looks at each read: it takes a right to all of them
-            if self.gate.everywhere(who) < Role.OBSERVE:
-                raise Forbidden("reading registers over the data socket takes the right to observe everything")
-            return
-        need = mapping(wanted.name, scene) if wanted.window else opening(wanted.name, writes, scene)
+        who = self.whose(connection)
         try:
-            self.gate.check(who, need)
+            self.gate.check(who, *needs_of(RIGHTS[wanted.purpose], wanted, self.scene()))
         except Forbidden as error:
             self.gate.refused(who, "opening", error)
             raise

@@ -19,6 +19,7 @@ from cm.manager.manager import Manager
 from cm.server.long_work import Steps
 from cm.server.sockets import Loop
 from cm.server.streams.client_process import Peer
+from cm.wire.plane_packets import Open
 
 _AT_ONCE = 32  # registers that are published in one step
 _REST = 3.0  # pause before the next publication, as a multiple of the time that the last one took
@@ -39,7 +40,7 @@ class LocalReads:
         manager.publish_to(self._reads)
         loop.add(self._reads.fileno(), self._wanted)
 
-    def open(self, connection: socket.socket, peer: Peer) -> None:
+    def open(self, connection: socket.socket, _: Open, peer: Peer) -> None:
         """Serve a connection; the caller closes its own copy. Raises DeviceBusy for one too many."""
         fd = os.dup(connection.fileno())
         try:

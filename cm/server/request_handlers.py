@@ -553,8 +553,8 @@ class Handlers:
             client, lambda: self._s.manager.region_map(request.name), lambda found: respond(Reply(found)), respond
         )
 
-    def _cancel_change(self, _: rq.CancelChange, respond: Respond) -> None:
-        self._s.manager.cancel()
+    def _cancel_change(self, request: rq.CancelChange, respond: Respond) -> None:
+        self._s.manager.cancel(request.number)
         respond(Reply(self._s.status()))
 
     def _provision(self, request: rq.Provision, respond: Respond, began: Began, connection: str) -> None:

@@ -35,13 +35,14 @@ from cm.server.rights.admission import Gate
 from cm.server.rights.policy import system_users
 from cm.server.sensor_watch import SensorWatch
 from cm.server.sockets import Authenticator, Loop, Sockets
-from cm.server.streams.data_socket import DataSocket
+from cm.server.streams.data_socket import DataSocket, Serve
 from cm.server.streams.running import Streams
 from cm.server.streams.undeclared_streams import with_channels
 from cm.server.systemd import ServiceManager
 from cm.server.uploads import Uploads
 from cm.wire.messages.requests import ChangeMode
 from cm.wire.messages.status import ErrorInfo
+from cm.wire.plane_packets import Open, Purpose
 
 if TYPE_CHECKING:
     import socket
@@ -50,7 +51,6 @@ if TYPE_CHECKING:
     from cm.server.metrics import Metrics  # imports an HTTP server
     from cm.server.streams.client_process import Peer
     from cm.server.window_clients import OpenWindows
-    from cm.wire.plane_packets import Open
 
 _LOG = logging.getLogger("cm")
 _TICK = 1.0  # seconds between two checks of streams, records and a lost board
@@ -90,9 +90,9 @@ class Server:
         self._sessions = Sessions(gate, options.runtime_dir, self._sockets.tcp, self._manager)
         self._windows: OpenWindows | None = None
         self._reads: LocalReads | None = None
-        local = self._streams.open_local, *self._streams.memories, self._open_registers, self._sessions
-        taken = self._steps, options.group
-        self._data_socket = DataSocket(self._loop, options.runtime_dir, *local, *taken)
+        self._data_socket = DataSocket(
+            self._loop, options.runtime_dir, self._purposes(), self._sessions, self._steps, options.group
+        )
         self._interrupts = InterruptWatch(
             self._loop, options.root, self._manager, self._publisher.interrupt, self._note_error
         )
@@ -231,15 +231,25 @@ class Server:
     def _note_error(self, error: ErrorInfo) -> None:
         self._manager.note_error(error)
 
-    def _open_registers(self, connection: socket.socket, wanted: Open, peer: Peer) -> None:
-        if wanted.window:
-            self._open_window(connection, wanted, peer)
-            return
+    def _purposes(self) -> dict[Purpose, Serve]:
+        """What a connection to the data socket is opened for, and who serves it."""
+        streams, (echoes, allocations) = self._streams, self._streams.memories
+        return {
+            Purpose.READ: streams.open_local,
+            Purpose.WRITE: streams.open_local,
+            Purpose.ECHO: echoes.open,
+            Purpose.ALLOCATE: allocations.open,
+            Purpose.WINDOW: self._open_window,
+            Purpose.WRITABLE_WINDOW: self._open_window,
+            Purpose.REGISTERS: self._open_reads,
+        }
+
+    def _open_reads(self, connection: socket.socket, wanted: Open, peer: Peer) -> None:
         if self._reads is None:
             from cm.server.local_reads import LocalReads
 
             self._reads = LocalReads(self._loop, self._manager, self._steps)
-        self._reads.open(connection, peer)
+        self._reads.open(connection, wanted, peer)
 
     def _open_window(self, connection: socket.socket, wanted: Open, peer: Peer) -> None:
         """Lend registers to a client of the data socket; nothing of it is there before one asks."""

@@ -21,7 +21,7 @@ from cm.server.sockets import Loop
 from cm.server.streams.client_process import Peer
 from cm.server.streams.data_socket import ConnectionRights
 from cm.wire.encode import encode_table
-from cm.wire.plane_packets import Open, WindowPages, encode_refused, encode_revoked, encode_window
+from cm.wire.plane_packets import Open, Purpose, WindowPages, encode_refused, encode_revoked, encode_window
 
 _LOG = logging.getLogger("cm")
 EACH, MOST = 8, 64  # windows of one process, and of all: each is taken back before a change goes on
@@ -70,7 +70,8 @@ class OpenWindows:
     def _lend(self, client: _Client) -> None:
         wanted, peer = client.wanted, client.peer
         name = f"pid {peer.pid} ({peer.name})"
-        request = WindowRequest(wanted.name, wanted.write, wanted.exclusive, wanted.lease, name, peer.pid)
+        writes = wanted.purpose is Purpose.WRITABLE_WINDOW
+        request = WindowRequest(wanted.name, writes, wanted.exclusive, wanted.lease, name, peer.pid)
         loan, fd = self._manager.windows.lend(request, self._devices, partial(self._ended, client))
         client.loan = loan
         self._watch()
@@ -79,7 +80,7 @@ class OpenWindows:
             os.write(table, encode_table(loan.info))
             place = loan.place
             names = loan.status.region, place.module, place.config.name, place.mode, loan.lease
-            packet = encode_window(WindowPages(place.address, place.length, wanted.write, *names))
+            packet = encode_window(WindowPages(place.address, place.length, writes, *names))
             socket.send_fds(client.connection, [packet], [fd, table], socket.MSG_NOSIGNAL)
             _LOG.info("registers of %s mapped by %s", place.module or loan.status.region, name)
         finally:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import struct
+from enum import IntEnum
 from typing import NamedTuple
 
 from cm.errors import InvalidRequest
@@ -18,8 +19,7 @@ NAME_MAX = 256  # bytes of a register's name, with its field
 OPEN, RELEASE, SUBMIT, PING, LEAVE, READ = 1, 2, 3, 4, 5, 6
 GEOMETRY, SLOTS, FRAME, GRANT, DONE, PONG, STOPPED, LATE, LABEL, REFUSED, GENERATION, ADDRESS = range(16, 28)
 WINDOW, REVOKED, REGISTERS, VALUE, ELSEWHERE, FAILED = range(28, 34)
-OPEN_WRITE, OPEN_ECHO, OPEN_ALLOCATE, OPEN_WINDOW, OPEN_EXCLUSIVE, OPEN_WAIT, OPEN_REGISTERS = 1, 2, 4, 8, 16, 32, 64
-_OPEN_FLAGS = OPEN_WRITE | OPEN_ECHO | OPEN_ALLOCATE | OPEN_WINDOW | OPEN_EXCLUSIVE | OPEN_WAIT | OPEN_REGISTERS
+OPEN_EXCLUSIVE, OPEN_WAIT = 16, 32  # of windows
 COHERENT, WRITABLE, CYCLIC = 1, 2, 4
 
 DESCRIPTOR = struct.Struct("=HBBIQQQ")
@@ -43,28 +43,38 @@ class Descriptor(NamedTuple):
         return DESCRIPTOR.pack(*self)
 
 
+class Purpose(IntEnum):
+    """What a connection is opened for: exactly one of these, which the flags of OPEN say (beside those of windows)."""
+
+    READ = 0  # the frames of a stream
+    WRITE = 1  # frames to a stream
+    ECHO = 2  # memory that comes back at once, for measuring
+    ALLOCATE = 4  # memory for masters in the PL
+    WINDOW = 8  # the registers of a module or region, mapped
+    WRITABLE_WINDOW = 9
+    REGISTERS = 64  # reads of registers by name
+
+
+_WINDOWS = (Purpose.WINDOW, Purpose.WRITABLE_WINDOW)
+_NAMED = (Purpose.READ, Purpose.WRITE, *_WINDOWS)
+
+
 @dataclass(frozen=True, slots=True)
 class Open:
-    """What a client wants: a stream to read or write, memory that comes back at once (`echo`), memory for masters
-    in the PL (`allocate`), the registers of a module or region, mapped (`window`), or registers read by name
-    (`registers`).
+    """What a client wants; `name` is that of a stream, or of whose registers it maps.
 
     A window is `exclusive` where others may not write beside it; with `wait` it comes when the module is there.
     `raw`, which is not sent: pixels as they lie in memory, whatever the stream's format.
     """
 
     name: str
-    write: bool = False
+    purpose: Purpose = Purpose.READ
     depth: int = 0
-    echo: bool = False
     length: int = 0
     lease: str = ""
-    allocate: bool = False
     raw: bool = False
-    window: bool = False
     exclusive: bool = False
     wait: bool = False
-    registers: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,10 +98,7 @@ class Geometry:
 
 def encode_open(wanted: Open) -> bytes:
     """The first packet of a client. Raises InvalidRequest for what no packet can hold."""
-    flags = (OPEN_WRITE if wanted.write else 0) | (OPEN_ECHO if wanted.echo else 0)
-    flags |= (OPEN_ALLOCATE if wanted.allocate else 0) | (OPEN_WINDOW if wanted.window else 0)
-    flags |= (OPEN_EXCLUSIVE if wanted.exclusive else 0) | (OPEN_WAIT if wanted.wait else 0)
-    flags |= OPEN_REGISTERS if wanted.registers else 0
+    flags = wanted.purpose | (OPEN_EXCLUSIVE if wanted.exclusive else 0) | (OPEN_WAIT if wanted.wait else 0)
     text = f"{wanted.name}\0{wanted.lease}" if wanted.lease else wanted.name
     try:
         return Descriptor(wanted.depth, OPEN, flags, length=wanted.length).pack() + text.encode()
@@ -104,18 +111,22 @@ def encode_open(wanted: Open) -> bytes:
 def decode_open(packet: bytes) -> Open:
     """Raises InvalidRequest."""
     head = _head(packet)
-    if head.kind != OPEN or head.flags & ~_OPEN_FLAGS:
+    if head.kind != OPEN:
         raise InvalidRequest("the first packet on the data socket must be an OPEN")
+    exclusive, wait = bool(head.flags & OPEN_EXCLUSIVE), bool(head.flags & OPEN_WAIT)
+    try:
+        purpose = Purpose(head.flags & ~(OPEN_EXCLUSIVE | OPEN_WAIT))
+    except ValueError:
+        raise InvalidRequest(f"an OPEN has one purpose, and the flags {head.flags:#x} are that of none") from None
     try:
         name, _, lease = packet[DESCRIPTOR.size :].decode().partition("\0")
     except UnicodeDecodeError:
         raise InvalidRequest("the stream's name is not UTF-8") from None
-    write, echo, allocate = (bool(head.flags & flag) for flag in (OPEN_WRITE, OPEN_ECHO, OPEN_ALLOCATE))
-    window, exclusive, wait = (bool(head.flags & flag) for flag in (OPEN_WINDOW, OPEN_EXCLUSIVE, OPEN_WAIT))
-    if (exclusive or wait) and not window:
+    if (exclusive or wait) and purpose not in _WINDOWS:
         raise InvalidRequest("only a window can be exclusive, or be waited for")
-    registers = bool(head.flags & OPEN_REGISTERS)
-    return Open(name, write, head.slot, echo, head.length, lease, allocate, False, window, exclusive, wait, registers)
+    if name and purpose not in _NAMED:
+        raise InvalidRequest(f"{name!r} names nothing: an OPEN for {purpose.name.lower()} has no name")
+    return Open(name, purpose, head.slot, head.length, lease, exclusive=exclusive, wait=wait)
 
 
 def encode_geometry(geometry: Geometry) -> bytes:

@@ -29,7 +29,7 @@ class Twin(Generic[_D, _M]):
         self,
         kind: type[_D],
         message: type[_M],
-        names: Sequence[str] = (),
+        names: Sequence[str] | None = None,
         renamed: Mapping[str, str] | None = None,
         **parts: Any,
     ) -> None:
@@ -37,7 +37,7 @@ class Twin(Generic[_D, _M]):
         how those are written that are data themselves.
         """
         hints = {name: str(hint) for name, hint in kind.__annotations__.items()}
-        self._kind, self._message, self.names = kind, message, tuple(names or hints)
+        self._kind, self._message, self.names = kind, message, tuple(hints if names is None else names)
         self.theirs = tuple([(renamed or {}).get(name, name) for name in self.names])
         self.parts = {name: part for name, part in parts.items() if name in self.names}
         self._lists = frozenset(name for name, hint in hints.items() if "tuple[" in hint)

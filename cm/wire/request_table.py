@@ -157,7 +157,7 @@ ROWS = (
     Row(rq.ListConfigs, topics.READ_CONFIG, pb.ReadConfig, marks=("list",)),
     Row(rq.PlanChange, topics.READ_CONFIG, pb.ReadConfig, marks=("plan",), renamed={"mode": "plan_mode"}),
     CHANGE_MODE,
-    Row(rq.CancelChange, topics.WRITE_CONFIG, pb.WriteConfig, marks=("cancel",)),
+    Row(rq.CancelChange, topics.WRITE_CONFIG, pb.WriteConfig, marks=("cancel",), but="number"),
     _ProvisionRow(),
     Row(rq.RemoveConfig, topics.WRITE_CONFIG, pb.WriteConfig, marks=("remove",)),
     Row(rq.ReadReg, topics.READ_REG, pb.ReadReg),

@@ -220,7 +220,7 @@ def raw(manager: Manager, *sent: bytes) -> socket.socket:
     connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     connection.settimeout(60)
     connection.connect(str(manager.runtime / packets.SOCKET))
-    connection.send(packets.encode_open(packets.Open("", registers=True)))
+    connection.send(packets.encode_open(packets.Open("", packets.Purpose.REGISTERS)))
     for packet in sent:
         connection.send(packet)
     return connection

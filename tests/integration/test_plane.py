@@ -27,7 +27,7 @@ from cm.errors import InvalidRequest, Timeout
 from cm.simulation.software import Board as SimBoard
 from cm.wire import plane_packets as packets
 from cm.wire.messages.status import ClientStatus
-from cm.wire.plane_packets import Descriptor, Open
+from cm.wire.plane_packets import Descriptor, Open, Purpose
 
 HOLDER = """
 import sys, time, cm
@@ -257,7 +257,7 @@ def test_a_slot_that_is_not_held_cannot_be_given_back(board: cm.Board, raw: Call
 
 
 def test_a_writer_cannot_send_a_slot_that_it_does_not_hold(loop: cm.Board, raw: Callable[..., Raw]) -> None:
-    peer = raw(Open("to_pl", write=True, depth=1))
+    peer = raw(Open("to_pl", Purpose.WRITE, depth=1))
     grant = peer.next(packets.GRANT)
     for wrong in (
         {"slot": grant.slot + 1},

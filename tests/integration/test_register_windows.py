@@ -347,7 +347,7 @@ def raw_window(manager: Manager, name: str) -> tuple[socket.socket, device.Mappe
     connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     connection.settimeout(60)
     connection.connect(str(manager.runtime / packets.SOCKET))
-    connection.send(packets.encode_open(packets.Open(name, write=True, window=True)))
+    connection.send(packets.encode_open(packets.Open(name, packets.Purpose.WRITABLE_WINDOW)))
     _, fds, _, _ = socket.recv_fds(connection, packets.PACKET_MAX, 2)
     mapped = device.MappedWindow(fds[0])
     for fd in fds:

@@ -213,7 +213,7 @@ uid, gid, runtime = json.loads(sys.argv[1])
 os.setgroups([gid]); os.setgid(uid); os.setuid(uid)
 connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
 connection.connect(runtime + "/data")
-connection.send(p.encode_open(p.Open("", registers=True)))
+connection.send(p.encode_open(p.Open("", p.Purpose.REGISTERS)))
 print(connection.recv(4096)[2], flush=True)
 answered = True
 while answered:

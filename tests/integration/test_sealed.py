@@ -15,7 +15,7 @@ from manager_process import CAMERA, Manager, served
 
 from cm.client.data_connection import DataConnection
 from cm.wire import plane_packets as packets
-from cm.wire.plane_packets import Descriptor, Open
+from cm.wire.plane_packets import Descriptor, Open, Purpose
 
 _F_SEAL_FUTURE_WRITE = 0x0010
 
@@ -72,7 +72,7 @@ def test_a_reader_cannot_write_to_them_by_its_descriptor_nor_by_another(reader: 
 
 
 def test_no_client_can_seal_the_memory_that_writers_share(manager: Manager) -> None:
-    connection = Grabber(manager.runtime, Open("to_pl", write=True))
+    connection = Grabber(manager.runtime, Open("to_pl", Purpose.WRITE))
     connection.set_timeout(60)
     fds = connection.grab()
     with pytest.raises(PermissionError):

@@ -50,7 +50,7 @@ from cm.wire.messages.status import (
     Status,
     StreamStatus,
 )
-from cm.wire.plane_packets import Open
+from cm.wire.plane_packets import Open, Purpose
 
 if TYPE_CHECKING:
     from cm.client.allocation import DeviceArray
@@ -311,12 +311,12 @@ class Board(Guarded):
         `depth` slots (0: 4) are ours. On the manager's machine only; `write` works from anywhere.
         `lease`: your lease's id, if the stream's region is under a lease.
         """
-        wanted = Open(name, write=True, depth=depth, lease=self._leases.named(lease))
+        wanted = Open(name, Purpose.WRITE, depth=depth, lease=self._leases.named(lease))
         return self._sockets.using(AsyncWriter(self, self._place.data_folder("a writer"), wanted, timeout))
 
     def echo(self, length: int, timeout: float | None = 5.0, *, depth: int = 2) -> AsyncWriter:
         """Slots of `length` bytes that need no hardware: what is sent is done at once. For measuring."""
-        wanted = Open("", depth=depth, echo=True, length=length)
+        wanted = Open("", Purpose.ECHO, depth=depth, length=length)
         return self._sockets.using(AsyncWriter(self, self._place.data_folder("an echo"), wanted, timeout))
 
     async def read(self, stream: str = "", timeout: float | None = 1.0) -> Frame:

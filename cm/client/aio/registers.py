@@ -15,7 +15,7 @@ from cm.client.core.flow_effects import DEFAULT, Limit
 from cm.client.core.generations import Written
 from cm.client.errors import RequestNotFound
 from cm.wire.messages.status import RegisterInfo, RegValues
-from cm.wire.plane_packets import Open
+from cm.wire.plane_packets import Open, Purpose
 
 if TYPE_CHECKING:
     from cm.client.aio.request_reply import Caller
@@ -54,7 +54,8 @@ class Registers:
         An access is a load or a store and is not awaited. So `wait` waits until the module is there, and an access
         whose pages were taken back raises WindowRevoked with it too: ask for another window then.
         """
-        wanted = Open(name, write=write, lease=lease, window=True, exclusive=exclusive, wait=wait)
+        purpose = Purpose.WRITABLE_WINDOW if write else Purpose.WINDOW
+        wanted = Open(name, purpose, lease=lease, exclusive=exclusive, wait=wait)
         return await self._open_window(wanted, timeout)
 
     @overload

@@ -24,13 +24,13 @@ from cm.manager.access.register_view import is_free
 from cm.manager.errors import HeldBy, ModuleAbsent, NothingLoaded, NoWindow, RegionBusy, hint
 from cm.manager.state.journal import LockedRegions, ManagerState
 from cm.manager.status_reports import memory_info, register_info
+from cm.manager.touched import STATIC, window_place
 from cm.schema.model import Access, Config, Memory, Mode, Module, Register
 from cm.wire.messages.status import ConfigInfo, RegValues, WindowStatus
 
 if TYPE_CHECKING:
     from cm.manager.interfaces import Devices, TimeSource, WindowLender
 
-STATIC = "static"  # the name of the part outside all regions
 _RELEASED, _CALL, _GONE = 0, 1, 4  # why one ended: as `cm.device.WindowEnd`
 _READING = 0.0005  # seconds that reading again may hold up a change; what is left then is not known any more
 _SURE = 8  # registers that are read even then: the time may have gone to other processes
@@ -194,18 +194,16 @@ class Windows:
 
     def _where(self, config: Config, name: str) -> tuple[str | None, str]:
         """Region and module. Raises ModuleAbsent, NotFound."""
-        board = self._state.latest
-        if name == STATIC:
-            return None, ""
-        if name in config.regions:
-            return name, board.region(name).module or ""
-        module = config.modules.get(name)
-        if module is None:
+        place = window_place(config, name)
+        if place is None:
             self._unknown(config, name)
-        held = board.region(module.region).module
-        if held != name:
-            raise ModuleAbsent(f"module {name!r} is not loaded: region {module.region} holds {held or 'none'}")
-        return module.region, name
+        region, module = place
+        if region == STATIC:
+            return None, ""
+        held = self._state.latest.region(region).module
+        if module not in ("", held):
+            raise ModuleAbsent(f"module {name!r} is not loaded: region {region} holds {held or 'none'}")
+        return region, held or ""
 
     def _unknown(self, config: Config, name: str) -> NoReturn:
         for other in self._state.configs.values():

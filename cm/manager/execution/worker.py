@@ -20,6 +20,7 @@ from cm.manager.planner import Goal, Plan
 from cm.manager.state.board_state import BoardState, RegionPhase
 from cm.manager.state.journal import Pending, WayBack
 from cm.manager.state.steps import Place, Repair, Validate
+from cm.manager.touched import ALL, Thing
 from cm.schema.model import ConfigType
 from cm.wire.messages.status import ChangeInfo, ErrorInfo, RegionCheck, Reply
 
@@ -58,6 +59,14 @@ class Change:
     def cancel(self) -> None:
         """Ask it to stop before its next load; it goes back to the mode before."""
         self.cancelled = True
+
+    @property
+    def touches(self) -> tuple[Thing, ...]:
+        """The regions that it keeps to; everything where it keeps to none."""
+        regions = [scope.partition(":")[2] for scope in self.scopes if scope.startswith("region:")]
+        if self.force or self.undoing or not regions:
+            return (Thing(ALL, ALL),)
+        return tuple([Thing(self.config, name) for name in regions])
 
     @property
     def done(self) -> bool:

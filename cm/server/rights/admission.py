@@ -9,12 +9,13 @@ from collections.abc import Callable, Iterable
 
 from cm.errors import Forbidden
 from cm.frozen import dataclass, replace
+from cm.manager.touched import Scene, resolved
 from cm.server.rights import policy
 from cm.server.rights.audit import Audit, described
 from cm.server.rights.model import Access, Need, Rights, Role
 from cm.server.rights.policy import Users
 from cm.server.rights.principal import CURVE, NOBODY, Principal, from_id, guest_of, introduced, on_behalf
-from cm.server.rights.required_rights import Scene, least, needs_of, resolved
+from cm.server.rights.required_rights import RIGHTS, UNKNOWN, Right, needs_of
 from cm.wire.messages.requests import Request
 
 _NAME = 64  # characters of a guest's name
@@ -153,12 +154,13 @@ class Gate:
 
         Raises Forbidden, and whatever the scene raises for names that do not exist.
         """
-        known, need = self._known.get(connection), least(request)
+        known, right = self._known.get(connection), RIGHTS.get(type(request), UNKNOWN)
+        need = right.least
         if known is None or known.rights.until is not None:
             known = self._current(connection)
         if known.everywhere < need.role:
             try:
-                request = self._narrowly(connection, known, request, need, scene)
+                request = self._narrowly(connection, known, request, right, scene)
             except Forbidden as error:
                 self.refused(connection, type(request).__name__, error)
                 raise
@@ -167,14 +169,14 @@ class Gate:
         return request
 
     def _narrowly(
-        self, connection: str, known: _Known, request: Request, need: Need, scene: Callable[[], Scene]
+        self, connection: str, known: _Known, request: Request, right: Right, scene: Callable[[], Scene]
     ) -> Request:
         """As `admit`, for clients whose rights have limits."""
-        if known.rights.role < need.role:
-            raise Forbidden(_sentence(self.principal(connection), need))
+        if known.rights.role < right.least.role:
+            raise Forbidden(_sentence(self.principal(connection), right.least))
         seen = scene()
         request = resolved(request, seen)
-        self.check(connection, *needs_of(request, seen))
+        self.check(connection, *needs_of(right, request, seen))
         return request
 
     def refused(self, connection: str, kind: str, error: Forbidden) -> None:
@@ -201,4 +203,5 @@ def _sentence(who: Principal, need: Need) -> str:
     named = {"configuration": need.config, "region": need.region, "register": need.register, "data": need.data}
     what = [f"{kind} {name!r}" for kind, name in named.items() if name not in (None, "*")]
     on = f" on {', '.join(what)}" if what else ""
-    return f"{who} has no right to {need.topic or 'this'}{on}; it takes the role {need.role.name.lower()} there"
+    topic = "everything" if need.topic == "*" else need.topic or "this"
+    return f"{who} has no right to {topic}{on}; it takes the role {need.role.name.lower()} there"

@@ -78,7 +78,10 @@ def _register_of(name: str | None) -> str | None:
 
 
 def _match(name: str | None, patterns: tuple[str, ...]) -> bool:
-    return name is None or patterns == ALL or any(fnmatchcase(name, pattern) for pattern in patterns)
+    """A name, nothing, or everything: that is allowed only where everything is, and not by a pattern such as ``?``."""
+    if name is None or "*" in patterns:
+        return True
+    return name != "*" and any(fnmatchcase(name, pattern) for pattern in patterns)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import socket
 import time
 from collections import Counter
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
@@ -20,10 +20,9 @@ from cm.loop import Timer
 from cm.server.long_work import Steps
 from cm.server.private_folders import share
 from cm.server.sockets import Loop
-from cm.server.streams.client_memory import Allocations, Echoes
 from cm.server.streams.client_process import Peer
 from cm.wire import plane_packets as packets
-from cm.wire.plane_packets import PACKET_MAX, Open, decode_open, encode_refused
+from cm.wire.plane_packets import PACKET_MAX, Open, Purpose, decode_open, encode_refused
 
 WAITING = 64  # in total, three quarters from one process; beyond that, the process with the most loses its oldest
 _AT_ONCE = 16  # connections accepted in one turn of the loop
@@ -133,6 +132,9 @@ class ConnectionRights(Protocol):
         """Raise Forbidden if the peer has no right to what it wants."""
 
 
+Serve = Callable[[socket.socket, Open, Peer], Iterator[None] | None]  # the caller closes the connection
+
+
 class DataSocket:
     """Listens; each connection says once what it wants. Used in the loop's thread."""
 
@@ -140,21 +142,15 @@ class DataSocket:
         self,
         loop: Loop,
         folder: Path,
-        enter: Callable[[socket.socket, Open], Iterator[None]],
-        echoes: Echoes,
-        allocations: Allocations,
-        registers: Callable[[socket.socket, Open, Peer], None],
+        serve: Mapping[Purpose, Serve],
         sessions: ConnectionRights,
         steps: Steps,
         group: int | None = None,
     ) -> None:
-        """`group`: may connect, beside the daemon's own user."""
+        """`serve`: what each purpose does, in the steps that it may return. `group`: may connect, beside our user."""
         self._loop = loop
         self._path = folder.absolute() / packets.SOCKET
-        self._enter = enter
-        self._echoes = echoes
-        self._allocations = allocations
-        self._registers = registers
+        self._serves = serve
         self._sessions = sessions
         self._steps = steps
         self._group = group
@@ -210,14 +206,7 @@ class DataSocket:
 
     def _admit(self, connection: socket.socket, wanted: Open) -> Iterator[None]:
         self._sessions.check_open(connection, wanted)
-        if wanted.echo:
-            yield from self._echoes.open(connection, wanted, Peer.of(connection))
-        elif wanted.allocate:
-            self._allocations.open(connection, wanted, Peer.of(connection))
-        elif wanted.window or wanted.registers:
-            self._registers(connection, wanted, Peer.of(connection))
-        else:
-            yield from self._enter(connection, wanted)
+        yield from self._serves[wanted.purpose](connection, wanted, Peer.of(connection)) or ()
 
     def close(self) -> None:
         """Close all connections that have not been served yet."""

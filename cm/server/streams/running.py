@@ -40,7 +40,7 @@ from cm.server.streams.slots import NoSlots
 from cm.server.streams.stream import Done, Frame, Moved, OpenStream, StreamTotals
 from cm.wire.messages.requests import ConfigureStream
 from cm.wire.messages.status import ErrorInfo, StreamStatus
-from cm.wire.plane_packets import STOPPED, Descriptor, Open
+from cm.wire.plane_packets import STOPPED, Descriptor, Open, Purpose
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,16 +62,15 @@ class LocalClients:
         self._clients: dict[int, _Local] = {}
 
     def adopt(
-        self, connection: socket.socket, wanted: Open, stream: str, join: Callable[[int, Peer], Iterator[None]]
+        self, connection: socket.socket, wanted: Open, peer: Peer, stream: str, join: Callable[[int], Iterator[None]]
     ) -> Iterator[None]:
         """Make a connection a client of a stream, in the steps that `join` returns; the caller closes the connection.
 
         Raises what the steps raise; the connection is then no longer a client.
         """
-        peer = Peer.of(connection)
         client = self._plane.adopt(os.dup(connection.fileno()))
         try:
-            steps = join(client, peer)
+            steps = join(client)
             self._clients[client] = _Local(stream, wanted.depth, peer)  # from here on it is the stream's client
             yield from steps
         except BaseException:
@@ -623,24 +622,25 @@ class Streams:
         self.check_lease(stream, lease)
         self._driver.zmq.writer(self._driver.running(stream)).write(data, done)
 
-    def open_local(self, connection: socket.socket, wanted: Open) -> Iterator[None]:
+    def open_local(self, connection: socket.socket, wanted: Open, peer: Peer) -> Iterator[None]:
         """Return the steps that make a connection a reader or writer of a stream; the caller closes the connection.
 
         They raise UnknownStream, NoSlots, DeviceError; also HeldBy, if the region is leased to another client and this
         one would write, or could hold up the hardware.
         """
-        stream = self.named(wanted.name, Direction.MM2S if wanted.write else Direction.S2MM)
-        if wanted.write or stream.backpressure:
+        writes = wanted.purpose is Purpose.WRITE
+        stream = self.named(wanted.name, Direction.MM2S if writes else Direction.S2MM)
+        if writes or stream.backpressure:
             self.check_lease(stream, wanted.lease)
 
         def stopped(error: int) -> None:
             with suppress(OSError):  # so that the client need not infer it from silence; it may have gone
                 connection.send(Descriptor(kind=STOPPED, offset=error).pack())
 
-        def join(client: int, peer: Peer) -> Iterator[None]:
+        def join(client: int) -> Iterator[None]:
             return self._driver.attach(stream, client, wanted.depth, peer, stopped)
 
-        yield from self._driver.locals.adopt(connection, wanted, stream.name, join)
+        yield from self._driver.locals.adopt(connection, wanted, peer, stream.name, join)
 
     def status(self) -> tuple[StreamStatus, ...]:
         """Report all streams of this mode."""

@@ -34,6 +34,7 @@ from cm.wire.plane_packets import (
     SUBMIT,
     Descriptor,
     Open,
+    Purpose,
     encode_open,
 )  # fmt: skip
 
@@ -106,14 +107,14 @@ class Flood:
 
     def _echo(self) -> tuple[socket.socket, int]:
         """One that has memory, with its epoch."""
-        made = self._plane(Open("", echo=True, length=4096, depth=1))
+        made = self._plane(Open("", Purpose.ECHO, length=4096, depth=1))
         epoch = Descriptor(*DESCRIPTOR.unpack_from(made.recv(PACKET_MAX))).flags
         made.setblocking(False)
         return made, epoch
 
     def _reader(self) -> socket.socket:
         """One that reads registers by name."""
-        made = self._plane(Open("", registers=True))
+        made = self._plane(Open("", Purpose.REGISTERS))
         made.recv(PACKET_MAX)
         made.setblocking(False)
         return made

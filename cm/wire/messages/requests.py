@@ -79,6 +79,8 @@ class ChangeMode:
 class CancelChange:
     """End the running change before its next load; the board goes back to the mode before."""
 
+    number: int | None = None  # the manager's own: only if that one runs
+
 
 @dataclass(frozen=True, slots=True)
 class Provision:

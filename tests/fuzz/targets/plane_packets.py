@@ -7,7 +7,7 @@ from contextlib import suppress
 
 from cm.errors import InvalidRequest
 from cm.wire import plane_packets as plane
-from cm.wire.plane_packets import Geometry, Open
+from cm.wire.plane_packets import Geometry, Open, Purpose
 
 PACKAGES = ("cm.wire.plane_packets",)
 MAX_LENGTH = 4096
@@ -17,8 +17,8 @@ def seeds() -> list[bytes]:
     geometry = Geometry(8192, 4096, depth=4, shape=(64, 64), stream="camera", config_name="camera", mode="edge")
     return [
         plane.encode_open(Open("camera", depth=2)),
-        plane.encode_open(Open("to_pl", write=True, lease="1")),
-        plane.encode_open(Open("", echo=True, length=4096)),
+        plane.encode_open(Open("to_pl", Purpose.WRITE, lease="1")),
+        plane.encode_open(Open("", Purpose.ECHO, length=4096)),
         plane.encode_geometry(geometry),
         plane.encode_label("camera", "camera", "edge"),
         plane.encode_refused("no_slots", "all slots are taken"),

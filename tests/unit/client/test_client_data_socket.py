@@ -27,7 +27,7 @@ from cm.client.board import Board
 from cm.client.errors import ConnectionLost, FrameReleased, LateRelease, RequestBusy, TransferFailed
 from cm.errors import InvalidRequest, Timeout
 from cm.wire import plane_packets as packets
-from cm.wire.plane_packets import Descriptor, Geometry, Open
+from cm.wire.plane_packets import Descriptor, Geometry, Open, Purpose
 
 HUNG = 60.0
 PAGE = os.sysconf("SC_PAGE_SIZE")
@@ -232,15 +232,15 @@ def test_only_the_newest_of_the_frames_that_wait_is_read_if_that_is_wanted(
 OPENED: list[tuple[Callable[[Any], Any], Open]] = [
     (lambda b: b.stream("camera", HUNG, depth=3, lease="l").open(), Open("camera", depth=3, lease="l")),
     (lambda b: b.stream("camera", HUNG, lease="l", raw=True).read(), Open("camera", lease="l")),
-    (lambda b: _writer(b.writer("to_pl", HUNG, depth=3, lease="l")), Open("to_pl", write=True, depth=3, lease="l")),
-    (lambda b: _writer(b.echo(64, HUNG, depth=3)), Open("", depth=3, echo=True, length=64)),
-    (lambda b: _writer(b.echo(64, HUNG)), Open("", depth=2, echo=True, length=64)),
-    (lambda b: b.allocate((4, 8), "uint16", HUNG), Open("", length=64, allocate=True)),
-    (lambda b: b.allocate(4), Open("", length=4, allocate=True)),
-    (lambda b: b.registers.window("edge", timeout=HUNG), Open("edge", write=True, window=True)),
+    (lambda b: _writer(b.writer("to_pl", HUNG, depth=3, lease="l")), Open("to_pl", Purpose.WRITE, depth=3, lease="l")),
+    (lambda b: _writer(b.echo(64, HUNG, depth=3)), Open("", Purpose.ECHO, depth=3, length=64)),
+    (lambda b: _writer(b.echo(64, HUNG)), Open("", Purpose.ECHO, depth=2, length=64)),
+    (lambda b: b.allocate((4, 8), "uint16", HUNG), Open("", Purpose.ALLOCATE, length=64)),
+    (lambda b: b.allocate(4), Open("", Purpose.ALLOCATE, length=4)),
+    (lambda b: b.registers.window("edge", timeout=HUNG), Open("edge", Purpose.WRITABLE_WINDOW)),
     (
         lambda b: b.registers.window("edge", write=False, wait=True, exclusive=True, lease="l"),
-        Open("edge", window=True, wait=True, exclusive=True, lease="l"),
+        Open("edge", Purpose.WINDOW, wait=True, exclusive=True, lease="l"),
     ),
 ]
 

@@ -19,7 +19,7 @@ from cm.client.connections import ByName
 from cm.client.errors import BoardClosed
 from cm.client.local_reads import LocalReads
 from cm.wire import plane_packets as packets
-from cm.wire.plane_packets import DESCRIPTOR, NAME_MAX, Descriptor, Open
+from cm.wire.plane_packets import DESCRIPTOR, NAME_MAX, Descriptor, Open, Purpose
 
 HUNG = 60.0
 READY = Descriptor(kind=packets.REGISTERS)
@@ -42,7 +42,7 @@ class Manager:
         """Let the next client in, or not."""
         peer = self._kept.enter_context(self._listener.accept()[0])
         peer.settimeout(HUNG)
-        assert packets.decode_open(peer.recv(packets.PACKET_MAX)) == Open("", registers=True)
+        assert packets.decode_open(peer.recv(packets.PACKET_MAX)) == Open("", Purpose.REGISTERS)
         peer.send(answer.pack())
         return peer
 

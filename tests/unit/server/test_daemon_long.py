@@ -22,7 +22,7 @@ from cm.wire import plane_packets as packets
 from cm.wire.messages import requests as rq
 from cm.wire.messages.requests import ChangeMode, ConfigureStream, File, ReadReg, RegWrite, Upload, WriteReg
 from cm.wire.messages.status import RegValues, UploadInfo
-from cm.wire.plane_packets import Open
+from cm.wire.plane_packets import Open, Purpose
 
 FRAME = 48 * 64
 PICTURE = bytes(index % 251 for index in range(FRAME))
@@ -170,7 +170,7 @@ def test_a_write_that_is_long_to_read_keeps_its_place_among_the_senders_requests
 
 
 def allocated(daemon: Daemon, length: int) -> contextlib.closing[Client]:
-    return contextlib.closing(Client(daemon, Open("", allocate=True, length=length)))
+    return contextlib.closing(Client(daemon, Open("", Purpose.ALLOCATE, length=length)))
 
 
 def memory_used(daemon: Daemon) -> int:

@@ -28,7 +28,7 @@ from cm.wire import plane_packets as packets
 from cm.wire.encode import decode_reply, encode_request
 from cm.wire.messages import requests as rq
 from cm.wire.messages.requests import ChangeMode, ReadReg
-from cm.wire.plane_packets import Open
+from cm.wire.plane_packets import Open, Purpose
 
 MIB = 1 << 20
 SMALL = "config: {name: a, modules: {m: {}}, modes: {m: {modules: [m]}}}"
@@ -187,8 +187,12 @@ def test_bounds_are_those_that_were_read_last(served: Daemon, source: Source, re
             assert (found, words in message) == (code, True), message
         for wanted, code, words in (
             (Open("camera", depth=1), "no_slots", "one process gets 8"),
-            (Open("", allocate=True, length=2 * MIB), "busy", "memory for masters in the PL is 1 MiB for one process"),
-            (Open("", echo=True, length=2 * MIB), "busy", "memory of echoes is 1 MiB for one process"),
+            (
+                Open("", Purpose.ALLOCATE, length=2 * MIB),
+                "busy",
+                "memory for masters in the PL is 1 MiB for one process",
+            ),
+            (Open("", Purpose.ECHO, length=2 * MIB), "busy", "memory of echoes is 1 MiB for one process"),
         ):
             with closing(Client(served, wanted)) as other:
                 found, message = other.refusal()

@@ -31,7 +31,7 @@ from cm.wire import plane_packets as packets
 from cm.wire.messages import requests as rq
 from cm.wire.messages.requests import ConfigureStream
 from cm.wire.messages.status import ErrorInfo, StreamStatus
-from cm.wire.plane_packets import Open
+from cm.wire.plane_packets import Open, Purpose
 
 MIB = 1 << 20
 DEPTH = 64
@@ -145,7 +145,7 @@ def test_no_turn_of_the_loop_makes_more_than_eight_slots(
     assert slots.all == 2 * WITH
     assert slots.most <= 2 * AT_ONCE  # a step for each
     camera.load("loopback")
-    assert client(camera, Open("to_pl", write=True, depth=DEPTH)).geometry().depth == DEPTH
+    assert client(camera, Open("to_pl", Purpose.WRITE, depth=DEPTH)).geometry().depth == DEPTH
     assert slots.all == 2 * WITH + DEPTH
     assert slots.given <= 2 * AT_ONCE
 
@@ -172,7 +172,7 @@ def test_requests_are_served_while_slots_are_made(
 
 
 def test_an_echo_gets_its_slots_turn_by_turn(slots: Allocator, camera: Daemon, client: Callable[..., Client]) -> None:
-    echo = client(camera, Open("", echo=True, length=100, depth=16))
+    echo = client(camera, Open("", Purpose.ECHO, length=100, depth=16))
     assert echo.geometry().depth == 16
     assert slots.given <= AT_ONCE
 
@@ -448,7 +448,9 @@ def test_a_client_that_waits_is_known_by_its_stream_and_hung_up_on_where_it_gets
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with ours, theirs:
         for depth, stream in ((4, "camera"), (9, "camera"), (5, "other")):
-            assert list(locals_.adopt(ours, Open(stream, depth=depth), stream, lambda *_: iter([None]))) == [None]
+            assert list(
+                locals_.adopt(ours, Open(stream, depth=depth), Peer.of(ours), stream, lambda _: iter([None]))
+            ) == [None]
     opened: Any = SimpleNamespace(stream=SimpleNamespace(name="camera"), holders=SimpleNamespace(join=join))
     assert [client for client, _ in locals_.attach_all(opened)] == [1]
     assert joined == [(1, 4), (2, 9)]
@@ -503,7 +505,7 @@ def gate(monkeypatch: pytest.MonkeyPatch) -> Gate:
 
 
 def allocating(of: Daemon, client: Callable[..., Client], length: int) -> Client:
-    return client(of, Open("", allocate=True, length=length))
+    return client(of, Open("", Purpose.ALLOCATE, length=length))
 
 
 def test_requests_are_served_while_memory_is_allocated(

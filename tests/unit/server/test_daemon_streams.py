@@ -23,7 +23,7 @@ from cm.wire.encode import decode_reply, encode_request
 from cm.wire.messages import requests as rq
 from cm.wire.messages.requests import ConfigureStream
 from cm.wire.messages.status import ErrorInfo, FrameInfo, Reply, Status, StreamStatus
-from cm.wire.plane_packets import Open
+from cm.wire.plane_packets import Open, Purpose
 
 FRAME = 48 * 64
 PICTURE = bytes(index % 251 for index in range(FRAME))
@@ -293,7 +293,7 @@ def test_a_reader_gets_slots_once_and_frames_that_it_gives_back(camera: Daemon, 
 
 
 def test_a_writer_fills_the_slots_that_it_is_granted(loop: Daemon, client: Callable[..., Client]) -> None:
-    writer = client(loop, Open("to_pl", write=True, depth=2))
+    writer = client(loop, Open("to_pl", Purpose.WRITE, depth=2))
     geometry = writer.geometry()
     assert (geometry.writable, geometry.frame_length, geometry.depth) == (True, FRAME, 2)
     _, _, fds = writer.next(packets.SLOTS)
@@ -321,9 +321,9 @@ def loop_is_open(daemon: Daemon, name: str) -> bool:
     [
         (Open("camra"), "unknown_stream", "did you mean 'camera'?"),
         (Open("to_pl"), "invalid_request", "cannot be used the other way"),
-        (Open("camera", write=True), "invalid_request", "cannot be used the other way"),
-        (Open("", echo=True, length=0), "invalid_request", "an echo needs a length of at least one byte"),
-        (Open("", echo=True, length=1 << 40), "busy", "memory of echoes is "),
+        (Open("camera", Purpose.WRITE), "invalid_request", "cannot be used the other way"),
+        (Open("", Purpose.ECHO, length=0), "invalid_request", "an echo needs a length of at least one byte"),
+        (Open("", Purpose.ECHO, length=1 << 40), "busy", "memory of echoes is "),
         (b"x" * 40, "invalid_request", "must be an OPEN"),
         (b"short", "invalid_request", "at least 32 bytes"),
     ],
@@ -337,15 +337,15 @@ def test_impossible_requests_of_a_connection_are_refused(
 
 def test_an_echo_gives_back_what_it_is_given(camera: Daemon, client: Callable[..., Client]) -> None:
     before = memory_of_echoes()
-    echo = client(camera, Open("", echo=True, length=100))
+    echo = client(camera, Open("", Purpose.ECHO, length=100))
     geometry = echo.geometry()
     assert (geometry.frame_length, geometry.slot_length, geometry.depth) == (100, 4096, 2)
     head, _, _ = echo.next(packets.GRANT)
     echo.send(head._replace(length=100), packets.SUBMIT)
     done, _, _ = echo.next(packets.DONE)
     assert done.slot == head.slot
-    assert client(camera, Open("", echo=True, length=100)).geometry().depth == 2  # beside it
-    with contextlib.closing(client(camera, Open("", echo=True, length=5000, depth=99))) as other:
+    assert client(camera, Open("", Purpose.ECHO, length=100)).geometry().depth == 2  # beside it
+    with contextlib.closing(client(camera, Open("", Purpose.ECHO, length=5000, depth=99))) as other:
         geometry = other.geometry()
         assert (geometry.slot_length, geometry.depth, geometry.shape, geometry.writable) == (8192, 16, (5000,), True)
         assert memory_of_echoes() == before + 20
@@ -371,7 +371,7 @@ def test_a_reader_that_leaves_keeps_no_stream_open(camera: Daemon, client: Calla
 
 def test_registers_are_read_by_name_without_a_request(camera: Daemon, client: Callable[..., Client]) -> None:
     camera.done(rq.WriteReg((rq.RegWrite("led", 0x15),)))
-    reader = client(camera, Open("", registers=True))
+    reader = client(camera, Open("", Purpose.REGISTERS))
     reader.next(packets.REGISTERS)
 
     def asked(name: str) -> packets.Descriptor:
@@ -389,14 +389,14 @@ def test_registers_are_read_by_name_without_a_request(camera: Daemon, client: Ca
 
 def test_registers_are_lent_as_memory_until_their_module_goes(camera: Daemon, client: Callable[..., Client]) -> None:
     camera.load("edge_detection")
-    user = client(camera, Open("edge", write=True, window=True, exclusive=True))
+    user = client(camera, Open("edge", Purpose.WRITABLE_WINDOW, exclusive=True))
     _, data, fds = user.next(packets.WINDOW)
     pages = packets.decode_window(data)
     assert (pages.region, pages.module, pages.mode, pages.writable) == ("prr0", "edge", "edge_detection", True)
     (told,) = camera.status.windows
     assert (told.module, told.address, told.length) == ("edge", pages.address, pages.length)
     assert (told.writes, told.exclusive, told.pid) == (True, True, os.getpid())
-    assert client(camera, Open("edge", window=True, write=True)).refusal()[0] == "held_by"
+    assert client(camera, Open("edge", Purpose.WRITABLE_WINDOW)).refusal()[0] == "held_by"
     camera.done(rq.ChangeMode("camera", "default", lease=pages.lease))
     assert packets.decode_revoked(user.next(packets.REVOKED)[1]) == (1, "camera", "default")
     assert camera.status.windows == ()
@@ -407,11 +407,11 @@ def test_registers_are_lent_as_memory_until_their_module_goes(camera: Daemon, cl
 
 def test_a_writer_needs_the_lease_that_another_client_holds(loop: Daemon, client: Callable[..., Client]) -> None:
     lease = loop.done(rq.TakeLease("region:prr1", holder="me"))
-    code, message = client(loop, Open("to_pl", write=True)).refusal()
+    code, message = client(loop, Open("to_pl", Purpose.WRITE)).refusal()
     assert (code, "me" in message) == ("held_by", True)
     assert write(loop, PICTURE).error.code == "held_by"  # type: ignore[union-attr]
     assert loop.refused(ConfigureStream("to_pl", slots=3))[0] == "held_by"
-    assert client(loop, Open("to_pl", write=True, lease=lease.id)).geometry().writable
+    assert client(loop, Open("to_pl", Purpose.WRITE, lease=lease.id)).geometry().writable
     client(loop, Open("from_pl")).geometry()  # reading holds nothing up
     loop.done(ConfigureStream("from_pl", backpressure=True, force=True, lease=lease.id))
     assert client(loop, Open("from_pl")).refusal()[0] == "held_by"
@@ -422,7 +422,7 @@ def test_who_may_only_look_opens_no_writer(client: Callable[..., Client], monkey
     monkeypatch.setattr("cm.server.connections.credentials", lambda _: (os.getpid(), 65534, 65534))
     with daemon(access=Access(local=("observe",))) as made:
         made.load("loopback")
-        code, message = client(made, Open("to_pl", write=True)).refusal()
+        code, message = client(made, Open("to_pl", Purpose.WRITE)).refusal()
         assert (code, "to_pl" in message) == ("forbidden", True), message
         assert client(made, Open("from_pl")).geometry().stream == "from_pl"
 

@@ -19,7 +19,7 @@ from cm.server.streams.client_process import Peer
 from cm.server.window_clients import EACH, MOST, OpenWindows
 from cm.wire import plane_packets as packets
 from cm.wire.messages.status import ConfigInfo
-from cm.wire.plane_packets import Open
+from cm.wire.plane_packets import Open, Purpose
 
 TELLS = 7000  # the descriptor that tells of windows taken back
 
@@ -87,12 +87,12 @@ class Bench:
         if self.forbidden is not None:
             raise self.forbidden
 
-    def open(self, pid: int = 7, **wanted: Any) -> socket.socket:
+    def open(self, pid: int = 7, purpose: Purpose = Purpose.WINDOW, **wanted: Any) -> socket.socket:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self.clients.append(theirs)
         theirs.setblocking(False)
         with ours:
-            self.windows.open(ours, Open("edge", window=True, **wanted), Peer(pid, "user"))
+            self.windows.open(ours, Open("edge", purpose, **wanted), Peer(pid, "user"))
         return theirs
 
     def close(self) -> None:
@@ -119,7 +119,7 @@ def test_a_client_gets_the_pages_of_what_it_asks_for_until_they_are_taken_back(
     bench: Bench, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO, "cm")
-    user = bench.open(write=True, exclusive=True, lease="mine")
+    user = bench.open(purpose=Purpose.WRITABLE_WINDOW, exclusive=True, lease="mine")
     assert bench.lends.asked == [WindowRequest("edge", True, True, "mine", "pid 7 (user)", 7)]
     assert caplog.messages == ["registers of edge mapped by pid 7 (user)"]
     pages = packets.decode_window(said(user))

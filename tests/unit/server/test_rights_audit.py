@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 from cm.cli.serve import Lines
 from cm.errors import Forbidden
+from cm.manager.touched import Scene
 from cm.server.rights.admission import Gate
 from cm.server.rights.audit import BURST, Audit, described
 from cm.server.rights.model import Access
 from cm.server.rights.policy import Users
 from cm.server.rights.principal import Principal, of_process
-from cm.server.rights.required_rights import Scene
 from cm.wire.messages import requests as rq
 
 
@@ -80,9 +80,9 @@ def test_a_refusal_and_what_changes_something_are_reported_and_a_look_is_not(cap
     anna = of_process("ipc", 1000, 1000, 7).id
     admitted = [rq.ReadStatus(), rq.TakeLease("board"), rq.ReadReg(("zoom",))]
     for request in admitted:
-        gate.admit(anna, request, lambda: Scene(None, None, lambda _: None))  # type: ignore[arg-type, return-value]
+        gate.admit(anna, request, lambda: Scene(None, None, lambda _: None, {}))  # type: ignore[arg-type, return-value]
     with pytest.raises(Forbidden) as refused:
-        gate.admit(anna, rq.RemoveConfig("camera"), lambda: Scene(None, None, lambda _: None))  # type: ignore[arg-type, return-value]
+        gate.admit(anna, rq.RemoveConfig("camera"), lambda: Scene(None, None, lambda _: None, {}))  # type: ignore[arg-type, return-value]
     assert [(record.levelname, record.getMessage()) for record in caplog.records] == [
         ("INFO", "anna (uid 1000, pid 7): TakeLease board"),
         ("WARNING", f"refused: {refused.value}"),

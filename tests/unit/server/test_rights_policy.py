@@ -14,23 +14,27 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cm.errors import Forbidden, InvalidRequest
+from cm.manager.execution.worker import Change
 from cm.manager.planner import target
+from cm.manager.touched import Scene, resolved
 from cm.schema import load_folder
 from cm.server.rights.admission import Gate
 from cm.server.rights.keys import authorized, pairs_of
 from cm.server.rights.model import Access, AuthorizedKey, Grant, Need, Rights, Role
 from cm.server.rights.policy import Users, rights_of, system_users
 from cm.server.rights.principal import NOBODY, Principal, from_id, guest_of, introduced, of_process, on_behalf
-from cm.server.rights.required_rights import Scene, least, mapping, needs_of, opening, provisioning
+from cm.server.rights.required_rights import RIGHTS, needs_of, provisioning
+from cm.wire import plane_packets as packets
 from cm.wire.messages import requests as rq
+from cm.wire.plane_packets import Open, Purpose
 
 ROOT = Path(__file__).resolve().parents[3]
 KEY, OTHER = "k" * 40, "o" * 40
 CAMERA = load_folder(ROOT / "cm/data/camera")["camera"]
 NAMES = {1000: "anna", 1001: "ben"}
 USERS = Users(lambda uid: NAMES.get(uid, ""), lambda uid, _: ("lab",) if uid == 1001 else (), 500)
-SCENE = Scene(CAMERA, "edge_detection", lambda r: target(r, {"camera": CAMERA}, "camera"))
-EMPTY = Scene(None, None, lambda r: target(r, {"camera": CAMERA}, None))
+SCENE = Scene(CAMERA, "edge_detection", lambda r: target(r, {"camera": CAMERA}, "camera"), {})
+EMPTY = Scene(None, None, lambda r: target(r, {"camera": CAMERA}, None), {})
 
 names = st.sampled_from(["focus", "zoom", "threshold", "camera", "prr0", "*", "static"])
 maybe = st.none() | names
@@ -271,12 +275,8 @@ def test_a_client_with_a_role_everywhere_is_refused_nothing_of_it(some: list[Gra
 # ---- what each request takes --------------------------------------------------------------------
 
 
-def test_every_kind_of_request_has_a_role() -> None:
-    assert {kind for kind in get_args(rq.Request) if not least(_bare(kind)).topic} == set()
-
-
-def _bare(kind: type) -> Any:
-    return object.__new__(kind)
+def test_every_kind_of_request_and_every_purpose_has_a_right() -> None:
+    assert set(RIGHTS) == {*get_args(rq.Request), *Purpose}
 
 
 class Unknown:
@@ -284,11 +284,35 @@ class Unknown:
 
 
 def test_an_unknown_request_takes_an_admin() -> None:
-    assert least(Unknown()) == Need(Role.ADMIN, "")  # type: ignore[arg-type]
+    with pytest.raises(Forbidden, match="takes the role admin"):
+        Gate(Access(), USERS).admit(user(1000).id, Unknown(), lambda: SCENE)  # type: ignore[arg-type]
+
+
+def needed(request: Any, scene: Scene = SCENE) -> list[Need]:
+    return list(needs_of(RIGHTS[request.purpose if isinstance(request, Open) else type(request)], request, scene))
 
 
 def touched(request: rq.Request, scene: Scene = SCENE) -> set[tuple[str | None, ...]]:
-    return {(need.config, need.region, need.register, need.data) for need in needs_of(request, scene)}
+    return {(need.config, need.region, need.register, need.data) for need in needed(request, scene)}
+
+
+# by the flags of an OPEN: the role that it takes; all others are no OPEN
+WINDOWS = {8 | write | exclusive | wait for write in (0, 1) for exclusive in (0, 16) for wait in (0, 32)}
+ROLES = {0: "observe", 1: "operate", 2: "observe", 4: "operate", 64: "observe", **dict.fromkeys(WINDOWS, "map")}
+
+
+@pytest.mark.parametrize("role", Role)
+def test_each_open_takes_the_role_of_its_purpose_whatever_its_flags(role: Role) -> None:
+    gate = Gate(Access(local=(role.name.lower(),)), USERS)
+    allowed = set()
+    for flags in range(256):
+        try:
+            wanted = packets.decode_open(packets.Descriptor(kind=packets.OPEN, flags=flags).pack())
+            gate.check(user(1000).id, *needed(wanted))
+        except (InvalidRequest, Forbidden):
+            continue
+        allowed.add(flags)
+    assert allowed == {flags for flags, least in ROLES.items() if Role[least.upper()] <= role}
 
 
 def test_a_change_within_a_configuration_touches_the_regions_of_its_modules() -> None:
@@ -301,11 +325,30 @@ def test_a_change_within_a_configuration_touches_the_regions_of_its_modules() ->
 def test_a_change_to_another_configuration_or_by_force_touches_everything() -> None:
     regions = {region for _, region, _, _ in touched(rq.ChangeMode("camera", "default"), EMPTY)}
     assert regions == {None, "prr0", "prr1", "static"}
-    assert {region for _, region, _, _ in touched(rq.ChangeMode(mode="default", force=True))} == regions
+    for request in (rq.ChangeMode(mode="default", force=True), rq.ChangeMode(mode="default", undo="fleet")):
+        assert {region for _, region, _, _ in touched(request)} == regions
     other = replace(CAMERA, name="other", regions={"x": CAMERA.regions["prr0"]})
     from_other = touched(rq.ChangeMode("camera", "default"), replace(SCENE, loaded=other))
     wanted = {("camera", region, None, None) for region in (*regions, "x")}
     assert from_other == {*wanted, ("other", None, None, None)}
+    assert touched(rq.ChangeMode("camera", "default"), replace(SCENE, coming=other)) == from_other
+
+
+def running(*scopes: str, **said: Any) -> set[tuple[str | None, ...]]:
+    change = Change(7, "camera", "default", scopes=scopes, **said)
+    return touched(rq.CancelChange(), replace(SCENE, running=7, runs=change.touches))
+
+
+def test_who_cancels_touches_what_the_change_touches_that_runs() -> None:
+    assert running("mode", "region:prr1", "registers:led") == {("camera", "prr1", None, None)}
+    everything = {("*", "*", None, None)}
+    assert [running("config"), running(), running("mode", "region:prr1", force=True)] == [everything] * 3
+    assert running("mode", "region:prr1", undoing=True) == everything
+
+
+def test_only_the_change_is_cancelled_for_which_the_right_was_asked() -> None:
+    assert resolved(rq.CancelChange(), replace(SCENE, running=7)) == rq.CancelChange(7)
+    assert resolved(rq.CancelChange(), SCENE) == rq.CancelChange(0)  # none has this number
 
 
 def test_a_register_touches_its_region() -> None:
@@ -327,7 +370,7 @@ CONFIG, STORE = (Role.OBSERVE, "cm_read_config"), (Role.PROVISION, "cm_write_con
         (rq.ReadConfig("other"), Need(*CONFIG, config="other")),
         (rq.PlanChange(mode="default"), Need(*CONFIG, config="camera")),
         (rq.PlanChange("other", "default"), Need(*CONFIG, config="other")),
-        (rq.CancelChange(), Need(Role.OPERATE, "cm_write_config", config="*")),
+        (rq.CancelChange(), Need(Role.OPERATE, "cm_write_config", config="camera")),
         (rq.Provision("config: {}"), Need(*STORE)),
         (rq.RemoveConfig("other"), Need(*STORE, config="other")),
         (rq.CheckRegion("prr1"), Need(Role.OPERATE, "cm_region", "camera", "prr1")),
@@ -336,6 +379,7 @@ CONFIG, STORE = (Role.OBSERVE, "cm_read_config"), (Role.PROVISION, "cm_write_con
         (rq.ReadReg(("led.pattern",)), Need(Role.OBSERVE, "cm_read_reg", "camera", "static", "led.pattern")),
         (rq.DescribeData("camera"), Need(*LOOK, "camera", "prr0", data="camera")),
         (rq.ConfigureStream("from_pl"), Need(*WRITE, "camera", "prr1", data="from_pl")),
+        (rq.DefineMemory("scratchpad"), Need(Role.PROVISION, "cm_data_config", "camera", "*", data="scratchpad")),
         (rq.DefineMemory("own"), Need(Role.PROVISION, "cm_data_config", "camera", "*", data="own")),
         (rq.ReadData("camera"), Need(Role.OBSERVE, "cm_read_data", "camera", "prr0", data="camera")),
         (rq.ReadData("scratchpad"), Need(Role.OBSERVE, "cm_read_data", "camera", "static", data="scratchpad")),
@@ -351,7 +395,7 @@ CONFIG, STORE = (Role.OBSERVE, "cm_read_config"), (Role.PROVISION, "cm_write_con
     ],
 )
 def test_a_request_touches_one_thing(request_: rq.Request, need: Need) -> None:
-    assert list(needs_of(request_, SCENE)) == [need]
+    assert needed(request_) == [need]
 
 
 def test_where_nothing_is_loaded_a_request_touches_everything_of_its_kind() -> None:
@@ -366,26 +410,62 @@ def test_what_a_mode_says_of_a_stream_counts_before_what_the_configuration_says(
     streams = {"own": replace(camera, region="prr1"), "camera": replace(camera, region=None)}
     modes = {"edge_detection": replace(CAMERA.modes["edge_detection"], streams=streams)}
     scene = replace(SCENE, loaded=replace(CAMERA, modes=modes))
-    for name, region in (("own", "prr1"), ("camera", "static"), ("to_pl", "prr1")):
+    for name, region in (("own", "prr1"), ("camera", "static"), ("to_pl", "*")):
         assert touched(rq.ReadData(name), scene) == {("camera", region, None, name)}
     assert touched(rq.ReadData("own"), replace(scene, mode=None)) == {("camera", "*", None, "own")}
 
 
 @pytest.mark.parametrize(
-    ("need", "wanted"),
+    ("wanted", "need"),
     [
-        (opening("camera", False, SCENE), Need(Role.OBSERVE, "data", "camera", "prr0", data="camera")),
-        (opening("to_pl", True, SCENE), Need(Role.OPERATE, "data", "camera", "prr1", data="to_pl")),
-        (mapping("edge", SCENE), Need(Role.MAP, "data", "camera", "prr0", "*", "*")),
-        (mapping("prr1", SCENE), Need(Role.MAP, "data", "camera", "prr1", "*", "*")),
-        (mapping("static", SCENE), Need(Role.MAP, "data", "camera", "static", "*", "*")),
-        (mapping("nothing", SCENE), Need(Role.MAP, "data", "camera", "*", "*", "*")),
-        (mapping("static", EMPTY), Need(Role.MAP, "data", None, "*", "*", "*")),
-        (provisioning("other"), Need(Role.PROVISION, "cm_write_config", "other")),
+        (Open("camera"), Need(Role.OBSERVE, "data", "camera", "prr0", data="camera")),
+        (Open("to_pl", Purpose.WRITE), Need(Role.OPERATE, "data", "camera", "prr1", data="to_pl")),
+        (Open("", Purpose.ECHO), Need(Role.OBSERVE, "data", "camera", "*", data="*")),
+        (Open("", Purpose.ALLOCATE), Need(Role.OPERATE, "data", "camera", "*", data="*")),
+        (Open("camera", Purpose.ALLOCATE), Need(Role.OPERATE, "data", "camera", "*", data="*")),
+        (Open("edge", Purpose.WINDOW), Need(Role.MAP, "data", "camera", "prr0", "*", "*")),
+        (Open("prr1", Purpose.WRITABLE_WINDOW), Need(Role.MAP, "data", "camera", "prr1", "*", "*")),
+        (Open("static", Purpose.WINDOW), Need(Role.MAP, "data", "camera", "static", "*", "*")),
+        (Open("nothing", Purpose.WINDOW), Need(Role.MAP, "data", "camera", "*", "*", "*")),
+        (Open("", Purpose.REGISTERS), Need(Role.OBSERVE, "*", "*", "*", "*", "*")),
     ],
 )
-def test_what_is_not_copied_and_what_is_stored_is_named_too(need: Need, wanted: Need) -> None:
-    assert need == wanted
+def test_what_is_not_copied_is_named_too(wanted: Open, need: Need) -> None:
+    assert needed(wanted) == [need]
+
+
+def test_where_nothing_is_loaded_a_window_touches_everything() -> None:
+    assert needed(Open("static", Purpose.WINDOW), EMPTY) == [Need(Role.MAP, "data", None, "*", "*", "*")]
+
+
+@pytest.mark.parametrize("name", ["prr1", "static"])
+def test_a_window_of_a_region_is_not_that_of_a_module_with_the_same_name(name: str) -> None:
+    modules = {**CAMERA.modules, name: replace(CAMERA.modules["edge"], name=name)}  # which belongs to prr0
+    scene = replace(SCENE, loaded=replace(CAMERA, modules=modules))
+    assert needed(Open(name, Purpose.WINDOW), scene) == [Need(Role.MAP, "data", "camera", name, "*", "*")]
+
+
+def test_a_stream_is_where_the_module_has_it_that_its_region_keeps() -> None:
+    """As whoever opens it finds it: a mode that does not name the region leaves its module there."""
+    camera = CAMERA.streams["camera"]
+    modes = {
+        "edge_detection": replace(CAMERA.modes["edge_detection"], streams={"camera": replace(camera, region="prr1")}),
+        "loopback": replace(CAMERA.modes["loopback"], streams={"camera": replace(camera, region=None)}),
+    }
+    streams = {"camera": replace(camera, region="prr1")}
+    held = {"prr1": CAMERA.modes["loopback"].modules[0]}
+    scene = replace(SCENE, loaded=replace(CAMERA, streams=streams, modes=modes), held=held)
+    assert touched(rq.ReadData("camera"), scene) == {("camera", "static", None, "camera")}
+
+
+def test_a_configuration_that_is_stored_is_named_too() -> None:
+    assert provisioning("other") == Need(Role.PROVISION, "cm_write_config", "other")
+
+
+def test_what_touches_everything_is_allowed_by_no_pattern_that_matches_every_name() -> None:
+    for pattern in ("?", "[!a]*", "[*]"):
+        assert not Grant(Role.OBSERVE, data=(pattern,)).allows(Need(Role.OBSERVE, "data", data="*"))
+    assert Grant(Role.OBSERVE, data=("zoom", "*")).allows(Need(Role.OBSERVE, "data", data="*"))
 
 
 def test_a_lease_needs_rights_to_everything_that_it_reserves() -> None:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from cm.errors import InvalidRequest
 from cm.wire import plane_packets as plane
-from cm.wire.plane_packets import Descriptor, Geometry, Open
+from cm.wire.plane_packets import Descriptor, Geometry, Open, Purpose
 
 HEADER = Path(__file__).resolve().parents[3] / "csrc" / "client" / "cm_plane_wire.h"
 NAMES = st.text(st.sampled_from("aZ_-0 é漢🎥"), max_size=40)
@@ -26,7 +26,7 @@ def test_a_descriptor_has_32_bytes() -> None:
 
 
 KINDS = ["OPEN", "RELEASE", "SUBMIT", "PING", "GEOMETRY", "SLOTS", "FRAME", "GRANT", "DONE", "PONG", "STOPPED"]
-FLAGS = ["LATE", "LABEL", "REFUSED", "OPEN_WRITE", "OPEN_ECHO", "COHERENT", "WRITABLE", "CYCLIC"]
+FLAGS = ["LATE", "LABEL", "REFUSED", "OPEN_EXCLUSIVE", "OPEN_WAIT", "COHERENT", "WRITABLE", "CYCLIC"]
 LIMITS = ["SLOTS_MAX", "FDS_MAX", "PACKET_MAX"]
 
 
@@ -37,9 +37,41 @@ def test_numbers_are_those_of_the_header(name: str) -> None:
     assert int(found[1]) == getattr(plane, name)
 
 
-@given(st.builds(Open, NAMES, st.booleans(), st.integers(0, 65535), st.booleans(), U64))
+PURPOSES = [("WRITE", 1), ("ECHO", 2), ("ALLOCATE", 4), ("WINDOW", 8), ("REGISTERS", 64)]
+
+
+@pytest.mark.parametrize(("flag", "purpose"), PURPOSES)
+def test_purposes_are_the_flags_of_the_header(flag: str, purpose: int) -> None:
+    found = re.search(rf"^#define CM_PLANE_OPEN_{flag}[\s\\]+(\d+)", HEADER.read_text(), re.MULTILINE)
+    assert found is not None
+    assert int(found[1]) == Purpose[flag] == purpose
+
+
+@given(st.builds(Open, NAMES, st.sampled_from([Purpose.READ, Purpose.WRITE]), st.integers(0, 65535), U64))
 def test_an_open_is_read_as_it_was_written(wanted: Open) -> None:
     assert plane.decode_open(plane.encode_open(wanted)) == wanted
+
+
+EXCLUSIVE, WAIT = 16, 32
+WINDOWS = {8 | write | option for write in (0, 1) for option in (0, EXCLUSIVE, WAIT, EXCLUSIVE | WAIT)}
+
+
+@pytest.mark.parametrize("flags", range(256))
+def test_an_open_has_exactly_one_purpose(flags: int) -> None:
+    packet = plane.Descriptor(kind=plane.OPEN, flags=flags).pack()
+    if flags in {0, 1, 2, 4, 64, *WINDOWS}:
+        wanted = plane.decode_open(packet)
+        assert wanted == Open("", Purpose(flags & 79), exclusive=bool(flags & EXCLUSIVE), wait=bool(flags & WAIT))
+        assert plane.encode_open(wanted) == packet
+    else:
+        with pytest.raises(InvalidRequest, match=r"has one purpose|only a window"):
+            plane.decode_open(packet)
+
+
+@pytest.mark.parametrize("purpose", [Purpose.ECHO, Purpose.ALLOCATE, Purpose.REGISTERS])
+def test_an_open_that_names_nothing_has_no_name(purpose: Purpose) -> None:
+    with pytest.raises(InvalidRequest, match=f"'camera' names nothing: an OPEN for {purpose.name.lower()} has no name"):
+        plane.decode_open(plane.encode_open(Open("camera", purpose)))
 
 
 @given(
