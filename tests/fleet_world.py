@@ -92,6 +92,9 @@ class SimStore:
     async def watch(self, prefix: str) -> AsyncIterator[dict[str, Entry]]:
         yield {}
 
+    def now(self) -> float:
+        return self.world.now
+
     async def close(self) -> None: ...
 
 
@@ -104,8 +107,9 @@ class SimBoard:
         self.told = [Seen(HOME, 1)]  # what its manager said; what it said last may still be on its way
         self.way_back: tuple[str, Place, int] | None = None
         self.held_until, self.instance = 0.0, 1
-        self.failing, self.away, self.gone = False, 0.0, False
+        self.failing, self.breaking, self.away, self.gone = False, False, 0.0, False
         self.by_hand = False  # somebody took it elsewhere, and nothing was wanted since
+        self.at = self.taken = 0.0  # when its last change ended, and when somebody took it elsewhere last
         self.disk = b""
         self.tasks: set[asyncio.Task[Any]] = set()
         self._begin()
@@ -142,6 +146,7 @@ class SimBoard:
         """Somebody takes it elsewhere, if nothing keeps them off."""
         if self.world.now >= self.held_until and place != self.place:
             self.place, self.register, self.way_back, self.by_hand = place, 3, None, True
+            self.at = self.taken = self.world.now
 
     # ---- the disk -------------------------------------------------------------------------
 
@@ -159,13 +164,13 @@ class SimBoard:
     # ---- the manager ----------------------------------------------------------------------
 
     async def where(self, known: Seen | None = None) -> Seen:
-        now = Seen(self.place, self.instance)
+        now = Seen(self.place, self.instance, self.at)
         if now != self.told[-1]:
             self.told.append(now)
         if known is not None and known in self.told[-2:] and self.world.chance.random() < (known == now or 0.2):
             return known
         await self.world.turn()
-        return Seen(self.place, self.instance)
+        return Seen(self.place, self.instance, self.at)
 
     async def plan(self, step: FleetStep, caller: str) -> Planned:
         await self.world.turn()
@@ -207,11 +212,14 @@ class SimBoard:
     async def _worked(self, done: Callable[[], None], never_fails: bool = False) -> None:
         await self.world.turn()
         chance = self.world.chance
-        if self.failing and not never_fails:
+        if self.failing and (self.breaking or not never_fails):
+            if self.breaking:  # neither a load nor the way back from it works
+                self.place, self.register, self.way_back, self.at = (self.place[0], ""), 0, None, self.world.now
             raise LoadFailed("the bitstream did not start")
         away = chance.random() < self.away
         if not away or chance.random() < 0.5:
             done()
+            self.at = self.world.now
         if away:
             raise Unsettled("the manager went away")
         await self.world.turn()
@@ -393,7 +401,7 @@ class World:
             place = (view.wanted.config, view.wanted.mode)
             if notes.reached != view.generation:
                 raise Violation(f"{name}: reached {notes.reached}, wanted {view.generation}")
-            if board.place != place and not board.by_hand:
+            if board.place != place and not (board.by_hand and board.taken >= view.wanted.at):
                 raise Violation(f"{name}: is {board.place}, wanted {place}, and nobody took it there")
         for course in self.told:
             kept = any(generation == course.generation for generation, _ in self.history)

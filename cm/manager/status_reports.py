@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -47,7 +48,7 @@ class Moment(NamedTuple):
     pr_mode: PrMode
     progress: Progress | None
     error: ErrorInfo | None
-    last: tuple[int, float]  # number and seconds of the last change
+    last: tuple[int, float, int]  # number and seconds of the last change, and CLOCK_MONOTONIC at its end, ns
     generation: int
     board: BoardState
     config: Config | None  # that is loaded
@@ -71,7 +72,7 @@ class StatusReporter:
         self._notice: ErrorInfo | None = None  # what was found out beside changes; told until a client has read it
         self._notice_read = False
         self._failed = False
-        self._last: tuple[int, float] = (0, 0.0)  # number and seconds of the last change
+        self._last: tuple[int, float, int] = (0, 0.0, 0)
         self._regions, self._clocks = Kept(region_states), Kept(clock_states)
         self._configs = Kept(lambda configs: tuple(sorted(configs)))
 
@@ -89,7 +90,7 @@ class StatusReporter:
         """No change runs any more; `changed` tells it."""
         self._progress, self._running = None, False
         self.totals.ended(error.code if error else None, seconds)
-        self._last = (number, seconds)
+        self._last = (number, seconds, time.monotonic_ns())
         self._error, self._failed = error, error is not None and error.code != "cancelled"
         if self._notice_read:
             self._notice = None
@@ -136,6 +137,7 @@ class StatusReporter:
             configs=self._configs.of(m.configs),
             last_change=m.last[0],
             last_change_seconds=m.last[1],
+            last_change_ns=m.last[2],
             clocks=self._clocks.of(m.config, m.board.clocks),
             generation=m.generation,
             **beside,

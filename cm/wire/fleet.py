@@ -87,11 +87,17 @@ def irq_name(data: bytes) -> str:
     return parsed(pb.Irq, data).name
 
 
-def glance(status: bytes) -> tuple[tuple[str, ...], tuple[tuple[str, str], int] | None]:
-    """Of a Status: the streams that can be read; configuration and mode with the manager's start, None while busy."""
+def glance(status: bytes) -> tuple[tuple[str, ...], tuple[tuple[str, str], int, int] | None]:
+    """Of a Status: the streams that can be read; configuration and mode, the manager's start, and the last change's end.
+
+    The latter three are None while it is busy; times in ns, by CLOCK_REALTIME.
+    """
     message = parsed(pb.Status, status)
     streams = tuple(stream.name for stream in message.streams if stream.direction == "s2mm")
-    return streams, None if message.fpga_busy else ((message.config_name, message.mode), message.started_ns)
+    if message.fpga_busy:
+        return streams, None
+    ended = message.last_change_ns + message.realtime_offset_ns
+    return streams, ((message.config_name, message.mode), message.started_ns, ended)
 
 
 def encode_fetch(fetch: fl.FetchBundle) -> bytes:

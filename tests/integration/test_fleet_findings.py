@@ -116,6 +116,7 @@ def test_what_an_operator_did_while_the_bridge_was_away_stays_and_is_told(
     until(lambda: "b03" not in fleet.boards())
     without(fleet, "colorise", {"b03"})
     fleet.mode("edge_detection", ["b01", "b02"])
+    time.sleep(1.5)  # etcd's clock is told in whole seconds
     with b03.manager.connected() as client:
         client.mode = "loopback"
     b03.bridge.start()
@@ -128,6 +129,31 @@ def test_what_an_operator_did_while_the_bridge_was_away_stays_and_is_told(
     assert state(fleet, "b01").state == state(fleet, "b02").state == "there"  # who is right is not blamed
     assert main(["fleet", "reconcile", "b03", *where]) == 0
     assert b03.place[1] == "colorise"
+
+
+def test_what_is_wanted_after_an_operator_took_a_board_elsewhere_counts_also_if_its_bridge_was_away(
+    boards: Boards, fleet: Fleet
+) -> None:
+    b03 = boards["b03"]
+    b03.bridge.end()
+    until(lambda: "b03" not in fleet.boards())
+    with b03.manager.connected() as client:
+        client.mode = "loopback"
+    time.sleep(1.5)  # etcd's clock is told in whole seconds
+    without(fleet, "edge_detection", {"b03"})
+    b03.bridge.start()
+    until(lambda: b03.place[1] == "edge_detection")
+    until(lambda: state(fleet, "b03").state == "there")
+
+
+def test_a_board_on_which_every_load_fails_is_told_and_repaired(boards: Boards, fleet: Fleet) -> None:
+    boards["b02"].sim.control.inject("icap_crc", count=0)
+    with pytest.raises(ChangeFailed, match="back in the mode before .*, but for b02: "):
+        fleet.mode("colorise")
+    assert state(fleet, "b02").state in ("failed", "going")
+    boards["b02"].sim.control.clear("icap_crc")
+    until(lambda: state(fleet, "b02").state == "there", 60.0)
+    assert boards["b02"].place == ("camera", "default")
 
 
 def test_a_local_change_is_drift_until_something_new_is_wanted(boards: Boards, fleet: Fleet) -> None:

@@ -54,6 +54,7 @@ async def course(number: int) -> None:
     trouble = chance.choice((0.0, 0.02, 0.08))
     for board in world.boards.values():
         board.failing, board.away = chance.random() < 0.1, chance.choice((0.0, 0.0, 0.2))
+        board.breaking = chance.random() < 0.3
     clients: list[asyncio.Task[Any]] = []
     for caller in ("anna", "bob", "carl")[: chance.randint(1, 3)]:
         members = chance.sample(sorted(world.boards), chance.randint(1, len(world.boards)))
@@ -177,6 +178,62 @@ def test_two_changes_of_the_same_boards_come_one_after_the_other() -> None:
 
     for seed in range(30):
         asyncio.run(one(seed))
+
+
+@pytest.mark.parametrize("first", ["the fleet", "an operator"])
+def test_what_is_newer_counts_whoever_notices_it_when(first: str) -> None:
+    """A board whose bridge is away is wanted elsewhere, and taken elsewhere by hand: in either order."""
+
+    async def run(world: World) -> None:
+        b0, loop = world.boards["b0"], ("camera", "loop")
+        await world.heal(1.0)  # it knows where it is
+        b0.gone = True
+
+        async def wish() -> None:
+            client = asyncio.create_task(
+                world.change("anna", ("camera", "edge"), sorted(world.boards), Policy.ALL, ("b0",))
+            )
+            await world.run(client)
+            assert client.result().decision is Decision.KEEP
+            world.now += 60.0
+
+        if first == "the fleet":
+            await wish()
+        b0.operate(loop)
+        world.now += 60.0
+        if first == "an operator":
+            await wish()
+        await world.heal()
+        world.judge()
+        assert b0.place == (loop if first == "the fleet" else ("camera", "edge"))
+        assert b0.board.state.state == ("drift" if first == "the fleet" else "there")
+
+    world = World("order", 2)
+    world.lossy = False
+    asyncio.run(run(world))
+
+
+def test_a_board_whose_way_back_fails_is_told_as_failed_and_repaired_when_loads_work_again() -> None:
+    async def change(world: World, mode: str) -> Any:
+        client = asyncio.create_task(world.change("anna", ("camera", mode), sorted(world.boards), Policy.ALL))
+        await world.run(client)
+        return client.result()
+
+    async def run(world: World) -> None:
+        assert (await change(world, "edge")).decision is Decision.KEEP
+        b0 = world.boards["b0"]
+        b0.failing = b0.breaking = True
+        course = await change(world, "loop")
+        assert course.decision is Decision.REVERT
+        assert course.differing == {"b0": "the bitstream did not start"}
+        assert (b0.place, b0.board.state.state) == (("camera", ""), "failed")
+        await world.heal()
+        world.judge()
+        assert (b0.place, b0.board.state.state) == (("camera", "edge"), "there")
+
+    world = World("broken", 2)
+    world.lossy = False
+    asyncio.run(run(world))
 
 
 @pytest.mark.parametrize("size", [1, 64, 65])

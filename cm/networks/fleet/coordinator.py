@@ -299,9 +299,10 @@ class Coordinator:
         One that was refused, and no other, was not done, and never will be.
         """
         puts: dict[str, Put | None] = {}
+        now = self.store.now()
         for name in self.members:
-            config, mode = self._goals[name]
-            puts[key(name, "wanted")] = Put(packed(Wanted(self._generation, config, mode, self.caller, self.change)))
+            wanted = Wanted(self._generation, *self._goals[name], self.caller, self.change, now)
+            puts[key(name, "wanted")] = Put(packed(wanted))
         if self._claims_end:
             puts |= dict.fromkeys(key(name, "claim") for name in self.members)
         first = self.members[0]  # where a repetition finds that it was done

@@ -15,6 +15,7 @@ import time
 from collections.abc import AsyncIterator, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from email.utils import mktime_tz, parsedate_tz
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -102,6 +103,7 @@ class _Connection:
     def __init__(self, member: str, tls: ssl.SSLContext | None) -> None:
         self.member, self._tls = member, tls
         self._stream: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
+        self.ahead = 0.0  # the member's clock, of our monotonic one, as its last answer told it to half a second
 
     async def posted(self, path: str, body: bytes, token: str) -> AsyncIterator[bytes]:
         """The pieces of the answer as they come. Raises those of `_BROKEN`."""
@@ -116,6 +118,8 @@ class _Connection:
         )  # fmt: skip
         writer.write("\r\n".join(head).encode() + body)
         said = (await reader.readuntil(b"\r\n\r\n")).decode("latin-1").lower()
+        if date := parsedate_tz(said.partition("\r\ndate:")[2].partition("\r\n")[0]):
+            self.ahead = mktime_tz(date) + 0.5 - time.monotonic()
         _, _, length = said.partition("\r\ncontent-length:")
         if length:
             yield await reader.readexactly(int(length.split()[0]))
@@ -141,6 +145,7 @@ class Etcd:
         self._first = 0  # the member that answered last
         self._heard = False  # of any
         self._token = ""
+        self._ahead = 0.0
         self._closed = False
 
     async def get(self, prefix: str) -> dict[str, Entry]:
@@ -169,6 +174,9 @@ class Etcd:
     async def revoke(self, lease: str) -> None:
         with suppress(_Gone):
             await self._ask("lease/revoke", {"ID": lease})
+
+    def now(self) -> float:
+        return time.monotonic() + self._ahead
 
     async def close(self) -> None:
         self._closed = True
@@ -261,6 +269,7 @@ class Etcd:
             connection.close()
             raise
         self._idle.append(connection)
+        self._ahead = connection.ahead
         return _parsed(answer)
 
     def _connected(self, member: str) -> _Connection:

@@ -182,7 +182,8 @@ class Keeper:
     def _answer(self, where: str, payload: Any) -> dict[str, Any]:
         try:
             operation, caller = where.split("/")[1:]
-            return {"ok": self._done(operation, caller, json.loads(bytes(payload)) if payload is not None else {})}
+            done = self._done(operation, caller, json.loads(bytes(payload)) if payload is not None else {})
+            return {"ok": done, "now": time.time()}
         except CmError as error:
             return {"code": error.code, "error": str(error)}
         except sqlite3.OperationalError as error:
@@ -215,6 +216,7 @@ class KeeperStore:
 
     def __init__(self, session: Any, caller: str) -> None:
         self._session, self._caller = session, caller
+        self._ahead = 0.0  # the keeper's clock, of our monotonic one
 
     async def get(self, prefix: str) -> dict[str, Entry]:
         return {k: Entry(*entry) for k, entry in (await self._ask("get", prefix=prefix)).items()}
@@ -233,6 +235,9 @@ class KeeperStore:
 
     async def revoke(self, lease: str) -> None:
         await self._ask("revoke", lease=lease)
+
+    def now(self) -> float:
+        return time.monotonic() + self._ahead
 
     async def close(self) -> None:
         """The session is not ours."""
@@ -266,6 +271,7 @@ class KeeperStore:
         answer = json.loads(found[0].payload or b"{}")
         if "error" in answer:
             raise StoreRefused(str(answer["error"]))
+        self._ahead = float(answer["now"]) - time.monotonic()
         return answer["ok"]
 
 

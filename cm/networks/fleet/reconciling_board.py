@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 from cm.errors import Busy, CmError, InvalidRequest
@@ -74,10 +74,19 @@ class Notes:
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """Where the board is, as its manager says, and which manager: its start is its name."""
+    """Where the board is, as its manager says, and which manager: its start is its name.
+
+    `at`: when its last change ended, by the clock that the board is given.
+    """
 
     place: Place
     manager: int
+    at: float = field(default=0.0, compare=False)
+
+    @property
+    def is_broken(self) -> bool:
+        """Whether a load, and the way back from it, have failed: nobody asks for a configuration without a mode."""
+        return bool(self.place[0]) and not self.place[1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +160,7 @@ class Board:
         if wanted.generation < notes.reached:
             return "behind"
         if wanted.generation == notes.reached:
-            return "there" if self.place == (wanted.config, wanted.mode) else "drift"
+            return "there" if self.place == wanted.place else "drift"
         if self._follow == "local":
             return "local"
         return "failed" if self._error and not self._going else "going"
@@ -312,7 +321,7 @@ class Board:
         if wanted.generation <= self._notes.reached or self._follow != "fleet":
             self._error = None
         elif self._now() >= self._again:
-            await self._go((wanted.config, wanted.mode), wanted.by, wanted.generation)
+            await self._go(wanted.place, wanted.by, wanted.generation)
 
     async def _end(self, part: Part, kept: bool) -> Seen:
         """The change is decided, or its coordinator gone: stay, or have it undone. Returns where the board is then."""
@@ -346,19 +355,24 @@ class Board:
 
     def _still_ours(self, part: Part, seen: Seen) -> bool:
         """Whether nobody took the board elsewhere meanwhile: its lock may have run out while the store was away."""
-        return seen.place in (part.old, part.goal, NOTHING) or seen.manager != self._notes.manager
+        ours = seen.place in (part.old, part.goal, NOTHING) or seen.is_broken
+        return ours or seen.manager != self._notes.manager
 
     def _notice(self, seen: Seen, again: bool) -> None:
         """Find out whether somebody took the board elsewhere: that stays, until something new is wanted.
 
-        After a restart of the manager nobody can tell an operator from a loss of power: what is wanted counts then.
+        What is newer counts, by the store's clock, whenever it is noticed. After a restart of the manager nobody can
+        tell an operator from a loss of power: what is wanted counts then, and where a load has failed, too.
         """
         notes, wanted = self._notes, self._view.wanted
         reached = notes.reached
         if (seen.place, seen.manager) != (notes.place, notes.manager) and wanted is not None:
-            by_hand = seen.manager == notes.manager and seen.place != (wanted.config, wanted.mode)
-            reached = max(reached, wanted.generation) if by_hand else min(reached, wanted.generation - 1)
-        if again and wanted is not None and seen.place != (wanted.config, wanted.mode):
+            by_hand = seen.manager == notes.manager and not seen.is_broken and seen.place != wanted.place
+            if not by_hand:
+                reached = min(reached, wanted.generation - 1)
+            elif wanted.at <= self._store.now() - (self._now() - seen.at):
+                reached = max(reached, wanted.generation)
+        if again and wanted is not None and seen.place != wanted.place:
             reached = min(reached, wanted.generation - 1)
         self._is_at(seen, reached=reached)
 

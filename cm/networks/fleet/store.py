@@ -72,6 +72,9 @@ class Store(Protocol):
     def watch(self, prefix: str) -> AsyncIterator[dict[str, Entry]]:
         """What has changed under a prefix; nothing at the beginning and after every gap: then it is to be read."""
 
+    def now(self) -> float:
+        """Seconds by the store's own clock, as its last answer told it: the same for all who ask."""
+
     async def close(self) -> None:
         """Disconnect."""
 
@@ -89,13 +92,19 @@ class Settings:
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """Where a board is to be, since which generation, and in whose name."""
+    """Where a board is to be, since which generation, and in whose name; `at`: when, by the store's clock."""
 
     generation: int
     config: str
     mode: str
     by: str
     change: str
+    at: float = 0.0
+
+    @property
+    def place(self) -> tuple[str, str]:
+        """Configuration and mode."""
+        return self.config, self.mode
 
 
 @dataclass(frozen=True, slots=True)

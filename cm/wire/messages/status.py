@@ -269,6 +269,7 @@ class Status:
     leases: tuple[LeaseStatus, ...] = ()
     clients: tuple[ClientStatus, ...] = ()  # only in the reply to a request for them
     windows: tuple[WindowStatus, ...] = ()
+    last_change_ns: int = 0  # CLOCK_MONOTONIC at its end; 0: there was none since the manager's start
 
     def _repr_html_(self) -> str:
         from cm.wire.messages import notebook  # only notebooks need it

@@ -22,7 +22,7 @@ from cm.home import state_home
 from cm.networks.fleet import keys
 from cm.networks.fleet.bridge import clock
 from cm.networks.fleet.bridge.bundles import Bundles, Import
-from cm.networks.fleet.bridge.managed_board import ManagedBoard
+from cm.networks.fleet.bridge.managed_board import ManagedBoard, seen
 from cm.networks.fleet.bridge.notes_file import NotesFile
 from cm.networks.fleet.bridge.publishing import BEAT, Publications
 from cm.networks.fleet.bridge.query_answers import Queries
@@ -177,8 +177,8 @@ class Bridge:
     def _seen_now(self) -> Seen | None:
         if self._unread:
             self._unread = False
-            self._streams, seen = wire.glance(self._status)
-            self._seen = Seen(*seen) if seen else None
+            self._streams, told = wire.glance(self._status)
+            self._seen = seen(*told) if told else None
         return self._seen
 
     async def _beat(self, publications: Publications) -> None:

@@ -18,6 +18,11 @@ from cm.wire.messages.fleet import FleetStep
 HOLD = 15.0  # seconds for which others are kept off; renewed while a change is open and the store answers
 
 
+def seen(place: Place, manager: int, ended_ns: int) -> Seen:
+    """Of a status: its last change's end is by the clock of its machine, that we share, or nearly so."""
+    return Seen(place, manager, time.monotonic() - (time.time_ns() - ended_ns) / 1e9)
+
+
 class ManagedBoard:
     """The manager. With `own_name` it is asked in the bridge's own name, whoever the caller is."""
 
@@ -39,7 +44,8 @@ class ManagedBoard:
             raise Unsettled(str(error)) from error
         if status.fpga_busy:
             raise Unsettled("a change is under way on this board")
-        return Seen((status.config_name, status.mode), status.started_ns)
+        ended = status.last_change_ns + status.realtime_offset_ns
+        return seen((status.config_name, status.mode), status.started_ns, ended)
 
     async def plan(self, step: FleetStep, caller: str) -> Planned:
         """All files are read and checked for that."""
