@@ -36,6 +36,9 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "ws": Kind(idle=_NONE),
         **dict.fromkeys(("w1c", "w1s", "w1t"), Kind(idle=0)),
         **dict.fromkeys(("w0c", "w0s", "w0t"), Kind(idle=1)),
+        **dict.fromkeys(("w1src", "w1crs"), Kind(idle=0, read_changes=True)),
+        **dict.fromkeys(("w0src", "w0crs"), Kind(idle=1, read_changes=True)),
+        **dict.fromkeys(("wsrc", "wcrs"), Kind(idle=_NONE, read_changes=True)),
     }
 )
 
@@ -94,7 +97,7 @@ def must_not_be_read(access: str, fields: Iterable[str]) -> str:
         return "is write-only"
     changing = next((does for does in fields if KINDS[does].read_changes), None)
     if changing is not None:
-        return f"has a field that reading {'sets' if changing.endswith('s') else 'clears'}"
+        return f"has a field that reading {'sets' if changing.endswith('rs') else 'clears'}"
     return "has a write-only field"
 
 

@@ -21,7 +21,7 @@ from cm.design.hdl.extract import Sources
 from cm.design.hdl.hls_registers import HDL, hls_interface
 from cm.design.hdl.ipxact import component_files
 from cm.design.hdl.model import Mode, ModuleInfo
-from cm.design.hdl.register_maps import identifier, read_register_map
+from cm.design.hdl.register_maps import read_register_map
 from cm.design.input_kinds import Given, read_inputs
 from cm.design.platforms import platform_of
 from cm.design.project.load import DEFAULT_CLOCK, DEFAULT_RATE
@@ -29,6 +29,7 @@ from cm.design.render import Renderer
 from cm.design.runtime.answers import Answers
 from cm.design.runtime.schema import runtime_config
 from cm.errors import CmError
+from cm.formats.registers import identifier
 from cm.frozen import dataclass
 
 DEFAULT_PART = "xc7z020clg400-1"
@@ -150,7 +151,7 @@ def _register_maps(given: Given, sources: Sequence[Path], *component: Path) -> d
 def _described(path: Path) -> set[str]:
     """The registers and memories of a register map; none, if it has none or cannot be read."""
     with contextlib.suppress(BuildError):
-        registers, memories = read_register_map(path, "")
+        registers, memories, _ = read_register_map(path, "")
         return {*registers, *memories}
     return set()
 

@@ -18,9 +18,9 @@ from cm.design.errors import BuildError
 from cm.design.hdl.extract import Sources
 from cm.design.hdl.hls_registers import hls_interface
 from cm.design.hdl.model import Interface, Mode, ModuleInfo
-from cm.design.hdl.register_maps import identifier
 from cm.design.input_kinds import read_inputs
 from cm.design.platforms import platform_of
+from cm.formats.registers import identifier
 from cm.frozen import dataclass
 from cm.schema.clock_rates import PLL, hertz, rate_problem, rounded
 from cm.schema.model import Clock

@@ -85,6 +85,12 @@ class FieldAccess(str, Enum):
     W0C = "w0c"  # a written 0 clears, and so on
     W0S = "w0s"
     W0T = "w0t"
+    W1SRC = "w1src"  # a written 1 sets, reading clears, and so on
+    W1CRS = "w1crs"
+    W0SRC = "w0src"
+    W0CRS = "w0crs"
+    WSRC = "wsrc"
+    WCRS = "wcrs"
 
     @property
     def kind(self) -> Kind:

@@ -16,7 +16,7 @@ from cm.design.hdl.errors import HdlError, ModuleNotFound, WrongParameter
 from cm.design.hdl.extract import Sources, read
 from cm.design.hdl.flat_wrappers import Flat, needs_wrapper
 from cm.design.hdl.flatten import flatten
-from cm.design.hdl.hls_registers import HDL, differences, hls_registers
+from cm.design.hdl.hls_registers import HDL, differences
 from cm.design.hdl.ipxact import load_component_xml, load_xci
 from cm.design.hdl.model import Language, ModuleInfo, Polarity, Problem, Stated
 from cm.design.hdl.register_maps import read_register_map
@@ -101,10 +101,10 @@ def _with_registers(project: Project, spec: ModuleSpec) -> ModuleSpec:
 
 def _with_map(spec: ModuleSpec, bus: str, path: Path) -> ModuleSpec:
     """The module with what a register map says of one of its buses; what it has already, stays."""
-    registers, memories = read_register_map(path, spec.top)
+    registers, memories, notes = read_register_map(path, spec.top, bus)
     # HLS has a file for each bus of a module: where one of them is named, the others are of other buses
     for other in () if HDL.match(path.name) else (source for source in spec.sources if HDL.match(source.name)):
-        if wrong := differences(registers, hls_registers(other)):
+        if wrong := differences(registers, read_register_map(other, "").registers):
             raise BuildError(f"{path.name} and {other} disagree: {'; '.join(wrong)}")
     elsewhere = {} if bus == (spec.interface or "") else dict.fromkeys((*registers, *memories), bus)
     twice = sorted({*elsewhere} & {*spec.registers, *spec.memories})
@@ -116,6 +116,7 @@ def _with_map(spec: ModuleSpec, bus: str, path: Path) -> ModuleSpec:
         registers={**registers, **spec.registers},
         memories={**memories, **spec.memories},
         interface_of={**spec.interface_of, **elsewhere},
+        register_notes=(*spec.register_notes, *(f"{path.name}: {note}" for note in notes)),
     )
 
 

@@ -102,7 +102,10 @@ def check_handshakes(system: System) -> Iterator[Finding]:
 
 
 def check_windows(system: System) -> Iterator[Finding]:
-    """A note for each register window of a module of which no registers are known."""
+    """A note for each register window of which no registers are known, and for what register maps could not carry."""
+    for name, module in system.project.modules.items():
+        for note in module.register_notes:
+            yield Finding("registers", ("modules", name, "register_map"), note, error=False)
     for one in system.implementations:
         for bus in bare_windows(system.project.source, one.region, one.module):
             name = bare_name(one.name, bus)

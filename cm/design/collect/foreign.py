@@ -15,11 +15,11 @@ from cm.design.collect.handoff import Handoff
 from cm.design.collect.images import Image, by_region, check_regions, footprint, to_bin
 from cm.design.errors import BuildError
 from cm.design.generate.dma_nodes import ClockInput, Tree, pl_clock
-from cm.design.hdl.register_maps import identifier
 from cm.design.platforms import Platform, platform_of
 from cm.design.render import Renderer
 from cm.formats import hwh
 from cm.formats.importers.registers import decoupler_of
+from cm.formats.registers import identifier
 from cm.hashes import sha256
 from cm.schema import dump
 from cm.schema.model import (

@@ -19,9 +19,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 from cm.design.generate.dma_nodes import Channel, ClockInput, Engine, Streams, pl_clock, streams_of
-from cm.design.hdl.register_maps import identifier
 from cm.design.platforms import Platform
 from cm.formats import hwh
+from cm.formats.registers import identifier
 from cm.schema.model import Interrupt
 
 _CLOCK_PINS = {

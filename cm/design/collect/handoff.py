@@ -7,10 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cm.design.collect.foreign_dma import stream_names
-from cm.design.hdl.register_maps import identifier
 from cm.formats import hwh
-from cm.formats.importers.registers import RegisterBank
-from cm.formats.importers.result import Names
+from cm.formats.registers import RegisterBank, identifier
 from cm.schema.model import Clock, Direction, Register, Stream
 
 
@@ -45,7 +43,7 @@ def registers(design: hwh.Hwh, notes: list[str], base: int = 0, region: str | No
     module in a `region`, addresses below `base` are relative, and moved there.
     """
     driven = set() if region else {channel.instance for channel in hwh.dma_channels(design)}
-    bank = RegisterBank(Names(), notes)
+    bank = RegisterBank(notes)
     for window in hwh.windows(design):
         instance = design.modules.get(window.instance)
         if instance is None or instance.region or window.instance in driven:

@@ -14,7 +14,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from cm.design.errors import BuildError
-from cm.schema.model import Access, BitField, FieldAccess, Memory, Register
+from cm.formats.registers import Item, MemoryInfo, RegisterField, RegisterInfo
+from cm.schema.model import Register
 
 HDL = re.compile(r".+_s_axi\.(?:v|sv|vhdl?)$", re.IGNORECASE)
 HEADER = re.compile(r"x?\w+_hw\.h$", re.IGNORECASE)
@@ -55,39 +56,34 @@ def hls_interface(path: Path, top: str) -> str:
     return "s_axi_" + path.name[: path.name.lower().rindex("_s_axi.")].removeprefix(f"{top}_")
 
 
-def hls_registers(path: Path) -> dict[str, Register]:
-    """Read the registers of one file; empty if it has none. Arguments of more than 32 bits have a register a word.
+def hls_items(path: Path) -> list[Item]:
+    """The registers of one file, and its arrays as memories. Arguments of more than 32 bits have a register a word.
 
     Raises BuildError where the comment and the constants of the file disagree.
     """
     text = path.read_text(encoding="utf-8", errors="replace")
-    listed = dict(_listed(text))
+    listed = {item.name: item for item in _listed(text)}
     stated = dict(_constants(text))
     wrong = [
-        f"{name} is at {spec.offset:#x} in the comment, at {stated[name]:#x} in the constants"
-        for name, spec in listed.items()
-        if stated.get(name, spec.offset) != spec.offset
+        f"{name} is at {item.offset:#x} in the comment, at {stated[name]:#x} in the constants"
+        for name, item in listed.items()
+        if stated.get(name, item.offset) != item.offset
     ]
     if wrong:
         raise BuildError(f"{path}: {'; '.join(wrong)}")
-    if listed:
-        return listed
-    return {name: Register(name, 0, offset, volatile=name in _VOLATILE) for name, offset in stated.items()}
+    bare = [RegisterInfo(name, offset, 32, volatile=name in _VOLATILE) for name, offset in stated.items()]
+    return [*(listed.values() if listed else bare), *_arrays(text)]
 
 
-def hls_memories(path: Path) -> dict[str, Memory]:
-    """Read the arrays on the bus of one file, as HLS packs elements into words; those beyond 64 bits are left out."""
-    text = path.read_text(encoding="utf-8", errors="replace")
-    listed = [(name.lower(), int(at, 16), int(n), int(bits)) for at, name, n, bits in _ARRAY.findall(text)]
-    return {name: _memory(name, *numbers) for name, *numbers in listed if numbers[2] <= 64}
-
-
-def _memory(name: str, offset: int, count: int, bits: int) -> Memory:
-    item = next(size for size in (8, 16, 32, 64) if bits <= size)
-    length = count * item // 8
-    shape = (count,) if length % 4 == 0 else None
-    doc = "" if bits == item else f"elements of {bits} bits"
-    return Memory(name, 0, -(-length // 4) * 4, offset, dtype=f"uint{item}", shape=shape, doc=doc)
+def _arrays(text: str) -> Iterator[MemoryInfo]:
+    """The arrays on a bus, as HLS packs elements into words; those beyond 64 bits are left out."""
+    for at, name, count, bits in _ARRAY.findall(text):
+        offset, length, width = int(at, 16), int(count), int(bits)
+        item = next((size for size in (8, 16, 32, 64) if width <= size), 0)
+        whole = length * item % 32 == 0
+        doc = "" if width == item else f"elements of {width} bits"
+        if item:
+            yield MemoryInfo(name, offset, length * item // 8, "", item, (length,) if whole else None, doc)
 
 
 def differences(ours: Mapping[str, Register], theirs: Mapping[str, Register]) -> list[str]:
@@ -99,7 +95,7 @@ def differences(ours: Mapping[str, Register], theirs: Mapping[str, Register]) ->
     ]
 
 
-def _listed(text: str) -> Iterator[tuple[str, Register]]:
+def _listed(text: str) -> Iterator[RegisterInfo]:
     """The registers of the comment; reserved words and memories are none."""
     found: list[tuple[int, str, list[re.Match[str]]]] = []
     for line in text.splitlines():
@@ -112,7 +108,7 @@ def _listed(text: str) -> Iterator[tuple[str, Register]]:
     counts = Counter(of[1] for _, title, _ in found if (of := _OF.match(title)) and title.lower().startswith("data"))
     for offset, title, parts in found:
         if name := _name(title, parts, counts):
-            yield name, _register(name, offset, title, parts)
+            yield _register(name, offset, title, parts)
 
 
 def _name(title: str, parts: list[re.Match[str]], counts: Mapping[str, int]) -> str:
@@ -130,29 +126,32 @@ def _name(title: str, parts: list[re.Match[str]], counts: Mapping[str, int]) -> 
     return (f"{of[1]}_{word}" if counts[of[1]] > 1 else of[1]).lower()
 
 
-def _register(name: str, offset: int, title: str, parts: list[re.Match[str]]) -> Register:
-    whole = re.search(r"\(([^()]*)\)\s*$", title)
-    said = [_said(part[4] or (whole[1] if whole else "")) for part in parts] or [_said(whole[1] if whole else "")]
-    readable, writable = any(one[0] for one in said), any(one[1] for one in said)
-    access = Access.RO if readable and not writable else Access.WO if writable and not readable else Access.RW
-    changing = name in _VOLATILE or any(one[2] for one in said) or access is Access.RO
+def _register(name: str, offset: int, title: str, parts: list[re.Match[str]]) -> RegisterInfo:
+    found = re.search(r"\(([^()]*)\)\s*$", title)
+    whole = found[1] if found else ""
+    said = {_said(part[4] or whole)[0] for part in parts} or {_said(whole)[0]}
     single = len(parts) == 1 and _SLICE.match(parts[0][3])
-    fields = {} if single else dict(_fields(parts, whole[1] if whole else ""))
+    fields = () if single else tuple(_fields(parts, whole))
     plain = "" if _OF.match(title) else re.sub(r"\s*\([^()]*\)\s*$", "", title)
-    doc = "; ".join(filter(None, (plain, _said(whole[1])[2] if whole else "")))
-    return Register(name, 0, offset, access=access, volatile=changing, fields=fields, doc=doc)
+    doc = "; ".join(filter(None, (plain, _said(whole)[3])))
+    idle = sum(1 << part.lsb for part in fields if part.name == "idle")  # the only one that is 1 after a reset
+    reset = idle if name == "ap_ctrl" else None
+    return RegisterInfo(
+        name, offset, 32, said.pop() if len(said) == 1 else "", reset, fields, doc, volatile=name in _VOLATILE
+    )
 
 
-def _said(words: str) -> tuple[bool, bool, str]:
-    """Whether a comment's ``Read/Write/COR`` allows reading, and writing, and what else an access does."""
+def _said(words: str) -> tuple[str, str, str, str]:
+    """A comment's ``Read/Write/COR`` as access, what a write does, what a read does, and the same in words."""
     parts = {word.strip().upper() for word in words.split("/")}
-    known = bool(parts & {"READ", "WRITE", "R", "W"})
+    reads, writes = bool(parts & {"R", "READ"}), bool(parts & {"W", "WRITE", "TOW"})
+    access = {(True, False): "read-only", (False, True): "write-only"}.get((reads, writes), "read-write")
+    write = "oneToToggle" if "TOW" in parts else "oneToSet" if writes and parts & {"COH", "SC"} else ""
     more = "; ".join(text for word, text in _READING.items() if word in parts)
-    writes = bool(parts & {"WRITE", "W", "TOW"})
-    return "READ" in parts or "R" in parts or not known, writes or not known, more
+    return access, write, "clear" if "COR" in parts else "", more
 
 
-def _fields(parts: Iterable[re.Match[str]], whole: str) -> Iterator[tuple[str, BitField]]:
+def _fields(parts: Iterable[re.Match[str]], whole: str) -> Iterator[RegisterField]:
     """The named bits; `whole`: what the comment says of all of them."""
     for part in parts:
         high, low, what = int(part[1]), int(part[2] or part[1]), part[3]
@@ -162,23 +161,9 @@ def _fields(parts: Iterable[re.Match[str]], whole: str) -> Iterator[tuple[str, B
         if not name or name in ("others", "reserved"):
             continue
         name = "enable" if what.lower().startswith("global") else name
-        readable, writable, more = _said(part[4] or "")
-        access = _access(part[4] or whole, readable, writable)
-        yield name, BitField(name, min(high, low), abs(high - low) + 1, doc=more, access=access)
-
-
-def _access(words: str, readable: bool, writable: bool) -> FieldAccess | None:
-    """What a field's bits do; None for those that are simply read and written."""
-    parts = {word.strip().upper() for word in words.split("/")}
-    if "TOW" in parts:
-        return FieldAccess.W1T
-    if parts & {"COH", "SC"} and writable:
-        return FieldAccess.W1S
-    if "COR" in parts:
-        return FieldAccess.RC
-    if not words or (readable and writable):
-        return None
-    return FieldAccess.RO if readable else FieldAccess.WO
+        access, write, read, _ = _said(part[4] or whole)
+        doc = _said(part[4] or "")[3]
+        yield RegisterField(name, min(high, low), abs(high - low) + 1, access, write, read, doc=doc)
 
 
 def _constants(text: str) -> Iterator[tuple[str, int]]:

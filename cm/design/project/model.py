@@ -118,6 +118,7 @@ class ModuleSpec:
     registers: Mapping[str, Register] = field(default_factory=empty)
     memories: Mapping[str, Memory] = field(default_factory=empty)
     register_maps: Mapping[str, Path] = field(default_factory=empty)  # by register interface; "": `interface`
+    register_notes: tuple[str, ...] = ()  # what those say that no schema can have, a line each
     interface: str | None = None
     interface_of: Mapping[str, str] = field(default_factory=empty)  # registers and memories of other interfaces
     clocks: Mapping[str, tuple[str, ...]] = field(default_factory=empty)  # port → interfaces on it

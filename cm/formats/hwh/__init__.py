@@ -10,8 +10,6 @@ from cm.formats.hwh.reader import Hwh as Hwh
 from cm.formats.hwh.reader import HwhError as HwhError
 from cm.formats.hwh.reader import MemoryRange as MemoryRange
 from cm.formats.hwh.reader import ModuleInstance as ModuleInstance
-from cm.formats.hwh.reader import RegisterField as RegisterField
-from cm.formats.hwh.reader import RegisterInfo as RegisterInfo
 from cm.formats.hwh.reader import parse as parse
 from cm.formats.hwh.reader import read as read
 from cm.formats.hwh.trace import DecouplerInfo as DecouplerInfo

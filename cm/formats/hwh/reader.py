@@ -10,32 +10,8 @@ from types import MappingProxyType
 from xml.etree import ElementTree
 
 from cm.errors import CmError
+from cm.formats.registers import RegisterField, RegisterInfo
 from cm.frozen import dataclass
-
-
-@dataclass(frozen=True, slots=True)
-class RegisterField:
-    """A field of a register; `access` as Vivado writes it (``read-only``, ``read-write``, …) or empty."""
-
-    name: str
-    lsb: int
-    width: int
-    access: str = ""
-    one_to_clear: bool = False
-    doc: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class RegisterInfo:
-    """A register that an IP describes: `offset` bytes from its address block, `size` bits."""
-
-    name: str
-    offset: int
-    size: int
-    access: str = ""
-    reset: int | None = None
-    fields: tuple[RegisterField, ...] = ()
-    doc: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,12 +245,14 @@ def _register(element: ElementTree.Element) -> Iterator[RegisterInfo]:
 
 def _field(element: ElementTree.Element) -> RegisterField:
     name, found = element.get("NAME", ""), _properties(element)
+    names = ("MODIFIED_WRITE_VALUE", "MODIFIED_READ_VALUES")  # Vivado writes the latter, and means the former
+    write, read = next(filter(None, map(found.get, names)), ""), found.get("READ_ACTION", "")
     return RegisterField(
         name=name,
         lsb=_number(found.get("BIT_OFFSET"), f"field {name}: bit offset"),
         width=_number(found.get("BIT_WIDTH") or "1", f"field {name}: bit width"),
         access=found.get("ACCESS", ""),
-        one_to_clear=found.get("MODIFIED_READ_VALUES") == "oneToClear"
-        or found.get("MODIFIED_WRITE_VALUE") == "oneToClear",
+        write="" if write == "modify" else write,  # which Vivado says of all fields
+        read="" if read == "modify" else read,
         doc=found.get("DESCRIPTION", "").strip(),
     )

@@ -9,7 +9,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 
-from cm.formats.hwh.reader import ConnectedPort, Hwh, MemoryRange, ModuleInstance, RegisterInfo
+from cm.formats.hwh.reader import ConnectedPort, Hwh, MemoryRange, ModuleInstance
+from cm.formats.registers import RegisterInfo
 from cm.frozen import dataclass
 
 _PROCESSORS = ("processing_system7", "zynq_ultra_ps_e", "versal_cips")

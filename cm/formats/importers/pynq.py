@@ -16,8 +16,9 @@ from cm.formats import hwh as handoff
 from cm.formats.bitstream import BitstreamError, Expectation, Report, footprint_of, inspect, outside, verify
 from cm.formats.bitstream.idcodes import base_name
 from cm.formats.hwh import DecouplerInfo, Hwh, HwhError
-from cm.formats.importers.registers import RegisterBank, decoupler_of, memories, within
+from cm.formats.importers.registers import decoupler_of, memories, within
 from cm.formats.importers.result import Imported, ImportRefused, Names, frozen, static_of, to_name
+from cm.formats.registers import RegisterBank
 from cm.frozen import dataclass, field
 from cm.schema.model import (
     Clock,
@@ -93,7 +94,7 @@ def _static(bit: Path, report: Report, hwh: Hwh, notes: list[str]) -> Config:
 
 
 def _registers(hwh: Hwh, notes: list[str]) -> dict[str, Register]:
-    bank, blocks = RegisterBank(Names(), notes), handoff.memories(hwh)
+    bank, blocks = RegisterBank(notes), handoff.memories(hwh)
     for window in handoff.windows(hwh):
         module = hwh.modules.get(window.instance)
         if module is None or module.region or window in blocks:
@@ -316,7 +317,7 @@ def _modules(slot: Slot, hwh: Hwh, notes: list[str]) -> Iterator[Module]:
 
 def _registers_of_partial(slot: Slot, hwh: Hwh, base: int, size: int, notes: list[str]) -> dict[str, Register]:
     """A partial's addresses are relative to its region's window, or, of some flows, absolute."""
-    bank = RegisterBank(Names(), notes)
+    bank = RegisterBank(notes)
     blocks = handoff.memories(hwh)
     for window in handoff.windows(hwh):
         if window in blocks:

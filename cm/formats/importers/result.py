@@ -14,35 +14,24 @@ from typing import TypeVar
 
 from cm.errors import CmError
 from cm.formats.bitstream import Report
+from cm.formats.registers import LONGEST, UniqueNames, unaccented
 from cm.frozen import dataclass, field, replace
 from cm.schema import dump, loads
 from cm.schema.model import Config, Mode, Overlay, StaticIdentity
 
-_LONGEST = 64
-
 
 def to_name(text: str) -> str:
-    """Return `text` with what a name cannot have replaced by ``_``; ``unnamed`` if nothing is left."""
-    name = re.sub(r"[^A-Za-z0-9_-]+", "_", text).strip("_-")[:_LONGEST].rstrip("_-") or "unnamed"
-    return name if not name[0].isdigit() else f"_{name}"[:_LONGEST]
+    """`text` without accents, with what a name cannot have replaced by ``_``; ``unnamed`` if nothing is left."""
+    name = re.sub(r"[^A-Za-z0-9_-]+", "_", unaccented(text)).strip("_-")[:LONGEST].rstrip("_-") or "unnamed"
+    return name if not name[0].isdigit() else f"_{name}"[:LONGEST]
 
 
-class Names:
-    """Gives each thing a unique name: the second `irq` becomes `irq_2`."""
+class Names(UniqueNames):
+    """Unique names of the schema, made from any text."""
 
-    def __init__(self) -> None:
-        self._taken: set[str] = set()
-
-    def take(self, text: str) -> str:
-        """Return a name made from `text` that has not been used before."""
-        name = base = to_name(text)
-        count = 1
-        while name in self._taken:
-            count += 1
-            suffix = f"_{count}"
-            name = base[: _LONGEST - len(suffix)] + suffix
-        self._taken.add(name)
-        return name
+    def take(self, name: str) -> str:
+        """A name made from `name` that nothing has yet."""
+        return super().take(to_name(name))
 
 
 _T = TypeVar("_T")

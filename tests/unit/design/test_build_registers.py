@@ -10,7 +10,6 @@ from build_support import MINIMAL, project
 from import_support import described, hwh, module, register, register_field
 
 from cm.design.errors import BuildError
-from cm.design.hdl.hls_registers import hls_memories
 from cm.design.hdl.register_maps import read_register_map
 from cm.schema.model import Access, FieldAccess
 
@@ -183,7 +182,7 @@ def test_registers_of_hls_are_those_of_its_comment(style: str, tmp_path: Path) -
 def test_arrays_of_hls_are_memories(said: str, memory: tuple[object, ...], tmp_path: Path) -> None:
     path = tmp_path / "filter_control_s_axi.v"
     path.write_text(S_AXI["2024"].replace("(16 * 32b)", said))
-    (found,) = hls_memories(path).values()
+    (found,) = read_register_map(path, "filter").memories.values()
     assert (found.name, (found.offset, found.size, found.dtype, found.shape)) == ("table", memory)
 
 
@@ -207,7 +206,12 @@ def test_systemrdl(tmp_path: Path) -> None:
     (tmp_path / "filter.rdl").write_text(RDL)
     found = read_register_map(tmp_path / "filter.rdl", "filter")[0]
     assert (found["gain"].offset, found["gain"].access, found["gain"].reset) == (4, Access.RW, 0x10)
-    assert (found["state"].access, found["state"].fields["error"].lsb) == (Access.W1C, 4)
+    state = found["state"]
+    assert (state.access, state.fields["error"].lsb, state.reset, state.volatile) == (Access.RW, 4, None, True)
+    assert {name: field.access for name, field in state.fields.items()} == {
+        "busy": FieldAccess.RO,
+        "error": FieldAccess.W1C,
+    }
 
 
 @pytest.mark.parametrize(
