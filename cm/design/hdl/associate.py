@@ -6,13 +6,15 @@ Nothing is paired because it is left over: a reset on the wrong clock passes eve
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import MappingProxyType
 
 from cm.design.hdl.clock_reset_names import clock_domain, reset_domain, words
 from cm.design.hdl.model import FoundBy, Interface, ModuleClock, ModuleInfo, PortDirection, Problem, Reset, Stated
 from cm.frozen import dataclass, replace
 
 _BARE = frozenset(["", "ap", "axi", "axis", "sys"])  # the domains of aclk, ap_clk, axi_aclk
+_AXI_WORDS = frozenset(["axi", "axis", "axil", "s", "m", "lite", "stream"])
 _SIDES = frozenset(["s", "m", "i", "o", "in", "out", "slave", "master"])
 _PROTOCOL_WORDS = frozenset(
     ["axi", "axis", "axil", "lite", "full", "stream", "bus", "data", "apb", "ahb", "wb", "avalon", "avl"]
@@ -34,33 +36,40 @@ def associate(
     clocks: Sequence[ModuleClock],
     resets: Sequence[Reset],
     file: str,
+    runs: Mapping[str, Sequence[str]] = MappingProxyType({}),
     *,
     sure: bool = True,
 ) -> Associated:
     """Fill in clocks and resets of the interfaces, and vice versa, and the clocks of resets with the reasons.
 
-    `sure` is False if the module drives clocks too: then being the only clock input proves nothing.
+    `runs`: by port, the clocks at whose edges the sources use it. `sure` is False if the module drives clocks too: then
+    being the only clock input proves nothing.
     """
-    found = [replace(interface, clock=_clock(interface, clocks, sure)) for interface in interfaces]
-    paired = tuple(pair(reset, resets, clocks, found) for reset in resets)
+    found = [replace(interface, clock=_clock(interface, clocks, runs, sure)) for interface in interfaces]
+    paired = tuple(pair(reset, resets, clocks, found, runs) for reset in resets)
     done, problems = [], []
+    completed = [_completed(clock, found, paired) for clock in clocks]
     for interface in found:
         reset = interface.reset or _reset(interface, paired)
         polarity = next((item.polarity for item in paired if item.port == reset), None)
         done.append(replace(interface, reset=reset, reset_polarity=polarity))
         if interface.clock is None and interface.protocol.startswith("axi"):
-            problems.append(Problem(_no_clock(interface, clocks), file))
+            problems.append(Problem(_no_clock(interface, completed), file))
     problems += [Problem(undecided(reset), file) for reset in paired if reset.may_be]
     return Associated(tuple(done), tuple(_completed(clock, done, paired) for clock in clocks), paired, tuple(problems))
 
 
 def pair(
-    reset: Reset, resets: Sequence[Reset], clocks: Sequence[ModuleClock], interfaces: Sequence[Interface]
+    reset: Reset,
+    resets: Sequence[Reset],
+    clocks: Sequence[ModuleClock],
+    interfaces: Sequence[Interface],
+    runs: Mapping[str, Sequence[str]] = MappingProxyType({}),
 ) -> Reset:
     """Return a reset with its clock and the reason, or with the clocks that it may belong to.
 
-    A declared association decides; then equal names without what says clock or reset; then a bus of the reset's name;
-    then words in common; then being the only clock.
+    A declared association decides; then the clock of the registers that it resets; then equal names without what says
+    clock or reset; then a bus of the reset's name; then words in common; then being the only clock.
     """
     inputs = [clock.port for clock in clocks if clock.direction is PortDirection.IN]
     inputs = [port for port in inputs if not port.endswith("_n") or f"{port[:-2]}_p" not in inputs]  # differential
@@ -70,11 +79,15 @@ def pair(
     stated += [interface.clock for interface in interfaces if interface.reset == reset.port and interface.clock]
     if stated:
         return replace(reset, clock=stated[0], why="stated")
+    used = _among(runs.get(reset.port, ()), inputs)
+    if len(used) == 1:
+        return replace(reset, clock=used[0], why="it resets registers of that clock")
     domains = {port: clock_domain(port, inputs) for port in inputs}
     own = reset_domain(reset.port, [item.port for item in resets], inputs)
     name = " ".join(own)
     rules: tuple[tuple[Callable[[str], bool], str], ...] = (
         (lambda port: domains[port] == own, f"both are named {name}" if own else "neither has a name of its own"),
+        (lambda port: bool(_own(own)) and {*own} < {*domains[port]}, "words of the names"),
         (lambda port: _bare(own) and _bare(domains[port]), "neither has a name of its own"),
         (lambda port: port in {i.clock for i in interfaces if _same(i.name, own)}, f"the clock of the bus {name}"),
         (
@@ -134,6 +147,7 @@ def _shared(one: tuple[str, ...], other: tuple[str, ...]) -> frozenset[str]:
 
 
 def _no_clock(interface: Interface, clocks: Sequence[ModuleClock]) -> str:
+    clocks = sorted(clocks, key=lambda clock: len(clock.interfaces))  # first those on which nothing else runs
     known = f"the clocks are {', '.join(clock.port for clock in clocks)}" if clocks else "no port is named as a clock"
     hint = f'state it with X_INTERFACE_PARAMETER = "ASSOCIATED_BUSIF {interface.name}" on the clock'
     port = clocks[0].port if clocks else "CLOCK"
@@ -148,7 +162,23 @@ def _completed(clock: ModuleClock, interfaces: Sequence[Interface], resets: Sequ
     return replace(clock, interfaces=names, reset=clock.reset or next(iter((*used, *mine)), None))
 
 
-def _clock(interface: Interface, clocks: Sequence[ModuleClock], sure: bool) -> str | None:
+def _among(names: Iterable[str], ports: Sequence[str]) -> list[str]:
+    """The ports with these names, in any case of letters, as VHDL compares them."""
+    wanted = {name.lower() for name in names}
+    return [port for port in ports if port.lower() in wanted]
+
+
+def named_after(driven: Sequence[str], interfaces: Iterable[Interface], inputs: Sequence[str]) -> list[str]:
+    """Clocks that the module drives, and whose names fit an interface better than those of all clocks it is given."""
+    ports = [*driven, *inputs]
+    domains = {port: "_".join(clock_domain(port, ports)) for port in ports}
+    best = [_best(interface.name, domains) for interface in interfaces if _clocked(interface) and not interface.clock]
+    return [port for port in driven if port in best]
+
+
+def _clock(
+    interface: Interface, clocks: Sequence[ModuleClock], runs: Mapping[str, Sequence[str]], sure: bool
+) -> str | None:
     if interface.clock:
         return interface.clock
     for clock in clocks:
@@ -157,7 +187,13 @@ def _clock(interface: Interface, clocks: Sequence[ModuleClock], sure: bool) -> s
     if not _clocked(interface):
         return None
     ports = [clock.port for clock in clocks]
-    return _by_name(interface.name, {port: "_".join(clock_domain(port, ports)) for port in ports}, sure=sure)
+    used = _among((name for port in interface.ports.values() for name in runs.get(port, ())), ports)
+    if len(used) == 1:
+        return used[0]
+    domains = {port: "_".join(clock_domain(port, ports)) for port in ports}
+    if len(ports) > 1 and not {*_normal(interface.name)} & _AXI_WORDS:  # AMBA's clock is of AMBA's buses
+        domains = {port: "a" if "aclk" in port.lower() and not domain else domain for port, domain in domains.items()}
+    return _by_name(interface.name, domains, sure=sure)
 
 
 def _reset(interface: Interface, resets: Sequence[Reset]) -> str | None:
@@ -179,16 +215,21 @@ def _clocked(interface: Interface) -> bool:
     return interface.protocol.startswith("axi") or interface.found_by is FoundBy.PROTOCOL_FILE
 
 
-def _by_name(name: str, domains: dict[str, str], *, sure: bool = True) -> str | None:
+def _by_name(name: str, domains: Mapping[str, str], *, sure: bool = True) -> str | None:
     """The port whose domain fits the name best; else the only port, or the only one with a bare name."""
-    scored = [(score, port) for port, domain in domains.items() if (score := _score(name, domain))]
-    best = max(scored, default=(0, ""), key=lambda item: item[0])
-    if best[0] and [score for score, _ in scored].count(best[0]) == 1:
-        return best[1]
+    if best := _best(name, domains):
+        return best
     bare = [port for port, domain in domains.items() if domain in _BARE]
     if len(bare) == 1:
         return bare[0]
     return next(iter(domains)) if len(domains) == 1 and sure else None
+
+
+def _best(name: str, domains: Mapping[str, str]) -> str:
+    """The port whose domain fits the name better than those of all others; "" if there is none."""
+    scored = [(score, port) for port, domain in domains.items() if (score := _score(name, domain))]
+    best = max(scored, default=(0, ""), key=lambda item: item[0])
+    return best[1] if [score for score, _ in scored].count(best[0]) == 1 else ""
 
 
 def _score(name: str, other: str) -> int:
@@ -199,7 +240,7 @@ def _score(name: str, other: str) -> int:
     left, right = [word for word in left if word not in _SIDES], [word for word in right if word not in _SIDES]
     if common := _leading(left, right):
         return 2 * common + (len(left) == len(right))
-    return int(bool((set(left) & set(right)) - _PROTOCOL_WORDS))
+    return len((set(left) & set(right)) - _PROTOCOL_WORDS)
 
 
 def _leading(left: list[str], right: list[str]) -> int:

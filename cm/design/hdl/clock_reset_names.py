@@ -25,11 +25,11 @@ _SHORT = {"w": "wr", "write": "wr", "r": "rd", "read": "rd", "pixel": "pix", "vi
 _NOT_CLOCK = _words(
     "en ena enable ce cen sel select div divider valid cnt count locked lock req ack ok stop stopped gate "
     "gated good bad loss lost edge rise fall rate period freq frequency dis disable active status mux phase "
-    "src stall err error"
+    "src stall err error override bypass polarity pol invert inv mode force test"
 )
-_ENABLES = frozenset(("en", "ena", "enable", "ce", "cen"))
+_ENABLES = frozenset(("en", "ena", "enable", "cen"))  # `ce` before clk is a name: ce_clk
 _RESET = re.compile(
-    r"(?!preset$)(?P<n1>n)?(?:a|s|p|h|g|sys|cpu|pix|vid|core|rx|tx|peripheral|interconnect)?"
+    r"(?!preset$)(?P<n1>n)?(?:[a-z]|sys|cpu|pix|vid|core|rx|tx|peripheral|interconnect)?"
     r"(?:rst|reset|areset|sreset|arst|srst)(?P<n2>n|b|_n)?(?:\d+(?:m|mhz|k|khz)?)?"
 )
 _NOT_RESET = _words(
@@ -39,7 +39,12 @@ _LOW_WORDS = frozenset(("n", "b", "ni", "bar", "l"))
 _IO_WORDS = frozenset(("i", "o", "in", "out"))
 _INTERRUPT = re.compile(r"(?:irq|interrupt|interrupts|intr|intrpt|introut|irpt|irqs)\d*")
 _INT = re.compile(r"int\d*")
-_NOT_INTERRUPT = _words("en enable mask clr clear ack pending status id num sel vector")
+_NOT_INTERRUPT = _words(
+    "en enable mask clr clear ack pending status id num sel vector count cnt level valid trace ip addr code type cause "
+    "prio priority edge polarity test force mode data ready"
+)
+# words of a reset's name that say whose it is; any other, beside a plain reset, makes it a control
+_WHOSE = _words("sys core cpu peripheral interconnect axi axis ap por ext aux global glbl hard hw async sync main")
 
 
 @lru_cache(maxsize=1024)
@@ -52,7 +57,12 @@ def is_clock(port: Port) -> bool:
     """Whether a port is a one-bit input named like a clock; enables, selects, counters and resets of clocks are not."""
     if any(_RESET.fullmatch(word) for word in words(port.name)[1:]):
         return False
-    return port.direction is PortDirection.IN and port.width == 1 and _says(port.name, _CLOCK, _NOT_CLOCK)
+    return is_wire(port) and _says(port.name, _CLOCK, _NOT_CLOCK)
+
+
+def is_wire(port: Port) -> bool:
+    """Whether a port is an input of one bit."""
+    return port.direction is PortDirection.IN and port.width == 1
 
 
 def drives_clock(port: Port) -> bool:
@@ -62,7 +72,7 @@ def drives_clock(port: Port) -> bool:
 
 def is_reset(port: Port) -> bool:
     """Whether a port is a one-bit input named like a reset."""
-    return port.direction is PortDirection.IN and port.width == 1 and _says(port.name, _RESET, _NOT_RESET)
+    return is_wire(port) and _says(port.name, _RESET, _NOT_RESET)
 
 
 def _says(name: str, pattern: re.Pattern[str], other: frozenset[str]) -> bool:
@@ -82,6 +92,15 @@ def reset_polarity(name: str) -> Polarity:
         if match and "n" in found[:number]:
             return Polarity.LOW
     return Polarity.HIGH
+
+
+def is_control(name: str, resets: Sequence[str], clocks: Sequence[str]) -> bool:
+    """Whether a name that says reset, active high, is of something inside: `ff_reset` beside `rst_n` and one clock."""
+    own = reset_domain(name, resets, clocks)
+    others = [other for other in resets if other != name and not reset_domain(other, resets, clocks)]
+    return (
+        len(clocks) == 1 and bool(others) and bool(own) and not ({*own} & (_WHOSE | {*clock_domain(clocks[0], clocks)}))
+    )
 
 
 def interrupt_mode(port: Port) -> Mode | None:

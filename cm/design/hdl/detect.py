@@ -6,9 +6,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from cm.design.hdl import vivado_attributes
-from cm.design.hdl.associate import associate
+from cm.design.hdl.associate import associate, named_after
 from cm.design.hdl.axi_signals import Protocol, acknowledged, aximm, axis, axis_short
-from cm.design.hdl.clock_reset_names import drives_clock, interrupt_mode, is_clock, is_reset, named_low
+from cm.design.hdl.clock_reset_names import (
+    drives_clock,
+    interrupt_mode,
+    is_clock,
+    is_control,
+    is_reset,
+    is_wire,
+    named_low,
+)
 from cm.design.hdl.group_ports import Candidate, candidates
 from cm.design.hdl.model import (
     FoundBy,
@@ -19,6 +27,8 @@ from cm.design.hdl.model import (
     ModuleInfo,
     Polarity,
     Port,
+    PortDirection,
+    PortUse,
     Problem,
     Reset,
     Stated,
@@ -30,6 +40,7 @@ from cm.design.hdl.vivado_attributes import Tagged, read_tags
 from cm.frozen import replace
 
 NOTHING_STATED = Stated()
+_UNKNOWN, _IN = PortUse(), PortDirection.IN
 NOTHING_KNOWN = "belongs to no bus, clock, reset or interrupt that could be recognised"
 
 
@@ -63,11 +74,15 @@ class _Detection:
         for user in self._user:
             self._by_name(user.protocol, FoundBy.PROTOCOL_FILE)
         self._by_statement(acknowledged(), streams)
-        clocks = (*tagged.clocks, *self._clocks())
-        resets = (*tagged.resets, *self._resets())
+        clocks = [*tagged.clocks, *self._clocks()]
+        resets = (*tagged.resets, *self._resets(clocks))
         interrupts = (*tagged.interrupts, *self._interrupts())
-        sure = not any(drives_clock(port) for port in self._free.values())
-        done = associate(self._interfaces, _stated(clocks, module.ports), resets, module.file, sure=sure)
+        driven = [port for port in self._free.values() if drives_clock(port)]
+        candidates = named_after([port.name for port in driven], self._interfaces, [clock.port for clock in clocks])
+        self._take(candidates)
+        clocks += [vivado_attributes.clock_of(name, module.port(name), {}) for name in candidates]
+        runs = {port.name: self._use(port.name).clocks for port in module.ports}
+        done = associate(self._interfaces, _stated(clocks, module.ports), resets, module.file, runs, sure=not driven)
         return replace(
             module,
             interfaces=done.interfaces,
@@ -211,21 +226,42 @@ class _Detection:
             self._reasons.update({port.name: reason for port in candidate.ports.values()})
             self._rejected.append((candidate, reason))
 
+    def _use(self, port: str) -> PortUse:
+        uses = self._module.uses
+        return uses.get(port) or uses.get(port.lower()) or _UNKNOWN
+
     def _clocks(self) -> list[ModuleClock]:
-        found, stated = [port for port in self._unrejected() if is_clock(port)], vivado_attributes.parameters
+        """Those that the sources show to be clocks, and those that are named so."""
+        found = [
+            port for port in self._unrejected() if is_clock(port) or (self._use(port.name).clock and is_wire(port))
+        ]
+        found = [port for port in found if not is_reset(port)]
         self._take(port.name for port in found)
-        return [vivado_attributes.clock_of(port.name, port, stated(port)) for port in found]
+        return [vivado_attributes.clock_of(port.name, port, vivado_attributes.parameters(port)) for port in found]
 
-    def _resets(self) -> list[Reset]:
-        found = [port for port in self._unrejected() if is_reset(port)]
+    def _resets(self, clocks: Sequence[ModuleClock]) -> list[Reset]:
+        """Likewise; of those that are only named so, `ff_reset` beside a reset is none."""
+        ports = [port for port in self._unrejected() if is_reset(port) or (self._is_reset(port) and is_wire(port))]
+        names, inputs = [port.name for port in ports], [clock.port for clock in clocks if clock.direction is _IN]
+        levels = {port.name: self._polarity(port, names, inputs) for port in ports}
+        found = [
+            port
+            for port in ports
+            if self._use(port.name).reset
+            or levels[port.name] is Polarity.LOW
+            or not is_control(port.name, names, inputs)
+        ]
         self._take(port.name for port in found)
-        names = [port.name for port in found]
-        return [Reset(port.name, port.name, self._polarity(port, names)) for port in found]
+        return [Reset(port.name, port.name, levels[port.name]) for port in found]
 
-    def _polarity(self, port: Port, resets: Sequence[str]) -> Polarity:
-        clocks = [other.name for other in self._module.ports if is_clock(other)]
+    def _is_reset(self, port: Port) -> bool:
+        use = self._use(port.name)
+        return use.asynchronous and use.reset is not None
+
+    def _polarity(self, port: Port, resets: Sequence[str], clocks: Sequence[str]) -> Polarity:
         named = Polarity.LOW if named_low(port.name, resets, clocks) else Polarity.HIGH
-        return vivado_attributes.polarity_of(vivado_attributes.parameters(port)) or named
+        stated = vivado_attributes.polarity_of(vivado_attributes.parameters(port))
+        return stated or self._use(port.name).reset or named
 
     def _interrupts(self) -> list[Interrupt]:
         found = [(port, mode) for port in self._unrejected() if (mode := interrupt_mode(port))]

@@ -13,11 +13,12 @@ from types import MappingProxyType
 from cm.design.hdl.detect import NOTHING_STATED, detect
 from cm.design.hdl.errors import HdlError, ModuleNotFound, UnknownParameter
 from cm.design.hdl.model import Language, ModuleInfo, Problem, Stated
+from cm.design.hdl.usage import Body, Usage
 from cm.design.hdl.user_protocols import UserProtocol
 from cm.design.hdl.verilog import VerilogReader
 from cm.design.hdl.vhdl import VhdlReader
 from cm.design.hdl.vhdl_text import VHDL_SUFFIXES
-from cm.frozen import dataclass, field
+from cm.frozen import dataclass, field, replace
 
 _FEW = 8  # most names that a sentence lists
 _NO_FILES: Mapping[Path, str] = MappingProxyType({})
@@ -92,7 +93,9 @@ def read(wanted: Sources, generated: Mapping[Path, str] = _NO_FILES, *, roots: b
     for path, text in generated.items():
         files.add(path, text)
     found = files.evaluate(files.chosen(wanted.top, roots), wanted.parameters)
-    modules = [detect(module, wanted.protocols, wanted.stated) for module in found]
+    usage = Usage(files.body)
+    used = (replace(module, uses=usage.of(module.name)) for module in found)
+    modules = [detect(module, wanted.protocols, wanted.stated) for module in used]
     _check_parameters(modules, wanted.parameters)
     names = [module.name for module in modules]
     problems = (*files.problems, *files.hollow(names))
@@ -163,6 +166,11 @@ class _Files:
 
     def _use(self, name: str, below: Iterable[str]) -> None:
         self._instantiated |= {other.lower() for other in below} - {name.lower()}
+
+    def body(self, module: str) -> tuple[Body, tuple[str, ...]] | None:
+        """What a module or an entity does itself, and its ports; None if it is in no file."""
+        found = self._verilog.body(module) if self._verilog else None
+        return found if found or self._vhdl is None else self._vhdl.body(module)
 
     def hollow(self, modules: Sequence[str]) -> list[Problem]:
         """What `modules` instantiate, at any depth, and that has nothing inside."""

@@ -197,6 +197,20 @@ class Interrupt:
 
 
 @dataclass(frozen=True, slots=True)
+class PortUse:
+    """What the sources do with a port, as far as they were found (`cm.design.hdl.usage`).
+
+    `clock`: registers follow its edges; `reset`: the level at which registers get constants, None if none, or both;
+    `clocks`: ports at whose edges it is used.
+    """
+
+    clock: bool = False
+    reset: Polarity | None = None
+    asynchronous: bool = False
+    clocks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Leftover:
     """A port that was not assigned to anything, and why."""
 
@@ -240,6 +254,7 @@ class ModuleInfo:
     leftovers: tuple[Leftover, ...] = ()
     problems: tuple[Problem, ...] = ()
     instantiates: tuple[str, ...] = ()  # names of the modules instantiated directly, in order, each once
+    uses: Mapping[str, PortUse] = field(default_factory=_empty)  # by port, in lower case if VHDL
 
     def port(self, name: str) -> Port:
         """The port of that name; KeyError where there is none."""

@@ -17,6 +17,7 @@ from typing import Any
 
 from cm.design.hdl.errors import HdlError, parser_missing
 from cm.design.hdl.model import Language, ModuleInfo, Problem
+from cm.design.hdl.usage import Body, Pins, verilog_body
 from cm.design.hdl.verilog_ports import read_instance
 from cm.frozen import dataclass
 
@@ -39,6 +40,8 @@ _SEMANTIC = {
     "DiagCode(AssignmentRequiresParens)": "",  # `=` for `==`: the grammar of IEEE 1800 has it in parentheses only
 }
 _COMMENTS = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
+_SIGNAL = re.compile(r"([!~]?)\s*(\w+)")
+_NAME = re.compile(r"[A-Za-z_]\w*")
 _NETTYPE = re.compile(r"`default_nettype\s+(\w+)")
 # members that declare a module's outside
 _OUTER = (
@@ -62,6 +65,7 @@ class Tree:
     modules: tuple[tuple[str, tuple[str, ...]], ...]  # name, and the names of the modules that it instantiates
     interfaces: tuple[str, ...]
     packages: tuple[str, ...]
+    nodes: Mapping[str, Any]  # slang's declarations of the modules
     hollow: tuple[tuple[str, int], ...]  # modules with outputs and nothing inside, and their lines
 
 
@@ -100,6 +104,7 @@ class VerilogReader:
         self._includes = [str(path) for path in include_dirs]
         self._defines = [f"{name}={value}" for name, value in (defines or {}).items()]
         self._trees: list[Tree] = []
+        self._nodes: dict[str, Any] = {}  # the declarations of modules
         self._headers: list[Path] = []
         self._kept: list[Any] = []
         self._untyped = False
@@ -117,6 +122,8 @@ class VerilogReader:
         self._untyped = kinds[-1] == "none" if kinds else self._untyped
         tree = self._parse(path, before + text)
         self._trees.append(tree)
+        for name, node in tree.nodes.items():
+            self._nodes.setdefault(name, node)
         if not tree.modules and "`define" in text:
             self._headers.append(path.resolve())
         return tree
@@ -154,9 +161,10 @@ class VerilogReader:
             language,
             syntax,
             problems,
-            modules=tuple((name, tuple(dict.fromkeys(_instances(d.members)))) for name, d in modules),
+            modules=tuple((name, tuple(dict.fromkeys(_types(d.members)))) for name, d in modules),
             interfaces=tuple(name for name, d in names.items() if d.kind.name == "InterfaceDeclaration"),
             packages=tuple(d.header.name.valueText for d in declared if d.kind.name == "PackageDeclaration"),
+            nodes=dict(modules),
             hollow=tuple((n, self._sources.getLineNumber(d.header.name.location)) for n, d in modules if _hollow(d)),
         )
 
@@ -240,6 +248,17 @@ class VerilogReader:
                 problems[Problem(message, name, line, breaks=True)] = None
         return tuple(problems)
 
+    def body(self, module: str) -> tuple[Body, tuple[str, ...]] | None:
+        """What a module does itself, and the names in its head; None if it is not known."""
+        node = self._nodes.get(module)
+        if node is None:
+            return None
+        try:
+            text = _COMMENTS.sub(" ", str(node))
+        except UnicodeDecodeError:  # a comment in another encoding
+            return None
+        return verilog_body(text, _pins(node.members)), tuple(_NAME.findall(text.partition(";")[0]))
+
     def elaborate(self, name: str, parameters: Mapping[str, str]) -> Any:
         """slang's body of a module as a top, with `parameters` as expressions. Raises `HdlError`."""
         compilation = self._compile({name}, parameters, self._trees)
@@ -272,15 +291,37 @@ def _hollow(module: Any) -> bool:
         return False
 
 
-def _instances(members: Iterable[Any]) -> Iterator[str]:
-    """Names of the modules instantiated directly, through generate constructs; statements are not descended into."""
+def _types(members: Iterable[Any]) -> Iterator[str]:
+    """Names of the modules instantiated directly."""
+    return (member.type.valueText for member in _instances(members))
+
+
+def _instances(members: Iterable[Any]) -> Iterator[Any]:
+    """Instantiations, through generate constructs; statements are not descended into."""
     stack = list(members)[::-1]
     while stack:
         member = stack.pop()
         if member.kind.name == "HierarchyInstantiation":
-            yield member.type.valueText
+            yield member
         else:
             stack.extend(_generated(member)[::-1])
+
+
+def _pins(members: Iterable[Any]) -> Iterator[Pins]:
+    """What instances are given at their ports, where that is a signal; "*": the signals of the ports' names."""
+    for member in _instances(members):
+        for instance in member.instances:
+            pins: dict[str, tuple[str, bool]] = {}
+            for connection in instance.connections:
+                kind = connection.kind.name
+                if kind == "WildcardPortConnection":
+                    pins["*"] = ("", False)
+                elif kind == "NamedPortConnection":
+                    name = connection.name.valueText
+                    inner = str(connection.expr).strip() if connection.expr is not None else name
+                    match = _SIGNAL.fullmatch(inner)
+                    pins |= {name: (match[2], match[1] != "")} if match else {}
+            yield member.type.valueText, pins
 
 
 def _generated(member: Any) -> list[Any]:

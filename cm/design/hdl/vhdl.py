@@ -15,6 +15,7 @@ from typing import Any
 
 from cm.design.hdl.errors import WrongParameter
 from cm.design.hdl.model import Language, ModuleInfo, Parameter, Port, PortDirection, Problem
+from cm.design.hdl.usage import Body, vhdl_body
 from cm.design.hdl.vhdl_expr import NotFlat, Subtypes, Unknown, Value, evaluate, load_parser, no_value_of, width_of
 from cm.design.hdl.vhdl_text import Unit, blank_comments, design_units, instances, signal_attributes
 from cm.frozen import dataclass
@@ -56,6 +57,7 @@ class Entity:
     attributes: Mapping[str, Mapping[str, str]]
     instantiates: tuple[str, ...]
     errors: tuple[Problem, ...]
+    architectures: tuple[str, ...]
 
 
 class VhdlReader:
@@ -103,6 +105,7 @@ class VhdlReader:
             attributes=_attributes([unit, *bodies]),
             instantiates=tuple(dict.fromkeys(name for body in bodies for name in instances(body.text))),
             errors=tuple(_errors(root, path, first)),
+            architectures=tuple(body.text for body in bodies),
         )
 
     def read(self, names: Iterable[str], parameters: Mapping[str, str] | None = None) -> list[ModuleInfo]:
@@ -117,6 +120,13 @@ class VhdlReader:
     def entity(self, name: str) -> Entity:
         """An entity that was parsed; KeyError if there is none of that name."""
         return self._entities[name.lower()]
+
+    def body(self, name: str) -> tuple[Body, tuple[str, ...]] | None:
+        """What an entity does itself, and its ports in lower case; None if it is not known."""
+        entity = self._entities.get(name.lower())
+        if entity is None:
+            return None
+        return vhdl_body("\n".join(entity.architectures).lower()), tuple(port.name.lower() for port in entity.ports)
 
     def scope(self, name: str, parameters: Mapping[str, str]) -> tuple[Mapping[str, Value | None], Subtypes]:
         """Values of constants and of an entity's generics, and subtypes, as its ports see them."""

@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the sources do with a module's ports: which are clocks and resets, and on which clock each is used.
+
+Sources are searched for edges (``@(posedge x)``, ``rising_edge(x)``), for what is tested behind them, for plain
+copies of signals, and for what instances are given, at any depth. What is not found is not known, and no proof.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+
+from cm.design.hdl.model import Polarity, PortUse
+from cm.frozen import dataclass, field
+
+Pins = tuple[str, Mapping[str, tuple[str, bool]]]  # an instance's module, and by port: the signal, whether inverted
+_MOST = 64  # copies of copies that are followed
+
+_BLOCK = re.compile(r"@\s*\((?P<edges>[^()]*\b(?:pos|neg)edge\b[^()]*)\)")
+_NEXT = re.compile(r"\b(?:always\w*|assign|initial|endmodule|generate|endgenerate)\b")
+_EDGE = re.compile(r"\b(pos|neg)edge\s+(\w+)")
+_TEST = re.compile(
+    r"\bif\s*\(\s*([!~])?\s*\(?\s*(\w+)\s*\)?\s*(?:==+\s*(?:\d+'[bhd]|')?([01])\s*)?\)(.*?)(?:\belse\b|\bend\b|\Z)",
+    re.DOTALL,
+)
+_COPY = re.compile(r"\b(?:assign\s+|wire\s+|logic\s+)(\w+)\s*=\s*([!~])?\s*(\w+)\s*;")
+_LEVELS = {"pos": Polarity.HIGH, "neg": Polarity.LOW}
+_WORD = re.compile(r"\w+")
+_VALUE = re.compile(r"<=\s*(?:#\s*\w+\s*)?([^;]+);")
+_VARIABLE = re.compile(r"(?<!['\w.])[a-z]\w*")
+
+_PROCESS = re.compile(r"\bprocess\b(.*?)\bend\s+process\b", re.DOTALL)
+_RISING = re.compile(r"\b(rising|falling)_edge\s*\(\s*(\w+)\s*\)|\b(\w+)\s*'\s*event\s+and\s+\w+\s*=\s*'([01])'")
+_TESTED = re.compile(r"\bif\s*\(?\s*(\w+)\s*=\s*'([01])'\s*\)?\s*then(.*?)(?:\belsif\b|\belse\b|\bend\b|\Z)", re.DOTALL)
+_SAME = re.compile(r"(?m)^\s*(\w+)\s*<=\s*(not\s+)?(\w+)\s*;")
+_MAPPED = re.compile(
+    r":\s*(?:entity\s+\w+\.|component\s+)?(\w+)\s+(?:generic\s+map\b[^;]*?)?port\s+map\s*\(([^;]*)\)\s*;"
+)
+_PIN = re.compile(r"(\w+)\s*=>\s*(not\s+)?(\w+)\s*(?=,|$|\))")
+_SAYS_RESET = re.compile(r"rst|reset|clear|init", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """What one module does itself, by signal: in `steps`, a clock and the words of what happens at its edges."""
+
+    steps: tuple[tuple[str, frozenset[str]], ...] = ()
+    resets: tuple[tuple[str, Polarity, str, bool], ...] = ()  # signal, level, clock, and whether it is asynchronous
+    copies: tuple[tuple[str, bool, str], ...] = ()  # a signal that is another one, perhaps inverted
+    instances: tuple[Pins, ...] = ()
+
+
+def verilog_body(text: str, instances: Iterable[Pins]) -> Body:
+    """The body of a module, from its source without comments."""
+    steps: dict[str, set[str]] = {}
+    resets = []
+    for match in _BLOCK.finditer(text):
+        end = _NEXT.search(text, match.end())
+        block = text[match.end() : end.start() if end else len(text)]
+        edges = _EDGE.findall(match["edges"])
+        first = _TEST.search(block)
+        clocks = [name for _, name in edges if len(edges) == 1 or first is None or name != first[2]]
+        if len(clocks) != 1:
+            continue
+        (clock,) = clocks
+        steps.setdefault(clock, set()).update(_WORD.findall(block))
+        resets += [(name, _LEVELS[edge], clock, True) for edge, name in edges if name != clock]
+        for turned, name, value, inside in _TEST.findall(block) if _SAYS_RESET.search(block) else ():
+            level = _level((turned == "") != (value == "0"), inside) if _SAYS_RESET.search(name) else None
+            resets += [(name, level, clock, False)] if level else []
+    copies = tuple((one, bool(turned), other) for one, turned, other in _COPY.findall(text))
+    return Body(tuple((c, frozenset(names)) for c, names in steps.items()), tuple(resets), copies, tuple(instances))
+
+
+def _level(high: bool, inside: str) -> Polarity | None:
+    values = _VALUE.findall(inside)
+    if not values or any(_VARIABLE.search(value) for value in values):
+        return None
+    return Polarity.HIGH if high else Polarity.LOW
+
+
+def vhdl_body(text: str) -> Body:
+    """The body of an entity, from its architectures in lower case."""
+    steps, resets = [], []
+    for (process,) in (match.groups() for match in _PROCESS.finditer(text)):
+        edges = list(_RISING.finditer(process))
+        clocks = {match[2] or match[3] for match in edges}
+        if len(clocks) != 1:
+            continue
+        (clock,) = clocks
+        steps.append((clock, frozenset(_WORD.findall(process))))
+        for match in _TESTED.finditer(process):
+            before = match.end() <= edges[0].start()
+            level = Polarity.HIGH if match[2] == "1" else Polarity.LOW
+            if before or _SAYS_RESET.search(match[1]):
+                resets.append((match[1], level, clock, before))
+    copies = tuple((one, bool(turned), other) for one, turned, other in _SAME.findall(text))
+    instances = tuple(
+        (unit, {port: (signal, bool(turned)) for port, turned, signal in _PIN.findall(pins)})
+        for unit, pins in _MAPPED.findall(text)
+    )
+    return Body(tuple(steps), tuple(resets), copies, instances)
+
+
+class Usage:
+    """Answers for modules, each once; `body`: what a module does itself, and its ports, None for one not given."""
+
+    def __init__(self, body: Callable[[str], tuple[Body, tuple[str, ...]] | None]) -> None:
+        self._body = body
+        self._known: dict[str, dict[str, PortUse]] = {}
+
+    def of(self, module: str) -> Mapping[str, PortUse]:
+        """The use of its ports; those of which nothing is known are left out."""
+        if module not in self._known:
+            self._known[module] = {}  # while it is looked for: an instance of itself says nothing
+            given = self._body(module)
+            if given is not None:
+                self._known[module] = _Ports(*given, self.of).result()
+        return self._known[module]
+
+
+@dataclass(slots=True)
+class _Found:
+    clock: bool = False
+    levels: set[Polarity] = field(default_factory=set)
+    asynchronous: bool = False
+    clocks: dict[str, None] = field(default_factory=dict)
+
+
+class _Ports:
+    """What happens to the ports of one module."""
+
+    def __init__(self, body: Body, ports: tuple[str, ...], below: Callable[[str], Mapping[str, PortUse]]) -> None:
+        self._body, self._below = body, below
+        self._origin = {port: (port, False) for port in ports}  # signal → the port that it is, and whether inverted
+        for _ in range(_MOST):
+            new = {a: b for a, turned, b in body.copies if a not in self._origin and b in self._origin}
+            if not new:
+                break
+            turns = {a: turned for a, turned, _ in body.copies}
+            self._origin |= {a: (self._origin[b][0], self._origin[b][1] != turns[a]) for a, b in new.items()}
+        self._found: dict[str, _Found] = {}
+
+    def result(self) -> dict[str, PortUse]:
+        for clock, names in self._body.steps:
+            self._clock(clock)
+            if clock in self._origin:
+                for port in sorted({self._origin[name][0] for name in names if name in self._origin}):
+                    self._runs(port, clock)
+        for name, level, clock, asynchronous in self._body.resets:
+            self._reset(name, level, (clock,), asynchronous)
+        for module, pins in self._body.instances:
+            for pin, use in self._below(module).items():
+                if pin in pins or "*" in pins:
+                    self._pin(pins, pin, use)
+        return {
+            port: PortUse(
+                found.clock,
+                found.levels.copy().pop() if len(found.levels) == 1 else None,
+                found.asynchronous,
+                tuple(clock for clock in found.clocks if clock != port),
+            )
+            for port, found in self._found.items()
+        }
+
+    def _pin(self, pins: Mapping[str, tuple[str, bool]], pin: str, use: PortUse) -> None:
+        name, turned = pins.get(pin, (pin, False))
+        clocks = tuple(pins.get(clock, (clock, False))[0] for clock in use.clocks if clock in pins or "*" in pins)
+        if use.clock:
+            self._clock(name)
+        if use.reset is not None:
+            self._reset(name, _turned(use.reset, turned), clocks, use.asynchronous)
+        elif name in self._origin:
+            for clock in clocks:
+                self._runs(self._origin[name][0], clock)
+
+    def _clock(self, name: str) -> None:
+        if name in self._origin:
+            self._at(self._origin[name][0]).clock = True
+
+    def _reset(self, name: str, level: Polarity, clocks: Iterable[str], asynchronous: bool) -> None:
+        if name not in self._origin:
+            return
+        port, turned = self._origin[name]
+        found = self._at(port)
+        found.levels.add(_turned(level, turned))
+        found.asynchronous |= asynchronous
+        for clock in clocks:
+            self._runs(port, clock)
+
+    def _runs(self, port: str, clock: str) -> None:
+        if clock in self._origin:
+            self._at(port).clocks[self._origin[clock][0]] = None
+
+    def _at(self, port: str) -> _Found:
+        return self._found.setdefault(port, _Found())
+
+
+def _turned(level: Polarity, turned: bool) -> Polarity:
+    return level if not turned else Polarity.LOW if level is Polarity.HIGH else Polarity.HIGH
