@@ -7,7 +7,9 @@ import argparse
 import platform
 import sys
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from importlib import metadata
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cm._version import __version__
@@ -21,6 +23,7 @@ from cm.wire.messages.json_values import plain
 
 if TYPE_CHECKING:
     from cm.device.survey import Survey
+    from cm.formats import fdt
 
 REQUIRED = ("cffi", "fastjsonschema", "numpy", "protobuf", "pyyaml", "pyzmq")
 OPTIONAL = {
@@ -57,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     from cm.device.survey import survey
 
     found = survey(args.root)
-    findings = [_board(found), _manager(args), *found.findings, *_packages(), _curve()]
+    findings = [_board(found), _manager(args), *found.findings, *_clashes(Root.of(found.root)), *_packages(), _curve()]
     verdict = _verdict(found, findings)
     if args.report:
         print(report(args.root, findings, verdict))
@@ -81,6 +84,35 @@ def _board(found: Survey) -> Finding:
         return Finding("board", "board", found.root, State.OK, ", ".join(filter(None, (model, machine.release))))
     advice = "'cm serve --sim' brings a simulated board; --connect reaches one elsewhere"
     return Finding("board", "board", found.root, State.MISSING, f"this {platform.machine()} machine is none", advice)
+
+
+def _clashes(root: Root) -> Iterator[Finding]:
+    """What the overlays of imported configurations ask for, and another node of the live tree has."""
+    live, machine = root.join("proc/device-tree"), Machine(root)
+    if machine.family is None:
+        return
+    from cm.formats import fdt
+    from cm.formats.tree_clashes import added, clashes
+
+    tree = fdt.read_folder(live)
+    idle = frozenset(device.node for device in machine.devices if not device.driver)
+    folders = sorted({path.parent for path in root.join("lib/firmware/cm").glob("*/*.dtbo")})
+    configs = {folder: _overlays_in(folder) for folder in folders}
+    ours = frozenset[str]().union(*(added(tree, overlays) for overlays in configs.values()))  # one goes, another comes
+    for folder, overlays in configs.items():
+        for clash in clashes(tree, overlays, idle | ours):
+            yield Finding("clash", folder.name, str(folder), State.WRONG, clash.text, clash.advice)
+
+
+def _overlays_in(folder: Path) -> dict[str, fdt.FdtNode]:
+    """The overlays of a configuration: its own first, as those of modules stand on it."""
+    from cm.formats import fdt
+
+    found = {}
+    for path in sorted(folder.glob("*.dtbo"), key=lambda path: (not path.stem.endswith("_static"), path.name)):
+        with suppress(OSError, fdt.FdtError):
+            found[path.name] = fdt.unpack(path.read_bytes())
+    return found
 
 
 def _packages() -> Iterator[Finding]:

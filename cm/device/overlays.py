@@ -13,6 +13,7 @@ from cm.device.attributes import Attributes
 from cm.device.base import AnyRoot
 from cm.device.errors import DeviceError, DeviceInvalid, DeviceNotFound, DeviceUnsupported
 from cm.device.paths import Root
+from cm.device.probing import await_drivers, device_names
 
 _T = TypeVar("_T")
 FOLDER = "sys/kernel/config/device-tree/overlays"
@@ -51,19 +52,23 @@ class Overlays:
         return _WORDS.get(text, text)
 
     def apply(self, name: str, dtbo: bytes) -> None:
-        """Apply the overlay ``dtbo`` under ``name``.
+        """Apply the overlay ``dtbo`` under ``name``, and see that its devices get their drivers.
 
-        A refused one is removed again.  Raises DeviceExists if the name is taken, DeviceInvalid for
-        what is not a device-tree blob, DeviceUnsupported, DeviceError with the kernel's word.
+        One that is refused, or whose devices a driver does not take, is removed again.  Raises DeviceExists if the
+        name is taken, DeviceInvalid for what is not a device-tree blob, DeviceUnsupported, DeviceError with the
+        kernel's word, or with each device and driver and who holds its interrupt or window.
         """
         self._check(name)
         if not dtbo.startswith(_MAGIC):
             text = f"overlay {name}: not a device-tree blob (it has to begin with d0 0d fe ed); compile it with dtc"
             raise DeviceInvalid(errno.EINVAL, text, self._attributes.path(name))
+        root = self._attributes.root
+        before = device_names(root)
         self._in_folder(self._attributes.mkdir, name)
         try:
             self._attributes.write(f"{name}/dtbo", dtbo)
             self._confirm(name)
+            await_drivers(root, before, name)
         except BaseException as error:
             self._undo(name, error)
             raise

@@ -27,6 +27,16 @@ def missing_labels(base: FdtNode, overlay: FdtNode) -> list[str]:
     return [name for name in (fixups.properties if fixups else ()) if name not in symbols]
 
 
+def targets(overlay: FdtNode) -> dict[str, str]:
+    """Fragment → what it changes: a path, or a label, which stands in __fixups__ alone. No fragment without one."""
+    fixups = overlay.child("__fixups__")
+    found = {fragment.name: fragment.text("target-path") or "" for fragment in overlay.children}
+    for label, path, name, _ in _fixups(fixups) if fixups else ():
+        if name == "target" and path.lstrip("/") in found:
+            found[path.lstrip("/")] = label
+    return {fragment: target for fragment, target in found.items() if target}
+
+
 def symbols_of(root: FdtNode) -> Mapping[str, str]:
     """Label → path; empty for a tree that was built without ``dtc -@``."""
     found = root.child("__symbols__")

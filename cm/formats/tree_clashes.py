@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import cached_property
 from itertools import pairwise, product
 
@@ -49,6 +50,16 @@ def clashes(base: FdtNode, overlays: Mapping[str, FdtNode], idle: Collection[str
             return [Clash("label", name, "", f"{name}: {error}", "apply the overlay that brings it first")]
         tree, paths = applied.root, paths | applied.paths
     return list(_Tree(tree).clashes(paths, idle))
+
+
+def added(base: FdtNode, overlays: Mapping[str, FdtNode]) -> frozenset[str]:
+    """The paths that overlays name on a tree, as far as they can be applied to it."""
+    tree, paths = base, frozenset[str]()
+    for overlay in overlays.values():
+        with suppress(FdtError):
+            applied = apply(tree, overlay)
+            tree, paths = applied.root, paths | applied.paths
+    return paths
 
 
 def _label(overlay: str, lacking: Sequence[str], any_there: bool) -> Clash:

@@ -18,7 +18,7 @@ import os
 import re
 import threading
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
@@ -38,11 +38,12 @@ from cm.formats.bitstream import (
 )
 from cm.formats.bitstream.errors import BadContainer, BitstreamError, Sha256Mismatch
 from cm.formats.bitstream.report_cache import Inspected
+from cm.formats.fdt_overlay import targets
 from cm.frozen import dataclass
 from cm.manager.errors import BadOverlay
 from cm.manager.inputs import Image
-from cm.schema.model import Config, FrameRange, Module, Overlay, Region
-from cm.schema.named_files import bitstream_path, find_file, overlay_path
+from cm.schema.model import Config, FrameRange, LoaderKind, Module, Overlay, Region
+from cm.schema.named_files import FileMissing, bitstream_path, find_file, overlay_path
 from cm.server.durable_files import write
 from cm.server.private_folders import own_folder
 from cm.wire.messages.status import RegionColumn
@@ -395,7 +396,14 @@ def _load(name: str, node: fdt.FdtNode) -> FirmwareLoad:
 
 
 _MAX_OVERLAY = 16 << 20  # bytes
-_Overlay = tuple[bytes, tuple[FirmwareLoad, ...]]  # a checked blob, and what it would load
+_Overlay = tuple[bytes, tuple[FirmwareLoad, ...], Mapping[str, bool]]  # a checked blob; loads; targets: of a load?
+
+
+def _aims(root: fdt.FdtNode) -> Mapping[str, bool]:
+    """The targets of an overlay, and whether something is loaded there."""
+    contents = {fragment.name: fragment.child("__overlay__") for fragment in root.children}
+    loading = {name for name, node in contents.items() if node is not None and _NAME in node.properties}
+    return {target: fragment in loading for fragment, target in targets(root).items()}
 
 
 class OverlayFiles:
@@ -414,10 +422,12 @@ class OverlayFiles:
         """An overlay that comes with a configuration or mode whose `images` are in the device when it is applied.
 
         If it names them, they are not loaded a second time: a full image would erase what was loaded into its regions
-        since. Raises FileMissing, and BadOverlay if it would load anything else.
+        since. Raises FileMissing, and BadOverlay if it would load anything else, or stands on the node of a region that
+        is loaded by overlay.
         """
         path = overlay_path(config, overlay, self._root)
-        data, loads = self._overlay(path)
+        data, loads, aims = self._overlay(path)
+        self._check_regions_free(path, config, aims)
         for load in loads:
             self._known(path, config, load, images)
         return loading_nothing(str(path), data) if loads else data
@@ -428,11 +438,27 @@ class OverlayFiles:
         Raises FileMissing, and BadOverlay if it names anything but that image, or is not an overlay for it.
         """
         path = find_file(config, [f"{module.name}.dtbo"], self._root)
-        data, loads = self._overlay(path)
+        data, loads, _ = self._overlay(path)
         if len(loads) != 1:
             raise BadOverlay(f"{path}: one firmware-name is expected, there are {len(loads)}")
         self._known(path, config, loads[0], [image])
         return naming(str(path), data, self._firmware.private_name(image))
+
+    def _check_regions_free(self, path: Path, config: Config, aims: Collection[str]) -> None:
+        """The kernel refuses whatever else is put on a region with a firmware overlay; and to take the refused one off
+        again opens the region's bridges (drivers/fpga/of-fpga-region.c)."""
+        for module in config.modules.values():
+            if config.regions[module.region].loader is not LoaderKind.OVERLAY:
+                continue
+            try:
+                loading = find_file(config, [f"{module.name}.dtbo"], self._root)
+            except FileMissing:
+                continue  # said where the module is to be loaded
+            if shared := [aim for aim, loads in self._overlay(loading)[2].items() if loads and aim in aims]:
+                raise BadOverlay(
+                    f"{path}: it changes {', '.join(sorted(shared))}, to which {loading.name} loads {module.name} by "
+                    f"overlay; the kernel takes no other overlay there: put its nodes into {loading.name}"
+                )
 
     def _overlay(self, path: Path) -> _Overlay:
         """What was found in a file is kept for as long as the file is the same: a tree takes long to read."""
@@ -446,7 +472,7 @@ class OverlayFiles:
                 f"{path}: {state.st_size} bytes are not an overlay; it has at most {_MAX_OVERLAY >> 20} MiB"
             )
         data = checked_overlay(str(path), self._read(path))
-        found = self._checked[path] = key, (data, firmware_loads(str(path), data))
+        found = self._checked[path] = key, (data, firmware_loads(str(path), data), _aims(fdt.unpack(data)))
         return found[1]
 
     def _known(self, path: Path, config: Config, load: FirmwareLoad, images: Sequence[Image]) -> None:

@@ -68,7 +68,7 @@ def software_outputs(system: System, answers: Answers) -> Iterator[Entry]:
     yield "dts/system-user.dtsi", "system-user.dtsi.j2", base
     for one in system.implementations:
         yield (
-            f"dts/module_{one.name}.dtso",
+            f"dts/{'' if dt.firmware(one) else 'module_'}{one.name}.dtso",  # what loads a module has its name
             "module.dtso.j2",
             base | {"implementations": [one], "title": f"module {one.name}"},
         )

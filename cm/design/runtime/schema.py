@@ -28,6 +28,7 @@ from cm.schema.model import (
     Direction,
     Identity,
     Interrupt,
+    LoaderKind,
     Memory,
     Mode,
     Module,
@@ -172,7 +173,8 @@ def _mode(system: System, mode: ModeSpec, streams: Mapping[str, Stream]) -> Mode
                 _in_range(source, mode.name, one.module.registers[key], value)
                 registers[key] = _placed(one.module.registers[key], base, one.region.name, value)
     registers |= _routes(system, mode)
-    overlays = tuple(Overlay(f"module_{one.name}") for one in chosen if one.region.registers)
+    beside = [one for one in chosen if one.region.registers and one.region.spec.loader is not LoaderKind.OVERLAY]
+    overlays = tuple(Overlay(f"module_{one.name}") for one in beside)
     return Mode(
         name=mode.name,
         modules=tuple(one.name for one in chosen),

@@ -26,6 +26,8 @@ def checks(machine: Machine) -> Iterator[Finding]:
     yield _symbols(machine)
     yield _uio(machine)
     yield _cma(machine)
+    if (path := _firmware_path(machine)) is not None:
+        yield path
     if machine.family == "zynqmp":
         yield _firmware(machine)
 
@@ -53,16 +55,16 @@ def _labels(machine: Machine) -> tuple[str, ...]:
 def _uio(machine: Machine) -> Finding:
     """The parameter itself cannot be read back, so we look for where it was set."""
     where = machine.root.join("sys/module", _UIO)
+    built_in = _UIO not in machine.loaded and where.exists()
+    value = _of_id_of_command_line(machine) or ("" if built_in else _of_id_of_modprobe(machine))
     if "cm_window" in machine.loaded:
-        return Finding("of_id", "cm_window", str(where), State.OK, "cm_window serves the register windows")
+        return _windows(machine, built_in, value)
     if _UIO not in machine.loaded and not where.exists():
         if machine.has_module(_UIO) is False:
             advice = "modprobe cm_window, which does without it; or a kernel with CONFIG_UIO_PDRV_GENIRQ"
             return Finding("of_id", _UIO, str(where), State.MISSING, "not in this kernel", advice)
         advice = "modprobe uio_pdrv_genirq of_id=fpga-cm,uio (for good: system/modprobe.d; the service loads it)"
         return Finding("of_id", _UIO, str(where), State.MISSING, "not loaded", advice)
-    built_in = _UIO not in machine.loaded
-    value = _of_id_of_command_line(machine) or ("" if built_in else _of_id_of_modprobe(machine))
     kind = "built in" if built_in else "module"
     if value in _OUR_UIO:
         return Finding("of_id", _UIO, str(where), State.OK, f"{kind}, of_id={value}")
@@ -73,12 +75,38 @@ def _uio(machine: Machine) -> Finding:
         )
     else:
         advice = "options uio_pdrv_genirq of_id=fpga-cm,uio in /etc/modprobe.d, then rmmod and modprobe it"
+        if _of_id_of_command_line(machine):  # modprobe puts the command line's options behind its own: the last counts
+            advice = f"modprobe.d has no effect where the kernel's command line has {_UIO}.of_id=: change it there"
     return Finding("of_id", _UIO, str(where), State.WRONG, f"{kind}, of_id={value or 'not set'}", advice)
 
 
+def _windows(machine: Machine, built_in: bool, of_id: str) -> Finding:
+    """A driver that is built in is asked before a module, so cm_window gets what that one does not know."""
+    path = str(machine.root.join("sys/module/cm_window"))
+    if not (built_in and of_id in _OUR_UIO):
+        return Finding("of_id", "cm_window", path, State.OK, "cm_window serves the register windows")
+    detail = f"{_UIO} is built in with of_id={of_id} and takes the windows first: none is lent"
+    advice = (
+        f"another {_UIO}.of_id= on the kernel's command line, such as none; or for each window: echo cm_window "
+        ">/sys/bus/platform/devices/NAME/driver_override, its driver's unbind, then NAME to drivers_probe"
+    )
+    return Finding("of_id", "cm_window", path, State.WRONG, detail, advice)
+
+
+def _firmware_path(machine: Machine) -> Finding | None:
+    """A newline in it is part of the name for Linux 6.1."""
+    path = "sys/module/firmware_class/parameters/path"
+    value = machine.raw(path).decode("utf-8", "replace").removesuffix("\n")
+    if not value.endswith("\n"):
+        return None
+    advice = f"printf %s {value.strip()} >/{path}: Linux 6.1 finds no file in a folder whose name ends in a newline"
+    return Finding("firmware", "firmware_class.path", f"/{path}", State.WRONG, "written with a newline (echo)", advice)
+
+
 def _of_id_of_command_line(machine: Machine) -> str:
+    """Its value; the kernel takes quotes away, which /proc/cmdline still has (PYNQ)."""
     values = [word.partition("=")[2] for word in machine.command_line if word.startswith(f"{_UIO}.of_id=")]
-    return values[-1] if values else ""
+    return values[-1].strip('"') if values else ""
 
 
 def _of_id_of_modprobe(machine: Machine) -> str:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cached_property
 from pathlib import Path
 
@@ -22,6 +22,14 @@ class PlatformDevice:
     compatible: tuple[str, ...]
     driver: str  # empty: none is bound
     properties: frozenset[str]
+
+    @property
+    def node(self) -> str:
+        """Path of its node in the tree; empty where the link to it cannot be read."""
+        try:
+            return str((self.path / "of_node").readlink()).partition("/devicetree/base")[2]
+        except OSError:
+            return ""
 
     @property
     def base(self) -> int | None:
@@ -50,10 +58,14 @@ class Machine:
 
     def text(self, *parts: str) -> str:
         """The content of a small file, without its end; empty if there is none."""
+        return self.raw(*parts).decode("utf-8", "replace").strip("\0\n ")
+
+    def raw(self, *parts: str) -> bytes:
+        """The content of a small file; empty if there is none."""
         try:
-            return self.root.join(*parts).read_text("utf-8", "replace").strip("\0\n ")
+            return self.root.join(*parts).read_bytes()
         except OSError:
-            return ""
+            return b""
 
     def exists(self, *parts: str) -> bool:
         """Whether a path exists."""
@@ -112,11 +124,12 @@ class Machine:
     @cached_property
     def devices(self) -> tuple[PlatformDevice, ...]:
         """Devices of the platform bus that have a node in the device tree."""
-        return tuple(self._devices())
+        return tuple(self.devices_named(self.names("sys/bus/platform/devices")))
 
-    def _devices(self) -> Iterator[PlatformDevice]:
+    def devices_named(self, names: Iterable[str]) -> Iterator[PlatformDevice]:
+        """Some of them, as they are now."""
         folder = self.root.join("sys/bus/platform/devices")
-        for name in self.names("sys/bus/platform/devices"):
+        for name in names:
             path = folder / name
             try:
                 node = (path / "of_node/compatible").read_bytes().decode("ascii", "replace")

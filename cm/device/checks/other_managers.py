@@ -8,25 +8,40 @@ from collections.abc import Iterator
 from cm.device.check_result import Finding, State
 from cm.device.checks.machine import Machine
 
+_DFX_MGR = "xmutil unloadapp; systemctl disable --now dfx-mgr dfx-mgr-fw-load"
 # name of the process (its first 15 characters) → what to do
 _OTHERS = {
-    "dfx-mgrd": "xmutil unloadapp; systemctl disable --now dfx-mgr",
-    "dfx-mgr": "xmutil unloadapp; systemctl disable --now dfx-mgr",
+    "dfx-mgrd": _DFX_MGR,
+    "dfx-mgr": _DFX_MGR,
     "fpgad": "snap stop --disable fpgad",
     "pl_server": "systemctl disable --now pl_server (PYNQ)",
     "start_pl_server": "systemctl disable --now pl_server (PYNQ)",
     "jupyter-noteboo": "a notebook of PYNQ that makes an Overlay loads the PL: systemctl stop jupyter",
     "jupyter-lab": "a notebook of PYNQ that makes an Overlay loads the PL: systemctl stop jupyter",
 }
+# unit that is enabled → what it does at each boot, and what ends that
+_UNITS = {
+    "bootpy.service": ("runs /boot/boot.py, which may load base.bit (PYNQ)", "systemctl disable --now bootpy"),
+    "clear_pl_statefile.service": (
+        "inserts the overlay of Kria-PYNQ; its script in /etc/profile.d does so at each login of root",
+        "systemctl disable --now clear_pl_statefile, and move that script away",
+    ),
+    "dfx-mgr.service": ("may load an application, before 2025.1 in its ExecStartPre", _DFX_MGR),
+    "dfx-mgr-fw-load.service": ("loads the package named in /etc/dfx-mgrd/default_firmware", _DFX_MGR),
+}
 
 
 def checks(machine: Machine) -> Iterator[Finding]:
-    """One finding for each such program, or one that says that there is none."""
+    """One finding for each such program, and for each unit that loads at boot; or one that says that there is none."""
     found = {comm: pid for pid, comm in _processes(machine) if comm in _OTHERS}
     for comm, pid in sorted(found.items()):
         detail = f"runs (pid {pid}), and may load the PL behind the manager's back"
         yield Finding("other", comm, f"/proc/{pid}", State.WRONG, detail, _OTHERS[comm])
-    if not found:
+    units = {unit: path for path, unit in _enabled(machine) if unit in _UNITS}
+    for unit, path in sorted(units.items()):
+        detail, advice = _UNITS[unit]
+        yield Finding("other", unit, path, State.WRONG, detail, advice)
+    if not (found or units):
         yield Finding("other", "managers", "/proc", State.OK, "no other program is known to load this PL")
 
 
@@ -34,3 +49,10 @@ def _processes(machine: Machine) -> Iterator[tuple[str, str]]:
     for pid in machine.names("proc"):
         if pid.isdecimal():
             yield pid, machine.text("proc", pid, "comm")
+
+
+def _enabled(machine: Machine) -> Iterator[tuple[str, str]]:
+    for folder in ("etc/systemd/system", "lib/systemd/system", "usr/lib/systemd/system"):
+        for target in machine.names(folder):
+            if target.endswith((".wants", ".requires")):
+                yield from ((f"/{folder}/{target}/{unit}", unit) for unit in machine.names(folder, target))

@@ -19,6 +19,7 @@ KINDS: Mapping[str, str] = {
     "icap_stall": "none; value: bytes that are taken before; until cleared",
     "icap_write_only": "none; until cleared",
     "overlay_error": "overlay name, or none for any",
+    "probe_error": "node of an overlay, without its address",
     "fpga_manager_error": "",
     "register_stuck": "register name; until cleared",
     "clock_stuck": "clock name; until cleared",

@@ -12,6 +12,7 @@ import pytest
 from cm.cli.main import main
 from cm.device.check_result import Finding, State
 from cm.device.survey import survey
+from cm.formats import fdt
 
 ZYNQ_LABELS = ("intc", "clkc", "devcfg", "fpga_full", "amba")
 ZYNQMP_LABELS = ("gic", "zynqmp_clk", "zynqmp_pcap", "fpga_full", "amba")
@@ -156,6 +157,17 @@ IN_6_6 = "lib/modules/5.15.19-xilinx-v2022.1/modules.dep"
         ("petalinux", [
             file(UIO_MISSING, "updates/dkms/cm_window.ko:\n"), file("proc/modules", "cm_window 1 0 - Live 0x0\n"),
         ], "of_id", OK, []),
+        ("pynq", [file("proc/cmdline", 'rw uio_pdrv_genirq.of_id="generic-uio"\n')], "of_id", OK,  # as PYNQ writes it
+            ["built in, of_id=generic-uio"]),
+        ("pynq", [file("proc/modules", "cm_window 1 0 - Live 0x0\n")], "of_id", WRONG,
+            ["takes the windows first: none is lent", "driver_override"]),
+        ("pynq", [file("proc/modules", "cm_window 1 0 - Live 0x0\n"),
+            file("proc/cmdline", "uio_pdrv_genirq.of_id=none\n")], "of_id", OK, ["cm_window serves"]),
+        ("kria", [file("proc/cmdline", "uio_pdrv_genirq.of_id=acme\n"),
+            file("etc/modprobe.d/cm.conf", "options uio_pdrv_genirq of_id=fpga-cm,uio\n")], "of_id", WRONG,
+            ["module, of_id=acme", "modprobe.d has no effect"]),
+        ("pynq", [file("sys/module/firmware_class/parameters/path", "/srv/fw\n\n")], "firmware", WRONG,
+            ["printf %s /srv/fw >/sys/module/firmware_class/parameters/path"]),
         ("pynq", [file("proc/meminfo", "CmaTotal: 16384 kB\nCmaFree: 4096 kB\n")], "cma", WRONG, []),
         ("pynq", [], "cma", OK, []),
         ("pynq", [file("proc/meminfo", "MemTotal: 500000 kB\n")], "cma", MISSING, ["CONFIG_DMA_CMA"]),
@@ -201,6 +213,12 @@ IN_6_6 = "lib/modules/5.15.19-xilinx-v2022.1/modules.dep"
         ("pynq", [], "other", WRONG, ["disable --now pl_server"]),
         ("petalinux", [lambda tree: tree.process(77, "fpgad")], "other", WRONG, ["snap stop"]),
         ("petalinux", [], "other", OK, []),
+        ("petalinux", [file("etc/systemd/system/basic.target.wants/bootpy.service")], "other", WRONG,
+            ["base.bit", "systemctl disable --now bootpy"]),
+        ("petalinux", [file("etc/systemd/system/multi-user.target.wants/clear_pl_statefile.service")], "other", WRONG,
+            ["each login of root", "disable --now clear_pl_statefile"]),
+        ("petalinux", [file("usr/lib/systemd/system/multi-user.target.wants/dfx-mgr-fw-load.service")], "other", WRONG,
+            ["default_firmware", "dfx-mgr-fw-load"]),
     ],
 )  # fmt: skip
 def test_what_is_found_is_said_with_what_to_do(
@@ -234,6 +252,54 @@ def test_an_engine_says_its_length_register_and_coherence(petalinux: Tree) -> No
 
 def test_everything_that_is_wrong_has_advice(petalinux: Tree) -> None:
     assert all(f.advice for f in survey(petalinux.root).findings if f.state is not State.OK)
+
+
+# ---- overlays and the live tree ------------------------------------------------------
+
+
+def cells(*numbers: int) -> bytes:
+    return b"".join(number.to_bytes(4, "big") for number in numbers)
+
+
+def control(name: str, spi: int) -> bytes:
+    properties = {"compatible": b"fpga-cm,uio\0generic-uio\0", "interrupts": cells(0, spi, 4)}
+    properties |= {"interrupt-parent": cells(1), "reg": cells(0x40010000, 0x1000)}
+    return fdt.pack(fdt.overlay("/", fdt.FdtNode("", {}, [fdt.FdtNode(name, properties)])))
+
+
+@pytest.fixture
+def stock(pynq: Tree) -> Tree:
+    """PYNQ's node `fabric` in the live tree, bound to UIO."""
+    live = "proc/device-tree"
+    pynq.put(f"{live}/intc/phandle", cells(1)).put(f"{live}/intc/#interrupt-cells", cells(3))
+    pynq.put(f"{live}/fabric@40000000/compatible", "generic-uio\0").put(
+        f"{live}/fabric@40000000/interrupts", cells(0, 29, 4)
+    )
+    return pynq.put(f"{live}/fabric@40000000/interrupt-parent", cells(1))
+
+
+def clash_lines(tree: Tree, capsys: pytest.CaptureFixture[str]) -> list[str]:
+    main(["doctor", "--root", str(tree.root), "--all", "--runtime-dir", str(tree.root / "none")])
+    return [line for line in capsys.readouterr().out.splitlines() if line.startswith("wrong    clash")]
+
+
+def test_a_configurations_overlay_that_asks_for_what_the_live_tree_gives_to_others_is_named(
+    stock: Tree, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stock.put("lib/firmware/cm/loop/loop_static.dtbo", control("cm-control@40010000", 29))
+    (line,) = clash_lines(stock, capsys)
+    assert "/cm-control@40010000 asks for what /fabric@40000000 (generic-uio) has" in line
+
+
+def test_what_one_configuration_brought_is_no_clash_for_another(
+    stock: Tree, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for config in ("loop", "other"):
+        stock.put(f"lib/firmware/cm/{config}/{config}_static.dtbo", control(f"{config}@40010000", 31))
+    place = "proc/device-tree/loop@40010000"
+    stock.put(f"{place}/compatible", "generic-uio\0").put(f"{place}/interrupt-parent", cells(1))
+    stock.put(f"{place}/interrupts", cells(0, 31, 4))
+    assert clash_lines(stock, capsys) == []
 
 
 # ---- the report ---------------------------------------------------------------------

@@ -176,9 +176,12 @@ def test_a_region_of_loader_overlay_names_its_firmware(tmp_path: Path) -> None:
     path = folder / "camera/build.yaml"
     path.write_text(path.read_text().replace("loader: auto", "loader: overlay"))
     _, out = generated(folder, "camera")
-    text = (out / "dts/module_edge.dtso").read_text()
+    text = (out / "dts/edge.dtso").read_text()  # by this name the manager looks for what loads a module
     assert 'firmware-name = "cm/camera/edge.bin";' in text
     assert "partial-fpga-config;" in text
+    assert "edge-s-axi@" in text
+    modes = schema.load(out / "config/camera.yaml").modes.values()
+    assert [mode.overlays for mode in modes] == [(), (), ()]  # the kernel would take no other on the region
 
 
 def test_registers_of_the_static_designs_own_part_have_devices(tmp_path: Path) -> None:

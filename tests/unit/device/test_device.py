@@ -487,6 +487,34 @@ def test_an_overlay_that_the_kernel_refuses_is_removed_again(tmp_path: Path) -> 
         assert overlays.list() == []
 
 
+class Kernel(OverlayTree):
+    """Makes a device for the overlay, which no driver takes, as another has its interrupt."""
+
+    def __call__(self, op: int, payload: bytes, fds: list[int], events: socket.socket) -> Reply:
+        bus = self.folder.parents[3] / "bus/platform"
+        if op == MKDIR:
+            for name in ("40000000.fabric", "40000000.cm-control"):
+                node = bus / "devices" / name / "of_node"
+                node.mkdir(parents=True, exist_ok=True)
+                (node / "compatible").write_text("fpga-cm,window\0fpga-cm,uio\0generic-uio\0")
+                (node / "interrupts").write_bytes(bytes([0, 0, 0, 0, 0, 0, 0, 29, 0, 0, 0, 4]))
+            (bus / "drivers/uio_pdrv_genirq").mkdir(parents=True)
+            (bus / "devices/40000000.fabric/driver").symlink_to("../../drivers/uio_pdrv_genirq")
+        return super().__call__(op, payload, fds, events)
+
+
+def test_an_applied_overlay_whose_device_got_no_driver_fails_and_says_who_holds_what(tmp_path: Path) -> None:
+    with FakeNode(tmp_path, f"{OVERLAYS}/.node", Kernel(tmp_path, "applied")):
+        overlays = device.Overlays(tmp_path)
+        with pytest.raises(device.DeviceError) as refused:
+            overlays.apply("loop_static", DTBO)
+        assert overlays.list() == []
+    said = str(refused.value)
+    assert "overlay loop_static was applied, but 40000000.cm-control (fpga-cm,window) got no driver" in said
+    assert "uio_pdrv_genirq did not take it, as 40000000.fabric (uio_pdrv_genirq) has its interrupt" in said
+    assert "echo 40000000.fabric >/sys/bus/platform/drivers/uio_pdrv_genirq/unbind" in said
+
+
 class Dtbocfg(OverlayTree):
     """The tree of the dtbocfg module: numbers for words, and nothing is applied before a 1 is written."""
 

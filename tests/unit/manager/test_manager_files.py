@@ -20,12 +20,13 @@ from manager_schemas import DUO, MANAGED, TEXTS, written
 from manager_support import Rig, rig
 
 from cm.errors import InvalidRequest
+from cm.formats import fdt
 from cm.formats.bitstream import Container, assemble_module, convert
 from cm.formats.bitstream.errors import BadContainer, FootprintOutside, Sha256Mismatch, UnknownDevice
 from cm.manager.errors import BadOverlay
 from cm.manager.inputs import Image
 from cm.schema import loads
-from cm.schema.model import Config, FrameRange, Overlay
+from cm.schema.model import Config, FrameRange, LoaderKind, Overlay
 from cm.server.bitstream_and_overlay_files import MAX_BYTES, BoardFiles, Footprints, LearnedFootprint
 from cm.server.private_folders import UnsafeFolder
 from cm.simulation.software import Board as SimBoard
@@ -338,6 +339,29 @@ def test_a_folder_for_copies_that_the_kernel_does_not_look_in_is_refused(duo: Co
     files = BoardFiles(tmp_path / "root", copies=tmp_path / "root/elsewhere")
     with pytest.raises(InvalidRequest, match="this kernel does not look there"):
         files.firmware_name(image(files, duo, "a0"))
+
+
+# ---- a region that is loaded by overlay -----------------------------------------------------
+
+
+def overlays_of(config: Config, loading: str, beside: str) -> None:
+    """Overlays as dtc makes them: what loads a0 into a region, and one of the mode."""
+    assert config.source is not None
+    loads = {"firmware-name": b"a0.bit\0", "partial-fpga-config": b""}
+    for name, target, properties in (("a0", loading, loads), ("duo_extra", beside, dict[str, bytes]())):
+        tree = fdt.overlay(target, fdt.FdtNode("", properties))
+        (config.source.parent / f"{name}.dtbo").write_bytes(fdt.pack(tree))
+
+
+def test_an_overlay_on_a_region_that_another_loads_is_refused_before_it_is_applied(duo: Config, tmp_path: Path) -> None:
+    regions = {name: replace(region, loader=LoaderKind.OVERLAY) for name, region in duo.regions.items()}
+    by_overlay = replace(duo, regions=regions)
+    overlays_of(duo, "/fpga-region-0", "/fpga-region-0")
+    with pytest.raises(BadOverlay, match=r"/fpga-region-0, to which a0\.dtbo loads a0 by overlay; .* into a0\.dtbo"):
+        opened(tmp_path).overlay(by_overlay, Overlay("duo_extra"), [])
+    assert opened(tmp_path).overlay(duo, Overlay("duo_extra"), [])  # its regions are loaded by the ICAP
+    overlays_of(duo, "/fpga-region-0", "/fpga-region-1")
+    assert opened(tmp_path).overlay(by_overlay, Overlay("duo_extra"), [])
 
 
 # ---- sizes ------------------------------------------------------------------------------

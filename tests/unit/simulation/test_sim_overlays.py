@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import pytest
 from sim_support import Node, Uio, attribute
 
+from cm.device import DeviceError, Overlays
 from cm.formats import fdt
 from cm.formats.bitstream.assemble import FrameRun, assemble
 from cm.formats.bitstream.container import to_dma_words
@@ -109,6 +110,44 @@ def test_a_region_takes_no_second_firmware_until_the_first_overlay_is_removed(bo
     assert refusal(attribute, board.root, f"{OVERLAYS}/{overlay}/dtbo", data) == errno.EINVAL
     folder(board, p.OP_RMDIR, "first")
     attribute(board.root, f"{OVERLAYS}/{overlay}/dtbo", data)
+
+
+def test_a_region_with_a_firmware_overlay_takes_no_other_overlay_at_all(board, overlay):
+    attribute(board.root, f"{OVERLAYS}/{overlay}/dtbo", blob(firmware_name=b"cm/camera/edge.bin\0"))
+    folder(board, p.OP_MKDIR, "devices")
+    assert refusal(attribute, board.root, f"{OVERLAYS}/devices/dtbo", blob(more=b"")) == errno.EINVAL
+    elsewhere = fdt.pack(fdt.overlay("/another-region", fdt.FdtNode()))
+    attribute(board.root, f"{OVERLAYS}/devices/dtbo", elsewhere)
+    folder(board, p.OP_RMDIR, "devices")
+
+
+def window(name: str, spi: int) -> bytes:
+    found = {"compatible": b"fpga-cm,window\0fpga-cm,uio\0generic-uio\0"}
+    found["interrupts"] = b"".join(cell.to_bytes(4, "big") for cell in (0, spi, 4))
+    return fdt.pack(fdt.overlay("/", fdt.FdtNode("", {}, [fdt.FdtNode(name, found)])))
+
+
+def test_a_device_that_no_driver_takes_fails_the_overlay_and_is_named(board):
+    overlays = Overlays(board.root)
+    board.control.inject("probe_error", "control")
+    with pytest.raises(DeviceError, match=r"40000000\.control \(fpga-cm,uio\) got no driver: uio_pdrv_genirq"):
+        overlays.apply("faulty", window("control@40000000", 29))
+    assert overlays.list() == []
+    overlays.apply("faulty", window("control@40000000", 29))
+    overlays.remove("faulty")
+
+
+def test_an_interrupt_that_another_device_has_is_said_with_its_holder_and_what_frees_it(board):
+    overlays = Overlays(board.root)
+    overlays.apply("image", window("fabric@40000000", 29))
+    with pytest.raises(DeviceError) as refused:
+        overlays.apply("ours", window("control@40010000", 29))
+    assert "40010000.control" in str(refused.value)
+    assert "40000000.fabric (uio_pdrv_genirq) has its interrupt" in str(refused.value)
+    assert "echo 40000000.fabric >/sys/bus/platform/drivers/uio_pdrv_genirq/unbind" in str(refused.value)
+    overlays.apply("ours", window("control@40010000", 30))
+    for name in ("ours", "image"):
+        overlays.remove(name)
 
 
 def test_an_overlay_whose_firmware_is_missing_is_not_applied(board, overlay):

@@ -73,6 +73,17 @@ class Root:
             os.close(new)
         path.replace(self.path / relative)
 
+    def link(self, relative: str, to: str) -> None:
+        """A symbolic link."""
+        self._parent(relative)
+        self._record(relative)
+        (self.path / relative).symlink_to(to)
+
+    def remove(self, relative: str) -> None:
+        """Remove what was made, if it is there: a file, or a folder that is empty."""
+        _remove(self.path / relative)
+        self._made.pop(relative, None)
+
     def bind(self, relative: str) -> socket.socket:
         """A listening seqpacket socket at a path of any length."""
         self._parent(relative)
