@@ -86,12 +86,13 @@ class StatusReporter:
         self._progress = progress
         self._observer.progressed()
 
-    def ended(self, number: int, error: ErrorInfo | None, seconds: float) -> None:
-        """No change runs any more; `changed` tells it."""
+    def ended(self, number: int, error: ErrorInfo | None, seconds: float, touched: bool = True) -> None:
+        """No change runs any more; `changed` tells it. `touched`: whether it has done anything to the board."""
         self._progress, self._running = None, False
         self.totals.ended(error.code if error else None, seconds)
         self._last = (number, seconds, time.monotonic_ns())
-        self._error, self._failed = error, error is not None and error.code != "cancelled"
+        code = error.code if error else "cancelled"
+        self._error, self._failed = error, code == "device_gone" or (touched and code != "cancelled")
         if self._notice_read:
             self._notice = None
 

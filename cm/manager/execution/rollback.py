@@ -61,7 +61,8 @@ def failure_of(run: StepContext, error: Exception) -> Failure:
     """What is known about a failed step, for the way back."""
     goal = run.plan.goal
     values, found, rates = goal.values, {**run.found, **goal.found}, {**run.rates, **goal.rates}
-    touched, written = frozenset(run.begun | run.apart), frozenset(run.written)
+    begun = run.tools.state.pending.begun if run.tools.state.pending else ()
+    touched, written = frozenset({*begun, *run.apart}), frozenset(run.written)
     return Failure(goal.config, run.step, error, values, found, rates, touched, written)
 
 
@@ -81,8 +82,10 @@ class Rollback:
 
     def run(self, failure: Failure) -> CmError:
         """Go back, or isolate; returns the error that says how it ended."""
-        before, old = self._before, self._old
+        before, old, cut = self._before, self._old, self._state.pending
         try:
+            if cut is not None and not cut.touched:
+                return StepFailed(f"{failure.text}; nothing was touched", failure.code)
             if old is not None and before.mode is not None and before.mode in old.modes:
                 self._restore(old, before.mode, failure)
                 tail = "; ".join([f"the board is back in {before.config}/{before.mode}", *self._tidy(failure)])
@@ -202,7 +205,9 @@ class Rollback:
         return {**(old.regions if old is not None and self._same_static() else {}), **goal.regions}
 
     def _left(self) -> str:
+        """What a failed change left, as the record has it."""
         state = self._state.board
+        again = [name for name in (self._state.pending.begun if self._state.pending else ()) if name in state.regions]
         if state.static_lost:
             return "what the device holds is not known, so nothing in it is accessed"
         cut = [name for name, region in state.regions.items() if region.phase is RegionPhase.FAILED]
@@ -210,7 +215,9 @@ class Rollback:
             return f"regions left decoupled: {', '.join(cut)}"
         if not self._same_static():
             return f"the device holds the image of {state.static_config}, and is in no mode"
-        return "no region was touched" if self._holds_as_before() else "what was loaded stays, in no mode"
+        if not self._holds_as_before():
+            return "what was loaded stays, in no mode"
+        return f"loaded again with what they held before: {', '.join(again)}" if again else "no region was loaded"
 
     def _same_static(self) -> bool:
         now, before = self._state.board, self._before

@@ -77,7 +77,6 @@ class StepContext:
     written: dict[str, int] = field(default_factory=dict)  # registers, by name
     found: dict[s.Place, int] = field(default_factory=dict)  # what registers held before, for the way back
     sealed: set[str] = field(default_factory=set)  # regions that are certainly isolated
-    begun: set[str] = field(default_factory=set)  # regions whose load has begun
     apart: set[str] = field(default_factory=set)  # regions of unknown content that were isolated before
     rates: dict[str, int] = field(default_factory=dict)  # what clocks ran at before, in Hz, for the way back
 
@@ -215,7 +214,6 @@ def load(run: StepContext, step: s.Load) -> None:
     name = step.region.name
     with run.tools.loaders.kind(step.port_kind).prepared(job_of(step), step.timeout) as start:
         _forget_content(run, step)
-        run.begun.add(name)
         try:
             _through(run, step, start)
         except BaseException:
@@ -242,12 +240,14 @@ def _through(run: StepContext, step: s.Load, start: Start) -> None:
 
 def _forget_content(run: StepContext, step: s.Load) -> None:
     name = step.region.name
-    before = run.board.region(name)
+    before, noted = run.board.region(name), run.tools.state.pending
     run.region_event(name, RegionEvent.LOAD)
+    run.tools.state.note_load(name)
     try:
         run.record(step)
     except BaseException:
         run.set_region(name, before)  # nothing was loaded
+        run.tools.state.pending = noted
         raise
 
 
@@ -387,7 +387,7 @@ def repair(run: StepContext, step: s.Repair) -> None:
     try:
         run.tools.loaders.write(step.region, step.words, step.image, step.timeout)
     except BaseException:
-        run.begun.add(step.region.name)
+        run.tools.state.note_load(step.region.name)
         run.region_event(step.region.name, RegionEvent.LOSE)
         raise
 

@@ -222,8 +222,9 @@ class Worker:
         change.generation = state.written()
         self._tools.data_plane.wrote(change.generation)
         change.seconds = time.monotonic() - started
+        touched = state.pending is not None and state.pending.touched
         state.pending, self.running = None, None
-        reporter.ended(change.number, error, change.seconds)
+        reporter.ended(change.number, error, change.seconds, touched)
         state.release_regions()
         reporter.note(state.settle())
         self._ended()

@@ -31,7 +31,7 @@ from cm.errors import sentence
 from cm.frozen import dataclass, field, replace
 from cm.manager.errors import RecordFailed, StateInUse, StoreCorrupt
 from cm.manager.state.board_state import BoardState, OverlayState, RegionPhase, RegionState
-from cm.manager.state.steps import ApplyOverlay, Choice, Place, RemoveOverlay, SetClock, Step
+from cm.manager.state.steps import ApplyOverlay, CheckStatic, Choice, Place, RemoveOverlay, SetClock, Step, Validate
 from cm.schema.model import Config, LoaderKind, Memory, Region
 from cm.wire.messages.status import ErrorInfo
 
@@ -116,6 +116,8 @@ class Pending:
     values: Mapping[str, int] = field(default_factory=dict)  # registers as they were before it, for the way back
     found: tuple[tuple[int, int, int], ...] = ()  # others: physical address, width and value
     rates: Mapping[str, int] = field(default_factory=dict)  # clocks, in Hz, likewise
+    touched: bool = False  # whether anything of the board may differ for it
+    begun: tuple[str, ...] = ()  # regions whose load has begun, there or on the way back
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +189,8 @@ def _change(x: Pending, begin: Kept[str], rest: Kept[str]) -> str:
     text = begin.of(x.number, x.config, x.mode, x.from_config, x.from_mode)
     overlay = "null" if x.overlay is None else _json(x.overlay)
     step = f'"step":{_json(x.step)},"subject":{_json(x.subject)},"overlay":{overlay}'
-    return f"{{{text},{step},{rest.of(x.from_static, x.held, x.values, x.found, x.rates)}}}"
+    left = f'"touched":{_json(x.touched)},"begun":{_json(x.begun)}'
+    return f"{{{text},{step},{left},{rest.of(x.from_static, x.held, x.values, x.found, x.rates)}}}"
 
 
 def encode(record: Record, texts: Texts) -> bytes:
@@ -283,7 +286,8 @@ def _understood(body: bytes) -> Record:
 
 
 def _pending_from_plain(plain: Mapping[str, Any]) -> Pending:
-    return Pending(**{**plain, "found": tuple((int(a), int(w), int(v)) for a, w, v in plain["found"])})
+    found = tuple((int(a), int(w), int(v)) for a, w, v in plain["found"])
+    return Pending(**{**plain, "found": found, "begun": tuple(map(str, plain["begun"]))})
 
 
 def _from_plain(plain: Mapping[str, Any]) -> Record:
@@ -547,6 +551,12 @@ class ManagerState:
             if self.pending is not None:
                 self.pending = replace(self.pending, found=(*self.pending.found, (*place, value)))
 
+    def note_load(self, region: str) -> None:
+        """A region's load begins, which the next record says."""
+        with self.lock:
+            if self.pending is not None and region not in self.pending.begun:
+                self.pending = replace(self.pending, begun=(*self.pending.begun, region))
+
     def written_value(self, register: str) -> int | None:
         """What was last written to a register since its region was loaded."""
         with self.lock:
@@ -685,4 +695,5 @@ def _about_to(pending: Pending, step: Step) -> Pending:
         overlay = step.overlay.name
     elif isinstance(step, RemoveOverlay):
         overlay = step.name
-    return replace(pending, step=step.kind, subject=step.subject, overlay=overlay, rates=rates)
+    touched = pending.touched or not isinstance(step, Validate | CheckStatic)
+    return replace(pending, step=step.kind, subject=step.subject, overlay=overlay, rates=rates, touched=touched)

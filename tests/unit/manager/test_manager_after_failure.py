@@ -350,7 +350,7 @@ GONE = (
             ("duo", "default"),
             {"at": "overlays.apply"},
             "device_error: apply overlay duo_base: injected at overlays.apply; there was no mode to go back to; "
-            "no region was touched",
+            "no region was loaded",
         ),
         (
             [("duo", "default")],
@@ -430,3 +430,26 @@ def test_an_error_says_which_step_failed_and_what_the_board_holds_now(
         back = f"back in {there.config_name}/{there.mode}"
         assert (back in text) is ("is back in" in text)
     sim.control.reset()
+
+
+def test_an_error_says_what_was_loaded_again_on_the_way_back(made: Rig, sim: SimBoard) -> None:
+    assert made.go("default", config="duo") is None
+    sim.control.inject("register_stuck", "gain")
+    error = made.go("both", config="duo")
+    assert error.code == "undo_failed"
+    assert error.message.endswith("; loaded again with what they held before: prr0, prr1")
+    there = made.manager.status()
+    assert (there.mode, there.pr_mode.value) == ("default", "error")
+    assert {r["module"] for r in sim.control.state()["regions"].values()} == {"a0", "a1"}
+
+
+def test_a_change_that_is_refused_before_it_touched_anything_is_no_error_of_the_board(made: Rig) -> None:
+    assert made.go("default", config="duo") is None
+    made.fault.watch = lambda name: (
+        (_ for _ in ()).throw(OSError(errno.EROFS, "read")) if name[:7] == "journal" else None
+    )
+    error = made.go("both", config="duo")
+    made.fault.watch = lambda _: None
+    status = made.manager.status()
+    assert (error.code, error.message[-20:]) == ("store", "; nothing was touched"[-20:])
+    assert (status.last_error, status.mode, status.pr_mode.value) == (error, "default", "idle")

@@ -47,6 +47,8 @@ FULL = Record(
         values={"focus": 3},
         found=((0x1018, 32, 4), (0x101C, 8, 5)),
         rates={"fclk0": 50_000_000},
+        touched=True,
+        begun=("prr0",),
     ),
     Throughput(MappingProxyType({LoaderKind.ICAP: (123.5, 99.0)}), MappingProxyType({"load": (0.5,)})),
     7,

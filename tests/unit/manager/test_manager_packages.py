@@ -115,7 +115,7 @@ def refused(made: Rig, sim: SimBoard, config: str, mode: str = "default") -> str
     assert {key: after[key] for key in ("loads", "regions", "overlays")} == {
         key: before[key] for key in ("loads", "regions", "overlays")
     }
-    assert made.manager.status().pr_mode.value == "error"
+    assert made.manager.status().pr_mode.value == "idle"
     return str(error.message)
 
 
