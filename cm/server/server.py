@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import zmq
 
+from cm.errors import sentence
 from cm.manager.access.leases import Leases
 from cm.manager.manager import Environment, Manager
 from cm.manager.state.journal import Journal
@@ -226,7 +227,10 @@ class Server:
         board = (self._publisher.close, self._devices.lost, self._journal.close, self._sockets.close)
         last = (self._authenticator.close, self._context.term, self._loop.close, self._locks.release)
         for end in (self._manager.stop, self._data_socket.close, self._close_windows, *users, *watches, *board, *last):
-            end()
+            try:
+                end()
+            except OSError as error:  # the others have their turn all the same
+                _LOG.warning("at the end: %s", sentence(error))
 
     def _note_error(self, error: ErrorInfo) -> None:
         self._manager.note_error(error)

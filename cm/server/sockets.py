@@ -201,7 +201,8 @@ class Sockets:
         for socket in self.all:
             socket.close()
         for name in ("pub", "sub", "req", ENDPOINTS_FILE):
-            (self._folder / name).unlink(missing_ok=True)
+            with suppress(OSError):  # the others go all the same; what stays, the next manager replaces
+                (self._folder / name).unlink(missing_ok=True)
 
 
 def _bind(socket: zmq.Socket[bytes], address: str) -> None:

@@ -144,6 +144,10 @@ class OtherVersion(ValueError):
     """A whole line that another version of this program wrote."""
 
 
+class Damaged(ValueError):
+    """A line that is not what was written, after the last good one."""
+
+
 class Kept(Generic[_T]):
     """The last result of a function, true as long as its inputs are the same objects. Any thread."""
 
@@ -258,14 +262,20 @@ def _measured(kind: str, values: tuple[float, ...]) -> str:
 
 
 def newest(data: bytes) -> Record | None:
-    """The last whole line; None where there is none.
+    """The last whole line; None where there is none. A line without its end is one that a kill has cut: it does not
+    count, as its step was not taken.
 
-    Raises OtherVersion: the newest whole line counts, or none, as those before it are no longer true.
+    Raises OtherVersion, and Damaged: the newest line counts, or none, as those before it are no longer true.
     """
-    for line in reversed(data.split(b"\n")):
+    *lines, torn = data.rstrip(b"\0").split(b"\n")
+    for line in reversed(lines):
         body = _checked(line)
         if body is not None:
             return _understood(body)
+        if line:
+            raise Damaged
+    if torn:
+        raise Damaged
     return None
 
 
@@ -281,7 +291,7 @@ def _checked(line: bytes) -> bytes | None:
 def _understood(body: bytes) -> Record:
     try:
         return _from_plain(json.loads(body))
-    except (ValueError, KeyError, TypeError, AttributeError, IndexError):
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError):
         raise OtherVersion from None
 
 
@@ -325,10 +335,14 @@ def _from_plain(plain: Mapping[str, Any]) -> Record:
 __all__ = ["Journal", "Pending", "Record"]
 
 LENGTH = 256 * 1024  # bytes of a journal
+_DISK = (errno.EROFS, errno.EIO, errno.ENOSPC, errno.EDQUOT)  # no reason not to serve
 
 
 class Journal:
-    """The journal in a folder, which it holds a lock on. Raises StateInUse, OSError."""
+    """The journal in a folder, which it holds a lock on. Raises StateInUse, OSError.
+
+    One that the disk lets nobody write is read all the same; then `write` says why.
+    """
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -336,14 +350,17 @@ class Journal:
         self._lock = _locked(folder)
         self._spare = -1
         self._texts = Texts()
+        self._fd, self._cut = -1, False
         try:
-            self._fd = _open(self._path)
-        except OSError:
-            os.close(self._lock)
-            raise
-        self._begin()
+            self._begin()
+        except OSError as error:
+            if error.errno not in _DISK:
+                os.close(self._lock)
+                raise
 
     def _begin(self) -> None:
+        self._fd = _open(self._path)
+        self._cut = 0 < os.fstat(self._fd).st_size < LENGTH
         self._at = _end(self._path)  # where the next line goes
         _reserve(self._fd)
         self._old.unlink(missing_ok=True)
@@ -353,6 +370,8 @@ class Journal:
         """Add a record; it survives the death of this process from here on. Raises OSError."""
         line = encode(record, self._texts)
         try:
+            if self._fd < 0:
+                self._begin()
             if self._at + len(line) > LENGTH:
                 self._rotate(line)
             else:
@@ -369,6 +388,7 @@ class Journal:
         if self._spare < 0:
             self._spare = _open(self._new)
             os.ftruncate(self._spare, 0)
+            os.ftruncate(self._spare, LENGTH)
         self._put(self._spare, line, 0)
         kept = self._keep_old()
         self._new.replace(self._path)
@@ -394,7 +414,7 @@ class Journal:
             if old >= 0:
                 self._old.replace(self._new)
                 os.ftruncate(old, LENGTH)
-                os.pwrite(old, bytes(LENGTH), 0)
+                self._put(old, bytes(LENGTH), 0)  # an old line must not stand behind a new one
                 self._spare = old
                 return
             self._new.unlink(missing_ok=True)
@@ -412,21 +432,22 @@ class Journal:
     def read(self) -> Record | None:
         """The last whole record; None if there is none yet.
 
-        Raises StoreCorrupt where the file cannot be read, holds lines but no good one, or the last good
-        one is of another version; it is set aside first.
+        Raises StoreCorrupt where the file cannot be read, its end was damaged or cut off, or its last line is of
+        another version; it is set aside first.
         """
         try:
-            data = self._path.read_bytes()
-            record = newest(data)
+            if self._cut:
+                raise Damaged
+            return newest(self._path.read_bytes())
+        except FileNotFoundError:
+            return None
         except OSError as error:
             raise StoreCorrupt(f"the state record {self._path} cannot be read ({error})") from error
+        except Damaged:
+            what = "is damaged or cut off at its end, so what it said last is not known"
         except OtherVersion:
-            raise StoreCorrupt(
-                f"the state record {self._path} is of another version of this program; {self._aside()}"
-            ) from None
-        if record is None and data.strip(b"\0\n "):
-            raise StoreCorrupt(f"the state record {self._path} holds no whole line; {self._aside()}")
-        return record
+            what = "is of another version of this program"
+        raise StoreCorrupt(f"the state record {self._path} {what}; {self._aside()}")
 
     def _aside(self) -> str:
         """Begin a new journal; returns a sentence on what became of the old one."""
@@ -437,7 +458,7 @@ class Journal:
         except OSError as error:
             return f"it could not be set aside ({error})"
         os.close(self._fd)
-        self._fd, self._at = new, 0
+        self._fd, self._at, self._cut = new, 0, False
         _reserve(self._fd)
         return f"it was moved to {aside}"
 
@@ -461,8 +482,9 @@ def _end(path: Path) -> int:
 
 
 def _reserve(descriptor: int) -> None:
-    """Room for a whole journal, as far as the file system can promise it."""
+    """Room for a whole journal, as far as the file system can promise it; its length in any case."""
     with contextlib.suppress(OSError):
+        os.ftruncate(descriptor, LENGTH)
         os.posix_fallocate(descriptor, 0, LENGTH)
 
 

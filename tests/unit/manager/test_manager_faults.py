@@ -4,13 +4,16 @@
 from __future__ import annotations
 
 import errno
+import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from manager_support import Rig, camera, make_rig, place_of, rig
 
 from cm.simulation.software import Board as SimBoard
+from cm.wire.messages.requests import RegWrite
 
 HUNG = 60.0  # seconds for a load: a busy machine may take some
 
@@ -178,3 +181,28 @@ def test_a_manager_starts_where_the_record_cannot_be_written(sim: SimBoard, tmp_
         assert fresh.manager.status().configs == ("camera",)
     finally:
         fresh.close()
+
+
+def test_on_a_disk_that_became_read_only_the_board_is_served_and_changes_are_refused(
+    sim: SimBoard, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with rig(sim.root, tmp_path, camera(timeout=HUNG)) as first:
+        assert first.go("default") is None
+    opened = os.open
+
+    def read_only(path: object, flags: int, *rest: Any, **more: Any) -> int:
+        if str(path).startswith(str(tmp_path)) and flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT):
+            raise OSError(errno.EROFS, "Read-only file system", str(path))
+        return opened(path, flags, *rest, **more)  # type: ignore[call-overload,no-any-return]
+
+    monkeypatch.setattr(os, "open", read_only)
+    with rig(sim.root, tmp_path, camera(timeout=HUNG)) as again:
+        status = again.manager.status()
+        assert (status.mode, status.last_error.code) == ("default", "store")  # type: ignore[union-attr]
+        again.manager.write_registers((RegWrite("led", 5),))
+        assert again.manager.registers.read(("led",)).values[0].value == 5
+        error = again.go("edge_detection")
+        assert (error.code, error.message.endswith("; nothing was touched")) == ("store", True)
+        assert settled(again, sim) == "default"
+        monkeypatch.undo()
+        assert again.go("edge_detection") is None

@@ -7,6 +7,7 @@ import contextlib
 import errno
 import fcntl
 import os
+import subprocess
 import zlib
 from collections.abc import Iterator
 from dataclasses import replace
@@ -17,7 +18,17 @@ import pytest
 
 from cm.manager.errors import StateInUse, StoreCorrupt
 from cm.manager.state.board_state import BoardState, OverlayState, RegionPhase, RegionState
-from cm.manager.state.journal import LENGTH, Journal, Pending, Record, Throughput, WayBack
+from cm.manager.state.journal import (
+    LENGTH,
+    Damaged,
+    Journal,
+    OtherVersion,
+    Pending,
+    Record,
+    Throughput,
+    WayBack,
+    newest,
+)
 from cm.schema.model import LoaderKind, Region
 
 FULL = Record(
@@ -89,12 +100,61 @@ def test_a_record_torn_anywhere_is_ignored(journal: Journal, tmp_path: Path) -> 
     for length in range(len(whole), len(both) - 1):
         (tmp_path / "journal").write_bytes(both[:length].ljust(LENGTH, b"\0"))
         assert journal.read() == FULL
-    (tmp_path / "journal").write_bytes(both[:-5])
+    (tmp_path / "journal").write_bytes(both[:-5].ljust(LENGTH, b"\0"))
     journal.close()
     again = Journal(tmp_path)
     again.write(replace(FULL, number=9))  # after a torn end
     assert again.read() == replace(FULL, number=9)
     again.close()
+
+
+def test_a_journal_that_was_cut_off_is_not_believed_wherever_that_was(journal: Journal, tmp_path: Path) -> None:
+    for number in range(3):
+        journal.write(replace(FULL, number=number))
+    whole = lines(tmp_path)
+    journal.close()
+    for length in (1, len(whole) // 3, len(whole) // 3 + 1, len(whole) - 1, len(whole), LENGTH - 1):
+        (tmp_path / "journal").write_bytes(whole.ljust(LENGTH, b"\0")[:length])
+        again = Journal(tmp_path)
+        with pytest.raises(StoreCorrupt, match="cut off at its end, so what it said last is not known; it was moved"):
+            again.read()
+        assert again.read() is None
+        again.write(FULL)
+        assert again.read() == FULL
+        again.close()
+
+
+def test_a_damaged_line_is_not_passed_over_for_the_one_before_it(journal: Journal, tmp_path: Path) -> None:
+    journal.write(FULL)
+    first = len(lines(tmp_path))
+    journal.write(replace(FULL, number=8))
+    both = lines(tmp_path)
+    for at in range(first + 1, len(both) - 1, 5):
+        bad = bytearray(both.ljust(LENGTH, b"\0"))
+        bad[at] ^= 4
+        with pytest.raises(Damaged):
+            newest(bytes(bad))
+
+
+def test_a_line_that_is_nested_without_end_is_no_record() -> None:
+    body = b'{"version":' + b"[" * 100_000
+    with pytest.raises(OtherVersion):
+        newest(b"\n%08x %b\n" % (zlib.crc32(body), body))
+
+
+def test_a_spare_journal_that_was_cleared_in_part_is_not_used(
+    journal: Journal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An older line would stand behind the newest one, and be believed."""
+    write = os.pwrite
+
+    def half(descriptor: int, data: bytes, at: int) -> int:
+        return write(descriptor, data[: len(data) // 2] if len(data) == LENGTH else data, at)
+
+    monkeypatch.setattr(os, "pwrite", half)
+    for number in range(1200):
+        journal.write(replace(FULL, number=number))
+        assert journal.read() == replace(FULL, number=number)
 
 
 def test_a_flipped_bit_is_noticed(journal: Journal, tmp_path: Path) -> None:
@@ -125,7 +185,8 @@ def test_a_record_of_another_version_is_not_read_and_neither_are_those_before_it
     (tmp_path / "journal").write_bytes(b"\nrubbish")
     with pytest.raises(StoreCorrupt) as refused:
         journal.read()
-    assert str(refused.value) == f"the state record {tmp_path / 'journal'} holds no whole line; {moved}"
+    lost = "is damaged or cut off at its end, so what it said last is not known"
+    assert str(refused.value) == f"the state record {tmp_path / 'journal'} {lost}; {moved}"
     assert journal.read() is None
     journal.write(FULL)
     assert journal.read() == FULL
@@ -218,7 +279,7 @@ def test_a_bad_record_on_a_read_only_file_system_is_no_more_than_bad(
     (tmp_path / "journal").write_bytes(b"rubbish")
     with monkeypatch.context() as patch:
         patch.setattr(Path, "replace", fails)
-        with pytest.raises(StoreCorrupt, match=r"holds no whole line; it could not be set aside \(.*read-only"):
+        with pytest.raises(StoreCorrupt, match=r"is not known; it could not be set aside \(.*read-only"):
             journal.read()
 
 
@@ -317,6 +378,23 @@ def test_a_disk_that_others_fill_does_not_stop_the_record(small_disk: Path) -> N
         fill(small_disk)
         again.write(replace(FULL, number=number))
     again.close()
+
+
+@pytest.mark.programs
+def test_a_disk_that_became_read_only_is_read_and_says_so_when_it_is_to_be_written(small_disk: Path) -> None:
+    first = Journal(small_disk / "state")
+    first.write(FULL)
+    first.close()
+    subprocess.run(["mount", "-o", "remount,ro", small_disk], check=True)
+    journal = Journal(small_disk / "state")
+    assert journal.read() == FULL
+    for _ in range(2):
+        with pytest.raises(OSError, match=r"Read-only file system: '.*/state/journal'"):
+            journal.write(replace(FULL, number=8))
+    subprocess.run(["mount", "-o", "remount,rw", small_disk], check=True)
+    journal.write(replace(FULL, number=9))
+    assert journal.read() == replace(FULL, number=9)
+    journal.close()
 
 
 @pytest.mark.programs
