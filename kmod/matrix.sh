@@ -20,7 +20,7 @@ set -u
 here=$(cd "$(dirname "$0")" && pwd)
 out=${KMOD_OUT:-${CM_VM_CACHE:-${XDG_CACHE_HOME:-$HOME/.cache}/cm-vm}/kmod}
 [ $# -gt 0 ] || [ -z "${LINUX_XLNX:-}" ] || set -- linux-xlnx:arm64
-[ $# -gt 0 ] || set -- bullseye:arm64 bookworm:arm64 bookworm:armhf bookworm:amd64 trixie:arm64 sid:arm64
+[ $# -gt 0 ] || set -- bookworm:arm64 bookworm:armhf bookworm:amd64 trixie:arm64 sid:arm64
 
 failed=0
 skipped=0

@@ -234,8 +234,19 @@ static const struct of_device_id axidma_of_match[] = {
 };
 MODULE_DEVICE_TABLE(of, axidma_of_match);
 
+static void axidma_shutdown(struct platform_device *pdev)
+{
+	int i;
+
+	mutex_lock(&tree_lock);
+	for (i = 0; tree && i < tree->count; i++)
+		cm_channel_shutdown(tree->channels[i]);
+	mutex_unlock(&tree_lock);
+}
+
 struct platform_driver axidma_driver = {
 	.probe = axidma_probe,
+	.shutdown = axidma_shutdown,
 	.driver = {
 		.name = "cm_axidma_compat",
 		.of_match_table = axidma_of_match,

@@ -12,15 +12,20 @@
 #include <linux/dma-buf.h>
 #include <linux/platform_device.h>
 #include <linux/slab.h>
+#include <linux/wait.h>
 
+#include "channel.h"
 #include "cm_compat.h"
-#include "cm_core.h"
 
-static struct workqueue_struct *releases;
+struct workqueue_struct *cm_dma_workqueue;
 static struct platform_device *owner; /* of the pages */
 static LIST_HEAD(mapped);
-static DEFINE_MUTEX(mapped_lock); /* protects mapped, and mapped of imported buffers */
+static DEFINE_MUTEX(mapped_lock); /* protects mapped, and unmapping of each buffer */
+static DECLARE_WAIT_QUEUE_HEAD(unmapped);
 static atomic64_t synced;
+
+/* charged to the caller's control group, where it is not of the CMA area */
+#define CM_BUFFER_GFP (GFP_KERNEL_ACCOUNT | __GFP_NOWARN)
 
 static void buffer_release_work(struct work_struct *work);
 
@@ -73,7 +78,7 @@ static void set_mapped(struct cm_buffer *buffer)
 static int fill_with_pages(struct cm_buffer *buffer)
 {
 	buffer->pages = dma_alloc_pages(&owner->dev, buffer->length, &buffer->pages_dma,
-					DMA_BIDIRECTIONAL, GFP_KERNEL | __GFP_NOWARN);
+					DMA_BIDIRECTIONAL, CM_BUFFER_GFP);
 	if (!buffer->pages)
 		return -ENOMEM;
 	/* never one, but DMA_API_DEBUG counts this as a mapping that was not checked */
@@ -94,24 +99,34 @@ static int fill_with_pages(struct cm_buffer *buffer)
 static int fill_from_pool(struct cm_buffer *buffer)
 {
 	buffer->cpu = dma_alloc_noncoherent(buffer->dev, buffer->length, &buffer->dma,
-					    DMA_BIDIRECTIONAL, GFP_KERNEL | __GFP_NOWARN);
+					    DMA_BIDIRECTIONAL, CM_BUFFER_GFP);
 	if (!buffer->cpu)
 		return -ENOMEM;
 	buffer->mapped = true;
 	return dma_mapping_error(buffer->dev, buffer->dma) ? -ENOMEM : 0;
 }
 
+static int fill_coherent(struct cm_buffer *buffer)
+{
+	buffer->kind = CM_BUFFER_COHERENT;
+	buffer->coherent = true;
+	buffer->cpu = dma_alloc_coherent(buffer->dev, buffer->length, &buffer->dma, CM_BUFFER_GFP);
+	return buffer->cpu ? 0 : -ENOMEM;
+}
+
 static int buffer_fill(struct cm_buffer *buffer)
 {
 	int ret;
 
-	if (buffer->kind == CM_BUFFER_COHERENT) {
-		buffer->cpu = dma_alloc_coherent(buffer->dev, buffer->length, &buffer->dma,
-						 GFP_KERNEL | __GFP_NOWARN);
-		buffer->coherent = true;
-		return buffer->cpu ? 0 : -ENOMEM;
-	}
+	if (buffer->kind == CM_BUFFER_COHERENT)
+		return fill_coherent(buffer);
 	ret = buffer->pool ? fill_from_pool(buffer) : fill_with_pages(buffer);
+	/*
+	 * A 32-bit board with more than 760 MB has its CMA area in high memory,
+	 * of which dma_alloc_pages() takes nothing: the coherent interface maps it.
+	 */
+	if (ret && IS_ENABLED(CONFIG_HIGHMEM) && !buffer->pool)
+		return fill_coherent(buffer);
 	if (ret)
 		return ret;
 	buffer->coherent = !dma_need_sync(buffer->dev, buffer->dma);
@@ -120,7 +135,8 @@ static int buffer_fill(struct cm_buffer *buffer)
 	return 0;
 }
 
-static struct cm_buffer *buffer_alloc(struct device *dev, u64 length, enum cm_buffer_kind kind)
+static struct cm_buffer *buffer_alloc(struct device *dev, struct cm_budget *budget, u64 length,
+				      enum cm_buffer_kind kind)
 {
 	struct cm_buffer *buffer;
 	int ret;
@@ -132,25 +148,34 @@ static struct cm_buffer *buffer_alloc(struct device *dev, u64 length, enum cm_bu
 	buffer = buffer_new(dev, kind, PAGE_ALIGN(length));
 	if (!buffer)
 		return ERR_PTR(-ENOMEM);
+	ret = cm_budget_charge(budget, buffer->length);
+	if (ret)
+		goto no_budget;
+	buffer->budget = budget;
 	ret = buffer_fill(buffer);
-	if (ret) {
-		buffer_delete(buffer);
-		return ERR_PTR(ret);
-	}
+	if (ret)
+		goto no_memory;
 	return buffer;
+
+no_memory:
+	cm_budget_uncharge(budget, buffer->length);
+no_budget:
+	buffer_delete(buffer);
+	return ERR_PTR(ret);
 }
 
 /**
  * cm_buffer_alloc() - allocate contiguous, zeroed memory for a device
  * @dev: the DMA engine's device, or one with a memory-region of its own
+ * @budget: of the file that asks, or NULL
  * @length: bytes wanted, rounded up to whole pages
  *
  * Return: a buffer with one reference, or an ERR_PTR: -EINVAL for no bytes,
- * -ENOMEM.
+ * -ENOMEM, also above a limit of budget.c.
  */
-struct cm_buffer *cm_buffer_alloc(struct device *dev, u64 length)
+struct cm_buffer *cm_buffer_alloc(struct device *dev, struct cm_budget *budget, u64 length)
 {
-	return buffer_alloc(dev, length,
+	return buffer_alloc(dev, budget, length,
 			    has_coherent_pool(dev) ? CM_BUFFER_COHERENT : CM_BUFFER_PAGES);
 }
 EXPORT_SYMBOL_CM(cm_buffer_alloc);
@@ -164,7 +189,7 @@ EXPORT_SYMBOL_CM(cm_buffer_alloc);
  */
 struct cm_buffer *cm_buffer_alloc_coherent(struct device *dev, u64 length)
 {
-	return buffer_alloc(dev, length, CM_BUFFER_COHERENT);
+	return buffer_alloc(dev, NULL, length, CM_BUFFER_COHERENT);
 }
 EXPORT_SYMBOL_CM(cm_buffer_alloc_coherent);
 
@@ -234,22 +259,66 @@ static void detach(struct cm_buffer *buffer)
 	dma_buf_detach(buffer->dmabuf, buffer->attachment);
 }
 
-static void unmap_locked(struct cm_buffer *buffer)
+static bool is_unmapped(struct cm_buffer *buffer)
 {
-	if (list_empty(&buffer->node))
+	bool gone;
+
+	mutex_lock(&mapped_lock);
+	gone = list_empty(&buffer->node);
+	mutex_unlock(&mapped_lock);
+	return gone;
+}
+
+/* without our lock: the exporter of an imported buffer takes its own.  Who comes second waits. */
+static void buffer_unmap(struct cm_buffer *buffer)
+{
+	bool first;
+
+	mutex_lock(&mapped_lock);
+	first = !list_empty(&buffer->node) && !buffer->unmapping;
+	if (first)
+		buffer->unmapping = true;
+	mutex_unlock(&mapped_lock);
+	if (!first) {
+		wait_event(unmapped, is_unmapped(buffer));
 		return;
-	list_del_init(&buffer->node);
+	}
 	if (buffer->kind == CM_BUFFER_IMPORTED)
 		detach(buffer);
 	else
 		unmap_pages(buffer);
+	mutex_lock(&mapped_lock);
+	list_del_init(&buffer->node);
+	mutex_unlock(&mapped_lock);
+	wake_up_all(&unmapped);
 }
 
-static void buffer_unmap(struct cm_buffer *buffer)
+/* one that is mapped for @dev, with a reference; those that are going already are not counted */
+static struct cm_buffer *mapped_for(const struct device *dev)
 {
+	struct cm_buffer *buffer, *found = NULL;
+
 	mutex_lock(&mapped_lock);
-	unmap_locked(buffer);
+	list_for_each_entry(buffer, &mapped, node) {
+		if (buffer->dev == dev && kref_get_unless_zero(&buffer->ref)) {
+			found = buffer;
+			break;
+		}
+	}
 	mutex_unlock(&mapped_lock);
+	return found;
+}
+
+static bool none_mapped_for(const struct device *dev)
+{
+	struct cm_buffer *buffer;
+	bool none = true;
+
+	mutex_lock(&mapped_lock);
+	list_for_each_entry(buffer, &mapped, node)
+		none &= buffer->dev != dev;
+	mutex_unlock(&mapped_lock);
+	return none;
 }
 
 /**
@@ -258,14 +327,14 @@ static void buffer_unmap(struct cm_buffer *buffer)
  */
 void cm_buffers_unmap(const struct device *dev)
 {
-	struct cm_buffer *buffer, *next;
+	struct cm_buffer *buffer;
 
-	mutex_lock(&mapped_lock);
-	list_for_each_entry_safe(buffer, next, &mapped, node) {
-		if (buffer->dev == dev)
-			unmap_locked(buffer);
+	while ((buffer = mapped_for(dev))) {
+		buffer_unmap(buffer);
+		cm_buffer_put(buffer);
 	}
-	mutex_unlock(&mapped_lock);
+	/* the last owner of the others is at it */
+	wait_event(unmapped, none_mapped_for(dev));
 }
 
 /**
@@ -287,6 +356,8 @@ EXPORT_SYMBOL_CM(cm_buffer_table_unmap);
 static void buffer_destroy(struct cm_buffer *buffer)
 {
 	buffer_unmap(buffer);
+	if (buffer->kind != CM_BUFFER_IMPORTED)
+		cm_budget_uncharge(buffer->budget, buffer->length);
 	switch (buffer->kind) {
 	case CM_BUFFER_PAGES:
 		if (buffer->pages)
@@ -318,7 +389,7 @@ static void buffer_release(struct kref *ref)
 
 static void buffer_release_later(struct kref *ref)
 {
-	queue_work(releases, &container_of(ref, struct cm_buffer, ref)->release);
+	queue_work(cm_dma_workqueue, &container_of(ref, struct cm_buffer, ref)->release);
 }
 
 /**
@@ -336,8 +407,8 @@ int cm_buffers_init(void)
 	/* what every engine reaches */
 	ret = dma_coerce_mask_and_coherent(&owner->dev, DMA_BIT_MASK(32));
 	if (!ret) {
-		releases = alloc_workqueue("cm_dma", WQ_UNBOUND, 0);
-		ret = releases ? 0 : -ENOMEM;
+		cm_dma_workqueue = alloc_workqueue("cm_dma", WQ_UNBOUND, 0);
+		ret = cm_dma_workqueue ? 0 : -ENOMEM;
 	}
 	if (ret)
 		platform_device_unregister(owner);
@@ -349,7 +420,7 @@ int cm_buffers_init(void)
  */
 void cm_buffers_exit(void)
 {
-	destroy_workqueue(releases);
+	destroy_workqueue(cm_dma_workqueue);
 	platform_device_unregister(owner);
 }
 

@@ -95,6 +95,23 @@ static struct dma_chan *request_engine(struct device *dev, const char *name)
 	return ERR_PTR(-ENODEV);
 }
 
+static int check_engine(struct cm_channel *channel, struct device *dev)
+{
+	struct device *dma_dev = dmaengine_get_dma_device(channel->chan);
+
+	/* a callback that runs on would find freed memory: xilinx_dma of 5.10 */
+	if (!channel->chan->device->device_synchronize)
+		return dev_err_probe(dev, -EOPNOTSUPP,
+				     "%s has no device_synchronize: a newer kernel's has\n",
+				     dev_name(channel->chan->device->dev));
+	/* the memory's addresses are not those that the engine has behind an IOMMU */
+	if (channel->pool && device_iommu_mapped(dma_dev))
+		return dev_err_probe(dev, -EOPNOTSUPP,
+				     "memory-region: %s is behind an IOMMU, and cannot reach it\n",
+				     dev_name(dma_dev));
+	return 0;
+}
+
 static int channel_engine(struct cm_channel *channel, struct device *dev,
 			  const struct cm_channel_config *config)
 {
@@ -103,6 +120,11 @@ static int channel_engine(struct cm_channel *channel, struct device *dev,
 	channel->chan = request_engine(dev, config->name);
 	if (IS_ERR(channel->chan))
 		return PTR_ERR(channel->chan);
+	ret = check_engine(channel, dev);
+	if (ret) {
+		dma_release_channel(channel->chan);
+		return ret;
+	}
 	channel->engine = cm_engine_get(channel->chan);
 	ret = channel->engine ? 0 : -ENOMEM;
 	if (!ret)
@@ -132,7 +154,8 @@ static void channel_init(struct cm_channel *channel)
  * Return: a channel with one reference, to be given back by
  * cm_channel_remove(), or an ERR_PTR: -EPROBE_DEFER while the engine is not
  * there, -ENODEV where it goes away, -EINVAL for a configuration that cannot
- * be, or what is wrong with the device's memory-region.
+ * be, -EOPNOTSUPP for an engine that cannot be stopped safely or does not
+ * reach the device's memory-region, or what else is wrong with that.
  */
 struct cm_channel *cm_channel_create(struct device *dev, const struct cm_channel_config *config)
 {
@@ -156,7 +179,7 @@ struct cm_channel *cm_channel_create(struct device *dev, const struct cm_channel
 	if (ret)
 		goto no_engine;
 	channel_init(channel);
-	channel->dma_dev = get_device(cm_dma_device(channel->chan));
+	channel->dma_dev = get_device(dmaengine_get_dma_device(channel->chan));
 	/* with a memory-region of its own the client's device has the memory */
 	channel->alloc_dev = get_device(channel->pool ? dev : channel->dma_dev);
 	channel_describe(channel, config);
@@ -292,6 +315,23 @@ void cm_channel_remove(struct cm_channel *channel)
 }
 EXPORT_SYMBOL_CM(cm_channel_remove);
 
+/**
+ * cm_channel_shutdown() - the system goes down
+ * @channel: channel
+ *
+ * Ends all transfers: the next kernel does not know of them, and an engine that
+ * goes on would write into its memory.  Whoever holds the channel may still run;
+ * it gets -ENODEV.
+ */
+void cm_channel_shutdown(struct cm_channel *channel)
+{
+	mutex_lock(&channel->engine->lock);
+	channel->shut = true;
+	cm_channel_stop(channel);
+	mutex_unlock(&channel->engine->lock);
+}
+EXPORT_SYMBOL_CM(cm_channel_shutdown);
+
 /* a cyclic request has the channel alone */
 static bool room_for(struct cm_channel *channel, const struct cm_request *request)
 {
@@ -309,7 +349,7 @@ static int submit_locked(struct cm_channel *channel, struct cm_active *active)
 {
 	int ret;
 
-	if (!channel->chan)
+	if (!channel->chan || channel->shut)
 		return -ENODEV;
 	if (!room_for(channel, &active->request))
 		return -EBUSY;

@@ -30,6 +30,9 @@ struct cm_active {
 	int status;
 };
 
+/* buffer.c: for what may sleep, or take long */
+extern struct workqueue_struct *cm_dma_workqueue;
+
 /* transfer.c */
 int cm_channel_feed(struct cm_channel *channel, struct cm_active *own);
 void cm_active_free(struct cm_active *active);

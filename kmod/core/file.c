@@ -42,20 +42,26 @@ static int cm_dma_open(struct inode *inode, struct file *file)
 	self = kvzalloc(struct_size(self, ring, entries), GFP_KERNEL);
 	if (!self)
 		return -ENOMEM;
+	ret = cm_buffer_table_init(&self->table);
+	if (ret)
+		goto no_table;
 	ret = cm_channel_claim(channel);
-	if (ret) {
-		kvfree(self);
-		return ret;
-	}
+	if (ret)
+		goto no_channel;
 	get_device(&node->dev);
 	self->node = node;
 	self->channel = channel;
-	cm_buffer_table_init(&self->table);
 	mutex_init(&self->read_lock);
 	spin_lock_init(&self->lock);
 	cm_queue_init(&self->queue, self->ring, entries);
 	file->private_data = self;
 	return stream_open(inode, file);
+
+no_channel:
+	cm_buffer_table_destroy(&self->table);
+no_table:
+	kvfree(self);
+	return ret;
 }
 
 /* the engine stops before any memory can go */

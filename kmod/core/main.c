@@ -101,6 +101,11 @@ static int cm_dma_probe(struct platform_device *pdev)
 	return ret;
 }
 
+static void cm_dma_shutdown(struct platform_device *pdev)
+{
+	cm_nodes_shutdown(&pdev->dev);
+}
+
 static const struct of_device_id cm_dma_of_match[] = {
 	{ .compatible = "fpga-cm,dma-client" },
 	{}
@@ -115,6 +120,7 @@ MODULE_DEVICE_TABLE(platform, cm_dma_ids);
 
 static struct platform_driver cm_dma_driver = {
 	.probe = cm_dma_probe,
+	.shutdown = cm_dma_shutdown,
 	.id_table = cm_dma_ids,
 	.driver = {
 		.name = "cm_dma",

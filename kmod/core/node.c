@@ -215,6 +215,22 @@ struct cm_channel *cm_channel_next(struct cm_channel *previous)
 }
 EXPORT_SYMBOL_CM(cm_channel_next);
 
+/**
+ * cm_nodes_shutdown() - the system goes down
+ * @parent: device of the channels to be stopped
+ */
+void cm_nodes_shutdown(const struct device *parent)
+{
+	struct cm_node *node;
+
+	mutex_lock(&cm_nodes_lock);
+	list_for_each_entry(node, &cm_nodes, siblings) {
+		if (node->dev.parent == parent)
+			cm_channel_shutdown(node->channel);
+	}
+	mutex_unlock(&cm_nodes_lock);
+}
+
 static int synced_get(void *data, u64 *value)
 {
 	*value = cm_buffers_synced();
@@ -228,6 +244,13 @@ static int mapped_get(void *data, u64 *value)
 	return 0;
 }
 DEFINE_DEBUGFS_ATTRIBUTE(mapped_fops, mapped_get, NULL, "%llu\n");
+
+static int allocated_get(void *data, u64 *value)
+{
+	*value = cm_budget_total();
+	return 0;
+}
+DEFINE_DEBUGFS_ATTRIBUTE(allocated_fops, allocated_get, NULL, "%llu\n");
 
 /**
  * cm_nodes_init() - at the module's start
@@ -248,6 +271,7 @@ int cm_nodes_init(void)
 	cm_debugfs = debugfs_create_dir("cm_dma", NULL);
 	debugfs_create_file_unsafe("synced", 0444, cm_debugfs, NULL, &synced_fops);
 	debugfs_create_file_unsafe("mapped", 0444, cm_debugfs, NULL, &mapped_fops);
+	debugfs_create_file_unsafe("allocated", 0444, cm_debugfs, NULL, &allocated_fops);
 	return 0;
 }
 

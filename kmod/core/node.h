@@ -28,6 +28,7 @@ int cm_nodes_init(void);
 void cm_nodes_exit(void);
 struct cm_node *cm_node_add(struct device *parent, struct cm_channel *channel);
 void cm_node_remove(struct cm_node *node);
+void cm_nodes_shutdown(const struct device *parent);
 
 extern const struct file_operations cm_dma_fops;
 

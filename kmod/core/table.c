@@ -10,11 +10,17 @@
 /**
  * cm_buffer_table_init() - an empty table
  * @table: to be given to cm_buffer_table_destroy()
+ *
+ * Return: 0 or -ENOMEM.
  */
-void cm_buffer_table_init(struct cm_buffer_table *table)
+int cm_buffer_table_init(struct cm_buffer_table *table)
 {
+	table->budget = cm_budget_new();
+	if (!table->budget)
+		return -ENOMEM;
 	mutex_init(&table->lock);
 	xa_init_flags(&table->buffers, XA_FLAGS_ALLOC1);
+	return 0;
 }
 EXPORT_SYMBOL_CM(cm_buffer_table_init);
 
@@ -30,6 +36,7 @@ void cm_buffer_table_destroy(struct cm_buffer_table *table)
 	xa_for_each(&table->buffers, handle, buffer)
 		cm_buffer_put(buffer);
 	xa_destroy(&table->buffers);
+	cm_budget_put(table->budget);
 	mutex_destroy(&table->lock);
 }
 EXPORT_SYMBOL_CM(cm_buffer_table_destroy);
@@ -122,7 +129,7 @@ long cm_buffer_ioctl_alloc(struct cm_buffer_table *table, struct device *dev, vo
 		return ret;
 	if (args.flags || args.reserved)
 		return -EINVAL;
-	buffer = cm_buffer_alloc(dev, args.length);
+	buffer = cm_buffer_alloc(dev, table->budget, args.length);
 	if (IS_ERR(buffer))
 		return PTR_ERR(buffer);
 	ret = table_add(table, buffer, &args.handle);

@@ -11,7 +11,6 @@
 #include <linux/slab.h>
 
 #include "channel.h"
-#include "cm_compat.h"
 
 static void active_done(void *param, const struct dmaengine_result *result);
 
@@ -312,7 +311,7 @@ static void active_done(void *param, const struct dmaengine_result *result)
 	spin_unlock_bh(&channel->active_lock);
 	switch (after) {
 	case AFTER_STOP:
-		queue_work(CM_SYSTEM_WQ, &channel->settle);
+		queue_work(cm_dma_workqueue, &channel->settle);
 		return;
 	case AFTER_PERIOD:
 		active_period(active, length, status);

@@ -49,9 +49,12 @@ static int cm_icap_open(struct inode *inode, struct file *file)
 
 	if (!self)
 		return -ENOMEM;
+	if (cm_buffer_table_init(&self->table)) {
+		kfree(self);
+		return -ENOMEM;
+	}
 	kref_get(&icap->ref);
 	self->icap = icap;
-	cm_buffer_table_init(&self->table);
 	spin_lock_init(&self->lock);
 	INIT_LIST_HEAD(&self->ended);
 	file->private_data = self;

@@ -125,15 +125,20 @@ static void await_idle(struct cm_icap *icap)
 }
 
 /* a load under way ends first; then nothing can be started any more */
-static void stop(void *data)
+static void end_loads(struct cm_icap *icap)
 {
-	struct cm_icap *icap = data;
-
 	mutex_lock(&icap->lock);
 	WRITE_ONCE(icap->gone, true);
 	mutex_unlock(&icap->lock);
 	wake_up_all(&icap->idle);
 	await_idle(icap);
+}
+
+static void stop(void *data)
+{
+	struct cm_icap *icap = data;
+
+	end_loads(icap);
 	destroy_workqueue(icap->queue);
 }
 
@@ -245,6 +250,17 @@ static int __maybe_unused cm_icap_suspend(struct device *dev)
 	return 0;
 }
 
+/* a half-written configuration would be the next kernel's */
+static void cm_icap_shutdown(struct platform_device *pdev)
+{
+	struct cm_icap *icap = platform_get_drvdata(pdev);
+
+	end_loads(icap);
+	cm_channel_shutdown(icap->channel);
+	if (icap->back)
+		cm_channel_shutdown(icap->back);
+}
+
 static SIMPLE_DEV_PM_OPS(cm_icap_pm, cm_icap_suspend, NULL);
 
 static const struct of_device_id cm_icap_of_match[] = {
@@ -261,6 +277,7 @@ MODULE_DEVICE_TABLE(platform, cm_icap_platform_ids);
 
 static struct platform_driver cm_icap_driver = {
 	.probe = cm_icap_probe,
+	.shutdown = cm_icap_shutdown,
 	.id_table = cm_icap_platform_ids,
 	.driver = {
 		.name = "cm_icap",

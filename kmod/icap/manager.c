@@ -83,7 +83,7 @@ static int manager_write_sg(struct fpga_manager *manager, struct sg_table *table
 
 	for_each_sgtable_sg(table, sg, i)
 		length += sg->length;
-	buffer = cm_buffer_alloc(icap->channel->alloc_dev, length);
+	buffer = cm_buffer_alloc(icap->channel->alloc_dev, NULL, length);
 	if (IS_ERR(buffer))
 		return PTR_ERR(buffer);
 	cm_buffer_sync_for_cpu(buffer, DMA_TO_DEVICE);

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: GPL-2.0-only */
 /*
  * Everything that differs between the kernels this source is built against
- * (5.10 and later).  No other file asks for the kernel's version.
+ * (5.15 and later).  No other file asks for the kernel's version.
  */
 #ifndef _CM_COMPAT_H
 #define _CM_COMPAT_H
@@ -12,7 +12,6 @@
 #include <linux/mm.h>
 #include <linux/module.h>
 #include <linux/version.h>
-#include <linux/workqueue.h>
 
 /* cm/_version.py; all modules of one state of this tree have one */
 #define CM_VERSION "0.2.0"
@@ -49,16 +48,6 @@ static inline void cm_unmap_attachment(struct dma_buf_attachment *attachment,
 #endif
 }
 
-/* 5.12: an engine may map memory for another device than its own */
-static inline struct device *cm_dma_device(struct dma_chan *chan)
-{
-#if LINUX_VERSION_CODE >= KERNEL_VERSION(5, 12, 0)
-	return dmaengine_get_dma_device(chan);
-#else
-	return chan->device->dev;
-#endif
-}
-
 /*
  * The memory of a simulated engine needs no cache maintenance.  The flag is a
  * member that only some architectures have; kernels with accessor functions
@@ -78,13 +67,6 @@ static inline void cm_set_coherent(struct device *dev)
 
 /* UIO drivers prepare a mapping (seen in 7.2, not in 6.12) instead of making it */
 #define CM_UIO_MMAP_PREPARE (LINUX_VERSION_CODE >= KERNEL_VERSION(7, 1, 0))
-
-/* 6.17: its name says that it is one for each processor; 7.2 warns of the old name */
-#if LINUX_VERSION_CODE >= KERNEL_VERSION(6, 17, 0)
-#define CM_SYSTEM_WQ system_percpu_wq
-#else
-#define CM_SYSTEM_WQ system_wq
-#endif
 
 /* 6.3: vm_flags may only be changed through functions */
 static inline void cm_vm_flags_set(struct vm_area_struct *vma, unsigned long flags)

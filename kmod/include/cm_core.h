@@ -20,6 +20,7 @@
 #include "cm_dma.h"
 
 struct cm_active;
+struct cm_budget;
 struct cm_engine;
 struct cm_pool;
 struct cm_traits;
@@ -44,8 +45,10 @@ enum cm_buffer_kind {
  * struct cm_buffer - memory that a device can reach
  * @ref: one for the handle, one for each exported dma-buf, one for each request
  * @dev: device the memory is mapped for; a reference is held
+ * @budget: of the file that allocated it, or NULL
  * @node: in the list of those that are mapped
  * @mapped: for @dev; not any more where @dev has lost its driver
+ * @unmapping: somebody is at it
  * @pool: what keeps memory of @dev's own assigned to it, or NULL
  * @kind: where the memory comes from
  * @length: bytes
@@ -69,8 +72,10 @@ enum cm_buffer_kind {
 struct cm_buffer {
 	struct kref ref;
 	struct device *dev;
+	struct cm_budget *budget;
 	struct list_head node;
 	bool mapped;
+	bool unmapping;
 	struct cm_pool *pool;
 	enum cm_buffer_kind kind;
 	size_t length;
@@ -96,10 +101,16 @@ struct cm_pool *cm_pool_assign(struct device *dev);
 struct cm_pool *cm_pool_get(struct device *dev);
 void cm_pool_put(struct cm_pool *pool);
 
+struct cm_budget *cm_budget_new(void);
+void cm_budget_put(struct cm_budget *budget);
+int cm_budget_charge(struct cm_budget *budget, size_t length);
+void cm_budget_uncharge(struct cm_budget *budget, size_t length);
+u64 cm_budget_total(void);
+
 int cm_buffers_init(void);
 void cm_buffers_exit(void);
 void cm_buffers_unmap(const struct device *dev);
-struct cm_buffer *cm_buffer_alloc(struct device *dev, u64 length);
+struct cm_buffer *cm_buffer_alloc(struct device *dev, struct cm_budget *budget, u64 length);
 struct cm_buffer *cm_buffer_alloc_coherent(struct device *dev, u64 length);
 struct cm_buffer *cm_buffer_import(struct device *dev, int fd, enum dma_data_direction direction);
 struct cm_buffer *cm_buffer_get(struct cm_buffer *buffer);
@@ -120,13 +131,15 @@ struct dma_buf *cm_buffer_export(struct cm_buffer *buffer);
  * struct cm_buffer_table - the buffers of one open file, by handle
  * @lock: orders freeing against submitting
  * @buffers: handle to buffer; a handle is never 0
+ * @budget: how much they may be
  */
 struct cm_buffer_table {
 	struct mutex lock; /* orders freeing against submitting */
 	struct xarray buffers;
+	struct cm_budget *budget;
 };
 
-void cm_buffer_table_init(struct cm_buffer_table *table);
+int cm_buffer_table_init(struct cm_buffer_table *table);
 void cm_buffer_table_destroy(struct cm_buffer_table *table);
 void cm_buffer_table_unmap(struct cm_buffer_table *table);
 struct cm_buffer *cm_buffer_table_get(struct cm_buffer_table *table, u32 handle);
@@ -238,6 +251,7 @@ struct cm_channel_stats {
  * @traits: how the engine behaves
  * @siblings: in the engine's list
  * @claimed: the channel is in use
+ * @shut: the system goes down; nothing is started any more
  * @active_lock: protects the members below
  * @active: requests under way, in order
  * @in_engine: transfers that the engine has
@@ -259,6 +273,7 @@ struct cm_channel {
 	struct cm_traits *traits;
 	struct list_head siblings;
 	bool claimed;
+	bool shut;
 	spinlock_t active_lock; /* protects the members below */
 	struct list_head active;
 	u32 in_engine;
@@ -283,6 +298,7 @@ int cm_channel_claim(struct cm_channel *channel);
 void cm_channel_release(struct cm_channel *channel);
 int cm_channel_submit(struct cm_channel *channel, const struct cm_request *request);
 int cm_channel_cancel(struct cm_channel *channel);
+void cm_channel_shutdown(struct cm_channel *channel);
 enum dma_data_direction cm_channel_direction(const struct cm_channel *channel);
 void cm_channel_debugfs(struct cm_channel *channel, struct dentry *parent);
 

@@ -15,7 +15,9 @@
 #include <linux/list.h>
 #include <linux/module.h>
 #include <linux/mutex.h>
+#include <linux/notifier.h>
 #include <linux/of.h>
+#include <linux/sched.h>
 #include <linux/slab.h>
 
 #include "cm_compat.h"
@@ -63,13 +65,56 @@ static struct cm_overlay *to_overlay(struct config_item *item)
 	return container_of(item, struct cm_overlay, item);
 }
 
-/* a failed apply may leave an id, and then a part of the overlay */
-static int overlay_apply(struct cm_overlay *overlay)
-{
-	int ret = cm_of_overlay_apply(overlay->blob, overlay->length, &overlay->id);
+/*
+ * Removing what is left of a failed overlay tells every target that it is being
+ * removed, also those that were never told of it.  A region that had refused it,
+ * because another overlay had loaded its design, would close the bridges of that
+ * design and forget its overlay (6.1 to 7.2).  So as many fragments are told of
+ * the removal as all others had accepted.
+ */
+static DEFINE_MUTEX(apply_lock); /* protects the members below */
+static struct task_struct *applying; /* who holds it; others apply overlays, too */
+static int accepted, told;
 
+/* the last one, which is not asked where one before it has refused */
+static int count_accepted(struct notifier_block *block, unsigned long action, void *data)
+{
+	if (READ_ONCE(applying) == current && action == OF_OVERLAY_PRE_APPLY)
+		accepted++;
+	return NOTIFY_DONE;
+}
+
+static int stop_untold(struct notifier_block *block, unsigned long action, void *data)
+{
+	if (READ_ONCE(applying) != current || action != OF_OVERLAY_POST_REMOVE)
+		return NOTIFY_DONE;
+	return told++ < accepted ? NOTIFY_DONE : NOTIFY_STOP;
+}
+
+static struct notifier_block last_block = { .notifier_call = count_accepted, .priority = INT_MIN };
+static struct notifier_block first_block = { .notifier_call = stop_untold, .priority = INT_MAX };
+
+/* a failed apply may leave an id, and then a part of the overlay */
+static int apply_whole(struct cm_overlay *overlay)
+{
+	int ret;
+
+	mutex_lock(&apply_lock);
+	accepted = 0;
+	told = 0;
+	WRITE_ONCE(applying, current);
+	ret = cm_of_overlay_apply(overlay->blob, overlay->length, &overlay->id);
 	if (ret && overlay->id > 0)
 		of_overlay_remove(&overlay->id);
+	WRITE_ONCE(applying, NULL);
+	mutex_unlock(&apply_lock);
+	return ret;
+}
+
+static int overlay_apply(struct cm_overlay *overlay)
+{
+	int ret = apply_whole(overlay);
+
 	if (ret) {
 		overlay->id = 0;
 		kvfree(overlay->blob);
@@ -294,9 +339,23 @@ static int __init cm_overlay_init(void)
 	mutex_init(&overlay_subsystem.su_mutex);
 	config_group_init_type_name(&overlays_group, "overlays", &overlays_type);
 	configfs_add_default_group(&overlays_group, &overlay_subsystem.su_group);
+	ret = of_overlay_notifier_register(&first_block);
+	if (ret)
+		return ret;
+	ret = of_overlay_notifier_register(&last_block);
+	if (ret)
+		goto no_last;
 	ret = configfs_register_subsystem(&overlay_subsystem);
+	if (ret)
+		goto no_interface;
+	return 0;
+
+no_interface:
 	if (ret == -EEXIST)
 		pr_err("cm_overlay: the kernel has this interface already\n");
+	of_overlay_notifier_unregister(&last_block);
+no_last:
+	of_overlay_notifier_unregister(&first_block);
 	return ret;
 }
 module_init(cm_overlay_init);
@@ -306,6 +365,8 @@ static void __exit cm_overlay_exit(void)
 	struct cm_orphan *orphan, *next;
 
 	configfs_unregister_subsystem(&overlay_subsystem);
+	of_overlay_notifier_unregister(&last_block);
+	of_overlay_notifier_unregister(&first_block);
 	list_for_each_entry_safe(orphan, next, &orphans, node)
 		kfree(orphan);
 }

@@ -4,10 +4,11 @@
  * the configuration manager, windows for those to whom it lends pages, and a
  * bridge that takes the pages back before it decouples.
  */
+#include <linux/debugfs.h>
 #include <linux/interrupt.h>
 #include <linux/io.h>
 #include <linux/irq.h>
-#include <linux/llist.h>
+#include <linux/list.h>
 #include <linux/mod_devicetable.h>
 #include <linux/of.h>
 #include <linux/platform_device.h>
@@ -16,6 +17,7 @@
 #include <linux/spinlock.h>
 #include <linux/srcu.h>
 #include <linux/uio_driver.h>
+#include <linux/workqueue.h>
 
 #include "cm_compat.h"
 #include "cm_fpga_compat.h"
@@ -227,15 +229,45 @@ static const struct fpga_bridge_ops window_bridge_ops = {
 
 /*
  * Mainline's fpga_bridges_put() takes a bridge off a region's list after it has
- * given back its reference, so that reference must not be the last one.  A
+ * given back its reference, so that reference must not be the last one: ours is,
+ * and goes when for a second nobody else had one.  Nobody can get a new one.  A
  * region holds this module, too: when it goes, no list has any of them.
  */
 struct window_bridge {
 	struct fpga_bridge *bridge;
-	struct llist_node gone;
+	struct list_head gone;
+	bool last; /* at the look before */
 };
 
-static LLIST_HEAD(gone_bridges);
+static atomic_t bridges; /* registered, or not given back yet */
+static LIST_HEAD(gone_bridges);
+static DEFINE_MUTEX(gone_lock); /* protects gone_bridges */
+
+static void give_back_locked(struct window_bridge *window)
+{
+	list_del(&window->gone);
+	atomic_dec(&bridges);
+	put_device(&window->bridge->dev);
+	kfree(window);
+}
+
+static void give_back_bridges(struct work_struct *work)
+{
+	struct window_bridge *window, *next;
+
+	mutex_lock(&gone_lock);
+	list_for_each_entry_safe(window, next, &gone_bridges, gone) {
+		if (window->last)
+			give_back_locked(window);
+		else
+			window->last = kref_read(&window->bridge->dev.kobj.kref) == 1;
+	}
+	if (!list_empty(&gone_bridges))
+		schedule_delayed_work(to_delayed_work(work), HZ);
+	mutex_unlock(&gone_lock);
+}
+
+static DECLARE_DELAYED_WORK(gone_work, give_back_bridges);
 
 static void unregister_bridge(void *data)
 {
@@ -244,15 +276,22 @@ static void unregister_bridge(void *data)
 	WRITE_ONCE(window->bridge->priv, NULL);
 	synchronize_srcu(&bridge_calls);
 	get_device(&window->bridge->dev);
-	llist_add(&window->gone, &gone_bridges);
 	fpga_bridge_unregister(window->bridge);
+	mutex_lock(&gone_lock);
+	list_add_tail(&window->gone, &gone_bridges);
+	mutex_unlock(&gone_lock);
+	schedule_delayed_work(&gone_work, HZ);
 }
 
 static int add_bridge(struct cm_window_device *self)
 {
-	struct window_bridge *window = kzalloc(sizeof(*window), GFP_KERNEL);
+	struct window_bridge *window;
 	int ret;
 
+	/* without a decoupler behind it no region names it */
+	if (!of_find_property(self->dev->of_node, "fpga-bridges", NULL))
+		return 0;
+	window = kzalloc(sizeof(*window), GFP_KERNEL);
 	if (!window)
 		return -ENOMEM;
 	window->bridge = cm_fpga_bridge_register(self->dev, dev_name(self->dev),
@@ -262,19 +301,30 @@ static int add_bridge(struct cm_window_device *self)
 		kfree(window);
 		return dev_err_probe(self->dev, ret, "no bridge\n");
 	}
+	atomic_inc(&bridges);
 	return devm_add_action_or_reset(self->dev, unregister_bridge, window);
+}
+
+void cm_window_bridges_show(struct dentry *parent)
+{
+	debugfs_create_atomic_t("bridges", 0444, parent, &bridges);
 }
 
 void cm_window_bridges_exit(void)
 {
 	struct window_bridge *window, *next;
 
-	llist_for_each_entry_safe(window, next, llist_del_all(&gone_bridges), gone) {
-		put_device(&window->bridge->dev);
-		kfree(window);
-	}
+	cancel_delayed_work_sync(&gone_work);
+	mutex_lock(&gone_lock);
+	list_for_each_entry_safe(window, next, &gone_bridges, gone)
+		give_back_locked(window);
+	mutex_unlock(&gone_lock);
 }
 #else
+void cm_window_bridges_show(struct dentry *parent)
+{
+}
+
 void cm_window_bridges_exit(void)
 {
 }

@@ -731,6 +731,7 @@ int cm_windows_init(void)
 	}
 	window_debugfs = debugfs_create_dir("cm_window", NULL);
 	debugfs_create_atomic_t("lent", 0444, window_debugfs, &lent);
+	cm_window_bridges_show(window_debugfs);
 	return 0;
 }
 

@@ -5,10 +5,12 @@
 
 #include "cm_window_core.h"
 
+struct dentry;
 struct platform_driver;
 
 int cm_windows_init(void);
 void cm_windows_exit(void);
+void cm_window_bridges_show(struct dentry *parent);
 void cm_window_bridges_exit(void);
 
 extern struct platform_driver cm_window_driver;

@@ -13,6 +13,7 @@ from plsim import nothing, remove_overlays
 from served import PATIENCE, driver, loads, pl, until
 
 from cm import device
+from cm.formats import fdt
 from cm.formats.bitstream import to_dma_words
 
 pytestmark = pytest.mark.needs("overlay", "fpga", "plsim")
@@ -107,10 +108,18 @@ def test_a_bitstream_that_is_not_there_is_an_error(overlays: device.Overlays) ->
     assert NAME not in overlays.list()
 
 
+def without_firmware() -> bytes:
+    return fdt.pack(fdt.overlay("/pl-bus/fpga-region-0", fdt.FdtNode("", {"test": b""}, [])))
+
+
 def test_a_region_holds_one_bitstream_at_a_time(overlays: device.Overlays) -> None:
     overlays.apply(NAME, dtbo("edge"))
-    with pytest.raises(device.DeviceError):
-        overlays.apply(f"{NAME}-second", dtbo("default"))
+    before = loads()
+    for content in (dtbo("default"), without_firmware(), dtbo("default")):
+        with pytest.raises(device.DeviceError):
+            overlays.apply(f"{NAME}-second", content)
+        # removing what was refused has not closed the bridge of the one that runs, nor let another one in
+        assert (bridge(REGION), driver("58002000.camera"), loads()) == ("enabled", "cm_window", before)
     overlays.remove(NAME)
     overlays.apply(f"{NAME}-second", dtbo("default"))
 

@@ -157,6 +157,37 @@ def test_what_was_mapped_for_an_engine_is_not_when_it_has_no_driver_and_the_page
 
 
 @pytest.fixture
+def limits() -> Iterator[Path]:
+    """The parameters of cm_dma, afterwards as they were."""
+    folder = Path("/sys/module/cm_dma/parameters")
+    before = {name: (folder / name).read_text() for name in ("limit_mb", "file_limit_mb")}
+    yield folder
+    for name, value in before.items():
+        (folder / name).write_text(value)
+
+
+def test_the_memory_of_a_file_and_of_all_files_has_a_limit(limits: Path) -> None:
+    allocated = Path("/sys/kernel/debug/cm_dma/allocated")
+    before = int(allocated.read_text())
+    with plsim.nothing(), plsim.board({"camera": {}, "display": {}}, {}):
+        (limits / "file_limit_mb").write_text("1")
+        with device.AxiDma.open("camera") as channel, device.AxiDma.open("display") as other:
+            with pytest.raises(device.DeviceError) as refused:
+                channel.allocate((1 << 20) + 1)
+            assert refused.value.errno == errno.ENOMEM
+            kept = channel.allocate(1 << 20)
+            with pytest.raises(device.DeviceError):
+                channel.allocate(4096)
+            other.allocate(4096).close()  # which has a limit of its own
+            (limits / "limit_mb").write_text(str((before >> 20) + 1))
+            with pytest.raises(device.DeviceError):
+                other.allocate(1 << 20)
+            kept.close()
+            until(lambda: int(allocated.read_text()) == before)  # the memory counts until it is gone
+            other.allocate(1 << 20).close()
+
+
+@pytest.fixture
 def pool() -> Iterator[str]:
     """A channel with 16 MB of its own for buffers; gives the name of its device."""
     overlays = device.Overlays("/")

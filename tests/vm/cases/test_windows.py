@@ -12,7 +12,7 @@ from pathlib import Path
 import plsim
 import pytest
 from boardfile import FIRMWARE, write_bitstreams
-from served import PATIENCE
+from served import PATIENCE, until
 from test_suspend import suspend
 
 from cm import device
@@ -143,6 +143,19 @@ def test_a_region_outlives_the_window_that_is_its_bridge() -> None:
     overlays.remove("window-test")  # the region calls a bridge whose device is gone
     (DRIVER / "bind").write_text(name)
     overlays.apply("window-test", loading())
+    overlays.remove("window-test")
+    anew()
+
+
+@pytest.mark.needs("overlay", "fpga")
+def test_bridges_of_windows_that_were_unbound_are_given_back() -> None:
+    bridges = Path("/sys/kernel/debug/cm_window/bridges")
+    before = int(bridges.read_text())
+    for _ in range(20):
+        anew()
+    until(lambda: int(bridges.read_text()) <= before)  # those that were unbound before may have gone too
+    overlays = device.Overlays("/")
+    overlays.apply("window-test", loading())  # and the one that is there still serves
     overlays.remove("window-test")
     anew()
 
