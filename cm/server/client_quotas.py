@@ -15,7 +15,7 @@ from typing import ClassVar, Generic, Protocol, TypeVar
 
 from cm.errors import Busy
 from cm.frozen import replace
-from cm.wire.messages.status import ClientStatus, LeaseStatus, Reply, StreamStatus
+from cm.wire.messages.status import ClientStatus, LeaseStatus, StreamStatus
 
 _K = TypeVar("_K", bound=Hashable)
 _T = TypeVar("_T")
@@ -157,19 +157,17 @@ class Client:
 
     # ---- requests that take long ------------------------------------------------------------
 
-    def under_way(self, respond: Callable[[Reply], None], size: int) -> Callable[[Reply], None]:
-        """Begin a request of `size` bytes; returns the function that replies and ends it. Raises TooMuchWaiting."""
+    def begin(self, size: int) -> None:
+        """A request of `size` bytes that takes long is under way. Raises TooMuchWaiting."""
         if self.pending >= PENDING:
             raise TooMuchWaiting(f"{PENDING} requests of {self.name} are under way; ask again when one has ended")
         self.queue(size)
         self.pending += 1
 
-        def answered(made: Reply) -> None:
-            self.pending -= 1
-            self.waiting_bytes -= size
-            respond(made)
-
-        return answered
+    def ended(self, size: int) -> None:
+        """It is answered."""
+        self.pending -= 1
+        self.waiting_bytes -= size
 
     def queue(self, size: int) -> None:
         """Count the bytes of a request that waits, until they are taken off `waiting_bytes`. Raises TooMuchWaiting."""

@@ -4,13 +4,11 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
 
 from cm.errors import CmError
 from cm.wire.messages.status import ErrorInfo, Reply
 
 _LOG = logging.getLogger(__name__)
-Respond = Callable[[Reply], None]
 
 
 def error_info(error: Exception) -> ErrorInfo:

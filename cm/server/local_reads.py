@@ -16,7 +16,7 @@ from cm.device.register_reads import RegisterReads
 from cm.errors import CmError
 from cm.loop import Timer
 from cm.manager.manager import Manager
-from cm.server.long_work import Steps
+from cm.server.long_work import RoundRobin
 from cm.server.sockets import Loop
 from cm.server.streams.client_process import Peer
 from cm.wire.plane_packets import Open
@@ -29,10 +29,10 @@ _SHORTEST = 0.002  # the shortest such pause, in seconds
 class LocalReads:
     """Everything in the loop's thread."""
 
-    def __init__(self, loop: Loop, manager: Manager, steps: Steps) -> None:
+    def __init__(self, loop: Loop, manager: Manager, turns: RoundRobin) -> None:
         self._loop = loop
         self._manager = manager
-        self._steps = steps
+        self._turns = turns
         self._reads = RegisterReads()
         self._publishing = False  # or at rest after that
         self._again = False  # something was wanted meanwhile
@@ -58,7 +58,7 @@ class LocalReads:
 
     def _publish(self) -> None:
         self._publishing, self._again = True, False
-        self._steps.run(self._offered())
+        self._turns.run(self._offered())
 
     def _offered(self) -> Iterator[None]:
         """Offer all registers in these steps, each what is true then; a change of mode between them withdraws all."""

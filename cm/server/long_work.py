@@ -5,27 +5,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from cm.errors import Busy
 from cm.server.client_quotas import PENDING, Client, Ring
 from cm.server.sockets import Loop
 
-Done = Callable[[Exception | None], None]
 WAITING_MAX = 16  # pieces of work of one client
 NOT_YET = object()  # what a step yields that cannot be done yet
 _STEP_INTERVAL = 0.005  # seconds until work that could not be done is asked again
 
 
-class Work(Protocol):
-    """A job that is done in pieces."""
+class RoundRobin:
+    """Runs generators, a step of one owner's in each turn of the loop, round and round. The loop's thread.
 
-    def step(self) -> bool:
-        """Do the next piece; returns whether that was the last. An exception ends the job."""
-
-
-class Steps:
-    """Whose turn it is takes one step: each client, and each of the manager's own. The loop's thread."""
+    An owner is a client, or work of the manager's own.
+    """
 
     def __init__(self, loop: Loop) -> None:
         self._loop = loop
@@ -47,18 +42,17 @@ class Steps:
         self._late = 0
         self._come_back()
 
-    def start(self, client: Client, work: Work, done: Done, may_begin: Callable[[], bool] = lambda: True) -> None:
-        """Do a client's job after those that it has begun before, as soon as `may_begin` allows it. Raises Busy.
+    def start(self, client: Client, steps: Iterator[object]) -> None:
+        """Take a client's steps after those that it has begun before, the first at once if nothing else waits.
 
-        If nothing else waits, the first piece is done at once. `done` is called once, now or later, with the error,
-        if any.
+        Raises Busy.
         """
         if self._ring.count(client) >= WAITING_MAX:
             raise Busy(
                 f"{WAITING_MAX} transfers and long requests of {client.name} wait already; try again when one ended"
             )
         alone = not self._ring
-        self.run(_pieces(work, done, may_begin), client)
+        self.run(steps, client)
         if alone:
             self._step()
 
@@ -91,24 +85,12 @@ class Steps:
         self._ring.clear()
 
 
-def _pieces(work: Work, done: Done, may_begin: Callable[[], bool]) -> Iterator[object]:
-    while not may_begin():
-        yield NOT_YET
-    problem: Exception | None = None
-    try:
-        while not work.step():
-            yield None
-    except Exception as error:  # noqa: BLE001 (handed to the asker)
-        problem = error
-    done(problem)
-
-
 _T = TypeVar("_T")
 Result = Callable[[], _T]  # returns the job's result, or raises what it raised
 _Job = tuple[Callable[[], Any], Callable[[Result[Any]], None]]
 
 
-class ClientJobs:
+class FileThread:
     """Runs each client's jobs in the order of its requests; clients take turns.
 
     Used in the loop's thread; jobs run in another.

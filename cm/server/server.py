@@ -24,14 +24,13 @@ from cm.server.devices import BoardDevices
 from cm.server.dispatcher import Dispatcher
 from cm.server.interrupts import InterruptWatch
 from cm.server.lease_watch import LeaseWatch
-from cm.server.long_work import ClientJobs, Steps
+from cm.server.long_work import FileThread, RoundRobin
 from cm.server.options import NO_METRICS, Options
 from cm.server.private_folders import Locks, own_folder
 from cm.server.provision import Provisioner
 from cm.server.publisher import Publisher, StatusTold, mark
-from cm.server.read_cache import ReadCache
 from cm.server.reload import ReloadContext, Reloader, renewal
-from cm.server.request_handlers import Handlers, MemoryTransfers, Services
+from cm.server.request_handlers import Services
 from cm.server.rights.admission import Gate
 from cm.server.rights.policy import system_users
 from cm.server.sensor_watch import SensorWatch
@@ -70,13 +69,13 @@ class Server:
         limits = options.limits
         self._clients = Clients(limits, gate.principal)
         self._uploads = Uploads(options.state_dir, limits, self._clients.upload_bytes)
-        self._steps = Steps(self._loop)
+        self._turns = RoundRobin(self._loop)
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._devices = BoardDevices(options.root)
         own_folder(options.state_dir)
         self._provisioner = Provisioner(options.state_dir / "configs", options.unsigned, limits)
         self._journal = Journal(options.state_dir)
-        self._jobs = ClientJobs(self._loop)
+        self._files = FileThread(self._loop)
         waiting = mark((configs := self._configs()).values(), options.queue_bytes)
         self._sockets = Sockets(self._context, options.runtime_dir, waiting, options.limits, options.group)
         self._authenticator = Authenticator(self._context, gate.enter)
@@ -84,7 +83,7 @@ class Server:
         ends = self._connections.end, self._connections.end_stuck
         self._publisher = Publisher(self._loop, self._sockets.pub, options.name, *ends, limit=options.queue_bytes)
         leases = Leases(time, options.limits.leases, options.limits.leases_each)
-        told = self._publisher, leases, self._note_error, self._steps, options.limits
+        told = self._publisher, leases, self._note_error, self._turns, options.limits
         self._streams = Streams(self._loop, self._devices, *told)
         self._status = StatusTold(self._loop, self._publisher, self._streams)
         self._manager = Manager(configs, self._environment(), leases)
@@ -92,18 +91,19 @@ class Server:
         self._windows: OpenWindows | None = None
         self._reads: LocalReads | None = None
         self._data_socket = DataSocket(
-            self._loop, options.runtime_dir, self._purposes(), self._sessions, self._steps, options.group
+            self._loop, options.runtime_dir, self._purposes(), self._sessions, self._turns, options.group
         )
         self._interrupts = InterruptWatch(
             self._loop, options.root, self._manager, self._publisher.interrupt, self._note_error
         )
         self._status.begin(self._manager, self._interrupts)
         self._leases = LeaseWatch(self._loop, leases)
-        self._memories = MemoryTransfers(self._steps, self._manager.memories)
         self._board = BoardWatch(self._devices.boot_id, self._manager, self._streams, self._interrupts, self._autoload)
         self._service = ServiceManager()
         self._reloader = self._make_reloader()
-        self._dispatcher = self._make_dispatcher()
+        self._dispatcher = Dispatcher(
+            self._loop, self._sockets, self._services(), self._publisher, note_error=self._note_error
+        )
         self._metrics: Metrics | None = None
         self._sensors = SensorWatch(options.root, self._publisher.measured)
 
@@ -120,15 +120,10 @@ class Server:
     def _make_reloader(self) -> Reloader:
         loop, o = self._loop, self._options
         standing = partial(self._provisioner.standing, example=o.example)
-        running = self._jobs.thread, loop.call_threadsafe, standing, self._with_channels
+        running = self._files.thread, loop.call_threadsafe, standing, self._with_channels
         bounded = self._clients, self._uploads, self._streams, self._provisioner
         renew = renewal(self._sessions.renew, bounded, self._manager.leases)
         return Reloader(ReloadContext(self._manager, renew, self._service, *running, o.reload, o.changed), o.configs)
-
-    def _make_dispatcher(self) -> Dispatcher:
-        handlers, cache = Handlers(self._services()), ReadCache(self._manager.registers.prepare)
-        told = self._publisher, self._board, self._note_error
-        return Dispatcher(self._loop, self._sockets, handlers, self._manager, cache, *told)
 
     def _services(self) -> Services:
         return Services(
@@ -138,8 +133,7 @@ class Server:
             interrupts=self._interrupts,
             provisioner=self._provisioner,
             leases=self._leases,
-            memories=self._memories,
-            steps=self._steps,
+            turns=self._turns,
             clients=self._clients,
             uploads=self._uploads,
             board=self._board,
@@ -148,7 +142,7 @@ class Server:
             connections=self._connections,
             complete=self._with_channels,
             renew_config=self._reloader.renew,
-            jobs=self._jobs,
+            files=self._files,
         )
 
     # ---- life ---------------------------------------------------------------------
@@ -212,7 +206,7 @@ class Server:
         if self._options.scrub:
             from cm.server.scrubbing import Scrubber
 
-            Scrubber(self._loop, self._manager, self._jobs.thread, self._options.scrub).begin()
+            Scrubber(self._loop, self._manager, self._files.thread, self._options.scrub).begin()
 
     def _autoload(self) -> None:
         if self._options.load and self._manager.state.config is None:
@@ -222,8 +216,8 @@ class Server:
         self._service.stopping()
         if self._metrics is not None:
             self._metrics.close()
-        users = (self._uploads.close, self._streams.end, self._steps.close, self._interrupts.close)
-        watches = (self._sensors.close, self._leases.close, self._jobs.close)
+        users = (self._uploads.close, self._streams.end, self._turns.close, self._interrupts.close)
+        watches = (self._sensors.close, self._leases.close, self._files.close)
         board = (self._publisher.close, self._devices.lost, self._journal.close, self._sockets.close)
         last = (self._authenticator.close, self._context.term, self._loop.close, self._locks.release)
         for end in (self._manager.stop, self._data_socket.close, self._close_windows, *users, *watches, *board, *last):
@@ -252,7 +246,7 @@ class Server:
         if self._reads is None:
             from cm.server.local_reads import LocalReads
 
-            self._reads = LocalReads(self._loop, self._manager, self._steps)
+            self._reads = LocalReads(self._loop, self._manager, self._turns)
         self._reads.open(connection, wanted, peer)
 
     def _open_window(self, connection: socket.socket, wanted: Open, peer: Peer) -> None:

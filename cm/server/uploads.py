@@ -6,17 +6,18 @@ from __future__ import annotations
 import mmap
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
 from cm.errors import Busy, CmError, InvalidRequest, NotFound
 from cm.frozen import replace
 from cm.server.client_quotas import Client
-from cm.server.error_replies import Respond
+from cm.server.sender_order import Asked
 from cm.server.settings.model import Limits
 from cm.wire.messages import requests as rq
-from cm.wire.messages.status import Reply, UploadInfo
+from cm.wire.messages.status import UploadInfo
 
 IDLE = 60.0  # seconds after which one is forgotten whose next part, or use, does not come
 LEFT = 5.0  # the same, of a process that has ended
@@ -120,28 +121,26 @@ class Uploads:
         if part.offset + len(part.data) > part.length:
             raise InvalidRequest(f"upload {part.id!r}: {len(part.data)} bytes at {part.offset} of {part.length}")
 
-    def filled_in(self, client: Client, request: rq.Request, respond: Respond) -> tuple[rq.Request, Respond]:
-        """A request with the bytes that were uploaded for it, and a respond that uses them up once it is accepted.
+    def fill_in(self, asked: Asked) -> None:
+        """Give a request the bytes that were uploaded for it; they are used up once it is accepted.
 
         A request that is refused can be made again with them. Raises UnknownUpload.
         """
+        request, client = asked.request, asked.client
         if isinstance(request, rq.WriteData) and request.upload:
             names = [request.upload]
-            filled: rq.Request = replace(request, data=self._view(client, request.upload), upload="")
+            asked.request = replace(request, data=self._view(client, request.upload), upload="")
         elif isinstance(request, rq.Provision) and any(file.upload for file in request.files):
             names = [f.upload for f in request.files if f.upload]
             files = [replace(f, data=self._view(client, f.upload), upload="") if f.upload else f for f in request.files]
-            filled = replace(request, files=tuple(files))
+            asked.request = replace(request, files=tuple(files))
         else:
-            return request, respond
+            return
+        asked.if_accepted = partial(self._use_up, client, names)
 
-        def answered(reply: Reply) -> None:
-            if reply.error is None:
-                for name in names:
-                    self._drop((client.name, name))
-            respond(reply)
-
-        return filled, answered
+    def _use_up(self, client: Client, names: Iterable[str]) -> None:
+        for name in names:
+            self._drop((client.name, name))
 
     def _view(self, client: Client, name: str) -> memoryview:
         found = self._there.get((client.name, name))

@@ -149,36 +149,6 @@ def decode_table(data: bytes) -> st.ConfigInfo:
         raise InvalidRequest(f"the registers of a window: {error}") from error
 
 
-class RegisterReply:
-    """A reply that holds registers, kept to be filled in again: a third of the time that a new one takes.
-
-    A client that polls a register mostly finds the same value as before; then the bytes are the same, too. `fields`
-    are, for each name, those to extract from the register's value: name, lowest bit, mask.
-    """
-
-    def __init__(
-        self, names: Sequence[str], fields: Sequence[Sequence[tuple[str, int, int]]], config_name: str, mode: str
-    ) -> None:
-        empty = st.RegValues(tuple([st.RegValue(name, 0) for name in names]), config_name, mode)
-        self._message = pb.Reply(ok=True, registers=protobuf_messages.registers_to_pb(empty))
-        self._entries = list(zip(self._message.registers.values, fields, strict=True))
-        self._last: tuple[Sequence[int], int, bytes] = ((), -1, b"")
-
-    def encode(self, values: Sequence[int], sequence: int) -> bytes:
-        """The message of `encode_reply`, in the order of the names."""
-        before, then, encoded = self._last
-        if sequence == then and values == before:
-            return encoded
-        self._message.sequence = sequence
-        for (entry, fields), value in zip(self._entries, values):  # noqa: B905 (they are as many)
-            entry.value = value
-            for name, lsb, mask in fields:
-                entry.fields[name] = (value & mask) >> lsb
-        encoded = self._message.SerializeToString()
-        self._last = values, sequence, encoded
-        return encoded
-
-
 def decode_reply(frames: Sequence[Frame]) -> st.Reply:
     """``[topic][Reply][payload…]`` → the reply. Raises InvalidRequest for anything else."""
     if len(frames) < 2:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator
 from typing import TypeVar
 
 from google.protobuf.message import DecodeError, Message
@@ -14,7 +14,6 @@ from cm.wire import cm_pb2 as pb
 from cm.wire.messages.requests import RegWrite, WriteReg
 
 LONG = 1024  # bytes of writes of registers that take more than a moment to read
-Frame = bytes | memoryview
 _Message = TypeVar("_Message", bound=Message)
 
 
@@ -32,19 +31,6 @@ def _parsed(message_type: type[_Message], topic: str, payload: bytes) -> _Messag
         return message_type.FromString(payload)
     except DecodeError as error:
         raise InvalidRequest(f"{topic}: the second frame is not a {message_type.__name__} message ({error})") from error
-
-
-def in_slices(
-    frames: Sequence[Frame], done: Callable[[WriteReg], None], refuse: Callable[[InvalidRequest], None]
-) -> Iterator[None]:
-    """Read a long request, some with each `next`; in the end one of the two is called."""
-    message = bytes(frames[1])
-    try:
-        request = yield from writes(message)
-    except InvalidRequest as error:
-        refuse(error)
-    else:
-        done(request)
 
 
 def writes(message: bytes) -> Generator[None, None, WriteReg]:

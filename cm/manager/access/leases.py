@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from itertools import count
 from math import inf
 from typing import TYPE_CHECKING
@@ -17,35 +17,18 @@ from typing import TYPE_CHECKING
 from cm.errors import Busy, InvalidRequest, NotFound
 from cm.frozen import dataclass, replace
 from cm.manager.errors import HeldBy, hint
-from cm.schema.model import Config, Memory, Mode, Module
+from cm.schema.model import Config, Mode, Module
 from cm.wire.messages.requests import (
     LEASE_SECONDS,
     BreakLease,
-    ConfigureStream,
     ReleaseLease,
     RenewLease,
-    Request,
     TakeLease,
-    WriteData,
-    WriteReg,
 )
 from cm.wire.messages.status import LeaseInfo, LeaseStatus
 
 if TYPE_CHECKING:
     from cm.manager.interfaces import TimeSource
-
-
-def scopes_written(request: Request, config: Config | None, mode: str | None, memory: Memory | None) -> Iterator[str]:
-    """What a request writes, in the terms of `leases_concerned`; `memory`: the memory that it names, if any."""
-    if isinstance(request, WriteReg):
-        visible = config.visible_registers(mode) if config else {}
-        for name in {write.name.partition(".")[0] for write in request.writes}:
-            yield f"registers:{name}"
-            yield f"region:{visible[name].region if name in visible else None}"
-    elif isinstance(request, (WriteData, ConfigureStream)):
-        what = memory or (config.streams.get(request.stream) if config else None)
-        yield f"memories:{request.stream}"
-        yield f"region:{what.region if what else None}"
 
 
 def check_scope_names_something(scope: str, configs: Iterable[Config], memories: Iterable[str]) -> None:

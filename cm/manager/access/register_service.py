@@ -14,7 +14,6 @@ from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_view import (
     Checked,
     Place,
-    Prepared,
     View,
     checked_write,
     find,
@@ -150,17 +149,6 @@ class RegisterService:
             known = view.places
             places = [known.get(n) or self._find(view, n) for n in names] if names else self._readable(view)
             return RegValues(tuple([self._read(p, view) for p in places]), view.config.name, view.mode or "")
-
-    def prepare(self, names: tuple[str, ...]) -> Prepared | None:
-        """Prepare repeated reads of these names; None if `read` would refuse them now, or no names are given."""
-        with self._lock:
-            try:
-                view = self._look()
-                places = [self._find(view, name) for name in names]
-            except CmError:
-                return None
-        readable = all(p.register.access is not _WO and p.region in view.free for p in places)
-        return Prepared(self._state, self._look, self._bus.read_address, view, places) if places and readable else None
 
     def visible_names(self) -> Collection[str]:
         """The names of all registers of this mode; none if nothing is loaded."""

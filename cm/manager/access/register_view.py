@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 from cm.errors import InvalidRequest
@@ -174,43 +174,3 @@ def is_free(board: BoardState, locked: LockedRegions, region: str | None) -> boo
     if region is None:
         return not locked.whole
     return board.region(region).phase is _READY and region not in locked
-
-
-class Prepared:
-    """Registers that are read repeatedly: the places that their names lead to, as long as the mode is the same.
-
-    `names` and `fields` describe the values: fields (name, lowest bit, mask) are to be extracted from them.
-    """
-
-    __slots__ = ("_lock", "_look", "_places", "_read", "_state", "_view", "config_name", "fields", "mode", "names")
-
-    def __init__(
-        self,
-        state: ManagerState,
-        look: Callable[[], View],
-        read: Callable[[int, int], int],
-        view: View,
-        places: Sequence[Place],
-    ) -> None:
-        """`look` returns the view that is true now; `read` the value at an address, of a width."""
-        self._state, self._lock, self._look, self._read, self._view = state, state.lock, look, read, view
-        self._places = [(p.address, p.width, *((p.lsb, p.mask) if p.field else (0, -1))) for p in places]
-        self.config_name, self.mode = view.config.name, view.mode or ""
-        self.names = tuple([p.register.name + (f".{p.field.name}" if p.field else "") for p in places])
-        self.fields = tuple([() if p.field else _fields(p.register) for p in places])
-
-    def values(self) -> list[int] | None:
-        """The values in the order of the names; None if the names lead elsewhere now, or cannot be read now."""
-        view, state = self._view, self._state
-        with self._lock:
-            same = view.board is state.latest and view.locked is state.locked and view.configs is state.configs
-            if not same and self._look() is not view:  # it is no longer true; otherwise only values differ
-                return None
-            read, values = self._read, []
-            for address, width, lsb, mask in self._places:  # a comprehension is a call, and mostly there is one place
-                values.append((read(address, width) & mask) >> lsb)
-            return values
-
-
-def _fields(register: Register) -> tuple[tuple[str, int, int], ...]:
-    return tuple([(f.name, f.lsb, f.mask) for f in register.fields.values()])

@@ -17,7 +17,7 @@ from typing import Protocol
 
 from cm.errors import Busy, CmError
 from cm.loop import Timer
-from cm.server.long_work import Steps
+from cm.server.long_work import RoundRobin
 from cm.server.private_folders import share
 from cm.server.sockets import Loop
 from cm.server.streams.client_process import Peer
@@ -144,7 +144,7 @@ class DataSocket:
         folder: Path,
         serve: Mapping[Purpose, Serve],
         sessions: ConnectionRights,
-        steps: Steps,
+        turns: RoundRobin,
         group: int | None = None,
     ) -> None:
         """`serve`: what each purpose does, in the steps that it may return. `group`: may connect, beside our user."""
@@ -152,7 +152,7 @@ class DataSocket:
         self._path = folder.absolute() / packets.SOCKET
         self._serves = serve
         self._sessions = sessions
-        self._steps = steps
+        self._turns = turns
         self._group = group
         self._queued: dict[socket.socket, str] = {}  # connections not yet served, and their processes
         self._under_way: dict[socket.socket, Generator[None, None, None]] = {}
@@ -180,7 +180,7 @@ class DataSocket:
             return
         self._queued[connection] = who
         steps = self._under_way[connection] = self._serve(connection, packet)
-        self._steps.run(steps)
+        self._turns.run(steps)
 
     def _check_place(self, who: str) -> None:
         """Raise Busy if as many wait as may; a quarter is for processes that have few."""

@@ -27,7 +27,7 @@ from cm.manager.access.leases import Leases
 from cm.manager.status_reports import stream_status
 from cm.schema.model import Config, Direction, Stream
 from cm.server.devices import BoardDevices
-from cm.server.long_work import Steps
+from cm.server.long_work import RoundRobin
 from cm.server.settings.model import USUAL, Limits
 from cm.server.sockets import Loop
 from cm.server.streams.channel_setup import changed, setup
@@ -259,7 +259,7 @@ class RunningStreams:
         lifecycle: StreamLifecycle,
         on_error: Callable[[ErrorInfo], None],
         slots_each: int,
-        steps: Steps,
+        turns: RoundRobin,
     ) -> None:
         self._slots_each = slots_each
         self._loop = loop
@@ -276,7 +276,7 @@ class RunningStreams:
         self.failures: dict[str, ErrorInfo] = {}  # by stream of this mode: why it last failed
         self.locals = LocalClients(self.plane, on_error)
         self.zmq = ZmqClients(loop, self.plane, subscribers.frame, self._take, on_error)
-        self._steps = steps
+        self._turns = turns
         self._stalled = StalledChannels(devices.probe_dma)
         loop.add(self.plane.fileno(), self._plane_event)
 
@@ -353,7 +353,7 @@ class RunningStreams:
 
     def _take(self, opened: OpenStream, steps: Iterator[None], failed: Callable[[CmError | OSError], object]) -> None:
         """Take the steps as `_watched` does, in turns of the loop of their own."""
-        self._steps.run(self._watched(opened, steps, failed))
+        self._turns.run(self._watched(opened, steps, failed))
 
     def _not_started(self, opened: OpenStream, error: CmError | OSError) -> bool:
         """Close a stream that could not get its first slots; a running one goes on without its new client."""
@@ -491,7 +491,7 @@ class Streams:
         subscribers: Subscribers,
         leases: Leases,
         on_error: Callable[[ErrorInfo], None],
-        steps: Steps,
+        turns: RoundRobin,
         limits: Limits = USUAL,
     ) -> None:
         self._loop = loop
@@ -499,7 +499,7 @@ class Streams:
         self._subscribers = subscribers
         self._leases = leases
         self._lifecycle = StreamLifecycle()
-        self._driver = RunningStreams(loop, devices, subscribers, self._lifecycle, on_error, limits.slots_each, steps)
+        self._driver = RunningStreams(loop, devices, subscribers, self._lifecycle, on_error, limits.slots_each, turns)
         self.memories = self._driver.echoes, self._driver.allocations  # for clients that want no stream
         self.moved = self._driver.moved
         self._idle: dict[str, tuple[Stream, StreamStatus]] = {}

@@ -16,21 +16,14 @@ from cm.manager.access.leases import (
     Leases,
     check_scope_names_something,
     leases_concerned,
-    scopes_written,
 )
 from cm.manager.errors import HeldBy
 from cm.schema import loads
-from cm.schema.model import Memory
 from cm.wire.messages.requests import (
     BreakLease,
-    ReadReg,
-    RegWrite,
     ReleaseLease,
     RenewLease,
-    Request,
     TakeLease,
-    WriteData,
-    WriteReg,
 )
 from cm.wire.messages.status import LeaseInfo, LeaseStatus
 
@@ -240,24 +233,6 @@ config:
     one: {modules: [fir], registers: {lamp: {base_address: 0x1000, offset: 4}}}
     two: {memories: {late: {base_address: 0x7000, size: 64}}}
 """)
-
-
-@pytest.mark.parametrize(
-    ("request_", "memory", "scopes"),
-    [
-        (WriteReg((RegWrite("gain.low", 1), RegWrite("gain", 1))), None, ["registers:gain", "region:left"]),
-        (WriteReg((RegWrite("led", 1),)), None, ["registers:led", "region:None"]),
-        (WriteReg((RegWrite("unknown", 1),)), None, ["registers:unknown", "region:None"]),
-        (WriteData("taps"), CONFIG.memories["taps"], ["memories:taps", "region:left"]),
-        (WriteData("samples"), None, ["memories:samples", "region:left"]),
-        (WriteData("unknown"), None, ["memories:unknown", "region:None"]),
-        (ReadReg(("gain",)), None, []),
-    ],
-)
-def test_what_a_request_writes_is_told_in_scopes(request_: Request, memory: Memory | None, scopes: list[str]) -> None:
-    assert list(scopes_written(request_, CONFIG, "one", memory)) == scopes
-    unnamed = [scope if scope[:6] != "region" or memory else "region:None" for scope in scopes]
-    assert list(scopes_written(request_, None, None, memory)) == unnamed
 
 
 BLOCKS = ["block", "block1", "block2"]

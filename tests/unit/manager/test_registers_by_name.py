@@ -284,7 +284,6 @@ def test_where_nothing_is_loaded_there_are_no_registers(bench: Bench) -> None:
         "nothing is loaded, so there are no registers; there are lab",
     )
     assert list(bench.service.visible_names()) == []
-    assert bench.service.prepare(("plain",)) is None
 
 
 def test_what_a_change_has_locked_is_refused_until_it_ends(bench: Bench) -> None:
@@ -321,22 +320,6 @@ def test_only_the_holder_writes_what_a_lease_covers(bench: Bench, scope: str, re
         with pytest.raises(HeldBy, match=f"^{scope} is held by anna"):
             bench.service.write(both, "")
     assert len(bench.service.write(both, lease.id).values) == 2
-
-
-@pytest.mark.parametrize("names", [("gain", "light", "light.colour"), (), ("secret",), ("depth",), ("lump",)])
-def test_repeated_reads_are_prepared_for_names_that_can_be_read(bench: Bench, names: tuple[str, ...]) -> None:
-    made = bench.service.prepare(names)
-    assert (made is not None) is (len(names) == 3)
-    if made is None:
-        return
-    assert (made.names, made.config_name, made.mode) == (names, "lab", "one")
-    assert made.fields == ((), (("on", 0, 1), ("colour", 1, 14), ("seen", 4, 16), ("begin", 5, 32)), ())
-    assert made.values() == [7, 0x1B, 5]
-    bench.state.note_written("plain", 1)
-    assert bench.state.board.values == {"plain": 1}  # only a value is another now
-    assert made.values() == [7, 0x1B, 5]
-    bench.enter("two")
-    assert made.values() is None
 
 
 def test_a_lookup_ends_with_its_mode_and_with_its_schema(bench: Bench) -> None:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,10 +13,10 @@ import pytest
 
 from cm.errors import Busy
 from cm.server.client_quotas import LITTLE, PENDING, Clients, RepliesUnread, Ring, TooMuchWaiting
-from cm.server.long_work import WAITING_MAX, ClientJobs, Steps
+from cm.server.long_work import NOT_YET, WAITING_MAX, FileThread, RoundRobin
 from cm.server.rights.principal import Principal, from_id
 from cm.server.settings.model import USUAL
-from cm.wire.messages.status import ClientStatus, Reply
+from cm.wire.messages.status import ClientStatus
 
 LIMITS = replace(USUAL, waiting_bytes=1000, replies_bytes=100_000)
 
@@ -30,10 +30,6 @@ class Sent:
 @pytest.fixture
 def clients() -> Clients:
     return Clients(LIMITS, from_id)
-
-
-def ignore(_: Reply) -> None:
-    pass
 
 
 def test_owners_take_turns_and_what_each_has_comes_in_order() -> None:
@@ -51,11 +47,12 @@ def test_owners_take_turns_and_what_each_has_comes_in_order() -> None:
 
 def test_a_client_has_so_many_requests_under_way_and_gets_room_as_they_end(clients: Clients) -> None:
     client = clients.of("ipc:0:0:9000001")
-    ends = [client.under_way(ignore, 1) for _ in range(PENDING)]
+    for _ in range(PENDING):
+        client.begin(1)
     with pytest.raises(TooMuchWaiting, match="64 requests of pid 9000001"):
-        client.under_way(ignore, 1)
-    ends[0](Reply())
-    client.under_way(ignore, 1)
+        client.begin(1)
+    client.ended(1)
+    client.begin(1)
 
 
 def test_it_is_found_out_once_whose_a_connection_is() -> None:
@@ -72,13 +69,13 @@ def test_it_is_found_out_once_whose_a_connection_is() -> None:
 
 def test_waiting_requests_are_bounded_for_one_client_and_for_all(clients: Clients) -> None:
     one, two = clients.of("ipc:0:0:9000001"), clients.of("ipc:0:0:9000002")
-    one.under_way(ignore, 900)
+    one.begin(900)
     with pytest.raises(TooMuchWaiting, match="900 bytes of pid 9000001"):
-        one.under_way(ignore, 200)
-    two.under_way(ignore, 500)
+        one.begin(200)
+    two.begin(500)
     with pytest.raises(TooMuchWaiting, match="1400 of all"):
-        two.under_way(ignore, 200)
-    clients.of("ipc:0:0:9000003").under_way(ignore, 5000)  # one that has nothing waiting is let in
+        two.begin(200)
+    clients.of("ipc:0:0:9000003").begin(5000)  # one that has nothing waiting is let in
 
 
 def test_a_client_that_does_not_read_gets_no_more_until_it_does(clients: Clients) -> None:
@@ -117,12 +114,12 @@ def test_clients_that_are_gone_and_have_nothing_are_forgotten(clients: Clients) 
 
 def test_all_bounds_are_of_what_there_may_be_at_most(clients: Clients) -> None:
     one, two = clients.of("ipc:0:0:9000001"), clients.of("ipc:0:0:9000002")
-    end = one.under_way(ignore, 400)
+    one.begin(400)
     one.queue(600)
     assert (one.waiting_bytes, one.pending) == (1000, 1)
     two.queue(500)
     two.waiting_bytes -= 500
-    end(Reply())
+    one.ended(400)
     assert (one.waiting_bytes, one.pending) == (600, 0)
     one.sent(Sent(), 100_000 - 10, b"a")
     assert [one.has_room(size) for size in (10, 11)] == [True, False]
@@ -156,7 +153,7 @@ def test_a_client_is_known_by_its_process_its_key_or_its_address(who: Principal,
 def test_what_a_client_has_is_told(clients: Clients) -> None:
     client = clients.of("tcp:::ffff:10.0.0.1")
     client.requests, client.refused, client.upload_bytes = 5, 2, 7
-    client.under_way(ignore, 100)
+    client.begin(100)
     client.make(10)
     client.sent(Sent(), 20, b"a")
     clients.of("ipc:0:0:9000001").upload_bytes = 1
@@ -206,29 +203,24 @@ class Turns:
         return bool(calls)
 
 
-class Job:
-    """Done in so many pieces, each of which is noted; the last may fail."""
-
-    def __init__(self, name: str, pieces: int, did: list[str], error: Exception | None = None) -> None:
-        self.name, self.left, self.did, self.error = name, pieces, did, error
-
-    def step(self) -> bool:
-        self.did.append(self.name)
-        self.left -= 1
-        if self.error is not None and not self.left:
-            raise self.error
-        return not self.left
-
-    def done(self, problem: Exception | None) -> None:
-        self.did.append(f"{self.name} {problem or 'done'}")
+def job(
+    name: str, pieces: int, did: list[str], error: str = "", may_begin: Callable[[], bool] = lambda: True
+) -> Iterator[object]:
+    """Done in so many pieces, each of which is noted; it may end in an error of its own."""
+    while not may_begin():
+        yield NOT_YET
+    for _ in range(pieces - 1):
+        did.append(name)
+        yield None
+    did.extend((name, f"{name} {error or 'done'}"))
 
 
 def test_whose_turn_it_is_has_a_piece_done_and_of_one_client_one_job_after_the_other(clients: Clients) -> None:
     loop, did = Turns(), list[str]()
-    steps = Steps(loop)  # type: ignore[arg-type]
+    steps = RoundRobin(loop)  # type: ignore[arg-type]
     one, two = clients.of("ipc:0:0:9000001"), clients.of("ipc:0:0:9000002")
-    for client, job in ((one, Job("a", 3, did)), (one, Job("b", 1, did, ValueError("no"))), (two, Job("c", 2, did))):
-        steps.start(client, job, job.done)
+    for client, made in ((one, job("a", 3, did)), (one, job("b", 1, did, "no")), (two, job("c", 2, did))):
+        steps.start(client, made)
     steps.run(iter([did.append("own")]))  # type: ignore[func-returns-value]
     assert (did, steps.count(one), steps.count(two), bool(steps)) == (["a", "own"], 2, 1, True)
     while loop.turn():
@@ -239,13 +231,13 @@ def test_whose_turn_it_is_has_a_piece_done_and_of_one_client_one_job_after_the_o
 
 def test_so_many_jobs_of_a_client_wait_and_none_after_the_end(clients: Clients) -> None:
     loop, did = Turns(), list[str]()
-    steps, job = Steps(loop), Job("a", 99, did)  # type: ignore[arg-type]
+    steps = RoundRobin(loop)  # type: ignore[arg-type]
     one, two = clients.of("ipc:0:0:9000001"), clients.of("ipc:0:0:9000002")
     for _ in range(WAITING_MAX):
-        steps.start(one, job, job.done)
+        steps.start(one, job("a", 99, did))
     with pytest.raises(Busy, match=f"{WAITING_MAX} transfers and long requests of pid 9000001 wait already; try again"):
-        steps.start(one, job, job.done)
-    steps.start(two, job, job.done)
+        steps.start(one, job("a", 99, did))
+    steps.start(two, job("a", 99, did))
     steps.close()
     while loop.turn():
         pass
@@ -254,15 +246,13 @@ def test_so_many_jobs_of_a_client_wait_and_none_after_the_end(clients: Clients) 
 
 def test_what_cannot_begin_yet_is_asked_again_after_a_while_and_holds_up_nobody(clients: Clients) -> None:
     loop, did, may = Turns(), list[str](), False
-    steps = Steps(loop)  # type: ignore[arg-type]
-    jobs = [Job(name, 2, did) for name in "ab"]
-    for number, job in enumerate(jobs):
-        steps.start(clients.of(f"ipc:0:0:{9000001 + number}"), job, job.done, lambda: may)
+    steps = RoundRobin(loop)  # type: ignore[arg-type]
+    for number, name in enumerate("ab"):
+        steps.start(clients.of(f"ipc:0:0:{9000001 + number}"), job(name, 2, did, may_begin=lambda: may))
     while loop.turn():
         pass
     assert (did, bool(loop.later)) == ([], True)
-    other = Job("c", 2, did)
-    steps.start(clients.of("ipc:0:0:9000003"), other, other.done)
+    steps.start(clients.of("ipc:0:0:9000003"), job("c", 2, did))
     while loop.turn():
         pass
     assert did == ["c", "c", "c done"]
@@ -275,7 +265,7 @@ def test_what_cannot_begin_yet_is_asked_again_after_a_while_and_holds_up_nobody(
 
 def test_jobs_beside_the_loop_are_done_one_at_a_time_and_clients_take_turns(clients: Clients) -> None:
     loop, did = Turns(), list[Any]()
-    jobs = ClientJobs(loop)  # type: ignore[arg-type]
+    jobs = FileThread(loop)  # type: ignore[arg-type]
     one, two = clients.of("ipc:0:0:9000001"), clients.of("ipc:0:0:9000002")
 
     def failing() -> None:

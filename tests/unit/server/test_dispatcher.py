@@ -11,13 +11,12 @@ from typing import Any
 
 import pytest
 
-from cm.device import DeviceGone
 from cm.server import dispatcher
 from cm.server.client_quotas import LITTLE, REPLY, TRACKED, Clients
 from cm.server.dispatcher import Dispatcher
-from cm.server.long_work import Steps
-from cm.server.rights.model import Role
+from cm.server.long_work import RoundRobin
 from cm.server.rights.principal import from_id
+from cm.server.sender_order import Asked
 from cm.server.settings.model import USUAL
 from cm.wire.encode import decode_reply, encode_reply, encode_request
 from cm.wire.messages import requests as rq
@@ -39,34 +38,26 @@ class Bench:
         self.asked: list[tuple[str, rq.Request]] = []
         self.soon: list[Any] = []
         self.noted: list[ErrorInfo] = []
-        self.noticed: list[Exception] = []
-        self.learned: list[Any] = []
-        self.reply, self.cached = Reply(Status("camera")), lambda: None
-        self.role = Role.OBSERVE
+        self.reply = Reply(Status("camera"))
         self.clients = Clients(USUAL, from_id)
         loop: Any = SimpleNamespace(call_soon=self.soon.append)
-        gate: Any = SimpleNamespace(
-            observers=set(), everywhere=lambda _: self.role, guest=lambda bridge, name: f"{name} through {bridge}"
-        )
-        handlers: Any = SimpleNamespace(gate=gate, clients=self.clients, steps=Steps(loop), handle=self._handle)
+        gate: Any = SimpleNamespace(guest=lambda bridge, name: f"{name} through {bridge}")
         manager: Any = SimpleNamespace(registers=SimpleNamespace(visible_names=lambda: ()), memories=None)
-        cache: Any = SimpleNamespace(
-            answer=lambda message, number: self.cached() if (message, number) == (READ[1], 7) else None,
-            learn=self.learned.append,
+        services: Any = SimpleNamespace(
+            sessions=SimpleNamespace(gate=gate), clients=self.clients, turns=RoundRobin(loop), manager=manager
         )
-        board: Any = SimpleNamespace(noticed=self.noticed.append)
         publisher: Any = SimpleNamespace(sequence=7)
         monkeypatch.setattr(dispatcher, "receive_from", lambda _, routed: self.coming.pop(0))
         monkeypatch.setattr(dispatcher, "zmq_poll", lambda _, milliseconds: self.coming[:1])
         monkeypatch.setattr(dispatcher.multipart, "send", lambda _, frames: self.sent.append([*map(bytes, frames)]))
         monkeypatch.setattr(dispatcher.multipart, "send_tracked", self._send_tracked)
+        monkeypatch.setattr(dispatcher, "carry_out", self._carry_out)
         sockets: Any = SimpleNamespace(req=None, sub=None)
-        told = publisher, board, self.noted.append
-        self.dispatcher = Dispatcher(loop, sockets, handlers, manager, cache, *told)
+        self.dispatcher = Dispatcher(loop, sockets, services, publisher, note_error=self.noted.append)
 
-    def _handle(self, connection: str, request: rq.Request, respond: Any, _: Any) -> None:
-        self.asked.append((connection, request))
-        respond(self.reply)
+    def _carry_out(self, _: Any, asked: Asked) -> None:
+        self.asked.append((asked.connection, asked.request))
+        asked.answer(self.reply)
 
     def _send_tracked(self, _: Any, frames: list[bytes]) -> Any:
         self.sent.append([*map(bytes, frames)])
@@ -204,25 +195,6 @@ def test_short_answers_are_tracked_together(bench: Bench) -> None:
     bench.ask(*STATUS)
     count = TRACKED // size + 1
     assert (len(bench.unread), bench.clients.of(ONE).unread_of) == (1, {b"a": count * size})
-
-
-def test_what_was_read_before_is_answered_without_handlers_by_who_may_look(bench: Bench) -> None:
-    answer = encode_reply(b"cm_read_reg", Reply(), 7)[1]
-    bench.cached = lambda: answer  # type: ignore[assignment, return-value]
-    assert bench.ask(*READ) == [b"a", b"", b"cm_read_reg", answer]
-    assert (bench.asked, bench.learned) == ([], [])
-    bench.role = Role.NONE
-    bench.ask(*READ)
-    assert ([request for _, request in bench.asked], bench.learned) == ([rq.ReadReg(("focus",))], [list(READ)])
-    bench.role = Role.OBSERVE
-    gone = DeviceGone(19, "it is gone")
-
-    def fails() -> None:
-        raise gone
-
-    bench.cached = fails
-    reply = decode_reply(bench.ask(*READ)[2:])
-    assert (reply.error, bench.noticed, len(bench.asked)) == (ErrorInfo("device_gone", "it is gone"), [gone], 1)
 
 
 def test_so_many_long_writes_of_a_client_are_read_and_one_that_is_too_much_is_refused(

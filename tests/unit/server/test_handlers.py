@@ -17,12 +17,15 @@ from cm.manager.errors import ChangeBusy
 from cm.schema import loads
 from cm.server import request_handlers as handlers
 from cm.server.client_quotas import Clients
+from cm.server.long_work import NOT_YET
 from cm.server.provision import Owned, Sender
-from cm.server.request_handlers import CHANGES_EACH, Handlers, MemoryTransfers, SentConfigs
+from cm.server.request_handlers import CHANGES_EACH, Services, carry_out, listed, name_check, sender_of
+from cm.server.requests import BY_KIND
 from cm.server.rights.admission import Gate
 from cm.server.rights.model import Access, Grant, Role
 from cm.server.rights.policy import Users
 from cm.server.rights.principal import from_id
+from cm.server.sender_order import Asked, Holds
 from cm.server.settings.model import USUAL
 from cm.wire.encode import decode_reply, encode_reply
 from cm.wire.messages import requests as rq
@@ -60,7 +63,13 @@ class Bench:
         self.given: list[tuple[Any, ...]] = []  # what the manager and its streams were asked for
         self.ended: list[str] = []
         self.transfer = SimpleNamespace(
-            memory=SimpleNamespace(name="ram"), form=((2,), "uint32"), length=8, offset=4, write=False, data=b"12345678"
+            memory=SimpleNamespace(name="ram"),
+            form=((2,), "uint32"),
+            length=8,
+            offset=4,
+            write=False,
+            data=b"12345678",
+            step=self._step,
         )
         self.memory: Any = None
         self.clients = Clients(USUAL, from_id)
@@ -89,21 +98,37 @@ class Bench:
             leases=(LeaseStatus(1, "board", client=NAME),),
             streams=(StreamStatus("camera", "dma0", "s2mm", clients=(StreamClient(9, "view", depth=3),)),),
         )
-        self.services: Any = SimpleNamespace(
-            manager=manager, streams=streams, board=SimpleNamespace(noticed=self.noticed.append), steps=None,
-            memories=SimpleNamespace(start=lambda _, __, done: done(self.error)), clients=self.clients,
+        self.services: Any = Services(
+            manager=manager, streams=streams, board=SimpleNamespace(noticed=self.noticed.append),
+            turns=SimpleNamespace(start=self._start), clients=self.clients,
             sessions=SimpleNamespace(gate=SimpleNamespace(admit=lambda _, request, __: request), scene=None),
-            uploads=SimpleNamespace(filled_in=lambda _, request, respond: (request, respond)), status=lambda: status,
-            jobs=SimpleNamespace(submit=lambda _, work, finish: finish(work)), provisioner=None, interrupts=None,
+            uploads=SimpleNamespace(fill_in=lambda _: None), status=lambda: status, leases=None,
+            files=SimpleNamespace(submit=self._submit_work), provisioner=None,
+            interrupts=SimpleNamespace(counts={"done": 3}), complete=None, renew_config=self.given.append,
             loop=SimpleNamespace(call_threadsafe=lambda call: call()),
             connections=SimpleNamespace(counted=lambda: {NAME: 2}),
-        )  # fmt: skip
-        self.handlers = Handlers(self.services)
+        )  # type: ignore[arg-type]  # fmt: skip
+        self.started: list[Any] = []  # clients whose work was taken in steps, or beside the loop
+        self.order = SimpleNamespace(
+            began=lambda *_: None, ended=lambda _, change: self.ended.append(f"change {change.reply().body.number}")
+        )
+
+    def _start(self, client: Any, steps: Any) -> None:
+        self.started.append(client)
+        self.steps = list(steps)
+
+    def _submit_work(self, client: Any, work: Any, finish: Any) -> None:
+        self.started.append(client)
+        finish(work)
 
     def _go(self, *_: Any) -> Any:
         if self.error is not None:
             raise self.error
         return self.made
+
+    def _step(self) -> bool:
+        self._go()
+        return True
 
     def _of(self, what: str, call: Any) -> Any:
         """A call that is noted with what it was given, but for callbacks."""
@@ -129,11 +154,13 @@ class Bench:
     def _check(self, _: Any, on_done: Any) -> None:
         self.ends.append(on_done)
 
-    def ask(self, request: rq.Request) -> None:
-        def began(change: Any) -> Any:
-            return lambda: self.ended.append(f"change {change.number}")
-
-        self.handlers.handle(ME, request, self.replies.append, began)
+    def ask(self, request: rq.Request, held: Any = None) -> None:
+        order: Any = self.order
+        row = BY_KIND[type(request)]
+        asked = Asked(row, request, ME, b"a", self.client, self.client, order, self.replies.append)
+        asked.held = held
+        self.order.release = lambda *_: None
+        carry_out(self.services, asked)
 
     def codes(self) -> list[str]:
         return [reply.error.code if reply.error else "" for reply in self.replies]
@@ -242,30 +269,46 @@ def test_a_check_that_fails_is_answered_and_no_longer_counts(bench: Bench) -> No
 
 @pytest.mark.parametrize("write", [False, True])
 @pytest.mark.parametrize("error", [None, GONE], ids=["whole", "in part"])
-def test_many_registers_are_done_as_the_clients_and_what_was_written_is_told(
+def test_many_registers_are_done_in_pieces_and_what_was_written_is_told(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, write: bool, error: Exception | None
 ) -> None:
-    values = RegValues((RegValue("focus", 1),), "camera", "on", 7)
+    values = RegValues((RegValue("focus", 1), RegValue("focus", 2)), "camera", "on", 7)
     given: list[Any] = []
-    pieces = SimpleNamespace(newest=values.values, result=values, step=lambda: True)
+
+    class Pieces:
+        def __init__(self, *made: Any) -> None:
+            given.extend(made)
+            self.at = 0
+
+        @property
+        def newest(self) -> Any:
+            return values.values[self.at - 1 : self.at]
+
+        @property
+        def result(self) -> RegValues:
+            return values._replace(values=values.values[: self.at])
+
+        def step(self) -> bool:
+            if self.at and error is not None:
+                raise error
+            self.at += 1
+            return self.at == 2
+
     for kind in ("ReadPieces", "WritePieces"):
-        monkeypatch.setattr(handlers, kind, lambda registers, *more: (given.append((registers, *more)), pieces)[1])
+        monkeypatch.setattr(handlers, kind, Pieces)
     told: list[Any] = []
     manager = bench.services.manager
     manager.tell_registers = told.append
-    bench.services.steps = SimpleNamespace(start=lambda *started: given.append(started))
-    bench.handlers = Handlers(bench.services)
     writes = (rq.RegWrite("focus", 1),) * 33
-    bench.ask(rq.WriteReg(writes, "lease") if write else rq.ReadReg(("focus",) * 33))
-    (made, (client, job, done)) = given
-    assert made == ((manager.registers, writes, "lease") if write else (manager.registers, ("focus",) * 33))
-    assert (client, job.step(), bench.replies) == (bench.client, True, [])
-    done(error)
-    assert len(told) == write
+    bench.ask(rq.WriteReg(writes, "lease") if write else rq.ReadReg(("focus",) * 33), held=Holds.LONG)
+    assert given == ([manager.registers, writes, "lease"] if write else [manager.registers, ("focus",) * 33])
+    assert (bench.started, len(bench.steps)) == ([bench.client], 1)
     (reply,) = bench.replies
     assert (reply.error is None, bench.noticed) == (error is None, [error] if error else [])
+    done = values if error is None else values._replace(values=values.values[:1])
     for said in (*told, reply.body) if error is None else told:
-        assert decode_reply(encode_reply(b"cm_read_reg", Reply(said), 1)).body == values
+        assert decode_reply(encode_reply(b"cm_read_reg", Reply(said), 1)).body == done
+    assert len(told) == write
 
 
 def test_a_change_that_is_not_waited_for_is_answered_once(bench: Bench) -> None:
@@ -317,24 +360,25 @@ def test_a_status_tells_what_each_client_has_if_it_is_asked_for(bench: Bench) ->
 
 
 @pytest.mark.parametrize("write", [False, True])
-def test_a_read_of_memory_begins_when_there_is_room_for_its_answer_and_a_write_at_once(write: bool) -> None:
-    client, started = Clients(USUAL, from_id).of(ME), []
-    steps: Any = SimpleNamespace(start=lambda *given: started.append(given))
-    memories: Any = SimpleNamespace(defined=lambda: (MemoryInfo("ram", 0, 4),))
-    transfers, problems = MemoryTransfers(steps, memories), []
-    assert transfers.described(ConfigInfo("camera", mode="on")).memories == (MemoryInfo("ram", 0, 4),)
-    assert transfers.described(ConfigInfo("camera")).memories == ()
-    transfer: Any = SimpleNamespace(write=write, length=40_000)
-    transfers.start(client, transfer, problems.append)
-    ((whose, work, done, *may_begin),) = started
-    assert (whose, work, len(may_begin)) == (client, transfer, 0 if write else 1)
-    for ask in may_begin:
-        client.make(USUAL.replies_bytes)
-        assert (ask(), client.unread_bytes) == (False, USUAL.replies_bytes)
-        client.make(-USUAL.replies_bytes)
-        assert (ask(), client.unread_bytes) == (True, 40_000)
-    done(GONE)
-    assert (problems, client.unread_bytes) == ([GONE], 0)
+@pytest.mark.parametrize("error", [None, GONE])
+def test_a_read_of_memory_begins_when_there_is_room_for_its_answer_and_a_write_at_once(
+    bench: Bench, write: bool, error: Exception | None
+) -> None:
+    bench.transfer.write, bench.transfer.length = write, 40_000
+    bench.transfer.step, pieces = lambda: not pieces or pieces.pop(), [False]
+    steps: list[Any] = []
+    bench.services.turns.start = lambda _, made: steps.append(made)
+    bench.client.make(USUAL.replies_bytes)
+    bench.ask(rq.WriteData("ram", b"1", offset=4) if write else rq.ReadData("ram", offset=4, length=8))
+    if not write:
+        assert [next(steps[0]), next(steps[0])] == [NOT_YET] * 2
+    bench.client.make(-USUAL.replies_bytes)
+    assert (next(steps[0]), bench.client.unread_bytes, bench.replies) == (None, 0 if write else 40_000, [])
+    bench.error = error
+    if error is not None:
+        bench.transfer.step = bench._step
+    assert next(steps[0], "ended") == "ended"
+    assert (bench.codes(), bench.client.unread_bytes) == (["device_gone" if error else ""], 0)
 
 
 @pytest.mark.parametrize("long", [False, True])
@@ -342,20 +386,13 @@ def test_a_read_of_memory_begins_when_there_is_room_for_its_answer_and_a_write_a
 def test_a_configuration_is_described_with_counts_and_memories_a_long_one_beside_the_loop(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, long: bool, asked: str, loaded: bool
 ) -> None:
-    jobs: list[Any] = []
-    config = object()
-    services = bench.services
+    config, manager = object(), bench.services.manager
     monkeypatch.setattr(handlers, "is_long", lambda found: found is config and long)
-    services.manager.configs = {"camera": config}
-    services.manager.describe = lambda name, counts: ConfigInfo(f"{name} {counts}", mode="on" if loaded else "")
-    services.interrupts = SimpleNamespace(counts={"done": 3})
-    services.memories = MemoryTransfers(None, SimpleNamespace(defined=lambda: (MemoryInfo("ram", 0, 4),)))  # type: ignore[arg-type]
-    services.jobs = SimpleNamespace(submit=lambda client, work, finish: jobs.append((client, work, finish)))
-    bench.handlers = Handlers(services)
+    manager.configs = {"camera": config}
+    manager.describe = lambda name, counts: ConfigInfo(f"{name} {counts}", mode="on" if loaded else "")
+    manager.memories.defined = lambda: (MemoryInfo("ram", 0, 4),)
     bench.ask(rq.ReadConfig(asked))
-    assert [client for client, _, _ in jobs] == [bench.client] * long
-    for _, work, finish in jobs:
-        finish(lambda work=work: work())
+    assert bench.started == [bench.client] * long
     (reply,) = bench.replies
     told = decode_reply(encode_reply(b"cm_read_config", reply, 1)).body
     assert isinstance(told, ConfigInfo)
@@ -370,7 +407,7 @@ def config(name: str) -> str:
 
 
 @pytest.fixture
-def sent() -> SentConfigs:
+def sent() -> Any:
     """Anna's, one of an administrator's under whose name Anna had sent one, and one of which nothing is known."""
     users = Users({1000: "anna", 1001: "ben"}.get, lambda *_: (), 500)  # type: ignore[arg-type]
     some = Grant(Role.PROVISION, configs=("a*",))
@@ -383,29 +420,34 @@ def sent() -> SentConfigs:
     provisioner: Any = SimpleNamespace(
         owned={"a": Owned("uid:1000", "anna", 123, 7), "b": Owned("uid:1000", "anna", 5)}, reserved=frozenset("b")
     )
-    return SentConfigs(manager, provisioner, SimpleNamespace(gate=Gate(access, users)))  # type: ignore[arg-type]
+    gate = Gate(access, users)
+    return SimpleNamespace(manager=manager, provisioner=provisioner, sessions=SimpleNamespace(gate=gate))
 
 
-def test_all_configurations_are_listed_with_who_sent_them_and_how_much(sent: SentConfigs) -> None:
-    listed = sent.listed()
-    assert listed.names == ("a", "b", "c")
-    assert [(entry.name, entry.origin, entry.owner, entry.bytes) for entry in listed.entries] == [
+def test_all_configurations_are_listed_with_who_sent_them_and_how_much(sent: Any) -> None:
+    all_of_them = listed(sent)
+    assert all_of_them.names == ("a", "b", "c")
+    assert [(entry.name, entry.origin, entry.owner, entry.bytes) for entry in all_of_them.entries] == [
         ("a", "client", "anna", 123),
         ("b", "administrator", "", 0),
         ("c", "administrator", "", 0),
     ]
 
 
-def test_who_sends_may_do_so_under_names_of_their_own(sent: SentConfigs) -> None:
+def test_who_sends_may_do_so_under_names_of_their_own(sent: Any) -> None:
     anna, ben = "ipc:1000:0:7", "ipc:1001:0:8"
-    assert sent.sender(anna) == Sender("uid:1000", "anna (uid 1000, pid 7)")
-    assert sent.sender(ben) == Sender("uid:1001", "ben (uid 1001, pid 8)", admin=True)
-    sent.allowed(anna)("aa")
-    sent.allowed(ben)("b")
+    assert sender_of(sent, anna) == Sender("uid:1000", "anna (uid 1000, pid 7)")
+    assert sender_of(sent, ben) == Sender("uid:1001", "ben (uid 1001, pid 8)", admin=True)
+    name_check(sent, anna)("aa")
+    name_check(sent, ben)("b")
     with pytest.raises(Forbidden, match=r"anna .* no right to cm_write_config on configuration 'b'; .* role provision"):
-        sent.allowed(anna)("b")
+        name_check(sent, anna)("b")
     with pytest.raises(ChangeBusy, match="ab is loaded"):
-        sent.allowed(anna)("ab")
-    sent.check_removable("a")
-    with pytest.raises(ChangeBusy, match="configuration 'ab' is in use; load another first"):
-        sent.check_removable("ab")
+        name_check(sent, anna)("ab")
+
+
+def test_a_configuration_that_is_in_use_is_not_removed(bench: Bench) -> None:
+    manager = bench.services.manager
+    manager.in_use, manager.leases = lambda name: name == "ab", SimpleNamespace(check=lambda *_: None)
+    bench.ask(rq.RemoveConfig("ab"))
+    assert bench.replies[0].error == ErrorInfo("busy", "configuration 'ab' is in use; load another first")

@@ -14,10 +14,7 @@ from daemon_thread import Daemon, Subscriber, daemon
 
 import cm
 from cm.server.dispatcher import Dispatcher
-from cm.server.read_cache import ReadCache
-from cm.wire.encode import decode_reply, encode_request
 from cm.wire.messages import requests as rq
-from cm.wire.messages.status import RegValue, RegValues
 
 OURS = str(Path(cm.__file__).parent)  # how many functions a library calls is its own, and each version's
 ARRIVED: CodeType = Dispatcher.on_request.__code__
@@ -72,7 +69,7 @@ def usual(camera: Daemon, calls: Calls, request: Any) -> list[str]:
 
 @pytest.mark.parametrize(
     ("request_", "most"),
-    [(rq.ReadReg(("focus",)), 12), (rq.WriteReg((rq.RegWrite("focus", 2),)), 52)],
+    [(rq.ReadReg(("focus",)), 27), (rq.WriteReg((rq.RegWrite("focus", 2),)), 47)],
     ids=["read of a register", "write of a register"],
 )
 def test_a_request_for_a_register_calls_few_functions(camera: Daemon, calls: Calls, request_: Any, most: int) -> None:
@@ -87,51 +84,3 @@ def test_registers_are_encoded_again_only_when_there_is_a_listener(camera: Daemo
     told = usual(camera, calls, write)
     listener.close()
     assert (alone.count("registers_into"), told.count("registers_into")) == (1, 2)
-
-
-class Readable:
-    """A request's registers, each of which has as value how often it was read; until they can be read no longer."""
-
-    fields = ((),)
-    config_name, mode = "camera", "default"
-
-    def __init__(self, names: tuple[str, ...], prepared: list[str]) -> None:
-        self.names, self.reads = names, 0
-        self.there = True
-        prepared.append(names[0])
-
-    def values(self) -> tuple[int, ...] | None:
-        self.reads += 1
-        return (self.reads,) if self.there else None
-
-
-def test_a_short_read_is_understood_once_and_answered_until_it_can_be_no_more() -> None:
-    prepared: list[str] = []
-    made: list[Readable] = []
-
-    def prepare(names: tuple[str, ...]) -> Any:
-        made.append(Readable(names, prepared))
-        return made[-1]
-
-    cache, topic, message = ReadCache(prepare), b"cm_read_reg", encode_request(rq.ReadReg(("focus",)))[1]
-    long, short = (encode_request(rq.ReadReg(("x" * length,)))[1] for length in (254, 253))
-    assert (len(long), len(short)) == (257, 256)
-    for frames in ([topic], [topic, message, b""], [topic, b"\xff"], [b"cm_write_reg", b"{'a': 1}"], [topic, long]):
-        cache.learn(frames)
-    assert (prepared, cache.answer(message, 1)) == ([], None)
-    cache.learn([topic, short])
-    cache.learn([topic, message])
-    assert prepared == ["x" * 253, "focus"]
-    for value in (1, 2):
-        told = decode_reply([topic, cache.answer(message, value + 6) or b""])
-        assert told.body == RegValues((RegValue("focus", value),), "camera", "default")
-        assert told.sequence == value + 6
-    for number in range(255):  # with these there would be one more than are kept
-        cache.learn([topic, encode_request(rq.ReadReg((f"r{number}",)))[1]])
-    assert (cache.answer(short, 9), cache.answer(message, 9)) == (None, None)
-    cache.learn([topic, message])
-    assert cache.answer(message, 9)
-    made[-1].there = False
-    assert cache.answer(message, 9) is None
-    made[-1].there = True
-    assert cache.answer(message, 9) is None

@@ -5,17 +5,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 from manager_process import CAMERA
 
 from cm.errors import NotFound
 from cm.schema import load_folder
-from cm.server.dispatcher import Order
+from cm.server.client_quotas import Clients
+from cm.server.requests import BY_KIND
+from cm.server.rights.principal import from_id
+from cm.server.sender_order import Asked, Order
+from cm.server.settings.model import USUAL
 from cm.wire.encode import encode_request
 from cm.wire.messages import requests as rq
 from cm.wire.messages.status import ErrorInfo, Reply
+from cm.wire.parse import writes
+from cm.wire.request_table import BY_KIND as ON_THE_WIRE
 
 LONG = tuple(rq.RegWrite("focus", 1) for _ in range(33))
 LED, THRESHOLD = (rq.WriteReg((rq.RegWrite(name, 1),)) for name in ("led.pattern", "threshold.low"))
@@ -42,42 +48,44 @@ class Bench:
             registers=SimpleNamespace(visible_names=lambda: ["focus"] * 40),
         )  # fmt: skip
         self.began: list[rq.Request] = []
-        self.answer: dict[int, Callable[[Reply], None]] = {}
-        self.start: dict[int, Callable[[Any], Callable[[], None]]] = {}
+        self.asked: list[Asked] = []
         self.replies: list[Reply] = []
-        self.order = Order(self, manager)  # type: ignore[arg-type]
+        self.manager, self.order = manager, Order(manager, self.carry_out)
 
-    def handle(self, connection: str, request: rq.Request, respond: Any, began: Any) -> None:
-        assert connection == "of the sender"
-        self.answer[len(self.began)], self.start[len(self.began)] = respond, began
-        self.began.append(request)
+    def carry_out(self, asked: Asked) -> None:
+        self.asked.append(asked)
+        self.began.append(asked.request)
+
+    def asks(self, request: Any, sender: bytes = b"a") -> Asked:
+        """A request on its way."""
+        row, client = BY_KIND[type(request)], Clients(USUAL, from_id).of("ipc:0:0:9000001")
+        return Asked(row, request, "of the sender", sender, client, client, self.order, self.replies.append)
 
     def take(self, *requests: rq.Request, sender: bytes = b"a") -> int:
         """Take these; returns how many of them began at once."""
         before = len(self.began)
         for request in requests:
-            self.order.take(sender, request, self.replies.append, "of the sender")
+            self.order.take(self.asks(request, sender))
         return len(self.began) - before
 
     def change(self, *scopes: str) -> Callable[[], None]:
         """Begin a change; the result ends it."""
         assert self.take(CHANGE) == 1
-        return self.start[len(self.began) - 1](SimpleNamespace(scopes=scopes))
+        change: Any = SimpleNamespace(scopes=scopes)
+        self.order.began(b"a", change)
+        return lambda: self.order.ended(b"a", change)
 
 
 def test_a_write_waits_for_a_change_of_what_it_touches_and_all_that_follows_for_the_write() -> None:
     it = Bench()
     end = it.change("region:prr0")
     assert it.take(LED, READ, OTHER_RAM, rq.DefineMemory("x"), CHANGE) == 5  # not of that region
-    assert not it.order.waits(b"a")
     assert it.take(THRESHOLD, LED, READ) == 0
-    assert it.order.waits(b"a")
     assert it.take(*LOOKS) == len(LOOKS)
     assert it.take(THRESHOLD, sender=b"b") == 1  # another's
     began = len(it.began)
     end()
     assert it.began[began:] == [THRESHOLD, LED, READ]
-    assert not it.order.waits(b"a")
     assert it.order.senders == {}
 
 
@@ -119,13 +127,12 @@ def test_what_waits_for_something_that_takes_long(first: rq.Request, follows: rq
     it = Bench()
     assert it.take(first) == 1
     assert it.take(follows) == (not waits)
-    answer = it.answer[0]
     reply = Reply(error=ErrorInfo("busy", "not now"))
-    answer(reply)
+    for _ in range(2):  # the second is none
+        it.asked[0].answer(reply)
     assert it.replies == [reply]
     assert it.began == [first, follows]
-    if len(it.answer) > 1:
-        it.answer[1](reply)
+    it.asked[1].answer(reply)
     assert it.order.senders == {}
 
 
@@ -144,14 +151,38 @@ def test_so_many_requests_of_a_sender_wait() -> None:
 def test_what_follows_a_request_that_is_still_being_read_waits_behind_it(good: bool) -> None:
     it = Bench()
     request = rq.WriteReg(tuple(rq.RegWrite(f"r{number}" * (number < 199 or good or 99), 1) for number in range(200)))
-    steps = it.order.take_long(b"a", encode_request(request), it.replies.append, "of the sender")
+    still, message = it.asks(request), bytes(encode_request(request)[1])
+    still.request = None
+    steps = it.order.take_in_slices(still, writes(message))
     next(steps)
     assert it.take(LED, rq.ReadStatus()) == 1
     assert it.take(LED, sender=b"b") == 1
     list(steps)
     if good:
         assert it.began[2:] == [request]  # behind it, as it is long
-        it.answer[2](Reply())
+        it.asked[2].answer(Reply())
     assert it.began[3 if good else 2 :] == [LED]
     assert [reply.error is None for reply in it.replies] == [good]
     assert it.order.senders == {}
+
+
+def test_a_request_is_a_row_of_both_tables() -> None:
+    assert set(BY_KIND) == set(ON_THE_WIRE) == set(get_args(rq.Request))
+
+
+@pytest.mark.parametrize(
+    ("request_", "scopes"),
+    [
+        (LED, {"registers:led", "region:None"}), (THRESHOLD, {"registers:threshold", "region:prr0"}),
+        (rq.WriteReg((rq.RegWrite("unknown", 1),)), {"registers:unknown", "region:None"}),
+        (RAM, {"memories:scratchpad", "region:None"}), (rq.WriteData("camera"), {"memories:camera", "region:prr0"}),
+        (rq.ConfigureStream("unknown"), {"memories:unknown", "region:None"}), (READ, set()),
+    ],
+)  # fmt: skip
+def test_what_a_request_writes_is_told_in_scopes(request_: rq.Request, scopes: set[str]) -> None:
+    it = Bench()
+    assert set(BY_KIND[type(request_)].writes(request_, it.manager)) == scopes
+    it.manager.loaded_config = lambda: None
+    it.manager.memories.find = lambda _: None
+    unnamed = {scope if scope[:6] != "region" else "region:None" for scope in scopes}
+    assert set(BY_KIND[type(request_)].writes(request_, it.manager)) == unnamed

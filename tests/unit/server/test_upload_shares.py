@@ -8,13 +8,16 @@ import os
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from cm.errors import InvalidRequest
 from cm.server import uploads
 from cm.server.client_quotas import Client, Clients
+from cm.server.requests import BY_KIND
 from cm.server.rights.principal import Principal, from_id
+from cm.server.sender_order import Asked
 from cm.server.settings.model import USUAL
 from cm.server.uploads import EACH, TooMuchUploaded, UnknownUpload, UploadFailed, Uploads
 from cm.wire.messages.requests import File, Provision, Upload, WriteData
@@ -118,13 +121,21 @@ def test_parts_follow_each_other_within_the_length_that_was_said(kept: Uploads, 
     assert one.upload_bytes == 0
 
 
+def asks(one: Client, request: Any, said: list[Reply]) -> Asked:
+    """A request on its way."""
+    order: Any = None
+    return Asked(BY_KIND[type(request)], request, "", b"", one, one, order, said.append)
+
+
 def test_a_request_is_filled_in_and_uses_up_what_it_took_once_it_is_accepted(kept: Uploads, one: Client) -> None:
     said: list[Reply] = []
     parts(kept, one, "a", b"12", b"3")
     parts(kept, one, "b", b"")
     files = File("x", b"").uploaded("a"), File("y", b"own"), File("z", b"").uploaded("b")
     for reply in (Reply(error=ErrorInfo("busy", "not now")), Reply()):
-        filled, respond = kept.filled_in(one, Provision("config: {}", files), said.append)
+        asked = asks(one, Provision("config: {}", files), said)
+        kept.fill_in(asked)
+        filled = asked.request
         assert isinstance(filled, Provision)
         assert [(f.name, bytes(f.data), f.upload) for f in filled.files] == [
             ("x", b"123", ""),
@@ -132,21 +143,25 @@ def test_a_request_is_filled_in_and_uses_up_what_it_took_once_it_is_accepted(kep
             ("z", b"", ""),
         ]
         assert one.upload_bytes == 3
-        respond(reply)
+        asked.answer(reply)
         assert said[-1] is reply
     assert one.upload_bytes == 0
     parts(kept, one, "c", b"1", length=2)
     for name, why in (("a", "there is no upload of that name"), ("c", "1 of 2 bytes are there")):
         with pytest.raises(UnknownUpload, match=f"upload '{name}': {why}"):
-            kept.filled_in(one, WriteData("s", upload=name), said.append)
+            kept.fill_in(asks(one, WriteData("s", upload=name), said))
     kept.take(one, Upload("c", 2, 1, b"2"))
-    filled, respond = kept.filled_in(one, WriteData("s", upload="c", lease="l"), said.append)
+    asked = asks(one, WriteData("s", upload="c", lease="l"), said)
+    kept.fill_in(asked)
+    filled = asked.request
     assert isinstance(filled, WriteData)
     assert (filled.stream, bytes(filled.data), filled.upload, filled.lease) == ("s", b"12", "", "l")
-    respond(Reply())
+    asked.answer(Reply())
     assert one.upload_bytes == 0
     for own in (WriteData("s", b"1"), Provision("config: {}", files[1:2])):
-        assert kept.filled_in(one, own, said.append) == (own, said.append)
+        asked = asks(one, own, said)
+        kept.fill_in(asked)
+        assert asked.request is own
 
 
 def descriptors() -> int:
@@ -155,7 +170,7 @@ def descriptors() -> int:
 
 def used(kept: Uploads, one: Client) -> None:
     parts(kept, one, "a", b"123")
-    kept.filled_in(one, WriteData("s", upload="a"), lambda _: None)
+    kept.fill_in(asks(one, WriteData("s", upload="a"), []))
 
 
 @pytest.mark.parametrize(("call", "left"), [("pwrite", 0), ("truncate", 0), ("mmap", 3)])
@@ -181,9 +196,9 @@ def test_what_the_kernel_takes_in_pieces_is_written_whole(
     write = os.pwrite
     monkeypatch.setattr(os, "pwrite", lambda fd, data, at: write(fd, bytes(data)[:2], at))
     parts(kept, one, "a", b"12345", b"678")
-    filled, _ = kept.filled_in(one, WriteData("s", upload="a"), lambda _: None)
-    assert isinstance(filled, WriteData)
-    assert bytes(filled.data) == b"12345678"
+    asked = asks(one, WriteData("s", upload="a"), [])
+    kept.fill_in(asked)
+    assert bytes(asked.request.data) == b"12345678"
 
 
 def test_each_client_has_so_many_uploads(kept: Uploads, one: Client, clients: Clients) -> None:
