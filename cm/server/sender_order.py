@@ -97,7 +97,10 @@ class Asked:
             self.charged.ended(self._size)
         if self.if_accepted is not None and reply.error is None:
             self.if_accepted()
-        self._reply(reply)
+        try:
+            self._reply(reply)
+        except Exception as error:  # noqa: BLE001 (every request gets an answer: this one cannot be encoded)
+            self._reply(refusal(error))
         if self.held is not None:
             self.order.release(self, self.held)
 

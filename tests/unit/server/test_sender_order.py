@@ -136,6 +136,20 @@ def test_what_waits_for_something_that_takes_long(first: rq.Request, follows: rq
     assert it.order.senders == {}
 
 
+def test_an_answer_that_cannot_be_encoded_is_one_all_the_same() -> None:
+    it, sent = Bench(), list[Reply]()
+
+    def reply(made: Reply) -> None:
+        if made.error is None:
+            raise ValueError("no such field")
+        sent.append(made)
+
+    asked = it.asks(READ)
+    asked._reply = reply
+    asked.answer(Reply())
+    assert [made.error for made in sent] == [ErrorInfo("internal", "ValueError: no such field")]
+
+
 def test_so_many_requests_of_a_sender_wait() -> None:
     it = Bench()
     end = it.change("config")
