@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write the table of requests in ``protocol.md`` from `cm.wire.request_table`: ``python docs/request_tables.py``."""
+"""Write the table of requests in ``protocol.md``, from wire and server: ``python docs/request_tables.py``."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+from cm.server.requests import BY_KIND
 from cm.wire.request_table import ROWS, Row
 
 PAGE = Path(__file__).parent / "protocol.md"
@@ -20,7 +21,7 @@ def page(text: str) -> str:
 
 def table() -> str:
     """A row for each request."""
-    rows = ["| request | topic | fields of its message | behind it |", "|---|---|---|---|"]
+    rows = ["| request | topic | fields of its message | behind it | role |", "|---|---|---|---|---|"]
     return "\n".join([*rows, *map(_row, ROWS), ""])
 
 
@@ -29,7 +30,8 @@ def _row(row: Row) -> str:
     fields = ", ".join(f"**`{name}`**" if name in row.marks else f"`{name}`" for name in order)
     behind = f"a frame of data{f', unless `{row.unless}`' if row.unless else ''}" if row.payload else ""
     behind = "a frame for each of `files`" if "files" in row.fields else behind
-    return f"| {row.kind.__name__} | `{row.topic.decode()}` | {fields or 'none'} | {behind} |"
+    role = BY_KIND[row.kind].right.least.role.name.lower()
+    return f"| {row.kind.__name__} | `{row.topic.decode()}` | {fields or 'none'} | {behind} | {role} |"
 
 
 if __name__ == "__main__":

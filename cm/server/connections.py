@@ -29,7 +29,7 @@ from cm.server.client_quotas import place_of
 from cm.server.rights.admission import Gate
 from cm.server.rights.model import Access
 from cm.server.rights.principal import DATA, IPC, Principal, from_id, of_process
-from cm.server.rights.required_rights import RIGHTS, needs_of
+from cm.server.rights.required_rights import OPENING, needs_of
 from cm.wire.plane_packets import SOCKET, Open
 from cm.wire.topics import Endpoints
 
@@ -190,7 +190,7 @@ class Sessions:
         """Raise Forbidden if a connection to the data socket requests something that it has no right to."""
         who = self.whose(connection)
         try:
-            self.gate.check(who, *needs_of(RIGHTS[wanted.purpose], wanted, self.scene()))
+            self.gate.check(who, *needs_of(OPENING[wanted.purpose], wanted, self.scene()))
         except Forbidden as error:
             self.gate.refused(who, "opening", error)
             raise

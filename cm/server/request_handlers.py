@@ -101,7 +101,7 @@ class Services:
 def carry_out(s: Services, asked: Asked) -> None:
     """Do what a request asks for; whatever goes wrong becomes an error reply."""
     try:
-        asked.request = s.sessions.gate.admit(asked.connection, asked.request, s.sessions.scene)
+        asked.request = s.sessions.gate.admit(asked.connection, asked.request, asked.row.right, s.sessions.scene)
         if asked.row.uploads:
             s.uploads.fill_in(asked)
     except CmError as error:

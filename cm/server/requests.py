@@ -1,20 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every request, a row each: what it waits for, what others wait for meanwhile, and what it does.
+"""Every request, a row each: its handler, who may make it, what it waits for, and what others wait for meanwhile.
 
-`cm.wire.request_table` says how each travels, `cm.server.rights.required_rights` who may make it.
+`cm.wire.request_table` says how each travels. Right and order have no defaults: a row that forgot one would look right.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
 
 from cm.errors import CmError
+from cm.manager import touched
 from cm.manager.access.register_service import AT_ONCE
 from cm.manager.manager import Manager
+from cm.manager.touched import Scene, Thing
 from cm.schema.model import Memory
-from cm.server import request_handlers as handlers
+from cm.server import request_handlers as do
+from cm.server.rights.model import Need, Role
+from cm.server.rights.required_rights import Right
 from cm.server.sender_order import Holds, Row, Waits
 from cm.wire.messages import requests as rq
+from cm.wire.request_table import BY_KIND as ON_THE_WIRE
 
 
 def _many_registers(request: rq.ReadReg | rq.WriteReg, manager: Manager) -> Holds | None:
@@ -60,33 +66,46 @@ def _data(request: rq.WriteData | rq.ConfigureStream, manager: Manager) -> Itera
     yield f"region:{what.region if what else None}"
 
 
+def _row(
+    kind: type, handler: Any, role: Role, touches: Callable[[Any, Scene], Iterable[Thing]], waits: Waits, **more: Any
+) -> Row:
+    """`role` and `touches`: the least role that it takes, and where, for who has the role with limits."""
+    return Row(kind, handler, Right(Need(role, ON_THE_WIRE[kind].topic.decode()), touches), waits, **more)
+
+
+OBSERVE, OPERATE, PROVISION, ADMIN = Role.OBSERVE, Role.OPERATE, Role.PROVISION, Role.ADMIN
 NEVER, IN_LINE, TO_WRITE, TO_CHANGE = Waits
 ROWS = (
-    Row(rq.ReadStatus, handlers.read_status, NEVER),
-    Row(rq.ReadConfig, handlers.read_config, NEVER),
-    Row(rq.ListConfigs, handlers.list_configs, NEVER),
-    Row(rq.PlanChange, handlers.plan_change, NEVER, counted=True),
-    Row(rq.ChangeMode, handlers.change_mode, TO_CHANGE, counted=True),
-    Row(rq.CancelChange, handlers.cancel_change, NEVER),
-    Row(rq.Provision, handlers.provision, TO_CHANGE, holds=_stores, counted=True, uploads=True),
-    Row(rq.RemoveConfig, handlers.remove_config, TO_CHANGE, holds=_stores, counted=True),
-    Row(rq.ReadReg, handlers.read_reg, IN_LINE, holds=_many_registers),
-    Row(rq.WriteReg, handlers.write_reg, TO_WRITE, holds=_many_registers, writes=_registers, behind_memory=_always),
-    Row(rq.DescribeData, handlers.describe_data, IN_LINE),
-    Row(rq.ConfigureStream, handlers.configure_stream, TO_WRITE, writes=_data),
-    Row(rq.DefineMemory, handlers.define_memory, TO_WRITE),
-    Row(rq.ReadData, handlers.read_data, IN_LINE, counted=True),
-    Row(
-        rq.WriteData, handlers.write_data, TO_WRITE, holds=_writes_memory, writes=_data, behind_memory=_is_memory,
-        counted=True, uploads=True,
+    _row(rq.ReadStatus, do.read_status, OBSERVE, touched.nothing, NEVER),
+    _row(rq.ReadConfig, do.read_config, OBSERVE, touched.named_config, NEVER),
+    _row(rq.ListConfigs, do.list_configs, OBSERVE, touched.nothing, NEVER),
+    _row(rq.PlanChange, do.plan_change, OBSERVE, touched.named_config, NEVER, counted=True),
+    _row(rq.ChangeMode, do.change_mode, OPERATE, touched.change, TO_CHANGE, counted=True),
+    _row(rq.CancelChange, do.cancel_change, OPERATE, touched.running_change, NEVER),
+    _row(  # what it touches is asked for when its schema has been read: `provisioning`
+        rq.Provision, do.provision, PROVISION, touched.nothing, TO_CHANGE, holds=_stores, counted=True, uploads=True
     ),
-    Row(rq.Upload, handlers.upload, IN_LINE),
-    Row(rq.CheckRegion, handlers.check_region, IN_LINE),
-    Row(rq.MapRegion, handlers.map_region, IN_LINE),
-    Row(rq.ReadIrq, handlers.read_irq, NEVER),
-    Row(rq.TakeLease, handlers.take_lease, IN_LINE),
-    Row(rq.RenewLease, handlers.lease, IN_LINE),
-    Row(rq.ReleaseLease, handlers.lease, IN_LINE),
-    Row(rq.BreakLease, handlers.lease, IN_LINE),
+    _row(rq.RemoveConfig, do.remove_config, PROVISION, touched.named_config, TO_CHANGE, holds=_stores, counted=True),
+    _row(rq.ReadReg, do.read_reg, OBSERVE, touched.registers, IN_LINE, holds=_many_registers),
+    _row(
+        rq.WriteReg, do.write_reg, OPERATE, touched.registers, TO_WRITE,
+        holds=_many_registers, writes=_registers, behind_memory=_always,
+    ),
+    _row(rq.DescribeData, do.describe_data, OBSERVE, touched.data, IN_LINE),
+    _row(rq.ConfigureStream, do.configure_stream, OPERATE, touched.data, TO_WRITE, writes=_data),
+    _row(rq.DefineMemory, do.define_memory, PROVISION, touched.defined_memory, TO_WRITE),
+    _row(rq.ReadData, do.read_data, OBSERVE, touched.data, IN_LINE, counted=True),
+    _row(
+        rq.WriteData, do.write_data, OPERATE, touched.data, TO_WRITE,
+        holds=_writes_memory, writes=_data, behind_memory=_is_memory, counted=True, uploads=True,
+    ),
+    _row(rq.Upload, do.upload, OPERATE, touched.nothing, IN_LINE),
+    _row(rq.CheckRegion, do.check_region, OPERATE, touched.region, IN_LINE),
+    _row(rq.MapRegion, do.map_region, OBSERVE, touched.region, IN_LINE),
+    _row(rq.ReadIrq, do.read_irq, OBSERVE, touched.nothing, NEVER),
+    _row(rq.TakeLease, do.take_lease, OPERATE, touched.lease, IN_LINE),
+    _row(rq.RenewLease, do.lease, OPERATE, touched.nothing, IN_LINE),
+    _row(rq.ReleaseLease, do.lease, OPERATE, touched.nothing, IN_LINE),
+    _row(rq.BreakLease, do.lease, ADMIN, touched.nothing, IN_LINE),
 )  # fmt: skip
 BY_KIND = {row.kind: row for row in ROWS}

@@ -20,6 +20,7 @@ from cm.manager.execution.worker import Change
 from cm.manager.manager import Manager
 from cm.server.client_quotas import Client
 from cm.server.error_replies import refusal
+from cm.server.rights.required_rights import Right
 from cm.wire.messages.requests import WriteReg
 from cm.wire.messages.status import Reply
 
@@ -60,6 +61,7 @@ class Row:
 
     kind: type
     handler: Callable[[Any, Asked, Any], Reply | Work | None]
+    right: Right
     waits: Waits
     holds: Callable[[Any, Manager], Holds | None] | None = None  # what it is for those behind it, by the same sender
     writes: Callable[[Any, Manager], Iterator[str]] = _nothing  # scopes (`cm.manager.access.leases`)

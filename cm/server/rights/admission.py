@@ -15,7 +15,7 @@ from cm.server.rights.audit import Audit, described
 from cm.server.rights.model import Access, Need, Rights, Role
 from cm.server.rights.policy import Users
 from cm.server.rights.principal import CURVE, NOBODY, Principal, from_id, guest_of, introduced, on_behalf
-from cm.server.rights.required_rights import RIGHTS, UNKNOWN, Right, needs_of
+from cm.server.rights.required_rights import Right, needs_of
 from cm.wire.messages.requests import Request
 
 _NAME = 64  # characters of a guest's name
@@ -46,7 +46,6 @@ class Gate:
         self._users = users
         self._now = now
         self._known: dict[str, _Known] = {}
-        self.observers: set[str] = set()  # connections that may look at everything, as long as the policy is the same
         self._origins: dict[str, set[Principal]] | None = {}  # who came over TCP, by address
         self._looked = now()
         self.audit = Audit()
@@ -55,7 +54,6 @@ class Gate:
         """Apply another policy from now on; returns a function that tells whether a client's rights have changed."""
         before, self._access = self._access, access
         self._known.clear()
-        self.observers.clear()
 
         def changed(who: Principal) -> bool:
             old, new = (policy.rights_of(who, said, self._users) for said in (before, access))
@@ -132,10 +130,7 @@ class Gate:
         if found is None:
             if len(self._known) >= _KEPT:
                 self._known.clear()
-                self.observers.clear()
             found = self._known[connection] = self._find_out(connection)
-            if found.everywhere >= Role.OBSERVE and found.rights.until is None:
-                self.observers.add(connection)
         return found
 
     def _find_out(self, connection: str) -> _Known:
@@ -149,13 +144,12 @@ class Gate:
         rights = policy.rights_of(who, self._access, self._users)
         return _Known(who, rights, rights.everywhere)
 
-    def admit(self, connection: str, request: Request, scene: Callable[[], Scene]) -> Request:
+    def admit(self, connection: str, request: Request, right: Right, scene: Callable[[], Scene]) -> Request:
         """The request as it may be carried out.
 
         Raises Forbidden, and whatever the scene raises for names that do not exist.
         """
-        known, right = self._known.get(connection), RIGHTS.get(type(request), UNKNOWN)
-        need = right.least
+        known, need = self._known.get(connection), right.least
         if known is None or known.rights.until is not None:
             known = self._current(connection)
         if known.everywhere < need.role:

@@ -17,8 +17,8 @@ from cm.networks.fleet.keys import VERBS, check, command_of
 from cm.networks.fleet.security.access_rules import Member, access_control, verbs_of
 from cm.networks.fleet.security.certificates import hosts_of
 from cm.networks.fleet.security.keys_folder import KeyFolder
+from cm.server.requests import BY_KIND
 from cm.server.rights.model import Role
-from cm.server.rights.required_rights import RIGHTS
 from cm.wire.messages import requests as rq
 
 
@@ -144,8 +144,8 @@ REQUESTS = {
 
 @pytest.mark.parametrize("verb", REQUESTS)
 def test_a_command_takes_the_role_at_the_router_that_it_takes_on_the_wire(verb: str) -> None:
-    assert RIGHTS[type(REQUESTS[verb])].least.role is Role[VERBS[verb].role.upper()]
-    assert VERBS[verb].topic.decode() == RIGHTS[type(REQUESTS[verb])].least.topic
+    assert BY_KIND[type(REQUESTS[verb])].right.least.role is Role[VERBS[verb].role.upper()]
+    assert VERBS[verb].topic.decode() == BY_KIND[type(REQUESTS[verb])].right.least.topic
 
 
 def test_names_that_cannot_be_parts_of_keys_are_refused_in_words() -> None:

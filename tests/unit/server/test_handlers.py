@@ -101,7 +101,7 @@ class Bench:
         self.services: Any = Services(
             manager=manager, streams=streams, board=SimpleNamespace(noticed=self.noticed.append),
             turns=SimpleNamespace(start=self._start), clients=self.clients,
-            sessions=SimpleNamespace(gate=SimpleNamespace(admit=lambda _, request, __: request), scene=None),
+            sessions=SimpleNamespace(gate=SimpleNamespace(admit=lambda _, request, *__: request), scene=None),
             uploads=SimpleNamespace(fill_in=lambda _: None), status=lambda: status, leases=None,
             files=SimpleNamespace(submit=self._submit_work), provisioner=None,
             interrupts=SimpleNamespace(counts={"done": 3}), complete=None, renew_config=self.given.append,

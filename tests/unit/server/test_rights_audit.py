@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import logging
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from cm.cli.serve import Lines
 from cm.errors import Forbidden
 from cm.manager.touched import Scene
+from cm.server.requests import BY_KIND
 from cm.server.rights.admission import Gate
 from cm.server.rights.audit import BURST, Audit, described
 from cm.server.rights.model import Access
@@ -78,11 +80,15 @@ def test_a_refusal_and_what_changes_something_are_reported_and_a_look_is_not(cap
     users = Users(lambda _: "anna", lambda *_: (), 500)
     gate = Gate(Access(users={"anna": ("operate",)}), users)
     anna = of_process("ipc", 1000, 1000, 7).id
-    admitted = [rq.ReadStatus(), rq.TakeLease("board"), rq.ReadReg(("zoom",))]
-    for request in admitted:
-        gate.admit(anna, request, lambda: Scene(None, None, lambda _: None, {}))  # type: ignore[arg-type, return-value]
+    scene: Any = Scene(None, None, lambda _: None, {})  # type: ignore[arg-type, return-value]
+
+    def admit(request: Any) -> None:
+        gate.admit(anna, request, BY_KIND[type(request)].right, lambda: scene)
+
+    for request in (rq.ReadStatus(), rq.TakeLease("board"), rq.ReadReg(("zoom",))):
+        admit(request)
     with pytest.raises(Forbidden) as refused:
-        gate.admit(anna, rq.RemoveConfig("camera"), lambda: Scene(None, None, lambda _: None, {}))  # type: ignore[arg-type, return-value]
+        admit(rq.RemoveConfig("camera"))
     assert [(record.levelname, record.getMessage()) for record in caplog.records] == [
         ("INFO", "anna (uid 1000, pid 7): TakeLease board"),
         ("WARNING", f"refused: {refused.value}"),

@@ -18,12 +18,13 @@ from cm.manager.execution.worker import Change
 from cm.manager.planner import target
 from cm.manager.touched import Scene, resolved
 from cm.schema import load_folder
+from cm.server.requests import BY_KIND
 from cm.server.rights.admission import Gate
 from cm.server.rights.keys import authorized, pairs_of
 from cm.server.rights.model import Access, AuthorizedKey, Grant, Need, Rights, Role
 from cm.server.rights.policy import Users, rights_of, system_users
 from cm.server.rights.principal import NOBODY, Principal, from_id, guest_of, introduced, of_process, on_behalf
-from cm.server.rights.required_rights import RIGHTS, needs_of, provisioning
+from cm.server.rights.required_rights import OPENING, Right, needs_of, provisioning
 from cm.wire import plane_packets as packets
 from cm.wire.messages import requests as rq
 from cm.wire.plane_packets import Open, Purpose
@@ -211,15 +212,12 @@ def test_who_may_look_at_everything_is_remembered_until_the_policy_changes() -> 
     gate = Gate(access, USERS, lambda: clock[0])
     ids = [gate.enter("curve", "10.0.0.1", "CURVE", key) or "" for key in (KEY, OTHER)] + [user(1001).id]
     assert [gate.everywhere(each) for each in ids] == [Role.OBSERVE, Role.OPERATE, Role.NONE]
-    assert gate.observers == {ids[1]}  # whose rights do not end by themselves
     assert [gate.rights(each).role for each in ids] == [Role.OBSERVE, Role.OPERATE, Role.NONE]
     clock[0] = 10.0
     for each, role in zip(ids, (Role.NONE, Role.OPERATE, Role.NONE), strict=True):
         assert (gate.everywhere(each), gate.rights(each).role) == (role, role)
     with pytest.raises(Forbidden, match="no right to cm_status; it takes the role observe there"):
-        gate.admit(ids[0], rq.ReadStatus(), lambda: SCENE)
-    gate.renew(access)
-    assert gate.observers == set()
+        admitted(gate, ids[0], rq.ReadStatus())
 
 
 def test_custom_roles_are_narrow_and_add_up() -> None:
@@ -276,20 +274,19 @@ def test_a_client_with_a_role_everywhere_is_refused_nothing_of_it(some: list[Gra
 
 
 def test_every_kind_of_request_and_every_purpose_has_a_right() -> None:
-    assert set(RIGHTS) == {*get_args(rq.Request), *Purpose}
+    assert {*BY_KIND, *OPENING} == {*get_args(rq.Request), *Purpose}
 
 
-class Unknown:
-    """A kind of request unknown to the policy."""
+def right_of(request: Any) -> Right:
+    return OPENING[request.purpose] if isinstance(request, Open) else BY_KIND[type(request)].right
 
 
-def test_an_unknown_request_takes_an_admin() -> None:
-    with pytest.raises(Forbidden, match="takes the role admin"):
-        Gate(Access(), USERS).admit(user(1000).id, Unknown(), lambda: SCENE)  # type: ignore[arg-type]
+def admitted(gate: Gate, connection: str, request: Any, scene: Any = lambda: SCENE) -> Any:
+    return gate.admit(connection, request, right_of(request), scene)
 
 
 def needed(request: Any, scene: Scene = SCENE) -> list[Need]:
-    return list(needs_of(RIGHTS[request.purpose if isinstance(request, Open) else type(request)], request, scene))
+    return list(needs_of(right_of(request), request, scene))
 
 
 def touched(request: rq.Request, scene: Scene = SCENE) -> set[tuple[str | None, ...]]:
@@ -478,9 +475,9 @@ def test_a_user_that_may_reach_one_region_changes_it_and_no_other() -> None:
     roles = MappingProxyType({"left": Grant(Role.OPERATE, regions=("prr0",))})
     gate = Gate(Access(users=MappingProxyType({"anna": ("left",)}), roles=roles), USERS)
     anna = user(1000).id
-    said = gate.admit(anna, rq.ChangeMode(name_or_mode="edge"), lambda: SCENE)
+    said = admitted(gate, anna, rq.ChangeMode(name_or_mode="edge"))
     assert said == rq.ChangeMode("camera", "edge_detection")  # what was checked is what is done
-    gate.admit(anna, rq.WriteReg((rq.RegWrite("threshold", 1),)), lambda: SCENE)
+    admitted(gate, anna, rq.WriteReg((rq.RegWrite("threshold", 1),)))
     for request in (
         rq.ChangeMode(mode="loopback"),
         rq.ChangeMode(mode="edge_detection", force=True),
@@ -489,7 +486,7 @@ def test_a_user_that_may_reach_one_region_changes_it_and_no_other() -> None:
         rq.TakeLease("config"),
     ):
         with pytest.raises(Forbidden, match=r"anna \(uid 1000, pid 77\) has no right to cm_.*; it takes the role "):
-            gate.admit(anna, request, lambda: SCENE)
+            admitted(gate, anna, request)
     need = Need(Role.OPERATE, "cm_write_reg", "camera", "prr1", "scratch", "*")
     said = "cm_write_reg on configuration 'camera', region 'prr1', register 'scratch'; it takes the role operate there"
     with pytest.raises(Forbidden, match=f"has no right to {said}"):
@@ -503,7 +500,7 @@ def test_for_a_client_that_may_do_everything_the_loaded_state_is_not_read() -> N
         raise AssertionError
 
     request = rq.WriteReg((rq.RegWrite("x", 1),))
-    assert Gate(Access(), USERS).admit(user(1000).id, request, scene) is request
+    assert admitted(Gate(Access(), USERS), user(1000).id, request, scene) is request
 
 
 # ---- files of keys -----------------------------------------------------------------------------
