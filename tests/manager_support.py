@@ -168,6 +168,9 @@ class FaultyDevices:
     def boot_id(self) -> str:
         return self._inner.boot_id()
 
+    def holds_design(self) -> bool:
+        return self._inner.holds_design()
+
     def window(self, address: int, width: int) -> Window:
         found = self._inner.window(address, width)
         watched = Watched(found.device, self._fault, "uio", ("read", "write", "read_block", "write_block"))

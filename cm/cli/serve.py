@@ -72,6 +72,8 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
         "--config", type=Path, action="append", default=[], metavar="DIR", help="schema file, or a folder of them"
     )
     parser.add_argument("--load", metavar="CONFIG[/MODE]", help="load this at start if nothing is loaded")
+    parser.add_argument("--assume-loaded", action="store_true",
+        help="take it that the PL holds its design since boot, though no fpga_manager says so")  # fmt: skip
     parser.add_argument("--name", metavar="NAME", help="the board's name, shown in its status (default: its host name)")
     parser.add_argument(
         "--runtime-dir", type=Path, metavar="DIR", help="folder of the sockets (default: $CM_RUNTIME_DIR, /run/cm)"
@@ -238,6 +240,7 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
         scrub=said.scrub,
         queue_bytes=int(queue * (1 << 20)),
         firmware_dir=said.firmware_dir,
+        assume_loaded=args.assume_loaded or said.assume_loaded,
         limits=Limits.of(said.limits),
         example=example,
         unsigned=said.policy.signatures != "require",

@@ -123,6 +123,9 @@ class Devices(Protocol):
     def boot_id(self) -> str:
         """An id that is new whenever the board was started anew."""
 
+    def holds_design(self) -> bool:
+        """Whether the logic is known to hold a design; found out without touching it."""
+
     def window(self, address: int, width: int) -> Window:
         """Where `width` bits at a physical address are mapped. Raises DeviceNotFound."""
 

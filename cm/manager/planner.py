@@ -407,6 +407,13 @@ class _Planner:
                 f"{self._config.name} is partial and needs its static part: load a full configuration, "
                 "or restart the board"
             )
+        if self._state.config is None and not self._devices.holds_design():
+            raise StaticUnknown(
+                f"nothing says that the PL holds the static part of {self._config.name}: nothing was loaded since the "
+                "board was started, and an access of an empty PL stalls the board. Load the image first (fpgautil -b "
+                f"{self._config.name}_full.bin -f Full; or type: full with a bitstream, which is loaded then); "
+                "cm serve --assume-loaded if the boot loader has loaded it"
+            )
 
     def _is_ready(self, module: Module) -> bool:
         return self._state.region(module.region).phase is RegionPhase.READY

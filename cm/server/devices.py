@@ -26,9 +26,11 @@ from cm.device import (
     Uio,
     find_uio,
     list_dma,
+    list_fpga_managers,
     list_icap,
     list_uio,
 )
+from cm.device.checks.machine import Machine
 from cm.errors import NotFound
 from cm.frozen import dataclass
 from cm.manager.errors import NoWindow
@@ -110,8 +112,9 @@ _BOOT_ID = "proc/sys/kernel/random/boot_id"
 class BoardDevices:
     """`cm.manager.interfaces.Devices` over `cm.device`. Both threads of the daemon use it."""
 
-    def __init__(self, root: Root) -> None:
-        self._root = root
+    def __init__(self, root: Root, assume_loaded: bool = False) -> None:
+        """`assume_loaded`: the operator says that the PL holds a design."""
+        self._root, self._assumed = root, assume_loaded
         self._lock = threading.RLock()
         self._uios: dict[str, Uio] = {}
         self._icaps: dict[str, Icap] = {}
@@ -128,6 +131,20 @@ class BoardDevices:
             return (self.root / _BOOT_ID).read_text(encoding="ascii").strip()
         except OSError:
             return ""
+
+    def holds_design(self) -> bool:
+        """Whether an fpga_manager says so, which a Zynq's PL is asked for: an access of an empty one stalls the bus.
+
+        On Zynq-7000 the kernel knows only of what it loaded itself (zynq-fpga clears the interrupt that it then looks
+        at); on ZynqMP it asks the firmware once, at boot.
+        """
+        if self._assumed or Machine(self._root).family is None:
+            return True
+        for name in list_fpga_managers(self._root):
+            with suppress(DeviceError):
+                if self.fpga_manager(name).state == "operating":
+                    return True
+        return False
 
     def window(self, address: int, width: int) -> Window:
         """Where a register is mapped. Raises DeviceNotFound with the windows that there are."""

@@ -35,6 +35,7 @@ class Options:
     name: str = ""  # of the board, for people and to tell several apart; empty: that of its host
     queue_bytes: int = BYTES  # of frames that may wait for one subscriber over ZeroMQ
     firmware_dir: Path | None = None  # for copies that the kernel reads; None: where it looks anyway
+    assume_loaded: bool = False  # the PL holds a design, whatever the kernel knows of it
     example: bool = False  # `configs` are the shipped ones, which clients may replace
     unsigned: bool = True  # whether clients may provision configurations, which cannot be signed
     reload: Callable[[], Reloaded] | None = None  # reads schemas and settings again; None: there is nothing to read

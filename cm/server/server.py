@@ -71,7 +71,7 @@ class Server:
         self._uploads = Uploads(options.state_dir, limits, self._clients.upload_bytes)
         self._turns = RoundRobin(self._loop)
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-        self._devices = BoardDevices(options.root)
+        self._devices = BoardDevices(options.root, options.assume_loaded)
         own_folder(options.state_dir)
         self._provisioner = Provisioner(options.state_dir / "configs", options.unsigned, limits)
         self._journal = Journal(options.state_dir)

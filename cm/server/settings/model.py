@@ -123,6 +123,7 @@ class Settings:
     runtime_dir: Path | None = None
     state_dir: Path | None = None
     firmware_dir: Path | None = None
+    assume_loaded: bool = False
     log: str = "warning"
     streams: StreamSettings = StreamSettings()
     dma: DmaSettings = DmaSettings()

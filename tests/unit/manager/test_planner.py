@@ -13,7 +13,7 @@ import pytest
 
 from cm.errors import CmError
 from cm.hashes import sha256
-from cm.manager.errors import ClockRate
+from cm.manager.errors import ClockRate, StaticUnknown
 from cm.manager.inputs import Image
 from cm.manager.planner import Goal, Plan, make_plan
 from cm.manager.state.board_state import BoardState, OverlayState, RegionPhase, RegionState
@@ -101,7 +101,13 @@ def image(name: str) -> Image:
     return Image(Path(f"{name}.bit"), name, 4000, None, True, False)
 
 
-def plan(goal: Goal, state: BoardState = ONE, clocks: Mapping[str, Clock] | None = None, old: Any = LAB) -> Plan:
+def plan(
+    goal: Goal,
+    state: BoardState = ONE,
+    clocks: Mapping[str, Clock] | None = None,
+    old: Any = LAB,
+    design: bool = True,
+) -> Plan:
     files: Any = SimpleNamespace(
         image=lambda config, module: image(module.name),
         static_image=lambda config: image(config.name),
@@ -110,8 +116,17 @@ def plan(goal: Goal, state: BoardState = ONE, clocks: Mapping[str, Clock] | None
     )
     if clocks is None:
         clocks = {"fclk0": Clock(99_999_999), "fclk1": Clock(50_000_000)}
-    devices: Any = SimpleNamespace(clocks=lambda: SimpleNamespace(names=lambda: [*clocks], find=clocks.__getitem__))
+    devices: Any = SimpleNamespace(
+        clocks=lambda: SimpleNamespace(names=lambda: [*clocks], find=clocks.__getitem__), holds_design=lambda: design
+    )
     return make_plan(goal, state, old, files, Throughput(), devices)
+
+
+def test_a_pl_that_may_be_empty_is_not_touched_before_something_was_loaded() -> None:
+    with pytest.raises(StaticUnknown, match=r"an access of an empty PL stalls the board\. Load the image first"):
+        plan(Goal(LAB, "two"), BoardState(), old=None, design=False)
+    assert texts(plan(Goal(LAB, "two"), BoardState(), old=None, design=True))
+    assert texts(plan(Goal(LAB, "two"), ONE, design=False))  # this manager loaded it since the board was started
 
 
 def texts(made: Plan) -> list[str]:

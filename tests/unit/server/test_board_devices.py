@@ -204,6 +204,30 @@ def test_an_fpga_manager_is_known_by_its_number(monkeypatch: pytest.MonkeyPatch,
         BoardDevices(root).fpga_manager("cm_icap0")
 
 
+@pytest.mark.parametrize(
+    ("compatible", "states", "assumed", "holds"),
+    [
+        ("xlnx,zynq-7000", ["unknown"], False, False),
+        ("xlnx,zynq-7000", [], False, False),
+        ("xlnx,zynqmp", ["unknown", "operating"], False, True),
+        ("xlnx,zynq-7000", ["unknown"], True, True),
+        ("linux,dummy-virt", [], False, True),  # there is no bus that an empty PL could stall
+        (None, [], False, True),
+    ],
+)
+def test_a_zynqs_pl_holds_a_design_if_a_manager_or_the_operator_says_so(
+    tmp_path: Path, compatible: str | None, states: list[str], assumed: bool, holds: bool
+) -> None:
+    if compatible is not None:
+        (tmp_path / "proc/device-tree").mkdir(parents=True)
+        (tmp_path / "proc/device-tree/compatible").write_text(f"acme,board\0{compatible}\0")
+    for number, state in enumerate(states):
+        folder = tmp_path / f"sys/class/fpga_manager/fpga{number}"
+        folder.mkdir(parents=True)
+        (folder / "state").write_text(f"{state}\n")
+    assert BoardDevices(Root.of(tmp_path), assumed).holds_design() is holds
+
+
 # ---- a board that goes, is started anew, or sleeps ------------------------------------------------
 
 

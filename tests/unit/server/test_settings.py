@@ -75,6 +75,7 @@ metrics: 0.0.0.0:9469
 runtime_dir: /run/a
 state_dir: /srv/state
 firmware_dir: /srv/firmware
+assume_loaded: true
 log: info
 streams: {queue_mib: 1.5}
 dma: {prefetch_mib: 7}
@@ -94,7 +95,7 @@ access:
 """)
     assert known == Settings(
         ("tcp://0.0.0.0:5560", "tcp://localhost"), Path("/etc/cm/server.key"), True, ("/srv/a", "/srv/b/*"),
-        "camera/edge", "bench", "0.0.0.0:9469", Path("/run/a"), Path("/srv/state"), Path("/srv/firmware"), "info",
+        "camera/edge", "bench", "0.0.0.0:9469", Path("/run/a"), Path("/srv/state"), Path("/srv/firmware"), True, "info",
         StreamSettings(1.5), DmaSettings(7), {"prr0": ScrubSettings(policy="tell")}, ImportSettings(4),
         PolicySettings("warn", Path("/srv/signers"), "refuse"), LimitSettings(leases=5),
         AccessSettings(

@@ -70,6 +70,7 @@ class Manager:
         self._log = folder / "log"
         self._command = [sys.executable, "-m", "cm.cli.main", "serve", "--config", str(config or system(folder))]
         self._command += ["--runtime-dir", str(self.runtime), "--state-dir", str(folder / "state")]
+        self._command += ["--assume-loaded"]  # QEMU's boards have no PL of which a kernel could tell that it is loaded
         self.process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> Manager:

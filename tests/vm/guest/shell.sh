@@ -8,7 +8,7 @@ if [ -d "$overlays/static" ]; then cp "$here/system/camera.yaml" "$system"; else
 printf '#!/bin/sh\nexec python3 -m cm.cli.main "$@"\n' >/usr/bin/cm
 chmod +x /usr/bin/cm
 # The ports reach only the user's own machine: QEMU forwards them from its loopback.
-cm serve --config "$system" --load camera --listen tcp://0.0.0.0:5560 --insecure >/run/cm.log 2>&1 &
+cm serve --config "$system" --load camera --assume-loaded --listen tcp://0.0.0.0:5560 --insecure >/run/cm.log 2>&1 &
 [ "$CM_VM_ACTION" = serve ] && return
 cat <<TEXT
 
