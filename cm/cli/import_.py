@@ -27,11 +27,15 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
         "what could not be carried over; or unpack an archive of `cm build collect`."
     )
     formats = parser.add_subparsers(dest="format", metavar="FORMAT", required=True)
-    dfx = formats.add_parser("dfx-mgr", help="make schemas of a base folder of dfx-mgr, the one with shell.json")
+    dfx = formats.add_parser(
+        "dfx-mgr",
+        help="make schemas of a base folder of dfx-mgr, the one with shell.json, or of an image with its .dtbo",
+    )
     dfx.add_argument("source", type=Path, metavar="DIR")
     dfx.set_defaults(importer=import_dfx_mgr)
     pynq = formats.add_parser("pynq", help="make a schema of a PYNQ overlay: a .bit with its .hwh beside it")
     pynq.add_argument("source", type=Path, metavar="FILE.bit")
+    pynq.add_argument("--hwh", type=Path, metavar="FILE", help="its .hwh (default: beside it, of the same name)")
     pynq.set_defaults(importer=import_pynq)
     packed = formats.add_parser("archive", help="unpack an archive of `cm build collect` on the board")
     packed.add_argument("source", type=Path, metavar="FILE.tar.gz")
@@ -53,16 +57,20 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
         each.add_argument(
             "--out", type=Path, metavar="DIR", help="write the schemas into this folder (default: print them)"
         )
+        each.add_argument(
+            "--force", action="store_true", help="replace schemas that were edited, or are of another package"
+        )
         add_json_option(each, run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Import; 0 unless the package is refused."""
-    imported: Imported = args.importer(args.source)
+    more = {"hwh": args.hwh} if args.format == "pynq" else {}
+    imported: Imported = args.importer(args.source, **more)
     files = []
     if args.out:
         with naming(args.out):
-            files = write(imported, args.out)
+            files = write(imported, args.out, args.force)
     if args.json:
         print_json(_report(imported, files))
         return 0

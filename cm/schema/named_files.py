@@ -74,6 +74,12 @@ def overlay_path(config: Config, overlay: Overlay | str, root: Path | str = "/")
     return find_file(config, [overlay.file or f"{overlay.name}.dtbo"], root)
 
 
+def firmware_spellings(name: str) -> list[str]:
+    """Packages of dfx-mgr may name x.bit.bin where the folder holds x.bin, and the other way round."""
+    stem = os.path.basename(name).removesuffix(".bin").removesuffix(".bit")  # noqa: PTH119
+    return [f"{stem}{suffix}" for suffix in (".bit.bin", ".bin", ".bit")]
+
+
 def named_files(config: Config) -> list[str]:
     """Every name that a file of `config` may have, below the folders that are searched for it."""
     found = _candidates(config.name, config.bitstream) if config.type is ConfigType.FULL else []

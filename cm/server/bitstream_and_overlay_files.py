@@ -43,7 +43,7 @@ from cm.frozen import dataclass
 from cm.manager.errors import BadOverlay
 from cm.manager.inputs import Image
 from cm.schema.model import Config, FrameRange, LoaderKind, Module, Overlay, Region
-from cm.schema.named_files import FileMissing, bitstream_path, find_file, overlay_path
+from cm.schema.named_files import FileMissing, bitstream_path, find_file, firmware_spellings, overlay_path
 from cm.server.durable_files import write
 from cm.server.private_folders import own_folder
 from cm.wire.messages.status import RegionColumn
@@ -493,7 +493,7 @@ class OverlayFiles:
         own = list(dict.fromkeys((path.parent, path.resolve().parent)))  # of an import, the overlay is a link
         places = [folder / name for folder in own]
         places += [self._firmware.folder / "cm" / config.name / name, by_kernel]
-        places += [folder / other for folder in own for other in _spellings(name)]
+        places += [folder / other for folder in own for other in firmware_spellings(name)]
         found = next((place for place in places if place.is_file()), None)
         if found is None:
             raise BadOverlay(f"there is no such file; looked for {', '.join(map(str, dict.fromkeys(places)))}")
@@ -504,12 +504,6 @@ class OverlayFiles:
         kind = "partial" if report.partial else "whole"
         why = f", which must not be loaded: {report.problems[0].message}" if report.problems else ""
         return f"another bitstream, {place} ({kind}, {report.design or report.device or 'of no known device'}){why}"
-
-
-def _spellings(name: str) -> Iterator[str]:
-    """Packages of dfx-mgr may name x.bit.bin where the folder holds x.bin, and the other way round."""
-    stem = PurePosixPath(name).name.removesuffix(".bin").removesuffix(".bit")
-    yield from (f"{stem}{suffix}" for suffix in (".bit.bin", ".bin", ".bit"))
 
 
 def _expected(images: Sequence[Image]) -> str:

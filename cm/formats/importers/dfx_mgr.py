@@ -15,8 +15,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from cm.formats import fdt
 from cm.formats.bitstream import BitstreamError, Report, footprint_of, inspect, outside
+from cm.formats.importers.overlays import FoundOverlay, firmware_links, overlay_info
 from cm.formats.importers.result import Imported, ImportRefused, Names, frozen, static_of, to_name
 from cm.frozen import dataclass
 from cm.schema.model import (
@@ -39,37 +39,53 @@ _KNOWN = ("XRT_FLAT", "PL_FLAT", "PL_DFX")
 
 
 def import_dfx_mgr(folder: Path) -> Imported:
-    """Make runtime schemas of ``/lib/firmware/xilinx/<base>``. Raises `ImportRefused`."""
+    """Make runtime schemas of ``/lib/firmware/xilinx/<base>``, or of a bare folder of an image and its overlay.
+
+    Raises `ImportRefused`.
+    """
     folder = folder.resolve()
-    shell = Fields.read(_shell_file(folder))
+    bare = _is_bare(folder)
+    shell = Fields(folder, {}) if bare else Fields.read(_shell_file(folder))
     kind = shell.text("shell_type") or "PL_FLAT"
     if kind not in _KNOWN:
         raise ImportRefused(f"{shell.source}: shell_type {kind}; known are {', '.join(_KNOWN)}")
     notes: list[str] = []
-    static = _static(folder, shell, notes)
+    links: dict[str, Path] = {}
+    static = None if bare and _is_partial(folder) else _static(folder, shell, links, notes)
     device = static.device if static else None
-    slots = import_slots(folder, shell, device, notes) if kind == "PL_DFX" else ()
+    slots = import_slots(folder, shell, device, notes) if kind == "PL_DFX" or (bare and static is None) else ()
     if kind.startswith("XRT"):
         notes.append("an XRT shell: its .xclbin is for XRT and is not carried over")
     configs = (*((static,) if static else ()), *slots)
     if not configs:
         raise ImportRefused(f"{folder}: neither an image of its own nor accelerators with images")
-    return Imported(
-        configs=configs,
-        notes=tuple(notes),
-        links=frozen({name: path for config in slots for name, path in _links(config).items()}),
-    )
+    for config in slots:
+        _add_links(config, links)
+    return Imported(configs=configs, notes=tuple(notes), source=folder.name, links=frozen(links))
 
 
-def _links(config: Config) -> dict[str, Path]:
-    """The overlay that loads a module must have the module's name, and lie beside the schema."""
-    found = {}
+def _is_bare(folder: Path) -> bool:
+    """Whether it is a package as libdfx and fpgautil take it: an image and its overlay, and no word about them."""
+    described = any((folder / name).exists() for name in ("shell.json", "accel.json"))
+    return not described and any(folder.glob("*.dtbo")) and any(folder.glob("*.bi[nt]"))
+
+
+def _is_partial(folder: Path) -> bool:
+    image = find_image(folder, find_overlay(folder, []), [])
+    return image is not None and image.report.partial
+
+
+def _add_links(config: Config, links: dict[str, Path]) -> None:
+    """The overlay that loads a module must have the module's name and lie beside the schema, and find its image."""
     for module in config.modules.values():
         if config.regions[module.region].loader.value == "overlay" and module.bitstream is not None:
             overlay = find_overlay(module.bitstream.parent, [])
             if overlay is not None:
-                found[f"{module.name}.dtbo"] = overlay.path
-    return found
+                links[f"{module.name}.dtbo"] = overlay.path
+                for name, image in firmware_links(overlay, module.bitstream).items():
+                    if links.setdefault(name, image) != image:
+                        both = f"{links[name]} and {image}"
+                        raise ImportRefused(f"{overlay.path}: names {name}, which would stand for both {both}")
 
 
 def _shell_file(folder: Path) -> Path:
@@ -83,7 +99,7 @@ def _shell_file(folder: Path) -> Path:
     raise ImportRefused(f"{folder}: no shell.json{hint}")
 
 
-def _static(folder: Path, shell: Fields, notes: list[str]) -> Config | None:
+def _static(folder: Path, shell: Fields, links: dict[str, Path], notes: list[str]) -> Config | None:
     overlay = find_overlay(folder, notes)
     image = find_image(folder, overlay, notes)
     if image is None:
@@ -97,13 +113,18 @@ def _static(folder: Path, shell: Fields, notes: list[str]) -> Config | None:
     if shell.text("load_base_design") == "no":
         notes.append("load_base_design is no: dfx-mgr expects the boot loader to load the base")
     name = to_name(folder.name)
+    overlays: tuple[Overlay, ...] = ()
+    if overlay is not None:
+        found, stem = firmware_links(overlay, image.path), to_name(overlay.path.stem)
+        overlays = (Overlay(stem, None if found else overlay.path),)
+        links |= {**found, f"{stem}.dtbo": overlay.path} if found else {}
     return Config(
         name=name,
         type=ConfigType.FULL,
         device=image.report.device,
         bitstream=image.path,
         sha256=image.report.sha256,
-        overlays=(Overlay(to_name(overlay.path.stem), overlay.path),) if overlay else (),
+        overlays=overlays,
         modes=frozen({"default": Mode("default")}),
         doc=f"From the dfx-mgr base {folder.name} ({shell.text('shell_type')}, uid {shell.text('uid') or 'none'})",
         static=static_of(shell.text("uid"), image.report),
@@ -163,6 +184,8 @@ def _folders(folder: Path) -> Iterator[tuple[Path, int]]:
             yield path, int(match.group(2))
         if not slots and (accel / "accel.json").is_file():
             yield accel, 0
+    if _is_bare(folder):
+        yield folder, 0
 
 
 def _accelerators(folder: Path, shell: Fields, device: str | None, notes: list[str]) -> Iterator[Accelerator]:
@@ -394,38 +417,7 @@ def accel_streams(prefix: str, region: str, fields: Fields, notes: list[str]) ->
     return found
 
 
-@dataclass(frozen=True, slots=True)
-class OverlayInfo:
-    """What a device-tree overlay does: what it loads, which devices it adds."""
-
-    firmware: tuple[str, ...]  # names of images that applying it loads
-    external: bool  # the fpga is configured by someone else: nothing is loaded
-    devices: tuple[str, ...]  # nodes with `compatible`
-
-
-def overlay_info(data: bytes, name: str = ".dtbo") -> OverlayInfo:
-    """Return what an overlay does. Raises `ImportRefused` for what is not a device tree."""
-    try:
-        tree = fdt.unpack(data)
-    except fdt.FdtError as error:
-        raise ImportRefused(f"{name}: no whole flattened device tree: {error}") from error
-    nodes = [node for _, node in tree.walk()]
-    return OverlayInfo(
-        firmware=tuple(node.text("firmware-name") or "" for node in nodes if "firmware-name" in node.properties),
-        external=any("external-fpga-config" in node.properties for node in nodes),
-        devices=tuple(node.name for node in nodes if "compatible" in node.properties),
-    )
-
-
 _SUFFIXES = (".bin", ".bit")
-
-
-@dataclass(frozen=True, slots=True)
-class FoundOverlay:
-    """A `.dtbo` and what it does."""
-
-    path: Path
-    info: OverlayInfo
 
 
 @dataclass(frozen=True, slots=True)

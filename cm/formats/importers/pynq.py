@@ -11,11 +11,11 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from cm.formats import fdt
 from cm.formats import hwh as handoff
 from cm.formats.bitstream import BitstreamError, Expectation, Report, footprint_of, inspect, outside, verify
 from cm.formats.bitstream.idcodes import base_name
 from cm.formats.hwh import DecouplerInfo, Hwh, HwhError
+from cm.formats.importers.overlays import FoundOverlay, firmware_links, overlay_info
 from cm.formats.importers.registers import decoupler_of, memories, within
 from cm.formats.importers.result import Imported, ImportRefused, Names, frozen, static_of, to_name
 from cm.formats.registers import RegisterBank
@@ -42,8 +42,8 @@ from cm.schema.model import (
 _DRIVEN = ("axi_dma", "axi_vdma", "axi_mcdma", "axi_intc", "axi_cdma")
 
 
-def import_pynq(bit: Path) -> Imported:
-    """Make runtime schemas of a PYNQ overlay.
+def import_pynq(bit: Path, hwh: Path | None = None) -> Imported:
+    """Make runtime schemas of a PYNQ overlay; `hwh` is its description, if that has another name.
 
     Raises `ImportRefused`, `HwhError`, or a `BitstreamError` for a bitstream that must not be loaded.
     """
@@ -53,15 +53,23 @@ def import_pynq(bit: Path) -> Imported:
             f"{bit}: a partial bitstream; give the .bit of its static design; partial bitstreams are found beside it"
         )
     verify(report, Expectation(partial=False))
-    hwh = _handoff(bit, report)
+    design = _handoff(bit, hwh, report)
     notes: list[str] = []
-    static = _static(bit.resolve(), report, hwh, notes)
-    partial = import_regions(bit.resolve(), report, hwh, static.name, notes)
-    return Imported(configs=(static, *partial), notes=tuple(notes))
+    links: dict[str, Path] = {}
+    static = _static(bit.resolve(), report, design, links, notes)
+    partial = import_regions(bit.resolve(), report, design, static.name, notes)
+    return Imported(configs=(static, *partial), notes=tuple(notes), source=bit.name, links=frozen(links))
 
 
-def _handoff(bit: Path, report: Report) -> Hwh:
-    path = bit.with_suffix(".hwh")
+def _described_by(bit: Path) -> Path:
+    """The .hwh of a bitstream: of its name, or, as Vivado names them, of ``X`` for ``X_wrapper.bit``."""
+    names = (bit.stem, bit.stem.removesuffix("_wrapper"))
+    paths = [bit.with_name(f"{name}.hwh") for name in names]
+    return next((path for path in paths if path.is_file()), paths[0])
+
+
+def _handoff(bit: Path, given: Path | None, report: Report) -> Hwh:
+    path = given or _described_by(bit)
     if not path.is_file():
         hint = "; a .tcl is not read, Vivado 2018.3 and later write a .hwh" if bit.with_suffix(".tcl").is_file() else ""
         raise ImportRefused(f"{path}: not there, and nothing else says where the design's registers are{hint}")
@@ -73,7 +81,7 @@ def _handoff(bit: Path, report: Report) -> Hwh:
     return hwh
 
 
-def _static(bit: Path, report: Report, hwh: Hwh, notes: list[str]) -> Config:
+def _static(bit: Path, report: Report, hwh: Hwh, links: dict[str, Path], notes: list[str]) -> Config:
     name, streams = to_name(bit.stem), _streams(hwh, notes)
     return Config(
         name=name,
@@ -83,7 +91,7 @@ def _static(bit: Path, report: Report, hwh: Hwh, notes: list[str]) -> Config:
         sha256=report.sha256,
         static=static_of(None, report),
         registers=frozen(_registers(hwh, notes)),
-        overlays=_overlays(bit, notes),
+        overlays=_overlays(bit, links, notes),
         streams=frozen(streams),
         interrupts=frozen(_interrupts(hwh, notes)),
         clocks=frozen({clock.name: Clock(clock.name, clock.rate) for clock in handoff.clocks(hwh)}),
@@ -110,15 +118,18 @@ def _registers(hwh: Hwh, notes: list[str]) -> dict[str, Register]:
     return bank.registers
 
 
-def _overlays(bit: Path, notes: list[str]) -> tuple[Overlay, ...]:
+def _overlays(bit: Path, links: dict[str, Path], notes: list[str]) -> tuple[Overlay, ...]:
     path = bit.with_suffix(".dtbo")
     if path.is_file():
         try:
-            fdt.unpack(path.read_bytes())
-        except fdt.FdtError as error:
-            notes.append(f"{path.name}: left out: no whole flattened device tree: {error}")
+            found = FoundOverlay(path, overlay_info(path.read_bytes(), path.name))
+            more = firmware_links(found, bit)
+        except ImportRefused as error:
+            notes.append(str(error).replace(": ", ": left out: ", 1))
             return ()
-        return (Overlay(to_name(bit.stem), path),)
+        name = to_name(bit.stem)
+        links |= {**more, f"{name}.dtbo": path} if more else {}
+        return (Overlay(name, None if more else path),)
     notes.append(
         f"{path.name}: not there; without an overlay no driver is bound, so registers need UIO nodes otherwise"
     )
@@ -228,7 +239,7 @@ def _find(bit: Path, static: Report, notes: list[str]) -> Iterator[Partial]:
         if report.problems:
             notes.append(f"{path.name}: left out: {report.problems[0].message}")
             continue
-        yield Partial(path.resolve(), report, _handoff_of_partial(path.with_suffix(".hwh"), notes))
+        yield Partial(path.resolve(), report, _handoff_of_partial(_described_by(path), notes))
 
 
 def _handoff_of_partial(path: Path, notes: list[str]) -> Hwh | None:

@@ -6,6 +6,7 @@ Names of other formats as names of the runtime schema.
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,6 +17,7 @@ from cm.errors import CmError
 from cm.formats.bitstream import Report
 from cm.formats.registers import LONGEST, UniqueNames, unaccented
 from cm.frozen import dataclass, field, replace
+from cm.hashes import sha256
 from cm.schema import dump, loads
 from cm.schema.model import Config, Mode, Overlay, StaticIdentity
 
@@ -35,6 +37,7 @@ class Names(UniqueNames):
 
 
 _T = TypeVar("_T")
+_SHOWN = 40  # lines of a difference
 
 
 class ImportRefused(CmError, ValueError):
@@ -52,6 +55,7 @@ class Imported:
 
     configs: tuple[Config, ...]
     notes: tuple[str, ...]
+    source: str  # the package's name, as a line in the schemas says it
     links: Mapping[str, Path] = field(default_factory=lambda: MappingProxyType({}))
 
 
@@ -68,21 +72,53 @@ def made(folder: Path) -> None:
         raise ImportRefused(f"{folder} is a file, not a folder: one that does not exist yet is made") from None
 
 
-def write(imported: Imported, folder: Path) -> list[Path]:
+def write(imported: Imported, folder: Path, force: bool = False) -> list[Path]:
     """Write ``<config>.yaml`` files and links into `folder`; return the files.
 
     Paths below the folder become relative, so that a package can be moved with its schemas. Each schema is read back
-    before it is written, so that none is written that would be refused.
+    before it is written, so that none is written that would be refused. A file that was edited since, or that is of
+    another package, is replaced only with `force`. Raises ImportRefused, which shows the difference.
     """
     made(folder)
-    texts = {folder / f"{config.name}.yaml": dump(_relative(config, folder.resolve())) for config in imported.configs}
+    texts: dict[Path, str] = {}
+    for config in imported.configs:
+        path = folder / f"{config.name}.yaml"
+        if path in texts:
+            raise ImportRefused(f"{path}: two configurations of the package would be this file; rename one of them")
+        texts[path] = _signed(imported.source, dump(_relative(config, folder.resolve())))
     for path, text in texts.items():
         loads(text, path)
+        if path.exists() and not force:
+            _check_replaced(path, path.read_text(encoding="utf-8"), text)
     for path, text in texts.items():
         path.write_text(text, encoding="utf-8")
     for name, target in imported.links.items():
         _link(folder / name, target)
     return list(texts)
+
+
+_HEAD = re.compile(r"# Made by cm import from (.+); below, unedited: ([0-9a-f]{16})\n")
+
+
+def _signed(source: str, text: str) -> str:
+    """The text of a schema below a line that says from what it was made, and whether it was edited since."""
+    return f"# Made by cm import from {source}; below, unedited: {sha256(text.encode())[:16]}\n{text}"
+
+
+def _check_replaced(path: Path, old: str, new: str) -> None:
+    """Raise ImportRefused if a schema must not be replaced by another one."""
+    before, after = _HEAD.match(old), _HEAD.match(new)
+    assert after is not None
+    if old == new:
+        return
+    if before is not None and before[1] == after[1] and sha256(old[before.end() :].encode())[:16] == before[2]:
+        return
+    why = "it was written or edited by hand"
+    if before is not None and before[1] != after[1]:
+        why = f"it is of {before[1]}, and {after[1]} would have the same name"
+    lines = list(difflib.unified_diff(old.splitlines(), new.splitlines(), "there", "imported", lineterm="", n=1))
+    shown = "\n".join(lines[:_SHOWN]) + (f"\n… and {len(lines) - _SHOWN} lines more" if len(lines) > _SHOWN else "")
+    raise ImportRefused(f"{path}: {why}; --force replaces it, and --out writes elsewhere. The difference:\n{shown}")
 
 
 def _link(path: Path, target: Path) -> None:

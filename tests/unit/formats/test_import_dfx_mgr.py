@@ -14,7 +14,7 @@ from import_support import bitstream, slot_overlay
 from cm.cli.main import main
 from cm.formats.bitstream import to_dma_words
 from cm.formats.importers import ImportRefused, import_dfx_mgr, write
-from cm.formats.importers.dfx_mgr import overlay_info
+from cm.formats.importers.overlays import overlay_info
 from cm.schema import dump, load, loads
 from cm.schema.model import ConfigType, Decoupler, Direction, FrameRange, LoaderKind
 from cm.schema.named_files import bitstream_path, overlay_path
