@@ -13,7 +13,7 @@ from cm.device.attributes import Attributes
 from cm.device.base import AnyRoot
 from cm.device.errors import DeviceError, DeviceInvalid, DeviceNotFound, DeviceUnsupported
 from cm.device.paths import Root
-from cm.device.probing import await_drivers, device_names
+from cm.device.probing import await_drivers, device_names, hand_over_windows
 
 _T = TypeVar("_T")
 FOLDER = "sys/kernel/config/device-tree/overlays"
@@ -69,6 +69,7 @@ class Overlays:
             self._attributes.write(f"{name}/dtbo", dtbo)
             self._confirm(name)
             await_drivers(root, before, name)
+            hand_over_windows(root, before)
         except BaseException as error:
             self._undo(name, error)
             raise

@@ -12,8 +12,10 @@ import os
 import re
 import time
 from collections.abc import Collection, Iterator
+from contextlib import suppress
 from pathlib import Path
 
+from cm.device.attributes import Attributes
 from cm.device.checks.devices import DRIVERS
 from cm.device.checks.machine import Machine, PlatformDevice
 from cm.device.errors import DeviceError
@@ -25,6 +27,7 @@ _PAUSE = 0.02
 # Modules whose driver on the bus is called otherwise.
 _NAMES = {"xilinx_dma": "xilinx-vdma", "xilinx_pr_decoupler": "xlnx_pr_decoupler"}
 _LEFT_ALONE = "of_fpga_region"  # regions of no importance to us wait for a manager that may not be there
+_UIO, _LENDER = "uio_pdrv_genirq", "cm_window"
 _LOG_BYTES = 1 << 13  # no record of the kernel's log is longer
 
 
@@ -49,6 +52,30 @@ def await_drivers(root: Root, before: Collection[str], overlay: str) -> None:
             path = str(root.join(_BUS, "devices", unbound[0].name))
             raise DeviceError(errno.EBUSY, f"overlay {overlay} was applied, but {said}", path)
         time.sleep(_PAUSE)
+
+
+def hand_over_windows(root: Root, before: Collection[str]) -> None:
+    """Give cm_window the register windows that came since `before` and that uio_pdrv_genirq took.
+
+    That one is asked first where it is built into the kernel with an of_id of ours, as PYNQ's is, and lends nothing.
+    Where that may not be written, or cm_window does not take one, the window stays as it is.
+    """
+    if not root.join(_BUS, "drivers", _LENDER).exists():
+        return
+    for device in Machine(root).devices_named(device_names(root).difference(before)):
+        if device.driver == _UIO and "fpga-cm,window" in device.compatible:
+            with suppress(DeviceError):
+                _rebind(root, device.name, _LENDER)
+
+
+def _rebind(root: Root, name: str, driver: str) -> None:
+    bus, override = Attributes(root, _BUS), f"devices/{name}/driver_override"
+    bus.write(override, f"{driver}\n".encode())
+    bus.write(f"drivers/{_UIO}/unbind", name.encode())
+    bus.write("drivers_probe", name.encode())
+    if any(not device.driver for device in Machine(root).devices_named([name])):
+        bus.write(override, b"\n")
+        bus.write("drivers_probe", name.encode())
 
 
 def _drivers(root: Root, device: PlatformDevice) -> list[str]:

@@ -515,6 +515,32 @@ def test_an_applied_overlay_whose_device_got_no_driver_fails_and_says_who_holds_
     assert "echo 40000000.fabric >/sys/bus/platform/drivers/uio_pdrv_genirq/unbind" in said
 
 
+class BuiltInUio(OverlayTree):
+    """A kernel whose own uio_pdrv_genirq takes the overlay's window; cm_window is loaded."""
+
+    def __call__(self, op: int, payload: bytes, fds: list[int], events: socket.socket) -> Reply:
+        bus = self.folder.parents[3] / "bus/platform"
+        if op == MKDIR:
+            node = bus / "devices/40010000.filter/of_node"
+            node.mkdir(parents=True)
+            (node / "compatible").write_text("fpga-cm,window\0fpga-cm,uio\0generic-uio\0")
+            for driver in ("uio_pdrv_genirq", "cm_window"):
+                (bus / "drivers" / driver).mkdir(parents=True)
+            for file in ("drivers/uio_pdrv_genirq/unbind", "drivers_probe", "devices/40010000.filter/driver_override"):
+                (bus / file).touch()
+            (bus / "devices/40010000.filter/driver").symlink_to("../../drivers/uio_pdrv_genirq")
+        return super().__call__(op, payload, fds, events)
+
+
+def test_a_window_that_the_built_in_uio_took_is_given_to_the_module_that_lends_it(tmp_path: Path) -> None:
+    bus = tmp_path / "sys/bus/platform"
+    with FakeNode(tmp_path, f"{OVERLAYS}/.node", BuiltInUio(tmp_path, "applied")):
+        device.Overlays(tmp_path).apply("camera", DTBO)
+    assert (bus / "devices/40010000.filter/driver_override").read_text() == "cm_window\n"
+    assert (bus / "drivers/uio_pdrv_genirq/unbind").read_text() == "40010000.filter"
+    assert (bus / "drivers_probe").read_text() == "40010000.filter"
+
+
 class Dtbocfg(OverlayTree):
     """The tree of the dtbocfg module: numbers for words, and nothing is applied before a 1 is written."""
 
