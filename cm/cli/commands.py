@@ -83,23 +83,18 @@ COMMANDS = (
     Command("help", "cm.cli.help", "describe a command", "shell"),
 )
 
-_EARLIER = {"check": ["config", "check"], "configs": ["config", "list"], "data": ["stream", "set"]}
-_LISTS = ("config", "fleet", "irq", "lease", "mem", "reg", "stream")  # have a `list`, which may be written ls
+_SHORT = {"check": ["config", "check"], "configs": ["config", "list"]}
 
 
 def understood(words: list[str]) -> list[str]:
-    """A command line with earlier spellings of commands as they are now; what follows a ``--`` is not ours."""
+    """A command line with short spellings of commands in full; what follows a ``--`` is not ours."""
     at = next((at for at, word in enumerate(words) if not word.startswith("-")), len(words))
     before, name, rest = words[:at], words[at : at + 1], words[at + 1 :]
     if name == ["help"]:
         return [*before, *name, *understood(rest)]
-    if name == ["configs"] and "--send" in rest:
-        return [*before, "config", "send", *(word for word in rest if word != "--send")]
-    if name == ["data"]:
-        rest = [{"--start": "--enable", "--stop": "--no-enable"}.get(word, word) for word in rest]
-    if name and name[0] in _LISTS and rest[:1] == ["ls"]:
+    if name == ["fleet"] and rest[:1] == ["ls"]:
         rest = ["list", *rest[1:]]
-    return [*before, *_EARLIER.get(name[0], name), *rest] if name else words
+    return [*before, *_SHORT.get(name[0], name), *rest] if name else words
 
 
 def find_command(name: str) -> Command | None:
@@ -108,11 +103,11 @@ def find_command(name: str) -> Command | None:
 
 
 def nearest(name: str) -> str | None:
-    """A command with a similar name, also by one that it had earlier."""
+    """A command with a similar name, or with a short spelling that is."""
     import difflib  # only those who err need it
 
     known = {command.name: command.name for command in COMMANDS}
-    known |= {earlier: " ".join(now) for earlier, now in _EARLIER.items() if now[0] in known}
+    known |= {short: " ".join(full) for short, full in _SHORT.items() if full[0] in known}
     found = difflib.get_close_matches(name, known, n=1)
     return known[found[0]] if found else None
 

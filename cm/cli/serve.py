@@ -25,7 +25,6 @@ from cm.cli.serve_settings import (
     security_of,
     settings_of,
     stamps,
-    without_effect,
 )
 from cm.errors import InvalidRequest
 from cm.server.settings.model import FILE as SETTINGS_FILE
@@ -218,7 +217,7 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
     root = Root.of(args.root) if board is None else _started(board, args.sim)
     listen, keys, insecure = secure_as(args, settings)
     access, notes = access_of(settings, keys)
-    for sentence in (*notes, *without_effect(settings)):
+    for sentence in notes:
         logging.getLogger("cm").warning("%s", sentence)
     example = args.sim and not args.config and not args.build
     said = settings or Defaults()

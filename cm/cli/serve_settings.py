@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any
 from cm.errors import CmError, InvalidRequest
 from cm.frozen import replace
 from cm.home import state_home
-from cm.server.rights.keys import FOLDER, OLD_FOLDER
+from cm.server.rights.keys import FOLDER
 from cm.server.settings.model import FILE as SETTINGS_FILE
-from cm.server.settings.model import FORMER_LIMITS, LimitSettings
 from cm.server.settings.model import Settings as Defaults
 from cm.wire.topics import split_tcp
 
@@ -180,7 +179,7 @@ def read_again(args: argparse.Namespace, paths: Sequence[Path], began: Settings 
     access, notes = access_of(settings, keys)
     said, notes = (
         settings or Defaults(),
-        (*notes, *left_out, *_needs_restart(began, settings), *without_effect(settings)),
+        (*notes, *left_out, *_needs_restart(began, settings)),
     )
     return Reloaded(configs, access, Limits.of(said.limits), notes, not left_out)
 
@@ -190,7 +189,7 @@ def stamps(args: argparse.Namespace, began: Settings | None) -> Stamps:
     keys = began.keys if began else args.keys
     folders = []
     if keys:
-        folders = [keys, (began and began.access.keys) or keys.parent / FOLDER, keys.parent / OLD_FOLDER]
+        folders = [keys, (began and began.access.keys) or keys.parent / FOLDER]
     settings = args.settings or (SETTINGS_FILE if began else None)
     found = {}
     for path in [*([settings] if settings else []), *folders, *(f for x in folders[1:] for f in x.glob("*.pub"))]:
@@ -217,10 +216,3 @@ def _needs_restart(began: Settings | None, now: Settings | None) -> tuple[str, .
     if began.limits.message_mib != now.limits.message_mib:  # which has to be set before sockets are bound
         names.append("limits.message_mib")
     return tuple(f"settings: {name} has changed; it counts after a restart" for name in names)
-
-
-def without_effect(settings: Settings | None) -> tuple[str, ...]:
-    """A note for each key that an earlier version knew, and that is read and not used any more."""
-    said = settings.limits if settings else LimitSettings()
-    names = [name for name in FORMER_LIMITS if getattr(said, name) != getattr(LimitSettings(), name)]
-    return tuple(f"settings: limits.{name} has no effect any more (docs/limits.md)" for name in names)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import stat
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from datetime import datetime, timezone
 from pathlib import Path
 
@@ -12,7 +12,6 @@ from cm.errors import CmError, InvalidRequest
 from cm.server.rights.model import AuthorizedKey, Security
 
 FOLDER = "authorized_keys.d"
-OLD_FOLDER = "clients"  # the name in older versions of `cm keygen`
 _FIELDS = ("public", "role", "expires")
 _DEFAULT = ("provision",)
 
@@ -90,13 +89,12 @@ Keys = tuple[AuthorizedKey, ...]
 def authorized_keys(server: Path, folder: Path | None) -> tuple[Keys, tuple[str, ...]]:
     """The clients that may connect, and a sentence for each file that was left out.
 
-    Keys lie in ``authorized_keys.d/`` beside the server's, or in `folder`; where there are none, also in ``clients/``
-    beside it, as older versions of `cm keygen` wrote them.
+    Keys lie in ``authorized_keys.d/`` beside the server's, or in `folder`.
     """
     place = folder or server.parent / FOLDER
     found: dict[str, AuthorizedKey] = {}
     left_out = []
-    for file in _files(place, server.parent / OLD_FOLDER):
+    for file in sorted(path for path in place.glob("*.pub") if not path.name.startswith(".")):
         try:
             key = authorized(file.stem, pairs_of(file.read_text(encoding="ascii")))
         except (InvalidRequest, OSError, UnicodeDecodeError) as error:
@@ -108,8 +106,3 @@ def authorized_keys(server: Path, folder: Path | None) -> tuple[Keys, tuple[str,
     if not found:
         left_out.append(f"{place} holds no client's key, so that no client can connect over TCP: 'cm keygen' makes one")
     return tuple(found.values()), tuple(left_out)
-
-
-def _files(*folders: Path) -> Iterator[Path]:
-    for folder in folders:
-        yield from sorted(path for path in folder.glob("*.pub") if not path.name.startswith("."))

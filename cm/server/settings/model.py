@@ -85,15 +85,10 @@ class AccessSettings:
     keys: Path | None = None
 
 
-FORMER_LIMITS = ("connections", "connections_each", "shares")  # read, so that old files stay valid, and not used
-
-
 @dataclass(frozen=True, slots=True)
 class LimitSettings:
     """What one client (`…_each`), and all together, may take of the manager; see docs/limits.md."""
 
-    connections: int = 1024
-    connections_each: int = 256
     message_mib: int = 8
     waiting_mib: int = 32
     replies_mib: int = 16
@@ -106,7 +101,6 @@ class LimitSettings:
     provisioned_each_mib: int = 512
     memory_mib: int = 256
     memory_each_mib: int = 192
-    shares: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,7 @@ TIME = "is not a time in seconds"
         ("stream capture camera x.npy --count 1.5", WHOLE),
         ("stream ping camera --count 0", "is not a whole number, 1 or more"),
         ("stream set camera --slots -1", WHOLE),
-        ("data camera --slots many", WHOLE),
+        ("stream set camera --slots many", WHOLE),
         ("stream set camera --rate 0", "'0' is not a number of frames per second above 0, or inf"),
         ("view camera --count -1", WHOLE),
         ("status --wait -1", TIME),

@@ -137,15 +137,11 @@ def test_without_a_manager_every_command_says_so_in_one_line(
 
 
 @pytest.mark.parametrize(
-    ("earlier", "now"),
+    ("short", "full"),
     [
         ("check a.yaml --json", "config check a.yaml --json"),
         ("configs --json", "config list --json"),
-        ("configs --json --send a.yaml b.bit", "config send --json a.yaml b.bit"),
-        ("data camera --rate 3 --start", "stream set camera --rate 3 --enable"),
-        ("data camera --stop", "stream set camera --no-enable"),
         ("fleet ls", "fleet list"),
-        ("reg ls --json", "reg list --json"),
         ("help configs", "help config list"),
         ("--version configs", "--version config list"),
         ("load ls", "load ls"),
@@ -154,11 +150,11 @@ def test_without_a_manager_every_command_says_so_in_one_line(
         ("--help", "--help"),
     ],
 )
-def test_earlier_spellings_are_understood(earlier: str, now: str) -> None:
-    assert understood(earlier.split()) == now.split()
+def test_short_spellings_are_understood(short: str, full: str) -> None:
+    assert understood(short.split()) == full.split()
 
 
-@given(st.lists(st.sampled_from(["ls", "list", "--json", "check", "help", "reg", "data", "--", "x"])))
+@given(st.lists(st.sampled_from(["ls", "list", "--json", "check", "help", "fleet", "--", "x"])))
 @settings(max_examples=200)
 def test_spellings_are_made_new_once(words: list[str]) -> None:
     assert understood(understood(words)) == understood(words)

@@ -92,16 +92,6 @@ def test_a_server_without_authorized_keys_reports_it_and_runs_all_the_same(keys:
     assert authorized_keys(keys / "server.key", keys / "others")[1] == (f"{keys}/others {said}",)
 
 
-def test_keys_of_an_older_version_count_with_the_usual_role(keys: Path) -> None:
-    (keys / "clients").mkdir()
-    (keys / "clients/old.pub").write_text("# client old\npublic: " + "k" * 40 + "\n")
-    found, _ = authorized_keys(keys / "server.key", None)
-    assert {key.name: key.roles for key in found} == {"laptop": ("observe", "tuner"), "old": ("provision",)}
-    (keys / "authorized_keys.d").rename(keys / "others")
-    for folder, names in ((None, {"old"}), (keys / "others", {"laptop", "old"})):
-        assert {key.name for key in authorized_keys(keys / "server.key", folder)[0]} == names
-
-
 def test_keygen_that_fails_leaves_nothing_in_the_way_of_the_next_try(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

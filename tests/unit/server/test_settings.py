@@ -118,11 +118,6 @@ def test_every_example_of_settings_in_the_docs_is_good(page: str) -> None:
         assert parse_settings(textwrap.dedent(example)) != Settings()
 
 
-def test_shares_are_numbers_by_name() -> None:
-    assert parse_settings("limits: {shares: {anna: 4, laptop: 0.5}}").limits.shares == {"anna": 4, "laptop": 0.5}
-    assert problems("limits: {shares: {anna: four}}") == [(1, 19, "limits.shares.anna", "bad_type")]
-
-
 def test_schema_and_data_name_the_same_keys_with_the_same_defaults() -> None:
     def compare(shape: dict[str, object], data: object) -> None:
         properties = shape["properties"]
