@@ -20,7 +20,7 @@ from cm.design.hdl.clock_reset_names import REGION_CLOCK
 from cm.design.hdl.extract import Sources
 from cm.design.hdl.hls_registers import HDL, hls_interface
 from cm.design.hdl.ipxact import component_files
-from cm.design.hdl.model import Mode, ModuleInfo
+from cm.design.hdl.model import Mode, ModuleInfo, Stated
 from cm.design.hdl.register_maps import read_register_map
 from cm.design.input_kinds import Given, read_inputs
 from cm.design.platforms import platform_of
@@ -30,7 +30,7 @@ from cm.design.runtime.answers import Answers
 from cm.design.runtime.schema import runtime_config
 from cm.errors import CmError
 from cm.formats.registers import identifier
-from cm.frozen import dataclass
+from cm.frozen import dataclass, replace
 
 DEFAULT_PART = "xc7z020clg400-1"
 # part → a board that has it, as named in its board file in Xilinx/XilinxBoardStore 20bbb12
@@ -80,7 +80,8 @@ def init_text(
     with `top`, only that module does. Raises BuildError if there is none.
     """
     platform = platform_of(part)
-    given = read_inputs(Sources(files, top, include_dirs, defines), cores=cores)[0]
+    wanted = Sources(files, top, include_dirs, defines)
+    given = [_with_streams(one, wanted) for one in read_inputs(wanted, cores=cores)[0]]
     read = [(one.flat, _keys(one, folder, cores, include_dirs) | _macros(one, defines)) for one in given]
     modules = [Proposal(identifier(info.name), info, keys) for info, keys in read if info.interfaces and info.usable]
     if not modules:
@@ -103,6 +104,14 @@ def init_text(
     return Renderer(folder, folder, "").render("build.yaml.j2", context)
 
 
+def _with_streams(given: Given, wanted: Sources) -> Given:
+    """The module with all that may be streams taken for such: its key ``streams`` names them, for a person to check."""
+    if not given.info.asked or not given.files:
+        return given
+    taken = replace(wanted, files=given.files, top=given.info.name, stated=Stated(streams=given.info.asked))
+    return replace(read_inputs(taken)[0][0], asked=given.info.asked)
+
+
 def _keys(given: Given, folder: Path, cores: Sequence[Path], include_dirs: Sequence[Path]) -> dict[str, Any]:
     """The keys that a build schema in `folder` needs for a module."""
 
@@ -113,6 +122,7 @@ def _keys(given: Given, folder: Path, cores: Sequence[Path], include_dirs: Seque
     if origin is None:
         sources = compile_order(given.files)
         keys: dict[str, Any] = {"sources": listed(sources), "include_dirs": listed(include_dirs)}
+        keys["streams"] = list(given.asked)
         maps = _register_maps(given, sources)
     elif origin.suffix.lower() == ".core":
         keys = {"top": given.info.name, "core": listed([origin]), "core_roots": listed(cores)}

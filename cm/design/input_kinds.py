@@ -24,11 +24,15 @@ CPP = (".cpp", ".cc", ".cxx", ".c")
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """A module, and the files of HDL that it needs, or the core, component or IP instance that it was read from."""
+    """A module, and the files of HDL that it needs, or the core, component or IP instance that it was read from.
+
+    `asked`: what was taken for streams, and only a person knows.
+    """
 
     info: ModuleInfo
     files: tuple[Path, ...] = ()
     origin: Path | None = None
+    asked: tuple[str, ...] = ()
 
     @property
     def flat(self) -> ModuleInfo:

@@ -7,7 +7,7 @@ A `Protocol` is data, and a user's own protocol is one too. Directions are the m
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import cache
 from types import MappingProxyType
 
@@ -27,6 +27,7 @@ class Signal:
     required: bool = False
     handshake: bool = False  # always one bit: more bits mean several buses side by side
     spellings: tuple[str, ...] = ()  # alternative spellings in port names
+    widths: tuple[int, ...] = ()  # those that the protocol allows; any if there is none
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,28 +38,31 @@ class Protocol:
     signals: Mapping[str, Signal]
     halves: tuple[frozenset[str], ...] = ()
     vlnv: str = ""
-    pattern: re.Pattern[str] = field(default=re.compile(r"(?!)"), repr=False)
     spelled: Mapping[str, str] = field(default_factory=dict, repr=False)  # spelling, lower case → logical name
     company: bool = False  # one signal alone is not enough to recognise the protocol
     worth: tuple[frozenset[str], ...] = ()  # ports with none of these sets are not reported as a near miss
+    prefix: re.Pattern[str] | None = field(default=None, repr=False)  # what must stand before the signal
+    channels: Mapping[str, str] = field(default_factory=dict, repr=False)  # signal → the channel whose name begins it
+    distinct: bool = False  # its signals are no common words: other words may stand behind them
 
 
 def make_protocol(
     name: str, signals: list[Signal], halves: tuple[frozenset[str], ...] = (), vlnv: str = "", company: bool = False
 ) -> Protocol:
-    """Make a protocol with the pattern that finds its signals in port names: prefix, signal, tail."""
+    """Make a protocol whose signals are found in port names by their own names, and by their spellings."""
     spelled = {spelling: s.name for s in signals for spelling in (s.name.lower(), *s.spellings)}
     by_name = MappingProxyType({s.name: s for s in signals})
-    return Protocol(name, by_name, halves, vlnv, _pattern(".*?", spelled), MappingProxyType(spelled), company)
-
-
-def _pattern(prefix: str, spellings: Iterable[str]) -> re.Pattern[str]:
-    names = "|".join(re.escape(spelling) for spelling in sorted(spellings, reverse=True))
-    return re.compile(rf"(?P<prefix>{prefix})(?P<signal>{names})(?P<tail>(?:_(?:i|o|in|out|\d+))*)", re.IGNORECASE)
+    return Protocol(name, by_name, halves, vlnv, MappingProxyType(spelled), company)
 
 
 def _signals(text: str, direction: PortDirection, *, handshake: bool = False) -> list[Signal]:
     return [Signal(name, direction, handshake=handshake) for name in text.split()]
+
+
+# IHI 0022, tables A2-2 to A2-6; AXI3's length has 4 bits, and its lock 2
+_FIXED = {"LEN": (8, 4), "SIZE": (3,), "BURST": (2,), "LOCK": (1, 2), "CACHE": (4,), "PROT": (3,), "QOS": (4,)}
+_FIXED |= {"REGION": (4,), "RESP": (2,)}
+_SPELLED = {"wstrb": ("wstb", "wstrobe")}
 
 
 def _address(channel: str) -> list[Signal]:
@@ -68,6 +72,20 @@ def _address(channel: str) -> list[Signal]:
         *_signals(f"{channel}VALID", _OUT, handshake=True),
         *_signals(f"{channel}READY", _IN, handshake=True),
     ]
+
+
+def _channel(name: str) -> str:
+    return name[:2] if name.startswith(("aw", "ar")) else name[:1]
+
+
+def _of_channel(signal: Signal) -> Signal:
+    """With the spellings of an AXI signal that keep its channel apart (`aw_addr`), and its widths."""
+    name = signal.name.lower()
+    channel = _channel(name)
+    own = (name, *_SPELLED.get(name, ()))
+    spellings = (f"{channel}_{whole.removeprefix(channel)}" for whole in own)
+    widths = _FIXED.get(signal.name.removeprefix(channel.upper()), ())
+    return replace(signal, spellings=(*own[1:], *spellings), widths=widths)
 
 
 @cache
@@ -86,8 +104,10 @@ def aximm() -> Protocol:
     ]
     write = frozenset(["AWADDR", "AWVALID", "AWREADY", "WDATA", "WVALID", "WREADY", "BVALID", "BREADY"])
     read = frozenset(["ARADDR", "ARVALID", "ARREADY", "RDATA", "RVALID", "RREADY"])
-    found = make_protocol("aximm", signals, (write, read), "xilinx.com:interface:aximm:1.0")
-    return replace(found, worth=tuple(frozenset({name}) for name in ("AWVALID", "AWREADY", "ARVALID", "ARREADY")))
+    found = make_protocol("aximm", [*map(_of_channel, signals)], (write, read), "xilinx.com:interface:aximm:1.0")
+    worth = tuple(frozenset({name}) for name in ("AWVALID", "AWREADY", "ARVALID", "ARREADY"))
+    channels = {s.name: _channel(s.name.lower()) for s in signals}
+    return replace(found, worth=worth, distinct=True, channels=MappingProxyType(channels))
 
 
 @cache
@@ -100,7 +120,7 @@ def axis() -> Protocol:
     ]
     valid = frozenset({"TVALID"})
     found = make_protocol("axis", signals, (valid,), "xilinx.com:interface:axis:1.0", company=True)
-    return replace(found, worth=(valid, frozenset({"TDATA", "TREADY"})))
+    return replace(found, worth=(valid, frozenset({"TDATA", "TREADY"})), distinct=True)
 
 
 @cache
@@ -111,25 +131,39 @@ def axis_short() -> Protocol:
     """
     standard = axis()
     spelled = {name[1:].lower(): name for name in standard.signals}
-    word = r"(?:.*_)?(?:axis|axi_?stream|axi4_?stream|axi4s)\d*_(?:.*_)?"
+    word = re.compile(r"(?:.*_)?(?:axis|axi_?stream|axi4_?stream|axi4s)\d*_(?:.*_)?", re.IGNORECASE)
     halves = (frozenset({"TDATA", "TVALID", "TREADY"}),)
     worth = (frozenset({"TDATA", "TVALID"}),)
-    return replace(
-        standard, halves=halves, worth=worth, pattern=_pattern(word, spelled), spelled=MappingProxyType(spelled)
-    )
+    spellings = MappingProxyType(spelled)
+    return replace(standard, halves=halves, worth=worth, prefix=word, spelled=spellings, distinct=False)
 
 
 @cache
-def acknowledged() -> Protocol:
-    """A stream whose receiver acknowledges: `In_Valid`, `In_Data`, `In_Ack`, perhaps `In_SOF` and `In_EOF`.
+def plain_stream() -> Protocol:
+    """A stream by common words: `pix_data`, `pix_valid`, `pix_ready`, or `In_Ack` and `In_SOF` as VLSI-EDA/PoC has it.
 
-    It is AXI4-Stream by other names if a beat is over when valid and ack are high (VLSI-EDA/PoC), and something else if
-    ack is an answer that comes later: only the designer knows.
+    It is AXI4-Stream by other names if a beat is over when valid and ready (or ack) are high, and something else if the
+    ready of a later clock is meant, or ack is an answer that comes later: only the designer knows.
     """
-    spelled = {"valid": "TVALID", "vld": "TVALID", "data": "TDATA", "ack": "TREADY", "sof": "TUSER", "eof": "TLAST"}
+    spelled = {"valid": "TVALID", "vld": "TVALID", "data": "TDATA", "ack": "TREADY", "ready": "TREADY", "rdy": "TREADY"}
+    spelled |= {"sof": "TUSER", "user": "TUSER", "eof": "TLAST", "last": "TLAST", "keep": "TKEEP"}
     halves = (frozenset({"TDATA", "TVALID", "TREADY"}),)
-    pattern = _pattern(".+?", spelled)
-    return replace(axis(), halves=halves, pattern=pattern, spelled=MappingProxyType(spelled))
+    spellings = MappingProxyType(spelled)
+    return replace(axis(), halves=halves, prefix=re.compile(".+"), spelled=spellings, distinct=False)
+
+
+@cache
+def hls_fifos() -> tuple[Protocol, Protocol]:
+    """The two sides of a FIFO as Vitis HLS names them (UG1399, ap_fifo); the bus definitions are Vivado's."""
+    reads = [("RD_DATA", _IN, "dout"), ("EMPTY_N", _IN, "empty_n"), ("RD_EN", _OUT, "read")]
+    writes = [("WR_DATA", _OUT, "din"), ("FULL_N", _IN, "full_n"), ("WR_EN", _OUT, "write")]
+    return _hls_fifo("acc_fifo_read", reads), _hls_fifo("acc_fifo_write", writes)
+
+
+def _hls_fifo(name: str, signals: list[tuple[str, PortDirection, str]]) -> Protocol:
+    made = [Signal(n, way, True, not n.endswith("DATA"), (spelling,)) for n, way, spelling in signals]
+    every = frozenset(signal.name for signal in made)
+    return replace(make_protocol(name, made, vlnv=f"xilinx.com:interface:{name}:1.0"), worth=(every,))
 
 
 _FULL_ONLY = frozenset(["AWLEN", "ARLEN", "AWSIZE", "ARSIZE", "AWBURST", "ARBURST", "WLAST", "RLAST", "WID"])

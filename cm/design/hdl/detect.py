@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 from cm.design.hdl import vivado_attributes
 from cm.design.hdl.associate import associate, named_after
-from cm.design.hdl.axi_signals import Protocol, acknowledged, aximm, axis, axis_short
+from cm.design.hdl.axi_signals import Protocol, aximm, axis, axis_short, hls_fifos, plain_stream
 from cm.design.hdl.clock_reset_names import (
     drives_clock,
     interrupt_mode,
@@ -54,13 +54,14 @@ class _Detection:
 
     def __init__(self, module: ModuleInfo, user: Sequence[UserProtocol]) -> None:
         self._module = module
-        self._builtin = (aximm(), axis(), axis_short())
+        self._builtin = (aximm(), axis(), axis_short(), *hls_fifos())
         self._user = user
         self._free = {port.name: port for port in module.ports if port.flat}
         self._reasons = {port.name: "is not a vector of bits" for port in module.ports if not port.flat}
         self._interfaces: list[Interface] = []
         self._problems: list[Problem] = []
         self._rejected: list[tuple[Candidate, str]] = []
+        self._asked: tuple[str, ...] = ()
 
     def result(self, streams: Sequence[str] | None) -> ModuleInfo:
         """Everything that is found; what has valid, data and acknowledge is a stream if its name is in `streams`."""
@@ -73,7 +74,7 @@ class _Detection:
             self._by_name(protocol, FoundBy.NAME)
         for user in self._user:
             self._by_name(user.protocol, FoundBy.PROTOCOL_FILE)
-        self._by_statement(acknowledged(), streams)
+        self._by_statement(plain_stream(), streams)
         clocks = [*tagged.clocks, *self._clocks()]
         resets = (*tagged.resets, *self._resets(clocks))
         interrupts = (*tagged.interrupts, *self._interrupts())
@@ -90,6 +91,7 @@ class _Detection:
             resets=done.resets,
             interrupts=interrupts,
             leftovers=tuple(self._leftovers()),
+            asked=self._asked,
             problems=(*module.problems, *self._problems, *self._rejections(), *done.problems),
         )
 
@@ -195,6 +197,7 @@ class _Detection:
         for name in wanted:
             text = f"streams: names {name}, of which {self._module.name} has no valid, data and ack that fit"
             self._problems.append(Problem(text, self._module.file, self._module.line, fatal=True))
+        self._asked = tuple(asked) if streams is None else ()
         for found in asked.values() if streams is None else ():
             self._reject(
                 found,

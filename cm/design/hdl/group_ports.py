@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Groups ports by name into candidates for one bus: `s_axi_awaddr`, `M_AXIS_0_tdata`, `i_axi_awvalid`, `tdata_i`.
 
+Whatever separates the words: `sAxiAwaddr`, `cfg_aw_addr`, and bundles as Chisel, SpinalHDL and Amaranth write them,
+`io_aw_bits_addr`, `io_aw_payload_addr`, `i__payload`.
+
 A port name is prefix, signal, tail. Ports of one bus share prefix and tail, except for an affix that only
 shows the port's direction (`i_`, `_o`); it is ignored if it does so for every port of the group.
 """
@@ -12,11 +15,15 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from cm.design.hdl.axi_signals import Protocol
 from cm.design.hdl.model import Port, PortDirection
-from cm.frozen import dataclass
+from cm.frozen import dataclass, replace
 
 _LEADING = re.compile(r"^(i|in|o|out)_", re.IGNORECASE)
 _INFIX = re.compile(r"(?<=.)_(i|in|o|out)_$", re.IGNORECASE)  # s_axis_i_tdata beside s_axis_o_tready
 _TRAILING = re.compile(r"_(i|in|o|out)$", re.IGNORECASE)
+_TAIL = re.compile(r"i|o|in|out|\d+", re.IGNORECASE)
+_CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
+_BUNDLE = re.compile(r"_+(?:bits|payload)(?:(_)|$)")
+_LONGEST = 3  # words of a signal
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +61,7 @@ class Candidate:
 
 def candidates(ports: Iterable[Port], protocol: Protocol) -> Iterator[Candidate]:
     """Candidates for buses of this protocol, in the order of their first ports."""
-    named = [found for port in ports if (found := _split(port, protocol)) is not None]
+    named = _joined([found for port in ports if (found := _split(port, protocol)) is not None], protocol)
     groups: dict[tuple[str, str], list[_Named]] = {}
     agreeing: dict[tuple[str, str], bool] = {}
     for item in named:
@@ -66,6 +73,26 @@ def candidates(ports: Iterable[Port], protocol: Protocol) -> Iterator[Candidate]
             yield _candidate(group, prefix + tail, protocol)
         else:
             yield from _split_group(group, protocol)
+
+
+def _joined(named: list[_Named], protocol: Protocol) -> list[_Named]:
+    """Without a channel's name in front of each of its signals: `io_aw_awvalid`, but not in a bus called `io_aw`."""
+    found: dict[str, set[str]] = {}
+    for item in named:
+        found.setdefault(item.prefix.lower(), set()).add(protocol.channels.get(item.signal, ""))
+    twice = {prefix for prefix, channels in found.items() if len(channels) == 1 and _ends(prefix, *channels)}
+    if len(twice) < 2:
+        return named
+    return [
+        replace(item, prefix=item.prefix[: -len(protocol.channels[item.signal]) - 1])
+        if item.prefix.lower() in twice
+        else item
+        for item in named
+    ]
+
+
+def _ends(prefix: str, channel: str) -> bool:
+    return bool(channel) and f"_{prefix}".endswith(f"_{channel}_")
 
 
 def _split_group(group: list[_Named], protocol: Protocol) -> Iterator[Candidate]:
@@ -88,21 +115,27 @@ def _candidate(group: list[_Named], bare: str, protocol: Protocol) -> Candidate:
     spelled = group[0].prefix + group[0].tail
     one = len({(item.prefix, item.tail) for item in group}) == 1 and _INFIX.search(group[0].prefix)
     name = spelled if one or spelled.lower() == bare.lower() else bare
-    return Candidate(name.strip("_"), protocol, {item.signal: item.port for item in group})
+    return Candidate(name.strip("_").replace("__", "_"), protocol, {item.signal: item.port for item in group})
 
 
 def _split(port: Port, protocol: Protocol) -> _Named | None:
-    match = protocol.pattern.fullmatch(port.name.strip("\\ "))
-    if match is None or not _boundary(match["prefix"], match["signal"]):
-        return None
-    prefix = match["prefix"]
-    return _Named(
-        port, protocol.spelled[match["signal"].lower()], prefix.rstrip("_") + "_" if prefix else "", match["tail"]
-    )
+    name = port.name.strip("\\ ")
+    return _of(port, name, protocol) or (_of(port, _CAMEL.sub("_", name), protocol) if _CAMEL.search(name) else None)
 
 
-def _boundary(prefix: str, signal: str) -> bool:
-    """Whether the signal begins a word: after `_`, at the start, or with a capital after a small letter or digit."""
-    if not prefix or prefix.endswith("_"):
-        return True
-    return signal[0].isupper() and (prefix[-1].islower() or prefix[-1].isdigit())
+def _of(port: Port, name: str, protocol: Protocol) -> _Named | None:
+    """Find the signal among the words of a name: the last ones, but for those of direction and numbers."""
+    if any(mark in name for mark in ("__", "bits", "payload")):
+        name = _BUNDLE.sub(lambda found: "_" if found[1] else "_data", name).replace("__", "_")
+    words = name.split("_")
+    end = len(words)
+    while end > 1 and _TAIL.fullmatch(words[end - 1]):
+        end -= 1
+    ends = range(end, 0, -1) if protocol.distinct else (end,)
+    for stop in ends:
+        for start in range(max(0, stop - _LONGEST), stop):
+            signal = protocol.spelled.get("_".join(words[start:stop]).lower())
+            prefix = "_".join([*words[:start], ""]) if any(words[:start]) else ""
+            if signal is not None and (protocol.prefix is None or protocol.prefix.fullmatch(prefix)):
+                return _Named(port, signal, prefix, "".join(f"_{word}" for word in words[stop:]))
+    return None

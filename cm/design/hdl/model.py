@@ -254,6 +254,7 @@ class ModuleInfo:
     leftovers: tuple[Leftover, ...] = ()
     problems: tuple[Problem, ...] = ()
     instantiates: tuple[str, ...] = ()  # names of the modules instantiated directly, in order, each once
+    asked: tuple[str, ...] = ()  # what may be streams, and only a person knows (`Stated.streams`)
     uses: Mapping[str, PortUse] = field(default_factory=_empty)  # by port, in lower case if VHDL
 
     def port(self, name: str) -> Port:

@@ -10,6 +10,7 @@ from cm.design.hdl.axi_signals import Protocol, axi_flavour
 from cm.design.hdl.model import FoundBy, Interface, Mode, Port
 from cm.frozen import dataclass
 
+_ACE_RESPONSE = 4  # bits of RRESP (IHI 0022, D3.5)
 _TITLES = {"aximm": "AXI", "axis": "AXI4-Stream"}
 
 
@@ -34,6 +35,8 @@ def judge(name: str, protocol: Protocol, ports: Mapping[str, Port], *, trusted: 
     missing = _missing(protocol, ports)
     if missing and not trusted:
         return Verdict(None, f"{what}, but {missing}")
+    if not trusted and (odd := _odd(protocol, ports)):
+        return Verdict(None, f"{what}, but {odd}")
     return Verdict(Mode.MASTER if masters else Mode.SLAVE)
 
 
@@ -44,6 +47,24 @@ def _wide(protocol: Protocol, ports: Mapping[str, Port]) -> str:
         if port.width is None:
             return f"the width of {port.name} could not be evaluated"
         return f"{port.name} has {port.width} bits: several buses side by side, needs a flat wrapper that splits them"
+    return ""
+
+
+def _odd(protocol: Protocol, ports: Mapping[str, Port]) -> str:
+    """What a width says against the protocol."""
+    for signal, port in ports.items():
+        allowed = protocol.signals[signal].widths
+        if port.width is None or not allowed or port.width in allowed:
+            continue
+        if signal == "RRESP" and port.width == _ACE_RESPONSE:
+            return f"{port.name} has {port.width} bits: it is ACE, coherent AXI, which a region's ports do not take"
+        bits = " or ".join(map(str, allowed))
+        return f"{port.name} has {port.width} bits, and {signal} has {bits}: no AXI, or of a wrapper around it"
+    data, strobes = ports.get("WDATA"), ports.get("WSTRB")
+    if data and strobes and data.width and strobes.width and strobes.width * 8 != data.width:
+        return (
+            f"{strobes.name} has {strobes.width} bits for the {data.width} of {data.name}: WSTRB has one for each byte"
+        )
     return ""
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from cm.cli.main import main
+from cm.design.project.load import load_project
 
 pytest.importorskip("tree_sitter_vhdl", reason="needs tree-sitter-vhdl: the extra [build] is not installed")
 
@@ -76,3 +77,27 @@ def test_the_sides_of_a_fifo_are_asked_for(tmp_path: Path, capsys: pytest.Captur
     assert "a stream with TVALID valid, TDATA dout and TREADY got" in out
     read(tmp_path, ", streams: []", FIFO)
     assert "side of a FIFO" not in capsys.readouterr().out
+
+
+PIXELS = """entity relay is
+  port (
+    clk, rst : in std_logic;
+    pix_data : in std_logic_vector(7 downto 0); pix_valid : in std_logic; pix_ready : out std_logic
+  );
+end entity;
+"""
+
+
+def test_data_valid_and_ready_are_asked_for_and_stated_by_a_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert read(tmp_path, "", PIXELS) != "0"
+    assert "looks like a stream that pix_ready acknowledges" in capsys.readouterr().out
+    assert read(tmp_path, ", streams: [pix]", PIXELS) == "0"
+    assert "pix: axis slave, 8 bits" in capsys.readouterr().out
+
+
+def test_init_proposes_them_as_streams(tmp_path: Path) -> None:
+    (tmp_path / "relay.vhd").write_text(PIXELS)
+    assert main(["build", "init", str(tmp_path / "relay.vhd"), "-o", str(tmp_path / "build.yaml")]) == 0
+    assert load_project(tmp_path / "build.yaml").modules["relay"].streams == ("pix",)

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Buses by their structure, whatever separates the words of their ports; what looks like a bus and is none is named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("pyslang")
+
+from hdl_support import lite, ports, stream
+
+from cm.design.hdl.model import Mode
+
+SIGNALS = {
+    "aw": "addr:32 valid: ready:-",
+    "w": "data:32 strb:4 valid: ready:-",
+    "b": "resp:-2 valid:- ready:",
+    "ar": "addr:32 valid: ready:-",
+    "r": "data:-32 resp:-2 valid:- ready:",
+}
+
+
+def lite_as(spelling: str, bundle: str = "") -> str:
+    """A master whose ports are spelled so: {c} and {s} are channel and signal, {b} the bundle of all but handshakes."""
+    found = []
+    for channel, signals in SIGNALS.items():
+        for item in signals.split():
+            name, bits = item.split(":")
+            way = "input" if bits.startswith("-") else "output"
+            width = f"[{int(bits.lstrip('-') or 1) - 1}:0] " if bits.lstrip("-") else ""
+            inside = "" if name in ("valid", "ready") else bundle
+            found.append(f"{way} {width}{spelling.format(c=channel, s=name, b=inside)}")
+    return "; ".join([*found, "input clock"])
+
+
+@pytest.mark.parametrize(
+    ("spelling", "bundle", "name"),
+    [
+        ("cfg_{c}_{s}", "", "cfg"),
+        ("cfg_{c}_{c}{s}", "", "cfg"),
+        ("io_x_{c}_{b}{s}", "bits_", "io_x"),
+        ("io_x_{c}_{b}{s}", "payload_", "io_x"),
+        ("bus__{c}__{b}{s}", "payload__", "bus"),
+        ("mst_{c}_{s}_i", "", "mst_i"),
+    ],
+)
+def test_five_channels_are_a_bus_with_any_separator(spelling: str, bundle: str, name: str, tmp_path: Path) -> None:
+    (bus,) = ports(tmp_path, lite_as(spelling, bundle)).interfaces
+    assert (bus.name, bus.protocol, bus.mode, len(bus.ports)) == (name, "axi4lite", Mode.MASTER, 17)
+    assert (bus.ports["WSTRB"], bus.clock) == (spelling.format(c="w", s="strb", b=bundle), "clock")
+
+
+def test_strobes_have_their_short_name_too(tmp_path: Path) -> None:
+    (bus,) = ports(tmp_path, lite("s_").replace("wstrb", "wstb") + "input clk").interfaces
+    assert bus.ports["WSTRB"] == "s_wstb"
+
+
+def test_words_behind_the_signals_are_part_of_the_buses_name(tmp_path: Path) -> None:
+    text = "input [7:0] rx_tdata_mac; input rx_tvalid_mac; output rx_tready_mac; "
+    text += "output [7:0] tx_tdata_to_mac; output tx_tvalid_to_mac; input tx_tready_to_mac; input clk"
+    assert [(bus.name, len(bus.ports)) for bus in ports(tmp_path, text).interfaces] == [("rx_mac", 3), ("tx_to_mac", 3)]
+
+
+def test_the_bundle_of_a_stream_is_no_part_of_its_name(tmp_path: Path) -> None:
+    text = "input [7:0] s_axis_payload_data; input s_axis_payload_last; input s_axis_valid; output s_axis_ready; "
+    (bus,) = ports(tmp_path, text + "input clk").interfaces
+    assert (bus.name, sorted(bus.ports)) == ("s_axis", ["TDATA", "TLAST", "TREADY", "TVALID"])
+
+
+def test_fifos_of_hls_are_stated(tmp_path: Path) -> None:
+    text = "input [7:0] a_dout; input a_empty_n; output a_read; output [7:0] b_din; input b_full_n; output b_write; "
+    found = ports(tmp_path, text + "input ap_clk")
+    assert [(bus.name, bus.protocol, dict(bus.ports)) for bus in found.interfaces] == [
+        ("a", "acc_fifo_read", {"RD_DATA": "a_dout", "EMPTY_N": "a_empty_n", "RD_EN": "a_read"}),
+        ("b", "acc_fifo_write", {"WR_DATA": "b_din", "FULL_N": "b_full_n", "WR_EN": "b_write"}),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("[1:0] s_rresp", "[3:0] s_rresp", "s_rresp has 4 bits: it is ACE"),
+        ("[3:0] s_wstrb", "[7:0] s_wstrb", "s_wstrb has 8 bits for the 32 of s_wdata: WSTRB has one for each byte"),
+        ("input s_awvalid", "input [31:0] s_awlen; input s_awvalid", "s_awlen has 32 bits, and AWLEN has 8 or 4"),
+        ("input s_awvalid", "input [3:0] s_awprot; input s_awvalid", "s_awprot has 4 bits, and AWPROT has 3"),
+    ],
+)
+def test_what_breaks_a_width_of_the_protocol_is_no_bus_of_it(old: str, new: str, said: str, tmp_path: Path) -> None:
+    found = ports(tmp_path, lite("s_").replace(old, new) + "input clk")
+    assert found.interfaces == ()
+    assert [said in left.reason for left in found.leftovers if left.port == "s_awvalid"] == [True]
+
+
+def test_a_signal_with_a_further_word_stays_out_of_the_bus(tmp_path: Path) -> None:
+    found = ports(tmp_path, stream("s_axis_", "slave") + "output [7:0] s_axis_tdata_seen; input clk")
+    assert [(bus.name, len(bus.ports)) for bus in found.interfaces] == [("s_axis", 3)]
+    assert [left.port for left in found.leftovers] == ["s_axis_tdata_seen"]
