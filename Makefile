@@ -182,9 +182,9 @@ strangers: $(VENV)/.installed-test-soak $(VENV)/.installed-fuzz $(VENV)/.install
 	$(RUN_TESTS) $(SUITES) --board=sim --suite=soak --kills=100 --rounds=20 --stress=30 $(PYTEST_ARGS)
 	nice $(BIN)/python tests/fuzz/fuzz.py --minutes 0.1 --jobs $(JOBS)
 
-soak: strangers $(FURTHER:%=$(VENV)/.installed-test-%) ### what strangers tried, ten thousand changes of mode, ten thousand upsets, scraped ones too, a thousand in a page, a minute of killed readers, every attack on limits, two regions and random designs by their bits (PLACEMENTS=N, default none), five thousand flipped bits, every virtual board; new examples for the tests that draw some
+soak: strangers $(FURTHER:%=$(VENV)/.installed-test-%) ### what strangers tried, ten thousand changes of mode, ten thousand upsets, scraped ones too, a thousand in a page, each call that writes to the disk failed, five hundred rounds of replaced schemas, a minute of killed readers, every attack on limits, two regions and random designs by their bits (PLACEMENTS=N, default none), five thousand flipped bits, every virtual board; new examples for the tests that draw some
 	$(PYTEST) tests/unit tests/fuzz -m hypothesis --hypothesis-profile=search $(PYTEST_ARGS)
-	$(PYTEST) tests/soak --changes=10000 --stress=60 --rounds=300 --kills=1000 --upsets=10000 $(PYTEST_ARGS)
+	$(PYTEST) tests/soak --changes=10000 --stress=60 --rounds=300 --kills=1000 --upsets=10000 --failing=0 --builds=500 $(PYTEST_ARGS)
 	CM_SCHEDULES=20000 $(PYTEST) tests/unit/test_fleet_schedules.py -n $(CORES) $(PYTEST_ARGS)
 	$(MAKE) --no-print-directory test-fleet ROUNDS=300 STOPPED=30
 	CM_OPEN_7020=1 $(PYTEST) tests/open/test_open_regions.py tests/open/test_bits_modules.py $(PYTEST_ARGS)

@@ -91,7 +91,8 @@ def _as_it_reads(finding: Finding, configs: Mapping[str, Config], registers: Reg
     """Registers that nothing has reset since, as they read now: a write that was confirmed is in the hardware at once,
     and in the record within a second.
 
-    Left out are those that the change that was cut short writes itself: they go back to what they were before it.
+    Left out are those that hold what the change that was cut short writes itself: they go back to what they were before
+    it. Other values were written since, where the disk took no record of that.
     """
     state, cut = finding.state, finding.interrupted
     config = configs.get(state.config or "")
@@ -100,15 +101,18 @@ def _as_it_reads(finding: Finding, configs: Mapping[str, Config], registers: Reg
     if cut is not None and state.static_config != cut.from_static:
         return finding
     known = state.values if cut is None else cut.values
-    spared = frozenset() if cut is None else _written_by(cut, configs)
+    spared = {} if cut is None else _written_by(cut, configs)
     live: dict[str, int] = {}
     for register in config.visible_registers(state.mode).values():
-        if not register.keeps or place_of(register) in spared or not _answers(register, state):
+        if not register.keeps or not _answers(register, state):
             continue
         try:
             value = registers.read(register)
         except (CmError, OSError):
             continue  # what is recorded of it stays
+        place = place_of(register)
+        if place in spared and spared[place] in (value, None):
+            continue
         if value != known.get(register.name, register.reset):
             live[register.name] = value
     if not live:
@@ -121,16 +125,17 @@ def _answers(register: Register, state: BoardState) -> bool:
     return register.region is None or state.region(register.region).phase is RegionPhase.READY
 
 
-def _written_by(cut: Pending, configs: Mapping[str, Config]) -> frozenset[Place]:
-    """Where the change that was cut short has written, or would have."""
+def _written_by(cut: Pending, configs: Mapping[str, Config]) -> Mapping[Place, int | None]:
+    """What the change that was cut short has written where, or would have; None where a load may have reset it."""
     config = configs.get(cut.config)
     if config is None or cut.mode not in config.modes:
-        return frozenset()
+        return {}
     same = cut.from_config == cut.config
     visible = config.visible_registers(cut.mode).values()
     set_by_it = (r for r in visible if r.default is not None and not (same and cut.values.get(r.name) == r.default))
     found = ((address, width) for address, width, _ in cut.found)
-    return frozenset({*map(place_of, set_by_it), *found})
+    stays = config.type is not ConfigType.FULL
+    return {**dict.fromkeys(found), **{place_of(r): r.default if stays and not r.region else None for r in set_by_it}}
 
 
 def _distrust_pending(state: BoardState, pending: Pending | None) -> BoardState:

@@ -11,6 +11,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--rounds", type=int, default=4, help="rounds of KILL and STOP")
     parser.addoption("--kills", type=int, default=6, help="managers killed while registers are written")
     parser.addoption("--upsets", type=int, default=300, help="bits of configuration memory that turn over")
+    parser.addoption("--failing", type=int, default=6, help="calls to fail of those that write to the disk; 0: each")
+    parser.addoption("--builds", type=int, default=8, help="rounds of designs that are built anew")
     parser.addoption("--stress", type=float, default=5.0, help="seconds for which readers are killed")
 
 

@@ -393,9 +393,12 @@ def test_what_a_step_that_was_cut_short_may_have_touched_is_not_trusted(
 
 def test_what_was_cut_short_is_undone_with_what_there_was_before_it() -> None:
     cut = changing("load", "right", values={"led": 6}, found=((0x1040, 32, 9),), rates={"fclk0": 50})
-    finding, _ = found(replace(BOTH, regions=lost("right"), mode="slow"), cut, cells={0x1010: 8, 0x101C: 2})
+    finding, _ = found(replace(BOTH, regions=lost("right"), mode="slow"), cut, cells={0x1010: 8, 0x101C: 4})
     assert finding.interrupted is not None
-    assert finding.interrupted.values == {"led": 8, "gain": 7}  # as they read; it writes `tone` itself
+    assert finding.interrupted.values == {"led": 8, "gain": 7}  # as they read; it has written `tone` itself
+    since, _ = found(replace(BOTH, regions=lost("right"), mode="slow"), cut, cells={0x101C: 2})
+    assert since.interrupted is not None
+    assert since.interrupted.values["tone"] == 2  # it writes 4: somebody wrote this after the board had gone back
     same, _ = found(BOTH, replace(cut, values={"tone": 4}), cells={0x101C: 2})
     assert same.interrupted is not None
     assert same.interrupted.values["tone"] == 2  # which it had no need to write: somebody else did
