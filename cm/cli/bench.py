@@ -7,6 +7,7 @@ import argparse
 import os
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,7 +25,7 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Measure fpga-cm and its alternatives side by side, in interleaved rounds on one "
         "CPU, on simulated boards. Exit status 0 if everything was measured or marked as "
-        "not available, whatever the numbers are."
+        "not available, whatever the numbers are; 1 if something failed."
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help="what to measure (default: all; --list names them)")
     parser.add_argument("--list", action="store_true", help="list what can be measured")
@@ -64,14 +65,30 @@ def run(args: argparse.Namespace) -> int:
         bench = _bench(args, Path(folder), cpu)
         found.update(pinned_to_cpu=cpu, quick=args.quick)
         results: list[Result] = []
-        for case in cases:
-            results += _measure(case, bench, args.names)
-            if args.json:  # so that results are kept if a later case is interrupted
-                report.write(args.json, results, {**found, "load_after": list(os.getloadavg())})
-    print_table(report.rows(results), report.HEADERS)
+        _say_what_is_missing(cases)
+        try:
+            for case in cases:
+                results += _measure(case, bench, args.names)
+                if args.json:  # so that results are kept if a later case is interrupted
+                    report.write(args.json, results, {**found, "load_after": list(os.getloadavg())})
+        finally:
+            print_table(report.rows(results), report.HEADERS)
     if args.plots:
         plots.draw(args.plots, results)
-    return 0
+    return int(any(result.missing.startswith(catalogue.FAILED) for result in results))
+
+
+def _say_what_is_missing(cases: Sequence[Case]) -> None:
+    """Before anything is measured, which takes minutes."""
+    for case in cases:
+        if why := case.missing():
+            _tell(f"{case.module}: {why}")
+        for package in case.missing_beside():
+            _tell(f"{case.module} is measured without {package}, which is not installed")
+
+
+def _tell(sentence: str) -> None:
+    print(f"cm bench: {sentence}", file=sys.stderr, flush=True)
 
 
 def _compare(args: argparse.Namespace) -> int:
@@ -98,8 +115,11 @@ def _bench(args: argparse.Namespace, folder: Path, cpu: int | None) -> Run:
 def _measure(case: Case, bench: Run, names: list[str]) -> list[Result]:
     from cm.tools.bench import catalogue
 
-    print(f"cm bench: {case.module} …", file=sys.stderr, flush=True)
-    return [result for result in catalogue.measure(case, bench) if not names or result.name in names]
+    _tell(f"{case.module} …")
+    found = [result for result in catalogue.measure(case, bench) if not names or result.name in names]
+    for result in found:
+        _tell(f"{result.name}: {result.missing or f'{result.value:g} {result.unit}'}")
+    return found
 
 
 def _short() -> str | None:

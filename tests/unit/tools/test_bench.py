@@ -6,13 +6,15 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from cm.cli.main import main
-from cm.tools.bench import report
+from cm.tools.bench import catalogue, report
 from cm.tools.bench.c_programs import build
-from cm.tools.bench.catalogue import NAMES, chosen
+from cm.tools.bench.catalogue import NAMES, Case, chosen
 from cm.tools.bench.peer import Peer, Unavailable
 from cm.tools.bench.result import Goal, Result, unavailable
 from cm.tools.bench.rounds import Plan, Samples, interleave
@@ -82,3 +84,40 @@ def test_an_unknown_name_is_refused_with_the_known_ones(capsys: pytest.CaptureFi
 
 def test_results_of_one_module_are_measured_once() -> None:
     assert [case.module for case in chosen(["frame_pl_vs_c", "frame_pl_vs_zmq"])] == ["frame_pl"]
+
+
+def test_what_is_missing_is_said_first_and_what_fails_costs_nothing_that_was_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    began: list[str] = []
+
+    def made(name: str) -> Any:
+        def run(_: Any) -> list[Result]:
+            began.append(name)
+            if name == "flood":
+                raise ValueError("no such socket")
+            return [Result(name, 1.5, "ms", "what ran")]
+
+        return SimpleNamespace(run=run, __doc__=f"What {name} measures.")
+
+    cases = (
+        Case("fanout", ("fanout",), beside=("no_such_peer",)), Case("flood", ("flood",)),
+        Case("scraping", ("scraping",), needs="no_such_package"), Case("footprint", ("footprint",)),
+    )  # fmt: skip
+    monkeypatch.setattr(catalogue, "CASES", cases)
+    monkeypatch.setattr(catalogue, "import_module", lambda name: made(name.rpartition(".")[2]))
+    assert main(["bench", "--quick", "--json", str(tmp_path / "x.json")]) == 1
+    told = capsys.readouterr()
+    found = json.loads((tmp_path / "x.json").read_text(encoding="utf-8"))
+    assert {name: found[name]["value"] for name in ("fanout", "flood", "scraping", "footprint")} == {
+        "fanout": 1.5, "flood": None, "scraping": None, "footprint": 1.5,
+    }  # fmt: skip
+    assert found["flood"]["missing"] == "failed: no such socket"
+    assert found["scraping"]["missing"] == "not available without no_such_package: pip install 'fpga-cm[bench]'"
+    assert found["scraping"]["ran"] == "What scraping measures."
+    assert began == ["fanout", "flood", "footprint"]
+    assert told.err.splitlines()[:2] == [
+        "cm bench: fanout is measured without no_such_peer, which is not installed",
+        "cm bench: scraping: not available without no_such_package: pip install 'fpga-cm[bench]'",
+    ]
+    assert "footprint    1.5 ms" in told.out

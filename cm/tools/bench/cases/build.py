@@ -11,10 +11,9 @@ import statistics
 import subprocess
 import sys
 from collections.abc import Sequence
-from importlib.util import find_spec
 from pathlib import Path
 
-from cm.tools.bench.result import Goal, Result, unavailable
+from cm.tools.bench.result import Goal, Result
 from cm.tools.bench.run import Run
 
 COUNTS = ((81, Goal(3.0)), (1000, Goal(2.5)))
@@ -34,10 +33,6 @@ for instance in compilation.getRoot().topInstances:
 
 def run(bench: Run) -> list[Result]:
     """Measure `build_interfaces_81` and `_1000`, `build_check` and `build_generate`."""
-    names = {f"build_interfaces_{count}": goal for count, goal in COUNTS}
-    if find_spec("pyslang") is None:
-        goals = {**names, "build_check": CHECK, "build_generate": GENERATE}
-        return [unavailable(name, "s", "", "pyslang is not installed", goal) for name, goal in goals.items()]
     found = [_interfaces(bench, count, goal) for count, goal in COUNTS]
     schema = Path(__file__).parents[3] / "data/examples/camera/build.yaml"
     out = str(bench.place("generate") / "build")

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import asyncio
-import importlib
 import os
 import statistics
 import time
@@ -17,7 +16,7 @@ from typing import Any
 import cm
 from cm.tools.bench import fleet_model, fleet_store
 from cm.tools.bench.machine import unpinned
-from cm.tools.bench.result import Goal, Result, unavailable
+from cm.tools.bench.result import Goal, Result
 from cm.tools.bench.run import Run
 from cm.tools.bench.serving import cpu_seconds, resident_mib
 from cm.tools.demo.boards import LocalFleet, local_etcd, until
@@ -38,11 +37,6 @@ _RAN = {
 
 def run(bench: Run) -> list[Result]:
     """Measure all of `NAMES`, on boards that are started once."""
-    try:
-        importlib.import_module("zenoh")
-    except ImportError:
-        why = "not available: pip install 'fpga-cm[zenoh]'"
-        return [unavailable(name, "s", _RAN[name], why) for name in NAMES]
     count = bench.boards or (3 if bench.quick else BOARDS)
     with unpinned(set(bench.cpus) or {0}), _fleet(bench, count) as (local, fleet):
         if set(bench.names) & set(NAMES) == {"fleet_change"}:
