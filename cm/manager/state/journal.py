@@ -359,11 +359,11 @@ class Journal:
                 raise
 
     def _begin(self) -> None:
-        self._fd = _open(self._path)
-        self._cut = 0 < os.fstat(self._fd).st_size < LENGTH
+        self._cut = self._path.is_file() and 0 < self._path.stat().st_size < LENGTH
         self._at = _end(self._path)  # where the next line goes
-        _reserve(self._fd)
-        self._old.unlink(missing_ok=True)
+        self._fd = _opened(self._path)
+        with contextlib.suppress(OSError):
+            self._old.unlink(missing_ok=True)
         self._renew_spare()
 
     def write(self, record: Record) -> None:
@@ -386,9 +386,7 @@ class Journal:
 
     def _rotate(self, line: bytes) -> None:
         if self._spare < 0:
-            self._spare = _open(self._new)
-            os.ftruncate(self._spare, 0)
-            os.ftruncate(self._spare, LENGTH)
+            self._spare = _opened(self._new, empty=True)
         self._put(self._spare, line, 0)
         kept = self._keep_old()
         self._new.replace(self._path)
@@ -417,9 +415,7 @@ class Journal:
                 self._put(old, bytes(LENGTH), 0)  # an old line must not stand behind a new one
                 self._spare = old
                 return
-            self._new.unlink(missing_ok=True)
-            self._spare = _open(self._new)
-            _reserve(self._spare)
+            self._spare = _opened(self._new, empty=True)
 
     @property
     def _new(self) -> Path:
@@ -454,12 +450,12 @@ class Journal:
         aside = self._path.with_suffix(".corrupt")
         try:
             self._path.replace(aside)
-            new = _open(self._path)
+            new = _opened(self._path)
         except OSError as error:
             return f"it could not be set aside ({error})"
-        os.close(self._fd)
+        if self._fd >= 0:
+            os.close(self._fd)
         self._fd, self._at, self._cut = new, 0, False
-        _reserve(self._fd)
         return f"it was moved to {aside}"
 
     def close(self) -> None:
@@ -470,8 +466,19 @@ class Journal:
         self._fd = self._spare = self._lock = -1
 
 
-def _open(path: Path) -> int:
-    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o640)
+def _opened(path: Path, empty: bool = False) -> int:
+    """A journal, of its full length, with room for that as far as the file system can promise it. Raises OSError."""
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o640)
+    try:
+        if empty:
+            os.ftruncate(descriptor, 0)
+        os.ftruncate(descriptor, LENGTH)
+    except OSError:
+        os.close(descriptor)
+        raise
+    with contextlib.suppress(OSError):
+        os.posix_fallocate(descriptor, 0, LENGTH)
+    return descriptor
 
 
 def _end(path: Path) -> int:
@@ -479,13 +486,6 @@ def _end(path: Path) -> int:
         return len(path.read_bytes().rstrip(b"\0"))
     except OSError:  # `read` will say so; what is written next goes to a new file
         return LENGTH
-
-
-def _reserve(descriptor: int) -> None:
-    """Room for a whole journal, as far as the file system can promise it; its length in any case."""
-    with contextlib.suppress(OSError):
-        os.ftruncate(descriptor, LENGTH)
-        os.posix_fallocate(descriptor, 0, LENGTH)
 
 
 def _locked(folder: Path) -> int:
