@@ -160,9 +160,12 @@ def _of_manager(args: argparse.Namespace) -> _Map:
     from cm.formats.xray.drawing import columns_of, wrong_words
 
     with connected(args) as board:
+        if args.check == Path("-"):
+            board.check_region(args.name)
         found = board.map_region(args.name)
-        wrong = board.check_region(args.name).wrong if args.check == Path("-") else None
-    red = _said(args.check) if wrong is None else wrong_words((one.far, one.bits) for one in wrong)
+    red = (
+        _said(args.check) if args.check not in (None, Path("-")) else wrong_words((x.far, x.bits) for x in found.wrong)
+    )
     return _map(found, columns_of(found), red)
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import time
 
 from cm.cli.colours import painted
 from cm.cli.common import add_board_options, answer_table, natural, print_json, print_table, seconds
@@ -79,10 +80,12 @@ def _mebibytes(count: int) -> str:
     return f"{count / (1 << 20):.1f}" if count else "0"
 
 
-def _upsets(region: str, health: RegionHealth) -> str:
-    """What checks have found wrong, in a sentence."""
-    now = painted(f"; {health.wrong_bits} bits are wrong", "red", sys.stdout) if health.wrong_bits else ""
-    return f"{region}: {health.upsets} upsets found, {health.repairs} repairs{now}"
+def _compared(region: str, health: RegionHealth, offset_ns: int) -> str:
+    """What the last check and those before it have found, in a sentence; `offset_ns`: CLOCK_REALTIME's."""
+    at = time.strftime("%H:%M:%S", time.localtime((health.checked_ns + offset_ns) / 1e9))
+    now = painted(f"{health.wrong_bits} bits are wrong", "red", sys.stdout) if health.wrong_bits else "good"
+    last = f"{now} by the check at {at}" if health.checked_ns else "not compared since it was loaded"
+    return f"{region}: {last}; {health.upsets} upsets found, {health.repairs} repairs"
 
 
 def show(status: Status) -> None:
@@ -99,8 +102,8 @@ def show(status: Status) -> None:
         regions = [(r.name, r.module or "-", r.state) for r in status.regions]
         print_table(regions, ("REGION", "MODULE", "STATE"), _REGION_COLOURS)
         for region in status.regions:
-            if region.health is not None and region.health.upsets:
-                print(_upsets(region.name, region.health))
+            if region.health is not None and region.health.checks:
+                print(_compared(region.name, region.health, status.realtime_offset_ns))
     if status.windows:
         print()
         mapped = [(f"{x.address:#x}", x.region, x.module or "-", window_use(x), x.client) for x in status.windows]

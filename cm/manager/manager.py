@@ -316,11 +316,11 @@ class Manager:
         return checked_region(name, self._state, self._env.devices, self._env.files)
 
     def region_map(self, name: str) -> RegionMap:
-        """What was loaded into a region, counted; reads its bitstream. Any thread.
+        """What was loaded into a region, counted, and what the last check has found; reads its bitstream. Any thread.
 
         Raises NotFound, RegionBusy where nothing is known of what it holds, and what is wrong with the file.
         """
-        return loaded_map(name, self._state, self._env.files)
+        return self.reporter.health.on(loaded_map(name, self._state, self._env.files))
 
     def check(
         self, what: Checked, on_done: Callable[[RegionCheck | Exception], None], pace: Pace | None = None

@@ -23,12 +23,15 @@ from cm.wire.messages.status import (
     ConfigInfo,
     ErrorInfo,
     FieldInfo,
+    FrameError,
     InterruptInfo,
     MemoryInfo,
     ModeInfo,
     PrMode,
     Progress,
+    RegionCheck,
     RegionHealth,
+    RegionMap,
     RegionStatus,
     RegisterInfo,
     Status,
@@ -151,32 +154,43 @@ class StatusReporter:
 
 
 class Health:
-    """What checks of regions have found, by region. The worker's thread; `told` is for any."""
+    """What checks of regions have found, by region. The worker's thread; `told` and `of` are for any."""
 
     def __init__(self) -> None:
         self.told: Mapping[str, RegionHealth] = MappingProxyType({})
+        self._wrong: Mapping[str, tuple[FrameError, ...]] = MappingProxyType({})  # by the last check of what is there
         self._known: dict[str, frozenset[tuple[int, int]]] = {}  # bits that are counted already
 
-    def checked(self, region: str, wrong: frozenset[tuple[int, int]], frames: int, unjudged: int) -> None:
+    def checked(self, found: RegionCheck, wrong: frozenset[tuple[int, int]]) -> None:
         """A check went over all of a region, and found these bits wrong (frame address, bit)."""
-        before = self._of(region)
+        region, before = found.region, self.of(found.region)
         new = len(wrong - self._known.get(region, frozenset()))
         self._known[region] = wrong
-        counted = before.checks + 1, before.upsets + new, before.repairs, len(wrong), frames, unjudged
-        self._tell(region, RegionHealth(*counted))
+        self._wrong = MappingProxyType({**self._wrong, region: found.wrong})
+        counted = before.checks + 1, before.upsets + new, before.repairs, len(wrong), found.frames, found.unjudged
+        self._tell(region, RegionHealth(*counted, time.monotonic_ns()))
 
     def repaired(self, region: str) -> None:
         """What was wrong is right again."""
-        self._tell(region, replace(self._of(region), repairs=self._of(region).repairs + 1))
+        self._tell(region, replace(self.of(region), repairs=self.of(region).repairs + 1))
 
     def mended(self, region: str) -> None:
-        """It was loaded: what was found wrong is gone."""
+        """It was loaded: what was found wrong is gone, and what is there was not checked yet."""
         self._known.pop(region, None)
-        if region in self.told and self.told[region].wrong_bits:
-            self._tell(region, replace(self.told[region], wrong_bits=0))
+        self._wrong = MappingProxyType({name: wrong for name, wrong in self._wrong.items() if name != region})
+        if region in self.told:
+            self._tell(region, replace(self.told[region], wrong_bits=0, checked_ns=0))
 
-    def _of(self, region: str) -> RegionHealth:
+    def of(self, region: str) -> RegionHealth:
+        """A region's."""
         return self.told.get(region, RegionHealth())
+
+    def on(self, found: RegionMap) -> RegionMap:
+        """A map with what the last check has found, where there was one since the region was loaded."""
+        wrong = self._wrong.get(found.region)
+        if wrong is None:
+            return found
+        return replace(found, wrong=wrong, checked=(time.monotonic_ns() - self.of(found.region).checked_ns) / 1e9)
 
     def _tell(self, region: str, health: RegionHealth) -> None:
         self.told = MappingProxyType({**self.told, region: health})

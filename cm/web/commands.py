@@ -65,17 +65,18 @@ class Commands:
         await self._hub.read_registers(board, tuple(names))
 
     async def _map(self, board: Board, words: Words) -> str:
-        """A region's frames as SVG; with `check`, what is wrong is red."""
+        """A region's frames as SVG, red where the last check found them wrong; with `check`, one is made first."""
         from cm.formats.xray.drawing import columns_of, region_picture, with_names, wrong_words
 
         region, check = _text(words, "region"), words.get("check") is True
         if check and not self._control:
             raise NotAllowed("this page may only look: it was started without --control")
+        if check:
+            await board.check_region(region)
         found = await board.map_region(region)
-        wrong = (await board.check_region(region)).wrong if check else ()
         columns = columns_of(found)
         known = await asyncio.to_thread(with_names, found.device, columns)  # half a second for the first
-        red = wrong_words((one.far, one.bits) for one in wrong)
+        red = wrong_words((one.far, one.bits) for one in found.wrong)
         return region_picture(found, known or columns, red, known is not None)
 
     async def _mode(self, board: Board, words: Words) -> float:

@@ -137,7 +137,9 @@ def test_the_command_says_what_it_found_and_its_exit_status_too(two: Two, capsys
     assert main(["status", *place]) == 0
     shown = capsys.readouterr().out
     assert "upsets found" in shown
-    assert "; 1 bits are wrong" in shown
+    assert "left: 1 bits are wrong by the check at " in shown
+    main(["region", "map", "left", *place])
+    assert "1 of them wrong by the check " in capsys.readouterr().out
     assert "left (near): 1 bit in 1 frame wrong" in shown
     assert f"0x{far:08x}" in shown
     assert f"{bit // 32}.{bit % 32}" in shown

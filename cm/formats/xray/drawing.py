@@ -46,8 +46,14 @@ def title(found: RegionMap) -> str:
 def summary(found: RegionMap, columns: Sequence[FabricColumn], wrong: Wrong) -> str:
     """Device and counts, in a line."""
     frames, bits = sum(len(one.bits) for one in columns), sum(sum(one.bits) for one in columns)
-    bad = f"{len(wrong)} of them wrong" if wrong else "none known to be wrong"
-    return f"{found.device}, {frames} frames with {bits} bits set, {bad}"
+    return f"{found.device}, {frames} frames with {bits} bits set, {_compared(found, wrong)}"
+
+
+def _compared(found: RegionMap, wrong: Wrong) -> str:
+    by = f" by the check {found.checked:.0f} s ago" if found.checked else ""
+    if wrong:
+        return f"{len(wrong)} of them wrong{by}"
+    return f"none of them wrong{by}" if by else "not compared yet"
 
 
 def wrong_words(frames: Iterable[tuple[int, Iterable[int]]]) -> Wrong:

@@ -316,8 +316,7 @@ class Worker:
 
     def note(self, scan: Scan) -> None:
         """A check went over all of a region."""
-        frames, name = scan.what.frames, scan.what.region.name
-        self._tools.reporter.health.checked(name, bits_of(scan.wrong), frames.judged, len(frames.unjudged))
+        self._tools.reporter.health.checked(scan.result(0.0), bits_of(scan.wrong))
 
     def _go_to(self, goal: Goal, change: Change, plan: Plan | None = None) -> None:
         """Go there, by a plan that was made already where there is one, or back to where the board was.

@@ -92,8 +92,9 @@ function head() {
   text(byId("about"), `fpga-cm ${status.version} · since ${new Date(status.started_ns / 1e6).toLocaleString()}`);
   text(byId("loaded"), status.config_name ? `${status.config_name} / ${status.mode || "—"}` : "nothing loaded");
   const pill = byId("state");
-  text(pill, STATES[status.pr_mode] ?? status.pr_mode);
-  pill.dataset.state = status.pr_mode;
+  const upset = !status.fpga_busy && status.regions.find((region) => region.health?.wrong_bits);
+  text(pill, upset ? `${upset.name} is wrong` : STATES[status.pr_mode] ?? status.pr_mode);
+  pill.dataset.state = upset ? "error" : status.pr_mode;
 }
 
 function banner(sentence, of = "") {

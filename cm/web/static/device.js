@@ -100,7 +100,8 @@ export class Device {
         };
         return { node: s("g", {}, ...Object.values(parts)), parts };
       }, ({ node, parts }, region) => {
-        node.setAttribute("class", `region ${region.state}`);
+        const upset = region.health?.wrong_bits;
+        node.setAttribute("class", `region ${upset ? "failed" : region.state}`);
         node.dataset.region = region.name;
         for (const part of [parts.box, parts.cut]) for (const [name, value] of Object.entries({ x, width, y: region.y, height: each })) set(part, name, value);
         set(parts.bar, "x", x);
@@ -114,7 +115,7 @@ export class Device {
         set(parts.module, "y", region.y + 50);
         set(parts.state, "y", region.y + 22);
         text(parts.module, region.module ?? "—");
-        text(parts.state, region.state);
+        text(parts.state, upset ? `${upset} bits wrong` : region.state);
       });
   }
 
@@ -218,7 +219,7 @@ export class Device {
 const UNITS = { voltage: "V", current: "A", power: "W" };
 
 function describe(status) {
-  const regions = status.regions.map((region) => `region ${region.name} holds ${region.module ?? "nothing known"}, ${region.state}`);
+  const regions = status.regions.map((region) => `region ${region.name} holds ${region.module ?? "nothing known"}, ${region.health?.wrong_bits ? `${region.health.wrong_bits} bits wrong` : region.state}`);
   const streams = status.streams.map((stream) => `stream ${stream.name} ${stream.open ? "runs" : "does not run"}`);
   return `The device: ${[...regions, ...streams].join("; ")}`;
 }

@@ -14,7 +14,7 @@ export class Maps {
       set(row.node, "data-module", region.module ?? "");
       row.compare.hidden = !this.control();
       text(row.health, found(region.health));
-      const holds = `${region.state} ${region.module ?? ""}`;
+      const holds = `${region.state} ${region.module ?? ""} ${region.health?.wrong_bits ?? ""}`;
       if (row.holds !== holds && row.node.open) this.draw(row, false);
       row.holds = holds;
     });
@@ -49,6 +49,6 @@ export class Maps {
 
 function found(health) {
   if (!health?.checks) return "";
-  const now = health.wrong_bits ? `, ${health.wrong_bits} bits are wrong` : "";
+  const now = health.wrong_bits ? `, ${health.wrong_bits} bits are wrong` : health.checked_ns ? ", good by the last" : ", none since it was loaded";
   return ` · compared ${health.checks} times, ${health.upsets} upsets, ${health.repairs} repairs${now}`;
 }

@@ -55,6 +55,7 @@ class RegionHealth:
     wrong_bits: int = 0  # by the last check; 0 once it was repaired or loaded again
     frames: int = 0  # that the last check has compared
     unjudged: int = 0  # and those that it could not
+    checked_ns: int = 0  # CLOCK_MONOTONIC at the last check's end; 0: none since it was loaded
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,13 +122,19 @@ class RegionColumn(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class RegionMap:
-    """What was loaded into a region of a 7-series device, counted."""
+    """What was loaded into a region of a 7-series device, counted.
+
+    `wrong` is what the last check has found, as far as it lists it, `checked` the seconds since then; 0 where there was
+    none since the module was loaded.
+    """
 
     region: str
     module: str
     device: str
     config_name: str
     columns: tuple[RegionColumn, ...] = ()
+    wrong: tuple[FrameError, ...] = ()
+    checked: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -88,7 +88,9 @@ def gain(made: Rig) -> int:
 
 
 def health(made: Rig) -> RegionHealth | None:
-    return next(region.health for region in made.manager.status().regions if region.name == "prr0")
+    """That of prr0, with 1 for the time of its last check."""
+    found = next(region.health for region in made.manager.status().regions if region.name == "prr0")
+    return found and replace(found, checked_ns=min(found.checked_ns, 1))
 
 
 def places(result: RegionCheck) -> list[tuple[int, int]]:
@@ -100,7 +102,7 @@ def test_what_was_loaded_is_there(made: Rig) -> None:
     assert (result.verdict, result.module, result.wrong_bits, result.unjudged) == ("good", "a0", 0, 0)
     assert result.frames > 0
     assert 0 <= result.seconds < 60
-    assert health(made) == RegionHealth(checks=1, frames=result.frames)
+    assert health(made) == RegionHealth(checks=1, frames=result.frames, checked_ns=1)
 
 
 def test_each_upset_is_told_by_its_frame_and_bit_and_counted_once(made: Rig, sim: SimBoard) -> None:
@@ -119,7 +121,20 @@ def test_each_upset_is_told_by_its_frame_and_bit_and_counted_once(made: Rig, sim
     )
     assert check(made).wrong_bits == 4
     assert check(made, "prr1").verdict == "good"
-    assert health(made) == RegionHealth(checks=2, upsets=4, wrong_bits=4, frames=result.frames)
+    assert health(made) == RegionHealth(checks=2, upsets=4, wrong_bits=4, frames=result.frames, checked_ns=1)
+
+
+def test_the_map_of_a_region_has_what_the_last_check_has_found_until_it_is_loaded_again(
+    made: Rig, sim: SimBoard
+) -> None:
+    assert (made.manager.region_map("prr0").wrong, made.manager.region_map("prr0").checked) == ((), 0.0)
+    sim.control.upset("prr0", 4)
+    wrong = check(made).wrong
+    drawn = made.manager.region_map("prr0")
+    assert drawn.wrong == wrong
+    assert 0 < drawn.checked < 60
+    assert made.manager.submit(ChangeMode("duo", "default", force=True)).wait(60)
+    assert (made.manager.region_map("prr0").wrong, made.manager.region_map("prr0").checked) == ((), 0.0)
 
 
 def test_wrong_frames_are_written_anew_while_everything_runs_on(made: Rig, sim: SimBoard) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -27,12 +28,15 @@ from cm.wire.messages.status import (
     ConfigInfo,
     ErrorInfo,
     FieldInfo,
+    FrameError,
     InterruptInfo,
     MemoryInfo,
     ModeInfo,
     PrMode,
     Progress,
+    RegionCheck,
     RegionHealth,
+    RegionMap,
     RegionStatus,
     RegisterInfo,
     StreamStatus,
@@ -151,19 +155,29 @@ def test_regions_of_the_configuration_come_first_with_the_port_that_was_chosen()
     assert (clock_states(LAB, {"fclk0": 99, "other": 5}), clock_states(None, {"fclk0": 99})) == (told, ())
 
 
+def told(health: Health) -> dict[str, RegionHealth]:
+    """As it is told, with 1 for the time of a check."""
+    return {name: replace(one, checked_ns=min(one.checked_ns, 1)) for name, one in health.told.items()}
+
+
 def test_what_is_wrong_in_a_region_is_counted_once_until_it_is_mended() -> None:
-    health = Health()
+    health, column = Health(), RegionMap("left", "fir", "xc7z020", "lab")
+    frames = (FrameError(1, 0, 0, 0, 0, (3,)),)
+    left, right = RegionCheck("left", "fir", "wrong", 90, 10, wrong=frames), RegionCheck("right", "fft", "good", 5)
     health.mended("left")
-    assert health.told == {}
+    assert (health.told, health.on(column)) == ({}, column)
     for wrong in ({(1, 2), (1, 3)}, {(1, 3), (2, 0)}):
-        health.checked("left", frozenset(wrong), 90, 10)
-    assert health.told == {"left": RegionHealth(2, 3, 0, 2, 90, 10)}
+        health.checked(left, frozenset(wrong))
+    assert told(health) == {"left": RegionHealth(2, 3, 0, 2, 90, 10, 1)}
+    drawn = health.on(column)
+    assert (drawn.wrong, 0 < drawn.checked < 60) == (frames, True)
     health.repaired("left")
     health.mended("left")
-    health.checked("right", frozenset(), 5, 0)
-    assert health.told == {"left": RegionHealth(2, 3, 1, 0, 90, 10), "right": RegionHealth(1, frames=5)}
-    health.checked("left", frozenset({(1, 3)}), 90, 10)
-    assert health.told["left"] == RegionHealth(3, 4, 1, 1, 90, 10)
+    assert health.on(column) == column  # what is there now was not compared yet
+    health.checked(right, frozenset())
+    assert told(health) == {"left": RegionHealth(2, 3, 1, 0, 90, 10), "right": RegionHealth(1, frames=5, checked_ns=1)}
+    health.checked(left, frozenset({(1, 3)}))
+    assert told(health)["left"] == RegionHealth(3, 4, 1, 1, 90, 10, 1)
 
 
 def test_the_status_tells_of_a_change_from_its_beginning_to_its_end() -> None:
