@@ -163,10 +163,8 @@ def _of_manager(args: argparse.Namespace) -> _Map:
         if args.check == Path("-"):
             board.check_region(args.name)
         found = board.map_region(args.name)
-    red = (
-        _said(args.check) if args.check not in (None, Path("-")) else wrong_words((x.far, x.bits) for x in found.wrong)
-    )
-    return _map(found, columns_of(found), red)
+    red = wrong_words((one.far, one.bits) for one in found.wrong)
+    return _map(found, columns_of(found), red if args.check in (None, Path("-")) else _said(args.check))
 
 
 def _map(found: RegionMap, columns: Sequence[FabricColumn], wrong: Wrong) -> _Map:

@@ -159,9 +159,13 @@ def test_a_regions_frames_are_drawn_and_what_is_wrong_is_red(page: Any, camera: 
     seen(page, f"{drawn}.some((text) => text.startsWith('frame {far:08X}') && text.endsWith('wrong'))")
     summary = "document.querySelector('[data-map=prr0] summary').textContent"
     seen(page, f"{summary}.includes('1 upsets, 0 repairs, 1 bits are wrong')")
+    seen(page, "document.querySelector('#state').dataset.state === 'error'")
+    assert page.inner_text("#state") == "prr0 is wrong"
+    assert "1 bits wrong" in page.text_content("#device .region[data-region=prr0]")
     shoot(page, "map")
     change(page, "edge_detection")
-    seen(page, f"{drawn}[0].endsWith('edge')")
+    seen(page, f"{drawn}[0]?.endsWith('edge')")
+    seen(page, "document.querySelector('#state').dataset.state === 'idle'")
 
 
 def test_what_fails_is_told_beside_what_was_tapped(page: Any, camera: tuple[Manager, SimBoard]) -> None:
