@@ -32,10 +32,14 @@ class _Field:
 _REQUIRED = _Field()
 
 if TYPE_CHECKING:
+    from dataclasses import KW_ONLY as KW_ONLY
     from dataclasses import dataclass as dataclass
     from dataclasses import field as field
     from dataclasses import replace as replace
 else:
+
+    class KW_ONLY:  # noqa: N801 (as in `dataclasses`)
+        """``_: KW_ONLY``: the fields below are given by name."""
 
     def dataclass(*, frozen: bool = False, eq: bool = True, slots: bool = False) -> Any:
         """As `dataclasses.dataclass`, which makes those without slots."""
@@ -70,7 +74,9 @@ def names(cls: Any) -> tuple[str, ...]:
 def _made(given: Any, frozen: bool, eq: bool) -> Any:
     """The class with slots, and with the methods that it does not define itself."""
     own = dict(vars(given))
-    mine = [name for name, kind in given.__annotations__.items() if "ClassVar" not in str(kind)]
+    own["__annotations__"] = {name: kind for name, kind in given.__annotations__.items() if name != "_"}
+    mine = [name for name, kind in own["__annotations__"].items() if "ClassVar" not in str(kind)]
+    given_by_name = [*given.__annotations__].index("_") if "_" in given.__annotations__ else len(mine)
     new = {name: _described(own.pop(name, _REQUIRED)) for name in mine}
     known = _inherited(given) | new
     values = attrgetter(*known, *("__class__", "__class__")[len(known) :])  # a tuple, also of fewer than two fields
@@ -90,7 +96,13 @@ def _made(given: Any, frozen: bool, eq: bool) -> Any:
     methods |= {"__eq__": __eq__} if eq else {}
     methods |= {"__hash__": __hash__} if eq and frozen else {}
     methods |= _FROZEN if frozen else {}
-    apart = {"__fields__": known, "__slots__": tuple(new), "__qualname__": given.__qualname__, "__values__": values}
+    apart = {
+        "__fields__": known,
+        "__by_name__": tuple(new)[given_by_name:][:1],
+        "__slots__": tuple(new),
+        "__qualname__": given.__qualname__,
+        "__values__": values,
+    }
     for name in ("__dict__", "__weakref__"):
         own.pop(name, None)
     cls = type(given)(given.__name__, given.__bases__, methods | own | apart)
@@ -184,6 +196,7 @@ def _init(cls: Any) -> Any:
     parameters, body = [], []
     for number, (name, one) in enumerate(cls.__fields__.items()):
         value = name
+        parameters += ["*"] if name in cls.__by_name__ else []
         known[f"set{number}"] = getattr(cls, name).__set__
         if one.default is not _ABSENT:
             known[f"default{number}"] = one.default

@@ -157,10 +157,10 @@ class Attacker:
         self.asking(lambda i: rq.ConfigureStream("from_pl", shape=SHAPES[i % 5], slots=1 + i % 64, force=True), 4)
 
     def define_memories(self) -> None:
-        self.asking(lambda i: rq.DefineMemory(f"m{i}", 0x1000 + i * 4 % 0x800, 4 << i % 8, region="static"), 32)
+        self.asking(lambda i: rq.DefineMemory(f"m{i}", 0x1000 + i * 4 % 0x800, length=4 << i % 8, region="static"), 32)
 
     def begin_uploads(self) -> None:
-        self.asking(lambda i: rq.Upload(f"u{i}", 4 << 20, 0, bytes(1 << 20)), 4)
+        self.asking(lambda i: rq.Upload(f"u{i}", 4 << 20, offset=0, data=bytes(1 << 20)), 4)
 
     def take_leases(self) -> None:
         self.asking(lambda i: rq.TakeLease("registers:zoom", exclusive=False, seconds=0.05 + i % 2))
@@ -214,7 +214,10 @@ class Attacker:
 
     def allocate(self) -> None:
         for i in range(self.rounds // 8):
-            with self.data(Open("", Purpose.ALLOCATE, length=(1, 16 << 20, 64 << 20)[i % 3])) as peer, suppress(OSError):
+            with (
+                self.data(Open("", Purpose.ALLOCATE, length=(1, 16 << 20, 64 << 20)[i % 3])) as peer,
+                suppress(OSError),
+            ):
                 peer.recv(4096)
                 self.did["allocated"] += 1
 

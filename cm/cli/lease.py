@@ -102,7 +102,7 @@ def run_take(args: argparse.Namespace) -> int:
 
 def _leave(board: Board, args: argparse.Namespace, holder: str) -> int:
     """Take it for some time; it does not end with this process."""
-    taken = board.ask(calls.lease(TakeLease(args.scope, not args.shared, args.seconds, holder=holder)))
+    taken = board.ask(calls.lease(TakeLease(args.scope, not args.shared, seconds=args.seconds, holder=holder)))
     return answer(args, {"id": taken.id, "scope": args.scope, "seconds": taken.seconds}, taken.id, lines=True)
 
 

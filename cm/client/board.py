@@ -426,8 +426,9 @@ class Board(Guarded):
         it is in use, without `force`, and InvalidRequest for impossible settings; then nothing has changed.
         """
         request = ConfigureStream(
-            stream, calls.axes(stream, shape), dtype, slots, direction, rate, cyclic, enable, force, lease,
-            backpressure, stride, automatic, compression,
+            stream, calls.axes(stream, shape), dtype=dtype, slots=slots, direction=direction, rate=rate, stride=stride,
+            cyclic=cyclic, backpressure=backpressure, enable=enable, automatic=automatic, compression=compression,
+            force=force, lease=lease,
         )  # fmt: skip
         return self.ask(calls.configure_stream(request))
 
@@ -449,7 +450,9 @@ class Board(Guarded):
         cover anything with a name. `region`: the region whose module answers there, or "static"; not needed if all
         other names in that window belong to the same region. Raises RequestFailed.
         """
-        request = DefineMemory(name, address, length, shape, dtype, access, region, lease)
+        request = DefineMemory(
+            name, address, length=length, shape=shape, dtype=dtype, access=access, region=region, lease=lease
+        )
         self.ask(calls.define_memory(request))
         return Memory(self, name)
 

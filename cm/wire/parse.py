@@ -44,7 +44,7 @@ def _in_slices(message: bytes) -> Generator[None, None, WriteReg]:
     made: list[RegWrite] = []
     for w in m.writes:
         bounds.check("cm_write_reg", w, len(message))
-        made.append(RegWrite(w.name, w.value, w.mask if w.HasField("mask") else None, w.named))
+        made.append(RegWrite(w.name, w.value, mask=w.mask if w.HasField("mask") else None, named=w.named))
         if len(made) % bounds.SLICE == 0:
             yield
     if not made:

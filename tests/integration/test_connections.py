@@ -156,7 +156,7 @@ def test_encrypted_messages_within_bounds_arrive_in_any_number(served: KeyedMana
     with with_keys(served) as peer:
         data = bytes(4 << 20)
         for number in range(16):
-            part = Upload(f"u{number}", len(data), 0, data)
+            part = Upload(f"u{number}", len(data), offset=0, data=data)
             peer.send_multipart([b"", *encode_request(part)])
             peer.send_multipart([b"", *encode_request(Upload(f"u{number}", len(data), discard=True))])
         for _ in range(32):

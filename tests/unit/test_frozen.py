@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import pytest
 
-from cm.frozen import dataclass, field, names, replace
+from cm.frozen import KW_ONLY, dataclass, field, names, replace
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,3 +179,18 @@ def test_no_method_is_compiled_before_the_first_instance() -> None:
     Late(1), Late(2)
     watching = False
     assert (before, len(compiled) - before) == (0, 1)
+
+
+def test_fields_below_kw_only_are_given_by_name() -> None:
+    @dataclass(frozen=True, slots=True)
+    class Named:
+        first: int
+        _: KW_ONLY
+        second: int = 2
+        third: int = 3
+
+    assert Named(1, third=4) == replace(Named(1), third=4)
+    assert repr(Named(1)).endswith("Named(first=1, second=2, third=3)")
+    assert names(Named) == ("first", "second", "third")
+    with pytest.raises(TypeError, match="takes 2 positional arguments but 3 were given"):
+        Named(1, 2)  # type: ignore[misc]

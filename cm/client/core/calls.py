@@ -95,7 +95,17 @@ def load(
     config: str, mode: str, *, wait: bool, queue: bool, force: bool, lease: str, undoable: str = "", undo: str = ""
 ) -> Call[ChangeInfo]:
     """Go to a mode."""
-    request = rq.ChangeMode(config, mode, "", not wait, not queue, force, lease, undoable, undo)
+    request = rq.ChangeMode(
+        config,
+        mode,
+        name_or_mode="",
+        no_wait=not wait,
+        no_queue=not queue,
+        force=force,
+        lease=lease,
+        undoable=undoable,
+        undo=undo,
+    )
     return Call(request, lambda r: _body(r, ChangeInfo))
 
 
@@ -142,7 +152,9 @@ def write_registers(values: Writes, lease: str = "") -> Call[RegValues]:
 def write_masked(name: str, value: int, mask: int, lease: str = "") -> Call[RegValues]:
     """The bits in `mask` of a register."""
     return Call(
-        rq.WriteReg((rq.RegWrite(name, register_value(name, value), register_value(f"{name} (mask)", mask)),), lease),
+        rq.WriteReg(
+            (rq.RegWrite(name, register_value(name, value), mask=register_value(f"{name} (mask)", mask)),), lease
+        ),
         lambda r: _body(r, RegValues),
     )
 
@@ -187,7 +199,7 @@ def write_data(stream: str, data: Any, lease: str) -> Call[FrameInfo]:
     except TypeError:
         raise InvalidRequest(f"stream {stream!r} takes an array or bytes, not {type(data).__name__}") from None
     picture = not plain and data.ndim == 3 and data.shape[2] == 3 and data.dtype == np.uint8
-    return Call(rq.WriteData(stream, view, lease, format="rgb" if picture else ""), lambda r: _body(r, FrameInfo))
+    return Call(rq.WriteData(stream, view, lease=lease, format="rgb" if picture else ""), lambda r: _body(r, FrameInfo))
 
 
 def define_memory(request: rq.DefineMemory) -> Call[MemoryInfo]:
@@ -214,12 +226,12 @@ def read_memory(name: str, offset: int, length: int) -> Call[tuple[FrameInfo, An
 
 def write_memory(name: str, offset: int, data: memoryview, lease: str) -> Call[FrameInfo]:
     """Write bytes to a memory; the reply comes when they have been written."""
-    return Call(rq.WriteData(name, data, lease, offset), lambda r: _body(r, FrameInfo))
+    return Call(rq.WriteData(name, data, lease=lease, offset=offset), lambda r: _body(r, FrameInfo))
 
 
 def check_region(name: str, repair: bool, reload: bool, lease: str) -> Call[RegionCheck]:
     """Compare a region's frames with what was loaded."""
-    return Call(rq.CheckRegion(name, repair or reload, reload, lease), lambda r: _body(r, RegionCheck))
+    return Call(rq.CheckRegion(name, repair or reload, reload=reload, lease=lease), lambda r: _body(r, RegionCheck))
 
 
 def map_region(name: str) -> Call[RegionMap]:

@@ -45,7 +45,7 @@ def wanted(scope: str, exclusive: bool, seconds: float, holder: str, place: Plac
     """The request for a new one. On the manager's machine it ends with this process."""
     local, holder = place.local, holder or place.guest
     pid = os.getpid() if local else 0  # a pid of another machine would mean another process there
-    return TakeLease(scope, exclusive, seconds, holder=holder or f"pid {os.getpid()}", pid=pid)
+    return TakeLease(scope, exclusive, seconds=seconds, holder=holder or f"pid {os.getpid()}", pid=pid)
 
 
 def renewal(lease: TakeLease, identity: str) -> RenewLease:

@@ -69,7 +69,7 @@ def upload(data: bytes | memoryview) -> Flow[str]:
     name, view = os.urandom(8).hex(), memoryview(data)
     for start in range(0, max(len(view), 1), PART):
         try:
-            yield calls.upload(rq.Upload(name, len(view), start, view[start : start + PART]))
+            yield calls.upload(rq.Upload(name, len(view), offset=start, data=view[start : start + PART]))
         except RequestInvalid as error:
             if start or "unknown topic" not in str(error):
                 raise

@@ -174,7 +174,7 @@ class Leases:
 
     def hold(self, scope: str, holder: str, client: str, pid: int) -> str:
         """Take one that has no end but `drop`, or being broken; returns its id. Raises HeldBy, TooManyLeases."""
-        taken = self.request(TakeLease(scope, True, MAX_SECONDS, holder, pid), client)
+        taken = self.request(TakeLease(scope, True, seconds=MAX_SECONDS, holder=holder, pid=pid), client)
         with self._lock:
             self._held[taken.id] = replace(self._held[taken.id], until=inf)
         return taken.id

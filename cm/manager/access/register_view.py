@@ -140,7 +140,7 @@ def _by_name(write: RegWrite, field: BitField | None) -> RegWrite:
         raise OutOfRange(f"register {write.name!r} takes an integer, not {write.named!r}: its values have no names")
     if write.named not in names:
         raise OutOfRange(f"register {write.name!r} has no value {write.named!r}{hint(write.named, names)}")
-    return RegWrite(write.name, names[write.named], write.mask)
+    return RegWrite(write.name, names[write.named], mask=write.mask)
 
 
 class View:

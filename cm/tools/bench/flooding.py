@@ -180,7 +180,7 @@ class Flood:
 
     def _uploads(self) -> list[Any]:
         names = [f"flood {next(self._numbers)}" for _ in range(8)]
-        parts = [encode_request(rq.Upload(name, 4 * MIB, 0, bytes(MIB))) for name in names]
+        parts = [encode_request(rq.Upload(name, 4 * MIB, offset=0, data=bytes(MIB))) for name in names]
         return parts + [encode_request(rq.Upload(name, 4 * MIB, discard=True)) for name in names[:6]]
 
     def _long(self) -> list[Any]:

@@ -110,7 +110,7 @@ def _cases() -> Iterator[Case]:
     yield Case(
         "write-masked", "a mask of 0 is a mask, and not none",
         ({"do": "write_masked", "name": "focus", "value": 3, "mask": 0},), ({**_value(focus=2), "generation": 41},),
-        scripts.registers(focus=2), check=scripts.writes(rq.RegWrite("focus", 3, 0)),
+        scripts.registers(focus=2), check=scripts.writes(rq.RegWrite("focus", 3, mask=0)),
     )  # fmt: skip
     yield Case(
         "write-named", "a field's value by its name",

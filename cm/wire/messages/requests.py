@@ -6,7 +6,7 @@ Several of them share a topic and a message on the wire (`cm.wire.decode` tells 
 
 from __future__ import annotations
 
-from cm.frozen import dataclass, field
+from cm.frozen import KW_ONLY, dataclass, field
 from cm.hashes import sha256
 
 LEASE_SECONDS = 30.0  # for which a lease is held if nobody says how long
@@ -45,12 +45,13 @@ class File:
 
     name: str
     data: bytes | memoryview = field(repr=False)
+    _: KW_ONLY
     sha256: str = ""
     upload: str = ""  # the id of an `Upload` that has the bytes
 
     def uploaded(self, name: str) -> File:
         """The same file, with its bytes sent before by uploads."""
-        return File(self.name, b"", self.sha256 or sha256(self.data), name)
+        return File(self.name, b"", sha256=self.sha256 or sha256(self.data), upload=name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +67,7 @@ class ChangeMode:
 
     config_name: str = ""
     mode: str = ""
+    _: KW_ONLY
     name_or_mode: str = ""
     no_wait: bool = False
     no_queue: bool = False
@@ -88,6 +90,7 @@ class Provision:
 
     schema: str
     files: tuple[File, ...] = ()
+    _: KW_ONLY
     change: ChangeMode | None = None
     lease: str = ""
 
@@ -113,6 +116,7 @@ class RegWrite:
 
     name: str
     value: int
+    _: KW_ONLY
     mask: int | None = None
     named: str = ""
 
@@ -145,6 +149,7 @@ class ConfigureStream:
 
     stream: str
     shape: tuple[int, ...] = ()
+    _: KW_ONLY
     dtype: str = ""
     slots: int = 0
     direction: str = ""
@@ -169,6 +174,7 @@ class DefineMemory:
 
     name: str
     address: int | None = None
+    _: KW_ONLY
     length: int = 0
     shape: tuple[int, ...] = ()
     dtype: str = ""
@@ -183,6 +189,7 @@ class ReadData:
 
     stream: str = ""
     timeout: float = 0.0
+    _: KW_ONLY
     offset: int = 0
     length: int = 0
 
@@ -193,6 +200,7 @@ class WriteData:
 
     stream: str
     data: bytes | memoryview = field(repr=False, default=b"")
+    _: KW_ONLY
     lease: str = ""
     offset: int = 0
     upload: str = ""  # the id of an `Upload` that has the bytes
@@ -205,6 +213,7 @@ class Upload:
 
     id: str
     length: int = 0
+    _: KW_ONLY
     offset: int = 0
     data: bytes | memoryview = field(repr=False, default=b"")
     discard: bool = False
@@ -219,6 +228,7 @@ class CheckRegion:
 
     name: str
     repair: bool = False
+    _: KW_ONLY
     reload: bool = False
     lease: str = ""
 
@@ -243,6 +253,7 @@ class TakeLease:
 
     scope: str = "board"
     exclusive: bool = True
+    _: KW_ONLY
     seconds: float = LEASE_SECONDS
     holder: str = ""
     pid: int = 0  # of the holder's process on this machine: the lease ends with it
@@ -254,6 +265,7 @@ class RenewLease:
 
     id: str
     seconds: float = LEASE_SECONDS
+    _: KW_ONLY
     pid: int = 0  # as in `TakeLease`
 
 

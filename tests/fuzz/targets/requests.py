@@ -43,13 +43,13 @@ def _requests() -> list[rq.Request]:
         rq.ChangeMode("camera", "edge", force=True, lease="1"),
         rq.CancelChange(),
         rq.ReadReg(("focus", "zoom")),
-        rq.WriteReg((rq.RegWrite("focus", 2, 3),), "1"),
+        rq.WriteReg((rq.RegWrite("focus", 2, mask=3),), "1"),
         rq.ConfigureStream("camera", shape=(480, 640), dtype="uint8", slots=4, rate=30.0, cyclic=False),
-        rq.DefineMemory("taps", 0x1000, 64, (4, 4), "uint32", "rw", "prr0"),
+        rq.DefineMemory("taps", 0x1000, length=64, shape=(4, 4), dtype="uint32", access="rw", region="prr0"),
         rq.ReadData("camera", 1.0),
         rq.WriteData("to_pl", b"\1\2\3"),
         rq.ReadIrq("frame_done"),
-        rq.TakeLease("registers:focus", True, 10.0, "me", 1),
+        rq.TakeLease("registers:focus", True, seconds=10.0, holder="me", pid=1),
     ]
 
 

@@ -108,7 +108,7 @@ def test_a_long_frame_is_uploaded_where_the_manager_takes_uploads() -> None:
     assert (bytes(whole.request.data), asked) == (frame[1:].tobytes(), [])
     assert went(uploads.discarding(whole)) == (None, [])
     call, asked = went(uploads.write_data("to_pl", frame, "l"), *[TAKEN] * 5)
-    assert call.request == rq.WriteData("to_pl", b"", "l", upload=asked[0].request.id)
+    assert call.request == rq.WriteData("to_pl", b"", lease="l", upload=asked[0].request.id)
     assert [wait.request for wait in went(uploads.discarding(call), TAKEN)[1]] == [
         rq.Upload(call.request.upload, discard=True)
     ]
@@ -157,13 +157,13 @@ CALLS: list[tuple[calls.Call[Any], rq.Request, Any]] = [
     (calls.upload(rq.Upload("a", 9)), rq.Upload("a", 9), told.UploadInfo("a", 9, 0)),
     (calls.read_registers(("focus",)), rq.ReadReg(("focus",)), VALUES),
     (calls.write_registers({"focus": 7}, "l"), rq.WriteReg((rq.RegWrite("focus", 7),), "l"), VALUES),
-    (calls.write_masked("focus", 7, 15, "l"), rq.WriteReg((rq.RegWrite("focus", 7, 15),), "l"), VALUES),
+    (calls.write_masked("focus", 7, 15, "l"), rq.WriteReg((rq.RegWrite("focus", 7, mask=15),), "l"), VALUES),
     (calls.configure_stream(rq.ConfigureStream("to_pl")), rq.ConfigureStream("to_pl"), STREAM),
     (calls.describe_stream("to_pl"), rq.DescribeData("to_pl"), STREAM),
-    (calls.write_data("to_pl", b"abc", "l"), rq.WriteData("to_pl", b"abc", "l"), SENT),
+    (calls.write_data("to_pl", b"abc", "l"), rq.WriteData("to_pl", b"abc", lease="l"), SENT),
     (calls.define_memory(rq.DefineMemory("table")), rq.DefineMemory("table"), MEMORY),
     (calls.describe_memory("table"), rq.DescribeData("table"), MEMORY),
-    (calls.write_memory("table", 8, memoryview(b"ab"), "l"), rq.WriteData("table", b"ab", "l", 8), SENT),
+    (calls.write_memory("table", 8, memoryview(b"ab"), "l"), rq.WriteData("table", b"ab", lease="l", offset=8), SENT),
     (
         calls.check_region("prr0", repair=True, reload=False, lease="l"),
         rq.CheckRegion("prr0", repair=True, lease="l"),

@@ -162,7 +162,7 @@ ASKED: list[tuple[Callable[[Any], Any], rq.Request]] = [
     (lambda b: b.plan(), rq.PlanChange()),
     (lambda b: b.config(), rq.ReadConfig()),
     (lambda b: b.read(), rq.ReadData("", 1.0)),
-    (lambda b: b.configure_memory("table", 0x1000, 64), rq.DefineMemory("table", 0x1000, 64)),
+    (lambda b: b.configure_memory("table", 0x1000, 64), rq.DefineMemory("table", 0x1000, length=64)),
     (lambda b: b.check_region("prr0"), rq.CheckRegion("prr0")),
     (lambda b: b.check_region("prr0", repair=True, lease="l"), rq.CheckRegion("prr0", repair=True, lease="l")),
     (lambda b: b.check_region("prr0", reload=True), rq.CheckRegion("prr0", repair=True, reload=True)),
@@ -172,22 +172,27 @@ ASKED: list[tuple[Callable[[Any], Any], rq.Request]] = [
             "to_pl", shape=[4, 5], dtype="uint16", slots=6, direction="mm2s", rate=7.0, stride=16, cyclic=True,
             backpressure=False, enable=True, compression="lz4", force=True, lease="l",
         ),
-        rq.ConfigureStream("to_pl", (4, 5), "uint16", 6, "mm2s", 7.0, True, True, True, "l", False, 16, False, "lz4"),
+        rq.ConfigureStream(
+            "to_pl", (4, 5), dtype="uint16", slots=6, direction="mm2s", rate=7.0, cyclic=True, enable=True, force=True,
+            lease="l", backpressure=False, stride=16, compression="lz4",
+        ),
     ),
     (lambda b: b.configure_stream("to_pl", automatic=True), rq.ConfigureStream("to_pl", automatic=True)),
     (
         lambda b: b.configure_memory(
             "table", 0x1000, 64, shape=(4, 4), dtype="uint32", access="ro", region="static", lease="l"
         ),
-        rq.DefineMemory("table", 0x1000, 64, (4, 4), "uint32", "ro", "static", "l"),
+        rq.DefineMemory(
+            "table", 0x1000, length=64, shape=(4, 4), dtype="uint32", access="ro", region="static", lease="l"
+        ),
     ),
-    (lambda b: b.write("to_pl", b"abc", "l"), rq.WriteData("to_pl", b"abc", "l")),
+    (lambda b: b.write("to_pl", b"abc", "l"), rq.WriteData("to_pl", b"abc", lease="l")),
     (lambda b: b.read("camera", 0.25), rq.ReadData("camera", 0.25)),
     (lambda b: b.registers.read("focus", "zoom"), rq.ReadReg(("focus", "zoom"))),
     (lambda b: b.registers.write({"focus": 7}, "l"), rq.WriteReg((rq.RegWrite("focus", 7),), "l")),
-    (lambda b: b.registers.write_masked("focus", 7, 15, "l"), rq.WriteReg((rq.RegWrite("focus", 7, 15),), "l")),
+    (lambda b: b.registers.write_masked("focus", 7, 15, "l"), rq.WriteReg((rq.RegWrite("focus", 7, mask=15),), "l")),
     (lambda b: b.memories["table"].read(8, 4), rq.ReadData("table", offset=8, length=4)),
-    (lambda b: b.memories["table"].write(b"abcd", 8, "l"), rq.WriteData("table", b"abcd", "l", 8)),
+    (lambda b: b.memories["table"].write(b"abcd", 8, "l"), rq.WriteData("table", b"abcd", lease="l", offset=8)),
     (lambda b: b.lease().take(), rq.TakeLease("board", holder=f"pid {os.getpid()}", pid=os.getpid())),
     (lambda b: b.stream("camera", copy=True).open(), rq.DescribeData("camera")),
     (lambda b: b.stream("camera", copy=True, newest=True).open(), rq.DescribeData("camera")),
@@ -396,8 +401,12 @@ def test_a_memory_asks_for_what_it_needs_of_itself(manager: Manager, client: Cal
         part = FrameInfo("table", 0, 0, length, (length // 4,), "uint32")
         expected.append((rq.ReadData("table", offset=offset, length=length), (part, bytes(range(1, length + 1)))))
     written = FrameInfo("table", 0, 0, 4)
-    expected += [(describe, info), (describe, info), (rq.WriteData("table", b"\x07\0\0\0", "l", 4), written)]
-    expected += [(rq.WriteData("table", b"abcd", "l", 8), written)]
+    expected += [
+        (describe, info),
+        (describe, info),
+        (rq.WriteData("table", b"\x07\0\0\0", lease="l", offset=4), written),
+    ]
+    expected += [(rq.WriteData("table", b"abcd", lease="l", offset=8), written)]
     expected += [(describe, info), (rq.WriteData("table", b"\x09\0\0\0"), written)]
     for request, answer in expected:
         assert manager.asked() == request

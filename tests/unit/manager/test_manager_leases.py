@@ -150,7 +150,7 @@ def test_a_client_and_all_together_hold_no_more_leases_than_they_may(clock: Cloc
     leases = Leases(clock, most=3, each=2)
 
     def one(client: str) -> str:
-        return leases.request(TakeLease("registers:led", False, 10.0), client).id
+        return leases.request(TakeLease("registers:led", False, seconds=10.0), client).id
 
     held = [one("anna"), one("anna")]
     assert refusal(lambda: one("anna")) == (

@@ -508,7 +508,9 @@ def test_a_definition_is_refused_or_is_a_memory_that_can_be_used(
     memories, config = made.manager.memories, made.manager.loaded_config()
     assert config is not None
     try:
-        memory = memories.define(DefineMemory("block", address, length, shape, dtype, access, "static"))
+        memory = memories.define(
+            DefineMemory("block", address, length=length, shape=shape, dtype=dtype, access=access, region="static")
+        )
     except (InvalidRequest, DeviceNotFound):
         return
     assert (memory.address, memory.size) == (address, length)

@@ -104,7 +104,7 @@ def test_files_that_are_too_much_together_are_refused(provisioner: Provisioner) 
     [
         ((*FILES, FILES[0]), r"files of 'sent': names must differ, and none may be 'schema\.yaml'"),
         (
-            (File("one.bit", b"1", "0" * 64),),
+            (File("one.bit", b"1", sha256="0" * 64),),
             "cm_write_config: file 'one.bit' does not have the sha256 announced for it",
         ),
     ],
@@ -117,7 +117,7 @@ def test_files_that_are_not_what_was_announced_are_refused(
     assert provisioner.stored() == []
     sha256 = hashlib.sha256(b"1").hexdigest()
     for announced in (sha256, sha256.upper()):
-        stored = provisioner.store(SCHEMA, (File("one.bit", b"1", announced),))
+        stored = provisioner.store(SCHEMA, (File("one.bit", b"1", sha256=announced),))
         assert stored.sha256_source == hashlib.sha256(SCHEMA.encode()).hexdigest()
 
 

@@ -118,17 +118,18 @@ def bench() -> Bench:
     ("write", "done", "told"),
     [
         (RegWrite("plain", 0xFFFFFFFF), [("write", 0x1000, 0xFFFFFFFF), ("read", 0x1000, 32)], 0xFFFFFFFF),
-        (RegWrite("plain", 0x5F, 0xF), [("read", 0x1000, 32), ("write", 0x1000, 0xAF), ("read", 0x1000, 32)], 0xAF),
-        (RegWrite("plain", 0, 0xF), [("read", 0x1000, 32), ("write", 0x1000, 0xA0), ("read", 0x1000, 32)], 0xA0),
-        (RegWrite("plain", 0xFFFFFFFF, 0xF),
+        (RegWrite("plain", 0x5F, mask=0xF),
          [("read", 0x1000, 32), ("write", 0x1000, 0xAF), ("read", 0x1000, 32)], 0xAF),
-        (RegWrite("byte", 9, 0xF), [("read", 0x1004, 8), ("write", 0x1004, 9), ("read", 0x1004, 8)], 9),
-        (RegWrite("plain", 1, 0), [("read", 0x1000, 32), ("write", 0x1000, 0xA3), ("read", 0x1000, 32)], 0xA3),
-        (RegWrite("plain", 9, 0xFFFFFFFF), [("write", 0x1000, 9), ("read", 0x1000, 32)], 9),
+        (RegWrite("plain", 0, mask=0xF), [("read", 0x1000, 32), ("write", 0x1000, 0xA0), ("read", 0x1000, 32)], 0xA0),
+        (RegWrite("plain", 0xFFFFFFFF, mask=0xF),
+         [("read", 0x1000, 32), ("write", 0x1000, 0xAF), ("read", 0x1000, 32)], 0xAF),
+        (RegWrite("byte", 9, mask=0xF), [("read", 0x1004, 8), ("write", 0x1004, 9), ("read", 0x1004, 8)], 9),
+        (RegWrite("plain", 1, mask=0), [("read", 0x1000, 32), ("write", 0x1000, 0xA3), ("read", 0x1000, 32)], 0xA3),
+        (RegWrite("plain", 9, mask=0xFFFFFFFF), [("write", 0x1000, 9), ("read", 0x1000, 32)], 9),
         (RegWrite("byte", 2), [("write", 0x1004, 2), ("read", 0x1004, 8)], 2),
         (RegWrite("byte", 9), [("write", 0x1004, 9), ("read", 0x1004, 8)], 9),
         (RegWrite("secret", 5), [("write", 0x100C, 5)], 5),
-        (RegWrite("secret", 5, 0xF), [("write", 0x100C, 5)], 5),
+        (RegWrite("secret", 5, mask=0xF), [("write", 0x100C, 5)], 5),
         (RegWrite("light.colour", 0, named="red"),
          [("read", 0x1014, 32), ("write", 0x1014, 0x09), ("read", 0x1014, 32)], 0x09),
         (RegWrite("light.on", 0), [("read", 0x1014, 32), ("write", 0x1014, 0x0A), ("read", 0x1014, 32)], 0x0A),
@@ -175,7 +176,12 @@ def test_a_block_is_moved_from_its_place_in_the_map_of_its_window() -> None:
 
 
 def test_what_was_written_before_is_kept_where_it_cannot_be_read(bench: Bench) -> None:
-    for write in (RegWrite("secret", 0xB0), RegWrite("secret", 5, 0xF), RegWrite("loop", 6), RegWrite("loop.go", 1)):
+    for write in (
+        RegWrite("secret", 0xB0),
+        RegWrite("secret", 5, mask=0xF),
+        RegWrite("loop", 6),
+        RegWrite("loop.go", 1),
+    ):
         bench.service.write((write,), "")
     assert [value for kind, _, value in bench.cells.done if kind == "write"] == [0xB0, 0xB5, 6, 5]
 
@@ -201,8 +207,8 @@ OF_PLAIN, OF_BYTE = "outside 0 to 4294967295 (0x0 to 0xffffffff)", "outside 2 to
         (RegWrite("ident.low", 1), AccessDenied, "register 'ident' is read-only"),
         (RegWrite("light.seen", 1), AccessDenied, "field 'light.seen' is read-only"),
         (RegWrite("loop.done", 0), AccessDenied, "field 'loop.done' is read-only"),
-        (RegWrite("light.on", 1, 1), InvalidRequest, f"'light.on' {ONE_OF_BOTH}"),
-        (RegWrite("light.colour", 0, 1, named="red"), InvalidRequest, f"'light.colour' {ONE_OF_BOTH}"),
+        (RegWrite("light.on", 1, mask=1), InvalidRequest, f"'light.on' {ONE_OF_BOTH}"),
+        (RegWrite("light.colour", 0, mask=1, named="red"), InvalidRequest, f"'light.colour' {ONE_OF_BOTH}"),
         (RegWrite("door.key", 16), OutOfRange, "register 'door.key': 16 (0x10) is outside 0 to 15 (0x0 to 0xf)"),
         (RegWrite("door.key", -1), OutOfRange, "register 'door.key': -1 (-0x1) is outside 0 to 15 (0x0 to 0xf)"),
         (
@@ -217,18 +223,22 @@ OF_PLAIN, OF_BYTE = "outside 0 to 4294967295 (0x0 to 0xffffffff)", "outside 2 to
         ),
         (RegWrite("plain", 1 << 32), OutOfRange, f"register 'plain': 4294967296 (0x100000000) is {OF_PLAIN}"),
         (RegWrite("plain", -1), OutOfRange, f"register 'plain': -1 (-0x1) is {OF_PLAIN}"),
-        (RegWrite("plain", -1, 1), OutOfRange, f"register 'plain': -1 (-0x1) is {OF_PLAIN}"),
-        (RegWrite("plain", 1, 1 << 32), OutOfRange, "register 'plain': mask 0x100000000 does not fit 32 bits"),
-        (RegWrite("plain", 1, -1), OutOfRange, "register 'plain': mask -0x1 does not fit 32 bits"),
+        (RegWrite("plain", -1, mask=1), OutOfRange, f"register 'plain': -1 (-0x1) is {OF_PLAIN}"),
+        (RegWrite("plain", 1, mask=1 << 32), OutOfRange, "register 'plain': mask 0x100000000 does not fit 32 bits"),
+        (RegWrite("plain", 1, mask=-1), OutOfRange, "register 'plain': mask -0x1 does not fit 32 bits"),
         (RegWrite("byte", 1), OutOfRange, f"register 'byte': 1 (0x1) is {OF_BYTE}"),
         (RegWrite("byte", 10), OutOfRange, f"register 'byte': 10 (0xa) is {OF_BYTE}"),
         (
-            RegWrite("byte", 1, 0xFF),
+            RegWrite("byte", 1, mask=0xFF),
             OutOfRange,
             f"register 'byte': 1 (0x1) is {OF_BYTE}",
         ),  # all bits, as without a mask
-        (RegWrite("byte", 0, 0x0F), OutOfRange, f"register 'byte': 0 (0x0) is {OF_BYTE}"),
-        (RegWrite("byte", 8, 8), OutOfRange, f"register 'byte': 13 (0xd) is {OF_BYTE}"),  # with the bits that are there
+        (RegWrite("byte", 0, mask=0x0F), OutOfRange, f"register 'byte': 0 (0x0) is {OF_BYTE}"),
+        (
+            RegWrite("byte", 8, mask=8),
+            OutOfRange,
+            f"register 'byte': 13 (0xd) is {OF_BYTE}",
+        ),  # with the bits that are there
         (RegWrite("light", 0x40), OutOfRange, "register 'light': 64 (0x40) is outside 0 to 63 (0x0 to 0x3f)"),
         (RegWrite("depth", 1), RegionBusy, "register 'depth' lies in region right, which is decoupled"),
     ],

@@ -138,7 +138,7 @@ REQUESTS = {
     "stream": rq.ConfigureStream("a"),
     "data": rq.WriteData("a", b""),
     "lease": rq.TakeLease(),
-    "upload": rq.Upload("a", 1, 0, b""),
+    "upload": rq.Upload("a", 1, offset=0, data=b""),
 }
 
 

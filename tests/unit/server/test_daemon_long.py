@@ -67,8 +67,8 @@ def uploaded(daemon: Daemon) -> int:
 
 
 def test_a_frame_sent_in_parts_is_written_once(flowing: Daemon) -> None:
-    assert flowing.done(Upload("a", FRAME, 0, PICTURE[:1000])) == UploadInfo("a", FRAME, 1000)
-    assert flowing.done(Upload("a", FRAME, 1000, PICTURE[1000:])) == UploadInfo("a", FRAME, FRAME)
+    assert flowing.done(Upload("a", FRAME, offset=0, data=PICTURE[:1000])) == UploadInfo("a", FRAME, 1000)
+    assert flowing.done(Upload("a", FRAME, offset=1000, data=PICTURE[1000:])) == UploadInfo("a", FRAME, FRAME)
     assert uploaded(flowing) == FRAME
     flowing.send(rq.ReadData("from_pl", 60.0))
     flowing.send(rq.WriteData("to_pl", upload="a"))
@@ -92,7 +92,7 @@ config:
 def send_config(daemon: Daemon) -> bytes:
     """Send a configuration whose image was uploaded before; return the image."""
     image: bytes = (daemon.board.root / "lib/firmware/cm/camera/default.bit").read_bytes()
-    daemon.done(Upload("image", len(image), 0, image))
+    daemon.done(Upload("image", len(image), offset=0, data=image))
     file = File("given.bit", image).uploaded("image")
     assert (file.data, file.sha256) == (b"", hashlib.sha256(image).hexdigest())
     assert daemon.refused(rq.Provision("config: [", (file,)))[0] == "schema_invalid"  # the upload is still there

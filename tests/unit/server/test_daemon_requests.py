@@ -36,7 +36,7 @@ def camera(shared: Daemon) -> Daemon:
 
 
 def written(name: str, value: int, mask: int | None = None) -> WriteReg:
-    return WriteReg((RegWrite(name, value, mask),))
+    return WriteReg((RegWrite(name, value, mask=mask),))
 
 
 def values(daemon: Daemon, *names: str) -> list[int]:
@@ -152,7 +152,7 @@ def test_a_configuration_that_is_provisioned_is_described_and_stays(camera: Daem
 
 def test_a_configuration_is_provisioned_and_entered_in_one(camera: Daemon) -> None:
     change = ChangeMode(mode="only")
-    camera.done(rq.Provision(EXTRA, (File("given.bit", image(camera)),), change))
+    camera.done(rq.Provision(EXTRA, (File("given.bit", image(camera)),), change=change))
     assert (camera.status.config_name, camera.status.mode) == ("extra", "only")
 
 
@@ -199,8 +199,16 @@ def test_a_repeated_read_after_a_change_of_mode_is_of_the_new_mode(camera: Daemo
         (ReadReg(("led.zzz",)), "unknown_register", "'led' has no field 'zzz'; there are blink, pattern"),
         (ReadReg(("zoom.zzz",)), "unknown_register", "'zoom' has no field 'zzz'; there are none"),
         (written("focus", 1, mask=1 << 32), "out_of_range", "mask 0x100000000 does not fit 32 bits"),
-        (rq.DefineMemory("camera", 0x1A00, 16), "invalid_request", "'camera' is a stream of configuration 'camera'"),
-        (rq.DefineMemory("scratchpad", 0x1A00, 16), "invalid_request", "'scratchpad' is a memory of configuration"),
+        (
+            rq.DefineMemory("camera", 0x1A00, length=16),
+            "invalid_request",
+            "'camera' is a stream of configuration 'camera'",
+        ),
+        (
+            rq.DefineMemory("scratchpad", 0x1A00, length=16),
+            "invalid_request",
+            "'scratchpad' is a memory of configuration",
+        ),
         (written("version", 1), "access", "read-only"),
         (written("focus", 16), "out_of_range", "register 'focus': 16 (0x10) is outside 0 to 15"),
         (written("led.blink", 9, 1), "invalid_request", "give a value or a mask, not both"),
@@ -215,7 +223,7 @@ def test_a_repeated_read_after_a_change_of_mode_is_of_the_new_mode(camera: Daemo
         (rq.ReadData("nothing"), "unknown_stream", "nothing"),
         (rq.WriteData("nothing", b"1"), "unknown_stream", "nothing"),
         (rq.DescribeData("nothing"), "unknown_stream", "nothing"),
-        (rq.DefineMemory("block", 0x1000, 3), "invalid_request", "4"),
+        (rq.DefineMemory("block", 0x1000, length=3), "invalid_request", "4"),
     ],
 )
 def test_impossible_requests_are_refused_with_their_codes(
@@ -283,7 +291,7 @@ def test_a_memory_is_written_and_read_by_bytes(camera: Daemon) -> None:
 
 
 def test_a_block_is_defined_and_used(camera: Daemon) -> None:
-    info = camera.done(rq.DefineMemory("block", 0x1A00, 32, (8,), "uint32", "ro"))
+    info = camera.done(rq.DefineMemory("block", 0x1A00, length=32, shape=(8,), dtype="uint32", access="ro"))
     assert (info.address, info.size, info.defined) == (0x1A00, 32, True)
     camera.done(rq.WriteData("scratchpad", b"\1" * 4, offset=0x200))
     assert bytes(camera.ask(rq.ReadData("block", length=4)).payload[0]) == b"\1" * 4

@@ -206,7 +206,7 @@ LED = (rq.RegWrite("led", 1),)
         (rq.CheckRegion("r"), [("prepare", "r"), ("check", "made")]),
         (rq.CheckRegion("r", repair=True, lease="mine"), [("repair", rq.CheckRegion("r", repair=True, lease="mine"))]),
         (rq.DescribeData("camera", "mine"), [("camera", "mine")]),
-        (rq.DefineMemory("ram", 8, 4), [("define", rq.DefineMemory("ram", 8, 4))]),
+        (rq.DefineMemory("ram", 8, length=4), [("define", rq.DefineMemory("ram", 8, length=4))]),
         (
             rq.ConfigureStream("camera", slots=3, lease="mine"),
             [("camera", "mine"), ("configure", rq.ConfigureStream("camera", slots=3, lease="mine"))],

@@ -92,6 +92,7 @@ def test_an_open_stream_tells_its_settings_its_counters_and_its_clients() -> Non
     assert state == StreamStatus(
         "camera", "ch0", "s2mm", (4, 4, 2), "uint8", 5, open=True, frames=7, dropped=1, errors=2,
         rate=pytest.approx(10.0), latency_us=3.0, limit=2.0, exact=True, max_length=1 << 20, format="yuv422",
+        slot_bytes=32,
     )  # fmt: skip
     list(it.stream.holders.join(1, 4, Peer(9, "view")))
     list(it.stream.holders.join(2, 4, Peer(8, "gone meanwhile")))

@@ -55,9 +55,9 @@ def at_once(data: bytes) -> WriteReg | InvalidRequest:
 def test_1024_writes_are_read_64_at_a_time(data: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[int] = [0]
 
-    def counted(*arguments: Any) -> RegWrite:
+    def counted(*arguments: Any, **named: Any) -> RegWrite:
         made[-1] += 1
-        return RegWrite(*arguments)
+        return RegWrite(*arguments, **named)
 
     monkeypatch.setattr(parse, "RegWrite", counted)
     monkeypatch.setattr(text, "RegWrite", counted)

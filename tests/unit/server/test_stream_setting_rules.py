@@ -53,7 +53,9 @@ def test_frames_are_compressed_by_what_there_is(
 
 def test_a_request_changes_what_it_names_and_nothing_else() -> None:
     assert changed(READ, ConfigureStream("camera")) == READ
-    wanted = changed(READ, ConfigureStream("camera", (8, 4), "uint16", 3, rate=5.0, backpressure=True, stride=16))
+    wanted = changed(
+        READ, ConfigureStream("camera", (8, 4), dtype="uint16", slots=3, rate=5.0, backpressure=True, stride=16)
+    )
     assert wanted == replace(READ, shape=(8, 4), dtype="uint16", slots=3, limit=5.0, backpressure=True, stride=16)
     assert changed(wanted, ConfigureStream("camera")) == wanted
     assert changed(wanted, ConfigureStream("camera", backpressure=False)).backpressure is False

@@ -98,7 +98,7 @@ def parts(kept: Uploads, client: Client, name: str, *sent: bytes, length: int | 
     """Send these parts of an upload, which is complete with them if no length is given."""
     told, length = UploadInfo(name, 0, 0), sum(map(len, sent)) if length is None else length
     for number, part in enumerate(sent):
-        told = kept.take(client, Upload(name, length, sum(map(len, sent[:number])), part))
+        told = kept.take(client, Upload(name, length, offset=sum(map(len, sent[:number])), data=part))
     return told
 
 
@@ -106,17 +106,17 @@ def test_parts_follow_each_other_within_the_length_that_was_said(kept: Uploads, 
     other = process(clients, GONE)
     assert parts(kept, one, "a", b"12", b"345", length=6) == UploadInfo("a", 6, 5)
     for part, said in (
-        (Upload("a", 6, 4, b"5"), "upload 'a': byte 4 of 6 where 5 of 6 is next"),
-        (Upload("a", 7, 5, b"6"), "upload 'a': byte 5 of 7 where 5 of 6 is next"),
-        (Upload("a", 6, 5, b"67"), "upload 'a': 2 bytes at 5 of 6"),
+        (Upload("a", 6, offset=4, data=b"5"), "upload 'a': byte 4 of 6 where 5 of 6 is next"),
+        (Upload("a", 7, offset=5, data=b"6"), "upload 'a': byte 5 of 7 where 5 of 6 is next"),
+        (Upload("a", 6, offset=5, data=b"67"), "upload 'a': 2 bytes at 5 of 6"),
     ):
         with pytest.raises(InvalidRequest, match=f"^{said}$"):
             kept.take(one, part)
     for client, name, offset in ((one, "b", 5), (other, "a", 5)):
         with pytest.raises(UnknownUpload, match=f"upload '{name}': there are no bytes before 5; begin with offset 0"):
-            kept.take(client, Upload(name, 6, offset, b"6"))
+            kept.take(client, Upload(name, 6, offset=offset, data=b"6"))
     assert (one.upload_bytes, other.upload_bytes) == (6, 0)
-    assert kept.take(one, Upload("a", 6, 5, b"6")) == UploadInfo("a", 6, 6)
+    assert kept.take(one, Upload("a", 6, offset=5, data=b"6")) == UploadInfo("a", 6, 6)
     assert kept.take(one, Upload("a", 6, discard=True)) == UploadInfo("a", 6, 0)
     assert one.upload_bytes == 0
 
@@ -150,7 +150,7 @@ def test_a_request_is_filled_in_and_uses_up_what_it_took_once_it_is_accepted(kep
     for name, why in (("a", "there is no upload of that name"), ("c", "1 of 2 bytes are there")):
         with pytest.raises(UnknownUpload, match=f"upload '{name}': {why}"):
             kept.fill_in(asks(one, WriteData("s", upload=name), said))
-    kept.take(one, Upload("c", 2, 1, b"2"))
+    kept.take(one, Upload("c", 2, offset=1, data=b"2"))
     asked = asks(one, WriteData("s", upload="c", lease="l"), said)
     kept.fill_in(asked)
     filled = asked.request

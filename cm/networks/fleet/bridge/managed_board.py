@@ -56,14 +56,14 @@ class ManagedBoard:
         if part.lease and (time.monotonic() - self._held < HOLD / 3 or await self._renewed(part)):
             return part.lease
         holder = f"fleet change {part.change} of {part.caller}"
-        taking = calls.lease(rq.TakeLease("board", True, HOLD, holder, 0))
+        taking = calls.lease(rq.TakeLease("board", True, seconds=HOLD, holder=holder, pid=0))
         lease = await self.relay.ask(taking, self.guest(part.caller))
         self._held = time.monotonic()
         return lease.id
 
     async def _renewed(self, part: Part) -> bool:
         try:
-            await self.relay.ask(calls.lease(rq.RenewLease(part.lease, HOLD, 0)), self.guest(part.caller))
+            await self.relay.ask(calls.lease(rq.RenewLease(part.lease, HOLD, pid=0)), self.guest(part.caller))
         except RequestFailed:  # the manager was restarted meanwhile, or the lease ran out
             return False
         self._held = time.monotonic()
