@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from cm.device import Root
+from cm.server.private_folders import FolderLock, own_folder
 from cm.simulation.software.errors import SimError
 from cm.simulation.software.process.child import Board
 
@@ -31,8 +32,7 @@ def simulated_board(
     A simulator whose manager was killed keeps its state for some seconds, as a board would; `Board`
     takes it over if it was started with the same arguments.
     """
-    with contextlib.suppress(FileExistsError):  # a file: the lock below says so
-        runtime.mkdir(mode=0o750, parents=True, exist_ok=True)
+    own_folder(runtime)
     _refuse_where_served(runtime)
     with (
         Board(
@@ -83,8 +83,6 @@ def _refuse_where_served(runtime: Path) -> None:
         with (runtime / "lock").open("rb") as lock:
             fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except (BlockingIOError, NotADirectoryError):
-        from cm.server.private_folders import FolderLock
-
         FolderLock(runtime).release()  # raises, naming the holder, or what is no folder
     except OSError:
         return  # no manager has ever served there, or the daemon will report the error

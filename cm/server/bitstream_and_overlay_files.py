@@ -265,8 +265,7 @@ def _write(target: Path, data: bytes) -> None:
     os.close(descriptor)
     new = Path(name)
     try:
-        write(new, data)
-        new.chmod(0o644)
+        write(new, data, 0o644)
         new.replace(target)
     except BaseException:
         new.unlink(missing_ok=True)
@@ -591,7 +590,7 @@ class Footprints:
             return
         try:
             new = self._path.with_suffix(".new")
-            write(new, _encode(self._learned), 0o600)
+            write(new, _encode(self._learned))
             new.replace(self._path)
         except OSError as error:
             _LOG.warning("learned footprints could not be written: %s", sentence(error))

@@ -20,12 +20,13 @@ def naming(path: Path) -> Iterator[None]:
         raise
 
 
-def write(path: Path, data: bytes | memoryview, mode: int = 0o666) -> None:
+def write(path: Path, data: bytes | memoryview, mode: int = 0o600) -> None:
     """Write a file to the disk, not only to its cache: a rename that follows must not overtake the content.
 
-    `mode` is what the umask narrows. Raises OSError.
+    Nobody else may read it, unless `mode` says so. Raises OSError.
     """
     with naming(path), open(path, "wb", opener=lambda name, flags: os.open(name, flags, mode)) as file:
+        os.fchmod(file.fileno(), mode)
         file.write(data)
         file.flush()
         os.fsync(file.fileno())

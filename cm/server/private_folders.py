@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
+import grp
 import os
+import pwd
 import stat
 from contextlib import suppress
 from pathlib import Path
@@ -13,7 +16,9 @@ from cm.device.base import AnyRoot
 from cm.device.paths import Root
 from cm.errors import Busy, CmError
 
-FOLDER_MODE, SOCKET_MODE = 0o750, 0o660
+SOCKET_MODE = 0o660
+_PART = os.O_PATH | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
+_LINKS = 40  # in a path, as the kernel follows
 
 
 class UnsafeFolder(CmError, PermissionError):
@@ -22,31 +27,31 @@ class UnsafeFolder(CmError, PermissionError):
     code = "unsafe_folder"
 
 
-def own_folder(folder: Path, group: int | None = None, mode: int = FOLDER_MODE) -> None:
-    """Make a folder if there is none; with a group, give it to that.
+def own_folder(folder: Path, group: int | None = None, mode: int = 0o700) -> None:
+    """Make a folder if there is none, whatever the umask; with a group, let that in.
 
-    Raises UnsafeFolder if it is not ours. Ours is one that belongs to this user (or to root, who can do anything
-    anyway), is not a link, and cannot be written by others; by its group only if it is sticky. A link further up is
-    followed only if everything above it is safe too: /var/run is one on most systems.
+    Raises UnsafeFolder if it is not ours, or another user could put one of his own in its place. Each part of its path
+    is judged, as sshd does: it belongs to this user (or to root, who can do anything anyway), and nobody else may
+    write there; above the folder itself all may where it is sticky, as /tmp. A link is followed above it only.
     """
-    with suppress(FileExistsError):  # a file: opening it says so
-        folder.mkdir(mode=mode, parents=True, exist_ok=True)
-    fd = _opened(folder)
+    fd = _opened(folder, mode)
     try:
         status = os.fstat(fd)
-        if status.st_uid not in (os.geteuid(), 0):
-            raise UnsafeFolder(f"{folder} belongs to user {status.st_uid}, not to this one ({os.geteuid()})")
-        if status.st_mode & stat.S_IWOTH:
-            raise UnsafeFolder(f"{folder} can be written by everybody: chmod o-w {folder}, or choose another")
-        if status.st_mode & stat.S_IWGRP and not status.st_mode & stat.S_ISVTX:
-            raise UnsafeFolder(
-                f"{folder} can be written by its group ({status.st_gid}), whose members could put a socket there "
-                f"and be the manager: chmod g-w {folder}, or chmod +t {folder} if they have to write there"
-            )
         if group is not None and (status.st_gid != group or not status.st_mode & stat.S_IXGRP):
             _give(fd, folder, group, stat.S_IMODE(status.st_mode) | 0o050)
     finally:
         os.close(fd)
+
+
+def private_folder(folder: Path) -> None:
+    """As `own_folder`, for what nobody else may even read, or hold a lock on. Raises UnsafeFolder, OSError."""
+    own_folder(folder)
+    if folder.stat().st_mode & 0o077:
+        try:
+            folder.chmod(0o700)
+        except OSError as error:
+            if error.errno != errno.EROFS:  # a disk that fails is served from, as it is
+                raise
 
 
 def _give(fd: int, folder: Path, group: int, mode: int) -> None:
@@ -59,19 +64,93 @@ def _give(fd: int, folder: Path, group: int, mode: int) -> None:
         ) from None
 
 
-def _opened(folder: Path) -> int:
-    flags = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
+def _opened(folder: Path, mode: int) -> int:
+    """Open a folder part by part, by descriptors: what was judged is what the next part is looked up in."""
+    path, rest, links = Path("/"), [*reversed(folder.absolute().parts[1:])], 0
+    at = os.open(path, _PART)
     try:
-        return os.open(folder, flags)
-    except NotADirectoryError:
-        if folder.is_symlink():
-            raise UnsafeFolder(f"{folder} is not a folder, or a link to one: name the folder itself") from None
+        _judge(at, path, last=not rest)
+        while rest:
+            name = rest.pop()
+            path /= name
+            try:
+                below = _part(at, name, mode if not rest else None)
+            except OSError as error:
+                error.filename = str(path)
+                target = _link(at, name)
+                if not target or not rest or (links := links + 1) > _LINKS:
+                    raise _refused(path, error, target is not None) from None
+                path = Path("/") if target.startswith("/") else path.parent
+                below = os.open(path if target.startswith("/") else ".", _PART, dir_fd=at)
+                rest += [part for part in reversed(Path(target).parts) if part != "/"]
+            os.close(at)
+            at = below
+            _judge(at, path, last=not rest)
+    except BaseException:
+        os.close(at)
+        raise
+    return at
+
+
+def _part(at: int, name: str, mode: int | None) -> int:
+    """A folder in a folder, made where it is missing: with this mode, or as one to pass through."""
+    flags = _PART if mode is None else _PART & ~os.O_PATH
+    try:
+        return os.open(name, flags, dir_fd=at)
+    except FileNotFoundError:
+        with suppress(FileExistsError):
+            os.mkdir(name, 0o755 if mode is None else 0o700, dir_fd=at)
+            made = os.open(name, flags, dir_fd=at)
+            if mode is not None:
+                os.fchmod(made, mode)
+            return made
+        return os.open(name, flags, dir_fd=at)
+
+
+def _link(at: int, name: str) -> str | None:
+    """Where a link of ours or root's leads; None for what is none."""
+    try:
+        target = os.readlink(name, dir_fd=at)
+        owner = os.stat(name, dir_fd=at, follow_symlinks=False).st_uid
+    except OSError:
+        return None
+    return target if owner in (os.geteuid(), 0) else ""
+
+
+def _refused(path: Path, error: OSError, is_link: bool) -> OSError:
+    if is_link:
+        return UnsafeFolder(f"{path} is not a folder, or a link to one: name the folder itself")
+    if isinstance(error, NotADirectoryError):
+        return UnsafeFolder(f"{path} is a file, not a folder: name a folder; one that does not exist yet is made")
+    return error
+
+
+def _judge(fd: int, path: Path, last: bool) -> None:
+    """Raise UnsafeFolder for a part of a path that another user may change."""
+    status = os.fstat(fd)
+    sticky = status.st_mode & stat.S_ISVTX
+    if status.st_uid not in (os.geteuid(), 0):
+        raise UnsafeFolder(f"{path} belongs to user {status.st_uid}, not to this one ({os.geteuid()})")
+    if status.st_mode & stat.S_IWOTH and (last or not sticky):
+        raise UnsafeFolder(f"{path} can be written by everybody: chmod o-w {path}, or choose another")
+    if status.st_mode & stat.S_IWGRP and not sticky and not is_private_group(status.st_gid, status.st_uid):
         raise UnsafeFolder(
-            f"{folder} is a file, not a folder: name a folder; one that does not exist yet is made"
-        ) from None
+            f"{path} can be written by its group ({status.st_gid}), whose members could put a socket there "
+            f"and be the manager: chmod g-w {path}, or chmod +t {path} if they have to write there"
+        )
 
 
-def open_inside(folder: Path, name: str, flags: int, mode: int = 0o640) -> int:
+def is_private_group(gid: int, uid: int) -> bool:
+    """Whether a group lets nobody in but one user: its primary one, of its name or number, and nobody else's."""
+    try:
+        user, group = pwd.getpwuid(uid), grp.getgrgid(gid)
+    except KeyError:
+        return False
+    named = user.pw_gid == gid and (group.gr_name == user.pw_name or gid == uid)
+    return named and {*group.gr_mem, *(u.pw_name for u in pwd.getpwall() if u.pw_gid == gid)} <= {user.pw_name}
+
+
+def open_inside(folder: Path, name: str, flags: int, mode: int = 0o600) -> int:
     """Open a file of a folder, following no link at its end. Raises UnsafeFolder for one, OSError."""
     try:
         fd = os.open(folder / name, flags | os.O_NOFOLLOW | os.O_CLOEXEC, mode)
@@ -85,11 +164,11 @@ def open_inside(folder: Path, name: str, flags: int, mode: int = 0o640) -> int:
     return fd
 
 
-def share(path: Path, group: int | None) -> None:
-    """Open a socket in our folder to this user and a group."""
+def share(path: Path, group: int | None, mode: int = SOCKET_MODE) -> None:
+    """Open a socket, or a file, in our folder to this user and a group."""
     if group is not None:
         os.chown(path, -1, group, follow_symlinks=False)
-    path.chmod(SOCKET_MODE)
+    path.chmod(mode)
 
 
 class AlreadyServed(Busy):
@@ -105,6 +184,7 @@ class FolderLock:
         """Make the folder, for this user and a group. Raises UnsafeFolder for one that is not ours."""
         own_folder(folder, group)
         self._fd = open_inside(folder, "lock", os.O_RDWR | os.O_CREAT)
+        os.fchmod(self._fd, 0o600)  # who can open it can hold it
         try:
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
@@ -121,18 +201,25 @@ class FolderLock:
         os.close(self._fd)
 
 
+_ROOTS_ALONE = "firmware/fdt"  # mode 0400 on every machine with a device tree
+
+
 class BoardLock:
-    """An flock on the board's sysfs: managers with other runtime folders notice each other.
+    """An flock on a file of the board's sysfs: managers with other runtime folders notice each other.
 
     Nothing is written. It ends with the process, and holds within one mount of sysfs: managers in containers with
-    mounts of their own do not see it.
+    mounts of their own do not see it. The file is one that only root may read, or who has the capability that loading
+    takes: others could hold what they can open. Where there is none, or we may not, it is the folder.
     """
 
     def __init__(self, root: AnyRoot) -> None:
         folder = Root.of(root).join("sys")
         if not folder.is_dir():
             folder = folder.parent
-        self._fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            self._fd = os.open(folder / _ROOTS_ALONE, os.O_RDONLY | os.O_CLOEXEC)
+        except OSError:
+            self._fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:

@@ -22,7 +22,7 @@ from cm.schema.named_files import named_files
 from cm.schema.problems import did_you_mean
 from cm.server.durable_files import sync, write
 from cm.server.garbage_collector import keeping
-from cm.server.private_folders import own_folder
+from cm.server.private_folders import private_folder
 from cm.server.settings.model import USUAL, Limits
 from cm.wire.messages.requests import File
 
@@ -216,7 +216,7 @@ class Provisioner:
         written = schema.encode()
         self._check_quota(config.name, len(written) + sum(len(f.data) for f in files), len(written), sender)
         with _stored_or_not(config.name):
-            own_folder(self._folder)
+            private_folder(self._folder)
             self._write(config.name, written, files, sender)
         place = self._folder / config.name
         self.owned = {**self.owned, config.name: _owned(place)}

@@ -26,7 +26,7 @@ from cm.server.interrupts import InterruptWatch
 from cm.server.lease_watch import LeaseWatch
 from cm.server.long_work import FileThread, RoundRobin
 from cm.server.options import NO_METRICS, Options
-from cm.server.private_folders import Locks, own_folder
+from cm.server.private_folders import Locks, private_folder
 from cm.server.provision import Provisioner
 from cm.server.publisher import Publisher, StatusTold, mark
 from cm.server.reload import ReloadContext, Reloader, renewal
@@ -72,7 +72,7 @@ class Server:
         self._turns = RoundRobin(self._loop)
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._devices = BoardDevices(options.root, options.assume_loaded)
-        own_folder(options.state_dir)
+        private_folder(options.state_dir)
         self._provisioner = Provisioner(options.state_dir / "configs", options.unsigned, limits)
         self._journal = Journal(options.state_dir)
         self._files = FileThread(self._loop)

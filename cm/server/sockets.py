@@ -33,7 +33,7 @@ from cm.errors import InvalidRequest
 from cm.frozen import dataclass, names
 from cm.loop import Callback
 from cm.loop import Loop as EventLoop
-from cm.server.private_folders import share
+from cm.server.private_folders import open_inside, share
 from cm.server.rights.model import Security
 from cm.server.rights.principal import CURVE, IPC, TCP
 from cm.server.settings.model import USUAL, Limits
@@ -193,7 +193,9 @@ class Sockets:
         beside = {"metrics": metrics} if metrics else {}
         text = json.dumps({"pid": os.getpid(), **listens, **beside}, indent=1)
         new = self._folder / (ENDPOINTS_FILE + ".new")
-        new.write_text(text + "\n", encoding="utf-8")
+        with os.fdopen(open_inside(self._folder, new.name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), "w") as file:
+            file.write(text + "\n")
+        share(new, self._group, 0o640)
         new.replace(self._folder / ENDPOINTS_FILE)
 
     def close(self) -> None:

@@ -285,3 +285,54 @@ def test_a_manager_whose_log_goes_to_a_full_disk_serves_on() -> None:
         finally:
             process.terminate()
             assert process.wait(60) == 0
+
+
+MODES = {
+    "run": 0o750,
+    "run/data": 0o660,
+    "run/endpoints.json": 0o640,
+    "run/lock": 0o600,
+    "run/pub": 0o660,
+    "run/req": 0o660,
+    "run/sub": 0o660,
+    "state": 0o700,
+    "state/configs": 0o700,
+    "state/configs/mine": 0o700,
+    "state/configs/mine/.owner": 0o600,
+    "state/configs/mine/schema.yaml": 0o600,
+    "state/footprints": 0o600,
+    "state/journal": 0o600,
+    "state/journal.new": 0o600,
+}
+
+
+@pytest.mark.parametrize("umask", [0o000, 0o007])
+def test_what_the_manager_writes_is_its_own_but_for_what_clients_read_whatever_the_umask(umask: int) -> None:
+    """Learned footprints, which say what a load may touch, were writable by the group."""
+    with short_folder() as folder, SimBoard([CAMERA], root=folder / "board") as sim:
+        settings = folder / "cm.yaml"
+        settings.write_text(f"state_dir: {folder}/state\naccess: {{group: '{os.getegid()}'}}\n")
+        manager = Manager(
+            folder / "run", "--settings", str(settings), "--config", str(CAMERA), "--root", str(sim.root), service=True
+        )
+        (folder / "a.bit").write_bytes(b"123")
+        (folder / "mine.yaml").write_text(
+            "config: {name: mine, modules: {a: {bitstream: a.bit}}, modes: {m: {modules: [a]}}}\n"
+        )
+        before = os.umask(umask)
+        try:
+            manager.start()
+        finally:
+            os.umask(before)
+        try:
+            with manager.connected() as board:
+                board.provision(folder / "mine.yaml")
+                board.load("camera", "default")
+                board.load("camera", "edge_detection")
+            found = {}
+            for path in (*(folder / "run").rglob("*"), *(folder / "state").rglob("*")):
+                found[str(path.relative_to(folder))] = stat.S_IMODE(path.stat().st_mode)
+            found |= {name: stat.S_IMODE((folder / name).stat().st_mode) for name in ("run", "state")}
+        finally:
+            manager.stop()
+    assert found == MODES

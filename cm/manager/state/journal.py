@@ -345,7 +345,7 @@ class Journal:
     """
 
     def __init__(self, folder: Path) -> None:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         self._path = folder / "journal"
         self._lock = _locked(folder)
         self._spare = -1
@@ -468,7 +468,7 @@ class Journal:
 
 def _opened(path: Path, empty: bool = False) -> int:
     """A journal, of its full length, with room for that as far as the file system can promise it. Raises OSError."""
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o640)
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
     try:
         if empty:
             os.ftruncate(descriptor, 0)

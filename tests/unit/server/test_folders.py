@@ -3,11 +3,15 @@
 
 from __future__ import annotations
 
+import grp
 import os
+import pwd
 import stat
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -17,8 +21,10 @@ from cm.server.private_folders import (
     FolderLock,
     Locks,
     UnsafeFolder,
+    is_private_group,
     open_inside,
     own_folder,
+    private_folder,
     share,
 )
 from cm.server.provision import Provisioner
@@ -32,9 +38,26 @@ def mode(path: Path) -> int:
 
 
 def test_a_folder_is_made_for_this_user_and_its_group(tmp_path: Path) -> None:
-    own_folder(tmp_path / "run")
-    assert mode(tmp_path / "run") & 0o027 == 0
-    own_folder(tmp_path / "run")  # again is fine
+    own_folder(tmp_path / "over/run")
+    assert (mode(tmp_path / "over/run"), mode(tmp_path / "over") & 0o022) == (0o700, 0)
+    own_folder(tmp_path / "over/run")  # again is fine
+
+
+@pytest.mark.parametrize("umask", [0o000, 0o002, 0o007, 0o077])
+def test_a_folder_has_its_mode_whatever_the_umask(tmp_path: Path, umask: int) -> None:
+    before = os.umask(umask)
+    try:
+        own_folder(tmp_path / "over/kernel", mode=0o755)
+        private_folder(tmp_path / "over/state")
+    finally:
+        os.umask(before)
+    assert [mode(tmp_path / name) for name in ("over/kernel", "over/state")] == [0o755, 0o700]
+
+
+def test_a_folder_of_before_becomes_private(tmp_path: Path) -> None:
+    tmp_path.chmod(0o750)
+    private_folder(tmp_path)
+    assert mode(tmp_path) == 0o700
 
 
 @pytest.mark.programs
@@ -64,7 +87,58 @@ def test_a_world_writable_folder_is_refused(tmp_path: Path) -> None:
         FolderLock(folder)
 
 
-def test_a_folder_that_its_group_may_write_is_refused_unless_it_is_sticky(tmp_path: Path) -> None:
+def users(monkeypatch: pytest.MonkeyPatch, *members: str, group: str = "anna", gid: int = 1000, other: int = 7) -> None:
+    """Anna's primary group is 1000, and that of ben `other`; the group `gid` has members."""
+    everybody = {
+        uid: SimpleNamespace(pw_name=name, pw_uid=uid, pw_gid=primary)
+        for uid, name, primary in ((1000, "anna", 1000), (1001, "ben", other))
+    }
+    monkeypatch.setattr(pwd, "getpwuid", everybody.__getitem__)
+    monkeypatch.setattr(pwd, "getpwall", lambda: list(everybody.values()))
+    groups = {gid: SimpleNamespace(gr_name=group, gr_mem=list(members))}
+    monkeypatch.setattr(grp, "getgrgid", groups.__getitem__)
+
+
+@pytest.mark.parametrize(
+    ("said", "private"),
+    [
+        ({}, True),
+        ({"members": ("anna",)}, True),
+        ({"group": "users"}, True),  # the number is the user's
+        ({"members": ("ben",)}, False),
+        ({"other": 1000}, False),  # it is ben's primary group too
+        ({"gid": 1002}, False),  # no group has this number
+    ],
+)
+def test_a_private_group_is_one_that_lets_nobody_else_in(
+    monkeypatch: pytest.MonkeyPatch, said: dict[str, Any], private: bool
+) -> None:
+    said = {**said}
+    users(monkeypatch, *said.pop("members", ()), **said)
+    assert is_private_group(1000, 1000) is private
+    assert not is_private_group(1000, 1001)
+    assert not is_private_group(1000, 9)  # a number without an account, as in a container
+
+
+def test_a_shared_primary_group_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    users(monkeypatch, group="users", gid=100)
+    everybody = {1000: SimpleNamespace(pw_name="anna", pw_uid=1000, pw_gid=100)}
+    monkeypatch.setattr(pwd, "getpwuid", everybody.__getitem__)
+    assert not is_private_group(100, 1000)
+
+
+def test_a_folder_made_with_a_umask_of_002_is_ours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As `su -`, ssh and desktops set it where each user has a group of their own."""
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run").chmod(0o775)
+    monkeypatch.setattr("cm.server.private_folders.is_private_group", lambda *_: True)
+    FolderLock(tmp_path / "run").release()
+
+
+def test_a_folder_that_its_group_may_write_is_refused_unless_it_is_sticky(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cm.server.private_folders.is_private_group", lambda *_: False)
     folder = tmp_path / "run"
     folder.mkdir()
     folder.chmod(0o770)
@@ -82,6 +156,46 @@ def test_a_link_in_the_place_of_a_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UnsafeFolder, match="a link to one"):
         Provisioner(tmp_path / "run").store("config: {name: a, modules: {m: {}}, modes: {m: {modules: [m]}}}", ())
     assert list((tmp_path / "elsewhere").iterdir()) == []
+
+
+@pytest.mark.parametrize("over", ["over", "over/deeper"])
+def test_a_folder_below_one_that_everybody_may_write_is_refused(tmp_path: Path, over: str) -> None:
+    """Another user moves it away, puts one of their own there, and is the manager."""
+    (tmp_path / over / "run").mkdir(parents=True)
+    (tmp_path / "over").chmod(0o777)
+    with pytest.raises(UnsafeFolder, match=f"{tmp_path}/over can be written by everybody"):
+        own_folder(tmp_path / over / "run")
+    (tmp_path / "over").chmod(0o1777)  # as /tmp: what is ours there stays ours
+    own_folder(tmp_path / over / "run")
+
+
+@pytest.mark.programs
+@needs_root
+@pytest.mark.parametrize("what", ["folder", "link"])
+def test_a_folder_below_what_another_user_owns_is_refused(tmp_path: Path, what: str) -> None:
+    (tmp_path / "ours/run").mkdir(parents=True)
+    theirs = tmp_path / "theirs"
+    if what == "link":
+        theirs.symlink_to("ours")
+    else:
+        (theirs / "run").mkdir(parents=True)
+    os.chown(theirs, STRANGER, STRANGER, follow_symlinks=False)
+    with pytest.raises(UnsafeFolder, match=f"{theirs} (belongs to user {STRANGER}|is not a folder, or a link)"):
+        own_folder(theirs / "run")
+
+
+def test_a_link_of_ours_above_a_folder_is_followed_and_what_it_leads_to_is_judged(tmp_path: Path) -> None:
+    (tmp_path / "there").mkdir()
+    (tmp_path / "relative").symlink_to("there/../there")
+    (tmp_path / "absolute").symlink_to(tmp_path / "relative")
+    own_folder(tmp_path / "absolute/run")
+    assert (tmp_path / "there/run").is_dir()
+    (tmp_path / "there").chmod(0o777)
+    with pytest.raises(UnsafeFolder, match=f"{tmp_path}/there can be written by everybody"):
+        own_folder(tmp_path / "absolute/run")
+    (tmp_path / "loop").symlink_to("loop")
+    with pytest.raises(UnsafeFolder, match="loop is not a folder, or a link to one"):
+        own_folder(tmp_path / "loop/run")
 
 
 @pytest.mark.parametrize("dangles", [False, True], ids=["to a file", "to nothing"])
@@ -109,6 +223,41 @@ def test_a_folder_that_is_served_is_refused_with_the_process_that_serves_it(tmp_
         FolderLock(tmp_path / "run")
     served.release()
     FolderLock(tmp_path / "run").release()
+
+
+@pytest.mark.programs
+@needs_root
+def test_nobody_holds_a_lock_of_ours_who_may_not_open_the_board(tmp_path: Path) -> None:
+    """A lock is held by who can open its file, for reading too."""
+    tmp_path.chmod(0o755)
+    (tmp_path / "sys/firmware").mkdir(parents=True)
+    (tmp_path / "sys/firmware/fdt").touch(0o400)
+    private_folder(tmp_path / "state")
+    own_folder(tmp_path / "run", STRANGER)
+    locks = Locks(tmp_path / "run", tmp_path, STRANGER)
+    names = ["run/lock", "state", "sys/firmware/fdt"]
+    tried = subprocess.run(
+        [sys.executable, "-c", _TRY, str(STRANGER), *(str(tmp_path / name) for name in names)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert tried.stdout.split() == ["PermissionError"] * 3
+    with pytest.raises(AlreadyServed):
+        BoardLock(tmp_path)
+    locks.release()
+
+
+_TRY = """
+import os, sys
+os.setgroups([]); os.setgid(int(sys.argv[1])); os.setuid(int(sys.argv[1]))
+for name in sys.argv[2:]:
+    try:
+        os.open(name, os.O_RDONLY)
+        print("opened")
+    except OSError as error:
+        print(type(error).__name__)
+"""
 
 
 def test_a_board_that_is_held_is_refused_with_the_process_that_holds_it(tmp_path: Path) -> None:
@@ -156,6 +305,7 @@ def test_a_folder_that_cannot_be_given_to_the_group_is_refused(tmp_path: Path, m
     monkeypatch.setattr(os, "fchown", refuse)
     with pytest.raises(UnsafeFolder, match=f"{tmp_path}/run cannot be given to group 77: only root, and members of it"):
         own_folder(tmp_path / "run", 77)
+    (tmp_path / "run").chmod(0o750)
     own_folder(tmp_path / "run", (tmp_path / "run").stat().st_gid)  # it has that, and its members may enter
 
 
