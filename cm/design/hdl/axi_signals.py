@@ -39,6 +39,7 @@ class Protocol:
     halves: tuple[frozenset[str], ...] = ()
     vlnv: str = ""
     spelled: Mapping[str, str] = field(default_factory=dict, repr=False)  # spelling, lower case → logical name
+    ends: frozenset[str] = field(default=frozenset(), repr=False)  # the last words of the spellings
     company: bool = False  # one signal alone is not enough to recognise the protocol
     worth: tuple[frozenset[str], ...] = ()  # ports with none of these sets are not reported as a near miss
     prefix: re.Pattern[str] | None = field(default=None, repr=False)  # what must stand before the signal
@@ -52,7 +53,12 @@ def make_protocol(
     """Make a protocol whose signals are found in port names by their own names, and by their spellings."""
     spelled = {spelling: s.name for s in signals for spelling in (s.name.lower(), *s.spellings)}
     by_name = MappingProxyType({s.name: s for s in signals})
-    return Protocol(name, by_name, halves, vlnv, MappingProxyType(spelled), company)
+    return _with_spellings(Protocol(name, by_name, halves, vlnv, company=company), spelled)
+
+
+def _with_spellings(protocol: Protocol, spelled: Mapping[str, str]) -> Protocol:
+    ends = frozenset(spelling.rpartition("_")[2] for spelling in spelled)
+    return replace(protocol, spelled=MappingProxyType(dict(spelled)), ends=ends)
 
 
 def _signals(text: str, direction: PortDirection, *, handshake: bool = False) -> list[Signal]:
@@ -134,8 +140,7 @@ def axis_short() -> Protocol:
     word = re.compile(r"(?:.*_)?(?:axis|axi_?stream|axi4_?stream|axi4s)\d*_(?:.*_)?", re.IGNORECASE)
     halves = (frozenset({"TDATA", "TVALID", "TREADY"}),)
     worth = (frozenset({"TDATA", "TVALID"}),)
-    spellings = MappingProxyType(spelled)
-    return replace(standard, halves=halves, worth=worth, prefix=word, spelled=spellings, distinct=False)
+    return _with_spellings(replace(standard, halves=halves, worth=worth, prefix=word, distinct=False), spelled)
 
 
 @cache
@@ -148,8 +153,7 @@ def plain_stream() -> Protocol:
     spelled = {"valid": "TVALID", "vld": "TVALID", "data": "TDATA", "ack": "TREADY", "ready": "TREADY", "rdy": "TREADY"}
     spelled |= {"sof": "TUSER", "user": "TUSER", "eof": "TLAST", "last": "TLAST", "keep": "TKEEP"}
     halves = (frozenset({"TDATA", "TVALID", "TREADY"}),)
-    spellings = MappingProxyType(spelled)
-    return replace(axis(), halves=halves, prefix=re.compile(".+"), spelled=spellings, distinct=False)
+    return _with_spellings(replace(axis(), halves=halves, prefix=re.compile(".+"), distinct=False), spelled)
 
 
 @cache

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from cm.design.hdl import vivado_attributes
 from cm.design.hdl.associate import associate, named_after
@@ -44,15 +44,25 @@ _UNKNOWN, _IN = PortUse(), PortDirection.IN
 NOTHING_KNOWN = "belongs to no bus, clock, reset or interrupt that could be recognised"
 
 
-def detect(module: ModuleInfo, protocols: Sequence[UserProtocol] = (), stated: Stated = NOTHING_STATED) -> ModuleInfo:
-    """Return the module with everything that was found in it."""
-    return _Detection(vivado_attributes.with_statements(module, stated), protocols).result(stated.streams)
+def detect(
+    module: ModuleInfo,
+    protocols: Sequence[UserProtocol] = (),
+    stated: Stated = NOTHING_STATED,
+    uses: Callable[[], Mapping[str, PortUse]] = dict,
+) -> ModuleInfo:
+    """Return the module with everything that was found in it.
+
+    `uses`: what the sources do with its ports, in lower case if VHDL; it is asked where names leave a question.
+    """
+    return _Detection(vivado_attributes.with_statements(module, stated), protocols, uses).result(stated.streams)
 
 
 class _Detection:
     """The state of one module's detection: which ports are still free, and why some are left over."""
 
-    def __init__(self, module: ModuleInfo, user: Sequence[UserProtocol]) -> None:
+    def __init__(
+        self, module: ModuleInfo, user: Sequence[UserProtocol], uses: Callable[[], Mapping[str, PortUse]]
+    ) -> None:
         self._module = module
         self._builtin = (aximm(), axis(), axis_short(), *hls_fifos())
         self._user = user
@@ -62,6 +72,7 @@ class _Detection:
         self._problems: list[Problem] = []
         self._rejected: list[tuple[Candidate, str]] = []
         self._asked: tuple[str, ...] = ()
+        self._source, self._uses = uses, dict[str, PortUse]()
 
     def result(self, streams: Sequence[str] | None) -> ModuleInfo:
         """Everything that is found; what has valid, data and acknowledge is a stream if its name is in `streams`."""
@@ -75,6 +86,8 @@ class _Detection:
         for user in self._user:
             self._by_name(user.protocol, FoundBy.PROTOCOL_FILE)
         self._by_statement(plain_stream(), streams)
+        if not self._plain(tagged):
+            self._uses = {port.lower(): use for port, use in self._source().items()}
         clocks = [*tagged.clocks, *self._clocks()]
         resets = (*tagged.resets, *self._resets(clocks))
         interrupts = (*tagged.interrupts, *self._interrupts())
@@ -230,8 +243,20 @@ class _Detection:
             self._rejected.append((candidate, reason))
 
     def _use(self, port: str) -> PortUse:
-        uses = self._module.uses
-        return uses.get(port) or uses.get(port.lower()) or _UNKNOWN
+        return self._uses.get(port.lower(), _UNKNOWN)
+
+    def _plain(self, tagged: Tagged) -> bool:
+        """Whether names leave no question: one clock, perhaps a reset that is named active low, no other wire."""
+        wires = [port for port in self._free.values() if is_wire(port)]
+        clocks = [port.name for port in wires if is_clock(port)]
+        resets = [port.name for port in wires if is_reset(port)]
+        low = all(named_low(name, resets, clocks) for name in resets)
+        return (
+            len(wires) == len(clocks) + len(resets)
+            and len(clocks) + len(tagged.clocks) == 1
+            and len(resets) < 2
+            and low
+        )
 
     def _clocks(self) -> list[ModuleClock]:
         """Those that the sources show to be clocks, and those that are named so."""

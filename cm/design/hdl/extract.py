@@ -7,6 +7,7 @@ import codecs
 import re
 from collections import ChainMap
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 
@@ -18,7 +19,7 @@ from cm.design.hdl.user_protocols import UserProtocol
 from cm.design.hdl.verilog import VerilogReader
 from cm.design.hdl.vhdl import VhdlReader
 from cm.design.hdl.vhdl_text import VHDL_SUFFIXES
-from cm.frozen import dataclass, field, replace
+from cm.frozen import dataclass, field
 
 _FEW = 8  # most names that a sentence lists
 _NO_FILES: Mapping[Path, str] = MappingProxyType({})
@@ -94,8 +95,7 @@ def read(wanted: Sources, generated: Mapping[Path, str] = _NO_FILES, *, roots: b
         files.add(path, text)
     found = files.evaluate(files.chosen(wanted.top, roots), wanted.parameters)
     usage = Usage(files.body)
-    used = (replace(module, uses=usage.of(module.name)) for module in found)
-    modules = [detect(module, wanted.protocols, wanted.stated) for module in used]
+    modules = [detect(module, wanted.protocols, wanted.stated, partial(usage.of, module.name)) for module in found]
     _check_parameters(modules, wanted.parameters)
     names = [module.name for module in modules]
     problems = (*files.problems, *files.hollow(names))

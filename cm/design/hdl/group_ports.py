@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from functools import lru_cache
 
 from cm.design.hdl.axi_signals import Protocol
 from cm.design.hdl.model import Port, PortDirection
@@ -20,7 +21,7 @@ from cm.frozen import dataclass, replace
 _LEADING = re.compile(r"^(i|in|o|out)_", re.IGNORECASE)
 _INFIX = re.compile(r"(?<=.)_(i|in|o|out)_$", re.IGNORECASE)  # s_axis_i_tdata beside s_axis_o_tready
 _TRAILING = re.compile(r"_(i|in|o|out)$", re.IGNORECASE)
-_TAIL = re.compile(r"i|o|in|out|\d+", re.IGNORECASE)
+_WAYS = frozenset(("i", "o", "in", "out"))
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 _BUNDLE = re.compile(r"_+(?:bits|payload)(?:(_)|$)")
 _LONGEST = 3  # words of a signal
@@ -119,23 +120,35 @@ def _candidate(group: list[_Named], bare: str, protocol: Protocol) -> Candidate:
 
 
 def _split(port: Port, protocol: Protocol) -> _Named | None:
-    name = port.name.strip("\\ ")
-    return _of(port, name, protocol) or (_of(port, _CAMEL.sub("_", name), protocol) if _CAMEL.search(name) else None)
+    return _of(port, _words(port.name, False), protocol) or (
+        _of(port, _words(port.name, True), protocol) if _CAMEL.search(port.name) else None
+    )
 
 
-def _of(port: Port, name: str, protocol: Protocol) -> _Named | None:
-    """Find the signal among the words of a name: the last ones, but for those of direction and numbers."""
-    if any(mark in name for mark in ("__", "bits", "payload")):
+@lru_cache(maxsize=256)
+def _words(name: str, camel: bool) -> tuple[list[str], list[str], int]:
+    """The words of a name, also in lower case, and how many there are before those of direction and numbers."""
+    name = _CAMEL.sub("_", name.strip("\\ ")) if camel else name.strip("\\ ")
+    if "__" in name or "bits" in name or "payload" in name:
         name = _BUNDLE.sub(lambda found: "_" if found[1] else "_data", name).replace("__", "_")
-    words = name.split("_")
+    words, low = name.split("_"), name.lower().split("_")
     end = len(words)
-    while end > 1 and _TAIL.fullmatch(words[end - 1]):
+    while end > 1 and (low[end - 1] in _WAYS or low[end - 1].isdigit()):
         end -= 1
-    ends = range(end, 0, -1) if protocol.distinct else (end,)
-    for stop in ends:
+    return words, low, end
+
+
+def _of(port: Port, named: tuple[list[str], list[str], int], protocol: Protocol) -> _Named | None:
+    """Find the signal among the words of a name: the last ones, unless the protocol's are distinct."""
+    words, low, end = named
+    for stop in range(end, 0, -1) if protocol.distinct else (end,):
+        if low[stop - 1] not in protocol.ends:
+            continue
         for start in range(max(0, stop - _LONGEST), stop):
-            signal = protocol.spelled.get("_".join(words[start:stop]).lower())
+            signal = protocol.spelled.get("_".join(low[start:stop]))
+            if signal is None:
+                continue
             prefix = "_".join([*words[:start], ""]) if any(words[:start]) else ""
-            if signal is not None and (protocol.prefix is None or protocol.prefix.fullmatch(prefix)):
+            if protocol.prefix is None or protocol.prefix.fullmatch(prefix):
                 return _Named(port, signal, prefix, "".join(f"_{word}" for word in words[stop:]))
     return None

@@ -255,7 +255,6 @@ class ModuleInfo:
     problems: tuple[Problem, ...] = ()
     instantiates: tuple[str, ...] = ()  # names of the modules instantiated directly, in order, each once
     asked: tuple[str, ...] = ()  # what may be streams, and only a person knows (`Stated.streams`)
-    uses: Mapping[str, PortUse] = field(default_factory=_empty)  # by port, in lower case if VHDL
 
     def port(self, name: str) -> Port:
         """The port of that name; KeyError where there is none."""
