@@ -44,6 +44,7 @@ class Protocol:
     worth: tuple[frozenset[str], ...] = ()  # ports with none of these sets are not reported as a near miss
     prefix: re.Pattern[str] | None = field(default=None, repr=False)  # what must stand before the signal
     channels: Mapping[str, str] = field(default_factory=dict, repr=False)  # signal → the channel whose name begins it
+    glued: bool = False  # the side may be a letter before the signal: `idat`, `ovld`
     distinct: bool = False  # its signals are no common words: other words may stand behind them
 
 
@@ -150,10 +151,19 @@ def plain_stream() -> Protocol:
     It is AXI4-Stream by other names if a beat is over when valid and ready (or ack) are high, and something else if the
     ready of a later clock is meant, or ack is an answer that comes later: only the designer knows.
     """
-    spelled = {"valid": "TVALID", "vld": "TVALID", "data": "TDATA", "ack": "TREADY", "ready": "TREADY", "rdy": "TREADY"}
+    spelled = {
+        "valid": "TVALID",
+        "vld": "TVALID",
+        "data": "TDATA",
+        "dat": "TDATA",
+        "ack": "TREADY",
+        "ready": "TREADY",
+        "rdy": "TREADY",
+    }
     spelled |= {"sof": "TUSER", "user": "TUSER", "eof": "TLAST", "last": "TLAST", "keep": "TKEEP"}
     halves = (frozenset({"TDATA", "TVALID", "TREADY"}),)
-    return _with_spellings(replace(axis(), halves=halves, prefix=re.compile(".+"), distinct=False), spelled)
+    plain = replace(axis(), halves=halves, prefix=re.compile(".+"), distinct=False, glued=True)
+    return _with_spellings(plain, spelled)
 
 
 @cache

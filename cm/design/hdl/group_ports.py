@@ -21,6 +21,7 @@ from cm.frozen import dataclass, replace
 _LEADING = re.compile(r"^(i|in|o|out)_", re.IGNORECASE)
 _INFIX = re.compile(r"(?<=.)_(i|in|o|out)_$", re.IGNORECASE)  # s_axis_i_tdata beside s_axis_o_tready
 _TRAILING = re.compile(r"_(i|in|o|out)$", re.IGNORECASE)
+_GLUED = re.compile(r"([io])(\w+)")
 _WAYS = frozenset(("i", "o", "in", "out"))
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 _BUNDLE = re.compile(r"_+(?:bits|payload)(?:(_)|$)")
@@ -120,9 +121,12 @@ def _candidate(group: list[_Named], bare: str, protocol: Protocol) -> Candidate:
 
 
 def _split(port: Port, protocol: Protocol) -> _Named | None:
-    return _of(port, _words(port.name, False), protocol) or (
-        _of(port, _words(port.name, True), protocol) if _CAMEL.search(port.name) else None
-    )
+    found = _of(port, _words(port.name, False), protocol)
+    if found is None and _CAMEL.search(port.name):
+        found = _of(port, _words(port.name, True), protocol)
+    if found is None and protocol.glued and (glued := _GLUED.fullmatch(port.name)):
+        found = _of(port, _words(f"{glued[1]}_{glued[2]}", False), protocol)
+    return found
 
 
 @lru_cache(maxsize=256)

@@ -310,9 +310,9 @@ def _instances(members: Iterable[Any]) -> Iterator[Any]:
 def _pins(members: Iterable[Any]) -> Iterator[Pins]:
     """What instances are given at their ports, where that is a signal; "*": the signals of the ports' names."""
     for member in _instances(members):
-        for instance in member.instances:
+        for instance in member.instances[::2]:  # every second one is a comma
             pins: dict[str, tuple[str, bool]] = {}
-            for connection in instance.connections:
+            for connection in instance.connections[::2]:
                 kind = connection.kind.name
                 if kind == "WildcardPortConnection":
                     pins["*"] = ("", False)

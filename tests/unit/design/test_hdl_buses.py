@@ -97,3 +97,8 @@ def test_a_signal_with_a_further_word_stays_out_of_the_bus(tmp_path: Path) -> No
     found = ports(tmp_path, stream("s_axis_", "slave") + "output [7:0] s_axis_tdata_seen; input clk")
     assert [(bus.name, len(bus.ports)) for bus in found.interfaces] == [("s_axis", 3)]
     assert [left.port for left in found.leftovers] == ["s_axis_tdata_seen"]
+
+
+def test_the_side_of_a_stream_may_be_a_letter(tmp_path: Path) -> None:
+    text = "input [7:0] idat; input ivld; output irdy; output [7:0] odat; output ovld; input ordy; input clk"
+    assert ports(tmp_path, text).asked == ("i", "o")

@@ -79,7 +79,7 @@ module inner (input go, input stop, input [7:0] d, output reg [7:0] q);
 endmodule
 module m (input a, input b, input c, input enable, input [7:0] x, output [7:0] y, output reg [7:0] z);
     wire turned = ~b;
-    inner one (.go(a), .stop(turned), .d(x), .q(y));
+    inner one (.go(a), .stop(turned), .d(x), .q(y)), two (.go(a), .stop(turned));
     always @(posedge c) if (enable) z <= x;
 endmodule
 """
