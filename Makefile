@@ -123,19 +123,21 @@ test-bare: ### README's commands on an empty root of Debian 12 and 13, as a plai
 
 # NODE=18: with that version, which npm fetches, in place of the system's
 OTHER_NODE := $(if $(NODE),PATH="$(abspath build/node$(NODE)/node_modules/node/bin):$$PATH";)
-test-node: $(STAMP) ### the client for Node.js: built, and its tour over ipc and CURVE (npm fetches its packages)
+test-node: $(VENV)/.installed-test ### the client for Node.js: built, its tour over ipc and CURVE, and beside a manager that answers wrongly (npm fetches its packages)
 	$(if $(NODE),npm install --prefix build/node$(NODE) --no-save --silent node@$(NODE))
 	$(OTHER_NODE) node --version && cd clients/node && npm ci --ignore-scripts --silent && npm run --silent build && CM=cm PATH="$(abspath $(BIN)):$$PATH" npm test --silent
 	$(OTHER_NODE) $(BIN)/cm conformance -- node clients/node/dist/test/driver.js
+	$(OTHER_NODE) CM_DRIVER="node clients/node/dist/test/driver.js" $(PYTEST) tests/fuzz/test_wrong_answers.py -q -k a_client_lives
 
 # Debian's packages of Go are a GOPATH, so that no module is fetched.
 GO := GO111MODULE=off GOPATH="$(abspath build/go):/usr/share/gocode" go
-test-go: $(STAMP) ### the client in Go: built, and its tour over ipc and TCP (apt: golang-go golang-google-protobuf-dev protoc-gen-go-1-5 protobuf-compiler)
+test-go: $(VENV)/.installed-test ### the client in Go: built, its tour over ipc and TCP, and beside a manager that answers wrongly (apt: golang-go golang-google-protobuf-dev protoc-gen-go-1-5 protobuf-compiler)
 	mkdir -p build/go/src && ln -sfn ../../../clients/go build/go/src/fpga-cm
 	$(GO) generate fpga-cm && cd clients/go && test -z "$$(gofmt -l *.go driver)"
 	$(GO) vet fpga-cm fpga-cm/driver && $(GO) build -o build/go/driver fpga-cm/driver
 	CM=cm PATH="$(abspath $(BIN)):$$PATH" $(GO) test -race -timeout 10m fpga-cm
 	$(BIN)/cm conformance -- build/go/driver
+	CM_DRIVER=build/go/driver $(PYTEST) tests/fuzz/test_wrong_answers.py -q -k a_client_lives
 
 test-open: $(VENV)/.installed-test-rtl ### modules by their bits, and the flow of open tools (nextpnr and Project X-Ray are fetched from Debian)
 	$(RUN_TESTS) tests/open $(PYTEST_ARGS)

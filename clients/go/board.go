@@ -6,6 +6,7 @@ import (
 	"context"
 	"crypto/rand"
 	"encoding/hex"
+	"fmt"
 	"strings"
 
 	"fpga-cm/pb"
@@ -15,13 +16,13 @@ import (
 // Status of the board.
 func (b *Board) Status(ctx context.Context) (*pb.Status, error) {
 	answer, err := b.Ask(ctx, "cm_status", &pb.ReadStatus{})
-	return answer.Reply.GetStatus(), err
+	return body(answer.Reply.GetStatus(), err)
 }
 
 // Load a configuration (empty: the loaded one) in a mode (empty: its default mode), and wait until the board is there.
 func (b *Board) Load(ctx context.Context, config, mode string) (*pb.Change, error) {
 	answer, err := b.Ask(ctx, "cm_write_config", &pb.WriteConfig{ConfigName: config, Mode: mode, Lease: b.held()})
-	return answer.Reply.GetChange(), err
+	return body(answer.Reply.GetChange(), err)
 }
 
 // SetMode of the loaded configuration.
@@ -32,7 +33,7 @@ func (b *Board) SetMode(ctx context.Context, mode string) (*pb.Change, error) {
 // Read registers and fields ("led.red"); none means all.
 func (b *Board) Read(ctx context.Context, names ...string) (*pb.RegValues, error) {
 	answer, err := b.Ask(ctx, "cm_read_reg", &pb.ReadReg{Names: names})
-	return answer.Reply.GetRegisters(), err
+	return body(answer.Reply.GetRegisters(), err)
 }
 
 // Value for a register or field.
@@ -49,7 +50,7 @@ func Masked(name string, value, mask uint64) *pb.RegWrite {
 // Write registers in this order; all are checked before the first is written.
 func (b *Board) Write(ctx context.Context, writes ...*pb.RegWrite) (*pb.RegValues, error) {
 	answer, err := b.Ask(ctx, "cm_write_reg", &pb.WriteReg{Writes: writes, Lease: b.held()})
-	return answer.Reply.GetRegisters(), err
+	return body(answer.Reply.GetRegisters(), err)
 }
 
 // Frame of a stream; Data lies as in memory: elements of Dtype, little-endian, in Shape.
@@ -58,17 +59,21 @@ type Frame struct {
 	Data []byte
 }
 
-func frame(info *pb.Frame, payload [][]byte) Frame {
-	if len(payload) == 0 {
-		return Frame{info, nil}
+func frame(info *pb.Frame, payload [][]byte, err error) (Frame, error) {
+	info, err = body(info, err)
+	if err == nil && (len(payload) == 0 || info.Compression == "" && info.Length != uint64(len(payload[0]))) {
+		err = decoded(fmt.Errorf("frame %d of %s has not the %d bytes that it claims", info.Sequence, info.Stream, info.Length))
 	}
-	return Frame{info, payload[0]}
+	if err != nil {
+		return Frame{}, err
+	}
+	return Frame{info, payload[0]}, nil
 }
 
 // ReadFrame is the next frame of a stream from now on.
 func (b *Board) ReadFrame(ctx context.Context, stream string) (Frame, error) {
 	answer, err := b.Ask(ctx, "cm_read_data", &pb.ReadData{Stream: stream, Timeout: remaining(ctx)})
-	return frame(answer.Reply.GetFrame(), answer.Payload), err
+	return frame(answer.Reply.GetFrame(), answer.Payload, err)
 }
 
 // part is what one message carries of longer data: the manager takes 8 MiB.
@@ -103,7 +108,7 @@ func (b *Board) Send(ctx context.Context, stream string, data []byte) error {
 // TakeLease of a scope ("region:prr0"), so that others are refused until it ends; our own requests pass.
 func (b *Board) TakeLease(ctx context.Context, scope string, seconds float64) (*pb.Lease, error) {
 	answer, err := b.Ask(ctx, "cm_lease", &pb.Lease{Scope: scope, Exclusive: true, Seconds: seconds})
-	lease := answer.Reply.GetLease()
+	lease, err := body(answer.Reply.GetLease(), err)
 	if err == nil {
 		b.mu.Lock()
 		b.leases = append(b.leases, lease.GetId())
@@ -158,14 +163,14 @@ func (f *Frames) Next(ctx context.Context) (Frame, error) {
 		return Frame{}, err
 	}
 	info := &pb.Frame{}
-	if err := proto.Unmarshal(event.Message, info); err != nil {
+	if err := decoded(proto.Unmarshal(event.Message, info)); err != nil {
 		return Frame{}, err
 	}
 	if f.last != nil && info.Sequence > f.last.Sequence {
 		f.Lost += info.Sequence - f.last.Sequence - 1
 	}
 	f.last = info
-	return frame(info, event.Payload), nil
+	return frame(info, event.Payload, nil)
 }
 
 // After is the first frame that began after the write (or change) of that generation.
@@ -193,7 +198,7 @@ func (s *Statuses) Next(ctx context.Context) (*pb.Status, error) {
 		return nil, err
 	}
 	status := &pb.Status{}
-	return status, proto.Unmarshal(event.Message, status)
+	return status, decoded(proto.Unmarshal(event.Message, status))
 }
 
 // Interrupts are those of one name.
@@ -231,7 +236,7 @@ func (i *Interrupts) Next(ctx context.Context) (*pb.Irq, error) {
 		if event.Topic != "cm_irq" {
 			continue
 		}
-		if err := proto.Unmarshal(event.Message, irq); err != nil || irq.Name == i.name {
+		if err := decoded(proto.Unmarshal(event.Message, irq)); err != nil || irq.Name == i.name {
 			return irq, err
 		}
 	}

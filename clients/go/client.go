@@ -21,7 +21,7 @@ import (
 	"google.golang.org/protobuf/proto"
 )
 
-// Error is what the manager refused, or what this client met: "connection_lost", "closed", "key_refused".
+// Error is what the manager refused, or what this client met: "connection_lost", "closed", "key_refused", "bad_answer".
 type Error struct {
 	Code    string // stable; docs/reconfiguration.md lists those of the manager
 	Message string
@@ -45,12 +45,16 @@ type Board struct {
 	pub, req string
 	guest    string
 
+	alive context.Context // until Close
+	end   context.CancelFunc
+
 	mu      sync.Mutex
-	line    *line // nil: lost, and connected again by the next request
+	line    *line         // nil: lost, and connected again by the next request
+	dialing chan struct{} // closed when that has ended; nil: nobody dials
+	failed  error         // of the last one who dialed
 	pending map[string]chan<- result
 	last    uint64
 	leases  []string
-	closed  bool
 }
 
 // line is a connection for requests. What is to be sent is handed to a goroutine: the manager may be slow to read.
@@ -69,6 +73,7 @@ func AsGuest(name string) Option { return func(b *Board) { b.guest = name } }
 // Connect to tcp://host[:port], to a runtime folder, or, without a place, to the manager of this machine.
 func Connect(place string, options ...Option) (*Board, error) {
 	b := &Board{pending: map[string]chan<- result{}}
+	b.alive, b.end = context.WithCancel(context.Background())
 	for _, option := range options {
 		option(b)
 	}
@@ -76,9 +81,10 @@ func Connect(place string, options ...Option) (*Board, error) {
 	if b.pub, b.req, err = endpoints(place); err != nil {
 		return nil, err
 	}
-	b.mu.Lock()
-	defer b.mu.Unlock()
-	return b, b.connectLocked()
+	if err = b.connected(b.alive); err != nil {
+		b.end()
+	}
+	return b, err
 }
 
 func endpoints(place string) (pub, req string, err error) {
@@ -117,15 +123,49 @@ func cutPrefix(text, prefix string) (string, bool) { // strings has it from Go 1
 	return strings.TrimPrefix(text, prefix), strings.HasPrefix(text, prefix)
 }
 
-func (b *Board) connectLocked() error {
-	p, err := dial(b.req, "DEALER")
-	if err != nil {
-		return err
+// connected waits as long as ctx lasts until there is a connection, which one of those who wait makes for all.
+func (b *Board) connected(ctx context.Context) error {
+	b.mu.Lock()
+	if b.line != nil {
+		b.mu.Unlock()
+		return nil
 	}
-	b.line = &line{p, make(chan [][]byte), make(chan struct{})}
-	go b.receive(b.line)
-	go b.send(b.line)
-	return nil
+	dialing := b.dialing
+	if dialing == nil {
+		dialing = make(chan struct{})
+		b.dialing = dialing
+		go b.dial(dialing)
+	}
+	b.mu.Unlock()
+	select {
+	case <-dialing:
+		b.mu.Lock()
+		defer b.mu.Unlock()
+		if b.line != nil {
+			return nil
+		}
+		return b.failed
+	case <-ctx.Done():
+		return fmt.Errorf("no connection to %s: %w", b.req, ctx.Err())
+	}
+}
+
+func (b *Board) dial(done chan struct{}) {
+	p, err := dial(b.alive, b.req, "DEALER")
+	b.mu.Lock()
+	defer b.mu.Unlock()
+	if b.alive.Err() != nil {
+		if err == nil {
+			p.conn.Close()
+		}
+		err = b.goneLocked()
+	} else if err == nil {
+		b.line = &line{p, make(chan [][]byte), make(chan struct{})}
+		go b.receive(b.line)
+		go b.send(b.line)
+	}
+	b.failed, b.dialing = err, nil
+	close(done)
 }
 
 func (b *Board) send(l *line) {
@@ -164,7 +204,7 @@ func (b *Board) deliver(number string, message []byte, payload [][]byte) {
 		return // it comes too late
 	}
 	reply := &pb.Reply{}
-	err := proto.Unmarshal(message, reply)
+	err := decoded(proto.Unmarshal(message, reply))
 	if err == nil && !reply.Ok {
 		err = &Error{reply.GetError().GetCode(), reply.GetError().GetMessage()}
 	}
@@ -196,7 +236,7 @@ func (b *Board) lose(l *line) {
 }
 
 func (b *Board) goneLocked() error {
-	if b.closed {
+	if b.alive.Err() != nil {
 		return &Error{"closed", "the board was closed: Connect again"}
 	}
 	return &Error{"connection_lost", "the configuration manager at " + b.req + " went away"}
@@ -204,8 +244,8 @@ func (b *Board) goneLocked() error {
 
 // Close ends all that waits. Leases end by their time, unless they were given back.
 func (b *Board) Close() {
+	b.end()
 	b.mu.Lock()
-	b.closed = true
 	l := b.line
 	b.mu.Unlock()
 	if l != nil {
@@ -221,7 +261,7 @@ func (b *Board) Ask(ctx context.Context, topic string, message proto.Message, pa
 		return Answer{}, err
 	}
 	came := make(chan result, 1) // so that nobody waits to deliver what nobody takes any more
-	number, l, err := b.register(came)
+	number, l, err := b.register(ctx, came)
 	if err != nil {
 		return Answer{}, err
 	}
@@ -244,21 +284,35 @@ func (b *Board) Ask(ctx context.Context, topic string, message proto.Message, pa
 	}
 }
 
-func (b *Board) register(came chan<- result) (string, *line, error) {
+func (b *Board) register(ctx context.Context, came chan<- result) (string, *line, error) {
+	if err := b.connected(ctx); err != nil {
+		return "", nil, err
+	}
 	b.mu.Lock()
 	defer b.mu.Unlock()
-	if b.closed {
-		return "", nil, b.goneLocked()
-	}
 	if b.line == nil {
-		if err := b.connectLocked(); err != nil {
-			return "", nil, err
-		}
+		return "", nil, b.goneLocked()
 	}
 	b.last++
 	number := strconv.FormatUint(b.last, 10)
 	b.pending[number] = came
 	return number, b.line, nil
+}
+
+// decoded is an error of reading what came.
+func decoded(err error) error {
+	if err == nil {
+		return nil
+	}
+	return &Error{"bad_answer", "what the manager sent cannot be read: " + err.Error()}
+}
+
+// body of a reply, which may be another's.
+func body[T any](it *T, err error) (*T, error) {
+	if err == nil && it == nil {
+		return nil, decoded(errors.New("the answer is to something else"))
+	}
+	return it, err
 }
 
 // Event is what the manager published on a topic.
@@ -283,7 +337,7 @@ func (b *Board) Subscribe(topics ...string) (*Subscription, error) {
 	if b.guest != "" {
 		return nil, errors.New("what is published is handed to the bridge, not to " + b.guest)
 	}
-	p, err := dial(b.pub, "SUB")
+	p, err := dial(b.alive, b.pub, "SUB")
 	if err != nil {
 		return nil, err
 	}

@@ -5,6 +5,7 @@ package cm
 import (
 	"bufio"
 	"bytes"
+	"context"
 	"encoding/binary"
 	"fmt"
 	"io"
@@ -24,7 +25,10 @@ const (
 	flagCommand = 4
 
 	greetingLength = 64
-	longestFrame   = 1 << 30 // bytes: what claims to be longer is not a frame
+	longestMessage = 1<<30 + 1<<20 // bytes of all its frames: what claims to be longer is not a message
+	mostFrames     = 4096          // of one message
+	longestPing    = 2 + 16        // bytes
+	atOnce         = 1 << 20       // bytes that are made room for before they come
 	handshakeTime  = 10 * time.Second
 )
 
@@ -36,8 +40,8 @@ type peer struct {
 	commands bool // it is of version 3.1, where a subscription is a command
 }
 
-// dial connects to ipc://PATH or tcp://HOST:PORT as a socket of that type ("DEALER", "SUB").
-func dial(address, socket string) (*peer, error) {
+// dial connects to ipc://PATH or tcp://HOST:PORT as a socket of that type ("DEALER", "SUB"), while ctx lasts.
+func dial(ctx context.Context, address, socket string) (*peer, error) {
 	network, place, found := strings.Cut(address, "://")
 	if !found || network != "ipc" && network != "tcp" {
 		return nil, fmt.Errorf("%s is neither ipc://… nor tcp://…", address)
@@ -45,21 +49,35 @@ func dial(address, socket string) (*peer, error) {
 	if network == "ipc" {
 		network = "unix"
 	}
-	conn, err := net.DialTimeout(network, place, handshakeTime)
+	ctx, cancel := context.WithTimeout(ctx, handshakeTime)
+	conn, err := (&net.Dialer{}).DialContext(ctx, network, place)
 	if err != nil {
+		cancel()
 		return nil, err
 	}
+	ended := make(chan struct{})
+	go func() { // an end of ctx ends the handshake
+		<-ctx.Done()
+		conn.SetDeadline(time.Unix(1, 0))
+		close(ended)
+	}()
 	p := &peer{conn: conn, in: bufio.NewReaderSize(conn, 1<<16)}
-	if err := p.handshake(socket); err != nil {
+	err = p.handshake(socket)
+	late := ctx.Err()
+	cancel()
+	<-ended
+	if late != nil {
+		err = late
+	}
+	if err != nil {
 		conn.Close()
 		return nil, fmt.Errorf("%s: %w", address, err)
 	}
+	conn.SetDeadline(time.Time{})
 	return p, nil
 }
 
 func (p *peer) handshake(socket string) error {
-	p.conn.SetDeadline(time.Now().Add(handshakeTime))
-	defer p.conn.SetDeadline(time.Time{})
 	ours := make([]byte, greetingLength) // signature, version, mechanism, as-server 0, filler
 	ours[0], ours[8], ours[9], ours[10], ours[11] = 0xFF, 1, 0x7F, 3, 1
 	copy(ours[12:32], "NULL")
@@ -90,7 +108,7 @@ func (p *peer) exchangeReady(socket string) error {
 	if err := p.send(flagCommand, ready); err != nil {
 		return err
 	}
-	flags, body, err := p.frame()
+	flags, body, err := p.frame(atOnce)
 	if err != nil {
 		return err
 	}
@@ -158,13 +176,15 @@ func (p *peer) subscribe(topic string) error {
 // read is the next message; commands between messages are answered or, unless known, ignored.
 func (p *peer) read() ([][]byte, error) {
 	var frames [][]byte
+	left := longestMessage
 	for {
-		flags, body, err := p.frame()
+		flags, body, err := p.frame(left)
 		if err != nil {
 			return nil, err
 		}
 		if flags&flagCommand != 0 {
-			if name, data := command(body); name == "PING" && len(data) >= 2 { // a time to live, and what is to come back
+			name, data := command(body)
+			if name == "PING" && len(data) >= 2 && len(data) <= longestPing { // a time to live, and what is to come back
 				if err := p.send(flagCommand, append([]byte("\x04PONG"), data[2:]...)); err != nil {
 					return nil, err
 				}
@@ -174,10 +194,14 @@ func (p *peer) read() ([][]byte, error) {
 		if frames = append(frames, body); flags&flagMore == 0 {
 			return frames, nil
 		}
+		if left -= len(body); len(frames) == mostFrames {
+			return nil, fmt.Errorf("a message of more than %d frames came", mostFrames)
+		}
 	}
 }
 
-func (p *peer) frame() (flags byte, body []byte, err error) {
+// frame is the next one, of most bytes; room is made for more than a few as they come.
+func (p *peer) frame(most int) (flags byte, body []byte, err error) {
 	if flags, err = p.in.ReadByte(); err != nil {
 		return 0, nil, err
 	}
@@ -192,10 +216,15 @@ func (p *peer) frame() (flags byte, body []byte, err error) {
 	for _, digit := range size {
 		length = length<<8 | uint64(digit)
 	}
-	if length > longestFrame {
+	if length > uint64(most) {
 		return 0, nil, fmt.Errorf("a frame of %d bytes was announced", length)
 	}
-	body = make([]byte, length)
-	_, err = io.ReadFull(p.in, body)
-	return flags, body, err
+	if length <= atOnce {
+		body = make([]byte, length)
+		_, err = io.ReadFull(p.in, body)
+		return flags, body, err
+	}
+	whole := bytes.NewBuffer(make([]byte, 0, atOnce))
+	_, err = io.CopyN(whole, p.in, int64(length))
+	return flags, whole.Bytes(), err
 }

@@ -24,6 +24,7 @@ _User = TypeVar("_User", bound="User")
 # Milliseconds until ZeroMQ tries to connect again, which are 100 unless set. Over ipc it costs little, and ZeroMQ does
 # not wait for a place in a full queue: where others connect without end, there is one now and then only.
 _RECONNECT_MS = 10
+_LONGEST = (1 << 30) + (1 << 20)  # bytes of a part of a message: no frame of a stream is longer than 1 GiB
 _FEW = 8  # reads of a register before there is a connection for them: who reads once needs none
 _LEAVES = 5.0  # seconds at most until a thread that was sent out of its socket has left it
 
@@ -34,6 +35,9 @@ def prepare(socket: _Socket, keys: Keys | None, depth: int = 0) -> _Socket:
         socket.setsockopt(zmq.RCVHWM, depth)  # not to be set later: see cm/server/publisher.py
     socket.setsockopt(zmq.LINGER, 0)  # close() must not wait for a manager that has gone
     socket.setsockopt(zmq.IPV6, 1)
+    socket.setsockopt(
+        zmq.MAXMSGSIZE, _LONGEST
+    )  # libzmq makes room for what is announced, or hangs for ever where it cannot
     if keys is not None:
         socket.curve_serverkey = keys.server_public
         socket.curve_publickey = keys.public

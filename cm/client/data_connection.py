@@ -20,6 +20,7 @@ from cm.client.data_socket import LIMITS_ARE_KNOWN, connect, descriptors, limit
 from cm.client.errors import ConnectionLost, LateRelease, request_error
 from cm.client.frame import Frame, in_rgb
 from cm.client.mapping import LocalFrame, SlotMappings, lend
+from cm.errors import CmError
 from cm.wire import plane_packets as packets
 from cm.wire.messages.status import ErrorInfo
 from cm.wire.plane_packets import DESCRIPTOR, FDS_MAX, PACKET_MAX, Descriptor, Geometry, Open
@@ -125,12 +126,21 @@ class DataConnection:
         if not size:
             raise ConnectionLost("the configuration manager hung up on the data socket")
         head = Descriptor._make(DESCRIPTOR.unpack_from(self._buffer))
-        if head.kind == packets.FRAME and self.memory is not None:
-            return self._frame(self.memory, head)
-        handler = self._handlers.get(head.kind)
         fds = descriptors(ancillary) if ancillary else []
-        if handler is not None:
-            handler(head, size, fds)
+        if fds and head.kind != packets.SLOTS:
+            _close(fds)
+        try:
+            if size < DESCRIPTOR.size:
+                raise ValueError(f"{size} bytes")
+            if head.kind == packets.FRAME and self.memory is not None:
+                return self._frame(self.memory, head)
+            handler = self._handlers.get(head.kind)
+            if handler is not None:
+                handler(head, size, fds)
+        except CmError:
+            raise
+        except (LookupError, OverflowError, TypeError, ValueError) as error:
+            raise ConnectionLost(f"the data socket's packet of kind {head.kind} cannot be used: {error}") from error
         return None
 
     def take(self) -> Frame | None:
@@ -153,7 +163,11 @@ class DataConnection:
             self.lost += lost
         self._expected, self._told = head.sequence + 1, self._failed
         self.held += 1
-        frame = lend(memory, head, self.names, self.give_back, (self.generation, failed, lost))
+        try:
+            frame = lend(memory, head, self.names, self.give_back, (self.generation, failed, lost))
+        except (LookupError, TypeError, ValueError):  # it lies in none of our slots: there is nothing to give back
+            self.held -= 1
+            raise
         return self._in_rgb(frame, memory.geometry.format) if memory.coded and not self.wanted.raw else frame
 
     def _in_rgb(self, frame: LocalFrame, form: str) -> Frame:
@@ -232,10 +246,17 @@ class DataConnection:
         self.generation = self._failed = 0
 
     def _slots(self, head: Descriptor, _: int, fds: list[int]) -> None:
-        if self.memory is not None:
-            self.memory.add(head.slot, fds)
-        else:
+        if self.memory is None or head.offset != len(fds):
             _close(fds)
+            if self.memory is not None:  # with one missing, each later number would be another's
+                raise ConnectionLost(
+                    f"{len(fds)} of {head.offset} slots came: this process may have no room for more files"
+                )
+            return
+        try:
+            self.memory.add(head.slot, fds)
+        except OSError as error:
+            raise ConnectionLost(f"the manager's slots cannot be mapped: {error}") from error
 
     def _label(self, _: Descriptor, size: int, __: list[int]) -> None:
         stream, config, mode = packets.decode_names(bytes(self._buffer[DESCRIPTOR.size : size]))

@@ -30,6 +30,7 @@ class SlotMappings:
     """The slots of one geometry. Mappings live as long as frames in them do."""
 
     def __init__(self, geometry: Geometry, epoch: int) -> None:
+        self._fds: list[int] = []  # kept where the memory needs synchronising
         self.geometry = geometry
         self.epoch = epoch
         self.names = (geometry.stream, geometry.config_name, geometry.mode)
@@ -38,7 +39,6 @@ class SlotMappings:
         self.strides = self._strides()
         self.whole = geometry.frame_length or geometry.slot_length  # bytes of a frame that is written
         self._maps: list[mmap.mmap] = []
-        self._fds: list[int] = []  # kept where the memory needs synchronising
         self._begun: set[int] = set()  # slots that the processor uses now, where that matters
         self._closed = False
         self._syncs = not geometry.coherent

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from cm.client.core.leases import HeldLeases
 
 _T = TypeVar("_T")
+_TABLE = 64 << 20  # bytes of a table of registers
 _TOLD = 1.0  # seconds for the manager to say what became of pages that are gone
 _WHY: dict[int, str] = {
     WindowEnd.CALL: "the manager took it back",
@@ -70,8 +71,12 @@ class _Loan:
         try:
             if len(fds) != 2:
                 raise ConnectionLost("the manager's answer has no pages")
-            size = os.fstat(fds[1]).st_size
+            size = min(os.fstat(fds[1]).st_size, _TABLE)
             return packets.decode_window(packet), MappedWindow(fds[0]), decode_table(os.pread(fds[1], size, 0))
+        except ConnectionLost:  # an OSError too
+            raise
+        except OSError as error:
+            raise ConnectionLost(f"the manager's answer has pages that cannot be used: {error}") from error
         finally:
             for fd in fds:
                 os.close(fd)
@@ -84,11 +89,16 @@ class _Loan:
             raise Timeout(f"a window: the manager did not answer within {timeout or 0:g} s") from None
         except OSError as error:
             raise ConnectionLost(f"the configuration manager's data socket: {error}") from error
+        fds = descriptors(ancillary)
+        if len(packet) >= DESCRIPTOR.size and packet[2] == packets.WINDOW:
+            return packet, fds
+        for fd in fds:
+            os.close(fd)
         if len(packet) < DESCRIPTOR.size:
             raise ConnectionLost("the configuration manager hung up on the data socket")
         if Descriptor._make(DESCRIPTOR.unpack_from(packet)).kind == packets.REFUSED:
             raise request_error(ErrorInfo(*packets.decode_refused(packet)))
-        return packet, descriptors(ancillary)
+        return packet, []
 
     def fate(self) -> tuple[int, str, str]:
         """Why the pages were taken back, and the configuration and mode that the board goes to."""

@@ -183,12 +183,14 @@ class Link:
                 )
 
     def _send(self, frames: Sequence[Any]) -> None:
-        """Raise if it cannot be sent: a socket that was not admitted has no peer, and would wait for ever."""
+        """Raise if it cannot be sent. A socket whose peer broke the protocol has none for ever: a new one takes its place."""
         try:
             multipart.send(self._socket, frames, _NOBLOCK)
         except zmq.Again:
             self._look()
-            multipart.send(self._socket, frames)
+            self.close()
+            self._open()
+            multipart.send(self._socket, frames, _NOBLOCK)
 
     def _look(self) -> None:
         """Handle the monitor's events. Raises NotAdmitted; the next request tries again."""

@@ -161,6 +161,8 @@ def decode_geometry(packet: bytes) -> Geometry:
     if len(packet) < end:
         raise InvalidRequest("a GEOMETRY packet is too short")
     slot, frame, flags, depth, stride, dimensions, *rest = _GEOMETRY.unpack_from(packet, DESCRIPTOR.size)
+    if dimensions > DIMENSIONS:
+        raise InvalidRequest(f"a GEOMETRY packet of {dimensions} dimensions; at most {DIMENSIONS} go")
     stream, config_name, mode, form = decode_names(packet[end:], 4)
     return Geometry(
         slot,
@@ -170,7 +172,7 @@ def decode_geometry(packet: bytes) -> Geometry:
         bool(flags & CYCLIC),
         depth,
         stride,
-        tuple(rest[: min(dimensions, DIMENSIONS)]) or None,
+        tuple(rest[:dimensions]) or None,
         rest[-1].rstrip(b"\0").decode("ascii", "replace"),
         stream,
         config_name,

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import type { Endpoints, Keys } from "./address.js";
 import { endpoints, loadKeys } from "./address.js";
+import { part } from "./errors.js";
 import { Events } from "./events.js";
 import { frameOf, type Frame } from "./frame.js";
 import { Lease } from "./lease.js";
@@ -60,7 +61,7 @@ export class Board {
 
   async status(): Promise<Status> {
     const { reply } = await this.ask("cm_status", cm.ReadStatus.encode({}).finish());
-    return statusOf(reply.status ?? {});
+    return statusOf(part(reply.status, "a status"));
   }
 
   /** Statuses, the current one first, then whenever it changes. */
@@ -72,19 +73,19 @@ export class Board {
   /** All configurations with their modes. */
   async configs(): Promise<readonly cm.IConfigEntry[]> {
     const { reply } = await this.ask("cm_read_config", cm.ReadConfig.encode({ list: true }).finish());
-    return reply.config?.entries ?? [];
+    return part(reply.config, "configurations").entries ?? [];
   }
 
   /** A configuration; the loaded one without a name. */
   async config(name = ""): Promise<cm.IConfig> {
     const { reply } = await this.ask("cm_read_config", cm.ReadConfig.encode({ configName: name }).finish());
-    return reply.config ?? {};
+    return part(reply.config, "a configuration");
   }
 
   /** What going to a mode would do. */
   async plan(mode = "", config = ""): Promise<cm.IPlan> {
     const message = cm.ReadConfig.encode({ configName: config, planMode: mode, plan: true }).finish();
-    return (await this.ask("cm_read_config", message)).reply.plan ?? {};
+    return part((await this.ask("cm_read_config", message)).reply.plan, "a plan");
   }
 
   /** Go to a mode of the loaded configuration; the seconds that it took. */
@@ -97,7 +98,7 @@ export class Board {
     const message = cm.WriteConfig.encode({
       configName: config, mode, force: options.force ?? false, noQueue: options.queue === false, lease: this.lease,
     }).finish();
-    const ask = async () => (await this.ask("cm_write_config", message, [], options.timeout ?? null)).reply.change ?? {};
+    const ask = async () => part((await this.ask("cm_write_config", message, [], options.timeout ?? null)).reply.change, "a change");
     return (await (options.progress ? this.#told(ask, options.progress) : ask())).seconds ?? 0;
   }
 
@@ -142,7 +143,7 @@ export class Board {
   async takeLease(scope: string, { seconds = 60, exclusive = true, holder = "node" } = {}): Promise<Lease> {
     const message = cm.Lease.encode({ scope, seconds, exclusive, holder }).finish();
     const { reply } = await this.ask("cm_lease", message);
-    const id = reply.lease?.id ?? "";
+    const id = part(reply.lease?.id, "a lease");
     this.#leases.add(id);
     return new Lease(this, id, scope, () => this.#leases.delete(id));
   }
@@ -155,7 +156,7 @@ export class Board {
   /** Count and time of an interrupt since the configuration was loaded. */
   async interrupt(name: string): Promise<Interrupt> {
     const { reply } = await this.ask("cm_irq", cm.ReadIrq.encode({ name }).finish());
-    return interruptOf(reply.irq ?? {});
+    return interruptOf(part(reply.irq, "an interrupt"));
   }
 
   /**
@@ -197,7 +198,7 @@ export class Board {
 
   /** Frames of a stream as copies; the manager runs it while anyone listens. */
   stream(name: string, options: StreamOptions = {}): FrameStream {
-    const stream = new FrameStream(this, this.#link, name, options);
+    const stream = new FrameStream(this, this.#link, name, options, (it) => this.#open.delete(it));
     this.#open.add(stream);
     return stream;
   }
@@ -206,7 +207,7 @@ export class Board {
   async read(stream: string, timeout = this.timeout): Promise<Frame> {
     const message = cm.ReadData.encode({ stream, timeout }).finish();
     const { reply, payload } = await this.ask("cm_read_data", message, [], timeout + this.timeout);
-    return frameOf(reply.frame ?? {}, payload[0] ?? new Uint8Array());
+    return frameOf(part(reply.frame, "a frame"), part(payload[0], "its bytes"));
   }
 
   /** Send a frame to the hardware; settled when it has taken it. */
@@ -218,13 +219,13 @@ export class Board {
   /** What is set of a stream, or, with settings, is set from now on. */
   async configureStream(stream: string, settings: Omit<cm.IDataConfig, "stream"> = {}): Promise<cm.IStreamState> {
     const message = cm.DataConfig.encode({ lease: this.lease, ...settings, stream }).finish();
-    return (await this.ask("cm_data_config", message)).reply.stream?.state ?? {};
+    return part((await this.ask("cm_data_config", message)).reply.stream?.state, "a stream");
   }
 
   /** Bytes of a memory, from `offset` on; `length` 0: the rest. Multiples of 4. */
   async readMemory(name: string, offset = 0, length = 0): Promise<Frame> {
     const { reply, payload } = await this.ask("cm_read_data", readMemory(name, offset, length));
-    return frameOf(reply.frame ?? {}, payload[0] ?? new Uint8Array());
+    return frameOf(part(reply.frame, "a frame"), part(payload[0], "its bytes"));
   }
 
   /** Bytes for a memory; settled when they are there. */
@@ -243,7 +244,7 @@ export class Board {
 
   /** What is published on some topics. */
   events<T>(topics: readonly string[], take: (frames: Buffer[]) => T | undefined): Events<T> {
-    const events = new Events(this.#link.subscribe(topics), take);
+    const events = new Events(this.#link.subscribe(topics), take, false, (it) => this.#open.delete(it));
     this.#open.add(events);
     return events;
   }

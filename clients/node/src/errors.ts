@@ -32,6 +32,19 @@ export class KeyRefused extends CmError {
   }
 }
 
+/** What came from the manager is not what the protocol says. */
+export class BadAnswer extends CmError {
+  constructor(message: string) {
+    super("bad_answer", message);
+  }
+}
+
+/** A part of a reply. Throws BadAnswer where there is none. */
+export function part<T>(it: T | null | undefined, what: string): T {
+  if (it === null || it === undefined) throw new BadAnswer(`the manager answered without ${what}`);
+  return it;
+}
+
 /** The board was closed. */
 export class BoardClosed extends CmError {
   constructor() {

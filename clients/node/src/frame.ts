@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+import { BadAnswer } from "./errors.js";
 import type { cm } from "./proto/cm.js";
 import { count } from "./numbers.js";
 
@@ -7,11 +8,11 @@ export type Elements =
   | Uint8Array | Int8Array | Uint16Array | Int16Array | Uint32Array | Int32Array
   | BigUint64Array | BigInt64Array | Float32Array | Float64Array;
 
-const TYPES: Readonly<Record<string, new (buffer: ArrayBuffer) => Elements>> = {
+const TYPES = new Map<string, new (buffer: ArrayBuffer) => Elements>(Object.entries({
   bool: Uint8Array, uint8: Uint8Array, int8: Int8Array, uint16: Uint16Array, int16: Int16Array,
   uint32: Uint32Array, int32: Int32Array, uint64: BigUint64Array, int64: BigInt64Array,
   float32: Float32Array, float64: Float64Array,
-};
+}));
 
 /** A frame of a stream, or a part of a memory: a copy of one's own. */
 export interface Frame {
@@ -29,9 +30,12 @@ export interface Frame {
   readonly data: Elements;
 }
 
-/** A description and the bytes beside it. */
+/** A description and the bytes beside it. Throws BadAnswer where they disagree. */
 export function frameOf(info: cm.IFrame, payload: Uint8Array): Frame {
   const dtype = info.dtype ?? "uint8";
+  if (!info.compression && count(info.length) !== payload.byteLength) {
+    throw new BadAnswer(`frame ${count(info.sequence)} of ${info.stream} has not the ${count(info.length)} bytes that it claims`);
+  }
   const bytes = payload.buffer.slice(payload.byteOffset, payload.byteOffset + payload.byteLength) as ArrayBuffer;
   return {
     stream: info.stream ?? "",
@@ -41,6 +45,14 @@ export function frameOf(info: cm.IFrame, payload: Uint8Array): Frame {
     dtype,
     mode: info.mode ?? "",
     generation: count(info.generation),
-    data: new (TYPES[dtype] ?? Uint8Array)(bytes),
+    data: elements(dtype, bytes),
   };
+}
+
+function elements(dtype: string, bytes: ArrayBuffer): Elements {
+  try {
+    return new (TYPES.get(dtype) ?? Uint8Array)(bytes);
+  } catch {
+    throw new BadAnswer(`${bytes.byteLength} bytes are no elements of ${dtype}`);
+  }
 }

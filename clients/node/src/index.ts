@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 export { endpoints, loadKeys, type Endpoints, type Keys } from "./address.js";
 export { Board, connect, type ConnectOptions, type Interrupt, type LoadOptions } from "./board.js";
-export { BoardClosed, CmError, ConnectionLost, KeyRefused, RequestFailed, Timeout } from "./errors.js";
+export { BadAnswer, BoardClosed, CmError, ConnectionLost, KeyRefused, RequestFailed, Timeout } from "./errors.js";
 export { Events } from "./events.js";
 export type { Elements, Frame } from "./frame.js";
 export { Lease } from "./lease.js";

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import { Dealer, Subscriber } from "zeromq";
 import type { Endpoints, Keys } from "./address.js";
-import { BoardClosed, ConnectionLost, KeyRefused, RequestFailed, Timeout } from "./errors.js";
+import { BadAnswer, BoardClosed, ConnectionLost, KeyRefused, RequestFailed, Timeout, part } from "./errors.js";
 import { cm } from "./proto/cm.js";
 
 /** A reply, and the payload frames behind it. */
@@ -18,8 +18,13 @@ interface Pending {
 
 const EMPTY = Buffer.alloc(0);
 
-/** Over ipc the next try comes after 10 ms, not 100: where others connect without end, a place is free now and then. */
-const again = (address: string) => address.startsWith("ipc:") ? { reconnectInterval: 10 } : {};
+/**
+ * Over ipc the next try comes after 10 ms, not 100: where others connect without end, a place is free now and then. No
+ * frame of a stream is longer than 1 GiB; libzmq makes room for what is announced.
+ */
+const usual = (address: string) => ({
+  linger: 0, maxMessageSize: 2 ** 30 + 2 ** 20, ...(address.startsWith("ipc:") ? { reconnectInterval: 10 } : {}),
+});
 
 /** Requests on a DEALER, each with a number of its own, so that a late reply is never taken for that of another. */
 export class Link {
@@ -37,7 +42,7 @@ export class Link {
   ) {
     if (guest.length > 64) throw new RangeError(`${guest}: a guest's name has at most 64 characters`);
     this.#between = guest ? [`for=${guest}`, EMPTY] : [EMPTY];
-    this.#socket = new Dealer({ linger: 0, receiveHighWaterMark: 0, ...again(endpoints.req), ...curve(keys) });
+    this.#socket = new Dealer({ receiveHighWaterMark: 0, ...usual(endpoints.req), ...curve(keys) });
     const { events } = this.#socket;
     events.on("handshake", () => { this.#up = true; });
     events.on("disconnect", () => this.#lose());
@@ -73,7 +78,7 @@ export class Link {
       throw new Error(`what is published is handed to the bridge, not to ${this.guest}: subscribe without a guest, ` +
         "and hold back what is not for it");
     }
-    const options = { linger: 0, receiveHighWaterMark: depth, ...again(this.endpoints.pub), ...curve(this.keys) };
+    const options = { receiveHighWaterMark: depth, ...usual(this.endpoints.pub), ...curve(this.keys) };
     const socket = new Subscriber(options);
     socket.subscribe(...topics);
     socket.connect(this.endpoints.pub);
@@ -91,10 +96,14 @@ export class Link {
       for await (const [number, ...frames] of this.#socket) {
         const [, message, ...payload] = frames.slice(this.#between.length);
         const pending = this.#take(String(number));
-        if (!pending || !message) continue;
-        const reply = cm.Reply.decode(message);
-        if (reply.ok) pending.resolve({ reply, payload });
-        else pending.reject(new RequestFailed(reply.error?.code ?? "", reply.error?.message ?? "refused"));
+        if (!pending) continue;
+        try {
+          const reply = cm.Reply.decode(part(message, "a message"));
+          if (reply.ok) pending.resolve({ reply, payload });
+          else pending.reject(new RequestFailed(reply.error?.code ?? "", reply.error?.message ?? "refused"));
+        } catch (error) {
+          pending.reject(error instanceof BadAnswer ? error : new BadAnswer(`the manager's answer cannot be read: ${String(error)}`));
+        }
       }
     } catch (error) {
       if (!this.#socket.closed) this.#end(error as Error);

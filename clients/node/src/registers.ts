@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 import type { Board } from "./board.js";
+import { part } from "./errors.js";
 import type { Events } from "./events.js";
 import { count, int, unsigned, type Int } from "./numbers.js";
 import { cm } from "./proto/cm.js";
@@ -18,7 +19,7 @@ export class Registers {
   /** Several at once; all that can be read if none is named. */
   async read(...names: string[]): Promise<Readonly<Record<string, Int>>> {
     const { reply } = await this.board.ask("cm_read_reg", cm.ReadReg.encode({ names }).finish());
-    return valuesOf(reply.registers ?? {}).values;
+    return valuesOf(part(reply.registers, "registers")).values;
   }
 
   /**
@@ -44,7 +45,7 @@ export class Registers {
 
   async #send(writes: cm.IRegWrite[]): Promise<Values> {
     const message = cm.WriteReg.encode({ writes, lease: this.board.lease }).finish();
-    return valuesOf((await this.board.ask("cm_write_reg", message)).reply.registers ?? {});
+    return valuesOf(part((await this.board.ask("cm_write_reg", message)).reply.registers, "registers"));
   }
 }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 import type { Board } from "./board.js";
-import { Timeout } from "./errors.js";
+import { CmError, Timeout } from "./errors.js";
 import { Events } from "./events.js";
 import { frameOf, type Frame } from "./frame.js";
 import type { Link } from "./link.js";
@@ -21,23 +21,26 @@ export class FrameStream implements AsyncIterable<Frame> {
   lost = 0;
   #events: Events<Frame> | undefined;
   #expected: number | undefined;
+  #closed = false;
   readonly #timeout: number | null;
 
   constructor(
     private readonly board: Board, private readonly link: Link, readonly name: string,
-    private readonly options: StreamOptions,
+    private readonly options: StreamOptions, private readonly forget: (it: FrameStream) => void,
   ) {
     this.#timeout = options.timeout === undefined ? board.timeout : options.timeout;
   }
 
   /** Listen; `read` does it by itself. Rejects for an unknown stream. */
   async open(): Promise<void> {
+    if (this.#closed) throw new CmError("closed", `the stream ${this.name} was closed: ask for another`);
     if (this.#events) return;
     await this.board.configureStream(this.name);
     const topic = `cm_stream/${this.name}`;
     // subscriptions match by prefix: frames of "camera2" also reach subscribers of "camera"
     const take = ([at, message, payload]: Buffer[]) =>
       String(at) === topic && message && payload ? frameOf(cm.Frame.decode(message), payload) : undefined;
+    if (this.#closed) return this.open(); // meanwhile
     this.#events = new Events(this.link.subscribe([topic], this.options.depth ?? 4), take, this.options.newest ?? false);
   }
 
@@ -70,9 +73,11 @@ export class FrameStream implements AsyncIterable<Frame> {
     for (;;) yield await this.read();
   }
 
-  /** Listen no more; twice is fine. */
+  /** Listen no more, for good; twice is fine. */
   close(): void {
+    this.#closed = true;
     this.#events?.close();
     this.#events = undefined;
+    this.forget(this);
   }
 }

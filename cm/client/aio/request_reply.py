@@ -142,9 +142,15 @@ class Link:
                 handshake.lost = False
                 self._fail(self._requests.lost)
         refused = handshake.refused
-        self._fail(lambda: refused)
-        self._tasks[0].cancel()
-        self._hang_up()  # the next request tries anew
+        self._renew(lambda: refused)
+
+    def _renew(self, problem: Callable[[], Exception]) -> None:
+        """The next request connects anew; those that wait get the problem."""
+        self._fail(problem)
+        for task in self._tasks:
+            if task is not asyncio.current_task():
+                task.cancel()
+        self._hang_up()
         self._socket, self._tasks = None, ()
 
     def _hang_up(self) -> None:
@@ -183,7 +189,8 @@ class Link:
             raise suspected or self._requests.no_answer(timeout) from None
         finally:
             self._pending.pop(number, None)
-            sending.cancel()
+            if sending.cancel():  # not sent: a socket whose peer broke the protocol has none for ever
+                self._renew(self._requests.lost)
             if looking is not None:
                 looking.cancel()
         return result(call, reply)

@@ -45,6 +45,16 @@ class Driver:
             list(command), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
         )
 
+    @property
+    def pid(self) -> int:
+        """The number of its process."""
+        return self._process.pid
+
+    @property
+    def ended(self) -> bool:
+        """Whether it has ended."""
+        return self._process.poll() is not None
+
     def ask(self, line: dict[str, Any], seconds: float) -> list[Any]:
         """Results, in the order of the actions. Raises DriverGone."""
         alarm = threading.Timer(seconds, self._process.kill)

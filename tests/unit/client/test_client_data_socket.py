@@ -125,7 +125,7 @@ def manager() -> Iterator[Manager]:
         made.close()
 
 
-SLOTS = Descriptor(kind=packets.SLOTS)
+SLOTS = Descriptor(kind=packets.SLOTS, offset=2)
 STOPPED = Descriptor(kind=packets.STOPPED)
 
 
