@@ -26,7 +26,7 @@ ROUNDS ?= 8
 STOPPED ?= 4
 
 .DEFAULT_GOAL := help
-.PHONY: help help-all setup docs web-picture notebooks demo demo-authors demo-open demo-scrub demo-ros demo-fleet device-suite test test-bare test-lowest $(FURTHER:%=test-%) test-c test-node test-go test-rtl test-open test-bench test-ros test-fleet etcd test-images test-vm vm strangers soak fuzz mutation bench bench-compare bench-counts lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
+.PHONY: help help-all setup docs web-picture notebooks demo demo-authors demo-open demo-scrub demo-ros demo-fleet device-suite test test-bare test-lowest $(FURTHER:%=test-%) test-c test-node test-go test-rtl test-open test-bench test-ros test-fleet etcd test-images test-vm vm strangers soak fuzz mutation bench bench-compare bench-counts lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb board-bundle release-check layer layer-bitbake clean distclean check-system
 
 help: ## the targets that most people need
 	@awk -F':[^#]*## ' '/^[a-z-]+:[^#]*## /{printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -268,6 +268,10 @@ deb: wheel ## Debian packages for ARCHES, checked by lintian, into build/release
 	@$(BIN)/python release/manpages.py $(RELEASE)/man
 	@status=0; release/deb.sh $(SDIST) $(RELEASE) $(ARCHES) || status=$$?; \
 		if [ $$status = 77 ]; then echo "SKIPPED: Debian packages (see above)"; exit 0; fi; exit $$status
+
+board-bundle: wheel ## one archive with all that a board needs, and ./install in it: KERNEL=headers of its kernel, ARCHES=arm64 (or armhf; PYTHON_VERSION=3.10)
+	@test -n "$(KERNEL)" || { echo "board-bundle: say KERNEL=DIR, the headers of the board's kernel (kmod/headers.sh fetches Debian's)"; exit 2; }
+	@PYTHON=$(abspath $(BIN)/python) release/board_bundle.sh "$(KERNEL)" $(firstword $(ARCHES))
 
 release-check: $(LINT_STAMP) $(VENV)/.installed-test-release ### changelog, versions, licences, links, the same bytes from two folders; writes the SBOM (TAG=v1.2.3)
 	@$(BIN)/python release/check.py $(if $(TAG),--tag $(TAG))

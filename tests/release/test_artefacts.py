@@ -97,17 +97,21 @@ def test_wheels_of_all_architectures_differ_in_the_module_only() -> None:
 
 @debs
 @needs("dpkg-deb")
-def test_the_modules_package_builds_what_it_names_when_it_is_installed(tmp_path: Path) -> None:
-    deb = next(path for path in DEBS if path.name.startswith("fpga-cm-dkms_"))
+@pytest.mark.parametrize("package", ["fpga-cm", "fpga-cm-extra", "fpga-cm-axidma"])
+def test_the_modules_package_builds_what_it_names_when_it_is_installed(tmp_path: Path, package: str) -> None:
+    deb = next(path for path in DEBS if path.name.startswith(f"{package}-dkms_"))
     assert "common.postinst" in run(["dpkg-deb", "-I", deb, "postinst"])
     run(["dpkg-deb", "-x", deb, tmp_path])
     source = next(tmp_path.glob("usr/src/fpga-cm-*"))
-    named = re.findall(r'BUILT_MODULE_NAME\[\d\]="(\w+)"', (source / "dkms.conf").read_text())
+    configuration = (source / "dkms.conf").read_text()
+    named = re.findall(r'BUILT_MODULE_NAME\[\d\]="(\w+)"', configuration)
+    (built,) = re.findall(r"CM_MODULES='([^']*)'", configuration)
     # make reads it to its end, as the kernel's build does, and every object has its source
     listing = "all: ; @echo $(obj-m) / $(foreach m,$(obj-m:.o=),$($m-y:.o=.c))"
-    build = f"src := {source}\ninclude {source}/Kbuild\n{listing}\n"
+    build = f"CM_MODULES := {built}\nsrc := {source}\ninclude {source}/Kbuild\n{listing}\n"
     modules, sources = run(["make", "-s", "-f", "-"], input=build).split("/", 1)
-    assert sorted(modules.split()) == sorted(f"{name}.o" for name in named)
+    assert sorted(modules.split()) == sorted(f"{name}.o" for name in built.split())
+    assert set(built.split()) - set(named) <= {"cm_dma"}  # whose symbols others use
     assert all((source / name).is_file() for name in sources.split())
 
 

@@ -185,6 +185,32 @@ def test_a_gate_opens_and_closes(clocks: device.Overlays) -> None:
     assert kernel_says("fclk3", "clk_enable_count") == 0
 
 
+def for_uio(name: str, address: int) -> bytes:
+    """A node for UIO with the first interrupt of the PL, as PYNQ's images have one and cm build writes one."""
+    properties = {"compatible": b"fpga-cm,uio\0generic-uio\0", "reg": cells(address, 0x1000)}
+    properties |= {"interrupt-parent": phandle("intc"), "interrupts": cells(0, SPI, 4)}
+    node = fdt.FdtNode(f"{name}@{address:x}", properties)
+    return fdt.pack(fdt.overlay("/", fdt.FdtNode("", {}, [node])))
+
+
+def test_an_interrupt_that_the_image_has_given_away_fails_the_overlay_and_is_freed_by_what_is_said(
+    overlays: device.Overlays,
+) -> None:
+    fabric, control = "43c00000.fabric", "43c10000.cm-control"
+    overlays.apply("image", for_uio("fabric", WINDOW))
+    with pytest.raises(device.DeviceError) as refused:
+        overlays.apply(NAME, for_uio("cm-control", WINDOW + 0x10000))
+    said = str(refused.value)
+    assert f"{control} (fpga-cm,uio) got no driver" in said
+    assert f"{fabric} (uio_pdrv_genirq) has its interrupt" in said
+    assert overlays.list() == ["image"]
+    what, _, where = said.rpartition("echo ")[2].partition(" >")
+    assert (what, where) == (fabric, "/sys/bus/platform/drivers/uio_pdrv_genirq/unbind")
+    Path(where).write_text(what)
+    overlays.apply(NAME, for_uio("cm-control", WINDOW + 0x10000))
+    assert (PLATFORM / control / "driver").readlink().name == "uio_pdrv_genirq"
+
+
 # what programs see
 
 
