@@ -77,6 +77,12 @@ class NothingToUndo(CmError):
     code = "nothing_to_undo"
 
 
+class NoSuchPlace(NotFound):
+    """No device of the board has the address of a register that a plan needs."""
+
+    code = "device_not_found"
+
+
 class AccessDenied(InvalidRequest):
     """A write of a read-only register, or a read of a write-only one."""
 

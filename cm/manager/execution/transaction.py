@@ -9,14 +9,14 @@ A step that fails leaves the board where the record says. Going back is another 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from cm.errors import Busy
+from cm.errors import Busy, CmError
 from cm.frozen import dataclass, field, replace
 from cm.manager.access.register_bus import RegisterBus, drive, is_cut
-from cm.manager.errors import Cancelled, IdentityMismatch, NoPort, RecordFailed, VerifyFailed, WrongStatic
+from cm.manager.errors import Cancelled, IdentityMismatch, NoPort, NoSuchPlace, RecordFailed, VerifyFailed, WrongStatic
 from cm.manager.loaders import Job, Loaders, Start, resolved
 from cm.manager.planner import Goal, Plan, check_rate, make_plan, place_of
 from cm.manager.state import steps as s
@@ -123,8 +123,42 @@ class StepContext:
         self.tools.reporter.progress(Progress(self.number, goal.config.name, goal.mode, step.kind, *subject))
 
 
-def plan_to(goal: Goal, tools: Tools) -> Plan:
-    """The plan from here to a goal; touches nothing. Raises what is wrong with the files, and NoPort."""
+def plan_to(goal: Goal, tools: Tools, back: bool = False) -> Plan:
+    """The plan from here to a goal; touches nothing. Raises what is wrong with the files, NoPort, and NoSuchPlace.
+
+    `back`: it is the way back, of which as much is taken as can be.
+    """
+    plan = _planned(goal, tools)
+    if not back:
+        _check_places(plan, tools.registers)
+    return plan
+
+
+def _check_places(plan: Plan, registers: RegisterBus) -> None:
+    """Look whether the board has the registers of the steps up to the first overlay, which may bring further ones."""
+    for step in plan.steps:
+        if isinstance(step, s.ApplyOverlay) or (isinstance(step, s.Load) and step.overlay):
+            return
+        for what, address, size in _places(step):
+            try:
+                registers.place(address, size)
+            except CmError as error:
+                raise NoSuchPlace(f"{what} of {plan.goal.config.name}, at {address:#x}: {error}") from error
+
+
+def _places(step: Step) -> Iterator[tuple[str, int, int]]:
+    """What a step accesses: what that is, its physical address, and its bytes."""
+    if isinstance(step, s.SetRegister):
+        yield f"register {step.register.name}", step.register.address, step.register.width // 8
+    if isinstance(step, s.Decouple | s.Recouple) and (cut := step.region.decoupler) is not None and cut.size:
+        yield f"the decoupler of region {step.region.name}", cut.base_address + cut.offset, cut.size
+    if isinstance(step, s.CheckIdentity) and (own := step.region.identity) is not None:
+        yield f"the identity of region {step.region.name}", own.base_address + own.offset, own.width // 8
+    if isinstance(step, s.CheckStatic) and step.known and (there := step.static) and there.base_address is not None:
+        yield "the identity of the static part", there.base_address + there.offset, there.width // 8
+
+
+def _planned(goal: Goal, tools: Tools) -> Plan:
     state = tools.state
     mode = goal.config.modes[goal.mode]
     wanted = {goal.config.modules[name].region for name in (*mode.modules, *goal.also)}
@@ -154,7 +188,7 @@ def take_steps(run: StepContext, goal: Goal) -> None:
     _take_all(run)
     if run.plan.then:
         run.at = -1
-        run.plan = plan_to(replace(goal, grounded=True), run.tools)
+        run.plan = plan_to(replace(goal, grounded=True), run.tools, back=run.best_effort)
         _take_all(run)
 
 

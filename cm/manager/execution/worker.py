@@ -344,7 +344,7 @@ class Worker:
             raise
 
     def _go_back(self, failed: StepContext, goal: Goal) -> None:
-        plan = plan_to(goal, self._tools)
+        plan = plan_to(goal, self._tools, back=True)
         back = StepContext(plan, self._tools, failed.number, lambda: False, best_effort=True, sealed=failed.sealed)
         take_steps(back, goal)
 

@@ -11,7 +11,7 @@ from manager_schemas import DUO, PORTED, written
 from manager_support import Rig, rig
 
 from cm.errors import NotFound
-from cm.manager.errors import NothingLoaded
+from cm.manager.errors import NoSuchPlace, NothingLoaded
 from cm.schema import load
 from cm.schema.model import Config
 from cm.simulation.software import Board as SimBoard
@@ -136,3 +136,27 @@ def test_a_schema_sent_while_its_configuration_is_loaded_is_compared_in_the_same
                 made.manager.write_registers((RegWrite("depth", 7),))
             assert made.go("default", config="duo") is None
         assert told(made) == ("duo", "default", {"prr0": "ready", "prr1": "ready"})
+
+
+@pytest.mark.parametrize(
+    ("wrong", "what"),
+    [
+        (DUO.replace("led: {offset: 0x18}", "led: {offset: 0x9018, default: 1}"), "register led of duo, at 0xa018: "),
+        (DUO.replace("{base_address: 0x1000, offset: 0x0, bit: 0}", "{base_address: 0xa000, offset: 0x0, bit: 0}"),
+         "the decoupler of region prr0 of duo, at 0xa000: "),
+        (DUO.replace("{base_address: 0x2000, offset: 0x1000}", "{base_address: 0xa000, offset: 0x1000}"),
+         "the identity of region prr0 of duo, at 0xb000: "),
+    ],
+)  # fmt: skip
+def test_an_address_that_no_device_of_the_board_has_is_told_before_the_first_step(
+    sim: SimBoard, build: Build, tmp_path: Path, wrong: str, what: str
+) -> None:
+    with rig(sim.root, tmp_path / "state", build(DUO)) as made:
+        assert made.go("default", config="duo") is None
+        before = sim.control.state()["regions"]
+        made.manager.add_config(build(wrong))
+        with pytest.raises(NoSuchPlace, match=what):
+            made.manager.plan(ChangeMode("duo", "other"))
+        error = made.go("other", config="duo")
+        assert (error.code, error.message.startswith(what)) == ("device_not_found", True)
+        assert sim.control.state()["regions"] == before
