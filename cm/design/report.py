@@ -8,7 +8,7 @@ from typing import Any
 
 from cm.design.boundary.analyse import Analysis
 from cm.design.boundary.model import Adaptation, Boundary, Fit, Role
-from cm.design.hdl.model import Mode, ModuleInfo
+from cm.design.hdl.model import Mode, ModuleInfo, PortDirection
 from cm.design.plan.dma_engines import EngineKind
 from cm.design.plan.steps import shelled
 from cm.design.plan.system import RegionPlan, StreamBus, System
@@ -78,6 +78,8 @@ def adapted(adaptation: Adaptation, boundary: Boundary) -> Iterator[str]:
             yield f"{name}: inverted"
         elif connection.fit is Fit.TIE:
             yield f"{name}: tied to {connection.value}"
+        elif connection.direction is PortDirection.IN and not connection.boundary:
+            yield f"{name}: keeps its default"
         else:
             yield f"{name}: open"
 

@@ -139,8 +139,8 @@ def analyse(project: Project) -> Analysis:
         _check_stated(project, spec, modules[spec.name])
     # by the project's names, since two modules may have the same top with different parameters or sources
     boundaries = {
-        region: boundary({spec.name: modules[spec.name] for spec in project.modules_of(region)})
-        for region in project.regions
+        name: boundary({spec.name: modules[spec.name] for spec in project.modules_of(name)}, region.interfaces)
+        for name, region in project.regions.items()
     }
     return Analysis(modules, boundaries, differences, flat)
 

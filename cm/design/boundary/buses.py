@@ -95,7 +95,7 @@ def fit_bus(slot: Slot, ports: Sequence[BoundaryPort], module: ModuleInfo, fitti
         fitting.notes.extend(_absent_note(slot))
         return
     for signal, port in mine.items():
-        if signal in interface.ports:
+        if signal in interface.ports and interface.widths.get(signal) != 0:
             _meet(slot, interface, signal, port, fitting)
         else:
             _lack(slot, interface, signal, port, fitting)
@@ -158,8 +158,9 @@ def _surplus(module: ModuleInfo, interface: Interface, signal: str, name: str, f
     port = module.port(name)
     if port.width is None:
         fitting.refused.append(f"the width of {interface.name}.{signal} could not be evaluated")
+    if not port.width:  # a null range of VHDL has no bits
         return
-    fit = Fit.TIE if port.direction is IN else Fit.OPEN
-    fitting.connections.append(Connection("", name, port.direction, fit, 0, port.width))
-    if port.direction is IN:
+    tied = port.direction is IN and not port.default
+    fitting.connections.append(Connection("", name, port.direction, Fit.TIE if tied else Fit.OPEN, 0, port.width))
+    if tied:
         fitting.notes.append(f"{interface.name}.{signal} is 0: another module of the region has none")

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from cm.design.boundary.buses import Fitting, bus_interface, bus_ports, fit_bus
 from cm.design.boundary.model import Adaptation, Boundary, BoundaryPort
@@ -12,6 +12,7 @@ from cm.design.boundary.scalar_signals import (
     clock_ports,
     fit_clocks,
     fit_single,
+    keep_defaults,
     make_clocks,
     make_interrupts,
     make_signals,
@@ -22,8 +23,10 @@ from cm.design.hdl.model import Interface, ModuleInfo, Polarity
 from cm.frozen import replace
 
 
-def boundary(given: Mapping[str, ModuleInfo]) -> Boundary:
+def boundary(given: Mapping[str, ModuleInfo], named: Collection[str] = ()) -> Boundary:
     """The boundary that all modules of a region share, by their names; their order is that of the result.
+
+    `named`: the interfaces that the build schema mentions; an input with a default crosses the boundary if it is one.
 
     Modules that cannot be fitted are in the result with the reasons in `refused`; the others are still fitted.
     """
@@ -34,7 +37,9 @@ def boundary(given: Mapping[str, ModuleInfo]) -> Boundary:
     for slot in slots.slots:
         ports.extend(bus_ports(slot, modules))
     interrupts = make_interrupts(modules)
-    signals, refused = make_signals(modules, [*(port.name for port in ports), *(item.name for item in interrupts)])
+    signals, refused = make_signals(
+        modules, [*(port.name for port in ports), *(item.name for item in interrupts)], named
+    )
     singles = [*interrupts, *signals]
     ports.extend(single.port() for single in singles)
     fittings = {module.name: Fitting() for module in modules}
@@ -48,6 +53,7 @@ def boundary(given: Mapping[str, ModuleInfo]) -> Boundary:
             fit_bus(slot, ports, module, fitting)
         for single in singles:
             fit_single(single, module, fitting)
+        keep_defaults(module, named, fitting)
     interfaces = tuple(_interface(slot, ports, clocks, fittings) for slot in slots.slots)
     return Boundary(tuple(ports), interfaces, tuple(_adaptation(name, item) for name, item in fittings.items()))
 

@@ -31,7 +31,7 @@ class Fit(str, Enum):
     EXTEND = "extend"  # driven side is wider: the missing high bits are 0
     TRUNCATE = "truncate"  # driven side is narrower: the high bits are dropped (known to be 0 or without meaning)
     TIE = "tie"  # undriven: `value` on all bits
-    OPEN = "open"  # unread
+    OPEN = "open"  # unread; an input of the module: unconnected, it has a default of its own
 
 
 @dataclass(frozen=True, slots=True)

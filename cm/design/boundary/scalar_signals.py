@@ -7,7 +7,7 @@ to it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from cm.design.boundary.buses import IN, OUT, Fitting
 from cm.design.boundary.model import BoundaryPort, Connection, Fit, Role
@@ -134,21 +134,40 @@ def make_interrupts(modules: Sequence[ModuleInfo]) -> list[Single]:
     return list(found.values())
 
 
-def make_signals(modules: Sequence[ModuleInfo], taken: Sequence[str]) -> tuple[list[Single], dict[str, list[str]]]:
-    """Ports left over, shared by name; those that cannot cross the boundary, with the reason, by module."""
+def has_default(port: Port, named: Collection[str]) -> bool:
+    """Whether an input keeps the default that the HDL gives it: the build schema does not name it for the region."""
+    return port.direction is IN and bool(port.default) and identifier(port.name) not in named
+
+
+def make_signals(
+    modules: Sequence[ModuleInfo], taken: Sequence[str], named: Collection[str]
+) -> tuple[list[Single], dict[str, list[str]]]:
+    """Ports left over, shared by name; those that cannot cross the boundary, with the reason, by module.
+
+    Inputs with a default do not cross it, unless they are among the `named`.
+    """
     found: dict[str, Single] = {}
     refused: dict[str, list[str]] = {}
     for module in modules:
         for left in module.leftovers:
             port = module.port(left.port)
-            if reason := _unfit(port, left.reason):
+            if port.width != 0 and (reason := _unfit(port, left.reason)):
                 refused.setdefault(module.name, []).append(f"port {port.name} {reason}")
+                continue
+            if has_default(port, named) or port.width == 0:  # a null range of VHDL has no bits
                 continue
             name = identifier(port.name)
             name = f"{name}_signal" if name in taken else name
             single = found.setdefault(name, Single(name, port.direction, Role.SIGNAL, left=left.reason))
             single.members[module.name] = port
     return list(found.values()), refused
+
+
+def keep_defaults(module: ModuleInfo, named: Collection[str], fitting: Fitting) -> None:
+    """Leave the inputs with a default of their own unconnected."""
+    for port in (module.port(left.port) for left in module.leftovers):
+        if port.flat and has_default(port, named):
+            fitting.connections.append(Connection("", port.name, IN, Fit.OPEN, 0, port.width or 0))
 
 
 def _unfit(port: Port, reason: str) -> str:

@@ -73,6 +73,8 @@ def _connect(net: Netlist, connection: Connection, pins: dict[str, str | None]) 
             net.assign(connection.boundary, (ones if connection.value else zeros)(want))
         elif connection.direction is IN:
             net.unused.append(connection.boundary)
+    elif not connection.boundary and fit is Fit.OPEN and connection.direction is IN:
+        return  # the HDL's default counts where the port is not named at all (IEEE 1800, 23.3.2.2)
     elif not connection.boundary:  # a module port that the boundary does not have
         tied = (ones if connection.value else zeros)(have) if fit is Fit.TIE else None
         pins[connection.module] = tied

@@ -61,7 +61,7 @@ def flat_vhdl(top: str, wanted: Sources) -> Flat:
             ports += _fields(where, port, direction, buses.get(port.name, port.name), scope)
         else:
             ((_, width, base),) = _leaves(f"{home}:{port.line}: port {port.name}", (), port.type, scope, 0)
-            ports.append(FlatPort(port.name, direction, width, "", base))
+            ports.append(FlatPort(port.name, direction, width, "", base, port.default if direction is IN else ""))
     unique_ports(f"{home}: {top}", ports)
     context = _context(blank_comments(texts[home]), top, files[home])
     return Flat(wrapper_name(top), ".vhd", _text(top, wanted, context, files[home], ports, records))
@@ -157,17 +157,18 @@ def _text(
     ports: Sequence[FlatPort],
     records: Mapping[str, str],
 ) -> str:
-    declared = [f"    {p.name} : {_MODES[p.direction]} {_type(p.width, p.kind)}" for p in ports]
+    declared = [
+        f"    {p.name} : {_MODES[p.direction]} {_type(p.width, p.kind)}{_default(p.default)}" for p in ports if p.width
+    ]
     assigned = []
     for port in (port for port in ports if port.inner):
         inner = f"record_{port.inner}"
         if port.direction is IN:
-            assigned.append(f"  {inner} <= {_convert(port.kind, port.name)};")
-        else:
+            assigned.append(f"  {inner} <= {_convert(port.kind, port.name) if port.width else _NULL};")
+        elif port.width:
             assigned.append(f"  {port.name} <= {_back(port.kind, inner)};")
     values = ", ".join(f"{name} => {_value(value)}" for name, value in wanted.parameters.items())
-    pins = [f"      {p.name} => {_convert(p.kind, p.name)}" for p in ports if not p.inner and p.direction is not OUT]
-    pins += [f"      {_back(p.kind, p.name)} => {p.name}" for p in ports if not p.inner and p.direction is OUT]
+    pins = [_pin(port) for port in ports if not port.inner]
     pins += [f"      {name} => record_{name}" for name in records]
     name = wrapper_name(top)
     lines = [
@@ -194,6 +195,21 @@ def _text(
         "end architecture;",
     ]
     return "\n".join(lines) + "\n"
+
+
+_NULL = '""'  # the value of a null range, which has no bits and is no port of the wrapper
+_LITERAL = re.compile(r"'.'|[xob]?\"[^\"]*\"|\bothers\b", re.IGNORECASE)
+
+
+def _default(text: str) -> str:
+    """A default that needs no name: a generic's is known inside only."""
+    return f" := {text}" if text and not re.search("[a-z]", _LITERAL.sub("", text), re.IGNORECASE) else ""
+
+
+def _pin(port: FlatPort) -> str:
+    if port.direction is OUT:
+        return f"      {_back(port.kind, port.name)} => {port.name}" if port.width else f"      {port.name} => open"
+    return f"      {port.name} => {_convert(port.kind, port.name) if port.width else _NULL}"
 
 
 _MODES = {IN: "in", OUT: "out", PortDirection.INOUT: "inout"}

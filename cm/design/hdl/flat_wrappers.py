@@ -22,6 +22,7 @@ class FlatPort:
     width: int
     inner: str = ""
     kind: str = ""  # VHDL: the type of `inner` where it must be converted
+    default: str = ""  # VHDL: of an input that is passed through
 
 
 @dataclass(frozen=True, slots=True)

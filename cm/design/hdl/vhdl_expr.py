@@ -211,8 +211,10 @@ def width_of(indication: str, names: Mapping[str, Value | None], subtypes: Subty
         return 1
     if kind in _VECTORS:
         return _vector(indication, match[2], names)
-    if kind in subtypes:
-        return width_of(subtypes[kind], names, subtypes, depth + 1)
+    if kind in subtypes:  # one without a range of its own takes that of its use: slv(7 downto 0)
+        own = subtypes[kind]
+        own += f"({match[2]})" if match[2] and "(" not in own else ""
+        return width_of(own, names, subtypes, depth + 1)
     raise NotFlat(f"its type {indication} is not a vector of std_logic: needs a flat wrapper")
 
 

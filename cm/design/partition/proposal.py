@@ -187,8 +187,8 @@ def refusals(project: Project, analysis: Analysis, text: str) -> list[str]:
     try:
         other = load_project(project.source, text)
         boundaries = {
-            region: boundary({module.name: analysis.modules[module.name] for module in other.modules_of(region)})
-            for region in other.regions
+            name: boundary({m.name: analysis.modules[m.name] for m in other.modules_of(name)}, region.interfaces)
+            for name, region in other.regions.items()
         }
         changed = replace(analysis, boundaries=boundaries)
         if changed.refused:

@@ -37,7 +37,7 @@ class _Region:
     memory: list[Interface] = field(default_factory=list)
     external: list[BoundaryPort] = field(default_factory=list)
     unused: list[BoundaryPort] = field(default_factory=list)
-    undecided: list[str] = field(default_factory=list)  # single signals that the build schema does not mention
+    undecided: list[BoundaryPort] = field(default_factory=list)  # single signals that the build schema does not mention
 
 
 class RegionPlanner:
@@ -65,11 +65,10 @@ class RegionPlanner:
         lines: list[Line] = []
         for port in boundary.ports:
             self._single(spec, port, boundary, lines, parts)
-        if parts.undecided:
-            self.notes.append(
-                f"{spec.name}: {', '.join(parts.undecided)}: of no interface, and not connected "
-                "(inputs are 0); `connect: external` under the region's interfaces brings one to a port of the top"
-            )
+        for direction, text in ((PortDirection.IN, "driven by nothing, and 0"), (PortDirection.OUT, "read by nothing")):
+            names = [port.name for port in parts.undecided if port.direction is direction]
+            hint = "`connect: external` under the region's interfaces brings one to a port of the top"
+            self.notes += [f"{spec.name}: {', '.join(names)}: of no interface, {text}; {hint}"] if names else []
         return RegionPlan(
             spec,
             index,
@@ -141,7 +140,7 @@ class RegionPlanner:
         else:
             connect = region.interfaces.get(port.name, ConnectionSpec()).connect or "none"
             if port.name not in region.interfaces:
-                parts.undecided.append(port.name)
+                parts.undecided.append(port)
         (parts.external if connect == "external" else parts.unused).append(port)
 
     def _interrupts(self, region: RegionSpec, port: BoundaryPort, boundary: Boundary) -> Iterator[Line]:

@@ -243,3 +243,12 @@ def test_no_expression_does_anything_but_have_a_value_or_be_unknown(text: str) -
 def test_integer_arithmetic_is_exact(a: int, b: int, c: int) -> None:
     assert evaluate(f"{a} / {b} * {b} + {a} rem {b}", {}) == a
     assert evaluate(f"({c}) mod {b} + n", {"n": 1}) == c % b + 1
+
+
+def test_a_subtype_without_a_range_takes_that_of_its_use() -> None:
+    subtypes = {"slv": "std_logic_vector", "word": "std_logic_vector(31 downto 0)"}
+    assert [width_of(text, {}, subtypes) for text in ("slv(7 downto 0)", "work.types.slv(0 to 2)", "word")] == [
+        8,
+        3,
+        32,
+    ]
