@@ -136,7 +136,7 @@ class Gate:
     def _find_out(self, connection: str) -> _Known:
         name, bridge = guest_of(connection)
         if name:
-            behind = self._current(bridge)
+            behind = self._look_up(bridge)  # also where its key has expired: the guest's rights end with it
             speaks = behind.rights.speaks_for(name)
             rights = policy.of_guest(name, behind.rights, self._access) if speaks else policy.NOTHING
             return _Known(on_behalf(behind.who, name), rights, rights.everywhere)

@@ -616,6 +616,10 @@ def test_the_rights_of_a_guest_end_with_those_of_its_bridge() -> None:
     assert gate.everywhere(guest) is Role.OPERATE
     clock[0] = 10.0
     assert gate.everywhere(guest) is Role.NONE
+    late = gate.guest(bridge, "who comes while the key has expired")
+    assert gate.everywhere(late) is Role.NONE
+    clock[0] = 9.0  # the clock was wrong, and is set
+    assert gate.everywhere(guest) is gate.everywhere(late) is Role.OPERATE
 
 
 def test_every_promise_of_the_page_names_a_test_that_there_is() -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import mmap
 import os
 import signal
 
@@ -79,14 +80,22 @@ def test_a_dead_board_has_no_registers(board):
             uio.read(0x20)
 
 
-def test_a_client_cannot_shorten_the_mirror(board):
+def test_a_client_can_neither_shorten_the_mirror_nor_write_it(board):
+    """Whoever has registers mapped to read them, on a real board, cannot write them either."""
     node = Node(board.root, "dev/uio0")
     payload, fds = node.call(p.OP_MIRROR, p.MIRROR.pack(0, -1, 0))
     try:
         size = p.MIRROR.unpack(payload)[2]
         assert os.fstat(fds[0]).st_size == 2 * size
-        with pytest.raises(PermissionError):
-            os.ftruncate(fds[0], size)
+        for denied in (
+            lambda: os.ftruncate(fds[0], size),
+            lambda: os.pwrite(fds[0], b"1", 0),
+            lambda: mmap.mmap(fds[0], size),
+            lambda: os.pwrite(os.open(f"/proc/self/fd/{fds[0]}", os.O_RDWR | os.O_CLOEXEC), b"1", 0),
+        ):
+            with pytest.raises(PermissionError):
+                denied()
+        mmap.mmap(fds[0], size, prot=mmap.PROT_READ).close()
     finally:
         os.close(fds[0])
         node.close()

@@ -7,13 +7,26 @@ import errno
 import fcntl
 import mmap
 import os
+from contextlib import suppress
 
 from cm.schema.model import Memory, Register
 from cm.simulation.software.errors import NodeError
 from cm.simulation.software.hardware.board_spec import ModuleSpec, RegionSpec, WindowSpec
 
 EMPTY_WORD = 0xDEADBEEF  # what a region without a module reads as
-_SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW
+_SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL
+_F_SEAL_FUTURE_WRITE = 0x0010  # linux/fcntl.h; the module has it from Python 3.13 on
+
+
+def shared_to_read(name: str, size: int) -> tuple[int, mmap.mmap]:
+    """Memory that clients can map, of this length for as long as they do, and only we can write; its descriptor."""
+    fd = os.memfd_create(name, os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+    os.ftruncate(fd, size)
+    ours = mmap.mmap(fd, size)
+    with suppress(OSError):  # Linux before 5.1
+        fcntl.fcntl(fd, fcntl.F_ADD_SEALS, _F_SEAL_FUTURE_WRITE)
+    fcntl.fcntl(fd, fcntl.F_ADD_SEALS, _SEALS)
+    return fd, ours
 
 
 class Mirror:
@@ -26,19 +39,21 @@ class Mirror:
 
     def __init__(self, name: str, size: int) -> None:
         self.size = -(-max(size, 1) // mmap.PAGESIZE) * mmap.PAGESIZE
-        self._fd = os.memfd_create(f"cm-{name}", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
-        os.ftruncate(self._fd, 2 * self.size)
-        fcntl.fcntl(self._fd, fcntl.F_ADD_SEALS, _SEALS)  # a client that maps it may rely on its length
-        self.values = mmap.mmap(self._fd, self.size)
-        self._flags = mmap.mmap(self._fd, self.size, offset=self.size)
+        self._fd, self.values = shared_to_read(f"cm-{name}", 2 * self.size)  # and flags behind them
 
     def ask(self, offset: int, length: int, ask: bool) -> None:
         """Set whether the bus has to be asked for some bytes."""
-        self._flags[offset : offset + length] = (b"\1" if ask else b"\0") * length
+        at = self.size + offset
+        self.values[at : at + length] = (b"\1" if ask else b"\0") * length
 
     def clear(self) -> None:
-        """All values zero again."""
-        self.values.madvise(mmap.MADV_REMOVE)
+        """All values zero again, in the pages that were written."""
+        at = 0
+        with suppress(OSError):  # there are no more
+            while (at := os.lseek(self._fd, at, os.SEEK_DATA)) < self.size:
+                end = min(os.lseek(self._fd, at, os.SEEK_HOLE), self.size)
+                self.values[at:end] = bytes(end - at)
+                at = end
 
     def descriptor(self) -> int:
         """A descriptor to pass on, the caller's. Raises NodeError if there are no more."""

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from cm.simulation.software.errors import NodeError
 from cm.simulation.software.hardware.fabric import Fabric
 from cm.simulation.software.hardware.logic import Accesses
-from cm.simulation.software.hardware.register_windows import Window
+from cm.simulation.software.hardware.register_windows import Window, shared_to_read
 from cm.simulation.software.transport import protocol
 from cm.simulation.software.transport.buffers import fit
 from cm.simulation.software.transport.server import Server
@@ -111,8 +111,7 @@ class _Grant:
         self.id, self.flags, self.address, self.length = what
         self.revoked = 0
         self.offset = self.address - window.spec.address
-        self._fd = os.memfd_create("cm-grant", os.MFD_CLOEXEC)
-        os.ftruncate(self._fd, PAGE)
+        self._fd, self._state = shared_to_read("cm-grant", PAGE)
         self._tell()
 
     def open(self, events: Events) -> Opened:  # noqa: ARG002 (there are none)
@@ -135,7 +134,7 @@ class _Grant:
         return os.dup(self._fd)
 
     def _tell(self) -> None:
-        os.pwrite(self._fd, protocol.WINDOW_STATE.pack(self.revoked, self.flags, self.length), 0)
+        protocol.WINDOW_STATE.pack_into(self._state, 0, self.revoked, self.flags, self.length)
 
     def __del__(self) -> None:
         os.close(self._fd)
