@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import argparse
+import os
 import ssl
+import stat
 import sys
 from contextlib import suppress
 from pathlib import Path
@@ -127,11 +129,14 @@ def _token(path: Path | None) -> str:
     if path is None:
         return ""
     try:
-        token = path.read_text(encoding="ascii").strip()
+        with path.open(encoding="ascii") as file:
+            token, mode = file.read().strip(), os.fstat(file.fileno()).st_mode
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidRequest(f"--token-file {path}: {error}") from error
     if not token:
         raise InvalidRequest(f"--token-file {path}: it is empty")
+    if stat.S_ISREG(mode) and mode & 0o007:
+        raise InvalidRequest(f"--token-file {path}: all users of this machine may read it: chmod 600 {path}")
     return token
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 import ssl
 import time
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from aiohttp import web
+from aiohttp.http_exceptions import HttpProcessingError
 
 from cm.errors import InvalidRequest
 from cm.web.commands import Commands
@@ -32,6 +34,7 @@ _FIRST = 5.0  # seconds in which a connection has to ask for something
 _IDLE = 15.0  # seconds that one is kept between two requests
 _LOOK = 0.5  # seconds between two looks at them
 _MESSAGE = 1 << 16  # bytes of what a page sends
+_LINE, _QUIET = 200, 10.0  # characters of a line about a request that is none, and seconds between two
 _HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
@@ -75,6 +78,28 @@ class Strangers:
                 one.force_close()
 
 
+class OneLine(logging.LoggerAdapter[logging.Logger]):
+    """What aiohttp logs of requests that are none: a short line without a traceback, one in ten seconds at most."""
+
+    def __init__(self, logger: logging.Logger) -> None:
+        super().__init__(logger, {})
+        self._next, self._more = 0.0, 0
+
+    def exception(self, msg: object, *args: object, exc_info: Any = True, **words: Any) -> None:
+        """As of a logger. A defect of ours comes with its traceback."""
+        if not isinstance(exc_info, HttpProcessingError):
+            super().exception(msg, *args, exc_info=exc_info, **words)
+            return
+        now = time.monotonic()
+        if now < self._next:
+            self._more += 1
+            return
+        said = f"{str(msg) % args}: {exc_info.message}".splitlines()[0][:_LINE]
+        text = "".join(c if c.isprintable() else "?" for c in said)
+        self.logger.warning("%s%s", text, f" ({self._more} more before it)" if self._more else "")
+        self._next, self._more = now + _QUIET, 0
+
+
 @dataclass(frozen=True, slots=True)
 class Options:
     """Where and how to serve."""
@@ -105,7 +130,8 @@ class PageServer:
         Raises InvalidRequest.
         """
         fleet = None
-        runner = web.AppRunner(self._application(), access_log=None, keepalive_timeout=_IDLE)
+        log = OneLine(logging.getLogger("cm.web"))
+        runner = web.AppRunner(self._application(), access_log=None, keepalive_timeout=_IDLE, logger=log)
         await runner.setup()
         try:
             await self._listen(runner)

@@ -5,14 +5,18 @@ from __future__ import annotations
 
 import asyncio
 import json
+import socket
 import struct
+import subprocess
+import sys
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 import aiohttp
 import pytest
-from manager_process import Manager, served, until
+from manager_process import REPOSITORY, Manager, environment, served, until
 from web_support import WebServer, web_server
 
 import cm
@@ -187,6 +191,32 @@ def test_whoever_never_says_who_they_are_keeps_nobody_out(looking: WebServer) ->
                 writer.close()
 
     asyncio.run(scenario())
+
+
+NONE = [b"GET / HTTP/1.1\r\nno header\r\n\r\n", b"GET /" + b"a" * 9000 + b" HTTP/1.1\r\n\r\n"]
+
+
+def test_requests_that_are_none_write_one_short_line_to_the_log(camera: tuple[Manager, SimBoard]) -> None:
+    server = WebServer(camera[0].runtime)
+    host, _, port = server.host.rpartition(":")
+    for number in range(50):
+        with socket.create_connection((host, int(port)), timeout=60) as stranger:
+            stranger.sendall(NONE[number % 2])
+            assert b"400" in stranger.recv(4096)
+    status, said = server.stop()
+    assert (status, len(said.splitlines())) == (0, 1), said
+    assert said.startswith("Error handling request from 127.0.0.1: ")
+    assert len(said) < 250
+
+
+@pytest.mark.parametrize("mode", [0o604, 0o644, 0o602])
+def test_a_token_that_all_may_read_is_refused(tmp_path: Path, mode: int) -> None:
+    (tmp_path / "token").write_text("a token that is long")
+    (tmp_path / "token").chmod(mode)
+    command = [sys.executable, "-m", "cm", "web", "--token-file", str(tmp_path / "token")]
+    done = subprocess.run(command, env=environment(), capture_output=True, text=True, check=False, cwd=REPOSITORY)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert f"all users of this machine may read it: chmod 600 {tmp_path}/token" in done.stderr
 
 
 def test_serving_beyond_this_machine_needs_tls_or_an_explicit_option(camera: tuple[Manager, SimBoard]) -> None:
