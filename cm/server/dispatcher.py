@@ -153,7 +153,9 @@ class Dispatcher:
             if guest := guest_named(frames[:cut]):  # a bridge may speak for one
                 connection = self._gate.guest(connection, guest)
                 client = self._clients.of(connection)
-        message = split_text(frames[cut:])
+        message = frames[cut:]
+        if len(message) == 1:
+            message = split_text(message)
         topic = bytes(message[0]) if message else b""
         reply = partial(self._reply, frames[:cut], topic, charged)
         self._dispatch(message, bytes(frames[0]), connection, client, charged, reply)

@@ -80,11 +80,24 @@ class Server:
         self._sockets = Sockets(self._context, options.runtime_dir, waiting, options.limits, options.group)
         self._authenticator = Authenticator(self._context, gate.enter)
         self._connections = Connections(options.runtime_dir, self._sockets.tcp)
-        ends = self._connections.end, self._connections.end_stuck
-        self._publisher = Publisher(self._loop, self._sockets.pub, options.name, *ends, limit=options.queue_bytes)
+        self._publisher = Publisher(
+            self._loop,
+            self._sockets.pub,
+            options.name,
+            end=self._connections.end,
+            end_stuck=self._connections.end_stuck,
+            limit=options.queue_bytes,
+        )
         leases = Leases(time, options.limits.leases, options.limits.leases_each)
-        told = self._publisher, leases, self._note_error, self._turns, options.limits
-        self._streams = Streams(self._loop, self._devices, *told)
+        self._streams = Streams(
+            self._loop,
+            self._devices,
+            subscribers=self._publisher,
+            leases=leases,
+            on_error=self._note_error,
+            turns=self._turns,
+            limits=options.limits,
+        )
         self._status = StatusTold(self._loop, self._publisher, self._streams)
         self._manager = Manager(configs, self._environment(), leases)
         self._sessions = Sessions(gate, options.runtime_dir, self._sockets.tcp, self._manager)
@@ -118,12 +131,20 @@ class Server:
         return Environment(self._devices, files, self._journal, self._streams, time, self._status, o.settings)
 
     def _make_reloader(self) -> Reloader:
-        loop, o = self._loop, self._options
-        standing = partial(self._provisioner.standing, example=o.example)
-        running = self._files.thread, loop.call_threadsafe, standing, self._with_channels
+        o = self._options
         bounded = self._clients, self._uploads, self._streams, self._provisioner
-        renew = renewal(self._sessions.renew, bounded, self._manager.leases)
-        return Reloader(ReloadContext(self._manager, renew, self._service, *running, o.reload, o.changed), o.configs)
+        context = ReloadContext(
+            manager=self._manager,
+            renew=renewal(self._sessions.renew, bounded, self._manager.leases),
+            service=self._service,
+            thread=self._files.thread,
+            in_loop=self._loop.call_threadsafe,
+            standing=partial(self._provisioner.standing, example=o.example),
+            complete=self._with_channels,
+            read=o.reload,
+            stamps=o.changed,
+        )
+        return Reloader(context, o.configs)
 
     def _services(self) -> Services:
         return Services(

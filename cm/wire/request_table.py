@@ -53,11 +53,12 @@ class Row:
 
     def encode(self, request: Any) -> list[Frame]:
         """``[topic][message][payload…]``. Raises TypeError, ValueError, OverflowError for what no message can hold."""
-        message = self.message(**self.twin.given(request), **self.true)
-        return [self.topic, message.SerializeToString(), *self._payload_of(request)]
-
-    def _payload_of(self, request: Any) -> Sequence[Frame]:
-        return () if not self.payload or (self.unless and getattr(request, self.unless)) else (request.data,)
+        twin = self.twin
+        given = twin.given(request) if twin.parts else dict(zip(twin.theirs, twin.values(request), strict=False))
+        frames: list[Frame] = [self.topic, self.message(**given, **self.true).SerializeToString()]
+        if self.payload and not (self.unless and getattr(request, self.unless)):
+            frames.append(request.data)
+        return frames
 
     def decode(self, message: Any, payload: Sequence[Frame]) -> Any:
         """The request. Raises InvalidRequest."""

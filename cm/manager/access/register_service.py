@@ -147,8 +147,12 @@ class RegisterService:
         with self._lock:
             view = self._look()
             known = view.places
-            places = [known.get(n) or self._find(view, n) for n in names] if names else self._readable(view)
-            return RegValues(tuple([self._read(p, view) for p in places]), view.config.name, view.mode or "")
+            if len(names) == 1:  # mostly; a comprehension is a call
+                values: tuple[RegValue, ...] = (self._read(known.get(names[0]) or self._find(view, names[0]), view),)
+            else:
+                places = [known.get(n) or self._find(view, n) for n in names] if names else self._readable(view)
+                values = tuple([self._read(place, view) for place in places])
+            return RegValues(values, view.config.name, view.mode or "")
 
     def visible_names(self) -> Collection[str]:
         """The names of all registers of this mode; none if nothing is loaded."""
@@ -221,7 +225,10 @@ class RegisterService:
         for place, _, _ in checked:
             if place.region not in view.free:
                 self._check_free(place.register)
-        values = tuple([self._write(place, value, mask) for place, value, mask in checked])
+        if len(checked) == 1:  # mostly; a comprehension is a call
+            values: tuple[RegValue, ...] = (self._write(*checked[0]),)
+        else:
+            values = tuple([self._write(place, value, mask) for place, value, mask in checked])
         return RegValues(values, view.config.name, view.mode or "", self._state.written())
 
     def take_flags(self, name: str, clear: int) -> int:
@@ -239,10 +246,11 @@ class RegisterService:
             return self._bus.take_flags(register, clear, _flags(view.config, name))
 
     def _look(self) -> View:
-        view = self._view
-        if view is None or not view.still_holds(self._state):
-            view = self._view = self._renewed(view)
-        return view
+        view, state = self._view, self._state
+        if view is None:
+            return self._renewed(None)
+        same = view.board is state.latest and view.locked is state.locked and view.configs is state.configs  # mostly
+        return view if same or view.still_holds(state) else self._renewed(view)
 
     def _renewed(self, before: View | None) -> View:
         config = self._state.loaded_config()
@@ -252,6 +260,7 @@ class RegisterService:
         view = View(self._state, config)
         if before is not None and before.config is config and before.mode == view.mode:
             view.places = before.places
+        self._view = view
         return view
 
     def _find(self, view: View, name: str) -> Place:
@@ -294,7 +303,7 @@ class RegisterService:
             value = bus.write(register, value, mask, self._last(register), rest)
         self._state.note_written(register.name, value, register.access is _WO)
         shown = value if not place.shown else bus.read_address(place.address, place.width)
-        return value_of(register, shown)
+        return value_of(register, shown) if register.fields else RegValue(register.name, shown)
 
     def _last(self, register: Register) -> int | None:
         """What a register holds that is not read, as far as is known."""
