@@ -26,7 +26,7 @@ ROUNDS ?= 8
 STOPPED ?= 4
 
 .DEFAULT_GOAL := help
-.PHONY: help help-all setup docs web-picture notebooks demo demo-authors demo-open demo-scrub demo-ros demo-fleet device-suite test test-bare test-lowest $(FURTHER:%=test-%) test-c test-node test-go test-rtl test-open test-bench test-ros test-fleet etcd test-images test-vm vm strangers soak fuzz mutation bench bench-compare bench-counts lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb board-bundle release-check layer layer-bitbake clean distclean check-system
+.PHONY: help help-all setup docs web-picture notebooks demo demo-authors demo-open demo-scrub demo-ros demo-fleet device-suite test test-bare test-lowest $(FURTHER:%=test-%) test-c test-node test-go test-rtl test-open test-bench test-ros test-fleet etcd test-images test-vm vm strangers soak soak-fleet fuzz mutation bench bench-compare bench-counts lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb board-bundle release-check layer layer-bitbake clean distclean check-system
 
 help: ## the targets that most people need
 	@awk -F':[^#]*## ' '/^[a-z-]+:[^#]*## /{printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -160,8 +160,11 @@ demo-fleet: $(VENV)/.installed-zenoh $(if $(filter etcd,$(STORE)),etcd) ## three
 etcd: # whose package starts a member of its own, which nobody needs
 	@command -v etcd >/dev/null || apt-get install -qq -y --no-install-recommends etcd-server etcd-client >/dev/null
 
-test-fleet: $(VENV)/.installed-test-networks etcd ### a fleet over three members of etcd, of which something is killed, stopped or cut off in each of ROUNDS=8 (apt: etcd-server, as root; STOPPED=4 seconds, SEED=1)
+test-fleet: $(VENV)/.installed-test-networks etcd ### a fleet over the keeper, and over three members of etcd: ROUNDS=8 changes each, in which something is killed, stopped, cut off, late, lost or full (apt: etcd-server, as root; STOPPED=4 seconds, SEED=1)
 	CM_ETCD=1 $(PYTEST) tests/fleet tests/integration/test_fleet_findings.py -s --fleet-rounds=$(ROUNDS) --stopped=$(STOPPED) --seed=$(SEED) $(PYTEST_ARGS)
+
+soak-fleet: ### the same in long: each phase of a change meets each fault, over both stores (SEED=1; five hours)
+	$(MAKE) --no-print-directory test-fleet ROUNDS=500
 
 device-suite: $(VENV)/.installed-test ## tests of the device layer: BOARD=sim, or BOARD=hw TARGET=user@host (or LAB=labgrid.yaml; BOARD_FILE, BOARD_PYTHON)
 ifeq ($(BOARD),hw)
@@ -188,7 +191,8 @@ soak: strangers $(FURTHER:%=$(VENV)/.installed-test-%) ### what strangers tried,
 	$(PYTEST) tests/unit tests/fuzz -m hypothesis --hypothesis-profile=search $(PYTEST_ARGS)
 	$(PYTEST) tests/soak --changes=10000 --stress=60 --rounds=300 --kills=1000 --upsets=10000 --failing=0 --builds=500 $(PYTEST_ARGS)
 	CM_SCHEDULES=20000 $(PYTEST) tests/unit/test_fleet_schedules.py -n $(CORES) $(PYTEST_ARGS)
-	$(MAKE) --no-print-directory test-fleet ROUNDS=300 STOPPED=30
+	$(MAKE) --no-print-directory soak-fleet
+	$(MAKE) --no-print-directory test-fleet ROUNDS=100 STOPPED=30
 	CM_OPEN_7020=1 $(PYTEST) tests/open/test_open_regions.py tests/open/test_bits_modules.py $(PYTEST_ARGS)
 	for device in xc7z010 xc7z020; do CM_PLACEMENTS=$(PLACEMENTS) CM_DEVICE=$$device CM_SEED=$(SEED) $(PYTEST) tests/open/test_open_placements.py $(PYTEST_ARGS) || exit 1; done
 	for seed in 1 2 3 4 5; do CM_FLIPS=1000 CM_SEED=$$seed $(PYTEST) tests/open/test_bits_flips.py $(PYTEST_ARGS) || exit 1; done

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import json
 import random
 import weakref
@@ -108,6 +109,7 @@ class SimBoard:
         self.way_back: tuple[str, Place, int] | None = None
         self.held_until, self.instance = 0.0, 1
         self.failing, self.breaking, self.away, self.gone = False, False, 0.0, False
+        self.full = False  # its disk
         self.by_hand = False  # somebody took it elsewhere, and nothing was wanted since
         self.at = self.taken = 0.0  # when its last change ended, and when somebody took it elsewhere last
         self.disk = b""
@@ -154,6 +156,8 @@ class SimBoard:
         return unpacked(self.disk) if self.disk else Notes()
 
     def write(self, notes: Notes) -> None:
+        if self.full:
+            raise OSError(errno.ENOSPC, "no space left")
         before = self.read()
         self.disk = packed(notes)
         part = before.part
@@ -312,8 +316,8 @@ class World:
         if work.cancelled():
             return SILENT
         error = work.exception()
-        if isinstance(error, CmError):
-            return ErrorInfo(error.code, str(error))
+        if isinstance(error, (CmError, OSError)):
+            return ErrorInfo(getattr(error, "code", "io"), str(error))
         found: FleetState = work.result()
         return found
 
@@ -374,7 +378,7 @@ class World:
         self.lossy, self.store_down = False, False
         self.again.clear()
         for board in self.boards.values():
-            board.away, board.gone, board.failing = 0.0, False, False
+            board.away, board.gone, board.failing, board.full = 0.0, False, False, False
         end = self.now + seconds
         while self.now < end:
             for name in self.chance.sample(sorted(self.boards), len(self.boards)):

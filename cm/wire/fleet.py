@@ -88,7 +88,7 @@ def irq_name(data: bytes) -> str:
 
 
 def glance(status: bytes) -> tuple[tuple[str, ...], tuple[tuple[str, str], int, int] | None]:
-    """Of a Status: the streams that can be read; configuration and mode, the manager's start, and the last change's end.
+    """Of a Status: the streams that can be read; configuration and mode, the manager's start, the last change's end.
 
     The latter three are None while it is busy; times in ns, by CLOCK_REALTIME.
     """

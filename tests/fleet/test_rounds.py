@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rounds over a cluster of three: five boards change, and something is killed, stopped, or cut off meanwhile.
+"""Rounds over both stores: five boards change, and at a phase of it something is killed, stopped, or cut off.
 
-What is drawn: the leader, a follower, the coordinator or a bridge; SIGKILL, SIGSTOP, or a cut of its network (as root,
-in namespaces of the test's own). The clocks of two boards are a day off. In no round do two boards have different views
-of a generation, does one execute an older generation than before, or is one undecided longer than the lease and 5 s.
+Each phase meets each fault, in an order that is drawn; as root, in network namespaces and through a switch of the
+test's own. Two boards' clocks are a day off. What is told of a change is held against what the managers say; no two
+boards have different views of a generation, none executes an older one than before, none is undecided for longer than
+the lease and 5 s, and what all clients saw of the store is linearizable.
 """
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import random
@@ -19,7 +21,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,92 +32,75 @@ from fleet_etcd import EtcdCluster, Member
 from fleet_history import Recording, linearizable, read
 from fleet_support import CLOCK, FleetBoard, Router, fleet_board
 from manager_process import REPOSITORY, environment, until
+from networks import HOST, Networks
 
 import cm.fleet
 import cm.networks.fleet.store
-from cm.networks.fleet.coordinator import LEASE
-from cm.tools.demo.boards import free_ports
+from cm.networks.fleet.coordinator import SETTLED
 from cm.wire.messages.fleet import BoardStatus
 
+needs_root = pytest.mark.skipif(
+    os.geteuid() != 0 or shutil.which("ip") is None or not Path("/dev/net/tun").exists(),
+    reason="needs root, ip and /dev/net/tun",
+)
 BOARDS = ("b1", "b2", "b3", "b4", "b5")
+KEEPER = BOARDS[0]
 MODES = ("default", "edge_detection", "colorise")
-ENDS = LEASE + 5.0
+PHASES = ("open", "prepare", "apply", "decide", "reconcile")
 BUSY = 60.0  # further seconds on a machine that others keep busy
 CLOCKS = {"b2": "-86400", "b4": "86400"}
+ON = ("a board", "the coordinator", "the store")
+FAULTS = [
+    *itertools.product(("killed", "stopped", "cut off", "deaf", "dumb"), ON),
+    ("flapping", "a board"), ("at 128 kbit/s", "a board"), ("full", "the store's disk"),
+    ("standing still", "the middle"), ("50 ± 30 ms, 5 % lost, 10 % overtaken, 2 % twice", "everything"),
+]  # fmt: skip
 COORDINATOR = """
 import asyncio, json, sys
 import cm.fleet
 import cm.networks.fleet.store
-from cm.networks.fleet.errors import ChangeFailed, FleetRefused
+from cm.networks.fleet.errors import ChangeFailed
 from cm.errors import CmError
 from fleet_history import Recording
 
-async def main(router, store, name, path, mode, policy):
+async def main(router, store, name, path, mode, policy, phase):
+    left = {phase}
+
+    async def stop(where):
+        if where in left:
+            left.clear()
+            print(where, flush=True)
+            await asyncio.to_thread(sys.stdin.readline)
+
+    class Stopping(Recording):
+        async def txn(self, expect, puts):
+            await stop("decide" if any(key.endswith("/wanted") for key in puts) else "open")
+            return await super().txn(expect, puts)
+
+    def told(course):
+        decision = course.decision.value if course.decision else None
+        said = {"generation": course.generation, "decision": decision, "differing": course.differing}
+        print(json.dumps(said), flush=True)
+
     with open(path, "a") as file:
         async with cm.fleet.aio.connect(router, store=store, caller=name, timeout=20.0) as fleet:
-            fleet._store = Recording(fleet._store, file)
-            print("begun", flush=True)
+            fleet._store, steps = Stopping(fleet._store, file), fleet._steps
+
+            async def stopping(timeout, boards, verb, step):
+                await stop(verb)
+                async for each in steps(timeout, boards, verb, step):
+                    yield each
+
+            fleet._steps = stopping
             try:
-                course = await fleet.mode(mode, policy=policy, absent="go-on", timeout=20.0)
+                told(await fleet.mode(mode, policy=policy, absent="go-on", timeout=20.0))
             except ChangeFailed as error:
-                course = error.course
+                told(error.course)
             except CmError as error:
-                return print(json.dumps({"refused": str(error)}), flush=True)
-            decision = course.decision.value if course.decision else None
-            print(json.dumps({"generation": course.generation, "decision": decision}), flush=True)
+                print(json.dumps({"refused": str(error)}), flush=True)
 
 asyncio.run(main(*sys.argv[1:]))
 """
-
-
-class Networks:
-    """A namespace for each process that may be cut off, joined by a bridge of this test's own; nothing without root."""
-
-    def __init__(self, names: Sequence[str]) -> None:
-        self.there = os.geteuid() == 0 and shutil.which("ip") is not None
-        self._mark = f"cm{os.getpid() % 10000:04}"
-        third = os.getpid() % 200
-        self.host = f"198.18.{third}.1" if self.there else "127.0.0.1"
-        self._addresses = {name: f"198.18.{third}.{10 + number}" for number, name in enumerate(names)}
-
-    def __enter__(self) -> Networks:
-        if self.there:
-            try:
-                self._build()
-            except subprocess.CalledProcessError:  # a container that may not
-                self.__exit__()
-                self.there, self.host = False, "127.0.0.1"
-        return self
-
-    def _build(self) -> None:
-        _ip(f"link add {self._mark} type bridge")
-        _ip(f"addr add {self.host}/24 dev {self._mark}")
-        _ip(f"link set {self._mark} up")
-        for name, address in self._addresses.items():
-            space, wire = f"{self._mark}-{name}", f"{self._mark}{name}"
-            _ip(f"netns add {space}")
-            _ip(f"link add {wire} type veth peer name eth0 netns {space}")
-            _ip(f"link set {wire} master {self._mark} up")
-            for command in (f"addr add {address}/24 dev eth0", "link set eth0 up", "link set lo up"):
-                _ip(f"-n {space} {command}")
-
-    def __exit__(self, *_: object) -> None:
-        for name in self._addresses:
-            subprocess.run(["ip", "netns", "del", f"{self._mark}-{name}"], check=False, capture_output=True)
-        subprocess.run(["ip", "link", "del", self._mark], check=False, capture_output=True)
-
-    def address(self, name: str, number: int) -> str:
-        return self._addresses[name] if self.there else f"127.0.0.{1 + number}"
-
-    def inside(self, name: str) -> tuple[str, ...]:
-        return ("ip", "netns", "exec", f"{self._mark}-{name}") if self.there else ()
-
-    def cut(self, name: str, whole: bool) -> None:
-        _ip(f"link set {self._mark}{name} {'up' if whole else 'down'}")
-
-
-def _ip(command: str) -> None:
-    subprocess.run(["ip", *command.split()], check=True, capture_output=True)
 
 
 @dataclass
@@ -140,14 +125,19 @@ class Seen:
 
 
 class Rounds:
-    """A fleet of five over three members of etcd, and what happens to it."""
+    """A fleet of five over a store, the keeper or three members of etcd, and what happens to it."""
 
-    def __init__(self, folder: Path, seed: int, stopped: float) -> None:
-        self.folder, self.chance, self.stopped = folder, random.Random(seed), stopped
+    def __init__(self, store: str, folder: Path, seed: int, stopped: float) -> None:
+        self.kind, self.folder, self.chance, self.stopped = store, folder, random.Random(seed), stopped
         self.stack = contextlib.ExitStack()
         self.files: list[Path] = []
         self.seen = Seen()
         self.longest = 0.0
+        self.members: list[Member] = []
+        faults = [each for each in FAULTS if store == "keeper" or each[0] != "full"]
+        pairs = list(itertools.product(PHASES, faults))
+        self.chance.shuffle(pairs)
+        self.course = itertools.cycle(pairs)
 
     def __enter__(self) -> Rounds:
         try:
@@ -158,21 +148,21 @@ class Rounds:
         return self
 
     def _start(self) -> None:
-        names = ("m0", "m1", "m2", *BOARDS)
-        self.networks = self.stack.enter_context(Networks(names))
-        self.cluster = self.stack.enter_context(
-            EtcdCluster(
-                3, host=lambda n: self.networks.address(f"m{n}", n), inside=lambda n: self.networks.inside(f"m{n}"),
-                port=free_ports(2), options=("--heartbeat-interval", "100", "--election-timeout", "1000"),
-            )
-        )  # fmt: skip
-        self.router = Router(host=self.networks.host)
+        members = ("m0", "m1", "m2") if self.kind == "etcd" else ()
+        try:
+            self.networks = self.stack.enter_context(Networks(("c", *members, *BOARDS)))
+        except subprocess.CalledProcessError as error:
+            pytest.skip(f"needs_namespaces: {error.stderr}")
+        self.store = self._cluster() if members else "keeper"
+        self.router = Router(host=self.networks.address(HOST))
         self.stack.callback(self.router.kill)
         (self.folder / "sitecustomize.py").write_text(CLOCK)
-        where = ("--router", self.router.endpoint, "--store", self.cluster.urls, "--join", "--lease", "3")
+        where = ("--router", self.router.endpoint, "--store", self.store, "--join", "--lease", "3")
+        self.disk = self._small_disk() if self.kind == "keeper" else self.folder
+        more = {KEEPER: ("--keeper", "--state-dir", str(self.disk))} if self.kind == "keeper" else {}
         contexts = {
             name: fleet_board(
-                name, where, inside=self.networks.inside(name),
+                name, where, more.get(name, ()), inside=self.networks.inside(name),
                 variables={"PYTHONPATH": f"{self.folder}:{REPOSITORY}", "CM_TEST_AHEAD": CLOCKS.get(name, "0")},
             )
             for name in BOARDS
@@ -183,12 +173,33 @@ class Rounds:
         for context in contexts.values():
             self.stack.push(context)
         self.fleet = self.stack.enter_context(
-            cm.fleet.connect(self.router.endpoint, store=self.cluster.urls, caller="watcher", timeout=20.0)
+            cm.fleet.connect(self.router.endpoint, store=self.store, caller="watcher", timeout=20.0)
         )
-        until(lambda: set(self.fleet.inventory()) == set(BOARDS))
+        until(self._listed)
         self.fleet.load("camera", "default")
         self.stack.enter_context(self._watched())
         self.stack.enter_context(self._read_on())
+
+    def _cluster(self) -> str:
+        options = ("--heartbeat-interval", "100", "--election-timeout", "1000")
+        cluster = EtcdCluster(
+            3, host=lambda number: self.networks.address(f"m{number}"),
+            inside=lambda number: self.networks.inside(f"m{number}"), port=2379, options=options,
+        )  # fmt: skip
+        self.members = self.stack.enter_context(cluster).members
+        return cluster.urls
+
+    def _small_disk(self) -> Path:
+        disk = self.folder / "disk"
+        disk.mkdir()
+        subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "own", str(disk)], check=True)
+        self.stack.callback(subprocess.run, ["umount", "-l", str(disk)], check=False)
+        return disk
+
+    def _listed(self) -> bool:
+        with contextlib.suppress(cm.networks.fleet.store.StoreAway):
+            return set(self.fleet.inventory()) == set(BOARDS)
+        return False
 
     def __exit__(self, *_: Any) -> None:
         self.stack.close()
@@ -216,7 +227,7 @@ class Rounds:
         over, threads = threading.Event(), []
         for number in range(2):
             path = self._file(f"reader{number}")
-            threads.append(threading.Thread(target=_reader, args=(self.router.endpoint, self.cluster.urls, path, over)))
+            threads.append(threading.Thread(target=_reader, args=(self.router.endpoint, self.store, path, over)))
         for thread in threads:
             thread.start()
         yield
@@ -233,70 +244,111 @@ class Rounds:
 
     def one(self, number: int) -> str:
         """What happened, in a line."""
-        mode, policy = self.chance.choice(MODES), self.chance.choice(("all", "quorum"))
-        victim = self.chance.choice(("leader", "follower", "coordinator", "bridge"))
-        how = self.chance.choice(("killed", "stopped", "cut off") if self.networks.there else ("killed", "stopped"))
-        if victim == "coordinator" and how == "cut off":
-            how = "stopped"
-        pause = self.chance.uniform(0.0, 0.35)
-        with self._coordinator(number, mode, policy) as process:
-            time.sleep(pause)
-            member, board = self._member(victim), self.boards[self.chance.choice(BOARDS)]
-            name = {"coordinator": "coordinator", "bridge": board.name}.get(victim, member.name)
-            mended = self._hurt(victim, how, member, board, process)
-            mended()
-            said, _ = process.communicate(timeout=ENDS + BUSY)
+        phase, (how, what) = next(self.course)
+        before = {name: board.place for name, board in self.boards.items()}
+        mode = self.chance.choice([mode for mode in MODES if mode != before[KEEPER][1]])
+        policy = self.chance.choice(("all", "quorum"))
+        with self._coordinator(number, mode, policy, phase) as process:
+            with self._fault(how, what, process):
+                with contextlib.suppress(OSError):
+                    process.stdin.write(b"\n")
+                    process.stdin.flush()
+                if how != "killed":
+                    time.sleep(self.stopped)
+            said, errors = process.communicate(timeout=SETTLED + 2 * BUSY)
+        told = json.loads((said.decode().strip().splitlines() or ["null"])[-1])
+        title = f"{number}: {mode} under {policy}, at {phase} {what} {how}"
+        killed = (how, what) == ("killed", "the coordinator")
+        if told is None and not killed:
+            self.seen.wrong.append(f"{title}: {errors.decode()[-2000:]}")
         begun = time.monotonic()
-        until(self._settled, ENDS + BUSY)
+        if told is not None:
+            self.seen.wrong += [f"{title}: {told}, but {wrong}" for wrong in self._judged(told, before, mode)]
+        try:
+            until(self._settled, SETTLED + BUSY)
+        except AssertionError:
+            raise AssertionError(f"{title}: {told}, not settled: {self.fleet.status()}") from None
         took = time.monotonic() - begun
         self.longest = max(self.longest, took)
-        result = said.decode().strip().splitlines()
-        return (
-            f"{number}: {mode} under {policy}, {victim} {name} {how}: {result[-1:] or 'dead'}, settled in {took:.1f} s"
-        )
+        return f"{title}: {told or 'dead'}, settled in {took:.1f} s"
+
+    def _judged(self, told: dict[str, Any], before: dict[str, tuple[str, str]], mode: str) -> Iterator[str]:
+        """Where the boards are not as told, at the moment at which it was told."""
+        kept = told.get("decision") == "keep"
+        if "refused" in told and "is not known" in told["refused"]:
+            return
+        if "decision" in told and told["decision"] is None:
+            return
+        for name, board in self.boards.items():
+            place = board.place
+            if name not in told.get("differing", {}) and place != (("camera", mode) if kept else before[name]):
+                yield f"{name} is in {place}"
 
     @contextlib.contextmanager
-    def _coordinator(self, number: int, mode: str, policy: str) -> Iterator[subprocess.Popen[bytes]]:
+    def _coordinator(self, number: int, mode: str, policy: str, phase: str) -> Iterator[subprocess.Popen[bytes]]:
+        """One that waits where the phase begins."""
         path = self._file(f"round{number}")
         command = [
-            sys.executable, "-c", COORDINATOR, self.router.endpoint, self.cluster.urls, f"anna{number}", str(path),
-            mode, policy,
+            *self.networks.inside("c"), sys.executable, "-c", COORDINATOR, self.router.endpoint, self.store,
+            f"anna{number}", str(path), mode, policy, phase,
         ]  # fmt: skip
-        env = environment(PYTHONPATH=f"{REPOSITORY}:{REPOSITORY / 'tests'}")
-        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=env, cwd="/") as process:
+        env, pipe = environment(PYTHONPATH=f"{REPOSITORY}:{REPOSITORY / 'tests'}"), subprocess.PIPE
+        with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, env=env, cwd="/") as process:
             assert process.stdout is not None
             assert select.select([process.stdout], [], [], BUSY)[0]
-            assert process.stdout.readline() == b"begun\n"
+            assert process.stdout.readline() == f"{phase}\n".encode()
             yield process
 
-    def _member(self, victim: str) -> Member:
-        leader = next((m for m in self.cluster.members if _leads(m)), self.cluster.members[0])
-        return leader if victim == "leader" else next(m for m in self.cluster.members if m is not leader)
-
-    def _hurt(self, victim: str, how: str, member: Member, board: FleetBoard, process: subprocess.Popen[bytes]) -> Any:
-        """Do it, for a while; what mends it."""
-        if how == "cut off":
-            name = board.name if victim == "bridge" else member.name
-            self.networks.cut(name, whole=False)
-            time.sleep(self.stopped)
-            return lambda: self.networks.cut(name, whole=True)
-        if victim == "coordinator":
-            process.send_signal(signal.SIGKILL if how == "killed" else signal.SIGSTOP)
-            if how == "stopped":
-                time.sleep(self.stopped)
-                process.send_signal(signal.SIGCONT)
-            return lambda: None
-        target: Any = board.bridge if victim == "bridge" else member
+    @contextlib.contextmanager
+    def _fault(self, how: str, what: str, process: subprocess.Popen[bytes]) -> Iterator[None]:
+        """What happens, and its mending."""
+        leader = next((m for m in self.members if _leads(m)), None)
+        board = self.boards[self.chance.choice(BOARDS[1:])]
+        target: Any = {"a board": board.bridge, "the coordinator": process}.get(what)
+        name = {"a board": board.name, "the coordinator": "c", "the middle": HOST}.get(what, KEEPER)
+        if what == "the store":
+            target, name = (leader, leader.name) if leader else (self.boards[KEEPER].bridge, KEEPER)
         if how == "killed":
-            (target.end if victim == "bridge" else target.kill)()
-            return target.start
-        target.send(signal.SIGSTOP)
-        time.sleep(self.stopped)
-        return lambda: target.send(signal.SIGCONT)
+            {"the coordinator": process.kill}.get(what, getattr(target, "end", None) or getattr(target, "kill", None))()
+            yield
+            if what != "the coordinator":
+                target.start()
+        elif how == "stopped":
+            send = process.send_signal if what == "the coordinator" else target.send
+            send(signal.SIGSTOP)
+            yield
+            send(signal.SIGCONT)
+        elif how == "full":
+            with _filled(self.disk):
+                yield
+        elif how == "flapping":
+            flap = threading.Timer(0, self._flap, (name, over := threading.Event()))
+            flap.start()
+            yield
+            over.set()
+            flap.join()
+        else:
+            self._hurt(how, name)
+            yield
+        self.networks.mend()
+
+    def _hurt(self, how: str, name: str) -> None:
+        if how.startswith("50"):
+            self.networks.set("*", delay=0.05, jitter=0.03, loss=0.05, reorder=0.1, double=0.02)
+        elif how.endswith("kbit/s"):
+            self.networks.set(name, rate=128e3)
+        else:
+            self.networks.cut(name, {"deaf": "in", "dumb": "out"}.get(how, "both"))
+
+    def _flap(self, name: str, over: threading.Event) -> None:
+        while not over.wait(0.5):
+            self.networks.cut(name)
+            over.wait(0.5)
+            self.networks.mend()
 
     def _settled(self) -> bool:
         """Every board is where it is wanted, and knows it."""
-        with contextlib.suppress(cm.networks.fleet.store.StoreAway):
+        with contextlib.suppress(cm.networks.fleet.store.StoreAway, cm.networks.fleet.store.StoreRefused):
             wanted = self.fleet.inventory()
             statuses = self.fleet.status(list(BOARDS))
             return all(
@@ -328,19 +380,38 @@ def _reader(router: str, store: str, path: Path, over: threading.Event) -> None:
                 fleet.stored()
 
 
+@contextlib.contextmanager
+def _filled(disk: Path) -> Iterator[None]:
+    """To the last byte."""
+    ballast = disk / "ballast"
+    with ballast.open("wb", buffering=0) as file:
+        for size in (65536, 512, 1):
+            with contextlib.suppress(OSError):
+                while file.write(b"x" * size) == size:
+                    pass
+    try:
+        yield
+    finally:
+        ballast.unlink()
+
+
+@needs_root
 @pytest.mark.timeout(0)
-def test_in_every_round_all_boards_end_where_they_are_wanted(request: pytest.FixtureRequest, tmp_path: Path) -> None:
+@pytest.mark.parametrize("store", ["keeper", "etcd"])
+def test_in_every_round_what_is_told_is_so_and_all_boards_end_where_they_are_wanted(
+    store: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
     rounds, seed = request.config.getoption("--fleet-rounds"), request.config.getoption("--seed")
-    with Rounds(tmp_path, seed, request.config.getoption("--stopped")) as world:
+    with Rounds(store, tmp_path, seed, request.config.getoption("--stopped")) as world:
         for number in range(rounds):
             print(world.one(number), flush=True)
             assert not world.seen.wrong, world.seen.wrong
         assert all(process.bridge.process is not None for process in world.boards.values())
     history = list(read(world.files))
-    print(f"{rounds} rounds; at the longest {world.longest:.1f} s; {len(history)} operations of clients")
+    print(f"{store}, seed {seed}: {rounds} rounds; at the longest {world.longest:.1f} s; {len(history)} operations")
     assert len(history) > rounds
     begun = min(each.begun for each in history)
     start = next(each.seen for each in sorted(history, key=lambda each: each.begun) if each.kind == "get")
     assert linearizable(history, start), f"no order fits what clients saw since {begun}"
     if os.getloadavg()[0] <= (os.cpu_count() or 1):
-        assert world.longest <= ENDS
+        assert world.longest <= SETTLED

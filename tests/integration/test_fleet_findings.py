@@ -148,7 +148,7 @@ def test_what_is_wanted_after_an_operator_took_a_board_elsewhere_counts_also_if_
 
 def test_a_board_on_which_every_load_fails_is_told_and_repaired(boards: Boards, fleet: Fleet) -> None:
     boards["b02"].sim.control.inject("icap_crc", count=0)
-    with pytest.raises(ChangeFailed, match="back in the mode before .*, but for b02: "):
+    with pytest.raises(ChangeFailed, match=r"back in the mode before .*, but for b02: "):
         fleet.mode("colorise")
     assert state(fleet, "b02").state in ("failed", "going")
     boards["b02"].sim.control.clear("icap_crc")

@@ -39,8 +39,10 @@ def meanwhile(world: World, trouble: float) -> None:
         board.kill()
     elif what < 0.5:
         board.lose_power()
-    elif what < 0.65:
+    elif what < 0.6:
         board.gone = not board.gone
+    elif what < 0.65:
+        board.full = not board.full
     elif what < 0.8:
         world.store_down = not world.store_down
     else:
@@ -232,6 +234,21 @@ def test_a_board_whose_way_back_fails_is_told_as_failed_and_repaired_when_loads_
         assert (b0.place, b0.board.state.state) == (("camera", "edge"), "there")
 
     world = World("broken", 2)
+    world.lossy = False
+    asyncio.run(run(world))
+
+
+def test_a_board_that_cannot_write_its_part_down_is_not_kept_from_others() -> None:
+    async def run(world: World) -> None:
+        world.boards["b0"].full = True
+        client = asyncio.create_task(world.change("anna", ("camera", "edge"), sorted(world.boards), Policy.ALL))
+        await world.run(client)
+        assert client.result().causes["b0"].message == "[Errno 28] no space left"
+        assert world.boards["b0"].held_until == 0.0
+        await world.heal()
+        world.judge()
+
+    world = World("full", 2)
     world.lossy = False
     asyncio.run(run(world))
 

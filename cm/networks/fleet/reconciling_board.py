@@ -206,10 +206,19 @@ class Board:
             raise plan
         if isinstance(lease, BaseException):
             raise lease
-        self._write(part=replace(part, goal=plan.place, plan_seconds=plan.seconds, plan_bytes=plan.bytes, lease=lease))
+        planned = replace(part, goal=plan.place, plan_seconds=plan.seconds, plan_bytes=plan.bytes)
+        await self._note_held(planned, lease)
 
     async def _hold(self, part: Part) -> None:
-        self._write(part=replace(part, lease=await self._manager.hold(part)))
+        await self._note_held(part, await self._manager.hold(part))
+
+    async def _note_held(self, part: Part, lease: str) -> None:
+        """A lease that cannot be written down is given back: nobody would know of it."""
+        try:
+            self._write(part=replace(part, lease=lease))
+        except OSError:
+            await self._manager.release(replace(part, lease=lease))
+            raise
 
     async def _apply(self, step: FleetStep) -> None:
         part = self._notes.part

@@ -8,7 +8,7 @@ import contextlib
 import json
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -103,6 +103,22 @@ def closed(session: Any) -> None:
 def is_alive(session: Any, key: str) -> bool:
     """Whether somebody has a token of that name."""
     return any(reply.ok is not None for reply in session.liveliness().get(key, timeout=2.0))
+
+
+def hears(network: Network, key: str, timeout: float) -> bool | None:
+    """Whether who offers `key` answers a member that has just come; None if there is no network to ask it over.
+
+    A session is never given its own queries back, so this is one of its own, for a moment.
+    """
+    try:
+        opened = session(replace(network, listen=(), mode="client"))
+    except NoNetwork:
+        return None
+    try:
+        replies = list(opened.get(key, timeout=timeout))
+        return any(each.ok is not None or bytes(each.err.payload) != b"Timeout" for each in replies)
+    finally:
+        closed(opened)
 
 
 def settings_of(path: Path) -> Any:

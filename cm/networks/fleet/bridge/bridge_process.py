@@ -29,7 +29,7 @@ from cm.networks.fleet.bridge.query_answers import Queries
 from cm.networks.fleet.keeper import Keeper, opened_store
 from cm.networks.fleet.reconciling_board import Board, Seen
 from cm.networks.fleet.store import BOARDS, Settings, Store, StoreAway, StoreRefused, packed, views
-from cm.networks.fleet.zenoh_session import Network, closed, is_alive, session
+from cm.networks.fleet.zenoh_session import Network, closed, hears, is_alive, session
 from cm.wire import fleet as wire
 from cm.wire import topics
 from cm.wire.messages.fleet import ClockSync
@@ -39,7 +39,14 @@ _T = TypeVar("_T")
 _LOG = logging.getLogger("cm.fleet")
 _RECONNECT = 1.0  # seconds between two tries to reach a manager, or the network
 _TOGETHER = 0.25  # seconds in which whoever changes the fleet asks anyway: then nothing is left to be looked at
+_HEAR, _LISTEN, _ANSWER = 60.0, 10.0, 5.0  # seconds between two questions to ourselves; after a change; for an answer
 _CLOCK = 10.0  # seconds between two checks of how well the clock is set
+
+
+class Deaf(CmError):
+    """The session with the fleet's network is up, and nothing comes through it."""
+
+    code = "no_network"
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,11 +84,14 @@ class Bridge:
         relay = await _tried(self._reached)
         try:
             board = keys.check(self.options.name or (await relay.ask(calls.status())).board, "board")
-            network = await _tried(partial(asyncio.to_thread, session, self.options.network))
-            try:
-                await self._serve(board, relay, network)
-            finally:
-                await asyncio.to_thread(closed, network)
+            while True:
+                network = await _tried(partial(asyncio.to_thread, session, self.options.network))
+                try:
+                    await self._serve(board, relay, network)
+                except Deaf as error:
+                    _LOG.warning("%s", error)
+                finally:
+                    await asyncio.to_thread(closed, network)
         finally:
             await relay.close()
 
@@ -124,7 +134,7 @@ class Bridge:
         told = relay.subscribe(topics.STATUS, topics.READ_REG, topics.IRQ, take=partial(self._told, publications))
         work = (
             relay.refused(), self._beat(publications), self._look_at_clock(), self._reconcile(publications),
-            self._follow_store(board, store), *more,
+            self._follow_store(board, store), self._hear(board), *more,
         )  # fmt: skip
         tasks = [asyncio.ensure_future(each) for each in work]
         try:
@@ -216,6 +226,24 @@ class Bridge:
             said = problem
             if self._status and self._board.state != before:
                 publications.tell_status()
+
+    async def _hear(self, board: str) -> None:
+        """Ask ourselves, as others do, now and then and after each change. Raises Deaf if nothing comes twice.
+
+        Who never heard itself has rules, or a network, that let it not. After the middle of a network stood still, a
+        session may be up on both sides, and bring nothing any more.
+        """
+        missed, before, last, quiet_until = 0, False, self._board.state, 0.0
+        while missed < 2:
+            await asyncio.sleep(_RECONNECT if missed else _LISTEN)
+            if not missed and self._board.state == last and time.monotonic() < quiet_until:
+                continue
+            asked = self.options.network, keys.key(board, "alive"), _ANSWER
+            heard = await asyncio.to_thread(hears, *asked)
+            before, last = before or bool(heard), self._board.state
+            quiet_until = time.monotonic() + (0.0 if heard is None else _HEAR)
+            missed = missed + 1 if before and heard is False else 0
+        raise Deaf("the network brings us nothing any more: the session is opened anew")
 
     async def _look_at_clock(self) -> None:
         while True:

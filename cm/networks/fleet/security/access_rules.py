@@ -78,7 +78,7 @@ def _board(member: Member) -> list[_Rule]:
     alive, store = [f"cm/{member.name}/alive"], [f"{STORE}/{operation}/{member.name}" for operation in ("get", "join")]
     return [
         ("ingress", "put declare_queryable reply liveliness_token", [f"cm/{member.name}/**"]),
-        ("ingress", "query", [*store, f"{BUNDLES}/**"]),
+        ("ingress", "query", [*store, *alive, f"{BUNDLES}/**"]),  # it asks itself whether it is heard
         ("ingress", "liveliness_query", alive),
         ("egress", "query declare_subscriber", ["cm/**"]),
         ("egress", "reply declare_queryable", [*store, "cm/*/**", f"{BUNDLES}/**"]),
