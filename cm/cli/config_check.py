@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,8 @@ from cm.cli.common import print_json
 from cm.errors import NotFound
 from cm.frozen import dataclass
 from cm.schema import Problem, SchemaError, json_schema, load, loads, schema_files
-from cm.schema.model import Config
+from cm.schema.model import Config, Module
+from cm.schema.named_files import FileMissing, bitstream_path
 from cm.server.settings import Settings, SettingsError, SettingsMissing, load_settings, parse_settings, settings_schema
 from cm.server.settings.model import FILE as SETTINGS_FILE
 
@@ -122,8 +123,20 @@ def _print(results: list[Checked]) -> None:
         if result.config is not None and not result.problems:
             name, count = result.config.name, len(result.config.modes)
             print(f"{result.path}: good: configuration {name}, {count} mode{'s' * (count != 1)}")
+            for missing in _missing(result.config):
+                print(f"{result.path}: note: {missing}")
         if result.settings is not None:
             print(f"{result.path}: good: settings")
+
+
+def _missing(config: Config) -> Iterator[str]:
+    """What says that a bitstream which the schema names is nowhere here; it may be where the board is."""
+    whole: list[Module | None] = [None] if config.bitstream else []
+    for module in (*whole, *(module for module in config.modules.values() if module.bitstream)):
+        try:
+            bitstream_path(config, module)
+        except FileMissing as error:
+            yield str(error)
 
 
 def _report(results: list[Checked]) -> dict[str, Any]:

@@ -16,7 +16,16 @@ from typing import TYPE_CHECKING
 from cm.errors import InvalidRequest
 from cm.frozen import dataclass, field, replace
 from cm.hashes import sha256
-from cm.manager.errors import ClockRate, NothingLoaded, StaticUnknown, UnknownConfig, UnknownMode, hint, listed
+from cm.manager.errors import (
+    ClockRate,
+    NothingLoaded,
+    StaticUnknown,
+    StepTimeout,
+    UnknownConfig,
+    UnknownMode,
+    hint,
+    listed,
+)
 from cm.manager.inputs import Image
 from cm.manager.state import steps as s
 from cm.manager.state.board_state import BoardState, OverlayState, RegionPhase, loading_overlay
@@ -484,12 +493,22 @@ class _Planner:
         overlay = b""
         if region.loader is LoaderKind.OVERLAY:
             overlay = self._files.loading_overlay(self._config, module, image)
-        return s.Load(region, module, image, self._throughput.timeout(region, image.length), overlay)
+        return s.Load(region, module, image, self._timeout(region, image), overlay)
 
     def _load_static(self, image: Image) -> s.LoadStatic:
         base = self._goal.base or self._config
         whole = Region("(device)", loader=base.loader, timeout=base.timeout)
-        return s.LoadStatic(image, self._throughput.timeout(whole, image.length), base.name, base.loader)
+        return s.LoadStatic(image, self._timeout(whole, image), base.name, base.loader)
+
+    def _timeout(self, region: Region, image: Image) -> float:
+        """Seconds after which a load counts as hung. Raises StepTimeout for a schema's that is sure to be too short."""
+        expected = self._throughput.seconds(region.loader, image.length)
+        if region.timeout is not None and region.timeout < expected and region.loader in self._throughput.measured:
+            raise StepTimeout(
+                f"{self._config.name}: timeout: {region.timeout:g} s of {region.name} is too short for "
+                f"{image.path.name}: {image.length} bytes take {expected:.2g} s by {region.loader.value}, as measured here"
+            )
+        return self._throughput.timeout(region, image.length)
 
     def _recouple(self, region: Region) -> s.Recouple:
         return s.Recouple(region, self._registers_of(region.name))

@@ -31,7 +31,7 @@ class FileMissing(NotFound):
 def find_file(config: Config, candidates: Iterable[str | Path], root: Path | str = "/") -> Path:
     """The first of `candidates` that is a file; every folder is searched for all of them in order.
 
-    Raises `FileMissing` with the places that were searched.
+    Raises `FileMissing` with the folders that were searched.
     """
     names = list(candidates)
     folders = _folders(config, root)
@@ -40,8 +40,9 @@ def find_file(config: Config, candidates: Iterable[str | Path], root: Path | str
             place = os.path.join(folder, name)  # noqa: PTH118 (a Path for each takes ten times as long)
             if _is_file(place):
                 return Path(place)
-    looked = ", ".join(dict.fromkeys(str(Path(folder, name)) for folder in folders for name in names))
-    raise FileMissing(f"configuration {config.name}: no file {' or '.join(map(str, names))}; looked for {looked}")
+    relative = not all(Path(name).is_absolute() for name in names)
+    looked = f" in {', '.join(map(str, folders))}" if relative else ""
+    raise FileMissing(f"configuration {config.name}: no file {' or '.join(map(str, names))}{looked}")
 
 
 def _is_file(place: str) -> bool:

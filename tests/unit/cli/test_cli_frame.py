@@ -307,3 +307,17 @@ def test_without_argcomplete_the_command_names_what_brings_it_and_tab_does_nothi
     monkeypatch.setattr(sys, "argv", ["cm", "keygen", "must-not-run"])
     assert main() == 1
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_bitstream_that_a_schema_names_and_nobody_has_is_noted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "b.yaml").write_text(
+        "config: {name: b, modules: {one: {bitstream: one.bit}, two: {}}, modes: {m: {modules: [one]}}}\n"
+    )
+    assert main(["config", "check", str(tmp_path / "b.yaml")]) == 0  # it may be where the board is
+    good, note = capsys.readouterr().out.splitlines()
+    assert note.startswith(f"{tmp_path}/b.yaml: note: configuration b: no file one.bit in {tmp_path}, ")
+    (tmp_path / "one.bit").touch()
+    assert main(["config", "check", str(tmp_path / "b.yaml")]) == 0
+    assert capsys.readouterr().out.splitlines() == [good]

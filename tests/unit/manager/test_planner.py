@@ -13,7 +13,7 @@ import pytest
 
 from cm.errors import CmError
 from cm.hashes import sha256
-from cm.manager.errors import ClockRate, StaticUnknown
+from cm.manager.errors import ClockRate, StaticUnknown, StepTimeout
 from cm.manager.inputs import Image
 from cm.manager.planner import Goal, Plan, make_plan
 from cm.manager.state.board_state import BoardState, OverlayState, RegionPhase, RegionState
@@ -107,6 +107,7 @@ def plan(
     clocks: Mapping[str, Clock] | None = None,
     old: Any = LAB,
     design: bool = True,
+    throughput: Throughput = Throughput(),  # noqa: B008
 ) -> Plan:
     files: Any = SimpleNamespace(
         image=lambda config, module: image(module.name),
@@ -119,7 +120,7 @@ def plan(
     devices: Any = SimpleNamespace(
         clocks=lambda: SimpleNamespace(names=lambda: [*clocks], find=clocks.__getitem__), holds_design=lambda: design
     )
-    return make_plan(goal, state, old, files, Throughput(), devices)
+    return make_plan(goal, state, old, files, throughput, devices)
 
 
 def test_a_pl_that_may_be_empty_is_not_touched_before_something_was_loaded() -> None:
@@ -362,6 +363,16 @@ def test_a_partial_configuration_goes_back_to_the_image_that_it_ran_on() -> None
         "the load of a full image failed, so it is unknown what the device holds; lab is partial and needs its static "
         "part: load a full configuration, or restart the board"
     )
+
+
+def test_a_time_out_that_the_port_as_measured_cannot_meet_is_told_before_the_first_step() -> None:
+    slow, quick = (Throughput(MappingProxyType({LoaderKind.ICAP: (rate, rate)})) for rate in (400.0, 500.0))
+    with pytest.raises(StepTimeout) as refused:
+        plan(Goal(LAB, "two"), throughput=slow)
+    assert str(refused.value) == (
+        "lab: timeout: 9 s of left is too short for iir.bit: 4000 bytes take 10 s by icap, as measured here"
+    )
+    assert plan(Goal(LAB, "two"), throughput=quick).bytes == 4000
 
 
 def test_steps_carry_what_their_actions_need() -> None:
