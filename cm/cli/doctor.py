@@ -88,19 +88,12 @@ def _board(found: Survey) -> Finding:
 
 def _clashes(root: Root) -> Iterator[Finding]:
     """What the overlays of imported configurations ask for, and another node of the live tree has."""
-    live, machine = root.join("proc/device-tree"), Machine(root)
-    if machine.family is None:
-        return
-    from cm.formats import fdt
-    from cm.formats.tree_clashes import added, clashes
+    from cm.formats.live_tree import live_clashes
 
-    tree = fdt.read_folder(live)
-    idle = frozenset(device.node for device in machine.devices if not device.driver)
     folders = sorted({path.parent for path in root.join("lib/firmware/cm").glob("*/*.dtbo")})
     configs = {folder: _overlays_in(folder) for folder in folders}
-    ours = frozenset[str]().union(*(added(tree, overlays) for overlays in configs.values()))  # one goes, another comes
     for folder, overlays in configs.items():
-        for clash in clashes(tree, overlays, idle | ours):
+        for clash in live_clashes(root, overlays, configs.values()):  # when one goes, another comes
             yield Finding("clash", folder.name, str(folder), State.WRONG, clash.text, clash.advice)
 
 

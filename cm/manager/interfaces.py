@@ -401,6 +401,12 @@ class Files(Protocol):
         Raises BadOverlay where it would load anything else.
         """
 
+    def clashes(self, overlays: Mapping[str, bytes], going: Collection[str]) -> Mapping[str, str]:
+        """What prevents drivers of overlays, by name: a sentence with what another device of the live tree has.
+
+        `going`: overlays that are applied, and whose devices go before.
+        """
+
     def loading_overlay(self, config: Config, module: Module, image: Image) -> bytes:
         """The .dtbo by which a module is loaded, ``<module>.dtbo``, with the `firmware_name` of its image.
 

@@ -26,6 +26,7 @@ from cm.manager.planner import Goal
 from cm.manager.recovery import destination, held_images, is_whole, repair, take_stock, under_schema, undo, way_back
 from cm.manager.state.board_state import BoardState, slept
 from cm.manager.state.journal import Journal, ManagerState, Pending
+from cm.manager.state.steps import ApplyOverlay
 from cm.manager.status_reports import Moment, StatusReporter, config_info
 from cm.schema.model import Config
 from cm.wire.messages.requests import ChangeMode, CheckRegion, RegWrite
@@ -385,7 +386,17 @@ class Manager:
     def plan(self, request: ChangeMode) -> PlanInfo:
         """What a change would do; touches nothing, but reads and validates all files."""
         config, mode = planner.target(request, self.configs, self.state.config)
-        return plan_to(Goal(config, mode, request.force), self._tools).info(self._state.throughput)
+        plan = plan_to(Goal(config, mode, request.force), self._tools)
+        applied = {o.overlay.name: o.data for o in (*plan.steps, *plan.then) if isinstance(o, ApplyOverlay)}
+        clashes = self._tools.files.clashes(applied, [o.name for o in self.state.overlays]) if applied else {}
+        info = plan.info(self._state.throughput)
+        rows = tuple(
+            replace(row, text=f"{row.text}; its devices get no driver: {clashes[row.subject]}")
+            if row.kind == ApplyOverlay.kind and row.subject in clashes
+            else row
+            for row in info.steps
+        )
+        return replace(info, steps=rows)
 
     # ---- registers and errors of requests -------------------------------------------
 

@@ -22,6 +22,8 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
+from cm.device import Root
+from cm.device.overlays import FOLDER as OVERLAY_FOLDER
 from cm.errors import CmError, InvalidRequest, sentence
 from cm.formats import fdt
 from cm.formats.bitstream import (
@@ -154,6 +156,7 @@ def _check_size(path: Path) -> None:
 
 
 _FIRMWARE = Path("lib/firmware")
+_OVERLAYS = Path(OVERLAY_FOLDER)
 _CUSTOM = Path("sys/module/firmware_class/parameters/path")
 _CONVERTED = "cm-converted"
 _OURS = re.compile(r"[0-9a-f]{64}\.bin")
@@ -526,6 +529,10 @@ def _check_flags(what: str, load: FirmwareLoad, image: Image) -> None:
         )
 
 
+def _names(tree: fdt.FdtNode) -> Iterator[str]:
+    return (node.name for _, node in tree.walk())
+
+
 _LOG = logging.getLogger("cm")
 _VERSION = 1
 
@@ -728,6 +735,23 @@ class BoardFiles:
     def overlay(self, config: Config, overlay: Overlay, images: Sequence[Image]) -> bytes:
         """See `OverlayFiles.beside`."""
         return self._overlays.beside(config, overlay, images)
+
+    def clashes(self, overlays: Mapping[str, bytes], going: Collection[str]) -> Mapping[str, str]:
+        """See `live_clashes`. Nothing is said where the kernel does not give back the overlays that are applied."""
+        from cm.formats.live_tree import live_clashes
+
+        try:
+            there = {name: fdt.unpack((self._root / _OVERLAYS / name / "dtbo").read_bytes()) for name in going}
+            wanted = {name: fdt.unpack(data) for name, data in overlays.items()}
+            found = live_clashes(Root.of(self._root), wanted, [there])
+        except (OSError, fdt.FdtError):
+            return {}
+        owners = {node: name for name, tree in wanted.items() for node in _names(tree)}
+        said: dict[str, list[str]] = {}
+        for clash in found:
+            owner = owners.get(clash.node.rpartition("/")[2], clash.node)  # a label's clash names the overlay itself
+            said.setdefault(owner, []).append(f"{clash.text} ({clash.advice})")
+        return {name: "; ".join(sentences) for name, sentences in said.items()}
 
     def loading_overlay(self, config: Config, module: Module, image: Image) -> bytes:
         """See `OverlayFiles.loading`."""

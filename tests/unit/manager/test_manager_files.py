@@ -364,6 +364,33 @@ def test_an_overlay_on_a_region_that_another_loads_is_refused_before_it_is_appli
     assert opened(tmp_path).overlay(by_overlay, Overlay("duo_extra"), [])
 
 
+def test_a_plan_says_whose_interrupt_an_overlay_would_ask_for(duo: Config, tmp_path: Path) -> None:
+    def cells(*numbers: int) -> bytes:
+        return b"".join(number.to_bytes(4, "big") for number in numbers)
+
+    root = tmp_path / "root"
+    live = {"compatible": b"acme,board\0xlnx,zynq-7000\0", "intc/phandle": cells(1)}
+    live |= {"intc/#interrupt-cells": cells(3), "fabric@40000000/compatible": b"generic-uio\0"}
+    wants = {"interrupt-parent": cells(1), "interrupts": cells(0, 29, 4)}
+    live |= {f"fabric@40000000/{name}": value for name, value in wants.items()}
+    for name, value in live.items():
+        place = root / "proc/device-tree" / name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_bytes(value)
+    node = fdt.FdtNode("control@40010000", {"compatible": b"fpga-cm,uio\0", **wants})
+    ours = fdt.pack(fdt.overlay("/", fdt.FdtNode("", {}, [node])))
+    said = opened(tmp_path).clashes({"base": ours}, [])
+    assert list(said) == ["base"]
+    assert "/control@40010000 asks for what /fabric@40000000 (generic-uio) has" in said["base"]
+    # an overlay that is applied and goes first frees what it has
+    applied = root / "sys/kernel/config/device-tree/overlays/old"
+    applied.mkdir(parents=True)
+    gone = fdt.FdtNode("fabric@40000000", {"compatible": b"generic-uio\0"})
+    (applied / "dtbo").write_bytes(fdt.pack(fdt.overlay("/", fdt.FdtNode("", {}, [gone]))))
+    assert opened(tmp_path).clashes({"base": ours}, ["old"]) == {}
+    assert opened(tmp_path).clashes({"base": ours}, ["not_to_be_read"]) == {}
+
+
 # ---- sizes ------------------------------------------------------------------------------
 
 
