@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Write half of cm_axi_slave_decoupler: takes one burst at a time and answers it, by the
-// region's response or, where the region is cut off, by SLVERR.
+// region's response or, where the region is cut off, by SLVERR. The address is offered in the
+// clock of the first beat: there are slaves that take both at once, or nothing.
 `default_nettype none
 
 module cm_axi_slave_decoupler_write #(
@@ -50,7 +51,7 @@ module cm_axi_slave_decoupler_write #(
     reg [AW_WIDTH-1:0] address;
     reg [7:0]          length;
     reg [ID_WIDTH-1:0] id;
-    reg                address_pending;
+    reg                address_pending, offered;
     reg                beat_valid, beat_last, last_seen;
     reg [W_WIDTH-1:0]  beat;
     reg [31:0]         timer;
@@ -72,7 +73,7 @@ module cm_axi_slave_decoupler_write #(
     assign s_wready    = (state == RUN && room && !last_seen) || (state == DROP && !last_seen);
     assign s_bvalid    = state == ANSWER;
     assign s_bid       = id;
-    assign m_awvalid   = state == RUN && address_pending;
+    assign m_awvalid   = state == RUN && address_pending && (beat_valid || offered);
     assign m_awpayload = address;
     assign m_awlen     = length;
     assign m_awid      = id;
@@ -88,6 +89,7 @@ module cm_axi_slave_decoupler_write #(
             length          <= 8'd0;
             id              <= {ID_WIDTH{1'b0}};
             address_pending <= 1'b0;
+            offered         <= 1'b0;
             beat_valid      <= 1'b0;
             beat_last       <= 1'b0;
             last_seen       <= 1'b0;
@@ -97,6 +99,7 @@ module cm_axi_slave_decoupler_write #(
         end else begin
             timer <= (!active || (progress && !decouple)) ? 32'd0 : timer + 32'd1;
             if (m_awvalid && m_awready) address_pending <= 1'b0;
+            if (m_awvalid) offered <= 1'b1;
             if (state == RUN && room) beat_valid <= take;
             if (take) begin
                 beat      <= s_wpayload;
@@ -109,6 +112,7 @@ module cm_axi_slave_decoupler_write #(
                     length          <= s_awlen;
                     id              <= s_awid;
                     address_pending <= !blocked;
+                    offered         <= 1'b0;
                     beat_valid      <= 1'b0;
                     last_seen       <= 1'b0;
                     s_bresp         <= SLVERR;
@@ -116,7 +120,8 @@ module cm_axi_slave_decoupler_write #(
                 end
                 RUN: begin
                     if (give_up || cut_idle) state <= DROP;
-                    else if (last_seen && !(beat_valid && !m_wready) && !(address_pending && !m_awready)) state <= WAIT;
+                    else if (last_seen && !(beat_valid && !m_wready) && !(address_pending && !(m_awvalid && m_awready)))
+                        state <= WAIT;
                 end
                 WAIT: begin
                     if (answered) begin

@@ -184,7 +184,7 @@ module cm_static (
         .REGIONS(1),
         .IRQS(1),
         .IRQ_EDGE(1'b1),
-        .STATIC_ID(32'hF3A4D255)
+        .STATIC_ID(32'hB991D28F)
     ) control (
         .clk(clk_fclk0),
         .resetn(resetn_fclk0),

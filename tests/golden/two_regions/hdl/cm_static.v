@@ -324,7 +324,7 @@ module cm_static (
         .REGIONS(2),
         .IRQS(1),
         .IRQ_EDGE(1'b1),
-        .STATIC_ID(32'hEAAE80BD)
+        .STATIC_ID(32'h8010CC54)
     ) control (
         .clk(clk_pl_clk0),
         .resetn(resetn_pl_clk0),
