@@ -69,10 +69,12 @@ def _described(name: str, image: Image, whole: Handoff | None, notes: list[str])
     if whole is None:
         return Config(name, device=image.report.device)
     design, device = whole.design, image.report.device or whole.device
+    registers, memories = handoff.registers(design, notes)
     found = Config(
         name,
         device=device,
-        registers=handoff.registers(design, notes),
+        registers=registers,
+        memories=memories,
         streams=handoff.streams(design),
         clocks=handoff.clocks(design),
     )
@@ -178,15 +180,19 @@ def _module(
     """A module; a register of its own description that has the name of a static one gets ``_rm``."""
     name = identifier(image.name)
     own = next((entry for entry in inputs.handoffs if entry.partial and entry.name == image.name), None)
-    registers = {}
+    registers, memories = {}, {}
     if own is not None:
         instance = _instance(region, whole, 1)
         bases = [window.base for window in hwh.windows(whole) if window.instance == instance] if whole else []
-        for key, register in handoff.registers(own.design, notes, min(bases, default=0), region).items():
+        described, blocks = handoff.registers(own.design, notes, min(bases, default=0), region)
+        for key, register in described.items():
             free = key if key not in config.registers else f"{key}_rm"[:_NAME_LENGTH]
             registers[free] = replace(register, name=free)
+        for key, memory in blocks.items():
+            free = key if key not in config.memories else f"{key}_rm"[:_NAME_LENGTH]
+            memories[free] = replace(memory, name=free)
     digest = sha256(files[f"{name}.bin"])
-    return Module(name, region, Path(f"{name}.bin"), digest, registers=registers)
+    return Module(name, region, Path(f"{name}.bin"), digest, registers=registers, memories=memories)
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 from cm.design.collect.foreign_dma import stream_names
 from cm.formats import hwh
 from cm.formats.registers import RegisterBank, identifier
-from cm.schema.model import Clock, Direction, Register, Stream
+from cm.schema.model import Clock, Direction, Memory, Register, Stream
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,8 +36,12 @@ def read_handoff(path: Path, source: str = "") -> Handoff:
     return Handoff(path.stem, hwh.read(path, source))
 
 
-def registers(design: hwh.Hwh, notes: list[str], base: int = 0, region: str | None = None) -> dict[str, Register]:
-    """Registers of every window, called ``<instance>_<register>``; `notes` gets what no schema can have.
+def registers(
+    design: hwh.Hwh, notes: list[str], base: int = 0, region: str | None = None
+) -> tuple[dict[str, Register], dict[str, Memory]]:
+    """Registers of every window, called ``<instance>_<register>``, and memories; `notes` gets what no schema can have.
+
+    A window of which no registers are described is a memory of words, as is block RAM.
 
     Of a whole design, those of regions and of DMA engines, which belong to the kernel's drivers, are left out. Of the
     module in a `region`, addresses below `base` are relative, and moved there.
@@ -52,9 +56,12 @@ def registers(design: hwh.Hwh, notes: list[str], base: int = 0, region: str | No
         if not blocks and len(instance.registers) == 1:
             (blocks,) = instance.registers.values()
         place = window.base if window.base >= base else base + window.base
-        bank.add(identifier(instance.name), place, window.size, blocks, region)
+        if blocks:
+            bank.add(identifier(instance.name), place, window.size, blocks, region)
+        else:
+            bank.add("", place, window.size, hwh.raw(instance, window), region)
     # the hardware may change them, so they are never verified after a write
-    return {name: replace(register, volatile=True) for name, register in bank.registers.items()}
+    return {name: replace(register, volatile=True) for name, register in bank.registers.items()}, bank.memories
 
 
 def streams(design: hwh.Hwh) -> dict[str, Stream]:

@@ -21,5 +21,6 @@ from cm.formats.hwh.trace import dma_channels as dma_channels
 from cm.formats.hwh.trace import interrupts as interrupts
 from cm.formats.hwh.trace import memories as memories
 from cm.formats.hwh.trace import processor as processor
+from cm.formats.hwh.trace import raw as raw
 from cm.formats.hwh.trace import registers as registers
 from cm.formats.hwh.trace import windows as windows

@@ -24,7 +24,10 @@ class ConnectedPort:
 
 @dataclass(frozen=True, slots=True)
 class InstancePort:
-    """A port: `direction` I, O or IO; `kind` is SIGIS (``INTERRUPT``, ``clk``, …); `width` in bits, `rate` in Hz."""
+    """A port: `direction` I, O or IO; `kind` is SIGIS (``INTERRUPT``, ``clk``, …); `width` in bits, `rate` in Hz.
+
+    `sensitivity` of an interrupt: ``LEVEL_HIGH``, ``EDGE_RISING``, … or empty.
+    """
 
     name: str
     direction: str
@@ -33,6 +36,7 @@ class InstancePort:
     width: int
     connections: tuple[ConnectedPort, ...]
     rate: int = 0
+    sensitivity: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +99,7 @@ class Hwh:
     external_ranges: tuple[MemoryRange, ...]  # through an external slave port: the only ones in a partial design's file
 
 
+DECIMAL = re.compile(r"\d+\.\d+([eE][+-]?\d\d?)?|\d+[eE][+-]?\d\d?")
 _LIMIT = 64 * 1024 * 1024  # bytes; the largest real files have a few MiB
 
 
@@ -159,9 +164,8 @@ def _number(text: str | None, what: str) -> int:
 
 
 def _rate(text: str | None, what: str) -> int:
-    """Read a rate in Hz: a whole number, or since 2022 a decimal one (``93750000.0``)."""
-    found = re.fullmatch(r"(\d+)\.(\d+)", text or "")
-    return round(float(found[0])) if found else _number(text, what)
+    """Read a rate in Hz: a whole number, or since 2022 a decimal one (``93750000.0``, ``1e+08``)."""
+    return round(float(text)) if text and DECIMAL.fullmatch(text) else _number(text, what)
 
 
 def _module(element: ElementTree.Element) -> ModuleInstance:
@@ -198,6 +202,7 @@ def _port(element: ElementTree.Element) -> InstancePort:
         width=abs(left - right) + 1,
         connections=tuple(ConnectedPort(end.get("INSTANCE", ""), end.get("PORT", "")) for end in ends),
         rate=_rate(element.get("CLKFREQUENCY"), f"port {element.get('NAME')}: CLKFREQUENCY"),
+        sensitivity=element.get("SENSITIVITY", ""),
     )
 
 

@@ -9,12 +9,14 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 
-from cm.formats.hwh.reader import ConnectedPort, Hwh, MemoryRange, ModuleInstance
-from cm.formats.registers import RegisterInfo
+from cm.formats.hwh.reader import DECIMAL, ConnectedPort, Hwh, MemoryRange, ModuleInstance
+from cm.formats.registers import MemoryInfo, RegisterField, RegisterInfo
 from cm.frozen import dataclass
 
 _PROCESSORS = ("processing_system7", "zynq_ultra_ps_e", "versal_cips")
 _PS_INTERRUPTS = re.compile(r"IRQ_F2P|pl_ps_irq[01]|Core[01]_n(FIQ|IRQ)")
+_CONSTANTS = ("xlconstant", "ilconstant")  # a bit that is nothing, as of GND_1
+_DECOUPLERS = ("dfx_decoupler", "pr_decoupler")
 _ECC = "S_AXI_CTRL"  # a BRAM controller's registers
 _DEPTH = 8  # slices in a row
 _WIDEST = 1024  # bits of one input of a concatenation
@@ -162,7 +164,7 @@ def _lines(hwh: Hwh, instance: str, port: str, controller: str | None, pin: str)
         driver = hwh.modules.get(source.instance)
         if driver is not None and driver.type == "axi_intc" and controller is None:
             yield from _lines(hwh, driver.instance, "intr", driver.instance, pin)
-        elif source.instance:
+        elif source.instance and (driver is None or driver.type not in _CONSTANTS):
             yield InterruptLine(source.instance, source.port, controller, index, pin)
 
 
@@ -202,8 +204,7 @@ def _engine(module: ModuleInstance) -> tuple[bool, int]:
 
 def decouplers(hwh: Hwh) -> tuple[DecouplerInfo, ...]:
     """Every DFX decoupler (pr_decoupler before 2020) and the register bit that drives it."""
-    kinds = ("dfx_decoupler", "pr_decoupler")
-    return tuple(_decoupler(hwh, module) for module in hwh.modules.values() if module.type in kinds)
+    return tuple(_decoupler(hwh, module) for module in hwh.modules.values() if module.type in _DECOUPLERS)
 
 
 def _decoupler(hwh: Hwh, module: ModuleInstance) -> DecouplerInfo:
@@ -260,7 +261,7 @@ def clocks(hwh: Hwh) -> tuple[ClockInfo, ...]:
             (f"pl{index}", f"PSU__FPGA_PL{index}_ENABLE", f"PSU__CRL_APB__PL{index}_REF_CTRL__ACT_FREQMHZ"),
         ):
             text = ps.parameters.get(rate, "")
-            if ps.parameters.get(enable) == "1" and re.fullmatch(r"\d+(\.\d+)?", text):
+            if ps.parameters.get(enable) == "1" and (text.isdecimal() or DECIMAL.fullmatch(text)):
                 found.append(ClockInfo(name, round(float(text) * 1e6)))
     return tuple(found)
 
@@ -298,8 +299,42 @@ def registers(module: ModuleInstance, interface: str) -> tuple[RegisterInfo, ...
     return _infos(_TIMER) if module.type == "axi_timer" else ()
 
 
+def raw(module: ModuleInstance, window: MemoryRange) -> tuple[MemoryInfo, ...]:
+    """A window of which no registers are described, as a memory of words; empty for what belongs to somebody else.
+
+    Block RAM is a memory itself, and the manager alone moves what isolates a region.
+    """
+    if module.type in ("axi_bram_ctrl", "dfx_axi_shutdown_manager", *_DECOUPLERS):
+        return ()
+    doc = f"Window of {module.instance}, a {module.type}, without described registers"
+    return (MemoryInfo(module.name, 0, window.size, doc=doc),)
+
+
+_FIELDS = {
+    "IP_ISR": (("CHANNEL_1", 0, "oneToToggle"), ("CHANNEL_2", 1, "oneToToggle")),
+    **dict.fromkeys(
+        ("TCSR0", "TCSR1"),
+        (
+            ("DOWN", 1, ""),
+            ("AUTO_RELOAD", 4, ""),
+            ("LOAD", 5, ""),
+            ("INTERRUPT_ENABLE", 6, ""),
+            ("ENABLE", 7, ""),
+            ("INTERRUPT", 8, "oneToClear"),
+        ),
+    ),
+}
+
+
 def _infos(rows: tuple[tuple[int, str, str], ...] | list[tuple[int, str, str]]) -> tuple[RegisterInfo, ...]:
     return tuple(
-        RegisterInfo(name, offset, 32, "read-only" if name in _READ_ONLY else "read-write", doc=doc)
+        RegisterInfo(
+            name,
+            offset,
+            32,
+            "read-only" if name in _READ_ONLY else "read-write",
+            fields=tuple(RegisterField(part, bit, 1, write=write) for part, bit, write in _FIELDS.get(name, ())),
+            doc=doc,
+        )
         for offset, name, doc in rows
     )

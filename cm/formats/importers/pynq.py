@@ -1,31 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
 """PYNQ overlays: a `.bit` with its `.hwh` (and `.dtbo`), and the partial bitstreams beside it.
 
-A design gives one full configuration; its partial bitstreams give a second, partial one that runs on it. Which region
-a partial is for is not written in the package. Its name or its `.hwh` usually says so; its frames always do.
+A design gives one full configuration, with a region, modules and modes for its partial bitstreams. Which region a
+partial is for is not written in the package. Its name or its `.hwh` usually says so; its frames always do.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from cm.formats import hwh as handoff
 from cm.formats.bitstream import BitstreamError, Expectation, Report, footprint_of, inspect, outside, verify
 from cm.formats.bitstream.idcodes import base_name
-from cm.formats.hwh import DecouplerInfo, Hwh, HwhError
+from cm.formats.hwh import DecouplerInfo, DmaChannel, Hwh, HwhError, InterruptLine
 from cm.formats.importers.overlays import FoundOverlay, firmware_links, overlay_info
 from cm.formats.importers.registers import decoupler_of, memories, within
 from cm.formats.importers.result import Imported, ImportRefused, Names, frozen, static_of, to_name
-from cm.formats.registers import RegisterBank
-from cm.frozen import dataclass, field
+from cm.formats.registers import RegisterBank, UniqueNames, identifier
+from cm.frozen import dataclass, field, replace
 from cm.schema.model import (
     Clock,
     Config,
     ConfigType,
     Decoupler,
     Direction,
+    FieldAccess,
     FrameRange,
     Interrupt,
     LoaderKind,
@@ -39,6 +40,13 @@ from cm.schema.model import (
 )
 
 # Their registers belong to kernel drivers; written behind a driver's back they hang the bus.
+_NODE = 31  # letters of a node in /dev/cm_dma
+# Offset of each status register, and its bits (PG144, PG079); of HLS, UG1399, S_AXILITE control
+_STATUS: Mapping[str, tuple[tuple[int, Sequence[int]], ...]] = {
+    "axi_gpio": ((0x120, (0, 1)),),
+    "axi_timer": ((0x00, (8,)), (0x10, (8,))),
+}
+_HLS_STATUS = 0x0C
 _DRIVEN = ("axi_dma", "axi_vdma", "axi_mcdma", "axi_intc", "axi_cdma")
 
 
@@ -56,9 +64,21 @@ def import_pynq(bit: Path, hwh: Path | None = None) -> Imported:
     design = _handoff(bit, hwh, report)
     notes: list[str] = []
     links: dict[str, Path] = {}
+    notes += _strangers(bit, report, design)
     static = _static(bit.resolve(), report, design, links, notes)
-    partial = import_regions(bit.resolve(), report, design, static.name, notes)
-    return Imported(configs=(static, *partial), notes=tuple(notes), source=bit.name, links=frozen(links))
+    config = _with_regions(static, bit.resolve(), report, design, notes)
+    return Imported(configs=(config,), notes=tuple(notes), source=bit.name, links=frozen(links))
+
+
+def _strangers(bit: Path, report: Report, hwh: Hwh) -> list[str]:
+    """What says that a .hwh is not of the same build as its bitstream; nothing can prove that it is."""
+    version = (report.header.field("Version") if report.header else None) or ""
+    if re.match(r"\d{4}\.", version) and hwh.vivado and version != hwh.vivado:
+        return [f"{bit.name} was made by Vivado {version}, the .hwh by {hwh.vivado}: they may not belong together"]
+    names = (hwh.design, f"{hwh.design}_wrapper")
+    if report.design and hwh.design and report.design not in names:
+        return [f"{bit.name} is of {report.design}, the .hwh of {hwh.design}: they may not belong together"]
+    return []
 
 
 def _described_by(bit: Path) -> Path:
@@ -83,6 +103,9 @@ def _handoff(bit: Path, given: Path | None, report: Report) -> Hwh:
 
 def _static(bit: Path, report: Report, hwh: Hwh, links: dict[str, Path], notes: list[str]) -> Config:
     name, streams = to_name(bit.stem), _streams(hwh, notes)
+    blocks = memories(hwh, notes, streams.values())
+    bank = RegisterBank(notes, (*streams, *blocks))
+    _registers(hwh, bank, notes)
     return Config(
         name=name,
         type=ConfigType.FULL,
@@ -90,19 +113,19 @@ def _static(bit: Path, report: Report, hwh: Hwh, links: dict[str, Path], notes: 
         bitstream=bit,
         sha256=report.sha256,
         static=static_of(None, report),
-        registers=frozen(_registers(hwh, notes)),
+        registers=frozen(bank.registers),
         overlays=_overlays(bit, links, notes),
         streams=frozen(streams),
-        interrupts=frozen(_interrupts(hwh, notes)),
+        interrupts=frozen(_interrupts(hwh, bank.registers, notes)),
         clocks=frozen({clock.name: Clock(clock.name, clock.rate) for clock in handoff.clocks(hwh)}),
         modes=frozen({"default": Mode("default")}),
         doc=f"From the PYNQ overlay {bit.name}, design {hwh.design}, Vivado {hwh.vivado}",
-        memories=frozen(memories(hwh, notes, streams.values())),
+        memories=frozen({**blocks, **bank.memories}),
     )
 
 
-def _registers(hwh: Hwh, notes: list[str]) -> dict[str, Register]:
-    bank, blocks = RegisterBank(notes), handoff.memories(hwh)
+def _registers(hwh: Hwh, bank: RegisterBank, notes: list[str]) -> None:
+    blocks = handoff.memories(hwh)
     for window in handoff.windows(hwh):
         module = hwh.modules.get(window.instance)
         if module is None or module.region or window in blocks:
@@ -114,8 +137,10 @@ def _registers(hwh: Hwh, notes: list[str]) -> dict[str, Register]:
         elif infos:
             bank.add(window.instance, window.base, window.size, infos)
         else:
-            notes.append(f"{where}: the .hwh describes no registers; add those you need by hand")
-    return bank.registers
+            raw = handoff.raw(module, window)
+            what = "so the whole window is a memory of words" if raw else "and it is left to the manager"
+            notes.append(f"{where}: the .hwh describes no registers, {what}")
+            bank.add("", window.base, window.size, raw)
 
 
 def _overlays(bit: Path, links: dict[str, Path], notes: list[str]) -> tuple[Overlay, ...]:
@@ -137,17 +162,22 @@ def _overlays(bit: Path, links: dict[str, Path], notes: list[str]) -> tuple[Over
 
 
 def _streams(hwh: Hwh, notes: list[str]) -> dict[str, Stream]:
-    names, found = Names(), {}
+    names, found = UniqueNames(longest=_NODE), {}
+    lines = {(line.instance, line.port): line for line in handoff.interrupts(hwh)}
     for channel in handoff.dma_channels(hwh):
         if channel.kind == "axi_mcdma":
             note = f"{channel.instance}: a multichannel DMA; its channels are left out"
             notes += [note] if note not in notes else []
             continue
-        name = names.take(f"{channel.instance}_{channel.direction}".lower())
+        end = f"_{channel.direction}"
+        name = names.take(identifier(channel.instance)[: _NODE - len(end)] + end)
         doc = f"{channel.kind} {channel.instance}, {channel.width} bits wide"
         if channel.limits:
             doc += f"; {channel.limits}"
             notes.append(f"stream {name}: {channel.instance} has {channel.limits}")
+        line = lines.get((channel.instance, channel.interrupt_port))
+        if line is None or line.controller is not None:
+            notes.append(f"stream {name}: {_without_interrupt(channel, line)}")
         found[name] = Stream(name, channel=name, direction=Direction(channel.direction), doc=doc)
     if found:
         notes.append(
@@ -157,7 +187,16 @@ def _streams(hwh: Hwh, notes: list[str]) -> dict[str, Stream]:
     return found
 
 
-def _interrupts(hwh: Hwh, notes: list[str]) -> dict[str, Interrupt]:
+def _without_interrupt(channel: DmaChannel, line: InterruptLine | None) -> str:
+    port = f"{channel.interrupt_port} of {channel.instance}"
+    if line is None:
+        why = "is connected to nothing (PYNQ polls), and the kernel's xilinx_dma waits for it"
+        return f"{port} {why}: on a board no transfer ends until the design connects it"
+    why = f"goes through {line.controller}, an axi_intc, whose driver the kernel binds when it boots"
+    return f"{port} {why}; on a board it needs nodes of both in the board's own tree, and no transfer ends without"
+
+
+def _interrupts(hwh: Hwh, registers: Mapping[str, Register], notes: list[str]) -> dict[str, Interrupt]:
     """Interrupts of instances with a window: the line is that of the UIO device at the window."""
     bases = {window.instance: window.base for window in handoff.windows(hwh)}
     names, found, lines = Names(), {}, set()
@@ -171,10 +210,32 @@ def _interrupts(hwh: Hwh, notes: list[str]) -> dict[str, Interrupt]:
             notes.append(f"interrupt {line.port} of {line.instance}: the instance {why}; name its UIO device by hand")
             continue
         lines.add(base)
-        name = names.take(f"{line.instance}_{line.port}".lower())
+        name = f"{line.instance}_{line.port}".lower()
         at = f"bit {line.index} of {line.controller}" if line.controller else f"PL interrupt {line.index}"
-        found[name] = Interrupt(name, base_address=base, doc=at)
+        flags = list(_flags(registers, base, module.type if module else ""))
+        for status, bit, acknowledge in flags:
+            told = names.take(name)
+            doc = f"{at}, bit {bit} of {status}"
+            found[told] = Interrupt(told, base, status=status, bit=bit, acknowledge=acknowledge, doc=doc)
+        if not flags:
+            told = names.take(name)
+            found[told] = Interrupt(told, base, doc=at)
+            notes.append(f"interrupt {line.port} of {line.instance}: its status is not described; a level stays until")
+            notes[-1] += " the program clears it"
     return found
+
+
+def _flags(registers: Mapping[str, Register], base: int, kind: str) -> Iterator[tuple[str, int, bool]]:
+    """The bits that tell an instance's interrupts apart: register, bit, and whether a written 1 clears it."""
+    places = _STATUS.get(kind, ((_HLS_STATUS, range(32)),))
+    for offset, bits in places:
+        for register in registers.values():
+            fields = [field for field in register.fields.values() if field.lsb in bits and field.width == 1]
+            known = kind in _STATUS or any(field.name.endswith("_int_st") for field in fields)
+            if register.base_address == base and register.offset == offset and known:
+                for bit in fields:
+                    clears = register.access_of(bit) in (FieldAccess.W1C, FieldAccess.W1T)
+                    yield register.name, bit.lsb, clears
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,34 +257,25 @@ class Slot:
     partials: list[Partial] = field(default_factory=list)
 
 
-def import_regions(bit: Path, report: Report, hwh: Hwh, static: str, notes: list[str]) -> tuple[Config, ...]:
-    """Return the partial configuration of a static design, or nothing if it has no partial bitstreams."""
+def _with_regions(static: Config, bit: Path, report: Report, hwh: Hwh, notes: list[str]) -> Config:
+    """The configuration of a design with a region, modules and modes for its partial bitstreams, if it has any.
+
+    It is one, so that the static part's registers, interrupts and streams stay when a module is loaded.
+    """
     partials = list(_find(bit, report, notes))
     if not partials:
-        return ()
+        return static
     slots = [Slot(to_name(module.instance), module.instance) for module in hwh.modules.values() if module.region]
     for partial in partials:
         _assign(partial, slots, notes)
     used = [slot for slot in slots if slot.partials]
     modules = {module.name: module for slot in used for module in _modules(slot, hwh, notes)}
-    config = Config(
-        name=f"{static}_regions",
-        type=ConfigType.PARTIAL,
-        device=report.device,
-        regions=frozen(
-            {
-                slot.name: Region(
-                    slot.name, LoaderKind.FPGA_MANAGER, None, _decoupler(slot, hwh, notes), slot.footprint
-                )
-                for slot in used
-            }
-        ),
-        modules=frozen(modules),
-        modes=frozen({name: Mode(name, modules=(name,)) for name in modules}),
-        doc=f"Partial bitstreams of the PYNQ overlay {bit.name}; runs while configuration {static} is loaded",
-        static=static_of(None, report),
-    )
-    return (config,)
+    regions = {
+        slot.name: Region(slot.name, LoaderKind.FPGA_MANAGER, None, _decoupler(slot, hwh, notes), slot.footprint)
+        for slot in used
+    }
+    modes = {name: Mode(name, modules=(name,)) for name in modules}
+    return replace(static, regions=frozen(regions), modules=frozen(modules), modes=frozen({**static.modes, **modes}))
 
 
 def _find(bit: Path, static: Report, notes: list[str]) -> Iterator[Partial]:
@@ -311,9 +363,11 @@ def _modules(slot: Slot, hwh: Hwh, notes: list[str]) -> Iterator[Module]:
         registers: dict[str, Register] = {}
         blocks: dict[str, Memory] = {}
         if partial.hwh is not None and window is not None:
-            registers = _registers_of_partial(slot, partial.hwh, window.base, window.size, notes)
             place = (window.base, window.size)
             blocks = memories(partial.hwh, notes, prefix=f"{slot.name}_", window=place, region=slot.name)
+            bank = RegisterBank(notes, blocks)
+            _registers_of_partial(slot, partial.hwh, bank, place, notes)
+            registers, blocks = bank.registers, {**blocks, **bank.memories}
         elif partial.hwh is not None:
             notes.append(f"{name}: the static design says no address for {slot.name}, so its registers are left out")
         yield Module(
@@ -326,9 +380,9 @@ def _modules(slot: Slot, hwh: Hwh, notes: list[str]) -> Iterator[Module]:
         )
 
 
-def _registers_of_partial(slot: Slot, hwh: Hwh, base: int, size: int, notes: list[str]) -> dict[str, Register]:
+def _registers_of_partial(slot: Slot, hwh: Hwh, bank: RegisterBank, place: tuple[int, int], notes: list[str]) -> None:
     """A partial's addresses are relative to its region's window, or, of some flows, absolute."""
-    bank = RegisterBank(notes)
+    base, size = place
     blocks = handoff.memories(hwh)
     for window in handoff.windows(hwh):
         if window in blocks:
@@ -344,4 +398,6 @@ def _registers_of_partial(slot: Slot, hwh: Hwh, base: int, size: int, notes: lis
             bank.add(prefix, base + offset, min(window.size, size - offset), infos, slot.name)
         else:
             notes.append(f"{prefix} ({module.type}) at 0x{base + offset:08x}: no registers are described")
-    return bank.registers
+            room = min(window.size, size - offset)
+            raw = [replace(memory, size=room) for memory in handoff.raw(module, window)]
+            bank.add(slot.name, base + offset, room, raw, slot.name)

@@ -174,11 +174,11 @@ def test_block_ram_of_a_module_lies_in_its_regions_window(dfx: Path, tmp_path: P
     text = hwh(*blocks, external=external, design="rm_edge")
     (dfx.parent / "partial" / "pr_0_edge.hwh").write_bytes(text)
     imported = import_pynq(dfx)
-    (block,) = imported.configs[1].modules["pr_0_edge"].memories.values()
+    (block,) = imported.configs[0].modules["pr_0_edge"].memories.values()
     assert (block.name, block.address, block.size, block.region) == ("pr_0_table", 0x43C00800, 0x400, "pr_0")
     assert any("far" in note and "left out" in note for note in imported.notes)
     write(imported, tmp_path / "out")
-    assert load(tmp_path / "out" / f"{imported.configs[1].name}.yaml").modules["pr_0_edge"].memories
+    assert load(tmp_path / "out" / f"{imported.configs[0].name}.yaml").modules["pr_0_edge"].memories
 
 
 def test_overlay_beside_the_bitstream_is_used(overlay: Path) -> None:
@@ -188,8 +188,10 @@ def test_overlay_beside_the_bitstream_is_used(overlay: Path) -> None:
 
 
 def test_partials_become_regions_and_modules(dfx: Path) -> None:
-    _, config = import_pynq(dfx).configs
-    assert (config.name, config.type) == ("cam_regions", ConfigType.PARTIAL)
+    """One configuration: what the static part has stays there when a module is loaded."""
+    (config,) = import_pynq(dfx).configs
+    assert (config.name, config.type) == ("cam", ConfigType.FULL)
+    assert {"filter_ctrl"} <= config.visible_registers("pr_0_edge").keys()
     assert {name: item.region for name, item in config.modules.items()} == {
         "other": "prr2",
         "pr_0_edge": "pr_0",
@@ -202,7 +204,7 @@ def test_partials_become_regions_and_modules(dfx: Path) -> None:
 
 def test_decoupler_of_a_region_is_found(dfx: Path) -> None:
     imported = import_pynq(dfx)
-    assert imported.configs[1].regions["pr_0"].decoupler == Decoupler(base_address=0x41200000, offset=0, bit=0)
+    assert imported.configs[0].regions["pr_0"].decoupler == Decoupler(base_address=0x41200000, offset=0, bit=0)
     assert any("region prr2: no decoupler" in note for note in imported.notes)
 
 
@@ -214,12 +216,12 @@ def test_decoupler_on_an_emio_pin_is_a_line_of_the_processors_gpio(dfx: Path) ->
     assert 'PORT="GPIO_O"' in wired
     handoff.write_text(wired, encoding="utf-8")
     imported = import_pynq(dfx)
-    assert imported.configs[1].regions["pr_0"].decoupler == Decoupler(gpio=GpioLine("zynq_gpio", 54))
+    assert imported.configs[0].regions["pr_0"].decoupler == Decoupler(gpio=GpioLine("zynq_gpio", 54))
     assert not any("region pr_0" in note and "cut off" in note for note in imported.notes)
 
 
 def test_registers_of_a_module_lie_in_its_regions_window(dfx: Path) -> None:
-    found = import_pynq(dfx).configs[1].modules["pr_0_edge"].registers
+    found = import_pynq(dfx).configs[0].modules["pr_0_edge"].registers
     assert found["pr_0_acc_gain"].address == 0x43C00010
     assert found["pr_0_acc_gain"].region == "pr_0"
 
@@ -228,14 +230,14 @@ def test_absolute_addresses_in_a_modules_description_are_the_same_registers(dfx:
     text = partial_design().decode().replace("0x00000000", "0x43C00000").replace("0x00000FFF", "0x43C00FFF")
     assert text != partial_design().decode()
     (dfx.parent / "partial" / "pr_0_edge.hwh").write_text(text)
-    found = import_pynq(dfx).configs[1].modules["pr_0_edge"].registers
+    found = import_pynq(dfx).configs[0].modules["pr_0_edge"].registers
     assert found["pr_0_acc_gain"].address == 0x43C00010
 
 
 def test_partial_whose_frames_are_elsewhere_is_left_out(dfx: Path) -> None:
     (dfx.parent / "partial" / "pr_0_zoom.bit").write_bytes(bitstream(20))
     imported = import_pynq(dfx)
-    assert "pr_0_zoom" not in imported.configs[1].modules
+    assert "pr_0_zoom" not in imported.configs[0].modules
     assert any(
         "pr_0_zoom.bit: left out: by its name for pr_0" in note and "column 20" in note for note in imported.notes
     )
@@ -249,7 +251,7 @@ def test_damaged_and_foreign_partials_are_left_out(dfx: Path) -> None:
     (folder / "pr_0_text.bit").write_bytes(b"text")
     (folder / "pr_0_small.bit").write_bytes(bitstream(3, device="xc7z010"))
     imported = import_pynq(dfx)
-    assert set(imported.configs[1].modules) == {"pr_0_edge", "pr_0_zoom", "other"}
+    assert set(imported.configs[0].modules) == {"pr_0_edge", "pr_0_zoom", "other"}
     assert sum("left out" in note and "pr_0_bad" in note for note in imported.notes) == 1
     assert any("pr_0_text.bit: left out" in note for note in imported.notes)
 
@@ -257,12 +259,13 @@ def test_damaged_and_foreign_partials_are_left_out(dfx: Path) -> None:
 def test_what_is_written_loads_and_finds_its_files(dfx: Path, tmp_path: Path) -> None:
     imported = import_pynq(dfx)
     files = write(imported, tmp_path)
-    assert [path.name for path in files] == ["cam.yaml", "cam_regions.yaml"]
-    full, partial = map(load, files)
-    assert bitstream_path(full, None) == tmp_path / "cam.bit"
-    assert bitstream_path(partial, "pr_0_edge") == tmp_path / "partial" / "pr_0_edge.bit"
-    assert partial.modules["pr_0_edge"].bitstream == Path("partial/pr_0_edge.bit")  # moves with the package
-    assert full.registers == imported.configs[0].registers
+    assert [path.name for path in files] == ["cam.yaml"]
+    config = load(files[0])
+    assert bitstream_path(config, None) == tmp_path / "cam.bit"
+    assert bitstream_path(config, "pr_0_edge") == tmp_path / "partial" / "pr_0_edge.bit"
+    assert config.modules["pr_0_edge"].bitstream == Path("partial/pr_0_edge.bit")  # moves with the package
+    assert config.registers == imported.configs[0].registers
+    assert set(config.streams_in("pr_0_edge", {})) == {"dma_mm2s", "dma_s2mm"}
 
 
 def test_schema_written_elsewhere_still_finds_the_package(overlay: Path, tmp_path: Path) -> None:
@@ -300,11 +303,11 @@ def test_damaged_files_are_refused_by_their_readers(overlay: Path) -> None:
         import_pynq(overlay)
 
 
-def test_the_static_designs_user_id_goes_into_both_configurations(dfx: Path) -> None:
-    assert [config.static for config in import_pynq(dfx).configs] == [None, None]
+def test_the_static_designs_user_id_goes_into_the_configuration(dfx: Path) -> None:
+    assert [config.static for config in import_pynq(dfx).configs] == [None]
     dfx.write_bytes(dfx.read_bytes().replace(b"UserID=0XFFFFFFFF", b"UserID=0X00C0FFEE"))
     found = import_pynq(dfx).configs
-    assert [config.static.user_id for config in found if config.static] == [0xC0FFEE, 0xC0FFEE]
+    assert [config.static.user_id for config in found if config.static] == [0xC0FFEE]
 
 
 @pytest.mark.parametrize("data", [b"", b"<html>404</html>"], ids=["empty", "a page"])
@@ -313,3 +316,95 @@ def test_an_overlay_that_is_no_device_tree_is_left_out_with_a_note(overlay: Path
     imported = import_pynq(overlay)
     assert not static(imported).overlays
     assert any(note.startswith("cam.dtbo: left out: no whole flattened device tree") for note in imported.notes)
+
+
+def wired(
+    *modules: str, interrupts: tuple[tuple[str, str], ...] = (), windows: tuple[tuple[str, int, int], ...]
+) -> bytes:
+    """A design with these modules, of which some interrupts reach the processor, each by a bit."""
+    joined = [port("dout", "O", ("ps", "IRQ_F2P"), bits=max(len(interrupts), 1))]
+    joined += [port(f"In{number}", "I", end) for number, end in enumerate(interrupts)]
+    lines = ports(port("IRQ_F2P", "I", ("join", "dout"), kind="INTERRUPT", bits=max(len(interrupts), 1)))
+    return hwh(module("ps", PS, lines, memory(*windows)), module("join", "xlconcat", ports(*joined)), *modules)
+
+
+def imported_design(folder: Path, text: bytes) -> Imported:
+    (folder / "cam.bit").write_bytes(bitstream())
+    (folder / "cam.hwh").write_bytes(text)
+    return import_pynq(folder / "cam.bit")
+
+
+def test_a_dma_whose_interrupt_is_unconnected_is_named_with_what_that_means(tmp_path: Path) -> None:
+    text = wired(
+        module("dma", "axi_dma"),
+        interrupts=(("dma", "mm2s_introut"),),
+        windows=(("dma", 0x40400000, 0x10000),),
+    )
+    notes = [note for note in imported_design(tmp_path, text).notes if "introut" in note]
+    assert notes == [
+        "stream dma_s2mm: s2mm_introut of dma is connected to nothing (PYNQ polls), and the kernel's xilinx_dma waits "
+        "for it: on a board no transfer ends until the design connects it"
+    ]
+
+
+def test_interrupts_of_known_blocks_have_status_and_acknowledgement(tmp_path: Path) -> None:
+    """So that a level does not come again and again."""
+    toggled = register_field("CHAN0_INT_ST", 0, 1, "read-only", MODIFIED_READ_VALUES="oneToToggle")
+    text = wired(
+        module("gpio", "axi_gpio"), module("timer", "axi_timer"),
+        module("cnn", "cnn", described(register("IP_ISR", 12, toggled))),
+        interrupts=(("gpio", "ip2intc_irpt"), ("timer", "interrupt"), ("cnn", "interrupt")),
+        windows=(("gpio", 0x41200000, 0x1000), ("timer", 0x42800000, 0x1000), ("cnn", 0x43C00000, 0x1000)),
+    )  # fmt: skip
+    config = static(imported_design(tmp_path, text))
+    assert {name: (line.status, line.bit, line.acknowledge) for name, line in config.interrupts.items()} == {
+        "gpio_ip2intc_irpt": ("gpio_ip_isr", 0, True), "gpio_ip2intc_irpt_2": ("gpio_ip_isr", 1, True),
+        "timer_interrupt": ("timer_tcsr0", 8, True), "timer_interrupt_2": ("timer_tcsr1", 8, True),
+        "cnn_interrupt": ("cnn_ip_isr", 0, True),
+    }  # fmt: skip
+    write(import_pynq(tmp_path / "cam.bit"), tmp_path / "out")
+
+
+def test_a_constant_is_no_interrupt(tmp_path: Path) -> None:
+    text = wired(module("GND_1", "xlconstant"), interrupts=(("GND_1", "dout"),), windows=())
+    imported = imported_design(tmp_path, text)
+    assert not static(imported).interrupts
+    assert not any("GND_1" in note for note in imported.notes)
+
+
+def test_a_block_without_described_registers_is_a_memory_of_its_name(tmp_path: Path) -> None:
+    text = wired(module("blob", "custom"), windows=(("blob", 0x43D00000, 0x1000),))
+    blob = static(imported_design(tmp_path, text)).memories["blob"]
+    assert (blob.address, blob.size, blob.dtype) == (0x43D00000, 0x1000, "uint32")
+
+
+def test_the_window_of_a_decoupler_is_left_to_the_manager(tmp_path: Path) -> None:
+    text = wired(module("dec", "dfx_decoupler"), windows=(("dec", 0x43D00000, 0x1000),))
+    imported = imported_design(tmp_path, text)
+    assert not static(imported).memories
+    assert any(note.startswith("dec (dfx_decoupler) at 0x43d00000") for note in imported.notes)
+
+
+def test_names_of_channels_that_are_too_long_are_cut_without_a_clash(tmp_path: Path) -> None:
+    names = [f"video_pipeline_with_a_long_name_{side}" for side in ("left", "right")]
+    text = wired(*(module(name, "axi_dma") for name in names), windows=())
+    streams = static(imported_design(tmp_path, text)).streams
+    assert len(streams) == 4
+    assert all(len(name) <= 31 for name in streams)
+
+
+def test_a_handoff_of_another_version_or_design_is_named(tmp_path: Path) -> None:
+    said = [note for note in imported_design(tmp_path, wired(windows=())).notes if "belong together" in note]
+    assert said == ["cam.bit is of cm_assembled, the .hwh of top: they may not belong together"]
+    (tmp_path / "cam.bit").write_bytes(
+        bitstream().replace(b"*cm_assembled", b".cm_assembled").replace(b"=cm", b"=2019.1")
+    )
+    said = [note for note in import_pynq(tmp_path / "cam.bit").notes if "belong together" in note]
+    assert said == ["cam.bit was made by Vivado 2019.1, the .hwh by 2022.1: they may not belong together"]
+
+
+def test_a_clock_in_exponent_form_is_a_clock(tmp_path: Path) -> None:
+    given = {"PCW_FPGA_FCLK0_ENABLE": "1", "PCW_ACT_FPGA0_PERIPHERAL_FREQMHZ": "1e+02"}
+    pin = '<PORTS><PORT CLKFREQUENCY="1e+08" DIR="O" NAME="FCLK_CLK0" SIGIS="clk"/></PORTS>'
+    config = static(imported_design(tmp_path, hwh(module("ps", PS, pin, parameters=given))))
+    assert {name: clock.rate for name, clock in config.clocks.items()} == {"fclk0": 100_000_000}
