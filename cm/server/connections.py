@@ -116,8 +116,9 @@ class Connections:
 
         libzmq would take more until there are none, and then end this process (``Too many open files``).
         """
-        if len(os.listdir("/proc/self/fd")) <= resource.getrlimit(resource.RLIMIT_NOFILE)[0] // 4:  # noqa: PTH208
-            return
+        most = resource.getrlimit(resource.RLIMIT_NOFILE)[0] // 4
+        if len(os.listdir("/proc/self/fd")) <= most or self.counted().total() <= most:  # noqa: PTH208
+            return  # what else takes descriptors has bounds of its own
         for place, count in self.counted().most_common(1):
             _LOG.warning("%d connections of %s were ended: they take up the descriptors (RLIMIT_NOFILE)", count, place)
             for connection in sockets():

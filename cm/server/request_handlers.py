@@ -458,6 +458,6 @@ def take_lease(s: Services, asked: Asked, request: rq.TakeLease) -> Reply:
 def lease(s: Services, asked: Asked, request: rq.TakeLease | rq.RenewLease | rq.ReleaseLease | rq.BreakLease) -> Reply:
     """Renew it, give it back, or end another's."""
     s.leases.check_process(request)
-    info = s.manager.leases.request(request, asked.client.name)
+    info = s.manager.leases.request(request, asked.client.name, asked.client.account)
     s.leases.follow(info, request, asked.client.name)
     return Reply(info)

@@ -21,7 +21,7 @@ from cm.wire.messages.status import UploadInfo
 
 IDLE = 60.0  # seconds after which one is forgotten whose next part, or use, does not come
 LEFT = 5.0  # the same, of a process that has ended
-EACH = 256  # of one client at once
+EACH = 256  # of one user, or key, at once: each takes a descriptor
 
 
 class TooMuchUploaded(Busy):
@@ -89,14 +89,15 @@ class Uploads:
     def _begin(self, key: tuple[str, str], client: Client, part: rq.Upload) -> _Upload:
         if part.offset:
             raise UnknownUpload(f"upload {part.id!r}: there are no bytes before {part.offset}; begin with offset 0")
-        if client.upload_bytes + part.length > self._most or self._total() + part.length > self._all_most:
+        own = [upload.length for upload, other in self._there.values() if other.account == client.account]
+        if sum(own) + part.length > self._most or self._total() + part.length > self._all_most:
             raise TooMuchUploaded(
-                f"{client.upload_bytes} bytes of {client.name} are stored here unused, "
+                f"{sum(own)} bytes of {client.account} are stored here unused, "
                 f"{self._total()} of all; {part.length} more are too many "
                 "(limits.upload_mib, limits.uploads_mib)"
             )
-        if sum(1 for name, _ in self._there if name == client.name) >= EACH:
-            raise TooMuchUploaded(f"{EACH} uploads of {client.name} are stored here unused")
+        if len(own) >= EACH:
+            raise TooMuchUploaded(f"{EACH} uploads of {client.account} are stored here unused")
         upload = _Upload(self._new(part), part.length, time.monotonic() + IDLE)
         self._there[key] = upload, client
         client.upload_bytes += part.length

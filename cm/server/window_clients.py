@@ -24,7 +24,7 @@ from cm.wire.encode import encode_table
 from cm.wire.plane_packets import Open, Purpose, WindowPages, encode_refused, encode_revoked, encode_window
 
 _LOG = logging.getLogger("cm")
-EACH, MOST = 8, 64  # windows of one process, and of all: each is taken back before a change goes on
+EACH, MOST = 48, 64  # windows of one user, and of all: each is taken back before a change goes on
 _NOT_YET = (ModuleAbsent, NothingLoaded, RegionBusy, HeldBy)  # what may be over after a change of mode
 
 
@@ -49,8 +49,8 @@ class OpenWindows:
 
     def open(self, connection: socket.socket, wanted: Open, peer: Peer) -> None:
         """Lend what a connection wants, or let it wait; the caller closes its own copy. Raises what refuses it."""
-        if sum(c.peer.pid == peer.pid for c in self._clients) >= EACH or len(self._clients) >= MOST:
-            raise Busy(f"a process has at most {EACH} windows, all together {MOST}; give one back")
+        if sum(c.peer.uid == peer.uid for c in self._clients) >= EACH or len(self._clients) >= MOST:
+            raise Busy(f"a user has at most {EACH} windows, all together {MOST}; give one back")
         client = _Client(connection.dup(), wanted, peer)
         self._clients.append(client)
         self._loop.add(client.connection.fileno(), partial(self._heard, client))

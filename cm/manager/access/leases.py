@@ -77,13 +77,14 @@ class _Lease:
     number: int
     client: str
     pid: int
+    account: str  # the user, or key, whose share it counts in
 
 
 class Leases:
     """All leases that are held now."""
 
     def __init__(self, time: TimeSource, most: int = 256, each: int = 32) -> None:
-        """`most` may be held at once, `each` by one client."""
+        """`most` may be held at once, `each` by one user, or key."""
         self._time = time
         self._most, self._each = most, each
         self._numbers = count(1)
@@ -97,16 +98,20 @@ class Leases:
         with self._lock:
             self._most, self._each = most, each
 
-    def request(self, request: TakeLease | RenewLease | ReleaseLease | BreakLease, client: str = "") -> LeaseInfo:
+    def request(
+        self, request: TakeLease | RenewLease | ReleaseLease | BreakLease, client: str = "", account: str = ""
+    ) -> LeaseInfo:
         """Take, renew, give back or break. Raises HeldBy, UnknownLease, TooManyLeases, InvalidRequest."""
         try:
             with self._lock:
                 self._expire()
-                return self._done(request, client)
+                return self._done(request, client, account or client)
         finally:
             self._tell()
 
-    def _done(self, request: TakeLease | RenewLease | ReleaseLease | BreakLease, client: str) -> LeaseInfo:
+    def _done(
+        self, request: TakeLease | RenewLease | ReleaseLease | BreakLease, client: str, account: str
+    ) -> LeaseInfo:
         if isinstance(request, ReleaseLease):
             return self._take(request.id, remove=True).info
         if isinstance(request, BreakLease):
@@ -114,7 +119,7 @@ class Leases:
         seconds = _checked_seconds(request.seconds)
         if isinstance(request, RenewLease):
             return self._renew(request.id, seconds)
-        return self._new(request, seconds, client)
+        return self._new(request, seconds, client, account)
 
     def expire(self) -> float | None:
         """End those whose time is over; seconds until that of the next one, None where none is held."""
@@ -193,12 +198,12 @@ class Leases:
                 return self._take(key, remove=True).info
         raise UnknownLease(f"no lease has the number {number}; cm lease list")
 
-    def _new(self, request: TakeLease, seconds: float, client: str) -> LeaseInfo:
+    def _new(self, request: TakeLease, seconds: float, client: str, account: str) -> LeaseInfo:
         _checked_scope(request.scope)
-        own = sum(held.client == client for held in self._held.values())
+        own = sum(held.account == account for held in self._held.values())
         if own >= self._each or len(self._held) >= self._most:
             raise TooManyLeases(
-                f"{client or 'this client'} holds {own} leases, all together {len(self._held)}; "
+                f"{account or 'this client'} holds {own} leases, all together {len(self._held)}; "
                 f"{self._each} and {self._most} may be held (limits.leases_each, limits.leases)"
             )
         for held in self._held.values():
@@ -207,7 +212,7 @@ class Leases:
                 raise HeldBy(_held_by(held.info, self._left(held)))
         info = LeaseInfo(os.urandom(8).hex(), request.scope, request.exclusive, seconds, _named(request.holder))
         until = self._time.monotonic() + seconds
-        self._held[info.id] = _Lease(info, until, next(self._numbers), client, request.pid)
+        self._held[info.id] = _Lease(info, until, next(self._numbers), client, request.pid, account)
         self._untold = True
         return info
 

@@ -46,14 +46,14 @@ class MemoryThread:
         self._thread.shutdown()
 
 
-MEMORIES = 64  # allocations of one process: each takes a file descriptor, however small it is
+MEMORIES = 64  # allocations of one user: each takes a file descriptor, however small it is
 
 
 class MemoryBudget:
-    """Counts bytes by process. Used in the loop's thread only."""
+    """Counts bytes by user. Used in the loop's thread only."""
 
     def __init__(self, what: str, each: int = USUAL.memory_each_bytes, most: int = USUAL.memory_bytes) -> None:
-        """`what`: how messages call the memory; `each`, `most`: limits in bytes, of one process and in total."""
+        """`what`: how messages call the memory; `each`, `most`: limits in bytes, of one user and in total."""
         self._what = what
         self._each, self._most = each, most
         self._open: dict[int, tuple[Peer, int]] = {}  # by client of the plane
@@ -63,18 +63,18 @@ class MemoryBudget:
         self._each, self._most = each, most
 
     def check(self, peer: Peer, length: int) -> None:
-        """Raise Busy if a process may not have another `length` bytes."""
-        held = [size for who, size in self._open.values() if who.pid == peer.pid]
+        """Raise Busy if a user may not have another `length` bytes."""
+        held = [size for who, size in self._open.values() if who.uid == peer.uid]
         used = sum(size for _, size in self._open.values())
         if used + length > self._most:
             raise Busy(f"{self._what} is {self._most >> 20} MiB together; {used} bytes are taken ({self._holders()})")
         if sum(held) + length > self._each:
             raise Busy(
-                f"{self._what} is {self._each >> 20} MiB for one process (limits.memory_each_mib); "
-                f"pid {peer.pid} ({peer.name}) has {sum(held)} bytes"
+                f"{self._what} is {self._each >> 20} MiB for one user (limits.memory_each_mib); "
+                f"processes of user {peer.uid} have {sum(held)} bytes"
             )
         if len(held) >= MEMORIES:
-            raise Busy(f"pid {peer.pid} ({peer.name}) has {MEMORIES} pieces of {self._what}: no process gets more")
+            raise Busy(f"processes of user {peer.uid} have {MEMORIES} pieces of {self._what}: no user gets more")
 
     def took(self, client: int, peer: Peer, length: int) -> None:
         """Record that a client of the plane has `length` bytes."""

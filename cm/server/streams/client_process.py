@@ -15,22 +15,23 @@ _CREDENTIALS = struct.Struct("=iII")  # struct ucred
 
 @dataclass(frozen=True, slots=True)
 class Peer:
-    """A process, with the name that the kernel has for it."""
+    """A process, with the name that the kernel has for it, and its user, whose processes share what one may have."""
 
     pid: int
     name: str
+    uid: int
 
     @staticmethod
     def of(connection: socket.socket) -> Peer:
         """Return the process that made a connection, with its present name."""
         raw = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
-        pid = _CREDENTIALS.unpack(raw)[0]
+        pid, uid, _ = _CREDENTIALS.unpack(raw)
         try:
-            return Peer(pid, Path(f"/proc/{pid}/comm").read_text(encoding="utf-8", errors="replace").strip())
+            return Peer(pid, Path(f"/proc/{pid}/comm").read_text(encoding="utf-8", errors="replace").strip(), uid)
         except OSError:  # it has gone, or is in another PID namespace (pid 0)
-            return Peer(pid, "")
+            return Peer(pid, "", uid)
 
     @staticmethod
     def ourselves() -> Peer:
         """The daemon's own clients, for ZeroMQ."""
-        return Peer(os.getpid(), "cm (ZeroMQ)")
+        return Peer(os.getpid(), "cm (ZeroMQ)", os.geteuid())

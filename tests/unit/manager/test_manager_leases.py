@@ -165,6 +165,16 @@ def test_a_client_and_all_together_hold_no_more_leases_than_they_may(clock: Cloc
     assert len(leases.held()) == 4
 
 
+def test_the_processes_of_a_user_share_the_leases_that_it_may_hold(clock: Clock) -> None:
+    leases = Leases(clock, most=3, each=2)
+    for pid in (1, 2):
+        leases.request(TakeLease("registers:led", False, seconds=10.0), f"pid {pid} (view)", "uid:1000")
+    assert refusal(lambda: leases.request(TakeLease("registers:led"), "pid 3 (view)", "uid:1000")).startswith(
+        "uid:1000 holds 2 leases"
+    )
+    leases.request(TakeLease("registers:led", False, seconds=10.0), "pid 4 (view)", "uid:1001")
+
+
 def test_a_lease_ends_when_it_is_given_back_or_broken_or_its_holder_dies(leases: Leases) -> None:
     mine = take(leases, "board")
     leases.request(ReleaseLease(mine.id))

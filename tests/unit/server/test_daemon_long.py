@@ -205,7 +205,7 @@ def test_a_board_without_a_configuration_port_gives_memory_of_a_channel(
 
 @pytest.mark.parametrize(
     ("length", "code", "words"),
-    [(0, "invalid_request", "memory has at least one byte"), (8 * PAGE + 1, "busy", "MiB for one process")],
+    [(0, "invalid_request", "memory has at least one byte"), (8 * PAGE + 1, "busy", "MiB for one user")],
 )
 def test_an_impossible_allocation_is_refused(camera: Daemon, length: int, code: str, words: str) -> None:
     with allocated(camera, length) as client:

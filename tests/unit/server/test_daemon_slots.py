@@ -522,7 +522,7 @@ def test_memory_that_is_being_allocated_counts(gate: Gate, camera: Daemon, clien
     one = allocating(camera, client, 150 * MIB)
     assert gate.reached.wait(60)
     code, message = allocating(camera, client, 50 * MIB).refusal()
-    assert (code, "192 MiB for one process" in message) == ("busy", True), message
+    assert (code, "192 MiB for one user" in message) == ("busy", True), message
     one.close()
     until(lambda: not camera.server._streams.memories[1].budget.held())
     gate.opened.set()

@@ -94,8 +94,8 @@ def test_an_open_stream_tells_its_settings_its_counters_and_its_clients() -> Non
         rate=pytest.approx(10.0), latency_us=3.0, limit=2.0, exact=True, max_length=1 << 20, format="yuv422",
         slot_bytes=32,
     )  # fmt: skip
-    list(it.stream.holders.join(1, 4, Peer(9, "view")))
-    list(it.stream.holders.join(2, 4, Peer(8, "gone meanwhile")))
+    list(it.stream.holders.join(1, 4, Peer(9, "view", 9)))
+    list(it.stream.holders.join(2, 4, Peer(8, "gone meanwhile", 8)))
     it.counts.error = errno.ETIMEDOUT
     failed = ErrorInfo("transfer_failed", "a transfer of 32 bytes failed: Connection timed out")
     told = replace(state, slots=10, clients=(StreamClient(9, "view", False, 4, 3, 6, 5),), last_error=failed)
@@ -121,12 +121,12 @@ def test_a_client_is_told_the_form_of_frames_and_whose_they_are() -> None:
     it.stream.label("vision", "edges")
     it.stream.label("vision", "edges")  # is known
     assert it.told == [encode_label("camera", "vision", "edges")]
-    list(it.stream.holders.join(1, 6, Peer(9, "view")))
+    list(it.stream.holders.join(1, 6, Peer(9, "view", 9)))
     assert it.geometry == Geometry(
         4096, 32, False, True, True, 6, 16, (4, 4, 2), "uint8", "camera", "vision", "edges", "yuv422"
     )
     it = opened(replace(CAMERA, stride=8))
-    list(it.stream.holders.join(1, 6, Peer(9, "view")))
+    list(it.stream.holders.join(1, 6, Peer(9, "view", 9)))
     assert it.geometry is not None
     assert (it.geometry.stride, it.geometry.writable, it.geometry.cyclic) == (0, False, False)
 
@@ -140,7 +140,7 @@ def test_a_frame_that_is_not_whole_is_described_as_bytes() -> None:
     assert it.stream.info(Descriptor(length=31, sequence=5, timestamp_ns=77)) == part
     plain = opened(replace(CAMERA, format=None))
     assert plain.stream.info(Descriptor(length=32)).format == ""
-    list(plain.stream.holders.join(1, 6, Peer(9, "view")))
+    list(plain.stream.holders.join(1, 6, Peer(9, "view", 9)))
     assert plain.geometry is not None
     assert plain.geometry.format == ""
     it = opened(replace(CAMERA, shape=None, dtype="uint16", format=None), frame_length=64)
@@ -151,11 +151,11 @@ def test_a_frame_that_is_not_whole_is_described_as_bytes() -> None:
 def test_a_stream_that_ends_stops_its_channel_before_it_closes_or_hands_it_over() -> None:
     for keep in (False, True):
         it = opened()
-        list(it.stream.holders.join(1, 4, Peer(9, "view")))
+        list(it.stream.holders.join(1, 4, Peer(9, "view", 9)))
         it.log.clear()
         assert it.slots == list(range(6))
         stopped: list[int] = []
-        it.stream.holders.join(2, 60, Peer(8, "waits"), stopped.append)
+        it.stream.holders.join(2, 60, Peer(8, "waits", 8), stopped.append)
         if keep:
             assert it.stream.release(5) is it.dma
         else:

@@ -92,7 +92,7 @@ class Bench:
         self.clients.append(theirs)
         theirs.setblocking(False)
         with ours:
-            self.windows.open(ours, Open("edge", purpose, **wanted), Peer(pid, "user"))
+            self.windows.open(ours, Open("edge", purpose, **wanted), Peer(pid, "user", pid))
         return theirs
 
     def close(self) -> None:
@@ -167,11 +167,12 @@ def test_a_client_that_waits_in_vain_is_told_why(bench: Bench, error: Exception,
     assert (said(waits), bench.loop, bench.lends.given_back) == (b"", {}, [])
 
 
-def test_a_process_has_so_many_windows_and_all_have(bench: Bench) -> None:
-    for pid in range(MOST // EACH):
-        for _ in range(EACH):
+def test_a_user_has_so_many_windows_and_all_have(bench: Bench) -> None:
+    for pid, number in ((1, EACH), (2, MOST - EACH)):
+        for _ in range(number):
             bench.open(pid)
-        with pytest.raises(Busy, match=f"a process has at most {EACH} windows, all together {MOST}; give one back"):
+    for pid in (1, 2):
+        with pytest.raises(Busy, match=f"a user has at most {EACH} windows, all together {MOST}; give one back"):
             bench.open(pid)
     with pytest.raises(Busy):
         bench.open(99)

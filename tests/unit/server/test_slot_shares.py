@@ -14,7 +14,7 @@ from cm.server.streams.slots import NoSlots, SlotHolders, share
 
 EACH = 64
 
-GREEDY, NEW = Peer(10, "greedy"), Peer(20, "new")
+GREEDY, NEW = Peer(10, "greedy", 10), Peer(20, "new", 20)
 
 
 def test_a_client_that_asks_for_all_gets_its_share_and_the_next_what_it_asks_for() -> None:
@@ -29,12 +29,14 @@ def test_the_same_process_gets_no_more_by_asking_again() -> None:
 
 
 def test_the_last_slots_are_for_clients_without_any() -> None:
-    others = [(Peer(pid, "reader"), 64) for pid in (1, 2, 3)] + [(Peer(4, "reader"), 42)]  # 234 of the 250 there are
+    others = [(Peer(pid, "reader", pid), 64) for pid in (1, 2, 3)] + [
+        (Peer(4, "reader", 4), 42)
+    ]  # 234 of the 250 there are
     assert share("camera", 8, NEW, others, EACH) == 8
     with pytest.raises(NoSlots, match=r"pid 1 \(reader\) holds 64"):
-        share("camera", 4, Peer(4, "reader"), others, EACH)
+        share("camera", 4, Peer(4, "reader", 4), others, EACH)
     with pytest.raises(NoSlots, match="no slots for one more client of pid 20"):
-        share("camera", 4, NEW, [*others, (Peer(5, "reader"), 16)], EACH)
+        share("camera", 4, NEW, [*others, (Peer(5, "reader", 5), 16)], EACH)
 
 
 class Made:
@@ -93,12 +95,12 @@ def test_a_stream_has_slots_for_all_clients_and_for_the_hardware(
 ) -> None:
     made, has, attached = holders(**stream)
     for client, (depth, wanted) in enumerate(zip(depths, slots, strict=True)):
-        assert list(made.join(client, depth, Peer(client + 1, "reader"))) == []
+        assert list(made.join(client, depth, Peer(client + 1, "reader", client + 1))) == []
         assert (len(has.made), has.given) == (wanted, wanted)
     assert attached == [(client, min(depth or 4, 64)) for client, depth in enumerate(depths)]
     assert list(made.peers) == list(range(len(depths)))
     assert made.started
-    made.join(9, 1, Peer(9, "waits"))
+    made.join(9, 1, Peer(9, "waits", 9))
     assert list(made.begin()) == []  # for nobody any more
     made.detached(9)
     made.detached(0)
@@ -107,21 +109,21 @@ def test_a_stream_has_slots_for_all_clients_and_for_the_hardware(
 
 def test_a_client_that_gets_no_slots_leaves_the_stream_as_it_was() -> None:
     made, has, attached = holders()
-    list(made.join(0, 4, Peer(1, "reader")))
+    list(made.join(0, 4, Peer(1, "reader", 1)))
     has.most = 40
     told = r"client of 50 frames more \(cannot allocate\); close others, or ask for a smaller depth$"
     with pytest.raises(NoSlots, match=told):
-        list(made.join(1, 50, Peer(2, "reader")))
+        list(made.join(1, 50, Peer(2, "reader", 2)))
     has.most = 256
-    list(made.join(GONE, 30, Peer(3, "reader")))  # hangs up meanwhile
+    list(made.join(GONE, 30, Peer(3, "reader", 3)))  # hangs up meanwhile
     assert (len(has.made), list(made.peers), len(attached)) == (36, [0], 2)  # what the plane has stays
     made, has, _ = holders()
     has.most = 7
     with pytest.raises(DeviceError, match="cannot allocate"):  # not even those of the hardware
-        list(made.join(0, 4, Peer(1, "reader")))
+        list(made.join(0, 4, Peer(1, "reader", 1)))
     made, _, _ = holders(each=256)
     for client, depth in enumerate((200, 40)):
-        list(made.join(client, depth, Peer(client + 1, "reader")))
+        list(made.join(client, depth, Peer(client + 1, "reader", client + 1)))
     with pytest.raises(NoSlots, match="stream 'camera' has 2 clients; with one more it needs 257 slots"):
         list(made.join(3, 15))
 
@@ -160,26 +162,27 @@ def budget() -> MemoryBudget:
     return MemoryBudget("memory for masters", each=4 * MIB, most=8 * MIB)
 
 
-def test_a_process_gets_so_much_memory_in_so_many_pieces() -> None:
-    shared = budget()
+def test_the_processes_of_a_user_get_so_much_memory_in_so_many_pieces() -> None:
+    shared, again = budget(), Peer(11, "again", GREEDY.uid)
     shared.took(1, GREEDY, 3 * MIB)
     shared.check(GREEDY, MIB)
-    with pytest.raises(Busy, match=r"is 4 MiB for one process \(.*\); pid 10 \(greedy\) has 3145728 bytes"):
-        shared.check(GREEDY, MIB + 1)
+    with pytest.raises(Busy, match=r"is 4 MiB for one user \(.*\); processes of user 10 have 3145728 bytes"):
+        shared.check(again, MIB + 1)
     shared.gone(1)
     for client in range(MEMORIES):
         shared.check(GREEDY, 1)
         shared.took(client, GREEDY, 1)
-    with pytest.raises(Busy, match=r"pid 10 \(greedy\) has 64 pieces of memory for masters: no process gets more"):
-        shared.check(GREEDY, 1)
+    with pytest.raises(Busy, match="processes of user 10 have 64 pieces of memory for masters: no user gets more"):
+        shared.check(again, 1)
+    shared.check(NEW, 1)
     assert shared.held() == {GREEDY: MEMORIES}
 
 
 def test_where_memory_is_used_up_the_four_that_have_most_are_named() -> None:
     shared = budget()
     for pid, size in ((1, 5), (2, 1), (3, 4), (4, 3), (5, 2)):
-        shared.took(pid, Peer(pid, "reader"), size)
-    shared.took(6, Peer(2, "reader"), 5)
+        shared.took(pid, Peer(pid, "reader", pid), size)
+    shared.took(6, Peer(2, "reader", 2), 5)
     shared.took(7, GREEDY, 8 * MIB - 20)
     shared.check(NEW, 0)
     with pytest.raises(Busy) as refused:

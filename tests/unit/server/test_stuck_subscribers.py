@@ -113,7 +113,7 @@ def test_connections_are_counted_by_where_they_lead(tmp_path: Path, two: tuple[S
     assert Connections(tmp_path / "elsewhere", []).counted() == {}
 
 
-@pytest.mark.parametrize(("descriptors", "ended"), [(4, True), (1 << 20, False)])
+@pytest.mark.parametrize(("descriptors", "ended"), [(4, True), (12, False), (1 << 20, False)])
 def test_a_client_that_takes_up_the_descriptors_loses_its_connections(
     tmp_path: Path,
     two: tuple[Subscriber, Subscriber],

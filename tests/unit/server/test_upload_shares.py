@@ -60,15 +60,21 @@ def process(clients: Clients, pid: int) -> Client:
     return clients.of(f"ipc:0:0:{pid}")
 
 
+def test_processes_of_one_user_share_what_it_may_store(kept: Uploads, clients: Clients) -> None:
+    kept.take(process(clients, GONE), Upload("a", 255))
+    with pytest.raises(TooMuchUploaded, match="255 bytes of uid:0 are stored here unused"):
+        kept.take(process(clients, GONE + 1), Upload("b", 2))
+
+
 def test_no_client_gets_more_room_than_one_may_nor_all_more_than_there_is(kept: Uploads, clients: Clients) -> None:
-    one, two, three = (process(clients, GONE + i) for i in range(3))
+    one, two, three = (clients.of(f"ipc:{i}:0:{GONE + i}") for i in range(3))
     kept.take(one, Upload("a", 256))
-    said = r"256 bytes of pid .*, 256 of all; 1 more are too many \(limits.upload_mib, limits.uploads_mib\)$"
+    said = r"256 bytes of uid:0 .*, 256 of all; 1 more are too many \(limits.upload_mib, limits.uploads_mib\)$"
     with pytest.raises(TooMuchUploaded, match=said):
         kept.take(one, Upload("b", 1))
     kept.take(two, Upload("a", 200))
     with pytest.raises(
-        TooMuchUploaded, match=r"0 bytes of pid .* are stored here unused, 456 of all; 57 more are too many"
+        TooMuchUploaded, match=r"0 bytes of uid:2 are stored here unused, 456 of all; 57 more are too many"
     ):
         kept.take(three, Upload("a", 57))
     kept.take(three, Upload("a", 56))
@@ -204,9 +210,9 @@ def test_what_the_kernel_takes_in_pieces_is_written_whole(
 def test_each_client_has_so_many_uploads(kept: Uploads, one: Client, clients: Clients) -> None:
     for number in range(EACH):
         kept.take(one, Upload(str(number), 0))
-    with pytest.raises(TooMuchUploaded, match=f"{EACH} uploads of {one.name.split(' (')[0]} .* are stored here unused"):
-        kept.take(one, Upload("more", 0))
-    kept.take(process(clients, GONE), Upload("more", 0))
+    with pytest.raises(TooMuchUploaded, match=f"{EACH} uploads of uid:0 are stored here unused"):
+        kept.take(process(clients, GONE), Upload("more", 0))
+    kept.take(clients.of(f"ipc:1:0:{GONE + 1}"), Upload("more", 0))
     kept.take(one, Upload("0", discard=True))
     kept.take(one, Upload("more", 0))
     kept.renew(replace(LIMITS, upload_bytes=8, uploads_bytes=9))
