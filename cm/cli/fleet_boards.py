@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import argparse
+import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -107,8 +109,16 @@ def add_push(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
 
 def run_push(args: argparse.Namespace) -> int:
     """Send; 0 where every board has put it in force."""
+    begun = time.monotonic()
+
+    def tell(sent: int, whole: int) -> None:
+        if sent and sys.stderr.isatty():
+            left = (time.monotonic() - begun) * (whole - sent) / sent
+            shown = f"\r\033[K{sent} of {whole} bytes are sent, {max(0.0, left):.0f} s more"
+            print(shown, end="\n" if sent >= whole else "", file=sys.stderr, flush=True)
+
     with connected_fleet(args) as fleet:
-        found = fleet.push(args.archive, args.boards)
+        found = fleet.push(args.archive, args.boards, tell=tell)
 
     def row(name: str, each: Any) -> tuple[object, ...]:
         outcome = each.error.message if each.error else each.config_name

@@ -5,12 +5,19 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+needs_root = pytest.mark.skipif(
+    os.geteuid() != 0 or shutil.which("ip") is None or not Path("/dev/net/tun").exists(),
+    reason="needs root, ip and /dev/net/tun",
+)
 HOST = "host"  # where the test itself is, and the router: the middle of the network
 _PLAIN = {"delay": 0, "jitter": 0, "loss": 0, "reorder": 0, "double": 0, "rate": 0, "dumb": False, "deaf": False}
 

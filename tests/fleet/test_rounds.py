@@ -15,7 +15,6 @@ import json
 import os
 import random
 import select
-import shutil
 import signal
 import subprocess
 import sys
@@ -32,17 +31,13 @@ from fleet_etcd import EtcdCluster, Member
 from fleet_history import Recording, linearizable, read
 from fleet_support import CLOCK, FleetBoard, Router, fleet_board
 from manager_process import REPOSITORY, environment, until
-from networks import HOST, Networks
+from networks import HOST, Networks, needs_root
 
 import cm.fleet
 import cm.networks.fleet.store
 from cm.networks.fleet.coordinator import SETTLED
 from cm.wire.messages.fleet import BoardStatus
 
-needs_root = pytest.mark.skipif(
-    os.geteuid() != 0 or shutil.which("ip") is None or not Path("/dev/net/tun").exists(),
-    reason="needs root, ip and /dev/net/tun",
-)
 BOARDS = ("b1", "b2", "b3", "b4", "b5")
 KEEPER = BOARDS[0]
 MODES = ("default", "edge_detection", "colorise")

@@ -3,14 +3,17 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from fleet_support import VISION, Router
+from manager_process import until
 
-from cm.networks.fleet.bundles import PartMissing, described, fetched, offered
+from cm.networks.fleet.bundles import Pace, PartMissing, described, fetched, offered
 from cm.networks.fleet.zenoh_session import Network, session
 
 pytestmark = pytest.mark.networks
@@ -34,12 +37,15 @@ def joined(router: Router) -> Any:
     return session(Network(connect=(router.endpoint,)))
 
 
-def test_parts_that_have_arrived_are_not_fetched_again(router: Router, packed: Path, tmp_path: Path) -> None:
+def test_pieces_that_have_arrived_are_not_fetched_again(router: Router, packed: Path, tmp_path: Path) -> None:
     bundle, here = described(packed, 20_000), tmp_path / "here"
     here.write_bytes(packed.read_bytes()[:45_000])  # cut off within the third
     with joined(router) as ours, joined(router) as theirs, offered(ours, packed, bundle) as sent:
         fetched(theirs, bundle, here)
-        assert sent() == bundle.length - 2 * 20_000
+        assert sent() == bundle.length - 45_000
+        assert here.read_bytes() == packed.read_bytes()
+        here.write_bytes(packed.read_bytes()[:43_000] + b"torn")
+        fetched(theirs, bundle, here)  # its part from the beginning
         assert here.read_bytes() == packed.read_bytes()
         here.write_bytes(b"torn" + packed.read_bytes()[4:])
         with pytest.raises(PartMissing, match="do not make the archive that was announced"):
@@ -54,3 +60,27 @@ def test_a_part_with_a_wrong_hash_is_not_accepted(router: Router, packed: Path, 
     refused = pytest.raises(PartMissing, match=r"nobody offers part .* \(20000 bytes are here\)")
     with joined(router) as ours, joined(router) as theirs, offered(ours, changed, bundle), refused:
         fetched(theirs, bundle, tmp_path / "here", patience=0.3)
+
+
+def test_a_piece_is_as_long_as_comes_in_a_quarter_of_a_second_and_never_much_longer_than_the_last() -> None:
+    pace, lengths = Pace(), []
+    for rate in (8_000, 8_000, 1e6, 1e6, 1e6, 1e6, 1e6, 1e6, 1e9, 1e9, 100):  # bytes a second
+        lengths.append(pace.length)
+        pace.took(pace.length, pace.length / rate)
+    assert lengths == [4096, 4096, 4096, 8192, 16384, 32768, 65536, 131072, 250000, 262144, 262144]
+    assert pace.length == 4096
+
+
+def test_nothing_is_fetched_while_a_change_is_open(router: Router, packed: Path, tmp_path: Path) -> None:
+    bundle, here = described(packed, 20_000), tmp_path / "here"
+    busy = threading.Event()
+    with joined(router) as ours, joined(router) as theirs, offered(ours, packed, bundle) as sent:
+        busy.set()
+        work = threading.Thread(target=fetched, args=(theirs, bundle, here), kwargs={"busy": busy.is_set})
+        work.start()
+        until(here.exists)
+        time.sleep(0.5)
+        assert sent() == 0
+        busy.clear()
+        work.join(60.0)
+    assert here.read_bytes() == packed.read_bytes()

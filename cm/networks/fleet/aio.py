@@ -9,7 +9,7 @@ import fnmatch
 import os
 import secrets
 import time
-from collections.abc import AsyncIterator, Generator, Iterable, Mapping
+from collections.abc import AsyncIterator, Callable, Generator, Iterable, Mapping
 from contextlib import asynccontextmanager, suppress
 from functools import partial
 from pathlib import Path
@@ -409,20 +409,37 @@ class Fleet:
             yield answer.board, queries.said(answer, FleetState)
 
     async def push(
-        self, archive: str | os.PathLike[str], boards: str | Iterable[str] = ALL, *, timeout: float = 600.0
+        self,
+        archive: str | os.PathLike[str],
+        boards: str | Iterable[str] = ALL,
+        *,
+        timeout: float = 600.0,
+        tell: Callable[[int, int], None] | None = None,
     ) -> dict[str, BundleState | ErrorInfo]:
         """Have boards fetch an archive of ``cm build collect`` from here and put it in force.
 
-        `timeout` in seconds, for all of it. Parts that have reached a board stay there: a repeated push continues.
+        `timeout` in seconds, for all of it. What has reached a board stays there: a repeated push continues. `tell` is
+        called each second with the bytes that were sent so far and those of all boards; in another thread, if this is
+        the blocking client.
         Raises NoSuchBoard, NotFound (no such file), OSError.
         """
         path = Path(archive)
         bundle = await asyncio.to_thread(bundles.described, path)
         chosen = await self.meant(boards)
-        with bundles.offered(self.session, path, bundle):
+        with bundles.offered(self.session, path, bundle) as sent:
+            telling = asyncio.create_task(_each_second(lambda: tell and tell(sent(), len(chosen) * bundle.length)))
             command, message = keys.command("bundle", self.caller), wire.encode_fetch(bundle)
-            found = [a async for a in self._answers(command, chosen, message, timeout=timeout)]
+            try:
+                found = [a async for a in self._answers(command, chosen, message, timeout=timeout)]
+            finally:
+                telling.cancel()
         return {a.board: queries.said(a, BundleState) for a in sorted(found, key=lambda a: a.board)}
+
+
+async def _each_second(work: Callable[[], object]) -> None:
+    while True:
+        await asyncio.sleep(1.0)
+        work()
 
 
 def _listed(known: Mapping[str, View]) -> dict[str, View]:

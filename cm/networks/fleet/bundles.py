@@ -1,22 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Archives in parts, each under its hash: offered by their sender, fetched by boards."""
+"""Archives in parts, each under its hash: offered by their sender, fetched by boards in pieces that suit the link."""
 
 from __future__ import annotations
 
 import hashlib
 import os
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from cm.errors import CmError, NotFound
 from cm.networks.fleet import keys
+from cm.networks.fleet.zenoh_session import zenoh_module
 from cm.wire.messages.fleet import FetchBundle
 
-PART = 1 << 20  # bytes
-_TIMEOUT = 20.0  # seconds for a part
+PART = 1 << 20  # bytes that have a hash of their own
+_LEAST, _MOST = 1 << 12, 1 << 18  # bytes of a piece, of which a part is made
+_WORTH, _WINDOW = 0.25, 2  # seconds that a piece takes, and how many are under way
+_TIMEOUT = 20.0  # seconds for a piece
 PATIENCE = 10.0  # seconds until all routers know a sender
 _BETWEEN_TRIES = 0.1  # seconds
 
@@ -47,17 +51,18 @@ def part_key(sha256: str, part: str) -> str:
 
 @contextmanager
 def offered(session: Any, archive: Path, bundle: FetchBundle) -> Iterator[Callable[[], int]]:
-    """Serve the parts of an archive on request; gives a function that says how many bytes have been sent so far."""
+    """Serve pieces of the parts of an archive; gives a function that says how many bytes have been sent so far."""
     places = {part: number * bundle.part_length for number, part in enumerate(bundle.parts)}
     sent = [0]
 
     def answer(query: Any) -> None:
         with query:
-            part = str(query.key_expr).split("/")[-1]
+            part, words = str(query.key_expr).split("/")[-1], query.parameters
             if part in places:
+                begin, length = int(words.get("from", "0")), int(words.get("length", str(bundle.part_length)))
                 with archive.open("rb") as file:
-                    file.seek(places[part])
-                    data = file.read(bundle.part_length)
+                    file.seek(places[part] + begin)
+                    data = file.read(max(0, min(length, bundle.part_length - begin)))
                 sent[0] += len(data)
                 query.reply(str(query.key_expr), data)
 
@@ -68,22 +73,28 @@ def offered(session: Any, archive: Path, bundle: FetchBundle) -> Iterator[Callab
         queryable.undeclare()
 
 
-def fetched(session: Any, bundle: FetchBundle, path: Path, patience: float = PATIENCE) -> None:
-    """Append to a file what it has not of an archive, part by part as they come, and check the whole.
+def fetched(
+    session: Any, bundle: FetchBundle, path: Path, patience: float = PATIENCE, busy: Callable[[], bool] = lambda: False
+) -> None:
+    """Append to a file what it has not of an archive, piece by piece as they come, and check the whole.
 
     The sender has only just begun, and routers learn of it one after the other: an unanswered query is repeated for
-    `patience` seconds. Raises PartMissing, OSError; parts that have come are kept, and not fetched again.
+    `patience` seconds. Nothing is asked for while `busy`. Raises PartMissing, OSError; pieces that have come are kept,
+    and not fetched again, unless their part turns out to be another.
     """
-    with path.open("ab") as file:
-        file.truncate(file.tell() // bundle.part_length * bundle.part_length)  # one was cut short
-        file.seek(0, os.SEEK_END)
-        for part in bundle.parts[file.tell() // bundle.part_length :]:
-            end = time.monotonic() + patience
-            while (data := _asked(session, bundle, part)) is None:
+    pace = Pace()
+    with path.open("a+b") as file:
+        for number in range(file.tell() // bundle.part_length, len(bundle.parts)):
+            begin, end = number * bundle.part_length, time.monotonic() + patience
+            last = min(begin + bundle.part_length, bundle.length)
+            while not _is_part(file, begin, last, bundle.parts[number]):
+                here, part = file.tell(), bundle.parts[number]
                 if time.monotonic() > end:
-                    raise PartMissing(f"{bundle.name}: nobody offers part {part[:12]} ({file.tell()} bytes are here)")
-                time.sleep(_BETWEEN_TRIES)
-            file.write(data)
+                    raise PartMissing(f"{bundle.name}: nobody offers part {part[:12]} ({here} bytes are here)")
+                _append(session, bundle, part, file, begin, last, pace, busy)
+                if file.tell() < last:
+                    end = time.monotonic() + patience if file.tell() > here else end
+                    time.sleep(_BETWEEN_TRIES)
     with path.open("rb") as file:
         whole = hashlib.sha256()
         while block := file.read(PART):
@@ -93,10 +104,51 @@ def fetched(session: Any, bundle: FetchBundle, path: Path, patience: float = PAT
         raise PartMissing(f"{bundle.name}: its parts do not make the archive that was announced (sha256)")
 
 
-def _asked(session: Any, bundle: FetchBundle, part: str) -> bytes | None:
-    """A part from anyone who has it; None if nobody answers with one that matches the hash."""
-    for reply in session.get(part_key(bundle.sha256, part), timeout=_TIMEOUT):
-        data = bytes(reply.ok.payload) if reply.ok is not None else b""
-        if hashlib.sha256(data).hexdigest() == part:
-            return data
-    return None
+class Pace:
+    """How long a piece may be: what comes in a quarter of a second, as far as that is known."""
+
+    def __init__(self) -> None:
+        self.length = _LEAST
+
+    def took(self, length: int, seconds: float) -> None:
+        """A piece of that length has come; the next is twice as long at most."""
+        fits = int(length / max(seconds, 1e-6) * _WORTH)
+        self.length = max(_LEAST, min(fits, 2 * self.length, _MOST))
+
+
+def _is_part(file: BinaryIO, begin: int, last: int, part: str) -> bool:
+    """Whether the file ends with that part; what has come of another is forgotten."""
+    if file.seek(0, os.SEEK_END) < last:
+        return False
+    file.seek(begin)
+    right = hashlib.sha256(file.read(last - begin)).hexdigest() == part
+    file.truncate(last if right else begin)
+    file.seek(0, os.SEEK_END)
+    return right
+
+
+def _append(
+    session: Any, bundle: FetchBundle, part: str, file: BinaryIO, begin: int, last: int, pace: Pace,
+    busy: Callable[[], bool],
+) -> None:  # fmt: skip
+    """The pieces of a part, of which two are always asked for, until one does not come."""
+    at, came, asked = file.tell(), time.monotonic(), deque[tuple[int, float, Any]]()
+    last_in_line = zenoh_module().Priority.BACKGROUND  # the fleet's own words go first; answers have it, too
+    while asked or at < last:
+        while at < last and len(asked) < _WINDOW and not busy():
+            length = min(pace.length, last - at)
+            where = f"{part_key(bundle.sha256, part)}?from={at - begin};length={length}"
+            asked.append((length, time.monotonic(), session.get(where, timeout=_TIMEOUT, priority=last_in_line)))
+            at += length
+        if not asked:
+            time.sleep(_BETWEEN_TRIES)
+            came = time.monotonic()
+            continue
+        length, begun, replies = asked.popleft()
+        data = next((bytes(reply.ok.payload) for reply in replies if reply.ok is not None), b"")
+        if len(data) != length:
+            return
+        file.write(data)
+        file.flush()
+        begun, came = max(begun, came), time.monotonic()
+        pace.took(length, came - begun)

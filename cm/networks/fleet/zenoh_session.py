@@ -17,6 +17,10 @@ from cm.errors import CmError, InvalidRequest, NotInstalled
 PORT = 7447
 LEASE = 10.0  # seconds, zenoh's own
 _PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws", "unixsock-stream", "unixpipe", "serial", "vsock")
+_LINK = {  # of keep-alives two are sent within a lease; a queue that has stood for 5 s ends its link
+    "transport/link/tx/keep_alive": 2,
+    "transport/link/tx/queue/congestion_control/block/wait_before_close": 5_000_000,
+}
 _TRY = 3000  # milliseconds of one try to reach a router
 
 
@@ -166,6 +170,7 @@ def _settings(network: Network) -> dict[str, Any]:
         found = {"mode": network.mode, "scouting/multicast/enabled": multicast}
         if network.mode == "client":
             found["connect/timeout_ms"] = _TRY
+        found |= _LINK
     if network.config is None or network.lease != LEASE:
         found["transport/link/tx/lease"] = int(network.lease * 1000)
     for name, endpoints in (("connect", network.connect), ("listen", network.listen)):

@@ -36,6 +36,7 @@ class Bundles:
     folder: Path
     take: Import | None
     managed: ManagedBoard
+    busy: Callable[[], bool]  # while a change of the fleet is open here, which goes first
 
     async def fetch(self, bundle: FetchBundle, caller: str) -> BundleState:
         """Fetch an archive and put it in force; if it cannot be had now, returns how much has arrived.
@@ -57,7 +58,7 @@ class Bundles:
         return BundleState(bundle.sha256, bundle.length, bundle.length, config, signer)
 
     def _taken(self, take: Import, bundle: FetchBundle, archive: Path) -> tuple[str, str]:
-        fetched(self.session, bundle, archive)
+        fetched(self.session, bundle, archive, busy=self.busy)
         try:
             return take(archive)
         finally:

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a fleet at rest costs, and what a change costs beyond its loads where the network is slow."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from fleet_support import FleetBoard, Router, fleet_board
+from manager_process import until
+from networks import HOST, Networks, needs_root
+
+import cm.fleet
+
+BOARDS = tuple(f"b{number}" for number in range(1, 7))
+SECONDS = 130.0  # two questions of each bridge to itself, and something
+Fleet = tuple[Networks, str, Mapping[str, FleetBoard]]
+
+
+@pytest.fixture
+def six() -> Iterator[Fleet]:
+    """Boards in namespaces, and the router's address; the first is the keeper."""
+    with ExitStack() as stack:
+        networks = stack.enter_context(Networks(BOARDS))
+        router = Router(host=networks.address(HOST))
+        stack.callback(router.kill)
+        where = ("--router", router.endpoint, "--join")
+        contexts = {
+            name: fleet_board(name, (*where, *(("--keeper",) if name == "b1" else ())), inside=networks.inside(name))
+            for name in BOARDS
+        }
+        with ThreadPoolExecutor(3) as threads:
+            opened = threads.map(lambda context: context.__enter__(), contexts.values())
+            boards = dict(zip(contexts, opened, strict=True))
+        for context in contexts.values():
+            stack.push(context)
+        with cm.fleet.connect(router.endpoint, caller="anna", timeout=30.0, store="keeper") as fleet:
+            until(lambda: set(fleet.inventory()) == set(BOARDS))
+            fleet.load("camera", "default")
+        yield networks, router.endpoint, boards
+
+
+def used(board: FleetBoard) -> float:
+    """Seconds of a processor that its bridge has had."""
+    assert board.bridge.process is not None
+    tasks = Path(f"/proc/{board.bridge.process.pid}/task").glob("*/schedstat")
+    return sum(int(task.read_text().split()[0]) for task in tasks) / 1e9
+
+
+@needs_root
+@pytest.mark.timeout(600)
+def test_six_boards_at_rest_send_no_more_than_six_frames_a_second(six: Fleet) -> None:
+    networks, _, boards = six
+    time.sleep(15.0)  # each has heard itself once
+    frames, before = networks.frames(), {name: used(board) for name, board in boards.items()}
+    time.sleep(SECONDS)
+    rate = (networks.frames() - frames) / SECONDS
+    shares = {name: (used(board) - before[name]) / SECONDS for name, board in boards.items()}
+    print(f"{rate:.1f} frames a second; of a core {', '.join(f'{name} {s:.3%}' for name, s in shares.items())}")
+    assert rate <= 6.0
+
+
+@needs_root
+@pytest.mark.timeout(600)
+def test_a_change_takes_few_round_trips_beyond_its_slowest_load(six: Fleet) -> None:
+    networks, endpoint, _ = six
+    for name in BOARDS:
+        networks.set(name, delay=0.05)
+    trips = []
+    with cm.fleet.connect(endpoint, caller="anna", timeout=30.0, store="keeper") as fleet:
+        for mode in ("edge_detection", "default", "colorise", "default", "edge_detection"):
+            course = fleet.mode(mode)
+            load = max(state.seconds for state in course.figures.values())
+            trips.append((course.seconds - load) / 0.05)
+    print(f"round trips beyond the slowest load: {', '.join(f'{each:.1f}' for each in trips)}; {course.legs}")
+    assert min(trips) <= 8.0
