@@ -232,9 +232,13 @@ class _Detection:
                 )
 
     def _go_with(self, stream: Candidate) -> None:
-        """Ports such as `Out_Meta_rst` reset no register: they begin with the stream's name, and go with it."""
+        """Ports such as `Out_Meta_rst` reset no register: they begin with the stream's name, and go with it.
+
+        `Out_RstIn` is the reset of that side.
+        """
         for port in self._free.values():
-            if port.name.lower().startswith(f"{stream.name.lower()}_") and is_reset(port):
+            rest = port.name[len(stream.name) :].strip("_").split("_")
+            if port.name.lower().startswith(f"{stream.name.lower()}_") and is_reset(port) and len(rest) > 1:
                 self._reasons[port.name] = f"goes with the stream {stream.name}"
 
     def _reject(self, candidate: Candidate, reason: str) -> None:

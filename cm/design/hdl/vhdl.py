@@ -175,13 +175,19 @@ class _Evaluation:
         if given is not None and value is not None and no_value_of(value, generic.type, self.names, self._subtypes):
             text = f"{generic.name}={given}: the generic {generic.name} of {self._entity.name} is {generic.type}"
             raise WrongParameter(generic.name, text)
-        if value is None:
+        if value is None and (not generic.default or self._needed(generic.name)):
             default = f" := {generic.default}" if generic.default else ""
             hint = f"give it one (parameters:, or -P {generic.name}=…)"
             text = f"generic {generic.name}{default} has no value that could be evaluated: {hint}"
             self._problems.append(Problem(text, str(self._entity.path), generic.line))
         self.names[generic.name.lower()] = value
         return Parameter(generic.name, value, generic.default)
+
+    def _needed(self, generic: str) -> bool:
+        """Whether the type of a port, or the default of another generic, has it: one that none has is not asked for."""
+        texts = [port.type for port in self._entity.ports]
+        texts += [other.default for other in self._entity.generics if other.name != generic]
+        return any(re.search(rf"\b{re.escape(generic)}\b", text, re.IGNORECASE) for text in texts)
 
     def _port(self, port: Declaration) -> Port:
         flat, width = True, None

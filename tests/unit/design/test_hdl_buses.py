@@ -102,3 +102,10 @@ def test_a_signal_with_a_further_word_stays_out_of_the_bus(tmp_path: Path) -> No
 def test_the_side_of_a_stream_may_be_a_letter(tmp_path: Path) -> None:
     text = "input [7:0] idat; input ivld; output irdy; output [7:0] odat; output ovld; input ordy; input clk"
     assert ports(tmp_path, text).asked == ("i", "o")
+
+
+def test_a_reset_with_the_name_of_a_stream_is_that_of_its_side(tmp_path: Path) -> None:
+    text = "input In_Clk; input In_RstIn; input In_Meta_rst; input [7:0] In_Data; input In_Valid; output In_Ready"
+    found = ports(tmp_path, text)
+    assert [(reset.port, reset.clock) for reset in found.resets] == [("In_RstIn", "In_Clk")]
+    assert "goes with the stream In" in [left.reason for left in found.leftovers]

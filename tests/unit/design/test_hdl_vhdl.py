@@ -252,3 +252,10 @@ def test_a_subtype_without_a_range_takes_that_of_its_use() -> None:
         3,
         32,
     ]
+
+
+def test_a_generic_that_no_port_needs_is_asked_for_only_if_it_has_no_default(tmp_path: Path) -> None:
+    generics = "DELAY : time := 1 ns; SEED : integer; BITS : natural := pick(3)"
+    found = entity(tmp_path, "a : in std_logic_vector(BITS - 1 downto 0)", generics)
+    asked = [problem.message.split()[1] for problem in found.problems if problem.message.startswith("generic ")]
+    assert asked == ["SEED", "BITS"]
