@@ -127,9 +127,13 @@ class Order:
     def take(self, asked: Asked) -> None:
         """Carry out a request, now or in its turn."""
         state = self.senders.get(asked.sender) if self.senders else None
-        if state is None and asked.row.holds is None:
-            self._carry_out(asked)
-        elif state is None or asked.row.waits is Waits.NEVER or not (state.queue or self._is_blocked(state, asked)):
+        if state is None:  # mostly
+            holds = asked.row.holds
+            if holds is None or holds(asked.request, self._manager) is None:
+                self._carry_out(asked)
+            else:
+                self._begin(asked)
+        elif asked.row.waits is Waits.NEVER or not (state.queue or self._is_blocked(state, asked)):
             self._begin(asked)
         elif len(state.queue) >= _MOST:
             asked.answer(refusal(Busy(f"{_MOST} requests wait for the end of a change; ask again after it")))

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import Any, TypeVar
 
 from google.protobuf.message import DecodeError, Message
@@ -115,20 +116,44 @@ _FROM_FIELD = {field: codec.from_pb for field, codec in _BODIES.values()}
 
 def encode_reply(topic: bytes, reply: st.Reply, sequence: int | None = None) -> list[Frame]:
     """A reply → ``[topic][Reply][payload…]``; `sequence` replaces the reply's own."""
-    body, error = reply.body, reply.error
+    body, number = reply.body, reply.sequence if sequence is None else sequence
+    begin = _well(number) if reply.error is None else _refused(reply.error, number)
+    if body is None:
+        encoded = reply.encoded
+    elif type(body) is st.RegValues and not body.generation:  # of a read
+        encoded = _read_registers(body)
+    else:
+        encoded = _body(body)
+    return [topic, begin + encoded, *reply.payload]
+
+
+# protobuf reads messages that follow each other as one; those that a client that polls a register gets are mostly equal
+
+
+@lru_cache(8)
+def _well(sequence: int) -> bytes:
+    return pb.Reply(ok=True, sequence=sequence).SerializeToString()
+
+
+@lru_cache(64)
+def _read_registers(values: st.RegValues) -> bytes:
+    return _body(values)
+
+
+def _refused(error: st.ErrorInfo, sequence: int) -> bytes:
+    return pb.Reply(error=protobuf_messages.ERROR.to_pb(error), sequence=sequence).SerializeToString()
+
+
+def _body(body: Any) -> bytes:
     message = pb.Reply()
-    message.ok = error is None
-    message.sequence = reply.sequence if sequence is None else sequence
-    if error is not None:
-        message.error.CopyFrom(protobuf_messages.ERROR.to_pb(error))
     if isinstance(body, st.RegValues):
         protobuf_messages.registers_into(message.registers, body)
     elif isinstance(body, st.Status):
         message.status.MergeFromString(protobuf_messages.STATUS.encoded(body))
-    elif body is not None:
+    else:
         field, codec = _BODIES[type(body)]
         getattr(message, field).CopyFrom(codec.to_pb(body))
-    return [topic, message.SerializeToString() + reply.encoded, *reply.payload]
+    return message.SerializeToString()
 
 
 def encode_config(info: st.ConfigInfo) -> bytes:

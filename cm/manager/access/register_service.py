@@ -145,7 +145,10 @@ class RegisterService:
     def read(self, names: tuple[str, ...]) -> RegValues:
         """Values by name; of all that can be read if none is given."""
         with self._lock:
-            view = self._look()
+            view, state = self._view, self._state
+            same = view is not None and view.board is state.latest and view.locked is state.locked  # mostly
+            if view is None or not same or view.configs is not state.configs:
+                view = self._look()
             known = view.places
             if len(names) == 1:  # mostly; a comprehension is a call
                 values: tuple[RegValue, ...] = (self._read(known.get(names[0]) or self._find(view, names[0]), view),)
@@ -249,8 +252,7 @@ class RegisterService:
         view, state = self._view, self._state
         if view is None:
             return self._renewed(None)
-        same = view.board is state.latest and view.locked is state.locked and view.configs is state.configs  # mostly
-        return view if same or view.still_holds(state) else self._renewed(view)
+        return view if view.still_holds(state) else self._renewed(view)
 
     def _renewed(self, before: View | None) -> View:
         config = self._state.loaded_config()

@@ -69,7 +69,7 @@ def usual(camera: Daemon, calls: Calls, request: Any) -> list[str]:
 
 @pytest.mark.parametrize(
     ("request_", "most"),
-    [(rq.ReadReg(("focus",)), 22), (rq.WriteReg((rq.RegWrite("focus", 2),)), 42)],
+    [(rq.ReadReg(("focus",)), 19), (rq.WriteReg((rq.RegWrite("focus", 2),)), 43)],
     ids=["read of a register", "write of a register"],
 )
 def test_a_request_for_a_register_calls_few_functions(camera: Daemon, calls: Calls, request_: Any, most: int) -> None:
