@@ -10,12 +10,16 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from manager_process import CAMERA, REPOSITORY, Manager, environment, short_folder, until
 
 import cm
 from cm.errors import CmError
+from cm.server.requests import ROWS
+from cm.server.rights.model import Role
+from cm.server.rights.required_rights import OPENING
 from cm.simulation.software import Board as SimBoard
 from cm.wire import plane_packets as packets
 
@@ -336,3 +340,91 @@ def test_what_the_manager_writes_is_its_own_but_for_what_clients_read_whatever_t
         finally:
             manager.stop()
     assert found == MODES
+
+
+# Each request over ZeroMQ, as itself or for a guest, and each purpose over the data socket: whether it is refused.
+TRY = """
+import json, os, socket, sys
+import cm, cm.client.board
+from cm.client.core.calls import Call
+from cm.errors import CmError
+from cm.wire import plane_packets as p
+from cm.wire.messages import requests as rq
+
+uid, gid, runtime, guests = json.loads(sys.argv[1])
+os.setgroups([gid]); os.setgid(uid); os.setuid(uid)
+P = p.Purpose
+REQUESTS = [
+    rq.ReadStatus(), rq.ReadConfig("camera"), rq.ListConfigs(), rq.PlanChange("camera", mode="default"),
+    rq.ChangeMode("camera", "none"), rq.CancelChange(), rq.Provision("config: ["), rq.RemoveConfig("none"),
+    rq.ReadReg(("led",)), rq.WriteReg((rq.RegWrite("none", 1),)), rq.DescribeData("camera"),
+    rq.ConfigureStream("none", enable=False), rq.DefineMemory("none", address=0), rq.ReadData("none"),
+    rq.WriteData("none", b"1"), rq.Upload("none", 0), rq.CheckRegion("none"), rq.MapRegion("none"), rq.ReadIrq("none"),
+    rq.TakeLease("region:none"), rq.RenewLease("none"), rq.ReleaseLease("none"), rq.BreakLease(99),
+]
+OPENS = [
+    p.Open("camera"), p.Open("to_pl", P.WRITE), p.Open("", P.ECHO, length=4096), p.Open("", P.ALLOCATE, length=4096),
+    p.Open("static", P.WINDOW), p.Open("static", P.WRITABLE_WINDOW), p.Open("", P.REGISTERS),
+]
+
+def code(reply):
+    return reply.error.code if reply.error else ""
+
+def asked(guest):
+    try:
+        with cm.connect(runtime_dir=runtime, timeout=60, **({"guest": guest} if guest else {})) as board:
+            return {type(r).__name__: board.ask(Call(r, code)) == "forbidden" for r in REQUESTS}
+    except CmError as error:
+        assert error.code == "forbidden", error
+        return {type(r).__name__: True for r in REQUESTS}
+
+def opened(wanted):
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as connection:
+        connection.settimeout(60)
+        connection.connect(runtime + "/data")
+        connection.send(p.encode_open(wanted))
+        packet, fds, _, _ = socket.recv_fds(connection, p.PACKET_MAX, p.FDS_MAX)
+        for fd in fds:
+            os.close(fd)
+        return packet[2] == p.REFUSED and p.decode_refused(packet)[0] == "forbidden"
+
+said = {guest: asked(guest) for guest in guests or [""]}
+print(json.dumps([said, {} if guests else {wanted.purpose.name: opened(wanted) for wanted in OPENS}]))
+"""
+FIRST = 47130  # user of the lowest role
+
+
+def tried(manager: Manager, uid: int, *guests: str) -> Any:
+    command = [sys.executable, "-c", TRY, json.dumps([uid, GROUP, str(manager.runtime), guests])]
+    done = subprocess.run(command, env=environment(), capture_output=True, text=True, cwd=REPOSITORY, check=False)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+@pytest.mark.programs
+@needs_root
+def test_each_request_is_refused_at_each_door_to_each_role_below_its_own() -> None:
+    """The table of docs/security.md, cell by cell, as other accounts."""
+    with short_folder() as folder, SimBoard([CAMERA], root=folder / "board") as sim:
+        folder.chmod(0o755)
+        names = {role: role.name.lower() if role else "" for role in Role}
+        users = ", ".join(f"{FIRST + role}: [{name}]" for role, name in names.items())
+        guests = ", ".join(f"'to:{role.name}': [{name}]" for role, name in names.items())
+        settings = folder / "cm.yaml"
+        settings.write_text(
+            f"state_dir: {folder}/state\naccess: {{group: '{GROUP}', local: [], users: {{{users}}}, guests: {{{guests}}}}}\n"
+        )
+        arguments = ("--settings", str(settings), "--config", str(CAMERA), "--root", str(sim.root))
+        manager = Manager(folder / "run", *arguments, service=True).start()
+        try:
+            with manager.connected() as board:
+                board.load("camera", "default")
+            through = tried(manager, FIRST + Role.ADMIN, *(f"to:{role.name}" for role in Role))[0]
+            for role in Role:
+                wanted = {row.kind.__name__: role < row.right.least.role for row in ROWS}
+                itself, opened = tried(manager, FIRST + role)
+                assert itself[""] == wanted, role
+                assert through[f"to:{role.name}"] == wanted, role
+                assert opened == {purpose.name: role < right.least.role for purpose, right in OPENING.items()}, role
+        finally:
+            manager.stop()

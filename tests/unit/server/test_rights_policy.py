@@ -555,6 +555,33 @@ def test_the_page_has_the_roles_in_their_order() -> None:
     assert re.findall(r"^\| `(\w+)` \|", text, re.MULTILINE) == [role.name.lower() for role in Role if role]
 
 
+LOOK_AT, CONTROL = "yes", "with `--control`"
+ON_THE_PAGE = {
+    rq.PlanChange: LOOK_AT, rq.ReadReg: LOOK_AT, rq.MapRegion: LOOK_AT,
+    rq.ChangeMode: CONTROL, rq.CancelChange: CONTROL, rq.WriteReg: CONTROL, rq.CheckRegion: CONTROL,
+}  # fmt: skip
+
+
+def doors() -> str:
+    """The table of the page: the least role by request and door."""
+    lines = [
+        "| | over ZeroMQ | for a guest | over the data socket | asked by a page of `cm web` |",
+        "|---|---|---|---|---|",
+    ]
+    for kind, row in BY_KIND.items():
+        role = row.right.least.role.name.lower()
+        lines.append(f"| `{kind.__name__}` | {role} | {role} | | {ON_THE_PAGE.get(kind, '')} |")
+    for purpose, right in OPENING.items():
+        lines.append(f"| OPEN, {purpose.name.lower().replace('_', ' ')} | | | {right.least.role.name.lower()} | |")
+    return "\n".join(lines).replace("|  |", "| |")
+
+
+def test_the_page_has_the_role_that_each_request_takes_at_each_door() -> None:
+    assert doors() in (ROOT / "docs/security.md").read_text("utf-8"), (
+        f"docs/security.md says otherwise than:\n{doors()}"
+    )
+
+
 # ---- bridges --------------------------------------------------------------------------------------
 
 WEB = MappingProxyType({"web": Grant(Role.OPERATE, guests=("web:*",))})
