@@ -61,7 +61,6 @@ class RegisterInfo:
     dims: Dims = ()
     widest: int = 0
     volatile: bool = False
-    big: bool = False  # of its accesses the first has the highest bits
 
 
 @dataclass(frozen=True, slots=True)
@@ -291,13 +290,13 @@ def _accesses(info: RegisterInfo, left: dict[str, list[str]]) -> Iterator[Regist
         return
     count = -(-info.size // part)
     for number in range(count):
-        low, place = number * part, count - 1 - number if info.big else number
+        low = number * part
         bits = min(part, info.size - low)
         inside = [f for f in info.fields if low <= f.lsb and f.lsb + f.width <= low + bits]
         yield replace(
             info,
             name=f"{info.name}_{number}",
-            offset=info.offset + place * part // 8,
+            offset=info.offset + low // 8,
             size=bits,
             widest=0,
             reset=None if info.reset is None else info.reset >> low & ((1 << bits) - 1),

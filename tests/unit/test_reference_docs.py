@@ -38,6 +38,8 @@ INSIDE = {
     "cm.device.buffer.DmaBuffer names cm.device.buffer.DmaBuffer.memoryview",
     "cm.device.overlays.Overlays names cm.device.overlays.Overlays.list",
     "cm.device.uio.Uio names cm.device.native.uio",
+    "cm.schema.model.FieldAccess names cm.field_access.Kind",
+    "cm.schema.model.Register names cm.field_access.Rest",
     "cm.formats.bitstream.report_cache.ReportCache names cm.formats.bitstream.report_cache.Inspected",
 }
 

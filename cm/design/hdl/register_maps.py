@@ -66,14 +66,38 @@ def _hwh(path: Path, module: str, bus: str, notes: list[str]) -> list[Item]:
 
 
 def _json(path: Path, module: str, bus: str, notes: list[str]) -> list[Item]:
-    """The arguments on a module's bus, by top and bundle, as in the config.json beside what HLS wrote."""
-    del bus, notes
+    """LiteX' csr.json, or the config.json beside what HLS wrote: arguments by top and bundle."""
+    del bus
     try:
         tops: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        if "csr_registers" in tops:
+            return list(_litex(tops, module, notes))
         bundles = tops[module] if len(tops) > 1 else next(iter(tops.values()))
         return list(_arguments(bundles))
     except (ValueError, KeyError, TypeError, AttributeError, StopIteration, RecursionError) as error:
         raise BuildError(f"{path}: not a config.json of HLS, which has top, bundle and argument: {error!r}") from None
+
+
+def _litex(said: Mapping[str, Any], module: str, notes: list[str]) -> Iterator[Item]:
+    """The registers of a bank `module`, or of all, at addresses from its base, or the lowest.
+
+    Source: `get_csr_json` of LiteX. One that is wider than a bus word is several, of which `_0` has the lowest bits.
+    """
+    bases, constants = said["csr_bases"], said["constants"]
+    base = bases[module] if module in bases else min(bases.values())
+    step, width = constants.get("config_csr_alignment", 32) // 8, constants.get("config_csr_data_width", 32)
+    prefix = f"{module}_" if module in bases else ""
+    for name, one in said["csr_registers"].items():
+        if not name.startswith(prefix):
+            continue
+        words, access = one["size"], "read-only" if one["type"] == "ro" else ""
+        for number in range(words):
+            part = name.removeprefix(prefix) + (f"_{words - 1 - number}" if words > 1 else "")
+            yield RegisterInfo(part, one["addr"] - base + number * step, width, access, widest=width)
+        if words > 1:
+            notes.append(
+                f"{name}: {words} words, the highest first, as LiteX' own accessors have it whatever its order"
+            )
 
 
 def _arguments(bundles: Mapping[str, Mapping[str, Mapping[str, str]]]) -> Iterator[Item]:

@@ -210,3 +210,22 @@ def test_what_a_register_map_cannot_carry_is_said_by_check(tmp_path: Path, capsy
     (tmp_path / "one.rdl").write_text(f"addrmap one {{ external reg {{ {twice} }} reg0; }};")
     main(["build", "check", str(path)])
     assert "one.rdl: an access changes it, nobody says how: reg0.gain" in capsys.readouterr().out
+
+
+LITEX = """{"csr_bases": {"ctrl": 4026531840, "timer": 4026533888}, "memories": {},
+ "constants": {"config_csr_data_width": 32, "config_csr_alignment": 32},
+ "csr_registers": {"ctrl_reset": {"addr": 4026531840, "size": 1, "type": "rw"},
+  "timer_load": {"addr": 4026533888, "size": 1, "type": "rw"},
+  "timer_uptime": {"addr": 4026533892, "size": 2, "type": "ro"}}}"""
+
+
+def test_the_csr_json_of_litex_has_the_highest_word_first(tmp_path: Path) -> None:
+    """As `get_csr_json` of LiteX 2023 to 2025 writes it."""
+    (tmp_path / "csr.json").write_text(LITEX)
+    found = read_register_map(tmp_path / "csr.json", "timer")
+    assert places(found) == {"load": 0, "uptime_1": 4, "uptime_0": 8}
+    assert found.registers["uptime_0"].access.value == "ro"
+    assert found.notes == [
+        "timer_uptime: 2 words, the highest first, as LiteX' own accessors have it whatever its order"
+    ]
+    assert places(read_register_map(tmp_path / "csr.json", "soc"))["timer_load"] == 0x800
