@@ -229,3 +229,28 @@ def test_the_csr_json_of_litex_has_the_highest_word_first(tmp_path: Path) -> Non
         "timer_uptime: 2 words, the highest first, as LiteX' own accessors have it whatever its order"
     ]
     assert places(read_register_map(tmp_path / "csr.json", "soc"))["timer_load"] == 0x800
+
+
+@pytest.mark.parametrize("standard", ["IEEE_1685_2009", "IEEE_1685_2014"])
+def test_what_peakrdl_exports_as_ip_xact_is_read_as_the_systemrdl_itself(standard: str, tmp_path: Path) -> None:
+    exporter = pytest.importorskip("peakrdl_ipxact", reason="needs peakrdl-ipxact: the extra [test-design]")
+    from systemrdl import RDLCompiler
+
+    (tmp_path / "m.rdl").write_text(
+        "addrmap m { reg { field { sw=rw; hw=r; } gain[7:0] = 16; field { sw=rw; hw=w; woclr; } seen[8:8] = 0;"
+        " field { sw=r; hw=w; rclr; } done[9:9] = 0; } status @ 0; reg { field { sw=rw; hw=r; } v[31:0] = 0; } tap[3];"
+        " regfile { reg { field { sw=rw; hw=r; } g[7:0] = 1; } a; reg { field { sw=w; hw=r; } g[7:0] = 2; } b;"
+        " } ch[2]; };"
+    )
+    compiler = RDLCompiler()
+    compiler.compile_file(str(tmp_path / "m.rdl"))
+    path = tmp_path / "m.xml"
+    exporter.IPXACTExporter(standard=exporter.Standard[standard]).export(compiler.elaborate(), str(path))
+
+    def told(found: RegisterMap) -> dict[str, Any]:
+        return {
+            name: (spec.offset, spec.width, spec.access, spec.reset, accesses(found, name))
+            for name, spec in found.registers.items()
+        }
+
+    assert told(read_register_map(path, "m")) == told(read_register_map(tmp_path / "m.rdl", "m"))
