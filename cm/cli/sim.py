@@ -29,7 +29,7 @@ _FAULTS = """faults (TARGET, VALUE):
   icap_stall       '', bytes           the port takes no more until cleared
   icap_write_only                      the port cannot be read until cleared
   overlay_error    overlay             the next one cannot be applied
-  probe_error      node                no driver takes its device, though the overlay is applied
+  probe_error      node                no driver takes the device it makes
   fpga_manager_error                   the next load fails at its end
   register_stuck   register            writes are lost until cleared
   clock_stuck      clock               its rate stays until cleared
