@@ -11,10 +11,14 @@ from collections import Counter, deque
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from pathlib import Path
 from time import monotonic_ns
-from typing import ClassVar, Generic, Protocol, TypeVar
+from typing import ClassVar, Generic, TypeVar
+
+import zmq
 
 from cm.errors import Busy
 from cm.frozen import replace
+from cm.server.rights.principal import Principal
+from cm.server.settings.model import Limits
 from cm.wire.messages.status import ClientStatus, LeaseStatus, StreamStatus
 
 _K = TypeVar("_K", bound=Hashable)
@@ -86,50 +90,6 @@ class RepliesUnread(Busy):
     code: ClassVar[str] = "replies_unread"
 
 
-class Who(Protocol):
-    """The sender of a message (`cm.server.rights.principal.Principal`)."""
-
-    @property
-    def pid(self) -> int | None:
-        """The pid of a process of this machine."""
-
-    @property
-    def address(self) -> str:
-        """Of a client elsewhere."""
-
-    @property
-    def name(self) -> str:
-        """The name of a user or of a key."""
-
-    @property
-    def key(self) -> str:
-        """Public, Z85."""
-
-    @property
-    def account(self) -> str:
-        """All connections of a user, of a key, or of an address together."""
-
-
-class Tracker(Protocol):
-    """The tracker of a message that was passed to ZeroMQ (`zmq.MessageTracker`)."""
-
-    @property
-    def done(self) -> bool:
-        """Whether it has left."""
-
-
-class Bounds(Protocol):
-    """Bytes of one client's requests that wait, and of replies that it does not read; all have half as many more."""
-
-    @property
-    def waiting_bytes(self) -> int:
-        """Of requests."""
-
-    @property
-    def replies_bytes(self) -> int:
-        """Of replies."""
-
-
 class Client:
     """One of them. The loop's thread."""
 
@@ -138,7 +98,7 @@ class Client:
         "sender", "unread_bytes", "unread_of", "upload_bytes", "waiting_bytes",
     )  # fmt: skip
 
-    def __init__(self, name: str, who: Who, of_all: Clients) -> None:
+    def __init__(self, name: str, who: Principal, of_all: Clients) -> None:
         self._all = of_all
         self.name = name
         self.account = who.account
@@ -153,7 +113,7 @@ class Client:
         self.unread_bytes = 0  # of replies that are being made, or were unread when we last looked
         self.unread_of: dict[bytes, int] = {}  # the latter, by connection
         self._made = 0  # the former
-        self._sent: deque[tuple[Tracker, int, bytes]] = deque()
+        self._sent: deque[tuple[zmq.MessageTracker, int, bytes]] = deque()
 
     # ---- requests that take long ------------------------------------------------------------
 
@@ -221,7 +181,7 @@ class Client:
         self._made += size
         self.unread_bytes += size
 
-    def sent(self, tracker: Tracker, size: int, sender: bytes) -> None:
+    def sent(self, tracker: zmq.MessageTracker, size: int, sender: bytes) -> None:
         """Replies of that many bytes were passed to ZeroMQ over a connection, the last of them with a tracker."""
         self._sent.append((tracker, size, sender))
         self.unread_of[sender] = self.unread_of.get(sender, 0) + size
@@ -247,7 +207,7 @@ class Client:
 class Clients:
     """All of them, by their names, and the client of each connection. The loop's thread."""
 
-    def __init__(self, bounds: Bounds, who: Callable[[str], Who]) -> None:
+    def __init__(self, bounds: Limits, who: Callable[[str], Principal]) -> None:
         """`who` finds clients by the ids of their connections (ZMQ's User-Id)."""
         self.bounds = bounds
         self._who = who
@@ -259,7 +219,7 @@ class Clients:
     def __iter__(self) -> Iterator[Client]:
         return iter(self._named.values())
 
-    def renew(self, bounds: Bounds) -> None:
+    def renew(self, bounds: Limits) -> None:
         """Use other bounds from now on; what waits is kept."""
         self.bounds = bounds
 
@@ -319,7 +279,7 @@ def place_of(pid: int | None, address: str) -> str:
     return f"pid {pid}" if pid is not None else address.removeprefix("::ffff:")
 
 
-def _name_of(who: Who) -> str:
+def _name_of(who: Principal) -> str:
     """A client's name for people: ``pid 123 (python3)``, ``key laptop``, or an address."""
     if who.pid is None:
         return f"key {who.name or who.key}" if who.key else who.address or "somebody"

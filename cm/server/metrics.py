@@ -13,7 +13,6 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Protocol
 
 from prometheus_client import generate_latest
 from prometheus_client.core import (
@@ -25,6 +24,7 @@ from prometheus_client.core import (
 
 from cm.manager.status_reports import ChangeCounts, Distribution, Histogram, Times
 from cm.server.client_quotas import with_holdings
+from cm.server.dispatcher import Dispatcher
 from cm.server.metrics_server import MetricsServer
 from cm.server.request_handlers import Services
 from cm.server.streams.stream import Moved
@@ -34,13 +34,6 @@ _LOG = logging.getLogger("cm")
 _LAG_EVERY = 0.1  # seconds between two measurements of how late the loop's timers are
 _LAG_SECONDS = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 5.0)
 _UNITS = {"temperature": "celsius", "voltage": "volts", "current": "amperes", "power": "watts"}
-
-
-class Requests(Protocol):
-    """What the dispatcher counts."""
-
-    taken: int  # requests
-    refused: Counter[str]  # by the error's code
 
 
 class _Page(CollectorRegistry):
@@ -58,7 +51,7 @@ class _Page(CollectorRegistry):
 class Metrics:
     """Serves them from `open` on. The loop's thread, but for `page`."""
 
-    def __init__(self, services: Services, requests: Requests) -> None:
+    def __init__(self, services: Services, requests: Dispatcher) -> None:
         self._s = services
         self._requests = requests
         self._lag = Histogram(_LAG_SECONDS)

@@ -26,7 +26,6 @@ from cm._version import __version__
 from cm.manager.manager import Manager
 from cm.manager.status_reports import Moment
 from cm.schema.model import ITEM_BYTES, Config, Stream
-from cm.server.client_quotas import Tracker
 from cm.server.interrupts import InterruptWatch
 from cm.server.settings.model import StreamSettings
 from cm.server.sockets import Loop
@@ -82,10 +81,10 @@ class Kept:
     def __init__(self, limit: int, mark: int, end_slowest: Callable[[], object]) -> None:
         self._limit, self._mark = limit * 3 // 2, mark * 3 // 2 + _ON_THEIR_WAY
         self._end_slowest = end_slowest
-        self._frames: deque[tuple[Tracker, int]] = deque()
+        self._frames: deque[tuple[zmq.MessageTracker, int]] = deque()
         self.bytes = 0  # as of the last look
 
-    def add(self, tracker: Tracker, size: int) -> None:
+    def add(self, tracker: zmq.MessageTracker, size: int) -> None:
         """Note a frame that was sent to its subscribers."""
         self._frames.append((tracker, size))
         self.bytes += size

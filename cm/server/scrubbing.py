@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping
+from concurrent.futures import Executor
 from functools import partial
-from typing import Protocol
 
 from cm.errors import CmError
 from cm.manager.execution.region_readback import Checked, Pace
@@ -26,17 +26,10 @@ _LOG = logging.getLogger("cm")
 SAFE = "safe"  # the mode that the policy of this name goes to
 
 
-class Thread(Protocol):
-    """Where files are read."""
-
-    def submit(self, work: Callable[[], None], /) -> object:
-        """Do it, later."""
-
-
 class Scrubber:
     """One per manager; the loop's thread, but for what `thread` does."""
 
-    def __init__(self, loop: Loop, manager: Manager, thread: Thread, settings: Mapping[str, ScrubSettings]) -> None:
+    def __init__(self, loop: Loop, manager: Manager, thread: Executor, settings: Mapping[str, ScrubSettings]) -> None:
         self._loop, self._manager, self._thread = loop, manager, thread
         self._settings = settings
         self._said: dict[str, str] = {}  # the last refusal by region, which is logged once
