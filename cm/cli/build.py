@@ -75,3 +75,16 @@ def assignment(text: str) -> tuple[str, str]:
     if match is None:
         raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE")
     return match[1], match[2] if match[2] is not None else "1"
+
+
+def add_parameter_option(parser: argparse.ArgumentParser) -> None:
+    """Parameters of the top, or of the modules that have them."""
+    parser.add_argument(
+        "-P", "--parameter", action="append", default=[], type=_parameter, metavar="NAME=VALUE", help="set a parameter"
+    )
+
+
+def _parameter(text: str) -> tuple[str, str]:
+    if "=" not in text:
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE")
+    return assignment(text)

@@ -6,9 +6,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from cm.cli.build import add_define_option
+from cm.cli.build import add_define_option, add_parameter_option
 from cm.cli.common import add_json_option, answer, naming
 from cm.design.errors import BuildError
+from cm.design.hdl.extract import Sources
 from cm.design.init import DEFAULT_PART, init_text, what_is_missing
 from cm.design.project.load import SCHEMA_FILE
 from cm.design.zypr import zypr_text
@@ -30,6 +31,7 @@ def fill_init(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--top", metavar="NAME", help="only this module")
     parser.add_argument("-I", "--include", action="append", default=[], type=Path, metavar="DIR", help="include folder")
     add_define_option(parser)
+    add_parameter_option(parser)
     parser.add_argument(
         "--cores",
         type=Path,
@@ -53,7 +55,8 @@ def run_init(args: argparse.Namespace) -> int:
         text = zypr_text(args.files[0], folder)
     else:
         name = args.name or folder.name
-        text = init_text(args.files, folder, name, args.part, args.top, args.cores, args.include, dict(args.define))
+        wanted = Sources(args.files, args.top, args.include, dict(args.define), dict(args.parameter))
+        text = init_text(wanted, folder, name, args.part, args.cores)
     folder.mkdir(parents=True, exist_ok=True)
     with naming(output):
         output.write_text(text, encoding="utf-8")

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from cm.cli.build import add_define_option, assignment
+from cm.cli.build import add_define_option, add_parameter_option
 from cm.cli.common import add_json_option, print_json, print_table
 from cm.design.hdl.compare_ipxact import Difference, compare
 from cm.design.hdl.extract import Sources
@@ -34,18 +34,10 @@ def fill_interfaces(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--all", action="store_true", help="show every module in the files")
     parser.add_argument("-I", "--include", action="append", default=[], type=Path, metavar="DIR", help="include folder")
     add_define_option(parser)
-    parser.add_argument(
-        "-P", "--parameter", action="append", default=[], type=_parameter, metavar="NAME=VALUE", help="set a parameter"
-    )
+    add_parameter_option(parser)
     parser.add_argument("--protocols", type=Path, metavar="FILE", help="your own protocols (YAML)")
     parser.add_argument("--ipxact", type=Path, metavar="FILE", help="compare with this component.xml")
     add_json_option(parser, run)
-
-
-def _parameter(text: str) -> tuple[str, str]:
-    if "=" not in text:
-        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE")
-    return assignment(text)
 
 
 def run(args: argparse.Namespace) -> int:

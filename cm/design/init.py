@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from cm.design.boundary.make import boundary
@@ -44,7 +44,7 @@ _BOARDS = {
     "xczu9eg-ffvb1156-2-e": "xilinx.com:zcu102:part0:3.4",
     "xck26-sfvc784-2LV-c": "xilinx.com:kv260_som:part0:1.4",
 }
-_NO_MACROS: Mapping[str, str] = MappingProxyType({})
+_INTEGER = re.compile(r"-?\d+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,29 +63,19 @@ class Proposal:
         return ", ".join(found)
 
 
-def init_text(
-    files: Sequence[Path],
-    folder: Path,
-    name: str,
-    part: str = DEFAULT_PART,
-    top: str | None = None,
-    cores: Sequence[Path] = (),
-    include_dirs: Sequence[Path] = (),
-    defines: Mapping[str, str] = _NO_MACROS,
-) -> str:
-    """Return the text of a build schema in `folder` for the modules in `files`.
+def init_text(wanted: Sources, folder: Path, name: str, part: str = DEFAULT_PART, cores: Sequence[Path] = ()) -> str:
+    """Return the text of a build schema in `folder` for the modules in the files of `wanted`.
 
     Files are HDL, FuseSoC cores (those that they depend on below `cores`), component.xml, .xci.
     Of HDL, modules that no other one instantiates and that have a bus interface become modules of one region;
-    with `top`, only that module does. Raises BuildError if there is none.
+    with a top, only that module does. Raises BuildError if there is none.
     """
     platform = platform_of(part)
-    wanted = Sources(files, top, include_dirs, defines)
     given = [_with_streams(one, wanted) for one in read_inputs(wanted, cores=cores)[0]]
-    read = [(one.flat, _keys(one, folder, cores, include_dirs) | _macros(one, defines)) for one in given]
+    read = [(one.flat, _keys(one, folder, cores, wanted.include_dirs) | _values(one, wanted)) for one in given]
     modules = [Proposal(identifier(info.name), info, keys) for info, keys in read if info.interfaces and info.usable]
     if not modules:
-        names = "; ".join(_why_not(info) for info, _ in read) or f"no module {top}"
+        names = "; ".join(_why_not(info) for info, _ in read) or f"no module {wanted.top}"
         raise BuildError(f"no module with a bus interface that could go into a region: found {names}")
     found = boundary({one.info.name: one.info for one in modules})  # whether they fit one region
     context = {
@@ -140,8 +130,12 @@ def _keys(given: Given, folder: Path, cores: Sequence[Path], include_dirs: Seque
     return {name: value for name, value in keys.items() if value}
 
 
-def _macros(given: Given, defines: Mapping[str, str]) -> dict[str, Any]:
-    return {"defines": dict(defines)} if defines and given.origin is None else {}
+def _values(given: Given, wanted: Sources) -> dict[str, Any]:
+    """The macros, and those of the parameters that the module has, as they were given for its HDL."""
+    own = {parameter.name.lower() for parameter in given.info.parameters if not parameter.local}
+    parameters = {n: int(v) if _INTEGER.fullmatch(v) else v for n, v in wanted.parameters.items() if n.lower() in own}
+    keys = {"defines": dict(wanted.defines), "parameters": parameters}
+    return {key: values for key, values in keys.items() if values and given.origin is None}
 
 
 def _register_maps(given: Given, sources: Sequence[Path], *component: Path) -> dict[str, Path]:

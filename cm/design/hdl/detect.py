@@ -197,7 +197,7 @@ class _Detection:
         """Add the streams that the build schema names, and ask about others if it says nothing."""
         wanted = {name.lower() for name in streams or ()}
         asked: dict[str, Candidate] = {}
-        for found in list(candidates(self._free.values(), stream)):
+        for found in list(candidates(self._unrejected(), stream)):
             mode = judge(found.name, stream, found.ports).mode
             if mode is None:
                 continue

@@ -31,6 +31,7 @@ _NO_HDL = {
     ".tcl": "write it under tcl:",
     **dict.fromkeys((".mem", ".hex", ".coe", ".mif", ".dat"), _BESIDE),
     **dict.fromkeys((".dcp", ".edf", ".edn", ".edif", ".ngc"), _NETLIST),
+    ".hwh": "it describes a whole design: cm import takes it, and register_map: its registers",
     **dict.fromkeys((".xpr", ".bd", ".xsa", ".hdf"), _PROJECT),
     **dict.fromkeys((".md", ".txt", ".yaml", ".yml"), "leave it out"),
 }

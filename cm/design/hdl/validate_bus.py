@@ -10,6 +10,7 @@ from cm.design.hdl.axi_signals import Protocol, axi_flavour
 from cm.design.hdl.model import FoundBy, Interface, Mode, Port
 from cm.frozen import dataclass
 
+_DATA_WIDTHS = frozenset(8 << power for power in range(8))  # IHI 0022, A1.2.1
 _ACE_RESPONSE = 4  # bits of RRESP (IHI 0022, D3.5)
 _TITLES = {"aximm": "AXI", "axis": "AXI4-Stream"}
 
@@ -61,7 +62,8 @@ def _odd(protocol: Protocol, ports: Mapping[str, Port]) -> str:
         bits = " or ".join(map(str, allowed))
         return f"{port.name} has {port.width} bits, and {signal} has {bits}: no AXI, or of a wrapper around it"
     data, strobes = ports.get("WDATA"), ports.get("WSTRB")
-    if data and strobes and data.width and strobes.width and strobes.width * 8 != data.width:
+    known = data is not None and data.width in _DATA_WIDTHS  # else a parameter without a value that can be
+    if known and data and strobes and strobes.width and strobes.width * 8 != data.width:
         return (
             f"{strobes.name} has {strobes.width} bits for the {data.width} of {data.name}: WSTRB has one for each byte"
         )

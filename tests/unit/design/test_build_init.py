@@ -117,3 +117,11 @@ def test_the_board_that_is_proposed_has_the_part(tmp_path: Path) -> None:
     schema = tmp_path / "build.yaml"
     assert main(["build", "init", *map(str, CAMERA), "-o", str(schema), "--part", "xck26-sfvc784-2LV-c"]) == 0
     assert "# board: xilinx.com:kv260_som:part0:1.4" in schema.read_text()
+
+
+def test_parameters_of_the_command_line_are_those_of_the_module(tmp_path: Path) -> None:
+    text = STREAM_MODULE.format(name="one", high="BITS-1").replace("module one (", "module one #(parameter BITS = 0) (")
+    (tmp_path / "one.v").write_text(text)
+    schema = tmp_path / "build.yaml"
+    assert main(["build", "init", str(tmp_path / "one.v"), "-P", "BITS=16", "-o", str(schema)]) == 0
+    assert load_project(schema).modules["one"].parameters == {"BITS": 16}

@@ -246,6 +246,7 @@ def test_a_runtime_schema_and_a_folder_in_its_place_are_told_what_they_are(
         ("pins.xdc", "write it under constraints:"),
         ("rom.mem", "it lies beside the file that reads it, and is not listed"),
         ("design.BD", "name the files that it is made of"),
+        ("design.hwh", "it describes a whole design: cm import takes it, and register_map: its registers"),
         ("README.md", "leave it out"),
     ],
 )

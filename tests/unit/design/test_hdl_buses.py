@@ -109,3 +109,15 @@ def test_a_reset_with_the_name_of_a_stream_is_that_of_its_side(tmp_path: Path) -
     found = ports(tmp_path, text)
     assert [(reset.port, reset.clock) for reset in found.resets] == [("In_RstIn", "In_Clk")]
     assert "goes with the stream In" in [left.reason for left in found.leftovers]
+
+
+def test_channels_of_a_bus_that_is_none_are_no_streams(tmp_path: Path) -> None:
+    text = lite_as("cfg_{c}_{s}").replace("input [1:0] cfg_r_resp", "input [3:0] cfg_r_resp")
+    found = ports(tmp_path, text)
+    assert (found.interfaces, found.asked) == ((), ())
+    assert "it is ACE" in {left.port: left.reason for left in found.leftovers}["cfg_w_data"]
+
+
+def test_a_parameter_without_a_usual_value_does_not_hide_a_bus(tmp_path: Path) -> None:
+    text = lite("s_").replace("[31:0]", "[WIDTH-1:0]").replace("[3:0]", "[WIDTH/8-1:0]") + "input clk"
+    assert [bus.protocol for bus in ports(tmp_path, text, "parameter WIDTH = 0").interfaces] == ["axi4lite"]
