@@ -13,8 +13,8 @@ from cm.design.errors import BuildError, MissingTool
 from cm.formats.registers import Item, MemoryInfo, RegisterField, RegisterInfo
 
 _ACCESS = {(True, True): "read-write", (True, False): "read-only", (False, True): "write-only", (False, False): "none"}
-_READS = {"rclr": "clear", "rset": "set", "ruser": "modify"}
-_WRITES = {
+READS = {"rclr": "clear", "rset": "set", "ruser": "modify"}
+WRITES = {
     "woset": "oneToSet",
     "woclr": "oneToClear",
     "wot": "oneToToggle",
@@ -92,8 +92,8 @@ def _field(part: Any, register: str, notes: list[str]) -> RegisterField:
         lsb=part.low,
         width=part.width,
         access="read-only" if access == "none" else access,
-        write=pulse or _WRITES.get(getattr(part.get_property("onwrite"), "name", ""), ""),
-        read=_READS.get(getattr(part.get_property("onread"), "name", ""), ""),
+        write=pulse or WRITES.get(getattr(part.get_property("onwrite"), "name", ""), ""),
+        read=READS.get(getattr(part.get_property("onread"), "name", ""), ""),
         reset=reset if isinstance(reset, int) else None,
         values=MappingProxyType({item.name: item.value for item in encode} if encode is not None else {}),
         volatile=part.is_hw_writable or part.is_volatile,

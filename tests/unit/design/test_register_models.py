@@ -254,3 +254,38 @@ def test_what_peakrdl_exports_as_ip_xact_is_read_as_the_systemrdl_itself(standar
         }
 
     assert told(read_register_map(path, "m")) == told(read_register_map(tmp_path / "m.rdl", "m"))
+
+
+AXION = """{"module": "filter", "base_addr": "0x0000", "config": {"cdc_en": false, "cdc_stage": 2}, "registers": [
+ {"name": "status", "addr": "0x00", "access": "RO", "width": 32, "description": "What it does"},
+ {"name": "total", "addr": "0x08", "access": "RO", "width": 64},
+ {"name": "control", "addr": "0x04", "access": "RW", "width": 32, "fields": [
+  {"name": "mode", "bit_offset": 0, "width": 2, "access": "RW", "default": "0x2",
+   "enum_values": {"0": "OFF", "2": "ON"}},
+  {"name": "go", "bit_offset": 8, "width": 1, "access": "WO"}]}]}"""
+
+
+def test_the_json_of_axion_hdl_is_read(tmp_path: Path) -> None:
+    """As `generate_json` of axion-hdl 1.7 writes it."""
+    (tmp_path / "filter.json").write_text(AXION)
+    found = read_register_map(tmp_path / "filter.json", "filter")
+    assert places(found) == {"status": 0, "total_0": 8, "total_1": 12, "control": 4}
+    assert (accesses(found, "control"), found.registers["control"].reset) == ({"mode": "rw", "go": "wo"}, 2)
+    assert dict(found.registers["control"].fields["mode"].values) == {"off": 0, "on": 2}
+    assert found.registers["status"].access.value == "ro"
+
+
+BUST = """{"bus": {"type": "axi", "addr_width": 32, "data_width": 32}, "module": {"name": "filter", "register": [
+ {"name": "seen", "type": "bit", "sw": "rw", "hw": "w", "onwrite": "woclr"},
+ {"name": "control", "address": "0x10", "type": "fields", "fields": [
+  {"name": "mode", "type": "vector", "width": 2, "reset": 2, "enums": [{"name": "on", "value": 2}]},
+  {"name": "go", "type": "bit", "singlepulse": true}]},
+ {"name": "level", "hw": "w", "sw": "r", "onread": "rclr"}]}}"""
+
+
+def test_the_json_of_bust_is_read(tmp_path: Path) -> None:
+    (tmp_path / "filter.json").write_text(BUST)
+    found = read_register_map(tmp_path / "filter.json", "filter")
+    assert places(found) == {"seen": 0, "control": 0x10, "level": 4}
+    assert (accesses(found, "control"), found.registers["control"].reset) == ({"mode": "rw", "go": "w1s"}, 2)
+    assert (accesses(found, "level"), accesses(found, "seen")) == ({"level": "rc"}, {"seen": "w1c"})
