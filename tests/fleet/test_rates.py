@@ -66,7 +66,7 @@ def test_six_boards_at_rest_send_no_more_than_six_frames_a_second(six: Fleet) ->
 
 @needs_root
 @pytest.mark.timeout(600)
-def test_a_change_takes_few_round_trips_beyond_its_slowest_load(six: Fleet) -> None:
+def test_a_change_takes_a_dozen_round_trips_at_most_beyond_its_slowest_load(six: Fleet) -> None:
     networks, endpoint, _ = six
     for name in BOARDS:
         networks.set(name, delay=0.05)
@@ -77,4 +77,4 @@ def test_a_change_takes_few_round_trips_beyond_its_slowest_load(six: Fleet) -> N
             load = max(state.seconds for state in course.figures.values())
             trips.append((course.seconds - load) / 0.05)
     print(f"round trips beyond the slowest load: {', '.join(f'{each:.1f}' for each in trips)}; {course.legs}")
-    assert min(trips) <= 8.0
+    assert min(trips) <= 12.0  # the boards and the keeper are twice as far from each other

@@ -262,7 +262,8 @@ class Rounds:
         try:
             until(self._settled, SETTLED + BUSY)
         except AssertionError:
-            raise AssertionError(f"{title}: {told}, not settled: {self.fleet.status()}") from None
+            states = {name: getattr(each, "fleet", each) for name, each in self.fleet.status().items()}
+            raise AssertionError(f"{title}: {told}, not settled: {states}") from None
         took = time.monotonic() - begun
         self.longest = max(self.longest, took)
         return f"{title}: {told or 'dead'}, settled in {took:.1f} s"

@@ -7,7 +7,7 @@ import asyncio
 import contextlib
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -109,8 +109,8 @@ def is_alive(session: Any, key: str) -> bool:
     return any(reply.ok is not None for reply in session.liveliness().get(key, timeout=2.0))
 
 
-def hears(network: Network, key: str, timeout: float) -> bool | None:
-    """Whether who offers `key` answers a member that has just come; None if there is no network to ask it over.
+def hears(network: Network, keys: Iterable[str], timeout: float) -> bool | None:
+    """Whether who offers these keys answers a member that has just come; None if there is no network to ask it over.
 
     A session is never given its own queries back, so this is one of its own, for a moment.
     """
@@ -119,8 +119,8 @@ def hears(network: Network, key: str, timeout: float) -> bool | None:
     except NoNetwork:
         return None
     try:
-        replies = list(opened.get(key, timeout=timeout))
-        return any(each.ok is not None or bytes(each.err.payload) != b"Timeout" for each in replies)
+        found = [list(opened.get(key, timeout=timeout)) for key in keys]
+        return all(any(r.ok is not None or bytes(r.err.payload) != b"Timeout" for r in replies) for replies in found)
     finally:
         closed(opened)
 

@@ -20,19 +20,19 @@ def listened(monkeypatch: pytest.MonkeyPatch, heard: Iterable[bool | None]) -> i
     """How many questions to itself a bridge needs, of those with these answers, until it knows that it is deaf."""
     answers, asked = iter(heard), []
 
-    def ask(_: Network, key: str, timeout: float) -> bool | None:
-        asked.append((key, timeout))
+    def ask(_: Network, keys: Iterable[str], timeout: float) -> bool | None:
+        asked.append((*keys, timeout))
         return next(answers)
 
     monkeypatch.setattr(bridge_process, "hears", ask)
     monkeypatch.setattr(bridge_process, "_HEAR", 0.0)
     monkeypatch.setattr(bridge_process, "_LISTEN", 0.0)
     monkeypatch.setattr(bridge_process, "_RECONNECT", 0.0)
-    bridge = Bridge(Options(Network(), Path("/nowhere")), lambda _: None)
+    bridge = Bridge(Options(Network(), Path("/nowhere"), keeps=True), lambda _: None)
     bridge._board = MagicMock()
     with pytest.raises(Deaf, match="opened anew"):
         asyncio.run(bridge._hear("b1"))
-    assert {key for key, _ in asked} == {"cm/b1/alive"}
+    assert set(asked) == {("cm/b1/alive", "cm-store/get/b1", 5.0)}
     return len(asked)
 
 
@@ -53,13 +53,14 @@ def test_it_is_deaf_if_nothing_comes_twice_where_something_did_before(
 def test_another_session_tells_whether_who_offers_a_key_answers() -> None:
     port = free_ports()
     network = Network(connect=(f"tcp/127.0.0.1:{port}",))
-    assert hears(network, "cm/b1/alive", 5.0) is None
+    assert hears(network, ["cm/b1/alive"], 5.0) is None
     router = session(Network(mode="router", listen=(f"tcp/127.0.0.1:{port}",)))
     try:
-        assert hears(network, "cm/b1/alive", 5.0) is False
+        assert hears(network, ["cm/b1/alive"], 5.0) is False
         board = session(network)
         offered = board.declare_queryable("cm/b1/**", lambda query: query.reply_err(b"nothing there"), complete=True)
-        assert hears(network, "cm/b1/alive", 5.0) is True
+        assert hears(network, ["cm/b1/alive"], 5.0) is True
+        assert hears(network, ["cm/b1/alive", "cm-store/get/b1"], 5.0) is False  # one of two
         offered.undeclare()
         closed(board)
     finally:

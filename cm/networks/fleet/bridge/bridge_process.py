@@ -234,13 +234,13 @@ class Bridge:
         Who never heard itself has rules, or a network, that let it not. After the middle of a network stood still, a
         session may be up on both sides, and bring nothing any more.
         """
+        asked = [keys.key(board, "alive"), *([f"{keys.STORE}/get/{board}"] if self.options.keeps else ())]
         missed, before, last, quiet_until = 0, False, self._board.state, 0.0
         while missed < 2:
             await asyncio.sleep(_RECONNECT if missed else _LISTEN)
             if not missed and self._board.state == last and time.monotonic() < quiet_until:
                 continue
-            asked = self.options.network, keys.key(board, "alive"), _ANSWER
-            heard = await asyncio.to_thread(hears, *asked)
+            heard = await asyncio.to_thread(hears, self.options.network, asked, _ANSWER)
             before, last = before or bool(heard), self._board.state
             quiet_until = time.monotonic() + (0.0 if heard is None else _HEAR)
             missed = missed + 1 if before and heard is False else 0
