@@ -18,8 +18,8 @@ from cm.networks.fleet.zenoh_session import zenoh_module
 from cm.wire.messages.fleet import FetchBundle
 
 PART = 1 << 20  # bytes that have a hash of their own
-_LEAST, _MOST = 1 << 12, 1 << 18  # bytes of a piece, of which a part is made
-_WORTH, _WINDOW = 0.25, 2  # seconds that a piece takes, and how many are under way
+_LEAST, _MOST = 1 << 9, 1 << 18  # bytes of a piece, of which a part is made
+_WORTH, _WINDOW = 0.1, 2  # seconds that a piece takes, and how many are under way
 _TIMEOUT = 20.0  # seconds for a piece
 PATIENCE = 10.0  # seconds until all routers know a sender
 _BETWEEN_TRIES = 0.1  # seconds
@@ -105,7 +105,7 @@ def fetched(
 
 
 class Pace:
-    """How long a piece may be: what comes in a quarter of a second, as far as that is known."""
+    """How long a piece may be: what comes in a tenth of a second, as far as that is known."""
 
     def __init__(self) -> None:
         self.length = _LEAST

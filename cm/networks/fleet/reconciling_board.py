@@ -301,6 +301,11 @@ class Board:
         """Whether it is in the inventory, as far as is known."""
         return self._view.settings is not None
 
+    @property
+    def in_a_change(self) -> bool:
+        """Whether one is open here, as far as is known."""
+        return self._notes.part is not None or self._view.open is not None
+
     def seen(self, place: Place) -> None:
         """Take what its manager says; if nothing that is done here explains it, somebody has taken it elsewhere."""
         if self._notes.part is None and not self._going and place != self.place:

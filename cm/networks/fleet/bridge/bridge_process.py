@@ -125,8 +125,7 @@ class Bridge:
         store = opened_store(self.options.network, network, board)
         managed = ManagedBoard(relay, self.options.own_name, self._seen_now)
         self._board = Board(board, store, managed, NotesFile(folder), time.monotonic, self.options.follow)
-        busy = lambda: bool(self._board.state.change)  # noqa: E731
-        bundles = Bundles(network, folder / "bundles", self.options.take, managed, busy)
+        bundles = Bundles(network, folder / "bundles", self.options.take, managed, lambda: self._board.in_a_change)
         publications = Publications(board, network, relay, self._with_extras)
         queries = Queries(board, network, self._board, managed, partial(self._status_now, relay), bundles.fetch)
         self._clock = await asyncio.to_thread(clock.read)
