@@ -6,9 +6,10 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cm.cli.common import add_json_option, answer, digits, naming, parsed, print_json
+from cm.errors import CmError
 from cm.formats.importers import Imported, import_dfx_mgr, import_pynq, unpack, write
 from cm.schema import dump
 from cm.server.settings.model import Settings
@@ -65,7 +66,7 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Import; 0 unless the package is refused."""
-    more = {"hwh": args.hwh} if args.format == "pynq" else {}
+    more = {"hwh": args.hwh, "make": _overlay_of if args.out else None} if args.format == "pynq" else {}
     imported: Imported = args.importer(args.source, **more)
     files = []
     if args.out:
@@ -81,6 +82,20 @@ def run(args: argparse.Namespace) -> int:
     for note in imported.notes:
         print(f"# not carried over: {note}" if not files else f"  note: {note}")
     return 0
+
+
+def _overlay_of(design: Any, config: Any, names: Any, notes: list[str]) -> dict[str, bytes]:
+    """As `cm build collect` makes it; nothing, and a note, where that is not installed."""
+    try:
+        from cm.design.collect.foreign import overlay_of
+    except ImportError as error:
+        notes.append(f"no overlay was made: {error} (pip install 'fpga-cm[build]')")
+        return {}
+    try:
+        return overlay_of(design, config, names, notes)
+    except CmError as error:
+        notes.append(f"no overlay was made: {error}")
+        return {}
 
 
 def run_archive(args: argparse.Namespace) -> int:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -89,6 +89,17 @@ def _overlay_of(whole: Handoff, config: Config, notes: list[str]) -> dict[str, s
     dma, lines = engines(whole.design, platform), interrupts(whole.design, platform)
     notes += [*dma.notes, *handoff.limits(whole.design), *lines.notes]
     return {f"{config.name}_static": overlay(whole.design, config, platform, dma, lines)}
+
+
+def overlay_of(
+    design: hwh.Hwh, config: Config, names: Mapping[hwh.DmaChannel, str], notes: list[str]
+) -> dict[str, bytes]:
+    """The overlay of a configuration that was imported: ``<config>.dtbo``, or without dtc its source."""
+    platform = platform_of(config.device or "")
+    dma, lines = engines(design, platform, names), interrupts(design, platform)
+    found, more = compile_overlays({config.name: overlay(design, config, platform, dma, lines)})
+    notes += [*dma.notes, *lines.notes, *more]
+    return found
 
 
 def _with_image(config: Config, image: Image) -> tuple[Config, dict[str, bytes]]:

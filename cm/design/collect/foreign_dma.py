@@ -74,11 +74,11 @@ def stream_names(channels: Iterable[hwh.DmaChannel], design: hwh.Hwh) -> dict[hw
     return found
 
 
-def engines(design: hwh.Hwh, platform: Platform) -> Engines:
-    """Every engine whose address and interrupts can be described to the kernel."""
+def engines(design: hwh.Hwh, platform: Platform, names: Mapping[hwh.DmaChannel, str] | None = None) -> Engines:
+    """Every engine whose address and interrupts can be described to the kernel; `names` of their streams."""
     result = Engines()
     listed = hwh.dma_channels(design)
-    names = stream_names(listed, design)
+    names = names or stream_names(listed, design)
     lines = {(line.instance, line.port): line for line in hwh.interrupts(design)}
     windows = {window.instance: window for window in reversed(hwh.windows(design))}
     for instance in dict.fromkeys(channel.instance for channel in listed):

@@ -8,8 +8,9 @@ partial is for is not written in the package. Its name or its `.hwh` usually say
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import TypeAlias
 
 from cm.formats import hwh as handoff
 from cm.formats.bitstream import BitstreamError, Expectation, Report, footprint_of, inspect, outside, verify
@@ -50,8 +51,10 @@ _HLS_STATUS = 0x0C
 _DRIVEN = ("axi_dma", "axi_vdma", "axi_mcdma", "axi_intc", "axi_cdma")
 
 
-def import_pynq(bit: Path, hwh: Path | None = None) -> Imported:
-    """Make runtime schemas of a PYNQ overlay; `hwh` is its description, if that has another name.
+def import_pynq(bit: Path, hwh: Path | None = None, make: MakeOverlay | None = None) -> Imported:
+    """Make a runtime schema of a PYNQ overlay; `hwh` is its description, if that has another name.
+
+    `make` makes the overlay of a package that has none.
 
     Raises `ImportRefused`, `HwhError`, or a `BitstreamError` for a bitstream that must not be loaded.
     """
@@ -67,7 +70,15 @@ def import_pynq(bit: Path, hwh: Path | None = None) -> Imported:
     notes += _strangers(bit, report, design)
     static = _static(bit.resolve(), report, design, links, notes)
     config = _with_regions(static, bit.resolve(), report, design, notes)
-    return Imported(configs=(config,), notes=tuple(notes), source=bit.name, links=frozen(links))
+    files: dict[str, bytes] = {}
+    if not config.overlays and make is not None and handoff.processor(design) is not None:
+        files = make(design, config, _names(design), notes)
+        made = f"{config.name}.dtbo" in files
+        config = replace(config, overlays=(Overlay(config.name),) if made else ())
+        notes += [f"{name}: made of the .hwh, since the package has none" for name in files]
+    elif not config.overlays:
+        notes.append(f"{bit.stem}.dtbo: not there; without an overlay no driver is bound, and registers need UIO nodes")
+    return Imported((config,), tuple(notes), bit.name, frozen(links), frozen(files))
 
 
 def _strangers(bit: Path, report: Report, hwh: Hwh) -> list[str]:
@@ -155,22 +166,30 @@ def _overlays(bit: Path, links: dict[str, Path], notes: list[str]) -> tuple[Over
         name = to_name(bit.stem)
         links |= {**more, f"{name}.dtbo": path} if more else {}
         return (Overlay(name, None if more else path),)
-    notes.append(
-        f"{path.name}: not there; without an overlay no driver is bound, so registers need UIO nodes otherwise"
-    )
     return ()
 
 
-def _streams(hwh: Hwh, notes: list[str]) -> dict[str, Stream]:
+MakeOverlay: TypeAlias = "Callable[[Hwh, Config, Mapping[DmaChannel, str], list[str]], dict[str, bytes]]"
+
+
+def _names(hwh: Hwh) -> dict[DmaChannel, str]:
+    """What channels are called, in the schema and in /dev/cm_dma."""
     names, found = UniqueNames(longest=_NODE), {}
+    for channel in handoff.dma_channels(hwh):
+        end = f"_{channel.direction}" + (f"_{channel.number}" if channel.kind == "axi_mcdma" else "")
+        found[channel] = names.take(identifier(channel.instance)[: _NODE - len(end)] + end)
+    return found
+
+
+def _streams(hwh: Hwh, notes: list[str]) -> dict[str, Stream]:
+    names, found = _names(hwh), {}
     lines = {(line.instance, line.port): line for line in handoff.interrupts(hwh)}
     for channel in handoff.dma_channels(hwh):
         if channel.kind == "axi_mcdma":
             note = f"{channel.instance}: a multichannel DMA; its channels are left out"
             notes += [note] if note not in notes else []
             continue
-        end = f"_{channel.direction}"
-        name = names.take(identifier(channel.instance)[: _NODE - len(end)] + end)
+        name = names[channel]
         doc = f"{channel.kind} {channel.instance}, {channel.width} bits wide"
         if channel.limits:
             doc += f"; {channel.limits}"

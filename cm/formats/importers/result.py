@@ -50,13 +50,14 @@ class ImportRefused(CmError, ValueError):
 class Imported:
     """Configurations with absolute paths, and what could not be carried over.
 
-    `links`: names that must stand beside the schema and the files that they stand for.
+    `links`: names that must stand beside the schema and the files that they stand for; `files`: what was made for it.
     """
 
     configs: tuple[Config, ...]
     notes: tuple[str, ...]
     source: str  # the package's name, as a line in the schemas says it
     links: Mapping[str, Path] = field(default_factory=lambda: MappingProxyType({}))
+    files: Mapping[str, bytes] = field(default_factory=lambda: MappingProxyType({}))
 
 
 def frozen(items: Mapping[str, _T]) -> Mapping[str, _T]:
@@ -92,6 +93,8 @@ def write(imported: Imported, folder: Path, force: bool = False) -> list[Path]:
             _check_replaced(path, path.read_text(encoding="utf-8"), text)
     for path, text in texts.items():
         path.write_text(text, encoding="utf-8")
+    for name, data in imported.files.items():
+        (folder / name).write_bytes(data)
     for name, target in imported.links.items():
         _link(folder / name, target)
     return list(texts)

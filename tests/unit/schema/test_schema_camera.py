@@ -183,7 +183,10 @@ def test_files_are_looked_for_beside_the_schema_then_under_the_firmware_folders(
 def test_a_missing_file_is_reported_with_the_places_looked_at(tmp_path: Path) -> None:
     (tmp_path / "c.yaml").write_text("config: {name: c, modules: [edge], modes: {m: {}}}")
     config = cm.schema.load(tmp_path / "c.yaml")
-    with pytest.raises(FileMissing, match=r"no file edge\.bit or edge\.bin or edge\.bit\.bin in /.*/lib/firmware/cm/c, /.*/lib/firmware$"):
+    with pytest.raises(
+        FileMissing,
+        match=r"no file edge\.bit or edge\.bin or edge\.bit\.bin in /.*/lib/firmware/cm/c, /.*/lib/firmware$",
+    ):
         bitstream_path(config, "edge", tmp_path)
     with pytest.raises(NotFound, match="did you mean edge"):
         bitstream_path(config, "edgy", tmp_path)
