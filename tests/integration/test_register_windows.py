@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from cm.client.errors import (
     WindowRevoked,
 )
 from cm.errors import Timeout
+from cm.server.window_clients import EACH
 from cm.simulation.software import Board as SimBoard
 from cm.wire import plane_packets as packets
 
@@ -242,11 +243,14 @@ def test_a_window_ends_with_its_board(edge: cm.Board, manager: Manager) -> None:
     until(lambda: not edge.status.windows)
 
 
-def test_a_process_has_so_many(edge: cm.Board) -> None:
-    held = [edge.registers.window("edge", write=False) for _ in range(8)]
-    assert code(lambda: edge.registers.window("edge")) == "busy"
-    for window in held:
-        window.close()
+def test_the_processes_of_a_user_have_so_many(edge: cm.Board, manager: Manager) -> None:
+    """Eight processes took all that there are."""
+    with ExitStack() as stack:
+        for _ in range(EACH // 8):
+            board = stack.enter_context(manager.connected())
+            for _ in range(8):
+                stack.callback(board.registers.window("edge", write=False).close)
+        assert code(lambda: edge.registers.window("edge")) == "busy"
     until(lambda: not edge.status.windows)
 
 

@@ -412,7 +412,8 @@ def test_each_request_is_refused_at_each_door_to_each_role_below_its_own() -> No
         guests = ", ".join(f"'to:{role.name}': [{name}]" for role, name in names.items())
         settings = folder / "cm.yaml"
         settings.write_text(
-            f"state_dir: {folder}/state\naccess: {{group: '{GROUP}', local: [], users: {{{users}}}, guests: {{{guests}}}}}\n"
+            f"state_dir: {folder}/state\n"
+            f"access: {{group: '{GROUP}', local: [], users: {{{users}}}, guests: {{{guests}}}}}\n"
         )
         arguments = ("--settings", str(settings), "--config", str(CAMERA), "--root", str(sim.root))
         manager = Manager(folder / "run", *arguments, service=True).start()
