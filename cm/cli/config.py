@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm config list|send|remove|check|versions|rollback``: configurations of a manager, in files, and earlier ones."""
+"""``cm config list|show|send|remove|check|versions|rollback``: configurations of a manager, in files, earlier ones."""
 
 from __future__ import annotations
 
@@ -33,6 +33,10 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
 def _add_to_manager(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     listing = actions.add_parser("list", help="list the configurations and their modes")
     add_board_options(listing, run_list)
+    show = actions.add_parser("show", help="show a configuration: its modes, registers, streams, interrupts, memories")
+    completes(show.add_argument("config", metavar="CONFIG", nargs="?", default=""), "<config>")
+    show.add_argument("--yaml", action="store_true", help="its runtime schema, as the manager has it")
+    add_board_options(show, run_show)
     send = actions.add_parser(
         "send", help="send a schema file, and the bitstreams and overlays that belong to it, to the manager"
     )
@@ -95,6 +99,22 @@ def run_list(args: argparse.Namespace) -> int:
         for m in c.modes
     ]
     return answer_table(args, found, rows, ("CONFIG", "TYPE", "MODE", "MODULES", *(["SENT BY"] if sent else []), ""))
+
+
+def run_show(args: argparse.Namespace) -> int:
+    """Print one configuration, the loaded one without a name; the exit status."""
+    with connected(args) as board:
+        config = board.config(args.config)
+    if args.yaml:
+        return answer(args, config.schema, config.schema.rstrip("\n"))
+    rows = [
+        ("mode", m.name, ", ".join(m.modules) + (" (loaded)" if m.name == config.mode else "")) for m in config.modes
+    ]
+    rows += [("register", r.name, r.doc) for r in config.registers]
+    rows += [("stream", s.name, f"{s.direction} {'x'.join(map(str, s.shape))} {s.dtype}") for s in config.streams]
+    rows += [("interrupt", i.name, i.doc) for i in config.interrupts]
+    rows += [("memory", m.name, m.doc) for m in config.memories]
+    return answer_table(args, plain(config), rows, (config.name, "NAME", ""))
 
 
 def _origin(entry: ConfigEntry | None) -> dict[str, object]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import islice
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,7 @@ from cm.cli.common import add_board_options, answer, answer_table, completes, in
 from cm.cli.connection import check_reader, connected, followed
 from cm.client.core import registers
 from cm.wire.messages.json_values import plain
-from cm.wire.messages.status import RegisterInfo
+from cm.wire.messages.status import FieldInfo, RegisterInfo
 
 if TYPE_CHECKING:
     from cm.client.board import Board
@@ -81,7 +81,30 @@ def _rows(r: RegisterInfo) -> list[tuple[str, str, int, str, str, str, str]]:
 def run_read(args: argparse.Namespace) -> int:
     """Print values; the exit status."""
     with connected(args) as board:
-        return _show(args, board.registers.read(*args.names))
+        values = board.registers.read(*args.names)
+        info = board.registers.info
+    if args.json:
+        return _show(args, values)
+    rows = [row for name, value in values.items() for row in _read_rows(name, value, info)]
+    return answer_table(args, values, rows, ("NAME", "VALUE", "HEX", "MEANS"))
+
+
+def _read_rows(name: str, value: int, info: Mapping[str, RegisterInfo]) -> list[tuple[str, int, str, str]]:
+    """A register with its fields below it, or a field; the names that the schema gives to values."""
+    of, _, part = name.partition(".")
+    fields = info[of].fields if of in info else ()
+    if part:
+        return [(name, value, f"{value:#x}", _named(f, value)) for f in fields if f.name == part]
+    rows = [(name, value, f"{value:#x}", "")]
+    for f in fields:
+        if f.access != "wo":
+            held = value >> f.lsb & ((1 << f.width) - 1)
+            rows.append((f"  .{f.name}", held, f"{held:#x}", _named(f, held)))
+    return rows
+
+
+def _named(field: FieldInfo, value: int) -> str:
+    return next((name for name, number in field.values if number == value), "")
 
 
 def run_write(args: argparse.Namespace) -> int:

@@ -35,6 +35,7 @@ from cm.wire.messages import requests as rq
 from cm.wire.messages.requests import ConfigureStream, DefineMemory
 from cm.wire.messages.status import (
     ClientStatus,
+    ClockStatus,
     ConfigEntry,
     ConfigInfo,
     FrameInfo,
@@ -42,6 +43,7 @@ from cm.wire.messages.status import (
     PlanInfo,
     RegionCheck,
     RegionMap,
+    RegionStatus,
     Status,
     StreamStatus,
 )
@@ -162,6 +164,21 @@ class Board(Guarded):
     def status(self) -> Status:
         """The state of the PL now."""
         return self.ask(calls.status())
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """The modes of the loaded configuration."""
+        return tuple([mode.name for mode in (self.ask(calls.describe())).modes])
+
+    @property
+    def regions(self) -> dict[str, RegionStatus]:
+        """The regions by name: the module in each, and its state."""
+        return {region.name: region for region in (self.ask(calls.status())).regions}
+
+    @property
+    def clocks(self) -> dict[str, ClockStatus]:
+        """The clocks by name: the rate that the configuration wants, and the one that each has, in Hz."""
+        return {clock.name: clock for clock in (self.ask(calls.status())).clocks}
 
     def break_lease(self, number: int) -> LeaseInfo:
         """End another client's lease, by its number in `status.leases`; needs the role admin."""

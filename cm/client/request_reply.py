@@ -183,7 +183,7 @@ class Link:
                 )
 
     def _send(self, frames: Sequence[Any]) -> None:
-        """Raise if it cannot be sent. A socket whose peer broke the protocol has none for ever: a new one takes its place."""
+        """Raise if it cannot be sent. A socket whose peer broke the protocol has none any more: it is made anew."""
         try:
             multipart.send(self._socket, frames, _NOBLOCK)
         except zmq.Again:

@@ -222,9 +222,7 @@ class FakeManager:
     def _reply(self, connection: socket.socket, case: str) -> None:
         if not self._shaken(connection, case, b"ROUTER"):
             return
-        for (
-            at
-        ) in itertools.count():  # the first answer is right: there is a connection that has to live through the next
+        for at in itertools.count():  # the first answer is right: the connection has to live through the next
             number, *rest = _received(connection)
             topic = rest[rest.index(b"") + 1]
             if topic == b"cm_read_data" and case in FRAMES:
@@ -234,7 +232,8 @@ class FakeManager:
             elif case in REPLIES and at:
                 connection.sendall(REPLIES[case](number, topic, _good(topic)))
                 if case == "cut off":
-                    return connection.shutdown(socket.SHUT_RDWR)
+                    connection.shutdown(socket.SHUT_RDWR)
+                    return
             else:
                 connection.sendall(
                     _right(number, topic, _good(topic), *([b"abcd"] if topic == b"cm_read_data" else []))

@@ -49,9 +49,9 @@ SAID = [*CONNECTING, *REPLIES, *FRAMES, "hangs up"]
 @pytest.fixture
 def fake(request: pytest.FixtureRequest) -> Iterator[FakeManager]:
     """Its folder's name is short, for sockets."""
-    with tempfile.TemporaryDirectory(prefix="cm-f-") as folder:
-        with FakeManager(Path(folder), getattr(request, "param", False)).serving() as manager:
-            yield manager
+    data = getattr(request, "param", False)
+    with tempfile.TemporaryDirectory(prefix="cm-f-") as folder, FakeManager(Path(folder), data).serving() as manager:
+        yield manager
 
 
 data_socket = pytest.mark.parametrize("fake", [True], indirect=True, ids=["data"])

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import os
 import pty
+import re
 import select
 import signal
 import subprocess
@@ -294,6 +295,58 @@ def test_a_board_in_no_mode_is_not_told_as_one_that_is_well(
         board.mode = "default"
     assert main(["doctor", *there, "--root", str(sim.root)]) == 0
     assert "camera/default" in capsys.readouterr().out
+
+
+def test_registers_are_read_with_their_fields_and_the_names_of_values(
+    manager: Manager, board: cm.Board, capsys: pytest.CaptureFixture[str]
+) -> None:
+    board.registers.write({"led.pattern": 5, "led.blink": "fast"})
+    there = ["--runtime-dir", str(manager.runtime)]
+    assert main(["reg", "read", "led", *there]) == 0
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert rows == [
+        ["NAME", "VALUE", "HEX", "MEANS"],
+        ["led", "37", "0x25"],
+        [".pattern", "5", "0x5"],
+        [".blink", "2", "0x2", "fast"],
+    ]
+    assert main(["reg", "read", "led.blink", *there]) == 0
+    assert capsys.readouterr().out.splitlines()[1].split() == ["led.blink", "2", "0x2", "fast"]
+
+
+def test_a_configuration_is_shown_and_its_schema_as_it_was_given(
+    manager: Manager, board: cm.Board, capsys: pytest.CaptureFixture[str]
+) -> None:
+    board.load("camera", "default")
+    there = ["--runtime-dir", str(manager.runtime)]
+    assert main(["config", "show", "camera", *there]) == 0
+    out = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert out[0][0] == "camera"
+    assert {tuple(row[:2]) for row in out} >= {("mode", "edge_detection"), ("register", "led"), ("stream", "camera")}
+    assert main(["config", "show", "--yaml", *there]) == 0
+    assert "name: camera" in capsys.readouterr().out
+
+
+def test_interrupts_of_several_names_are_watched_in_a_form_of_ones_own(manager: Manager, board: cm.Board) -> None:
+    board.load("camera", "edge_detection")
+    watch = ["irq", "watch", "frame_done", "--count", "2", "--format", "%l=%n at %S %U 100%%"]
+    with board.stream("camera", timeout=60), told(manager, *watch) as process:
+        first, second = lines(process, 2)
+        assert process.wait(60) == 0
+    found = re.fullmatch(r"frame_done=(\d+) at \d+\.\d{9} 20\d\d-\d\d-\d\dT[\d:.]+Z 100%", first)
+    assert found, first
+    assert second.startswith(f"frame_done={int(found[1]) + 1} at ")
+
+
+def test_what_people_look_for_first_is_there(board: cm.Board) -> None:
+    board.load("camera", "edge_detection")
+    assert {"default", "edge_detection"} <= set(board.modes)
+    assert board.regions["prr0"].module == "edge"
+    assert all(clock.wanted > 0 for clock in board.clocks.values())
+    text = str(board.status)
+    assert "camera/edge_detection, " in text.splitlines()[0]
+    assert "prr0 edge (" in text
+    assert len(text.splitlines()) <= 5
 
 
 def test_doctor_does_not_say_start_one_of_a_manager_that_hangs(

@@ -40,6 +40,7 @@ from cm.wire.messages import requests as rq
 from cm.wire.messages.requests import ConfigureStream, DefineMemory
 from cm.wire.messages.status import (
     ClientStatus,
+    ClockStatus,
     ConfigEntry,
     ConfigInfo,
     FrameInfo,
@@ -47,6 +48,7 @@ from cm.wire.messages.status import (
     PlanInfo,
     RegionCheck,
     RegionMap,
+    RegionStatus,
     Status,
     StreamStatus,
 )
@@ -149,6 +151,18 @@ class Board(Guarded):
     async def status(self) -> Status:
         """The state of the PL now."""
         return await self.ask(calls.status())
+
+    async def modes(self) -> tuple[str, ...]:
+        """The modes of the loaded configuration."""
+        return tuple([mode.name for mode in (await self.ask(calls.describe())).modes])
+
+    async def regions(self) -> dict[str, RegionStatus]:
+        """The regions by name: the module in each, and its state."""
+        return {region.name: region for region in (await self.ask(calls.status())).regions}
+
+    async def clocks(self) -> dict[str, ClockStatus]:
+        """The clocks by name: the rate that the configuration wants, and the one that each has, in Hz."""
+        return {clock.name: clock for clock in (await self.ask(calls.status())).clocks}
 
     async def break_lease(self, number: int) -> LeaseInfo:
         """End another client's lease, by its number in `status.leases`; needs the role admin."""

@@ -18,14 +18,19 @@ _KEY: pytest.StashKey[Any] = pytest.StashKey()  # dict: managers that run, by wh
 def pytest_addoption(parser: pytest.Parser, pluginmanager: pytest.PytestPluginManager) -> None:
     """Settings of pytest.ini or pyproject.toml."""
     _spare_rewriting(pluginmanager)
-    parser.addini("cm_config", "runtime schemas, or folders of them, for `board`, a line each", default="")
-    parser.addini("cm_build", "build schema whose RTL `rtl_board` runs (default: the shipped camera)", default="")
+    text: Any = "string"  # pytest 9 takes types too, which type checkers look for in such words
+    paths: Any = "paths"
+    parser.addini("cm_config", "runtime schemas, or folders of them, for `board`", type=paths, default=[])
+    parser.addini(
+        "cm_build", "build schema whose RTL `rtl_board` runs (default: the shipped camera)", type=text, default=""
+    )
     parser.getgroup("fpga-cm").addoption(
         "--rtl-coverage",
         metavar="DIR",
         help="count the lines of HDL that tests with `rtl_board` run; coverage.info goes there",
     )
-    parser.addini("cm_load", "CONFIG[/MODE] that each test begins in (default: the only configuration)", default="")
+    what = "CONFIG[/MODE] that each test begins in (default: the only configuration)"
+    parser.addini("cm_load", what, type=text, default="")
 
 
 def _spare_rewriting(pluginmanager: pytest.PytestPluginManager) -> None:
@@ -74,8 +79,7 @@ def board(request: pytest.FixtureRequest) -> Iterator[Board]:
     The manager runs as long as the session. Each test begins with the hardware as after power-up, without faults, and
     with `cm_load` loaded.
     """
-    lines = str(request.config.getini("cm_config")).splitlines()
-    configs = tuple(str(request.config.rootpath / line.strip()) for line in lines if line.strip())
+    configs = tuple(map(str, request.config.getini("cm_config")))
     yield from _ready(request, "models", configs, "")
 
 

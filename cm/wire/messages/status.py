@@ -7,7 +7,7 @@ Objects that are made for every control request are named tuples: a frozen datac
 from __future__ import annotations
 
 from enum import Enum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from cm.frozen import dataclass
 
@@ -277,6 +277,21 @@ class Status:
     clients: tuple[ClientStatus, ...] = ()  # only in the reply to a request for them
     windows: tuple[WindowStatus, ...] = ()
     last_change_ns: int = 0  # CLOCK_MONOTONIC at its end; 0: there was none since the manager's start
+
+    def __str__(self) -> str:
+        """What people look for first, in a few lines."""
+        loaded = f"{self.config_name}/{self.mode or 'no mode'}" if self.config_name else "nothing loaded"
+        goes_on = f", {self.progress.step} {self.progress.subject}".rstrip() if self.progress is not None else ""
+        lines = [f"{self.board or 'board'}: {loaded}, {self.pr_mode.value}{goes_on}"]
+        if self.last_error is not None:
+            lines.append(f"last error: {self.last_error.message} [{self.last_error.code}]")
+        if self.regions:
+            lines.append("regions: " + ", ".join(f"{r.name} {r.module or '-'} ({r.state})" for r in self.regions))
+        flowing = ", ".join(f"{s.name} {s.rate:.1f}/s" if s.open else f"{s.name} closed" for s in self.streams)
+        return "\n".join([*lines, *([f"streams: {flowing}"] if flowing else [])])
+
+    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:  # noqa: ARG002 (IPython's)
+        printer.text(str(self))
 
     def _repr_html_(self) -> str:
         from cm.wire.messages import notebook  # only notebooks need it

@@ -55,6 +55,18 @@ def test_ten_lines_test_an_application(tmp_path: Path) -> None:
     assert "5 passed" in done.stdout, done.stdout + done.stderr
 
 
+@pytest.mark.skipif(not hasattr(pytest, "SubtestReport"), reason="needs_pytest_9: files of its own types")
+def test_settings_are_lists_and_text_as_pytest_9_types_them(tmp_path: Path) -> None:
+    (tmp_path / "test_own.py").write_text("def test_it(board):\n    assert board.configs == ('one',)\n")
+    (tmp_path / "my schemas").mkdir()
+    (tmp_path / "my schemas" / "one.yaml").write_text("config: {name: one, modes: {default: {}}}\n")
+    settings = '[tool.pytest]\ncm_config = ["my schemas"]\ncm_load = "one/default"\n'
+    (tmp_path / "pyproject.toml").write_text(settings)
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:randomly"]
+    done = subprocess.run(command, cwd=tmp_path, env=environment(), capture_output=True, text=True, check=False)
+    assert "1 passed" in done.stdout, done.stdout + done.stderr
+
+
 def _plugins() -> list[object]:
     from importlib.metadata import entry_points
 
