@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from cm.device.check_result import Finding, State
 from cm.device.checks.machine import Machine
 
+_OVERLAYS, _CONFIGS = "sys/kernel/config/device-tree/overlays", "lib/firmware/cm"
 _DFX_MGR = "xmutil unloadapp; systemctl disable --now dfx-mgr dfx-mgr-fw-load"
 # name of the process (its first 15 characters) → what to do
 _OTHERS = {
@@ -41,7 +42,12 @@ def checks(machine: Machine) -> Iterator[Finding]:
     for unit, path in sorted(units.items()):
         detail, advice = _UNITS[unit]
         yield Finding("other", unit, path, State.WRONG, detail, advice)
-    if not (found or units):
+    strange = _strange_overlays(machine)
+    for name in strange:
+        advice = f"xmutil unloadapp, or rmdir /{_OVERLAYS}/{name}; then load the mode again with --force"
+        detail = "an overlay that is none of an imported configuration: it has loaded another design"
+        yield Finding("other", name, f"/{_OVERLAYS}/{name}", State.WRONG, detail, advice)
+    if not (found or units or strange):
         yield Finding("other", "managers", "/proc", State.OK, "no other program is known to load this PL")
 
 
@@ -49,6 +55,14 @@ def _processes(machine: Machine) -> Iterator[tuple[str, str]]:
     for pid in machine.names("proc"):
         if pid.isdecimal():
             yield pid, machine.text("proc", pid, "comm")
+
+
+def _strange_overlays(machine: Machine) -> list[str]:
+    """Overlays that load the PL, and neither are of an imported configuration nor load a region of ours (cm-REGION)."""
+    files = (name for config in machine.names(_CONFIGS) for name in machine.names(_CONFIGS, config))
+    ours = {name.removesuffix(".dtbo") for name in files if name.endswith(".dtbo")}
+    others = [name for name in machine.names(_OVERLAYS) if name not in ours and not name.startswith("cm-")]
+    return [name for name in others if b"firmware-name" in machine.raw(_OVERLAYS, name, "dtbo")]
 
 
 def _enabled(machine: Machine) -> Iterator[tuple[str, str]]:

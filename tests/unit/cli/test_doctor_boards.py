@@ -129,6 +129,7 @@ def node(name: str, *compatible: str, driver: str = "", **properties: bytes) -> 
 
 
 OK, MISSING, WRONG = State.OK, State.MISSING, State.WRONG
+APPLIED = "sys/kernel/config/device-tree/overlays"
 IN_6_6 = "lib/modules/5.15.19-xilinx-v2022.1/modules.dep"
 
 
@@ -213,6 +214,12 @@ IN_6_6 = "lib/modules/5.15.19-xilinx-v2022.1/modules.dep"
         ("pynq", [], "other", WRONG, ["disable --now pl_server"]),
         ("petalinux", [lambda tree: tree.process(77, "fpgad")], "other", WRONG, ["snap stop"]),
         ("petalinux", [], "other", OK, []),
+        ("petalinux", [file(f"{APPLIED}/kv260-smartcam/dtbo", "firmware-name")], "other", WRONG,
+            ["has loaded another design", "xmutil unloadapp"]),
+        ("petalinux", [
+            file(f"{APPLIED}/whole/dtbo", "firmware-name"), file("lib/firmware/cm/loop/whole.dtbo"),
+            file(f"{APPLIED}/cm-prr0/dtbo", "firmware-name"), file(f"{APPLIED}/leds/dtbo", "compatible"),
+        ], "other", OK, []),
         ("petalinux", [file("etc/systemd/system/basic.target.wants/bootpy.service")], "other", WRONG,
             ["base.bit", "systemctl disable --now bootpy"]),
         ("petalinux", [file("etc/systemd/system/multi-user.target.wants/clear_pl_statefile.service")], "other", WRONG,
