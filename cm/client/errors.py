@@ -104,6 +104,7 @@ _KINDS: dict[str, type[RequestFailed]] = {
     **dict.fromkeys(
         (
             "not_found",
+            "device_not_found",
             "unknown_config",
             "unknown_mode",
             "unknown_region",
