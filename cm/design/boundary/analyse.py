@@ -201,13 +201,15 @@ def _module(spec: ModuleSpec, sources: Sources) -> tuple[ModuleInfo, tuple[str, 
             raise HdlError(f"{spec.name}: nothing describes its interfaces; give sources, sim_sources or component")
         stated = load_component_xml(spec.component) if spec.component else load_xci(spec.ip[0], sources.protocols)
         return restated(stated, sources.stated), ()
+    described = load_component_xml(spec.component) if spec.component else None
     reading = read(sources)
+    differ = compare(reading.modules[0], described) if described else []
+    if differ:  # what the component says of its ports goes before names
+        reading = read(replace(sources, described=described))
     found = reading.modules[0]
     units = () if spec.ip or spec.sim_sources else tuple(missing_units(spec.libraries, spec.sources))
     info = _with_missing(replace(found, problems=(*found.problems, *reading.problems, *units)), spec, reading.outside)
-    if spec.component is None:
-        return info, ()
-    return info, tuple(str(difference) for difference in compare(info, load_component_xml(spec.component)))
+    return info, tuple(map(str, differ))
 
 
 def _with_missing(info: ModuleInfo, spec: ModuleSpec, outside: Sequence[str]) -> ModuleInfo:

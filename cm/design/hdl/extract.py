@@ -19,6 +19,7 @@ from cm.design.hdl.user_protocols import UserProtocol
 from cm.design.hdl.verilog import VerilogReader
 from cm.design.hdl.vhdl import VhdlReader
 from cm.design.hdl.vhdl_text import VHDL_SUFFIXES
+from cm.design.hdl.vivado_attributes import with_buses
 from cm.frozen import dataclass, field
 
 _FEW = 8  # most names that a sentence lists
@@ -43,7 +44,8 @@ class Sources:
     """HDL to be read, as the build schema has it: `top` alone, or all modules of `files`.
 
     `defines` are Verilog macros; `parameters` are set on `top`, or on the modules that have them; `libraries`: VHDL
-    beside `files`; `interface_parameters`: by port, of SystemVerilog interfaces; `stated`: of clocks and resets.
+    beside `files`; `interface_parameters`: by port, of SystemVerilog interfaces; `stated`: of clocks and resets;
+    `described`: what a component.xml says of the same module, whose buses go before names.
     """
 
     files: Sequence[Path]
@@ -55,6 +57,7 @@ class Sources:
     libraries: Mapping[str, Sequence[Path]] = field(default_factory=dict)
     interface_parameters: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     stated: Stated = NOTHING_STATED
+    described: ModuleInfo | None = None
 
     @property
     def paths(self) -> list[Path]:
@@ -96,7 +99,8 @@ def read(wanted: Sources, generated: Mapping[Path, str] = _NO_FILES, *, roots: b
         files.add(path, text)
     found = files.evaluate(files.chosen(wanted.top, roots), wanted.parameters)
     usage = Usage(files.body)
-    modules = [detect(module, wanted.protocols, wanted.stated, partial(usage.of, module.name)) for module in found]
+    marked = [with_buses(module, wanted.described) if wanted.described else module for module in found]
+    modules = [detect(module, wanted.protocols, wanted.stated, partial(usage.of, module.name)) for module in marked]
     _check_parameters(modules, wanted.parameters)
     names = [module.name for module in modules]
     problems = (*files.problems, *files.hollow(names))

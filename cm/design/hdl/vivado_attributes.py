@@ -99,6 +99,18 @@ def with_statements(module: ModuleInfo, stated: Stated) -> ModuleInfo:
     return replace(module, ports=tuple(ports))
 
 
+def with_buses(module: ModuleInfo, described: ModuleInfo) -> ModuleInfo:
+    """Return a module whose ports have their places in the AXI buses of `described` as attributes."""
+    said: dict[str, Mapping[str, str]] = {}
+    for bus in described.interfaces:
+        if bus.protocol.startswith("axi") and bus.vlnv and bus.mode is not Mode.MONITOR:
+            for signal, port in bus.ports.items():
+                info = {"x_interface_info": f"{bus.vlnv} {bus.name} {signal}", "x_interface_mode": bus.mode.value}
+                said[port.lower()] = info
+    ports = (replace(port, attributes={**said.get(port.name.lower(), {}), **port.attributes}) for port in module.ports)
+    return replace(module, ports=tuple(ports))
+
+
 def _said(port: Port, kind: str, texts: list[str]) -> Port:
     signal = {"clock": "CLK", "reset": "RST"}[kind]
     info = f"xilinx.com:signal:{kind}:1.0 {port.name} {signal}"

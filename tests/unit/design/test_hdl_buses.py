@@ -12,6 +12,7 @@ pytest.importorskip("pyslang")
 from hdl_support import lite, ports, stream
 
 from cm.design.hdl.model import Mode
+from cm.frozen import replace
 
 SIGNALS = {
     "aw": "addr:32 valid: ready:-",
@@ -121,3 +122,11 @@ def test_channels_of_a_bus_that_is_none_are_no_streams(tmp_path: Path) -> None:
 def test_a_parameter_without_a_usual_value_does_not_hide_a_bus(tmp_path: Path) -> None:
     text = lite("s_").replace("[31:0]", "[WIDTH-1:0]").replace("[3:0]", "[WIDTH/8-1:0]") + "input clk"
     assert [bus.protocol for bus in ports(tmp_path, text, "parameter WIDTH = 0").interfaces] == ["axi4lite"]
+
+
+def test_the_port_map_of_a_component_goes_before_names(tmp_path: Path) -> None:
+    text = "input [7:0] s_axis_tdata_l; input s_axis_tvalid_l; output s_axis_tready_l; input clk"
+    named = ports(tmp_path, text)
+    (bus,) = named.interfaces
+    stated = replace(named, interfaces=(replace(bus, name="left", vlnv="xilinx.com:interface:axis:1.0"),))
+    assert [(i.name, len(i.ports)) for i in ports(tmp_path, text, described=stated).interfaces] == [("left", 3)]
