@@ -506,7 +506,8 @@ class _Planner:
         if region.timeout is not None and region.timeout < expected and region.loader in self._throughput.measured:
             raise StepTimeout(
                 f"{self._config.name}: timeout: {region.timeout:g} s of {region.name} is too short for "
-                f"{image.path.name}: {image.length} bytes take {expected:.2g} s by {region.loader.value}, as measured here"
+                f"{image.path.name}: {image.length} bytes take {expected:.2g} s by {region.loader.value}, "
+                "as measured here"
             )
         return self._throughput.timeout(region, image.length)
 
