@@ -18,8 +18,8 @@ from cm.networks.fleet.zenoh_session import zenoh_module
 from cm.wire.messages.fleet import FetchBundle
 
 PART = 1 << 20  # bytes that have a hash of their own
-_LEAST, _MOST = 1 << 9, 1 << 18  # bytes of a piece, of which a part is made
-_WORTH, _WINDOW = 0.1, 2  # seconds that a piece takes, and how many are under way
+_LEAST, _MOST = 1 << 11, 1 << 18  # bytes of a piece, of which a part is made
+_WORTH, _WINDOW = 0.2, 1  # seconds that a piece takes, and how many are under way
 _TIMEOUT = 20.0  # seconds for a piece
 PATIENCE = 10.0  # seconds until all routers know a sender
 _BETWEEN_TRIES = 0.1  # seconds
@@ -105,7 +105,7 @@ def fetched(
 
 
 class Pace:
-    """How long a piece may be: what comes in a tenth of a second, as far as that is known."""
+    """How long a piece may be: what comes in a fifth of a second, as far as that is known."""
 
     def __init__(self) -> None:
         self.length = _LEAST
@@ -131,7 +131,7 @@ def _append(
     session: Any, bundle: FetchBundle, part: str, file: BinaryIO, begin: int, last: int, pace: Pace,
     busy: Callable[[], bool],
 ) -> None:  # fmt: skip
-    """The pieces of a part, of which two are always asked for, until one does not come."""
+    """The pieces of a part, of which `_WINDOW` are asked for at a time, until one does not come."""
     at, came, asked = file.tell(), time.monotonic(), deque[tuple[int, float, Any]]()
     last_in_line = zenoh_module().Priority.BACKGROUND  # the fleet's own words go first; answers have it, too
     while asked or at < last:
