@@ -227,6 +227,7 @@ lint: $(LINT_STAMP) ## ruff, ruff format, mypy (strict; the client for macOS and
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	@mkdir -p build
 	$(BIN)/lint-imports --no-cache >build/lint-imports.log || { cat build/lint-imports.log; exit 1; }
 	$(BIN)/python docs/rooms.py --check
 	@for system in win32 darwin; do echo "$(BIN)/mypy --platform $$system"; \
