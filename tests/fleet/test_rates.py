@@ -53,15 +53,16 @@ def used(board: FleetBoard) -> float:
 
 @needs_root
 @pytest.mark.timeout(600)
-def test_six_boards_at_rest_send_no_more_than_six_frames_a_second(six: Fleet) -> None:
+def test_six_boards_at_rest_send_no_more_than_six_frames_a_second(six: Fleet, in_long: bool) -> None:
+    seconds = SECONDS if in_long else SECONDS / 2
     networks, _, boards = six
     time.sleep(15.0)  # each has heard itself once
     frames, before = networks.frames(), {name: used(board) for name, board in boards.items()}
-    time.sleep(SECONDS)
-    rate = (networks.frames() - frames) / SECONDS
-    shares = {name: (used(board) - before[name]) / SECONDS for name, board in boards.items()}
+    time.sleep(seconds)
+    rate = (networks.frames() - frames) / seconds
+    shares = {name: (used(board) - before[name]) / seconds for name, board in boards.items()}
     print(f"{rate:.1f} frames a second; of a core {', '.join(f'{name} {s:.3%}' for name, s in shares.items())}")
-    assert rate <= 6.0
+    assert rate <= (6.0 if in_long else 6.5)  # half the time may hold more than half of the questions
 
 
 @needs_root
