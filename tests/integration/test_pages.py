@@ -60,12 +60,6 @@ def test_every_block_says_its_language() -> None:
     assert not bare
 
 
-def test_every_page_of_docs_says_first_for_whom_it_is() -> None:
-    pages = [path for path in PAGES if path.is_relative_to(REPOSITORY / "docs")]
-    first = {path: next(line for line in text_of(path).splitlines() if line and line[:1] not in "#<") for path in pages}
-    assert [path.name for path, line in first.items() if not line.lstrip("*").startswith("For ")] == []
-
-
 @pytest.mark.parametrize(
     ("page", "said"),
     [
