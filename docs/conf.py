@@ -41,18 +41,26 @@ html_copy_source = False
 html_theme_options = {"navigation_with_keys": True, "top_of_page_buttons": []}
 graphviz_output_format = "svg"
 _ALSO = ("region", "static part", "footprint")  # of what users describe
-_ARROW = re.compile(r"^\s*(\S+) --> ([^\s:]+)(?:: (.*))?$", re.MULTILINE)
+_ARROW = re.compile(r"\s*(\S+) -->(?:\|(.*)\|)? ([^\s:]+)(?:: (.*))?$")
+_BOX = re.compile(r'\s*(subgraph )?(\w+)\["(.*)"\]$')
 _OUTSIDE = re.compile(r"\[((?:`[^`]*`|[^\[\]`\n])*)\]\(((?:\.\./)+[^)#\s]+)(#[^)\s]*)?\)")
 _LINK = re.compile(r"\[((?:`[^`]*`|[^\[\]`\n])*)\]\((?!\w+:)([^)#\s]+)(#[^)\s]*)?\)")
 
 
 def drawn(mermaid: str) -> str:
-    """The arrows of a Mermaid diagram, which GitHub draws, as a graph for dot."""
+    """The boxes and arrows of a Mermaid diagram, which GitHub draws, as a graph for dot."""
     style = 'node [shape=box, style="rounded", fontname="sans-serif"]; edge [fontname="sans-serif", fontsize=10];'
-    arrows = (
-        f'"{start}" -> "{end}" [label="{label}"];'.replace("[*]", " ") for start, end, label in _ARROW.findall(mermaid)
-    )
-    return f"digraph {{ bgcolor=transparent; {style} {' '.join(arrows)} }}"
+    said = ['rankdir=LR; fontname="sans-serif";' if mermaid.startswith("flowchart LR") else "", style]
+    for line in mermaid.splitlines():
+        if arrow := _ARROW.match(line):
+            start, inside, end, after = arrow.groups()
+            said.append(f'"{start}" -> "{end}" [label="{inside or after or ""}"];'.replace("[*]", " "))
+        elif box := _BOX.match(line):
+            group, name, text = box.groups()
+            said.append(f'subgraph "cluster_{name}" {{ label="{text}";' if group else f'"{name}" [label="{text}"];')
+        elif line.strip() == "end":
+            said.append("}")
+    return f"digraph {{ bgcolor=transparent; {' '.join(said)} }}"
 
 
 def terms(glossary: str) -> dict[str, str]:
