@@ -40,7 +40,7 @@ def test_the_design_is_generated_for_the_board_of_each_page(page: str, tmp_path:
 @pytest.mark.parametrize("page", PAGES)
 def test_each_page_says_that_it_has_not_run_and_where_to_report(page: str) -> None:
     text = (REPOSITORY / f"docs/boards/{page}.md").read_text("utf-8")
-    assert "**Not yet run on silicon.** [How to report a run.](README.md)" in text
+    assert "**Not yet run on silicon.** [The marks, and how to report a run.](README.md)" in text
 
 
 def test_the_script_gets_its_frames_on_a_simulated_board(tmp_path: Path) -> None:
