@@ -6,8 +6,8 @@ from __future__ import annotations
 import argparse
 import re
 import select
+import time
 from contextlib import ExitStack
-from datetime import datetime, timezone
 from itertools import islice
 from typing import TYPE_CHECKING
 
@@ -79,13 +79,14 @@ def run_watch(args: argparse.Namespace) -> int:
 
 def formatted(form: str, irq: Irq, offset_ns: int) -> str:
     """`form` with what stands behind each %, as in gpiomon(1); `offset_ns`: CLOCK_REALTIME less CLOCK_MONOTONIC."""
-    utc = datetime.fromtimestamp((irq.timestamp_ns + offset_ns) / 1e9, timezone.utc)
+    seconds, rest = divmod(irq.timestamp_ns + offset_ns, 10**9)
+    micros = f"{rest // 1000:06d}"
     said = {
         "l": irq.name,
         "n": str(irq.count),
         "S": f"{irq.timestamp_ns // 10**9}.{irq.timestamp_ns % 10**9:09d}",
-        "U": utc.strftime("%Y-%m-%dT%H:%M:%S.%fZ"),
-        "L": utc.astimezone().strftime("%Y-%m-%dT%H:%M:%S.%f"),
+        "U": time.strftime(f"%Y-%m-%dT%H:%M:%S.{micros}Z", time.gmtime(seconds)),
+        "L": time.strftime(f"%Y-%m-%dT%H:%M:%S.{micros}", time.localtime(seconds)),
         "%": "%",
     }
     return re.sub(r"%([lnSUL%])", lambda found: said[found[1]], form)
