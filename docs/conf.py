@@ -50,8 +50,9 @@ _LINK = re.compile(r"\[((?:`[^`]*`|[^\[\]`\n])*)\]\((?!\w+:)([^)#\s]+)(#[^)\s]*)
 def drawn(mermaid: str) -> str:
     """The boxes and arrows of a Mermaid diagram, which GitHub draws, as a graph for dot."""
     style = 'node [shape=box, style="rounded", fontname="sans-serif"]; edge [fontname="sans-serif", fontsize=10];'
-    said = ['rankdir=LR; fontname="sans-serif";' if mermaid.startswith("flowchart LR") else "", style]
-    for line in mermaid.splitlines():
+    kind, *lines = mermaid.splitlines()
+    said = ['rankdir=LR; fontname="sans-serif";' if kind == "flowchart LR" else "", style]
+    for line in lines:
         if arrow := _ARROW.match(line):
             start, inside, end, after = arrow.groups()
             said.append(f'"{start}" -> "{end}" [label="{inside or after or ""}"];'.replace("[*]", " "))
@@ -60,6 +61,8 @@ def drawn(mermaid: str) -> str:
             said.append(f'subgraph "cluster_{name}" {{ label="{text}";' if group else f'"{name}" [label="{text}"];')
         elif line.strip() == "end":
             said.append("}")
+        else:
+            raise ValueError(f"a {kind} has a line that the site does not draw: {line}")
     return f"digraph {{ bgcolor=transparent; {' '.join(said)} }}"
 
 
