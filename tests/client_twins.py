@@ -14,7 +14,7 @@ from typing import Any
 import cm
 
 # a property of the blocking client is a method without arguments of the other
-PROPERTIES = {"status", "mode", "configs", "info", "names", "count", "done", "generation"}
+PROPERTIES = {"status", "mode", "modes", "regions", "clocks", "configs", "info", "names", "count", "done", "generation"}
 
 
 class EventLoop:

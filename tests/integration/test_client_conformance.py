@@ -110,6 +110,12 @@ def test_configurations_can_be_listed_and_described(board: Any) -> None:
         board.config("camra")
 
 
+def test_modes_regions_and_clocks_are_told_by_name(board: Any) -> None:
+    assert board.modes == tuple(mode.name for mode in board.config().modes)
+    assert {name: region.module for name, region in board.regions.items()} == {"prr0": "default", "prr1": None}
+    assert {name: clock.name for name, clock in board.clocks.items()} == {name: name for name in board.clocks}
+
+
 def test_a_mode_is_entered_with_or_without_a_look_at_its_progress(board: Any) -> None:
     told: list[Progress] = []
     assert board.set_mode("colorise", timeout=60) > 0

@@ -51,7 +51,8 @@ def unpack(archive: Path, out: Path, keep: int = KEEP, judge: Judge | None = Non
             try:
                 _checked(archive, aside / name)
             except (SchemaError, FileMissing) as error:  # the folder that they name is gone when they are read
-                error.args = (f"{archive}: {str(error).replace(f'{aside / name}/', '')}",)
+                said = str(error).replace(f"{aside / name}/", "").replace(str(aside / name), "the archive")
+                error.args = (f"{archive}: {said}",)
                 raise
             put_in_force(aside / name, out / name, keep)
         finally:

@@ -19,7 +19,7 @@ MAX_LENGTH = 4096
 
 def seeds() -> list[bytes]:
     status = st.Status("camera", "edge", sequence=3, progress=st.Progress(1, "camera", "edge", "load"))
-    values = st.RegValues((st.RegValue("focus", 2, {"low": 1}),), "camera", "edge")
+    values = st.RegValues((st.RegValue("focus", 2, (("low", 1),)),), "camera", "edge")
     replies = [
         encode_reply(topics.STATUS, st.Reply(body=status, sequence=1)),
         encode_reply(topics.READ_REG, st.Reply(body=values, sequence=2)),
