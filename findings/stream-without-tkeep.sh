@@ -5,7 +5,6 @@
 . "$(dirname "$0")/setup"
 pypi cocotb==2.1.0 cocotbext-axi==0.1.28
 debian iverilog
-export IVERILOG_ROOT="$folder/root/usr/lib/ivl"
 mkdir -p bin
 libraries=$(find root/usr/lib -type d -name ivl)
 printf '#!/bin/sh\nexec "%s/root/usr/bin/iverilog" -B"%s/%s" "$@"\n' "$folder" "$folder" "$libraries" >bin/iverilog
