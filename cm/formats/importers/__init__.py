@@ -9,7 +9,10 @@ from cm.formats.importers.archive import back as back
 from cm.formats.importers.archive import unpack as unpack
 from cm.formats.importers.config_versions import versions as versions
 from cm.formats.importers.dfx_mgr import import_dfx_mgr as import_dfx_mgr
+from cm.formats.importers.pynq import channel_names as channel_names
+from cm.formats.importers.pynq import described_by as described_by
 from cm.formats.importers.pynq import import_pynq as import_pynq
 from cm.formats.importers.result import Imported as Imported
 from cm.formats.importers.result import ImportRefused as ImportRefused
+from cm.formats.importers.result import to_name as to_name
 from cm.formats.importers.result import write as write

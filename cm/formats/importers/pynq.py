@@ -72,7 +72,7 @@ def import_pynq(bit: Path, hwh: Path | None = None, make: MakeOverlay | None = N
     config = _with_regions(static, bit.resolve(), report, design, notes)
     files: dict[str, bytes] = {}
     if not config.overlays and make is not None and handoff.processor(design) is not None:
-        files = make(design, config, _names(design), notes)
+        files = make(design, config, channel_names(design), notes)
         made = f"{config.name}.dtbo" in files
         config = replace(config, overlays=(Overlay(config.name),) if made else ())
         notes += [f"{name}: made of the .hwh, since the package has none" for name in files]
@@ -92,7 +92,7 @@ def _strangers(bit: Path, report: Report, hwh: Hwh) -> list[str]:
     return []
 
 
-def _described_by(bit: Path) -> Path:
+def described_by(bit: Path) -> Path:
     """The .hwh of a bitstream: of its name, or, as Vivado names them, of ``X`` for ``X_wrapper.bit``."""
     names = (bit.stem, bit.stem.removesuffix("_wrapper"))
     paths = [bit.with_name(f"{name}.hwh") for name in names]
@@ -100,7 +100,7 @@ def _described_by(bit: Path) -> Path:
 
 
 def _handoff(bit: Path, given: Path | None, report: Report) -> Hwh:
-    path = given or _described_by(bit)
+    path = given or described_by(bit)
     if not path.is_file():
         hint = "; a .tcl is not read, Vivado 2018.3 and later write a .hwh" if bit.with_suffix(".tcl").is_file() else ""
         raise ImportRefused(f"{path}: not there, and nothing else says where the design's registers are{hint}")
@@ -172,7 +172,7 @@ def _overlays(bit: Path, links: dict[str, Path], notes: list[str]) -> tuple[Over
 MakeOverlay: TypeAlias = "Callable[[Hwh, Config, Mapping[DmaChannel, str], list[str]], dict[str, bytes]]"
 
 
-def _names(hwh: Hwh) -> dict[DmaChannel, str]:
+def channel_names(hwh: Hwh) -> dict[DmaChannel, str]:
     """What channels are called, in the schema and in /dev/cm_dma."""
     names, found = UniqueNames(longest=_NODE), {}
     for channel in handoff.dma_channels(hwh):
@@ -182,7 +182,7 @@ def _names(hwh: Hwh) -> dict[DmaChannel, str]:
 
 
 def _streams(hwh: Hwh, notes: list[str]) -> dict[str, Stream]:
-    names, found = _names(hwh), {}
+    names, found = channel_names(hwh), {}
     lines = {(line.instance, line.port): line for line in handoff.interrupts(hwh)}
     for channel in handoff.dma_channels(hwh):
         if channel.kind == "axi_mcdma":
@@ -310,7 +310,7 @@ def _find(bit: Path, static: Report, notes: list[str]) -> Iterator[Partial]:
         if report.problems:
             notes.append(f"{path.name}: left out: {report.problems[0].message}")
             continue
-        yield Partial(path.resolve(), report, _handoff_of_partial(_described_by(path), notes))
+        yield Partial(path.resolve(), report, _handoff_of_partial(described_by(path), notes))
 
 
 def _handoff_of_partial(path: Path, notes: list[str]) -> Hwh | None:

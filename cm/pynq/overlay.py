@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`Overlay`: a configuration that `cm import pynq` made of a `.bit`, with blocks as its `.hwh` describes them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any, ClassVar
+
+from cm.errors import NotFound
+from cm.formats.hwh import read
+from cm.formats.importers import described_by, to_name
+from cm.pynq.blocks import Description as Description
+from cm.pynq.blocks import blocks, hierarchies
+from cm.pynq.interrupt import Interrupt
+from cm.pynq.mmio import MMIO
+from cm.pynq.places import board, places
+from cm.pynq.registers import RegisterMap
+
+
+class UnsupportedConfiguration(Exception):
+    """A block is configured in a way that its class cannot drive."""
+
+
+class DefaultIP:
+    """A block. The overlay gives a subclass where one's `bindto` names the block's VLNV, with or without version."""
+
+    bindto: ClassVar[list[str]] = []
+    drivers: ClassVar[dict[str, type[DefaultIP]]] = {}
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        for vlnv in vars(cls).get("bindto", ()):
+            DefaultIP.drivers[vlnv] = DefaultIP.drivers[vlnv.rpartition(":")[0]] = cls
+
+    def __init__(self, description: Description) -> None:
+        """`description` is an entry of `Overlay.ip_dict`. Interrupts are attributes by the names of their ports."""
+        self.description = description
+        self.mmio = MMIO(description["phys_addr"], description["addr_range"])
+        pins = description.get("interrupts", {})
+        self.interrupts = {name: Interrupt(pin["fullpath"]) for name, pin in pins.items()}
+        vars(self).update(self.interrupts)
+
+    @property
+    def register_map(self) -> RegisterMap:
+        """Registers by name. Raises AttributeError where the `.hwh` describes none."""
+        if not self.description.get("registers"):
+            raise AttributeError("register_map only available if the .hwh describes registers")
+        return RegisterMap(self.mmio, self.description["registers"])
+
+    def read(self, offset: int = 0) -> int:
+        """A word of the window."""
+        return self.mmio.read(offset)
+
+    def write(self, offset: int, value: Any) -> None:
+        """Write a word, or bytes, into the window."""
+        self.mmio.write(offset, value)
+
+
+class DefaultHierarchy:
+    """Blocks as attributes. A subclass whose `checkhierarchy` accepts a hierarchy is what the overlay gives for it."""
+
+    drivers: ClassVar[list[type[DefaultHierarchy]]] = []
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        DefaultHierarchy.drivers.insert(0, cls)
+
+    def __init__(self, description: Description) -> None:
+        self.description = description
+
+    @staticmethod
+    def checkhierarchy(description: Description) -> bool:  # noqa: ARG004 (for subclasses)
+        """Whether the class is for this one; `description` has blocks in `ip`, hierarchies in `hierarchies`."""
+        return False
+
+    def _inside(self) -> Mapping[str, Any]:
+        found = vars(self).get("description", {})
+        return {**found.get("hierarchies", {}), **found.get("ip", {})}
+
+    def __getattr__(self, name: str) -> Any:
+        inside = {} if name.startswith("_") else self._inside()
+        if name not in inside:
+            raise AttributeError(
+                f"Could not find IP or hierarchy {name} in overlay; there are: {', '.join(inside) or 'none'}"
+            )
+        vars(self)[name] = _made(inside[name])
+        return vars(self)[name]
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *self._inside()]
+
+
+def _made(description: Description) -> Any:
+    import_module("cm.pynq.lib")  # binds the classes that are here
+    if "hierarchies" in description:
+        accepting = (kind for kind in DefaultHierarchy.drivers if kind.checkhierarchy(description))
+        return next(accepting, DefaultHierarchy)(description)
+    drivers, vlnv = DefaultIP.drivers, description["type"]
+    return drivers.get(vlnv, drivers.get(vlnv.rpartition(":")[0], DefaultIP))(description)
+
+
+class PL:
+    """What this program's last overlay was."""
+
+    bitfile_name: ClassVar[str] = ""
+    ip_dict: ClassVar[dict[str, Any]] = {}
+
+    @classmethod
+    def reset(cls) -> None:
+        """Forget it; what is loaded stays."""
+        cls.bitfile_name, cls.ip_dict = "", {}
+
+
+class Overlay(DefaultHierarchy):
+    """The design of a `.bit`, of which `cm import pynq` has made a configuration; blocks are attributes.
+
+    Loading is the manager's: checked first, undone if it fails. Raises FileNotFoundError without the `.bit` or `.hwh`.
+    """
+
+    def __init__(self, bitfile_name: str, dtbo: str | None = None, download: bool = True, **_: Any) -> None:
+        """`dtbo` may be the one of the bitstream's name alone; PYNQ's further arguments have no effect."""
+        bit = Path(bitfile_name).absolute()
+        if not bit.is_file():
+            raise FileNotFoundError(f"Bitstream file {bitfile_name} does not exist.")
+        _check_dtbo(bit, dtbo)
+        self.bitfile_name, self._name = str(bit), to_name(bit.stem)
+        self.ip_dict = blocks(read(described_by(bit)))
+        self.hierarchy_dict = hierarchies(self.ip_dict)
+        top = {
+            "ip": {name: block for name, block in self.ip_dict.items() if "/" not in name},
+            "hierarchies": {name: block for name, block in self.hierarchy_dict.items() if "/" not in name},
+        }
+        super().__init__(top)
+        if download:
+            self.download()
+        PL.bitfile_name, PL.ip_dict = self.bitfile_name, self.ip_dict
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Not the class of a hierarchy."""
+        super(DefaultHierarchy, cls).__init_subclass__(**options)
+
+    def download(self, dtbo: str | None = None) -> None:
+        """Load it, anew if it is loaded already. Raises NotFound without the configuration, and as `Board.load`."""
+        _check_dtbo(Path(self.bitfile_name), dtbo)
+        if self._name not in board().configs:
+            raise NotFound(
+                f"the manager has no configuration {self._name!r}: `cm import pynq {self.bitfile_name} --out DIR`, DIR "
+                "being a folder that it reads, makes one"
+            )
+        board().load(self._name, force=True)
+        places().refresh()
+
+    def pr_download(self, partial_region: str, partial_bit: str, dtbo: str | None = None, program: bool = True) -> None:
+        """Load a partial bitstream into a region: the mode of its name. The manager decouples, checks, undoes.
+
+        Raises NotFound for a region or a bitstream that the configuration does not have.
+        """
+        _check_dtbo(Path(partial_bit), dtbo)
+        mode = to_name(Path(partial_bit).stem)
+        for name, known in ((to_name(partial_region), board().regions), (mode, board().modes)):
+            if name not in known:
+                raise NotFound(f"the configuration {self._name} has no {name!r}; it has: {', '.join(known) or 'none'}")
+        if program:
+            board().mode = mode
+            places().refresh()
+
+    def is_loaded(self) -> bool:
+        """Whether the board has it now, whoever loaded it."""
+        return board().status.config_name == self._name
+
+    def free(self) -> None:
+        """Nothing: it stays loaded until another one is, as in PYNQ."""
+
+    def _inside(self) -> Mapping[str, Any]:
+        if "description" in vars(self) and not self.is_loaded():
+            raise RuntimeError("Overlay not currently loaded")
+        return super()._inside()
+
+
+def _check_dtbo(bit: Path, dtbo: str | None) -> None:
+    if dtbo is not None and Path(dtbo).stem != bit.stem:
+        raise NotImplementedError(
+            f"dtbo={dtbo!r}: the manager applies the configuration's overlays; import takes {bit.stem}.dtbo"
+        )

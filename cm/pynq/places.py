@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The one board of a program, and its words by address: each goes by the name of its register or memory."""
+
+from __future__ import annotations
+
+import select
+import threading
+from functools import cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cm.client.board import Board, connect
+from cm.errors import NotFound
+from cm.wire.messages.status import MemoryInfo, RegisterInfo, Status
+
+WORD = 4
+WHOLE = 0xFFFFFFFF
+
+
+@cache
+def board() -> Board:
+    """The board, connected at the first use: that of `$CM_CONNECT`, or of this machine. PYNQ's calls name none."""
+    return connect()
+
+
+@cache
+def places() -> Places:
+    """The words of the board."""
+    return Places(board())
+
+
+class Places:
+    """What the current mode has at an address; asked for again as soon as the board has another mode."""
+
+    def __init__(self, found: Board) -> None:
+        self._board = found
+        self._lock = threading.Lock()
+        self._statuses = found.watch()
+        self._poll = select.poll()
+        self._poll.register(self._statuses.fileno(), select.POLLIN)
+        self._change: object = None
+        self._words: dict[int, tuple[RegisterInfo, int]] = {}  # with the first bit of the word
+        self._memories: list[MemoryInfo] = []
+        self._written: dict[int, int] = {}  # words of write-only registers as this program wrote them
+
+    def read(self, address: int) -> int:
+        """A word; of a write-only register what was written last. Raises NotFound where nothing is described."""
+        info, place = self._at(address)
+        if isinstance(info, MemoryInfo):
+            return int(self._board.memories[info.name].read(place, WORD).view("<u4")[0])
+        if info.access == "wo" and address in self._written:
+            return self._written[address]
+        return self._board.registers[info.name] >> place & WHOLE
+
+    def write(self, address: int, value: int, mask: int = WHOLE) -> None:
+        """Write a word, or the bits of it in `mask`; those of a register by one request. Raises as `read`."""
+        info, place = self._at(address)
+        if isinstance(info, MemoryInfo):
+            value = value if mask == WHOLE else self.read(address) & ~mask | value & mask
+            self._board.memories[info.name].write(value.to_bytes(WORD, "little"), place)
+        elif mask == WHOLE and info.width <= 32:
+            self._board.registers[info.name] = value
+            self._written[address] = value
+        else:
+            value = self._board.registers.write_masked(info.name, value << place, mask << place)
+            self._written[address] = value >> place & WHOLE
+
+    def read_all(self, where: range) -> npt.NDArray[np.uint32]:
+        """Words at these addresses; those of a memory that follow each other by one request."""
+        info, place = self._at(where[0]) if where.step == WORD and where else (None, 0)
+        if isinstance(info, MemoryInfo) and where[-1] + WORD <= info.address + info.size:
+            raw = self._board.memories[info.name].read(place, WORD * len(where))
+            return np.asarray(raw.reshape(-1).view("<u4"), np.uint32)
+        return np.array([self.read(address) for address in where], np.uint32)
+
+    def write_all(self, where: range, words: npt.NDArray[Any]) -> None:
+        """Write words to these addresses; those of a memory that follow each other by one request."""
+        info, place = self._at(where[0]) if where.step == WORD and where else (None, 0)
+        if isinstance(info, MemoryInfo) and where[-1] + WORD <= info.address + info.size:
+            self._board.memories[info.name].write(words.astype("<u4").tobytes(), place)
+            return
+        for address, value in zip(where, words.tolist(), strict=True):
+            self.write(address, value)
+
+    def refresh(self) -> None:
+        """Ask what there is now."""
+        change = _change(self._board.status)
+        if change != self._change:
+            self._written.clear()
+        self._change = change
+        self._words = {
+            info.address + WORD * part: (info, 32 * part)
+            for info in self._board.registers.info.values()
+            for part in range(max(1, info.width // 32))
+        }
+        self._memories = list(self._board.memories.info.values())
+
+    def _at(self, address: int) -> tuple[RegisterInfo | MemoryInfo, int]:
+        """A register with the first bit of the word, or a memory with its offset."""
+        with self._lock:
+            if self._change is None or self._changed():
+                self.refresh()
+            if address in self._words:
+                return self._words[address]
+            for info in self._memories:
+                if info.address <= address < info.address + info.size:
+                    return info, address - info.address
+        raise NotFound(f"the loaded configuration describes neither a register nor a memory at {address:#x}")
+
+    def _changed(self) -> bool:
+        changed = False
+        while self._poll.poll(0) and (status := self._statuses.poll()) is not None:
+            changed = changed or _change(status) != self._change
+        return changed
+
+
+def _change(status: Status) -> object:
+    return status.config_name, status.mode, status.last_change

@@ -1,0 +1,357 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Programs of PYNQ's, unchanged, on a simulated board with a design that `cm import pynq` took over."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from import_support import (
+    bitstream,
+    described,
+    hwh,
+    memory,
+    module,
+    port,
+    ports,
+    register,
+    register_field,
+)
+from manager_process import Manager, environment, served, short_folder
+
+from cm import pynq
+from cm.errors import Busy, InvalidRequest, NotFound
+from cm.formats.importers import import_pynq, write
+from cm.pynq.lib import DMA, AxiGPIO
+from cm.pynq.places import board, places
+from cm.simulation.software import Board as SimBoard
+
+FILTER = described(
+    register(
+        "CTRL",
+        0,
+        register_field("AP_START", 0, 1),
+        register_field("AP_DONE", 1, 1, "read-only"),
+        register_field("MODE", 4, 4),
+    ),
+    register("rows", 0x10, access="write-only"),
+    register("status", 0x14, access="read-only", RESET_VALUE="0x80"),
+    register("gain", 0x18),
+    register("ISR", 0x20, register_field("DONE", 0, 1, MODIFIED_WRITE_VALUE="oneToClear")),
+)
+BRAM = 0x42000000
+
+
+def design() -> bytes:
+    """A filter, a GPIO with an interrupt, an AXI DMA (its loop is closed by the board), block RAM, a clock."""
+    return hwh(
+        module(
+            "ps",
+            "processing_system7",
+            ports(port("IRQ_F2P", "I", ("gpio", "ip2intc_irpt"), kind="INTERRUPT")),
+            memory(
+                ("filter", 0x40000000, 0x10000),
+                ("dma", 0x40400000, 0x10000),
+                ("gpio", 0x41200000, 0x10000),
+                ("ram", BRAM, 0x1000),
+            ),
+            parameters={"PCW_FPGA_FCLK0_ENABLE": "1", "PCW_ACT_FPGA0_PERIPHERAL_FREQMHZ": "100.0"},
+        ),
+        module("filter", "filter", FILTER),
+        module("dma", "axi_dma", parameters={"C_INCLUDE_MM2S": "1", "C_INCLUDE_S2MM": "1"}),
+        module("gpio", "axi_gpio", ports(port("ip2intc_irpt", "O", ("ps", "IRQ_F2P"), kind="INTERRUPT"))),
+        module("ram", "axi_bram_ctrl"),
+    )
+
+
+@pytest.fixture(scope="module")
+def design_folder() -> Iterator[Path]:
+    with short_folder() as folder:
+        (folder / "cam.bit").write_bytes(bitstream())
+        (folder / "cam.hwh").write_bytes(design())
+        write(import_pynq(folder / "cam.bit"), folder)
+        yield folder
+
+
+@pytest.fixture(scope="module")
+def both(design_folder: Path) -> Iterator[tuple[Manager, SimBoard]]:
+    with served(schemas=design_folder) as found:
+        yield found
+
+
+@pytest.fixture
+def bit(both: tuple[Manager, SimBoard], design_folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """The overlay's bitstream; cm.pynq talks to the board."""
+    monkeypatch.setenv("CM_CONNECT", str(both[0].runtime))
+    yield str(design_folder / "cam.bit")
+    board().close()
+    board.cache_clear()
+    places.cache_clear()
+
+
+@pytest.fixture
+def overlay(bit: str) -> pynq.Overlay:
+    return pynq.Overlay(bit)
+
+
+def test_an_overlay_is_loaded_and_lists_its_blocks(overlay: pynq.Overlay) -> None:
+    assert board().status.config_name == "cam"
+    assert overlay.is_loaded()
+    assert sorted(overlay.ip_dict) == ["dma", "filter", "gpio", "ram"]
+    found = overlay.ip_dict["filter"]
+    assert (found["phys_addr"], found["addr_range"], found["type"]) == (0x40000000, 0x10000, "xilinx.com:ip:filter:1.0")
+    assert found["registers"]["CTRL"]["fields"]["MODE"]["bit_offset"] == 4
+
+
+def test_registers_are_read_and_written_by_offset(overlay: pynq.Overlay) -> None:
+    overlay.filter.write(0x18, 7)
+    assert overlay.filter.read(0x18) == 7
+    assert board().registers["filter_gain"] == 7
+    overlay.filter.write(0x18, -1)
+    assert overlay.filter.mmio.read(0x18) == 0xFFFFFFFF
+    overlay.filter.write(0x10, np.int64(480))
+    assert overlay.filter.read(0x10) == 480
+
+
+def test_fields_and_bits_of_a_register_map(overlay: pynq.Overlay) -> None:
+    found = overlay.filter.register_map
+    found.CTRL = 0
+    found.CTRL.MODE = 9
+    assert (found.CTRL.MODE, int(found.CTRL), found.CTRL[7:4], found.CTRL[4:7]) == (9, 0x90, 9, 9)
+    found.CTRL[0] = 1
+    assert board().registers["filter_ctrl"] & 0xF1 == 0x91
+    assert repr(found.CTRL) == "Register(AP_START=1, AP_DONE=0, MODE=9)"
+    assert "  rows = Register(value=write-only)" in repr(found)
+
+
+def test_memory_is_an_array(overlay: pynq.Overlay) -> None:
+    window = pynq.MMIO(BRAM, 0x1000)
+    window.array[0:4] = [1, 2, 3, 4]
+    window.write(16, b"\5\0\0\0\6\0\0\0")
+    assert window.array[:6].tolist() == [1, 2, 3, 4, 5, 6]
+    assert window.read(16, 8) == 6 << 32 | 5
+
+
+def test_gpio(overlay: pynq.Overlay) -> None:
+    assert isinstance(overlay.gpio, AxiGPIO)
+    leds = overlay.gpio.channel1
+    leds.setdirection("out")
+    leds[0:4].write(9)
+    leds[1].toggle()
+    assert board().registers["gpio_gpio_data"] == 0b1011
+
+
+def test_a_buffer(overlay: pynq.Overlay) -> None:
+    with pynq.allocate((16, 4), "u2") as buffer:
+        assert (buffer.shape, buffer.dtype, buffer[2:].physical_address) == (
+            (16, 4),
+            "u2",
+            buffer.physical_address + 16,
+        )
+        buffer.flush()
+        with pytest.raises(InvalidRequest, match="ordinary memory"):
+            _ = (buffer + 1).physical_address
+
+
+def test_a_transfer_there_and_back(overlay: pynq.Overlay) -> None:
+    assert isinstance(overlay.dma, DMA)
+    source, result = pynq.allocate(1000, "u4"), pynq.allocate(1200, "u4")
+    for base in (0, 5000):
+        source[:] = np.arange(1000) + base
+        overlay.dma.recvchannel.transfer(result, 400, 4000)
+        overlay.dma.sendchannel.transfer(source)
+        overlay.dma.sendchannel.wait()
+        overlay.dma.recvchannel.wait()
+        assert overlay.dma.recvchannel.idle
+        assert overlay.dma.recvchannel.transferred == 4000
+        assert (result[100:1100] == source).all()
+
+
+def test_a_memory_window_is_written_in_part_and_read_by_steps(overlay: pynq.Overlay) -> None:
+    words = overlay.ram.mmio.array
+    words[:] = 0
+    words[8:16:2] = np.arange(4)
+    words[-1] = 0xFFFFFFFF
+    assert words[8:16].tolist() == [0, 0, 1, 0, 2, 0, 3, 0]
+    assert (words[len(words) - 1], np.asarray(words).shape) == (0xFFFFFFFF, (1024,))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "error", "said"),
+    [
+        (lambda ip: ip.read(0x10000), IndexError, "not in this window of 0x10000 bytes"),
+        (lambda ip: ip.read(2), MemoryError, "multiple of 4"),
+        (lambda ip: ip.read(-4), ValueError, "negative"),
+        (lambda ip: ip.read(0x1C), NotFound, "neither a register nor a memory at 0x4000001c"),
+        (lambda ip: ip.write(0x18, 1 << 32), ValueError, "4294967296 is not a number of 32 bits"),
+        (lambda ip: ip.write(0x18, 1.5), ValueError, "int or bytes, not float"),
+        (lambda ip: ip.mmio.write(0x18, b"abc"), MemoryError, "multiple of 4"),
+        (lambda ip: setattr(ip.register_map, "CTLR", 1), AttributeError, "no register 'CTLR'; there are: CTRL"),
+        (lambda ip: setattr(ip.register_map.CTRL, "MODE", 16), ValueError, "4 bits hold 0 to 15"),
+        (lambda ip: setattr(ip.register_map.CTRL, "MODE", -1), ValueError, "4 bits hold 0 to 15"),
+        (lambda ip: setattr(ip.register_map.CTRL, "AP_DONE", 1), AttributeError, "AP_DONE is read-only"),
+        (lambda ip: setattr(ip.register_map, "status", 1), AttributeError, "0x14 is read-only"),
+        (lambda ip: ip.register_map.gain[40], ValueError, "40 not in range 0 - 31"),
+    ],
+)
+def test_what_is_wrong_is_refused_with_a_sentence(
+    overlay: pynq.Overlay, wrong: Callable[[Any], object], error: type[Exception], said: str
+) -> None:
+    with pytest.raises(error, match=said):
+        wrong(overlay.filter)
+
+
+def test_a_lease_of_another_holds(overlay: pynq.Overlay, both: tuple[Manager, SimBoard]) -> None:
+    with both[0].connected() as other, other.lease("registers:filter_gain"), pytest.raises(Busy):
+        overlay.filter.write(0x18, 1)
+
+
+def test_a_transfer_takes_bytes_of_its_buffer_alone(overlay: pynq.Overlay) -> None:
+    buffer, channel = pynq.allocate(64), overlay.dma.sendchannel
+    for array, start, nbytes in (
+        (buffer, 0, 257),
+        (buffer, 256, 0),
+        (buffer, -4, 4),
+        (buffer, 0, -64),
+        (buffer[::2], 0, 0),
+    ):
+        with pytest.raises(ValueError):
+            channel.transfer(array, start, nbytes)
+    with pytest.raises(InvalidRequest, match="ordinary memory"):
+        channel.transfer(buffer + 1)
+    with pytest.raises(TypeError, match="buffers of allocate"):
+        channel.transfer(np.zeros(4))
+
+
+def test_a_packet_that_ends_early_says_how_much_came(overlay: pynq.Overlay) -> None:
+    dma, source, result = overlay.dma, pynq.allocate(100, "u1"), pynq.allocate(400, "u1")
+    source[:] = 7
+    dma.recvchannel.transfer(result)
+    dma.sendchannel.transfer(source)
+    dma.recvchannel.wait()
+    assert (dma.recvchannel.transferred, int(result.sum())) == (100, 700)
+
+
+@pytest.mark.parametrize("name", ["dma_mm2s", "dma_s2mm"])
+def test_a_transfer_that_fails_raises_with_the_reason_and_the_next_one_works(
+    overlay: pynq.Overlay, both: tuple[Manager, SimBoard], name: str
+) -> None:
+    dma, source, result = overlay.dma, pynq.allocate(64, "u1"), pynq.allocate(64, "u1")
+    both[1].control.inject("dma_error", name)
+    dma.recvchannel.transfer(result)
+    dma.sendchannel.transfer(source)
+    failing = dma.sendchannel if name == "dma_mm2s" else dma.recvchannel
+    with pytest.raises(RuntimeError, match=name):
+        failing.wait()
+    assert failing.error
+    dma.recvchannel.stop()
+    dma.sendchannel.stop()
+    with pytest.raises(RuntimeError, match="DMA channel not started"):
+        dma.sendchannel.transfer(source)
+    for channel in (dma.recvchannel, dma.sendchannel):
+        channel.start()
+    source[:] = 3
+    dma.recvchannel.transfer(result)
+    dma.sendchannel.transfer(source)
+    dma.recvchannel.wait()
+    assert result.tolist() == [3] * 64
+
+
+def test_a_transfer_is_awaited_while_other_tasks_run(overlay: pynq.Overlay) -> None:
+    dma, source, result = overlay.dma, pynq.allocate(64, "u1"), pynq.allocate(64, "u1")
+    source[:] = 9
+
+    async def send() -> None:
+        dma.sendchannel.transfer(source)
+        await dma.sendchannel.wait_async()
+
+    async def both_ways() -> None:
+        await asyncio.gather(dma.recvchannel.wait_async(), send())
+
+    dma.recvchannel.transfer(result)
+    with pytest.raises(RuntimeError, match="not idle"):
+        dma.recvchannel.transfer(result)
+    asyncio.run(both_ways())
+    assert result.tolist() == [9] * 64
+
+
+def test_an_interrupt_is_awaited(overlay: pynq.Overlay, both: tuple[Manager, SimBoard]) -> None:
+    async def wait() -> None:
+        waiting = asyncio.create_task(overlay.gpio.ip2intc_irpt.wait())
+        await asyncio.sleep(0)
+        both[1].control.interrupt("gpio_ip2intc_irpt")
+        await asyncio.wait_for(waiting, 60)
+
+    asyncio.run(wait())
+    assert board().interrupts["gpio_ip2intc_irpt"].count >= 1
+
+
+def test_a_class_is_bound_by_vlnv_with_and_without_its_version(overlay: pynq.Overlay) -> None:
+    class Filter(pynq.DefaultIP):
+        bindto = ("xilinx.com:ip:filter:2.0",)
+
+        @property
+        def gain(self) -> int:
+            return self.read(0x18)
+
+    try:
+        overlay.filter.write(0x18, 5)
+        found = pynq.Overlay(overlay.bitfile_name, download=False).filter
+        assert (type(found), found.gain) == (Filter, 5)
+    finally:
+        for vlnv in ("xilinx.com:ip:filter:2.0", "xilinx.com:ip:filter"):
+            del pynq.DefaultIP.drivers[vlnv]
+
+
+def test_clocks_are_read_and_belong_to_the_configuration(overlay: pynq.Overlay) -> None:
+    assert pynq.Clocks.fclk0_mhz == pytest.approx(100, rel=0.01)
+    with pytest.raises(NotImplementedError, match="`clocks:` of its schema"):
+        pynq.Clocks.fclk0_mhz = 50
+
+
+def test_an_overlay_without_a_configuration_says_how_to_make_one(bit: str, tmp_path: Path) -> None:
+    (tmp_path / "other.bit").write_bytes(Path(bit).read_bytes())
+    (tmp_path / "other.hwh").write_bytes(design())
+    with pytest.raises(NotFound, match=r"no configuration 'other': `cm import pynq .*other.bit --out DIR`"):
+        pynq.Overlay(str(tmp_path / "other.bit"))
+    assert not pynq.Overlay(str(tmp_path / "other.bit"), download=False).is_loaded()
+    with pytest.raises(FileNotFoundError, match=r"none\.bit does not exist"):
+        pynq.Overlay("none.bit")
+
+
+PROGRAM = """
+import numpy as np
+from pynq import MMIO, Overlay, allocate
+
+overlay = Overlay("cam.bit")
+dma = overlay.dma
+source = allocate(shape=(100,), dtype=np.uint32)
+result = allocate(shape=(100,), dtype=np.uint32)
+source[:] = np.arange(100)
+dma.recvchannel.transfer(result)
+dma.sendchannel.transfer(source)
+dma.sendchannel.wait()
+dma.recvchannel.wait()
+overlay.filter.register_map.gain = 3
+print(int(result.sum()), MMIO(0x40000000, 0x100).read(0x18), hex(overlay.filter.register_map.gain))
+"""
+
+
+def test_a_program_of_pynqs_runs_unchanged(bit: str, both: tuple[Manager, SimBoard], tmp_path: Path) -> None:
+    (tmp_path / "program.py").write_text(PROGRAM)
+    done = subprocess.run(
+        [sys.executable, "-m", "cm.pynq", str(tmp_path / "program.py")],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=Path(bit).parent,
+        env=environment(CM_CONNECT=str(both[0].runtime)),
+        timeout=60,
+    )
+    assert done.stdout == "4950 3 0x3\n", done.stderr
