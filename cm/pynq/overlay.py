@@ -149,6 +149,8 @@ class Overlay(DefaultHierarchy):
                 f"the manager has no configuration {self._name!r}: `cm import pynq {self.bitfile_name} --out DIR`, DIR "
                 "being a folder that it reads, makes one"
             )
+        for opened in list(places().until_load):
+            opened.close()
         board().load(self._name, force=True)
         places().refresh()
 

@@ -7,6 +7,7 @@ import select
 import threading
 from functools import cache
 from typing import Any
+from weakref import WeakSet
 
 import numpy as np
 import numpy.typing as npt
@@ -36,7 +37,8 @@ class Places:
 
     def __init__(self, found: Board) -> None:
         self._board = found
-        self._lock = threading.Lock()
+        self.until_load: WeakSet[Any] = WeakSet()  # what has a `close` that the next load of this program calls
+        self._lock = threading.RLock()
         self._statuses = found.watch()
         self._poll = select.poll()
         self._poll.register(self._statuses.fileno(), select.POLLIN)
@@ -86,16 +88,17 @@ class Places:
 
     def refresh(self) -> None:
         """Ask what there is now."""
-        change = _change(self._board.status)
-        if change != self._change:
-            self._written.clear()
-        self._change = change
-        self._words = {
-            info.address + WORD * part: (info, 32 * part)
-            for info in self._board.registers.info.values()
-            for part in range(max(1, info.width // 32))
-        }
-        self._memories = list(self._board.memories.info.values())
+        with self._lock:
+            change = _change(self._board.status)
+            if change != self._change:
+                self._written.clear()
+            self._change = change
+            self._words = {
+                info.address + WORD * part: (info, 32 * part)
+                for info in self._board.registers.info.values()
+                for part in range(max(1, info.width // 32))
+            }
+            self._memories = list(self._board.memories.info.values())
 
     def _at(self, address: int) -> tuple[RegisterInfo | MemoryInfo, int]:
         """A register with the first bit of the word, or a memory with its offset."""
@@ -111,8 +114,9 @@ class Places:
 
     def _changed(self) -> bool:
         changed = False
-        while self._poll.poll(0) and (status := self._statuses.poll()) is not None:
-            changed = changed or _change(status) != self._change
+        if self._poll.poll(0):
+            while (status := self._statuses.poll()) is not None:
+                changed = changed or _change(status) != self._change
         return changed
 
 

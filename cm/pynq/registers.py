@@ -44,13 +44,19 @@ class Register:
         return _turned(self._mmio.read(self._offset, self.width // 8) >> low & ((1 << count) - 1), count, reverse)
 
     def __setitem__(self, bits: int | slice, value: Any) -> None:
-        """Write a bit, or bits. Raises ValueError for a value that does not fit, AttributeError if read-only."""
+        """Write a bit, or bits; of a whole register negative numbers too.
+
+        Raises ValueError for a value that does not fit, AttributeError if read-only.
+        """
         low, count, reverse = _ends(bits, self.width)
         if self.access == _READ_ONLY:
             raise AttributeError(f"the register at {self.address:#x} is read-only")
-        if not 0 <= int(value) < 1 << count:
+        number, mask = int(value), ((1 << count) - 1) << low
+        if count == self.width and -1 << count - 1 <= number < 0:
+            number += 1 << count  # a whole register may hold a signed number
+        if not 0 <= number < 1 << count:
             raise ValueError(f"Slicing range cannot represent value {value}: {count} bits hold 0 to {(1 << count) - 1}")
-        number, mask = _turned(int(value), count, reverse) << low, ((1 << count) - 1) << low
+        number = _turned(number, count, reverse) << low
         for shift in range(0, self.width, 32):
             if mask >> shift & WHOLE:
                 self._mmio.write_masked(self._offset + shift // 8, number >> shift & WHOLE, mask >> shift & WHOLE)

@@ -15,7 +15,7 @@ from cm.errors import CmError, Timeout
 from cm.pynq.buffer import PynqBuffer
 from cm.pynq.interrupt import SLICE, until
 from cm.pynq.overlay import DefaultIP, Description
-from cm.pynq.places import board
+from cm.pynq.places import board, places
 
 _Bytes = npt.NDArray[np.uint8]
 
@@ -47,9 +47,9 @@ class _Channel:
         self.running, self._failed = True, ""
 
     def stop(self) -> None:
-        """Give the stream back; a transfer under way is given up."""
-        self._close()
-        self.running, self._under_way = False, None
+        """Give the stream back, until `start`; a transfer under way is given up."""
+        self.close()
+        self.running = False
 
     def transfer(self, array: PynqBuffer, start: int = 0, nbytes: int = 0, cyclic: bool = False) -> None:
         """Begin to transfer `nbytes` (0: the rest) of a buffer of `allocate`, from byte `start` on.
@@ -64,9 +64,10 @@ class _Channel:
             raise RuntimeError("DMA channel not idle")
         part = _part(array, start, nbytes)
         if part.nbytes != self._length:
-            self._close()
+            self.close()
             self._open(part.nbytes)
             self._length = part.nbytes
+            places().until_load.add(self)
         self.transferred, self._failed = 0, ""
         self._begin(part)
         self._under_way, self._began = part, True
@@ -113,8 +114,9 @@ class _Channel:
         """How many bytes went. Raises Timeout while it goes on, CmError if it failed."""
         raise NotImplementedError
 
-    def _close(self) -> None:
-        self._length = 0
+    def close(self) -> None:
+        """Give the stream back; a transfer under way is given up."""
+        self._length, self._under_way = 0, None
 
 
 class _SendChannel(_Channel):
@@ -131,10 +133,10 @@ class _SendChannel(_Channel):
         self._writer.flush(seconds)
         return part.nbytes
 
-    def _close(self) -> None:
+    def close(self) -> None:
         if self._length:
             self._writer.close()
-        super()._close()
+        super().close()
 
 
 class _RecvChannel(_Channel):
@@ -172,11 +174,11 @@ class _RecvChannel(_Channel):
                     raise CmError(f"stream {self._name!r}: {why}") from None
             raise
 
-    def _close(self) -> None:
+    def close(self) -> None:
         if self._length:
             self._stream.close()
         self._kept = None
-        super()._close()
+        super().close()
 
 
 class DMA(DefaultIP):

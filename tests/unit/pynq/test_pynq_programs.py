@@ -124,6 +124,8 @@ def test_fields_and_bits_of_a_register_map(overlay: pynq.Overlay) -> None:
     found.CTRL = 0
     found.CTRL.MODE = 9
     assert (found.CTRL.MODE, int(found.CTRL), found.CTRL[7:4], found.CTRL[4:7]) == (9, 0x90, 9, 9)
+    found.gain = -5
+    assert int(found.gain) == 0xFFFFFFFB
     found.CTRL[0] = 1
     assert board().registers["filter_ctrl"] & 0xF1 == 0x91
     assert repr(found.CTRL) == "Register(AP_START=1, AP_DONE=0, MODE=9)"
@@ -279,6 +281,19 @@ def test_a_transfer_is_awaited_while_other_tasks_run(overlay: pynq.Overlay) -> N
         dma.recvchannel.transfer(result)
     asyncio.run(both_ways())
     assert result.tolist() == [9] * 64
+
+
+def test_a_channel_goes_on_after_the_overlay_was_loaded_again(overlay: pynq.Overlay) -> None:
+    kept, source, result = overlay.dma, pynq.allocate(64, "u1"), pynq.allocate(64, "u1")
+    for again in (overlay, pynq.Overlay(overlay.bitfile_name)):
+        for dma in (kept, again.dma):
+            source[:] = result[0] + 1
+            dma.recvchannel.transfer(result)
+            dma.sendchannel.transfer(source)
+            dma.recvchannel.wait()
+            assert result.tolist() == source.tolist()
+            dma.recvchannel.close()
+        again.download()
 
 
 def test_an_interrupt_is_awaited(overlay: pynq.Overlay, both: tuple[Manager, SimBoard]) -> None:
