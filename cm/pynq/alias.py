@@ -49,10 +49,9 @@ def install() -> None:
     if any(isinstance(finder, _Finder) for finder in sys.meta_path):
         return
     theirs = PathFinder.find_spec("pynq")
-    if theirs is not None or "pynq" in sys.modules:
-        where = f" ({theirs.origin})" if theirs is not None and theirs.origin else ""
+    if theirs is not None and theirs.origin:  # a mere folder of that name has none
         raise ImportError(
-            f"PYNQ itself is installed here{where}, and is not shadowed: without cm.pynq the program runs on it; "
-            "`import cm.pynq as pynq` in the program takes ours"
+            f"PYNQ itself is installed here ({theirs.origin}), and is not shadowed: without cm.pynq the program runs "
+            "on it; `import cm.pynq as pynq` in the program takes ours"
         )
     sys.meta_path.insert(0, _Finder())

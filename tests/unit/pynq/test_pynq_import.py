@@ -60,6 +60,13 @@ def test_an_installed_pynq_is_not_shadowed(tmp_path: Path) -> None:
     assert beside.stdout == "theirs\ncm.pynq.mmio\n", beside.stderr
 
 
+def test_a_folder_that_is_called_pynq_is_no_installed_pynq(tmp_path: Path) -> None:
+    (tmp_path / "pynq").mkdir()
+    path = ":".join([str(tmp_path), environment()["PYTHONPATH"]])
+    done = ran("-m", "cm.pynq", program(tmp_path, "import pynq; print(pynq.MMIO.__module__)\n"), PYTHONPATH=path)
+    assert done.stdout == "cm.pynq.mmio\n", done.stderr
+
+
 def test_a_notebook_loads_it_as_an_extension(tmp_path: Path) -> None:
     lines = "import cm.pynq; cm.pynq.load_ipython_extension(None); import pynq; print(pynq is cm.pynq)"
     done = ran("-c", lines)
