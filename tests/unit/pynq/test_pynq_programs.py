@@ -240,6 +240,21 @@ def test_a_packet_that_ends_early_says_how_much_came(overlay: pynq.Overlay) -> N
     assert (dma.recvchannel.transferred, int(result.sum())) == (100, 700)
 
 
+def test_packets_that_come_between_two_transfers_wait_in_order(overlay: pynq.Overlay) -> None:
+    dma, source, result = overlay.dma, pynq.allocate(64, "u1"), pynq.allocate(64, "u1")
+    assert not dma.recvchannel.idle
+    dma.recvchannel.transfer(result)
+    for value in (1, 2, 3):
+        source[:] = value
+        dma.sendchannel.transfer(source)
+        dma.sendchannel.wait()
+    for value in (1, 2, 3):
+        if value > 1:
+            dma.recvchannel.transfer(result)
+        dma.recvchannel.wait()
+        assert result.tolist() == [value] * 64
+
+
 @pytest.mark.parametrize("name", ["dma_mm2s", "dma_s2mm"])
 def test_a_transfer_that_fails_raises_with_the_reason_and_the_next_one_works(
     overlay: pynq.Overlay, both: tuple[Manager, SimBoard], name: str
