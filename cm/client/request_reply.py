@@ -155,7 +155,8 @@ class Link:
         return self.ask(effect.call, seconds(effect.timeout, self.timeout), beside)
 
     def _wait(self, number: bytes, timeout: float | None, beside: AskBeside | None) -> list[bytes | memoryview]:
-        deadline, connecting = Deadline(timeout), Deadline(self.timeout)
+        deadline = Deadline(timeout)
+        connecting: Deadline | None = None
         other = beside.subscription.socket if beside else None
         sources = self._sources if other is None else [*self._sources, (other, _POLLIN)]
         while True:
@@ -163,6 +164,7 @@ class Link:
             if not self._handshake.up:  # a request waits as long as it may, but for a connection no longer than others
                 if absent := self._requests.absent():
                     raise absent
+                connecting = connecting or Deadline(self.timeout)
                 left = min(x for x in (left, connecting.left, CONNECTING) if x is not None)
             ready = dict(zmq_poll(sources, -1 if left is None else _milliseconds(left)))
             if beside is not None and other is not None and other in ready:
@@ -178,9 +180,8 @@ class Link:
                 if self._handshake.lost:
                     raise self._requests.lost()
             elif not ready and left == 0:
-                raise self._handshake.suspected or self._requests.no_answer(
-                    deadline.limit if deadline.left == 0 else connecting.limit
-                )
+                over = connecting if connecting is not None and deadline.left != 0 else deadline
+                raise self._handshake.suspected or self._requests.no_answer(over.limit)
 
     def _send(self, frames: Sequence[Any]) -> None:
         """Raise if it cannot be sent. A socket whose peer broke the protocol has none any more: it is made anew."""
