@@ -97,6 +97,7 @@ def test_a_command_that_does_not_exist_holds_nothing(
 def test_what_ends_the_holder_ends_the_command(
     board: cm.Board, manager: Manager, tmp_path: Path, number: int, words: list[str]
 ) -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup it is ignored, and by children too
     place = ["--runtime-dir", str(manager.runtime)]
     ends = tmp_path / "ends"  # its reader learns when the command, which holds the other end, has ended
     os.mkfifo(ends)
@@ -106,5 +107,6 @@ def test_what_ends_the_holder_ends_the_command(
         assert [lease.scope for lease in board.status.leases] == ["board"]
         holder.send_signal(number)
         assert left.read() == b""
+    signal.signal(signal.SIGHUP, before)
     assert holder.returncode == (-number if words else 128 + number)
     until(lambda: not board.status.leases)
