@@ -154,6 +154,7 @@ class SlotHolders:
         self.peers: dict[int, Peer] = {}  # of those that have joined
         self._depths: dict[int, int] = {}  # of the same
         self._waiting: dict[int, _Waits] = {}
+        self._refused: dict[int, Exception] = {}  # of those that waited when another's attempt failed
         self._told: list[Callable[[Exception | None], None]] = []  # of the start
         self._stream = stream
         self._slots = slots
@@ -188,6 +189,8 @@ class SlotHolders:
         try:
             while client in self._waiting and not self._has_room(depth):
                 yield
+            if (error := self._refused.pop(client, None)) is not None:
+                raise error
             if client in self._waiting and self._attach(client, depth):
                 self._depths[client] = depth
                 self.peers[client] = self._waiting[client].peer
@@ -276,7 +279,8 @@ class SlotHolders:
             self._told.append(told)
 
     def fail(self, error: Exception) -> None:
-        """Report that the stream cannot start; it will be closed next."""
+        """Report that the stream cannot start; it will be closed next. Those who wait for it are refused too."""
+        self._refused, self._waiting = dict.fromkeys(self._waiting, error), {}
         self._tell(error)
 
     def stop(self, error: int) -> None:

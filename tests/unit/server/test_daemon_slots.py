@@ -15,7 +15,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from daemon_thread import Daemon, Subscriber, daemon
+from daemon_thread import HUNG, Daemon, Subscriber, daemon
 from data_client import Client
 from manager_process import until
 
@@ -392,6 +392,21 @@ def test_if_a_stream_gets_no_slots_at_all_everyone_is_told_why_and_it_is_tried_a
     slots.fails_at = 1 << 20
     until(lambda: camera.stream("camera").open)
     reader.close()
+
+
+def test_all_who_wait_for_a_stream_s_first_slots_are_refused_when_there_are_none(
+    slots: Allocator, camera: Daemon, client: Callable[..., Client], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cm.server.streams.lifecycle._REST", 3600.0)
+    until(lambda: closed(camera))
+    slots.at = 1  # so that both wait
+    waiting = [client(camera, Open("camera", depth=4)) for _ in range(3)]
+    assert slots.reached.wait(HUNG / 1000)
+    assert [camera.stream("camera").open for _ in range(20)] == [True] * 20  # until the others were heard, too
+    slots.fails_at = 1
+    slots.opened.set()
+    refusals = [each.refusal() for each in waiting]
+    assert [(code, "no memory for DMA" in message) for code, message in refusals] == [("device_error", True)] * 3
 
 
 def test_a_setting_whose_slots_cannot_be_allocated_is_not_applied(slots: Allocator, camera: Daemon) -> None:
