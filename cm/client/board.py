@@ -168,17 +168,17 @@ class Board(Guarded):
     @property
     def modes(self) -> tuple[str, ...]:
         """The modes of the loaded configuration."""
-        return tuple([mode.name for mode in (self.ask(calls.describe())).modes])
+        return tuple([mode.name for mode in self.ask(calls.describe()).modes])
 
     @property
     def regions(self) -> dict[str, RegionStatus]:
         """The regions by name: the module in each, and its state."""
-        return {region.name: region for region in (self.ask(calls.status())).regions}
+        return {region.name: region for region in self.ask(calls.status()).regions}
 
     @property
     def clocks(self) -> dict[str, ClockStatus]:
         """The clocks by name: the rate that the configuration wants, and the one that each has, in Hz."""
-        return {clock.name: clock for clock in (self.ask(calls.status())).clocks}
+        return {clock.name: clock for clock in self.ask(calls.status()).clocks}
 
     def break_lease(self, number: int) -> LeaseInfo:
         """End another client's lease, by its number in `status.leases`; needs the role admin."""

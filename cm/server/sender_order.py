@@ -128,11 +128,9 @@ class Order:
         """Carry out a request, now or in its turn."""
         state = self.senders.get(asked.sender) if self.senders else None
         if state is None:  # mostly
-            holds = asked.row.holds
-            if holds is None or holds(asked.request, self._manager) is None:
-                self._carry_out(asked)
-            else:
-                self._begin(asked)
+            if (holds := asked.row.holds) and (held := holds(asked.request, self._manager)):
+                self._hold(asked, held)
+            self._carry_out(asked)
         elif asked.row.waits is Waits.NEVER or not (state.queue or self._is_blocked(state, asked)):
             self._begin(asked)
         elif len(state.queue) >= _MOST:
@@ -183,10 +181,14 @@ class Order:
         return any(scopes & set(change.scopes) for change in state.changes)
 
     def _begin(self, asked: Asked) -> None:
-        if asked.row.holds is not None and (held := asked.row.holds(asked.request, self._manager)):
-            asked.held = held
-            self._state(asked.sender).held[held] += 1
+        if (holds := asked.row.holds) and (held := holds(asked.request, self._manager)):
+            self._hold(asked, held)
         self._carry_out(asked)
+
+    def _hold(self, asked: Asked, held: Holds) -> None:
+        """Those behind it may have to wait for it, until it is answered."""
+        asked.held = held
+        self._state(asked.sender).held[held] += 1
 
     def _resume(self, sender: bytes) -> None:
         """Carry out what waits no longer."""
