@@ -5,28 +5,19 @@
 . "$(dirname "$0")/setup"
 pypi eclipse-zenoh==1.10.2
 python3 - <<'END'
-import socket
 import threading
-import zenoh
 from saw import saw
 from zenoh.ext import CacheConfig, HistoryConfig, declare_advanced_publisher, declare_advanced_subscriber
+from zenoh_session import free_address, session
 
-with socket.socket() as free:
-    free.bind(("127.0.0.1", 0))
-    address = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-
-
-def session(mode, **endpoints):
-    config = zenoh.Config()
-    config.insert_json5("mode", f'"{mode}"')
-    config.insert_json5("scouting/multicast/enabled", "false")
-    config.insert_json5("timestamping/enabled", "true")
-    for kind, endpoint in ({"listen": "tcp/127.0.0.1:0"} | endpoints).items():
-        config.insert_json5(f"{kind}/endpoints", f'["{endpoint}"]')
-    return zenoh.open(config)
+address, anywhere = free_address(), "tcp/127.0.0.1:0"
 
 
-with session("router", listen=address), session("peer", connect=address) as board, session("peer", connect=address) as late:
+def peer():
+    return session("peer", stamped=True, listen=anywhere, connect=address)
+
+
+with session("router", stamped=True, listen=address), peer() as board, peer() as late:
     publisher = declare_advanced_publisher(board, "mode", cache=CacheConfig(max_samples=2), publisher_detection=True)
     publisher.put("edge")
     publisher.delete()

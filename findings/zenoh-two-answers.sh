@@ -6,25 +6,12 @@
 . "$(dirname "$0")/setup"
 pypi eclipse-zenoh==1.10.2
 python3 - <<'END'
-import socket
 import threading
 import zenoh
 from saw import saw
+from zenoh_session import free_address, session
 
-with socket.socket() as free:
-    free.bind(("127.0.0.1", 0))
-    address = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-
-
-def session(mode, **endpoints):
-    config = zenoh.Config()
-    config.insert_json5("mode", f'"{mode}"')
-    config.insert_json5("scouting/multicast/enabled", "false")
-    for kind, endpoint in endpoints.items():
-        config.insert_json5(f"{kind}/endpoints", f'["{endpoint}"]')
-    return zenoh.open(config)
-
-
+address = free_address()
 with session("router", listen=address):
     boards = [session("client", connect=address) for _ in range(2)]
     for number, board in enumerate(boards):
