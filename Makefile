@@ -237,6 +237,7 @@ lint: $(LINT_STAMP) ## ruff, ruff format, mypy (strict; the client for macOS and
 
 docs: $(VENV)/.installed-docs ## the site of docs/, into build/site, with no warning (apt: graphviz), after what is kept in pages: rooms, tables of keys and of states
 	@for script in rooms schema_tables reconfiguration_tables request_tables; do $(BIN)/python docs/$$script.py || exit 1; done
+	@docs/prose/check
 	@$(BIN)/python docs/site.py $(SITE)
 
 format: $(LINT_STAMP) ### format Python and C

@@ -26,7 +26,7 @@ author = "fpga-cm maintainers"
 release = re.findall(r'__version__ = "(.+)"', (REPOSITORY / "cm/_version.py").read_text())[0]
 version = release
 extensions = ["myst_parser", "sphinx.ext.graphviz"]
-exclude_patterns = ["examples", "boards/loop", "notebooks/*.ipynb"]
+exclude_patterns = ["examples", "boards/loop", "notebooks/*.ipynb", "prose"]
 suppress_warnings = ["misc.highlighting_failure"]  # Listing 1 as printed, lines of consoles with …
 myst_heading_anchors = 4
 myst_enable_extensions = ["deflist"]
