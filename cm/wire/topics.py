@@ -20,6 +20,7 @@ IRQ = b"cm_irq"
 LEASE = b"cm_lease"
 UPLOAD = b"cm_upload"
 REGION = b"cm_region"
+AUDIT = b"cm_audit"  # who changes what; published to those who name it
 
 TEXT_CONFIG = b"cm_config"  # the paper's spelling of cm_write_config
 DATA_READ = b"cm_data_read"  # the paper's spelling of cm_read_data
