@@ -223,6 +223,7 @@ class Publisher:
         self._last_logged = ""
         self._sensors: tuple[SensorStatus, ...] = ()
         self.sequence = 0
+        self.wants_audit = False  # whether someone subscribes to that topic: a request has no time to ask
 
     def take_subscriptions(self) -> bool:
         """Read some subscription messages; returns whether one wants the status, which it gets at once."""
@@ -239,6 +240,7 @@ class Publisher:
                 wanted = wanted or topics.STATUS.startswith(topic)
             else:
                 self._subscriptions.discard(topic)
+        self.wants_audit = self._subscriptions.covers(topics.AUDIT, len(topics.AUDIT))
         return wanted
 
     def settle(self) -> None:
@@ -314,6 +316,10 @@ class Publisher:
     def interrupt(self, irq: Irq) -> None:
         """Publish an interrupt."""
         self._sender.send(encode.encode_irq(irq))
+
+    def audit(self, message: Sequence[Any]) -> None:
+        """Publish who changed what."""
+        self._sender.send(message)
 
     def frame(self, frame: Frame) -> None:
         """Publish a frame on every topic that has a subscriber; it is copied once."""

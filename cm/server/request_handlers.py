@@ -22,6 +22,7 @@ from cm.manager.execution.worker import QUEUE_LENGTH, Change
 from cm.manager.manager import Manager
 from cm.manager.status_reports import config_list, is_long
 from cm.schema.model import Config, Stream
+from cm.server.audit_events import AuditEvents
 from cm.server.board_watch import BoardWatch
 from cm.server.client_quotas import Clients, with_holdings
 from cm.server.connections import Connections, Sessions
@@ -54,6 +55,7 @@ from cm.wire.messages.status import (
 from cm.wire.protobuf_messages import encode_values, encoded_registers
 
 CHANGES_EACH = QUEUE_LENGTH - 1  # of one client, beside the one that runs: the last two are for others
+_OPERATE = Role.OPERATE  # looking it up in the enum's class takes time
 _T = TypeVar("_T")
 
 
@@ -77,6 +79,7 @@ class Services:
     connections: Connections
     uploads: Uploads
     files: FileThread
+    audits: AuditEvents
 
     def fail(self, asked: Asked, error: Exception) -> None:
         """Answer with an error that work has ended in; that the board has gone is noticed."""
@@ -100,6 +103,8 @@ class Services:
 
 def carry_out(s: Services, asked: Asked) -> None:
     """Do what a request asks for; whatever goes wrong becomes an error reply."""
+    if s.audits.publisher.wants_audit and asked.row.right.least.role >= _OPERATE:
+        asked.told = s.audits.begin(asked)
     try:
         asked.request = s.sessions.gate.admit(asked.connection, asked.request, asked.row.right, s.sessions.scene)
         if asked.row.uploads:
@@ -113,6 +118,8 @@ def carry_out(s: Services, asked: Asked) -> None:
             asked.answer(made)
         elif made is not None:
             s.turns.start(asked.client, _answered(s, asked, made))
+        if asked.told is not None and not asked.answered:
+            asked.told(None)
     except Exception as error:  # noqa: BLE001 (every request gets an answer)
         s.fail(asked, error)
 

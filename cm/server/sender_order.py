@@ -73,8 +73,8 @@ class Row:
 class Asked:
     """A request on its way: who asks, and the one answer."""
 
-    __slots__ = ("_answered", "_reply", "_size", "charged", "client", "connection", "held", "if_accepted", "order",
-                 "request", "row", "sender")  # fmt: skip
+    __slots__ = ("_reply", "_size", "answered", "charged", "client", "connection", "held", "if_accepted", "order",
+                 "request", "row", "sender", "told")  # fmt: skip
 
     def __init__(
         self, row: Row, request: Any, connection: str, sender: bytes, client: Client, charged: Client, order: Order,
@@ -88,13 +88,14 @@ class Asked:
         self._reply, self._size = reply, size
         self.held: Holds | None = None
         self.if_accepted: Callable[[], object] | None = None
-        self._answered = False
+        self.told: Callable[[Reply | None], object] | None = None  # of its begin if it takes time, and its end
+        self.answered = False
 
     def answer(self, reply: Reply) -> None:
         """Reply; later answers are none. What waits for it goes on behind the reply."""
-        if self._answered:
+        if self.answered:
             return
-        self._answered = True
+        self.answered = True
         if self._size >= 0:
             self.charged.ended(self._size)
         if self.if_accepted is not None and reply.error is None:
@@ -103,6 +104,8 @@ class Asked:
             self._reply(reply)
         except Exception as error:  # noqa: BLE001 (every request gets an answer: this one cannot be encoded)
             self._reply(refusal(error))
+        if self.told is not None:
+            self.told(reply)
         if self.held is not None:
             self.order.release(self, self.held)
 

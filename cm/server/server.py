@@ -16,6 +16,7 @@ from cm.manager.access.leases import Leases
 from cm.manager.manager import Environment, Manager
 from cm.manager.state.journal import Journal
 from cm.schema.model import Config
+from cm.server.audit_events import AuditEvents
 from cm.server.bitstream_and_overlay_files import BoardFiles, Footprints
 from cm.server.board_watch import BoardWatch
 from cm.server.client_quotas import Clients
@@ -164,6 +165,7 @@ class Server:
             complete=self._with_channels,
             renew_config=self._reloader.renew,
             files=self._files,
+            audits=AuditEvents(self._publisher, self._sessions.gate),
         )
 
     # ---- life ---------------------------------------------------------------------

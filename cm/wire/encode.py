@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 from google.protobuf.message import DecodeError, Message
 
 from cm.errors import InvalidRequest
+from cm.frozen import replace
 from cm.wire import cm_pb2 as pb
 from cm.wire import protobuf_messages, topics
 from cm.wire.messages import requests as rq
@@ -206,6 +207,30 @@ def encode_irq(irq: st.Irq) -> list[Frame]:
     return [topics.IRQ, protobuf_messages.IRQ.to_pb(irq).SerializeToString()]
 
 
+def encode_audit(
+    request: rq.Request, client: str, account: str, pid: int, times: tuple[int, int], reply: st.Reply | None
+) -> list[Frame]:
+    """A request, and its reply where there is one → the frames published on ``cm_audit``."""
+    secret = "id" if isinstance(request, (rq.RenewLease, rq.ReleaseLease)) else "lease"
+    hidden: dict[str, Any] = {secret: ""} if getattr(request, secret, "") else {}
+    shown: Any = replace(request, **hidden)
+    topic, message, *_ = encode_request(shown)
+    body = reply.body if reply is not None else None
+    audit = st.Audit(
+        type(request).__name__,
+        bytes(topic).decode(),
+        bytes(message),
+        client,
+        account,
+        pid,
+        *times,
+        error=reply.error if reply is not None else None,
+        generation=body.generation if isinstance(body, (st.RegValues, st.ChangeInfo)) else 0,
+        change=body.number if isinstance(body, st.ChangeInfo) else 0,
+    )
+    return [topics.AUDIT, protobuf_messages.AUDIT.to_pb(audit).SerializeToString()]
+
+
 def encode_frame_info(info: st.FrameInfo) -> bytes:
     """The message beside a frame's payload."""
     return bytes(protobuf_messages.FRAME.to_pb(info).SerializeToString())
@@ -221,7 +246,7 @@ def decode_registers(data: bytes) -> st.RegValues:
     return protobuf_messages.registers_from_pb(parsed(pb.RegValues, data))
 
 
-Event = st.Status | st.RegValues | st.Irq | st.FrameInfo
+Event = st.Status | st.RegValues | st.Irq | st.FrameInfo | st.Audit
 
 
 def decode_event(frames: Sequence[Frame]) -> Event:
@@ -246,6 +271,7 @@ _EVENTS: dict[bytes, tuple[Callable[[], Any], Callable[[Any], Any]]] = {
     topics.STATUS: (pb.Status, protobuf_messages.STATUS.from_pb),
     topics.READ_REG: (pb.RegValues, protobuf_messages.registers_from_pb),
     topics.IRQ: (pb.Irq, protobuf_messages.IRQ.from_pb),
+    topics.AUDIT: (pb.Audit, protobuf_messages.AUDIT.from_pb),
     topics.READ_DATA: (pb.Frame, protobuf_messages.FRAME.from_pb),
     topics.DATA_READ: (pb.Frame, protobuf_messages.FRAME.from_pb),
     b"cm_stream": (pb.Frame, protobuf_messages.FRAME.from_pb),

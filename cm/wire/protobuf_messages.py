@@ -116,6 +116,7 @@ FRAME = Twin(st.FrameInfo, pb.Frame, [*st.FrameInfo.__annotations__][:-1])  # bu
 LEASE = Twin(st.LeaseInfo, pb.Lease)
 CHANGE = Twin(st.ChangeInfo, pb.Change)
 IRQ = Twin(st.Irq, pb.Irq)
+AUDIT = Twin(st.Audit, pb.Audit, error=ERROR)
 UPLOADED = Twin(st.UploadInfo, pb.Upload, renamed={"got": "offset"})
 MEMORY = Twin(st.MemoryInfo, pb.MemoryInfo)
 STREAM = Twin(st.StreamStatus, pb.StreamState, clients=Twin(st.StreamClient, pb.StreamClient), last_error=ERROR)

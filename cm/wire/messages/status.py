@@ -507,6 +507,27 @@ class Irq:
     timestamp_ns: int
 
 
+@dataclass(frozen=True, slots=True)
+class Audit:
+    """A request that may change something, who made it, and how it ended.
+
+    `message` is that of the topic, without ids of leases. Times are CLOCK_MONOTONIC; `ended_ns` is 0 while the request
+    is under way. `generation` is that of the registers that it wrote, `change` the number of the change that it was.
+    """
+
+    request: str
+    topic: str
+    message: bytes
+    client: str
+    account: str
+    pid: int
+    began_ns: int
+    ended_ns: int = 0
+    error: ErrorInfo | None = None
+    generation: int = 0
+    change: int = 0
+
+
 Body = (
     Status
     | ConfigInfo
