@@ -8,6 +8,7 @@ immutable values that are swapped (`cm.manager.state.journal`).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from time import monotonic_ns
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -167,7 +168,11 @@ class Manager:
         if there is None:
             self._state.update(lambda state: replace(state, config=None, mode=None))
         elif interrupted is not None or not is_whole(self.state, there):
-            self._worker.add(repair(self._state.next_number(), there, interrupted, self.state))
+            change = repair(self._state.next_number(), there, interrupted, self.state)
+            change.why = (
+                "to undo a change that was cut short" if interrupted else "to bring the board back, which held less"
+            )
+            self._worker.add(change)
 
     def board_restarted(self) -> None:
         """The board was started anew: nothing that is recorded is true any more.
@@ -198,7 +203,10 @@ class Manager:
         self.reporter.note(self._state.try_record())
         if there is not None:
             static = before.static_config if before.static_config in self.configs else None
-            self._worker.add(Change(self._state.next_number(), there.config.name, there.mode, static=static))
+            goal = self._state.next_number(), there.config.name, there.mode
+            self._worker.add(
+                Change(*goal, static=static, why="as the machine slept, and the PL may have lost its power")
+            )
         self.reporter.changed()
 
     def board_lost(self, error: Exception) -> None:
@@ -287,11 +295,13 @@ class Manager:
 
     # ---- changes --------------------------------------------------------------------
 
-    def submit(self, request: ChangeMode, on_done: Callable[[Change], None] | None = None) -> Change:
+    def submit(
+        self, request: ChangeMode, on_done: Callable[[Change], None] | None = None, by: str = "", why: str = ""
+    ) -> Change:
         """Accept a change; it runs when those before it have ended. Nothing is touched if this raises.
 
         Where nothing is loaded yet, one without a configuration is for that of the change before it.
-        `on_done` is called at its end, from the worker's thread.
+        `on_done` is called at its end, from the worker's thread. `by` asked for it, or it is made for a reason (`why`).
         """
         coming = self._worker.coming  # before the state, which names it from its end on
         config, mode = planner.target(request, self.configs, self.state.config or coming)
@@ -302,11 +312,12 @@ class Manager:
             raise ChangeBusy(f"a change to {f'{running.config}/{running.mode}' if running else 'a mode'} is running")
         number = self._state.next_number()
         change = Change(number, config.name, mode, request.force, scopes=scopes, lease=request.lease, on_done=on_done)
-        change.asked, change.undoable = True, request.undoable
+        change.asked, change.undoable, change.by, change.why = True, request.undoable, by, why
         if request.undo:
             if self._worker.busy:
                 raise ChangeBusy("a change runs: only the last one that has ended can be undone")
             undo(change, way_back(request.undo, config.name, mode, self._state), self._state)
+            change.why = f"to undo the change {request.undo!r}"
         return self._worker.add(change)
 
     def prepared_check(self, name: str) -> Checked:
@@ -341,7 +352,9 @@ class Manager:
 
         self._worker.look(Look(scan, done, pace))
 
-    def repair(self, request: CheckRegion, on_done: Callable[[Change], None] | None = None) -> Change:
+    def repair(
+        self, request: CheckRegion, on_done: Callable[[Change], None] | None = None, by: str = "", why: str = ""
+    ) -> Change:
         """Accept a change that compares a region and repairs it; `on_done` as for `submit`."""
         config, mode = self.loaded_config(), self.state.mode
         if config is None or mode is None:
@@ -353,7 +366,8 @@ class Manager:
         self.leases.check(scopes, request.lease)
         number = self._state.next_number()
         change = Change(number, config.name, mode, scopes=scopes, lease=request.lease, on_done=on_done)
-        change.repairs, change.reloads = request.name, request.reload
+        change.repairs, change.reloads, change.by = request.name, request.reload, by
+        change.why = why or f"to compare region {request.name} with what was loaded, and repair it"
         return self._worker.add(change)
 
     @property
@@ -400,12 +414,15 @@ class Manager:
 
     # ---- registers and errors of requests -------------------------------------------
 
-    def write_registers(self, writes: tuple[RegWrite, ...], lease: str = "") -> RegValues:
-        """Check all, then write in order; returns and publishes what the registers then hold."""
-        return self.tell_registers(self.registers.write(writes, lease))
+    def write_registers(self, writes: tuple[RegWrite, ...], lease: str = "", by: str = "") -> RegValues:
+        """Check all, then write in order; returns and publishes what the registers then hold. `by`: as of `submit`."""
+        return self.tell_registers(self.registers.write(writes, lease), by)
 
-    def tell_registers(self, result: RegValues) -> RegValues:
+    def tell_registers(self, result: RegValues, by: str = "") -> RegValues:
         """Publish what was written; what cannot be read back is recorded first."""
+        written, now = self.reporter.history.written, monotonic_ns()
+        for value in result.values:
+            written[value.name] = value.value, now, by
         if self._state.urgent:
             self.flush()
         self._env.data_plane.wrote(result.generation)  # before any client knows its number

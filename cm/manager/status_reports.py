@@ -13,6 +13,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from cm.frozen import dataclass, replace
+from cm.manager.history import History
 from cm.manager.state.board_state import BoardState, RegionState
 from cm.manager.state.journal import Kept, ManagerState
 from cm.manager.state.steps import Choice
@@ -68,6 +69,7 @@ class StatusReporter:
         self._observer = observer
         self.totals = ChangeTotals()  # since this manager's start
         self.health = Health()  # likewise
+        self.history = History()  # likewise
         self._running = False
         self._full = False  # the running change loads a whole image
         self._progress: Progress | None = None

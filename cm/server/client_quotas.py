@@ -95,13 +95,14 @@ class Client:
 
     __slots__ = (
         "_all", "_made", "_sent", "account", "changes", "name", "pending", "pid", "place", "refused", "requests",
-        "sender", "unread_bytes", "unread_of", "upload_bytes", "waiting_bytes",
+        "sender", "unread_bytes", "unread_of", "upload_bytes", "waiting_bytes", "who",
     )  # fmt: skip
 
     def __init__(self, name: str, who: Principal, of_all: Clients) -> None:
         self._all = of_all
         self.name = name
         self.account = who.account
+        self.who = str(who)  # as logs have it
         self.pid = who.pid
         self.place = place_of(who.pid, who.address)
         self.sender = b""  # over which connection it asked last

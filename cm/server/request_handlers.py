@@ -146,8 +146,9 @@ def write_reg(s: Services, asked: Asked, request: rq.WriteReg) -> Reply | Work:
     """Many are written piece by piece; what was written is told, even if that is not all."""
     manager = s.manager
     if not asked.held:
-        return Reply(manager.write_registers(request.writes, request.lease))
-    return _by_pieces(WritePieces(manager.registers, request.writes, request.lease), manager.tell_registers)
+        return Reply(manager.write_registers(request.writes, request.lease, asked.client.who))
+    tell = partial(manager.tell_registers, by=asked.client.who)
+    return _by_pieces(WritePieces(manager.registers, request.writes, request.lease), tell)
 
 
 def _by_pieces(work: ReadPieces | WritePieces, tell: Callable[[RegValues], object] = lambda _: None) -> Work:
@@ -173,11 +174,14 @@ def _by_pieces(work: ReadPieces | WritePieces, tell: Callable[[RegValues], objec
 
 
 def read_status(s: Services, _: Asked, request: rq.ReadStatus) -> Reply:
-    """With what each client has, if that is asked for."""
+    """With what each client has, or what has happened, if that is asked for."""
     status = s.status()
     if request.clients:
         held = status.leases, status.streams, s.streams.allocated()
         status = replace(status, clients=with_holdings(s.clients.told(s.connections.counted()), *held))
+    if request.history:
+        history = s.manager.reporter.history
+        status = replace(status, changes=history.changes(), writes=history.writes())
     s.manager.reporter.was_read()
     return Reply(status)
 
@@ -211,7 +215,7 @@ def change_mode(s: Services, asked: Asked, request: rq.ChangeMode) -> Reply | No
     """Answered when it has ended, or now."""
     if request.force:
         s.renew_config(request.config_name)
-    change = _begin_change(s, asked, partial(s.manager.submit, request))
+    change = _begin_change(s, asked, partial(s.manager.submit, request, by=asked.client.who))
     return Reply(ChangeInfo(change.number, done=False)) if request.no_wait else None
 
 
@@ -418,7 +422,7 @@ def check_region(s: Services, asked: Asked, request: rq.CheckRegion) -> None:
     """Compare its frames with what was loaded; to repair it is a change."""
     manager, client = s.manager, asked.client
     if request.repair:
-        _begin_change(s, asked, partial(manager.repair, request))
+        _begin_change(s, asked, partial(manager.repair, request, by=client.who))
         return
     if client.changes >= CHANGES_EACH:
         raise Busy(f"{client.changes} changes and checks of {client.name} wait or run; try again when one has ended")

@@ -112,9 +112,10 @@ class Scrubber:
 
     def _act(self, name: str, policy: str, on_done: Callable[[Change], None]) -> None:
         if policy == SAFE:
-            self._manager.submit(ChangeMode(mode=SAFE), on_done)
+            self._manager.submit(ChangeMode(mode=SAFE), on_done, why=f"as bits of region {name} were wrong (scrub)")
         else:
-            self._manager.repair(CheckRegion(name, repair=True, reload=policy == "reload"), on_done)
+            request = CheckRegion(name, repair=True, reload=policy == "reload")
+            self._manager.repair(request, on_done, why=f"as bits of region {name} were wrong (scrub)")
 
     def _refused(self, name: str, error: Exception) -> None:
         if self._said.get(name) != str(error):

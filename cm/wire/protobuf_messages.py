@@ -151,7 +151,7 @@ class _StreamBody:
 
 STREAM_BODY = _StreamBody
 _LASTING = ("configs", "streams", "sensors", "clocks", "version", "started_ns", "board")
-_SELDOM = ("regions", "clients", "windows")
+_SELDOM = ("regions", "clients", "windows", "changes", "writes")
 _OF_STATUS: dict[str, Any] = {
     "pr_mode": _PrMode,
     "progress": Twin(st.Progress, pb.Progress),
@@ -163,6 +163,8 @@ _OF_STATUS: dict[str, Any] = {
     "leases": Twin(st.LeaseStatus, pb.LeaseState),
     "clients": Twin(st.ClientStatus, pb.ClientState),
     "windows": Twin(st.WindowStatus, pb.WindowState),
+    "changes": Twin(st.PastChange, pb.PastChange, error=ERROR, steps=Twin(st.StepTaken, pb.StepTaken)),
+    "writes": Twin(st.PastWrite, pb.PastWrite),
 }
 
 

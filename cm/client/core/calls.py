@@ -66,6 +66,11 @@ def clients() -> Call[tuple[ClientStatus, ...]]:
     return Call(rq.ReadStatus(clients=True), lambda r: _body(r, Status).clients)
 
 
+def history() -> Call[Status]:
+    """The current status with the changes and writes that the manager remembers."""
+    return Call(rq.ReadStatus(history=True), lambda r: _body(r, Status))
+
+
 def config_names() -> Call[tuple[str, ...]]:
     """Names of all configurations."""
     return Call(rq.ListConfigs(), lambda r: _body(r, ConfigInfo).names)

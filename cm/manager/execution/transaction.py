@@ -33,7 +33,7 @@ from cm.manager.state.journal import ManagerState
 from cm.manager.state.steps import Step
 from cm.manager.status_reports import StatusReporter
 from cm.schema.model import Config, LoaderKind, Register
-from cm.wire.messages.status import Progress
+from cm.wire.messages.status import Progress, StepTaken
 
 if TYPE_CHECKING:
     from cm.manager.interfaces import DataPlane, Devices, Files, TimeSource
@@ -203,10 +203,15 @@ def _take_all(run: StepContext) -> None:
 def _take(run: StepContext, step: Step, action: Callable[[StepContext, Any], None]) -> None:
     time = run.tools.time
     started, run.port_seconds = time.monotonic(), 0.0
-    run.record(step)
-    run.tell(0)
-    action(run, step)
-    seconds = time.monotonic() - started
+    failed = True
+    try:
+        run.record(step)
+        run.tell(0)
+        action(run, step)
+        failed = False
+    finally:
+        seconds, what = time.monotonic() - started, (step.kind, step.subject, int(started * 1e9))
+        run.tools.reporter.history.took(StepTaken(*what, seconds, run.port_seconds, failed, run.best_effort))
     run.tools.state.took(step.kind, seconds, run.port_seconds)
     run.tools.reporter.totals.took(step.kind, seconds)
 

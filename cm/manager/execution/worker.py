@@ -22,7 +22,7 @@ from cm.manager.state.journal import Pending, WayBack
 from cm.manager.state.steps import Place, Repair, Validate
 from cm.manager.touched import ALL, Thing
 from cm.schema.model import ConfigType
-from cm.wire.messages.status import ChangeInfo, ErrorInfo, RegionCheck, Reply
+from cm.wire.messages.status import ChangeInfo, ErrorInfo, PastChange, RegionCheck, Reply
 
 QUEUE_LENGTH = 8
 SCANS = 16  # that may wait or run
@@ -54,6 +54,8 @@ class Change:
     reloads: bool = False  # that region as a whole
     checked: RegionCheck | None = None  # what came of that
     cancelled: bool = False  # `cancel` was called
+    by: str = ""  # who asked for it, for people
+    why: str = ""  # where nobody asked for it
     _done: threading.Event = field(default_factory=threading.Event)
 
     def cancel(self) -> None:
@@ -224,6 +226,7 @@ class Worker:
         change.seconds = time.monotonic() - started
         touched = state.pending is not None and state.pending.touched
         state.pending, self.running = None, None
+        reporter.history.ended(error)
         reporter.ended(change.number, error, change.seconds, touched)
         state.release_regions()
         reporter.note(state.settle())
@@ -238,6 +241,10 @@ class Worker:
         board, whole = state.board, state.configs[change.config].type is ConfigType.FULL
         there = board.config == change.config and not change.force
         full = (whole and not there) or change.static is not None
+        before = board.config or "", board.mode or ""
+        self._tools.reporter.history.begun(
+            PastChange(change.number, change.config, change.mode, *before, change.by, change.why)
+        )
         self._tools.reporter.begun(change.number, change.config, change.mode, full)
         state.pending = Pending(
             change.number,

@@ -14,9 +14,10 @@ LEASE_SECONDS = 30.0  # for which a lease is held if nobody says how long
 
 @dataclass(frozen=True, slots=True)
 class ReadStatus:
-    """The current `cm.wire.messages.status.Status`; with its `clients` if asked for."""
+    """The current `cm.wire.messages.status.Status`; with its `clients`, or its `changes` and `writes`, if asked for."""
 
     clients: bool = False
+    history: bool = False
 
 
 @dataclass(frozen=True, slots=True)

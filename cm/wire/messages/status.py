@@ -251,6 +251,49 @@ class ClientStatus:
 
 
 @dataclass(frozen=True, slots=True)
+class StepTaken:
+    """A step of a change; `port_seconds` of its `seconds` are the configuration port's. `back`: on the way back."""
+
+    kind: str
+    subject: str
+    begun_ns: int  # CLOCK_MONOTONIC
+    seconds: float = 0.0
+    port_seconds: float = 0.0
+    failed: bool = False
+    back: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class PastChange:
+    """A change that has run, or runs (`ended_ns` is 0), with its steps; times are CLOCK_MONOTONIC.
+
+    `by` asked for it; empty: nobody. `why`: of one that nobody asked for, or that undoes or repairs something.
+    """
+
+    number: int
+    config_name: str
+    mode: str
+    from_config: str = ""
+    from_mode: str = ""
+    by: str = ""
+    why: str = ""
+    begun_ns: int = 0
+    ended_ns: int = 0
+    error: ErrorInfo | None = None
+    steps: tuple[StepTaken, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class PastWrite:
+    """The last write of a register by a client, and its whole value after it."""
+
+    name: str
+    value: int
+    by: str
+    at_ns: int  # CLOCK_MONOTONIC
+
+
+@dataclass(frozen=True, slots=True)
 class Status:
     """The state of the PL as the manager knows it: the content of ``cm_status``."""
 
@@ -277,6 +320,8 @@ class Status:
     clients: tuple[ClientStatus, ...] = ()  # only in the reply to a request for them
     windows: tuple[WindowStatus, ...] = ()
     last_change_ns: int = 0  # CLOCK_MONOTONIC at its end; 0: there was none since the manager's start
+    changes: tuple[PastChange, ...] = ()  # this and the next only in the reply to a request for the history
+    writes: tuple[PastWrite, ...] = ()
 
     def __str__(self) -> str:
         """What people look for first, in a few lines."""

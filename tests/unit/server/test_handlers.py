@@ -49,6 +49,7 @@ from cm.wire.messages.status import (
 GONE = DeviceGone(errno.ENODEV, "/dev/uio0: the board is gone")
 ME = "ipc:0:0:9000001"
 NAME = "pid 9000001"
+WHO = "user (uid 0, pid 9000001)"
 
 
 class Bench:
@@ -133,8 +134,8 @@ class Bench:
     def _of(self, what: str, call: Any) -> Any:
         """A call that is noted with what it was given, but for callbacks."""
 
-        def noted(*given: Any) -> Any:
-            self.given.append((what, *[one for one in given if not callable(one)]))
+        def noted(*given: Any, **named: Any) -> Any:
+            self.given.append((what, *[one for one in (*given, *named.values()) if not callable(one)]))
             return call(*given)
 
         return noted
@@ -195,16 +196,17 @@ def test_a_board_that_has_gone_is_noticed_whatever_finds_out(bench: Bench, reque
 
 
 LED = (rq.RegWrite("led", 1),)
+REPAIR = rq.CheckRegion("r", repair=True, lease="mine")
 
 
 @pytest.mark.parametrize(
     ("request_", "given"),
     [
-        (rq.ReadReg(("led",)), [("read", ("led",))]), (rq.WriteReg(LED, "mine"), [("write", LED, "mine")]),
+        (rq.ReadReg(("led",)), [("read", ("led",))]), (rq.WriteReg(LED, "mine"), [("write", LED, "mine", WHO)]),
         (rq.PlanChange("camera", "on"), [("plan", rq.ChangeMode("camera", "on"))]), (rq.MapRegion("r"), [("map", "r")]),
-        (rq.ChangeMode("camera"), [("submit", rq.ChangeMode("camera"))]),
+        (rq.ChangeMode("camera"), [("submit", rq.ChangeMode("camera"), WHO)]),
         (rq.CheckRegion("r"), [("prepare", "r"), ("check", "made")]),
-        (rq.CheckRegion("r", repair=True, lease="mine"), [("repair", rq.CheckRegion("r", repair=True, lease="mine"))]),
+        (REPAIR, [("repair", REPAIR, WHO)]),
         (rq.DescribeData("camera", "mine"), [("camera", "mine")]),
         (rq.DefineMemory("ram", 8, length=4), [("define", rq.DefineMemory("ram", 8, length=4))]),
         (
@@ -298,7 +300,8 @@ def test_many_registers_are_done_in_pieces_and_what_was_written_is_told(
         monkeypatch.setattr(handlers, kind, Pieces)
     told: list[Any] = []
     manager = bench.services.manager
-    manager.tell_registers = told.append
+    whose: list[str] = []
+    manager.tell_registers = lambda values, by: told.append(values) or whose.append(by)
     writes = (rq.RegWrite("focus", 1),) * 33
     bench.ask(rq.WriteReg(writes, "lease") if write else rq.ReadReg(("focus",) * 33), held=Holds.LONG)
     assert given == ([manager.registers, writes, "lease"] if write else [manager.registers, ("focus",) * 33])
@@ -309,6 +312,7 @@ def test_many_registers_are_done_in_pieces_and_what_was_written_is_told(
     for said in (*told, reply.body) if error is None else told:
         assert decode_reply(encode_reply(b"cm_read_reg", Reply(said), 1)).body == done
     assert len(told) == write
+    assert whose == [WHO] * write
 
 
 def test_a_change_that_is_not_waited_for_is_answered_once(bench: Bench) -> None:

@@ -97,14 +97,18 @@ class Bench:
         manager: Any = SimpleNamespace(
             configs={"one": SimpleNamespace(regions={"only": None})}, state=SimpleNamespace(region=lambda _: self.held),
             prepared_check=lambda name: self._may("prepare") or name, check=self._check,
-            repair=lambda request, done: self._may("act") or self.acts.append((request, done)),
-            submit=lambda request, done: self._may("act") or self.acts.append((request, done)),
+            repair=self._act, submit=self._act,
         )  # fmt: skip
         loop: Any = SimpleNamespace(
             call_later=lambda seconds, call: self.timers.append((seconds, call)), call_threadsafe=lambda call: call()
         )
         thread: Any = SimpleNamespace(submit=lambda work: work())
         Scrubber(loop, manager, thread, {"only": ScrubSettings(every=5.0, budget=0.02, policy=policy)}).begin()
+
+    def _act(self, request: Any, done: Any, why: str) -> None:
+        self._may("act")
+        assert why == "as bits of region only were wrong (scrub)"
+        self.acts.append((request, done))
 
     def _may(self, what: str) -> None:
         if what in self.refuses:
