@@ -296,6 +296,7 @@ _PARTIAL, _ENCRYPTED, _EXTERNAL = "partial-fpga-config", "encrypted-fpga-config"
 _KNOWN = (_PARTIAL, _ENCRYPTED, _EXTERNAL)
 _DMABUF = "fpga-config-from-dmabuf"  # of linux-xlnx: it names no file that could be checked
 _LOADING = frozenset({_NAME, _PARTIAL, _ENCRYPTED})
+_UNRESOLVED = b"\xff\xff\xff\xff"  # where dtc leaves a phandle to __fixups__
 
 
 @dataclass(frozen=True, slots=True)
@@ -308,9 +309,21 @@ class FirmwareLoad:
 
 
 def checked_overlay(name: str, blob: bytes) -> bytes:
-    """The blob, if it is a whole device tree with an ``__overlay__`` node. Raises BadOverlay."""
-    if not any(_targets(_read(name, blob))):
+    """The blob, if it is a whole device tree with an ``__overlay__`` node, and each fragment knows what it changes.
+
+    Raises BadOverlay.
+    """
+    root = _read(name, blob)
+    if not any(_targets(root)):
         raise BadOverlay(f"{name}: no fragment has an __overlay__ node; compile an overlay (/plugin/;) with dtc")
+    known = targets(root)
+    for fragment in root.children:
+        lost = fragment.properties.get("target", _UNRESOLVED) == _UNRESOLVED and fragment.name not in known
+        if lost and fragment.child("__overlay__"):
+            raise BadOverlay(
+                f"{name}: {fragment.name} has no target: __fixups__ names no label for it; a tool that wrote this "
+                "overlay has dropped that node, so compile its source with dtc -@"
+            )
     return blob
 
 

@@ -76,24 +76,25 @@ def _block(node: _Element, unit: int, notes: list[str]) -> Iterator[Item]:
         width, doc = _int(node, "width") or 32, text_of(node, "description")
         yield MemoryInfo(text_of(node, "name"), base, size, _access(node), width, doc=doc, dims=dims)
         return
-    items = tuple(_items(node, unit, _access(node), notes))
+    items = tuple(_items(node, unit, _access(node), _int(node, "width"), notes))
     name = f"{text_of(node, 'name')}" if dims else ""
     yield BlockInfo(name, base, items, dims)
 
 
-def _items(node: _Element, unit: int, access: str, notes: list[str]) -> Iterator[Item]:
+def _items(node: _Element, unit: int, access: str, row: int, notes: list[str]) -> Iterator[Item]:
+    """What a block or file holds, that is accessed in rows of `row` bits (0: not known)."""
     for child in node:
         if not _is_present(child):
             continue
         kind, offset = local(child.tag), _int(child, "addressOffset") * unit
         if kind == "register":
-            yield _register(child, offset, unit, access)
+            yield _register(child, offset, unit, access, row)
         elif kind == "registerFile":
-            inside = tuple(_items(child, unit, _access(child) or access, notes))
+            inside = tuple(_items(child, unit, _access(child) or access, row, notes))
             yield BlockInfo(text_of(child, "name"), offset, inside, _dims(child, _int(child, "range") * unit, unit))
 
 
-def _register(node: _Element, offset: int, unit: int, access: str) -> RegisterInfo:
+def _register(node: _Element, offset: int, unit: int, access: str, row: int) -> RegisterInfo:
     size = _int(node, "size") or 32
     return RegisterInfo(
         name=text_of(node, "name"),
@@ -104,6 +105,7 @@ def _register(node: _Element, offset: int, unit: int, access: str) -> RegisterIn
         fields=tuple(_field(part) for part in children(node, "field") if _is_present(part)),
         doc=text_of(node, "description"),
         dims=_dims(node, max(-(-size // 8), unit), unit),
+        widest=row if row in (8, 16, 32) and row < size else 0,
         volatile=text_of(node, "volatile") == "true",
     )
 

@@ -239,6 +239,8 @@ def test_a_sync_word_is_looked_for_in_the_first_64_kib_and_where_words_begin(pat
         ((("UserID", "0XFFFFFFFF"), ("PARTIAL", None)), None, False),
         ((("UserID", "123456789"),), None, False),
         ((("UserID", "1=1"), ("UserID", "1")), None, False),
+        ((("UserID", "0xC0FFEE"), ("PARTIAL", "TRUE"), ("Version", "2018.3")), 0xC0FFEE, True),
+        ((("PARTIAL", "TRUE"), ("UserID", "0xC0FFEE"), ("Version", "2025.2"), ("SW_CRC", "6b1f4a02")), 0xC0FFEE, True),
     ],
 )
 def test_a_header_says_which_static_design_and_whether_it_is_partial(
