@@ -72,11 +72,11 @@ class Registers(MutableMapping[str, int]):
         raise TypeError("a register cannot be deleted")
 
     def __iter__(self) -> Iterator[str]:
-        """Names of all that can be read now."""
-        return iter(self.read())
+        """Names of all that the current mode has, write-only ones too; no register is read. `read` gives values."""
+        return iter(self.info)
 
     def __len__(self) -> int:
-        return len(self.read())
+        return len(self.info)
 
     def __contains__(self, name: object) -> bool:
         return registers.has(self.info, name)

@@ -9,7 +9,7 @@ so they are written and checked after recoupling, while the streams are still st
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -315,10 +315,25 @@ def clock_steps(goal: Goal, state: BoardState, devices: Devices) -> tuple[SetClo
 
 
 def _step(clock: PlClock, wanted: Clock, restores: bool = False) -> SetClock:
-    achieved = clock.rounded(wanted.rate)
+    asked, achieved = nearest_asked(wanted, clock.rounded)
     if achieved is not None and not restores:
         check_rate(wanted, achieved)
-    return SetClock(wanted, clock.rate, achieved, clock.enabled, restores)
+    return SetClock(wanted, clock.rate, achieved, clock.enabled, restores, asked)
+
+
+def nearest_asked(wanted: Clock, rounded: Callable[[int], int | None]) -> tuple[int, int | None]:
+    """What to ask of a driver that rounds down, and what comes of it: a rate just above may be nearer.
+
+    A design's own rate is often a few Hz below what the dividers make (142,857,132 for 142,857,141).
+    """
+    found = {hertz: rounded(hertz) for hertz in (wanted.rate, just_above(wanted))}
+    asked = min(found, key=lambda hertz: abs((found[hertz] or hertz) - wanted.rate))
+    return asked, found[asked]
+
+
+def just_above(wanted: Clock) -> int:
+    """What may still be meant by a rate: a thousandth more, which no design's timing notices."""
+    return wanted.rate + min(int(allowed(wanted)), wanted.rate // 1000)
 
 
 def _is_due(step: SetClock, state: BoardState) -> bool:

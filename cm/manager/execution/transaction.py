@@ -18,7 +18,7 @@ from cm.frozen import dataclass, field, replace
 from cm.manager.access.register_bus import RegisterBus, drive, is_cut
 from cm.manager.errors import Cancelled, IdentityMismatch, NoPort, NoSuchPlace, RecordFailed, VerifyFailed, WrongStatic
 from cm.manager.loaders import Job, Loaders, Start, resolved
-from cm.manager.planner import Goal, Plan, check_rate, make_plan, place_of
+from cm.manager.planner import Goal, Plan, check_rate, just_above, make_plan, place_of
 from cm.manager.state import steps as s
 from cm.manager.state.board_state import (
     BoardState,
@@ -32,6 +32,7 @@ from cm.manager.state.board_state import (
 from cm.manager.state.journal import ManagerState
 from cm.manager.state.steps import Step
 from cm.manager.status_reports import StatusReporter
+from cm.schema.clock_rates import rate_problem
 from cm.schema.model import Config, LoaderKind, Register
 from cm.wire.messages.status import Progress, StepTaken
 
@@ -462,9 +463,11 @@ def set_clock(run: StepContext, step: s.SetClock) -> None:
     clock = run.tools.devices.clocks().find(name)
     run.rates[name] = step.before
     if clock.rate != step.clock.rate:
-        clock.rate = step.clock.rate
+        clock.rate = step.asked or step.clock.rate
     if not step.running:
         clock.enabled = True
+    if step.achieved is None and rate_problem(step.clock, clock.rate):  # a driver that cannot be asked, rounding down
+        clock.rate = just_above(step.clock)
     rate = clock.rate
     run.update(lambda board: board.with_clock(name, rate))
     if not step.restores:

@@ -244,6 +244,7 @@ class SetClock(_Step):
     achieved: int | None  # Hz that it will run at; None where that cannot be known beforehand
     running: bool
     restores: bool = False  # on the way back: as near as it can be had is right
+    asked: int = 0  # Hz that the driver is told to make, because it rounds down; 0: the clock's rate
     kind = "clock"
 
     @property

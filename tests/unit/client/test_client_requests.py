@@ -347,7 +347,7 @@ VALUES = RegValues((RegValue("focus", 7), RegValue("zoom", 2)), "camera", "edge"
 HELD = ConfigInfo(
     "camera",
     mode="edge",
-    registers=(RegisterInfo("focus", 0x1000, 32, "rw"), RegisterInfo("zoom", 0x1004, 32, "rw")),
+    registers=(RegisterInfo("focus", 0x1000, 32, "rw"), RegisterInfo("zoom", 0x1004, 32, "wo")),
     memories=(MemoryInfo("table", 0x2000, 64), MemoryInfo("log", 0x3000, 64, modes=("default",))),
 )
 
@@ -360,8 +360,8 @@ HELD = ConfigInfo(
         (lambda b: (len(b.interrupts), b.interrupts.names), [IRQS] * 2, (2, ("done", "lost"))),
         (lambda b: b.interrupts._ipython_key_completions_(), [IRQS], ["done", "lost"]),
         (lambda b: b.interrupts["done"].count, [Irq("done", 5, 9)], 5),
-        (lambda b: list(b.registers), [VALUES] * 2, ["focus", "zoom"]),
-        (lambda b: len(b.registers), [VALUES], 2),
+        (lambda b: list(b.registers), [HELD] * 2, ["focus", "zoom"]),
+        (lambda b: len(b.registers), [HELD], 2),
         (lambda b: b.registers.update({"focus": 7}, zoom=2), [VALUES], None),
         (lambda b: b.registers.update(zoom=2), [VALUES], None),
         (lambda b: b.registers.update(), [], None),

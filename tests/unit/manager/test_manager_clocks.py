@@ -39,6 +39,7 @@ CLOCKS = {
     "slow": ("partial", "{}"),
     "fast": ("partial", "{fclk0: {rate: 142_860_000}, fclk1: 100_000_000}"),
     "odd": ("partial", "{fclk0: 97_000_000}"),
+    "below": ("partial", "{fclk0: 142_857_132, fclk1: 99_999_001}"),  # as Vivado writes them
     "lax": ("partial", "{fclk0: {rate: 97_000_000, tolerance: 10}}"),
 }
 
@@ -107,6 +108,13 @@ def test_an_impossible_rate_is_refused_before_anything_is_touched(made: Rig, sim
     assert "icap.load" not in made.fault.names
     assert made.go("default", config="lax") is None
     assert rates(sim)[0] == 90_909_090
+
+
+def test_a_rate_just_below_one_that_the_dividers_make_is_that_one(made: Rig, sim: SimBoard) -> None:
+    assert made.manager.plan(ChangeMode("below", "default")).clocks[0].rate == FAST
+    assert made.go("default", config="below") is None
+    assert rates(sim) == (FAST, 99_999_999)
+    assert made.manager.plan(ChangeMode("below", "default")).steps == ()
 
 
 def test_without_a_driver_clocks_stay_unchanged_and_that_is_reported_once(

@@ -87,7 +87,7 @@ class Clock:
         self.rate, self.enabled = rate, enabled
 
     def rounded(self, hertz: int) -> int | None:
-        return {100_000_000: 99_999_999, 97_000_000: 90_909_090}.get(hertz, hertz)
+        return next((rate for rate in (99_999_999, 90_909_090) if 0 <= hertz - rate < 7_000_000), hertz)
 
 
 class Blind(Clock):
