@@ -15,21 +15,25 @@ if TYPE_CHECKING:
     from cm import aio as aio
     from cm import device as device
     from cm import errors as errors
+    from cm.client.blocks import Block as Block
+    from cm.client.blocks import driver as driver
     from cm.client.board import Board as Board
     from cm.client.board import connect as connect
     from cm.client.picture import Picture as Picture
     from cm.errors import CmError as CmError
 
-__all__ = ["Board", "CmError", "Picture", "__version__", "aio", "connect", "device", "errors"]
+__all__ = ["Block", "Board", "CmError", "Picture", "__version__", "aio", "connect", "device", "driver", "errors"]
 
 # name → the module that defines it, or that is it
 _WHERE = {
+    "Block": "cm.client.blocks",
     "Board": "cm.client.board",
     "CmError": "cm.errors",
     "Picture": "cm.client.picture",
     "aio": "cm.aio",
     "connect": "cm.client.board",
     "device": "cm.device",
+    "driver": "cm.client.blocks",
     "errors": "cm.errors",
 }
 

@@ -26,7 +26,8 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         (
             "cm.client.board", "cm.client.registers", "cm.client.register_window", "cm.client.core.generations",
             "cm.client.interrupts",
-            "cm.client.memories", "cm.client.stream", "cm.client.frame", "cm.client.mapping", "cm.client.writer",
+            "cm.client.memories", "cm.client.blocks", "cm.client.stream", "cm.client.frame", "cm.client.mapping",
+            "cm.client.writer",
             "cm.client.allocation", "cm.client.change", "cm.client.lease", "cm.client.events", "cm.client.picture",
             "cm.client.find_manager", "cm.wire.plane_packets:Geometry Descriptor",
         ),

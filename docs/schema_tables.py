@@ -32,6 +32,7 @@ SECTIONS = {
             "streams.NAME": "definitions/stream",
             "streams.NAME.camera_info": "definitions/camera_info",
             "interrupts.NAME": "definitions/interrupt",
+            "blocks.NAME": "definitions/block",
             "clocks.NAME": "definitions/clock",
             "overlays[]": "definitions/overlay",
         },

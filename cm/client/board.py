@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import weakref
 from collections.abc import Sequence
+from functools import cached_property
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from cm.client.allocation import DeviceArray
+    from cm.client.blocks import Blocks
     from cm.client.frame import Frame
     from cm.client.register_window import RegisterWindow
     from cm.client.stream import Stream
@@ -192,6 +194,13 @@ class Board(Guarded):
         """Every status from now on, the current one first. Raises Timeout if none comes for `timeout` seconds."""
         subscription = self.subscribe(*StatusEvents.topics)
         return EventStream(self, subscription, StatusEvents(subscription, timeout))
+
+    @cached_property
+    def blocks(self) -> Blocks:
+        """The IPs of the loaded configuration by instance."""
+        from cm.client.blocks import Blocks
+
+        return Blocks(self)
 
     # ---- configurations -----------------------------------------------------------------
 

@@ -17,8 +17,9 @@ from cm.manager.history import History
 from cm.manager.state.board_state import BoardState, RegionState
 from cm.manager.state.journal import Kept, ManagerState
 from cm.manager.state.steps import Choice
-from cm.schema.model import BitField, Config, Memory, Register, Stream
+from cm.schema.model import BitField, Block, Config, Memory, Register, Stream
 from cm.wire.messages.status import (
+    BlockInfo,
     ClockStatus,
     ConfigEntry,
     ConfigInfo,
@@ -259,6 +260,7 @@ def config_info(
         streams=tuple(stream_status(x) for x in streams.values()),
         schema=schema,
         memories=_memories(config),
+        blocks=tuple(map(_block, config.blocks.values())),
     )
 
 
@@ -307,11 +309,17 @@ def register_info(r: Register, modes: tuple[str, ...] = ()) -> RegisterInfo:
         fields=tuple(_field(f) for f in r.fields.values()),
         modes=modes,
         region=r.region or "",
+        type="" if r.type == "uint" else r.type,
+        fraction=r.fraction,
     )
 
 
 def _field(f: BitField) -> FieldInfo:
     return FieldInfo(f.name, f.lsb, f.width, f.doc, tuple(f.values.items()), f.access.value if f.access else "")
+
+
+def _block(b: Block) -> BlockInfo:
+    return BlockInfo(b.name, b.base_address, b.size, b.vlnv, b.prefix, b.interrupts, b.streams, b.doc)
 
 
 def _memories(config: Config) -> tuple[MemoryInfo, ...]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy.typing as npt
 
 from cm.client.allocation import DeviceArray
-from cm.pynq.places import board
+from cm.pynq.board import board
 
 
 class PynqBuffer(DeviceArray):

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from cm.errors import Timeout
-from cm.pynq.places import board
+from cm.pynq.board import board
 
 SLICE = 0.25  # seconds that a thread waits before it looks whether anybody still wants it to
 

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from cm.pynq.places import WHOLE, WORD, places
+from cm.client.places import WHOLE, WORD
+from cm.pynq.board import places
 
 
 class MMIO:

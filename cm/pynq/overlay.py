@@ -13,9 +13,9 @@ from cm.formats.hwh import read
 from cm.formats.importers import described_by, to_name
 from cm.pynq.blocks import Description as Description
 from cm.pynq.blocks import blocks, hierarchies
+from cm.pynq.board import board, places
 from cm.pynq.interrupt import Interrupt
 from cm.pynq.mmio import MMIO
-from cm.pynq.places import board, places
 from cm.pynq.registers import RegisterMap
 
 

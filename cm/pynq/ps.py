@@ -6,7 +6,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from cm.pynq.places import board
+from cm.pynq.board import board
 
 
 class _Clocks(type):

@@ -7,8 +7,8 @@ import re
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
+from cm.client.places import WHOLE
 from cm.pynq.mmio import MMIO
-from cm.pynq.places import WHOLE
 
 _READ_ONLY, _WRITE_ONLY = "read-only", "write-only"
 _T = TypeVar("_T")

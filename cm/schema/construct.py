@@ -15,6 +15,7 @@ from cm.frozen import dataclass, field, replace
 from cm.schema.model import (
     Access,
     BitField,
+    Block,
     Clock,
     Config,
     ConfigType,
@@ -114,6 +115,8 @@ def _register(
         region=region_of(values, window, owner),
         volatile=values.get("volatile", False),
         doc=values.get("doc", ""),
+        type=values.get("type", "uint"),
+        fraction=int(values.get("fraction", 0)),
     )
 
 
@@ -241,6 +244,7 @@ def build_config(data: dict[str, Any], context: Context) -> Config:
         clocks=MappingProxyType({name: _clock(name, v) for name, v in data.get("clocks", {}).items()}),
         doc=data.get("doc", ""),
         memories=build_memories(data, Owner(top, None), context),
+        blocks=MappingProxyType({name: _block(name, v) for name, v in data.get("blocks", {}).items()}),
         static=_static(data["static"]) if data.get("static") else None,
     )
 
@@ -418,6 +422,11 @@ def _stream_values(values: dict[str, Any]) -> dict[str, Any]:
 
 def _interrupt(name: str, values: dict[str, Any]) -> Interrupt:
     return Interrupt(name, **_integers(values))
+
+
+def _block(name: str, values: dict[str, Any]) -> Block:
+    given: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in _integers(values).items()}
+    return Block(name, **given)
 
 
 def _clock(name: str, values: dict[str, Any]) -> Clock:

@@ -132,6 +132,8 @@ class Register:
     region: str | None = None  # region whose module answers; None: the static part
     volatile: bool = False  # may change by itself: never verified, always read
     doc: str = ""
+    type: str = "uint"  # of the bits: uint, int, float32 or float64
+    fraction: int = 0  # bits of a uint or int behind the binary point
 
     @property
     def address(self) -> int:
@@ -187,6 +189,25 @@ class Memory:
     def item(self) -> int:
         """Bytes of one element."""
         return ITEM_BYTES[self.dtype]
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """An IP of the static part: `size` bytes at `base_address`, where the processor sees any.
+
+    Registers and memories in there are its own; their names begin with `prefix`. `peers`: the blocks and streams that
+    its stream outputs lead to.
+    """
+
+    name: str
+    base_address: int = 0
+    size: int = 0  # 0: it has no window
+    vlnv: str = ""
+    prefix: str = ""
+    interrupts: tuple[str, ...] = ()
+    streams: tuple[str, ...] = ()
+    peers: tuple[str, ...] = ()
+    doc: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -410,6 +431,7 @@ class Config:
     source: Path | None = None  # file it was read from
     sha256_source: str = ""  # of that file's bytes
     memories: Mapping[str, Memory] = field(default_factory=_empty)  # of the static part, as `registers`
+    blocks: Mapping[str, Block] = field(default_factory=_empty)
     static: StaticIdentity | None = None  # None: not known which static design the modules belong to
 
     def first_mode(self) -> str:

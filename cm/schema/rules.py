@@ -95,6 +95,22 @@ def check_rules(config: Config, context: Context) -> None:
     check_runs(config, context)
     check_memories(config, context)
     check_interrupts(config, context)
+    _check_blocks(config, context)
+
+
+def _check_blocks(config: Config, context: Context) -> None:
+    """Report what a block names and is not there."""
+    streams = {name for found in (config.streams, *(mode.streams for mode in config.modes.values())) for name in found}
+    for name, block in config.blocks.items():
+        for key, code, named, known in (
+            ("interrupts", "unknown_interrupt", block.interrupts, config.interrupts.keys()),
+            ("streams", "unknown_stream", block.streams, streams),
+            ("peers", "unknown_peer", block.peers, streams | config.blocks.keys()),
+        ):
+            for index, other in enumerate(named):
+                if other not in known:
+                    where: KeyPath = (*_TOP, "blocks", name, key, index)
+                    context.report(where, code, f"there is no {other} among them", did_you_mean(other, known))
 
 
 def _check_top(config: Config, context: Context) -> None:

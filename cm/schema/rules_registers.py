@@ -84,6 +84,13 @@ def check_values(register: Register, path: KeyPath, context: Context) -> None:
         if value is not None and value >> register.width:
             message = f"{value:#x} does not fit a register of {register.width} bits"
             context.report((*path, key), "value_range", message, f"at most {(1 << register.width) - 1:#x}")
+    bits = {"float32": 32, "float64": 64}.get(register.type, register.width)
+    if bits != register.width:
+        message = f"a {register.type} in a register of {register.width} bits"
+        context.report((*path, "type"), "value_range", message, f"width: {bits}")
+    if register.fraction > register.width or (register.fraction and register.type.startswith("float")):
+        message = f"{register.fraction} bits behind the point of a {register.type} of {register.width} bits"
+        context.report((*path, "fraction"), "value_range", message, "uint or int, and no more than its bits")
     if low is not None and high is not None and low > high:
         context.report((*path, "min"), "value_range", f"min {low} is above max {high}", "min is the smaller one")
     if register.default is None:

@@ -12,7 +12,7 @@ from typing import Any
 import yaml
 
 from cm.schema.construct import IMAGE_KEYS, STATIC, default_region, only_region
-from cm.schema.model import BitField, Config, Decoupler, Memory, Mode, Module, Overlay, Region, Register, Stream
+from cm.schema.model import BitField, Block, Config, Decoupler, Memory, Mode, Module, Overlay, Region, Register, Stream
 from cm.schema.pictures import CameraInfo, camera_file
 from cm.schema.reader import is_octal_trap, resolve
 
@@ -81,6 +81,7 @@ def to_plain(config: Config) -> dict[str, Any]:
     _put(data, "overlays", _overlays(config.overlays))
     _put(data, "streams", {name: _stream(stream, config) for name, stream in config.streams.items()})
     _put(data, "interrupts", {name: _simple(interrupt) for name, interrupt in config.interrupts.items()})
+    _put(data, "blocks", {name: _block(block) for name, block in config.blocks.items()})
     _put(data, "clocks", {name: _simple(clock) for name, clock in config.clocks.items()})
     data["modes"] = {name: _mode(mode, config) for name, mode in config.modes.items()}
     return {"config": data}
@@ -151,6 +152,12 @@ def _mode(mode: Mode, config: Config) -> dict[str, Any]:
     streams = {name: _stream(stream, config, config.streams.get(name)) for name, stream in mode.streams.items()}
     _put(data, "streams", {name: keys for name, keys in streams.items() if keys})
     return data
+
+
+def _block(block: Block) -> dict[str, Any]:
+    place = {"base_address": Hex(block.base_address), "size": Hex(block.size)} if block.size else {}
+    data = {"vlnv": block.vlnv, **place, **_simple(block, "vlnv", "base_address", "size")}
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in data.items() if value != ""}
 
 
 def _overlays(overlays: tuple[Overlay, ...]) -> list[Any]:

@@ -134,6 +134,7 @@ CONFIG = Twin(
     streams=STREAM,
     memories=MEMORY,
     entries=Twin(st.ConfigEntry, pb.ConfigEntry),
+    blocks=Twin(st.BlockInfo, pb.BlockInfo),
 )
 
 

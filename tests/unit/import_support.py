@@ -50,6 +50,13 @@ def port(name: str, direction: str, *ends: tuple[str, str], kind: str = "undef",
     return f'<PORT DIR="{direction}" NAME="{name}" {width}SIGIS="{kind}"><CONNECTIONS>{found}</CONNECTIONS></PORT>'
 
 
+def buses(*items: tuple[str, str, str]) -> str:
+    """The BUSINTERFACES of streams: (name, MASTER or SLAVE, net)."""
+    vlnv = "xilinx.com:interface:axis:1.0"
+    found = (f'<BUSINTERFACE NAME="{name}" TYPE="{kind}" BUSNAME="{net}" VLNV="{vlnv}"/>' for name, kind, net in items)
+    return f"<BUSINTERFACES>{''.join(found)}</BUSINTERFACES>"
+
+
 def memory(*ranges: tuple[str, int, int]) -> str:
     """A MEMORYMAP of (instance, base, size) register ranges."""
     return "<MEMORYMAP>" + "".join(memory_range(*item) for item in ranges) + "</MEMORYMAP>"

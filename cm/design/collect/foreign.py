@@ -10,7 +10,7 @@ from typing import Any
 
 from cm.design.collect import handoff
 from cm.design.collect.collected import HEAD, Collected, Inputs, compile_overlays
-from cm.design.collect.foreign_dma import PS_CLOCKS, Engines, ForeignInterrupts, engines, interrupts
+from cm.design.collect.foreign_dma import PS_CLOCKS, Engines, ForeignInterrupts, engines, interrupts, stream_names
 from cm.design.collect.handoff import Handoff
 from cm.design.collect.images import Image, by_region, check_regions, footprint, to_bin
 from cm.design.errors import BuildError
@@ -18,6 +18,7 @@ from cm.design.generate.dma_nodes import ClockInput, Tree, pl_clock
 from cm.design.platforms import Platform, platform_of
 from cm.design.render import Renderer
 from cm.formats import hwh
+from cm.formats.importers import blocks_of
 from cm.formats.importers.registers import decoupler_of
 from cm.formats.registers import identifier
 from cm.hashes import sha256
@@ -80,8 +81,10 @@ def _described(name: str, image: Image, whole: Handoff | None, notes: list[str])
     )
     if not hwh.windows(design):
         return found
-    lines = interrupts(design, platform_of(device)).lines
-    return replace(found, interrupts=lines, overlays=(Overlay(f"{name}_static"),))
+    lines, names = interrupts(design, platform_of(device)).lines, stream_names(hwh.dma_channels(design), design)
+    prefixes = {instance: module.name for instance, module in design.modules.items()}
+    blocks = {block.name: block for block in blocks_of(design, lines, found.streams, names, prefixes)}
+    return replace(found, blocks=blocks, interrupts=lines, overlays=(Overlay(f"{name}_static"),))
 
 
 def _overlay_of(whole: Handoff, config: Config, notes: list[str]) -> dict[str, str]:

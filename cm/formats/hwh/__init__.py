@@ -23,4 +23,5 @@ from cm.formats.hwh.trace import memories as memories
 from cm.formats.hwh.trace import processor as processor
 from cm.formats.hwh.trace import raw as raw
 from cm.formats.hwh.trace import registers as registers
+from cm.formats.hwh.trace import stream_ends as stream_ends
 from cm.formats.hwh.trace import windows as windows

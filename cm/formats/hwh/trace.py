@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 
-from cm.formats.hwh.reader import DECIMAL, ConnectedPort, Hwh, MemoryRange, ModuleInstance
+from cm.formats.hwh.reader import DECIMAL, BusInterface, ConnectedPort, Hwh, MemoryRange, ModuleInstance
 from cm.formats.registers import MemoryInfo, RegisterField, RegisterInfo
 from cm.frozen import dataclass
 
@@ -17,6 +17,7 @@ _PROCESSORS = ("processing_system7", "zynq_ultra_ps_e", "versal_cips")
 _PS_INTERRUPTS = re.compile(r"IRQ_F2P|pl_ps_irq[01]|Core[01]_n(FIQ|IRQ)")
 _CONSTANTS = ("xlconstant", "ilconstant")  # a bit that is nothing, as of GND_1
 _DECOUPLERS = ("dfx_decoupler", "pr_decoupler")
+_STREAM = ":axis:"  # in the VLNV of a stream's interface
 _ECC = "S_AXI_CTRL"  # a BRAM controller's registers
 _DEPTH = 8  # slices in a row
 _WIDEST = 1024  # bits of one input of a concatenation
@@ -182,6 +183,23 @@ def dma_channels(hwh: Hwh) -> tuple[DmaChannel, ...]:
                     for number in range(_channels(module, direction)):
                         found.append(DmaChannel(module.instance, module.type, direction, base, bits, *engine, number))
     return tuple(found)
+
+
+def stream_ends(hwh: Hwh, instance: str, interface: str = "") -> list[tuple[str, str]]:
+    """Where an instance's AXI streams lead to, or that of one interface: instances and their interfaces."""
+    module = hwh.modules.get(instance)
+    out = [item.bus for item in module.interfaces if _sends(item) and interface in ("", item.name)] if module else []
+    return [
+        (other.instance, item.name)
+        for bus in dict.fromkeys(out)
+        for other in hwh.modules.values()
+        for item in other.interfaces
+        if item.bus == bus and item.type in ("SLAVE", "TARGET") and _STREAM in item.vlnv
+    ]
+
+
+def _sends(item: BusInterface) -> bool:
+    return item.type in ("MASTER", "INITIATOR") and _STREAM in item.vlnv and item.bus not in ("", "__NOC__")
 
 
 def _channels(module: ModuleInstance, direction: str) -> int:

@@ -7,6 +7,7 @@ What a package says that the runtime schema cannot express is listed in `Importe
 
 from cm.formats.importers.archive import back as back
 from cm.formats.importers.archive import unpack as unpack
+from cm.formats.importers.blocks import blocks_of as blocks_of
 from cm.formats.importers.config_versions import versions as versions
 from cm.formats.importers.dfx_mgr import import_dfx_mgr as import_dfx_mgr
 from cm.formats.importers.pynq import channel_names as channel_names

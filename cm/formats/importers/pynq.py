@@ -16,6 +16,7 @@ from cm.formats import hwh as handoff
 from cm.formats.bitstream import BitstreamError, Expectation, Report, footprint_of, inspect, outside, verify
 from cm.formats.bitstream.idcodes import base_name
 from cm.formats.hwh import DecouplerInfo, DmaChannel, Hwh, HwhError, InterruptLine
+from cm.formats.importers.blocks import blocks_of
 from cm.formats.importers.overlays import FoundOverlay, firmware_links, overlay_info
 from cm.formats.importers.registers import decoupler_of, memories, within
 from cm.formats.importers.result import Imported, ImportRefused, Names, frozen, static_of, to_name
@@ -117,6 +118,7 @@ def _static(bit: Path, report: Report, hwh: Hwh, links: dict[str, Path], notes: 
     blocks = memories(hwh, notes, streams.values())
     bank = RegisterBank(notes, (*streams, *blocks))
     _registers(hwh, bank, notes)
+    interrupts = _interrupts(hwh, bank.registers, notes)
     return Config(
         name=name,
         type=ConfigType.FULL,
@@ -127,11 +129,19 @@ def _static(bit: Path, report: Report, hwh: Hwh, links: dict[str, Path], notes: 
         registers=frozen(bank.registers),
         overlays=_overlays(bit, links, notes),
         streams=frozen(streams),
-        interrupts=frozen(_interrupts(hwh, bank.registers, notes)),
+        interrupts=frozen(interrupts),
         clocks=frozen({clock.name: Clock(clock.name, clock.rate) for clock in handoff.clocks(hwh)}),
         modes=frozen({"default": Mode("default")}),
         doc=f"From the PYNQ overlay {bit.name}, design {hwh.design}, Vivado {hwh.vivado}",
         memories=frozen({**blocks, **bank.memories}),
+        blocks=frozen(
+            {
+                block.name: block
+                for block in blocks_of(
+                    hwh, interrupts, streams, channel_names(hwh), dict(zip(hwh.modules, hwh.modules, strict=True))
+                )
+            }
+        ),
     )
 
 

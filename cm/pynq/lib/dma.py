@@ -12,10 +12,10 @@ from cm.client.frame import Frame
 from cm.client.stream import Stream
 from cm.client.writer import Writer
 from cm.errors import CmError, Timeout
+from cm.pynq.board import board, places
 from cm.pynq.buffer import PynqBuffer
 from cm.pynq.interrupt import SLICE, until
 from cm.pynq.overlay import DefaultIP, Description
-from cm.pynq.places import board, places
 
 _Bytes = npt.NDArray[np.uint8]
 

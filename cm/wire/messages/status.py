@@ -388,6 +388,8 @@ class RegisterInfo:
     fields: tuple[FieldInfo, ...] = ()
     modes: tuple[str, ...] = ()
     region: str = ""
+    type: str = ""  # what the bits mean: int, float32 or float64; empty: uint
+    fraction: int = 0  # bits of a uint or int behind the binary point
 
 
 @dataclass(frozen=True, slots=True)
@@ -404,6 +406,20 @@ class MemoryInfo:
     doc: str = ""
     modes: tuple[str, ...] = ()
     defined: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class BlockInfo:
+    """An IP of the static part: `size` bytes at `base_address`; its registers' names begin with `prefix`."""
+
+    name: str
+    base_address: int
+    size: int
+    vlnv: str = ""
+    prefix: str = ""
+    interrupts: tuple[str, ...] = ()
+    streams: tuple[str, ...] = ()
+    doc: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -453,6 +469,7 @@ class ConfigInfo:
     schema: str = ""
     memories: tuple[MemoryInfo, ...] = ()
     entries: tuple[ConfigEntry, ...] = ()  # in a list of all configurations
+    blocks: tuple[BlockInfo, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from import_support import (
     bitstream,
+    buses,
     described,
     hwh,
     memory,
@@ -22,8 +23,8 @@ from cm.formats.bitstream import inspect
 from cm.formats.bitstream.errors import BitstreamError
 from cm.formats.hwh import HwhError
 from cm.formats.importers import Imported, ImportRefused, import_pynq, write
-from cm.schema import load
-from cm.schema.model import Access, Config, ConfigType, Decoupler, Direction, FrameRange, GpioLine, LoaderKind
+from cm.schema import dump, load, loads
+from cm.schema.model import Access, Block, Config, ConfigType, Decoupler, Direction, FrameRange, GpioLine, LoaderKind
 from cm.schema.named_files import bitstream_path, overlay_path
 
 PS = "processing_system7"
@@ -408,3 +409,27 @@ def test_a_clock_in_exponent_form_is_a_clock(tmp_path: Path) -> None:
     pin = '<PORTS><PORT CLKFREQUENCY="1e+08" DIR="O" NAME="FCLK_CLK0" SIGIS="clk"/></PORTS>'
     config = static(imported_design(tmp_path, hwh(module("ps", PS, pin, parameters=given))))
     assert {name: clock.rate for name, clock in config.clocks.items()} == {"fclk0": 100_000_000}
+
+
+def test_a_block_has_its_window_interrupts_and_streams_and_says_where_its_own_lead(tmp_path: Path) -> None:
+    design = hwh(
+        module(
+            "ps",
+            "processing_system7",
+            ports(port("IRQ_F2P", "I", ("gpio", "ip2intc_irpt"), kind="INTERRUPT")),
+            memory(("dma", 0x40400000, 0x10000), ("gpio", 0x41200000, 0x10000)),
+        ),
+        module("dma", "axi_dma", buses(("M_AXIS_MM2S", "MASTER", "a"), ("S_AXIS_S2MM", "SLAVE", "b"))),
+        module("fifo", "axis_data_fifo", buses(("S_AXIS", "SLAVE", "a"), ("M_AXIS", "MASTER", "b"))),
+        module("gpio", "axi_gpio", ports(port("ip2intc_irpt", "O", ("ps", "IRQ_F2P"), kind="INTERRUPT"))),
+    )
+    (tmp_path / "loop.bit").write_bytes(bitstream())
+    (tmp_path / "loop.hwh").write_bytes(design)
+    [config] = import_pynq(tmp_path / "loop.bit").configs
+    irqs = ("gpio_ip2intc_irpt", "gpio_ip2intc_irpt_2")
+    assert list(config.blocks.values()) == [
+        Block("dma", 0x40400000, 0x10000, "xilinx.com:ip:axi_dma:1.0", "dma_", (), ("dma_mm2s", "dma_s2mm"), ("fifo",)),
+        Block("fifo", vlnv="xilinx.com:ip:axis_data_fifo:1.0", peers=("dma_s2mm",)),
+        Block("gpio", 0x41200000, 0x10000, "xilinx.com:ip:axi_gpio:1.0", "gpio_", irqs),
+    ]
+    assert loads(dump(config), Path("loop.yaml")).blocks == config.blocks

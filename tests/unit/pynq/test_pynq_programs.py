@@ -25,11 +25,13 @@ from import_support import (
 )
 from manager_process import Manager, environment, served, short_folder
 
+import cm
 from cm import pynq
+from cm.client.blocks import Block, _drivers
 from cm.errors import Busy, InvalidRequest, NotFound
 from cm.formats.importers import import_pynq, write
+from cm.pynq.board import board, places
 from cm.pynq.lib import DMA, AxiGPIO
-from cm.pynq.places import board, places
 from cm.simulation.software import Board as SimBoard
 
 FILTER = described(
@@ -130,6 +132,48 @@ def test_fields_and_bits_of_a_register_map(overlay: pynq.Overlay) -> None:
     assert board().registers["filter_ctrl"] & 0xF1 == 0x91
     assert repr(found.CTRL) == "Register(AP_START=1, AP_DONE=0, MODE=9)"
     assert "  rows = Register(value=write-only)" in repr(found)
+
+
+def test_a_block_of_the_board_has_what_the_overlay_has(overlay: pynq.Overlay) -> None:
+    blocks = board().blocks
+    assert sorted(blocks) == ["dma", "filter", "gpio", "ram"]
+    found = blocks["filter"]
+    assert (found.vlnv, list(found.registers)) == (
+        "xilinx.com:ip:filter:1.0",
+        ["ctrl", "rows", "status", "gain", "isr"],
+    )
+    found.write(0x18, 9)
+    found.registers["ctrl"] = 0
+    found.registers["ctrl.mode"] = 3
+    assert (found.registers["gain"], found.read(0x18), found.registers["ctrl"]) == (9, 9, 0x30)
+    assert (blocks["gpio"].info.interrupts, blocks["ram"].memory.info.size) == (
+        ("gpio_ip2intc_irpt", "gpio_ip2intc_irpt_2"),
+        0x1000,
+    )
+    for wrong, error, said in (
+        (lambda: found.read(0x10000), IndexError, "no word at 0x10000 in block 'filter'"),
+        (lambda: found.registers["gian"], NotFound, "no register 'gian'; there are ctrl, rows"),
+        (lambda: blocks["gpio"].interrupt, NotFound, "several of them: gpio_ip2intc_irpt, gpio"),
+        (lambda: found.memory, NotFound, "block 'filter' has no memory"),
+        (lambda: blocks["fliter"], KeyError, "no block 'fliter'; there are filter, dma"),
+    ):
+        with pytest.raises(error, match=said):
+            wrong()
+
+
+def test_a_class_that_a_vlnv_is_bound_to_is_what_a_block_is(overlay: pynq.Overlay) -> None:
+    @cm.driver("xilinx.com:ip:filter")
+    class Filter(Block):
+        def start(self) -> None:
+            self.registers["ctrl"] = 1
+
+    try:
+        found = board().blocks["filter"]
+        assert isinstance(found, Filter)
+        found.start()
+        assert found.read(0) & 1
+    finally:
+        del _drivers["xilinx.com:ip:filter"]
 
 
 def test_memory_is_an_array(overlay: pynq.Overlay) -> None:

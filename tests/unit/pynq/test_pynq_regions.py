@@ -15,7 +15,7 @@ from cm import pynq
 from cm.errors import NotFound
 from cm.formats.bitstream import FrameAddress, FrameRun, assemble
 from cm.formats.importers import import_pynq, write
-from cm.pynq.places import board, places
+from cm.pynq.board import board, places
 
 GAIN = described(register("GAIN", 0x10))
 

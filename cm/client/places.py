@@ -1,41 +1,55 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one board of a program, and its words by address: each goes by the name of its register or memory."""
+"""The words of a board by address: each goes by the name of its register or memory."""
 
 from __future__ import annotations
 
 import select
 import threading
-from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 from weakref import WeakSet
 
-import numpy as np
-import numpy.typing as npt
-
-from cm.client.board import Board, connect
+from cm.client.core import calls, memory, registers
 from cm.errors import NotFound
-from cm.wire.messages.status import MemoryInfo, RegisterInfo, Status
+from cm.wire.lazy_numpy import np
+from cm.wire.messages.status import BlockInfo, MemoryInfo, RegisterInfo, Status
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from cm.client.core.calls import Call
+    from cm.client.events import EventStream
+    from cm.client.interrupts import Interrupts
+    from cm.client.memories import Memories
+    from cm.client.registers import Registers
+
+_T = TypeVar("_T")
 
 WORD = 4
 WHOLE = 0xFFFFFFFF
 
 
-@cache
-def board() -> Board:
-    """The board, connected at the first use: that of `$CM_CONNECT`, or of this machine. PYNQ's calls name none."""
-    return connect()
+class AnyBoard(Protocol):
+    """What a `cm.client.board.Board` has of words."""
 
+    registers: Registers
+    memories: Memories
+    interrupts: Interrupts
 
-@cache
-def places() -> Places:
-    """The words of the board."""
-    return Places(board())
+    @property
+    def status(self) -> Status:
+        """The state of the PL now."""
+
+    def ask(self, call: Call[_T]) -> _T:
+        """Make a call and return its result."""
+
+    def watch(self) -> EventStream[Status]:
+        """Every status from now on."""
 
 
 class Places:
     """What the current mode has at an address; asked for again as soon as the board has another mode."""
 
-    def __init__(self, found: Board) -> None:
+    def __init__(self, found: AnyBoard) -> None:
         self._board = found
         self.until_load: WeakSet[Any] = WeakSet()  # what has a `close` that the next load of this program calls
         self._lock = threading.RLock()
@@ -44,6 +58,7 @@ class Places:
         self._poll.register(self._statuses.fileno(), select.POLLIN)
         self._change: object = None
         self._words: dict[int, tuple[RegisterInfo, int]] = {}  # with the first bit of the word
+        self._registers: tuple[RegisterInfo, ...] = ()
         self._memories: list[MemoryInfo] = []
         self._written: dict[int, int] = {}  # words of write-only registers as this program wrote them
 
@@ -86,6 +101,18 @@ class Places:
         for address, value in zip(where, words.tolist(), strict=True):
             self.write(address, value)
 
+    def registers(self, block: BlockInfo) -> list[RegisterInfo]:
+        """The registers in a block's window."""
+        with self._lock:
+            self._current()
+            return [r for r in self._registers if block.base_address <= r.address < block.base_address + block.size]
+
+    def memories(self, block: BlockInfo) -> list[MemoryInfo]:
+        """The memories in a block's window."""
+        with self._lock:
+            self._current()
+            return [m for m in self._memories if block.base_address <= m.address < block.base_address + block.size]
+
     def refresh(self) -> None:
         """Ask what there is now."""
         with self._lock:
@@ -93,24 +120,29 @@ class Places:
             if change != self._change:
                 self._written.clear()
             self._change = change
+            described = self._board.ask(calls.describe())
+            self._registers = tuple(registers.visible(described).values())
             self._words = {
                 info.address + WORD * part: (info, 32 * part)
-                for info in self._board.registers.info.values()
+                for info in self._registers
                 for part in range(max(1, info.width // 32))
             }
-            self._memories = list(self._board.memories.info.values())
+            self._memories = list(memory.visible(described).values())
 
     def _at(self, address: int) -> tuple[RegisterInfo | MemoryInfo, int]:
         """A register with the first bit of the word, or a memory with its offset."""
         with self._lock:
-            if self._change is None or self._changed():
-                self.refresh()
+            self._current()
             if address in self._words:
                 return self._words[address]
             for info in self._memories:
                 if info.address <= address < info.address + info.size:
                     return info, address - info.address
         raise NotFound(f"the loaded configuration describes neither a register nor a memory at {address:#x}")
+
+    def _current(self) -> None:
+        if self._change is None or self._changed():
+            self.refresh()
 
     def _changed(self) -> bool:
         changed = False
