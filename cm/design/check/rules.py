@@ -14,7 +14,7 @@ from cm.design.check.block_design import check_block_design
 from cm.design.check.floorplan import check_floorplan
 from cm.design.errors import BuildError
 from cm.design.hdl.axi_signals import aximm, axis
-from cm.design.hdl.detect import NOTHING_KNOWN
+from cm.design.hdl.detect import LIKE, NOTHING_KNOWN
 from cm.design.plan import block_design
 from cm.design.plan.dma_engines import EngineKind
 from cm.design.plan.pins import placements
@@ -93,7 +93,7 @@ def check_handshakes(system: System) -> Iterator[Finding]:
     for region in system.regions:
         for port in region.unused:
             word = port.name.lower().removesuffix("_i").removesuffix("_o").rpartition("_")[2]
-            decided = port.name in region.spec.interfaces or port.left != NOTHING_KNOWN
+            decided = port.name in region.spec.interfaces or not port.left.startswith((NOTHING_KNOWN, LIKE))
             if port.interface or decided or word not in _HANDSHAKES:
                 continue
             message = f"{port.name} is of a handshake, and the rest of its bus was not found with it"

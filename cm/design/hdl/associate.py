@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 
-from cm.design.hdl.clock_reset_names import clock_domain, reset_domain, words
+from cm.design.hdl.clock_reset_names import clock_domains, reset_domains, words
 from cm.design.hdl.model import FoundBy, Interface, ModuleClock, ModuleInfo, PortDirection, Problem, Reset, Stated
 from cm.frozen import dataclass, replace
 
@@ -82,8 +82,8 @@ def pair(
     used = _among(runs.get(reset.port, ()), inputs)
     if len(used) == 1:
         return replace(reset, clock=used[0], why="it resets registers of that clock")
-    domains = {port: clock_domain(port, inputs) for port in inputs}
-    own = reset_domain(reset.port, [item.port for item in resets], inputs)
+    domains = clock_domains(tuple(inputs))
+    own = reset_domains(tuple(item.port for item in resets), tuple(inputs))[reset.port]
     name = " ".join(own)
     rules: tuple[tuple[Callable[[str], bool], str], ...] = (
         (lambda port: domains[port] == own, f"both are named {name}" if own else "neither has a name of its own"),
@@ -171,8 +171,8 @@ def _among(names: Iterable[str], ports: Sequence[str]) -> list[str]:
 def named_after(driven: Sequence[str], interfaces: Iterable[Interface], inputs: Sequence[str]) -> list[str]:
     """Clocks that the module drives, and whose names fit an interface better than those of all clocks it is given."""
     ports = [*driven, *inputs]
-    domains = {port: "_".join(clock_domain(port, ports)) for port in ports}
-    best = [_best(interface.name, domains) for interface in interfaces if _clocked(interface) and not interface.clock]
+    domains = {port: "_".join(found) for port, found in clock_domains(tuple(ports)).items()}
+    best = [best_fit(interface.name, domains) for interface in interfaces if _clocked(interface) and not interface.clock]
     return [port for port in driven if port in best]
 
 
@@ -190,7 +190,7 @@ def _clock(
     used = _among((name for port in interface.ports.values() for name in runs.get(port, ())), ports)
     if len(used) == 1:
         return used[0]
-    domains = {port: "_".join(clock_domain(port, ports)) for port in ports}
+    domains = {port: "_".join(found) for port, found in clock_domains(tuple(ports)).items()}
     if len(ports) > 1 and not {*_normal(interface.name)} & _AXI_WORDS:  # AMBA's clock is of AMBA's buses
         domains = {port: "a" if "aclk" in port.lower() and not domain else domain for port, domain in domains.items()}
     return _by_name(interface.name, domains, sure=sure)
@@ -204,10 +204,13 @@ def _reset(interface: Interface, resets: Sequence[Reset]) -> str | None:
     stated = [reset.port for reset in mine if reset.why == "stated"]
     if len(stated) == 1 or not _clocked(interface):
         return stated[0] if stated else None
-    ports = [reset.port for reset in mine]
-    inputs = [interface.clock]
-    found = _by_name(interface.name, {port: "_".join(reset_domain(port, ports, inputs)) for port in ports})
-    return found or next(iter(ports), None)
+    clock = (interface.clock,)
+    domains = reset_domains(tuple(reset.port for reset in mine), clock)
+    alike = [port for port, found in domains.items() if found == clock_domains(clock)[interface.clock]]
+    if len(alike) == 1:
+        return alike[0]
+    found = _by_name(interface.name, {port: "_".join(found) for port, found in domains.items()})
+    return found or next(iter(domains), None)
 
 
 def _clocked(interface: Interface) -> bool:
@@ -217,7 +220,7 @@ def _clocked(interface: Interface) -> bool:
 
 def _by_name(name: str, domains: Mapping[str, str], *, sure: bool = True) -> str | None:
     """The port whose domain fits the name best; else the only port, or the only one with a bare name."""
-    if best := _best(name, domains):
+    if best := best_fit(name, domains):
         return best
     bare = [port for port, domain in domains.items() if domain in _BARE]
     if len(bare) == 1:
@@ -225,8 +228,8 @@ def _by_name(name: str, domains: Mapping[str, str], *, sure: bool = True) -> str
     return next(iter(domains)) if len(domains) == 1 and sure else None
 
 
-def _best(name: str, domains: Mapping[str, str]) -> str:
-    """The port whose domain fits the name better than those of all others; "" if there is none."""
+def best_fit(name: str, domains: Mapping[str, str]) -> str:
+    """Return the port whose domain fits the name better than those of all others; "" if there is none."""
     scored = [(score, port) for port, domain in domains.items() if (score := _score(name, domain))]
     best = max(scored, default=(0, ""), key=lambda item: item[0])
     return best[1] if [score for score, _ in scored].count(best[0]) == 1 else ""

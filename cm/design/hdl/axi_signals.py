@@ -161,7 +161,7 @@ def plain_stream() -> Protocol:
         "rdy": "TREADY",
     }
     spelled |= {"sof": "TUSER", "user": "TUSER", "eof": "TLAST", "last": "TLAST", "keep": "TKEEP"}
-    halves = (frozenset({"TDATA", "TVALID", "TREADY"}),)
+    halves = (frozenset({"TDATA", "TVALID"}),)
     plain = replace(axis(), halves=halves, prefix=re.compile(".+"), distinct=False, glued=True)
     return _with_spellings(plain, spelled)
 
@@ -178,6 +178,25 @@ def _hls_fifo(name: str, signals: list[tuple[str, PortDirection, str]]) -> Proto
     made = [Signal(n, way, True, not n.endswith("DATA"), (spelling,)) for n, way, spelling in signals]
     every = frozenset(signal.name for signal in made)
     return replace(make_protocol(name, made, vlnv=f"xilinx.com:interface:{name}:1.0"), worth=(every,))
+
+
+@cache
+def other_buses() -> tuple[Protocol, ...]:
+    """What shows a bus that is none of a region's, and is named for that: Wishbone B4, AMBA's APB and AHB, Avalon."""
+    handshake = make_protocol("a handshake", [*_marks("valid", _OUT), *_marks("ready", _IN)])
+    spelled = {"valid": "valid", "vld": "valid", "ready": "ready", "rdy": "ready"}
+    return (
+        make_protocol("Wishbone", [*_marks("cyc stb", _OUT), *_marks("ack", _IN)]),
+        make_protocol("APB", _marks("psel penable", _OUT)),
+        make_protocol("AHB", _marks("haddr htrans", _OUT)),
+        make_protocol("Avalon-MM", [*_marks("address", _OUT), *_marks("waitrequest", _IN)]),
+        make_protocol("Avalon-ST", _marks("startofpacket endofpacket", _OUT)),
+        _with_spellings(handshake, spelled),
+    )
+
+
+def _marks(names: str, direction: PortDirection) -> list[Signal]:
+    return [Signal(name, direction, required=True) for name in names.split()]
 
 
 _FULL_ONLY = frozenset(["AWLEN", "ARLEN", "AWSIZE", "ARSIZE", "AWBURST", "ARBURST", "WLAST", "RLAST", "WID"])

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
 from cm.design.hdl.model import Mode, Polarity, Port, PortDirection
@@ -16,11 +17,11 @@ def _words(text: str) -> frozenset[str]:
 
 
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
-_CLOCK = re.compile(r"(?!sclk)(?:[a-z]{0,5}clk|[a-z]?clock|ck)(?:in|i|x|p|n)?(?:\d+(?:m|mhz|k|khz)?)?[a-z]?")
+_CLOCK = re.compile(r"(?!sclk)(?:[a-z0-9]{0,12}clk|[a-z]?clock|ck)(?:in|i|x|p|n)?(?:\d+(?:m|mhz|k|khz)?)?[a-z]?")
 REGION_CLOCK = "aclk"  # of several clock ports of a region, the one that gets its clock without a word
 # what is left of a word that says clock or reset: pixclk → pix, clk100 → 100; a (of AMBA's aclk) says nothing
-_CLOCK_CORE = re.compile(r"(?P<before>[a-z]{0,5}?)(?:clk|clock|(?<![a-z])ck)(?:in|i|x|p|n)?(?P<after>\d\w*|[a-mo-z])?")
-_RESET_CORE = re.compile(r"n?(?P<before>[a-z]{0,5}?|peripheral|interconnect)(?:rst|reset)(?:n|b|ni)?(?P<after>\d\w*)?")
+_CLOCK_CORE = re.compile(r"(?P<before>[a-z0-9]{0,12}?)(?:clk|clock|(?<![a-z])ck)(?:in|i|x|p|n)?(?P<after>\d\w*|[a-mo-z])?")
+_RESET_CORE = re.compile(r"n?(?P<before>[a-z0-9]{0,12}?)(?:rst|reset)(?:n|b|ni)?(?P<after>\d\w*|[acd])?")
 _SHORT = {"w": "wr", "write": "wr", "r": "rd", "read": "rd", "pixel": "pix", "video": "vid", "source": "src"}
 _NOT_CLOCK = _words(
     "en ena enable ce cen sel select div divider valid cnt count locked lock req ack ok stop stopped gate "
@@ -28,12 +29,12 @@ _NOT_CLOCK = _words(
     "src stall err error override bypass polarity pol invert inv mode force test"
 )
 _ENABLES = frozenset(("en", "ena", "enable", "cen"))  # `ce` before clk is a name: ce_clk
-_RESET = re.compile(
-    r"(?!preset$)(?P<n1>n)?(?:[a-z]|sys|cpu|pix|vid|core|rx|tx|peripheral|interconnect)?"
-    r"(?:rst|reset|areset|sreset|arst|srst)(?P<n2>n|b|_n)?(?:\d+(?:m|mhz|k|khz)?)?"
+_RESET = re.compile(  # "first", "burst" and "preset" are other words; a, c, d: one of several
+    r"(?!\w*(?:fi|bu|wo|bo)rst|p?preset$)(?P<n1>n)?[a-z0-9]{0,12}?(?:rst|reset)(?P<n2>n|b|_n)?"
+    r"(?:[acd]|\d+(?:m|mhz|k|khz)?)?"
 )
 _NOT_RESET = _words(
-    "done cnt count busy req request ack ok en enable val value active status vector addr count time code data"
+    "done cnt count busy req request ack ok en enable val value active status vector addr count time code data wstb stb"
 )
 _LOW_WORDS = frozenset(("n", "b", "ni", "bar", "l"))
 _IO_WORDS = frozenset(("i", "o", "in", "out"))
@@ -41,7 +42,7 @@ _INTERRUPT = re.compile(r"(?:irq|interrupt|interrupts|intr|intrpt|introut|irpt|i
 _INT = re.compile(r"int\d*")
 _NOT_INTERRUPT = _words(
     "en enable mask clr clear ack pending status id num sel vector count cnt level valid trace ip addr code type cause "
-    "prio priority edge polarity test force mode data ready"
+    "prio priority edge polarity test force mode data ready cfg trigger triggers event events sent fail clk ext"
 )
 # words of a reset's name that say whose it is; any other, beside a plain reset, makes it a control
 _WHOSE = _words("sys core cpu peripheral interconnect axi axis ap por ext aux global glbl hard hw async sync main")
@@ -55,9 +56,13 @@ def words(name: str) -> tuple[str, ...]:
 
 def is_clock(port: Port) -> bool:
     """Whether a port is a one-bit input named like a clock; enables, selects, counters and resets of clocks are not."""
-    if any(_RESET.fullmatch(word) for word in words(port.name)[1:]):
-        return False
-    return is_wire(port) and _says(port.name, _CLOCK, _NOT_CLOCK)
+    return is_wire(port) and says_clock(port.name)
+
+
+@lru_cache(maxsize=1024)
+def says_clock(name: str) -> bool:
+    """Whether a name is that of a clock."""
+    return not any(_RESET.fullmatch(word) for word in words(name)[1:]) and _says(name, _CLOCK, _NOT_CLOCK)
 
 
 def is_wire(port: Port) -> bool:
@@ -96,17 +101,17 @@ def reset_polarity(name: str) -> Polarity:
 
 def is_control(name: str, resets: Sequence[str], clocks: Sequence[str]) -> bool:
     """Whether a name that says reset, active high, is of something inside: `ff_reset` beside `rst_n` and one clock."""
-    own = reset_domain(name, resets, clocks)
-    others = [other for other in resets if other != name and not reset_domain(other, resets, clocks)]
-    return (
-        len(clocks) == 1 and bool(others) and bool(own) and not ({*own} & (_WHOSE | {*clock_domain(clocks[0], clocks)}))
-    )
+    if len(clocks) != 1:
+        return False
+    domains = reset_domains(tuple(resets), tuple(clocks))
+    own, others = domains[name], any(not domain for other, domain in domains.items() if other != name)
+    return others and bool(own) and not ({*own} & (_WHOSE | {*clock_domains(tuple(clocks))[clocks[0]]}))
 
 
 def interrupt_mode(port: Port) -> Mode | None:
     """Return MASTER for an output named like an interrupt, SLAVE for such an input, None for any other port."""
     found = words(port.name)
-    if _NOT_INTERRUPT & set(found) or not _says_interrupt(found):
+    if _NOT_INTERRUPT & set(found) or not _says_interrupt(found) or says_clock(port.name):
         return None
     return {PortDirection.OUT: Mode.MASTER, PortDirection.IN: Mode.SLAVE}.get(port.direction)
 
@@ -117,47 +122,53 @@ def _says_interrupt(found: Sequence[str]) -> bool:
     return any(_INTERRUPT.fullmatch(word) for word in found) or bool(_INT.fullmatch(last))
 
 
-def clock_domain(name: str, clocks: Sequence[str]) -> tuple[str, ...]:
-    """The words of a clock's name without those that say clock: "s_axi_aclk" → s axi, "clk" → nothing, "clk2" → 2.
+@lru_cache(maxsize=64)
+def clock_domains(clocks: tuple[str, ...]) -> Mapping[str, tuple[str, ...]]:
+    """The words of each clock's name but those that say clock: "s_axi_aclk" → s axi, "clk" → nothing, "clk2" → 2.
 
-    `clocks`: all clocks of the module; where two have the same words, those of direction (``clk_i``) count too.
+    Where two have the same words, those of direction (``clk_i``) count too.
     """
-    return _without_io(_domain(name), [_domain(other) for other in clocks if other != name])
+    return _without_io({name: _domain(name) for name in clocks})
 
 
-def reset_domain(name: str, resets: Sequence[str], clocks: Sequence[str]) -> tuple[str, ...]:
-    """The words of a reset's name without those that say reset and active low: "core_rst_n" → core.
+@lru_cache(maxsize=64)
+def reset_domains(resets: tuple[str, ...], clocks: tuple[str, ...]) -> Mapping[str, tuple[str, ...]]:
+    """The words of each reset's name but those that say reset and active low: "core_rst_n" → core.
 
     A last letter n, b or l belongs to the name (``rst_b``) if a clock, or another reset but for its a, has it too.
     """
-    others = [_without_low(_domain(other), resets, clocks) for other in resets if other != name]
-    return _without_io(_without_low(_domain(name), resets, clocks), others)
+    series = _series(resets, clocks)
+    return _without_io({name: _without_low(_domain(name), series) for name in resets})
 
 
 def named_low(name: str, resets: Sequence[str], clocks: Sequence[str]) -> bool:
     """Whether a reset's name says that it is active low, beside the module's other resets and clocks."""
+    if name[-1:] in "bB" and f"{name[:-1]}a".lower() in map(str.lower, resets):
+        return False
     domain = _inner(_domain(name))
-    series = bool(domain) and domain[-1] in _LOW_WORDS and _is_name(domain, resets, clocks)
+    series = bool(domain) and domain[-1] in _LOW_WORDS and domain in _series(tuple(resets), tuple(clocks))
     return not series and reset_polarity(name) is Polarity.LOW
 
 
-def _without_low(domain: tuple[str, ...], resets: Sequence[str], clocks: Sequence[str]) -> tuple[str, ...]:
+def _without_low(domain: tuple[str, ...], series: frozenset[tuple[str, ...]]) -> tuple[str, ...]:
     end = len(domain)
     while end and domain[end - 1] in _IO_WORDS:
         end -= 1
     core, tail = domain[:end], domain[end:]
-    if core and core[-1] in _LOW_WORDS and not _is_name(_inner(domain), resets, clocks):
+    if core and core[-1] in _LOW_WORDS and _inner(domain) not in series:
         core = core[:-1]
     return (core[1:] if core[:1] == ("n",) else core) + tail
 
 
-def _is_name(domain: tuple[str, ...], resets: Sequence[str], clocks: Sequence[str]) -> bool:
-    """Whether the last word, which may say active low, is one of a series: a, b."""
-    if domain in [_inner(_domain(other)) for other in clocks]:
-        return True
-    return domain[-1:] == ("b",) and (*domain[:-1], "a") in [_inner(_domain(other)) for other in resets]
+@lru_cache(maxsize=64)
+def _series(resets: tuple[str, ...], clocks: tuple[str, ...]) -> frozenset[tuple[str, ...]]:
+    """The domains whose last word, which may say active low, is a name: that of a clock, or one of a and b."""
+    found = {_inner(_domain(name)) for name in resets}
+    pairs = {(*domain[:-1], "b") for domain in found if domain[-1:] == ("a",)}
+    return frozenset({_inner(_domain(name)) for name in clocks} | pairs)
 
 
+@lru_cache(maxsize=1024)
 def _domain(name: str) -> tuple[str, ...]:
     """The words of a name, and what is left of those that say clock or reset."""
     found: list[str] = []
@@ -175,6 +186,8 @@ def _inner(domain: tuple[str, ...]) -> tuple[str, ...]:
     return domain[1:] if domain and domain[0] in _IO_WORDS else domain
 
 
-def _without_io(domain: tuple[str, ...], others: Iterable[tuple[str, ...]]) -> tuple[str, ...]:
+def _without_io(domains: Mapping[str, tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
     """Drop the words of direction, unless they are what makes the difference to another port."""
-    return domain if _inner(domain) in map(_inner, others) else _inner(domain)
+    inner = {name: _inner(domain) for name, domain in domains.items()}
+    alike = Counter(inner.values())
+    return {name: domain if alike[inner[name]] > 1 else inner[name] for name, domain in domains.items()}

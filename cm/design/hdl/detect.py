@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from cm.design.hdl import vivado_attributes
 from cm.design.hdl.associate import associate, named_after
-from cm.design.hdl.axi_signals import Protocol, aximm, axis, axis_short, hls_fifos, plain_stream
+from cm.design.hdl.axi_signals import Protocol, aximm, axis, axis_short, hls_fifos, other_buses, plain_stream
 from cm.design.hdl.clock_reset_names import (
     drives_clock,
     interrupt_mode,
@@ -42,6 +42,7 @@ from cm.frozen import replace
 NOTHING_STATED = Stated()
 _UNKNOWN, _IN = PortUse(), PortDirection.IN
 NOTHING_KNOWN = "belongs to no bus, clock, reset or interrupt that could be recognised"
+LIKE = "is like "  # how reasons begin that name what no port of a region is
 
 
 def detect(
@@ -86,6 +87,7 @@ class _Detection:
         for user in self._user:
             self._by_name(user.protocol, FoundBy.PROTOCOL_FILE)
         self._by_statement(plain_stream(), streams)
+        self._name_others()
         if not self._plain(tagged):
             self._uses = {port.lower(): use for port, use in self._source().items()}
         clocks = [*tagged.clocks, *self._clocks()]
@@ -97,10 +99,12 @@ class _Detection:
         clocks += [vivado_attributes.clock_of(name, module.port(name), {}) for name in candidates]
         runs = {port.name: self._use(port.name).clocks for port in module.ports}
         done = associate(self._interfaces, _stated(clocks, module.ports), resets, module.file, runs, sure=not driven)
+        idle = {clock.port for clock in done.clocks if clock.port in candidates and not clock.interfaces}
+        self._free |= {name: module.port(name) for name in idle}
         return replace(
             module,
             interfaces=done.interfaces,
-            clocks=done.clocks,
+            clocks=tuple(clock for clock in done.clocks if clock.port not in idle),
             resets=done.resets,
             interrupts=interrupts,
             leftovers=tuple(self._leftovers()),
@@ -197,9 +201,14 @@ class _Detection:
         """Add the streams that the build schema names, and ask about others if it says nothing."""
         wanted = {name.lower() for name in streams or ()}
         asked: dict[str, Candidate] = {}
-        for found in list(candidates(self._unrejected(), stream)):
+        for found in [*map(self._with_data, candidates(self._unrejected(), stream))]:
             mode = judge(found.name, stream, found.ports).mode
             if mode is None:
+                continue
+            waits = "TREADY" in found.ports
+            if not waits and found.name.lower() not in wanted:
+                say = f"{LIKE}a stream without ready: streams: [{found.name}] in the module, if it is one"
+                self._reasons |= {port.name: say for port in found.ports.values() if streams is None}
                 continue
             self._go_with(found)
             if found.name.lower() in wanted:
@@ -219,6 +228,19 @@ class _Detection:
             )
         if streams is None:
             self._ask_about_fifos(stream)
+
+    def _with_data(self, found: Candidate) -> Candidate:
+        """With the data that a stream is called after: `tag`, `tag_valid`, `tag_ready`."""
+        data = next((port for port in self._unrejected() if port.name.lower() == found.name.lower()), None)
+        return found if data is None or "TDATA" in found.ports else replace(found, ports={**found.ports, "TDATA": data})
+
+    def _name_others(self) -> None:
+        """Name what is a bus of another kind, or a handshake that no bus has."""
+        for protocol in other_buses():
+            for found in list(candidates(self._unrejected(), protocol)):
+                if judge(found.name, protocol, found.ports).mode is not None:
+                    say = f"{LIKE}{protocol.name}, which a region's ports are not: a protocols file can describe it"
+                    self._reasons |= {port.name: say for port in found.ports.values()}
 
     def _ask_about_fifos(self, stream: Protocol) -> None:
         """The sides of a FIFO (VLSI-EDA/PoC) are streams by a line of HDL, as `full` is TREADY turned round."""
@@ -296,7 +318,12 @@ class _Detection:
         return stated or self._use(port.name).reset or named
 
     def _interrupts(self) -> list[Interrupt]:
-        found = [(port, mode) for port in self._unrejected() if (mode := interrupt_mode(port))]
+        names = {port.name.lower() for port in self._module.ports}
+        found = [
+            (port, mode)
+            for port in self._unrejected()
+            if (mode := interrupt_mode(port)) and not _internal(port.name.lower(), names)
+        ]
         self._take(port.name for port, _ in found)
         return [
             Interrupt(port.name, port.name, mode, port.width, vivado_attributes.parameters(port).get("SENSITIVITY", ""))
@@ -316,7 +343,21 @@ def _worth_a_word(candidate: Candidate) -> bool:
     """Whether to report ports: a single one, or wdata and rdata without a handshake, may be named so by chance."""
     worth = candidate.protocol.worth
     enough = any(marks <= set(candidate.ports) for marks in worth) if worth else True
-    return enough and len(candidate.ports) > 1
+    return (enough or _channel_alone(candidate)) and len(candidate.ports) > 1
+
+
+def _channel_alone(candidate: Candidate) -> bool:
+    """Whether one channel of AXI has its handshake, `m_axi_wvalid` and `m_axi_wready`; `w_valid` may be any word."""
+    ports = [[candidate.ports.get(channel + end) for end in ("VALID", "READY")] for channel in "WBR"]
+    return any(
+        valid and ready and f"{channel}valid" in valid.name.lower() and f"{channel}ready" in ready.name.lower()
+        for channel, (valid, ready) in zip("wbr", ports, strict=True)
+    )
+
+
+def _internal(name: str, others: Iterable[str]) -> bool:
+    """Whether `int` is short for internal: beside `blowoff_int` there is `blowoff_ext`."""
+    return "int" in name and (name.replace("int", "ext") in others or name.replace("int", "external") in others)
 
 
 def _stated(clocks: Iterable[ModuleClock], ports: Sequence[Port]) -> list[ModuleClock]:

@@ -11,7 +11,7 @@ shows the port's direction (`i_`, `_o`); it is ignored if it does so for every p
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 
 from cm.design.hdl.axi_signals import Protocol
@@ -71,10 +71,26 @@ def candidates(ports: Iterable[Port], protocol: Protocol) -> Iterator[Candidate]
         groups.setdefault(key, []).append(item)
         agreeing[key] = agreeing.get(key, True) and agrees
     for (prefix, tail), group in groups.items():
-        if len({item.signal for item in group}) == len(group) and agreeing[prefix, tail]:
+        mirrors = _mirrors(group, protocol) if agreeing[prefix, tail] else ()
+        if agreeing[prefix, tail] and _once(group):
             yield _candidate(group, prefix + tail, protocol)
+        elif mirrors and all(map(_once, mirrors)):
+            yield from (_candidate(side, side[0].prefix + side[0].tail, protocol) for side in mirrors)
         else:
             yield from _split_group(group, protocol)
+
+
+def _once(group: list[_Named]) -> bool:
+    """Whether each signal occurs once."""
+    return len({item.signal for item in group}) == len(group)
+
+
+def _mirrors(group: list[_Named], protocol: Protocol) -> Sequence[list[_Named]]:
+    """The slave's and the master's side of `i_valid`, `o_ready`, `o_valid`, `i_ready`, whose affixes show directions."""
+    sides: tuple[list[_Named], list[_Named]] = ([], [])
+    for item in group:
+        sides[item.port.direction is protocol.signals[item.signal].direction].append(item)
+    return sides if all(sides) and all(item.key != item.bare()[0] for item in group) else ()
 
 
 def _joined(named: list[_Named], protocol: Protocol) -> list[_Named]:
@@ -103,7 +119,7 @@ def _split_group(group: list[_Named], protocol: Protocol) -> Iterator[Candidate]
     for item in group:
         exact.setdefault(item.key, []).append(item)
     for (prefix, tail), items in exact.items():
-        if len({item.signal for item in items}) == len(items):
+        if _once(items):
             yield _candidate(items, prefix + tail, protocol)
             continue
         cases: dict[str, list[_Named]] = {}

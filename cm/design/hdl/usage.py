@@ -2,7 +2,9 @@
 """What the sources do with a module's ports: which are clocks and resets, and on which clock each is used.
 
 Sources are searched for edges (``@(posedge x)``, ``rising_edge(x)``), for what is tested behind them, for plain
-copies of signals, and for what instances are given, at any depth. What is not found is not known, and no proof.
+copies of signals, and for what instances are given, at any depth. Of an instance whose module no file declares, the
+names of its pins tell: what goes to `s_axis_tdata` is used at the edges of what goes to `s_clk`. What is not found is
+not known, and no proof.
 """
 
 from __future__ import annotations
@@ -10,6 +12,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping
 
+from cm.design.hdl.associate import best_fit
+from cm.design.hdl.clock_reset_names import clock_domains, says_clock
 from cm.design.hdl.model import Polarity, PortUse
 from cm.frozen import dataclass, field
 
@@ -109,14 +113,24 @@ class Usage:
         self._body = body
         self._known: dict[str, dict[str, PortUse]] = {}
 
-    def of(self, module: str) -> Mapping[str, PortUse]:
-        """The use of its ports; those of which nothing is known are left out."""
+    def of(self, module: str, pins: Iterable[str] = ()) -> Mapping[str, PortUse]:
+        """The use of its ports; those of which nothing is known are left out. `pins`: of an instance."""
         if module not in self._known:
-            self._known[module] = {}  # while it is looked for: an instance of itself says nothing
             given = self._body(module)
-            if given is not None:
-                self._known[module] = _Ports(*given, self.of).result()
+            if given is None:
+                return _by_names(tuple(pins))
+            self._known[module] = {}  # while it is looked for: an instance of itself says nothing
+            self._known[module] = _Ports(*given, self.of).result()
         return self._known[module]
+
+
+def _by_names(pins: tuple[str, ...]) -> Mapping[str, PortUse]:
+    """The use of the pins of a module that is not known: one clock, or the one whose name fits better than others."""
+    clocks = tuple(pin for pin in pins if says_clock(pin))
+    domains = {clock: "_".join(words) for clock, words in clock_domains(clocks).items()}
+    fits = {pin: best_fit(pin, domains) if len(clocks) > 1 else clocks[0] for pin in pins if clocks}
+    used = {pin: PortUse(clocks=(clock,)) for pin, clock in fits.items() if clock and pin not in clocks}
+    return used | {clock: PortUse(clock=True) for clock in clocks}
 
 
 @dataclass(slots=True)
@@ -130,7 +144,9 @@ class _Found:
 class _Ports:
     """What happens to the ports of one module."""
 
-    def __init__(self, body: Body, ports: tuple[str, ...], below: Callable[[str], Mapping[str, PortUse]]) -> None:
+    def __init__(
+        self, body: Body, ports: tuple[str, ...], below: Callable[[str, Iterable[str]], Mapping[str, PortUse]]
+    ) -> None:
         self._body, self._below = body, below
         self._origin = {port: (port, False) for port in ports}  # signal → the port that it is, and whether inverted
         for _ in range(_MOST):
@@ -150,7 +166,7 @@ class _Ports:
         for name, level, clock, asynchronous in self._body.resets:
             self._reset(name, level, (clock,), asynchronous)
         for module, pins in self._body.instances:
-            for pin, use in self._below(module).items():
+            for pin, use in self._below(module, pins).items():
                 if pin in pins or "*" in pins:
                     self._pin(pins, pin, use)
         return {
