@@ -30,7 +30,8 @@ def fill_interfaces(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "files", nargs="+", type=Path, metavar="FILE", help="Verilog, SystemVerilog, VHDL, .core, component.xml, .xci"
     )
-    parser.add_argument("--top", metavar="NAME", help="only this module or entity")
+    top = "only this module or entity; one with records or interfaces as its flat wrapper shows it"
+    parser.add_argument("--top", metavar="NAME", help=top)
     parser.add_argument("--all", action="store_true", help="show every module in the files")
     parser.add_argument("-I", "--include", action="append", default=[], type=Path, metavar="DIR", help="include folder")
     add_define_option(parser)
@@ -63,7 +64,7 @@ def _modules(args: argparse.Namespace) -> tuple[list[ModuleInfo], Sequence[Probl
     protocols = load_protocols(args.protocols) if args.protocols else ()
     wanted = Sources(args.files, args.top, args.include, dict(args.define), dict(args.parameter), protocols)
     given, problems = read_inputs(wanted, args.all)
-    return [one.info for one in given], problems
+    return [one.flat if args.top else one.info for one in given], problems
 
 
 def as_dict(module: ModuleInfo, differences: Sequence[Difference] | None = None) -> dict[str, Any]:

@@ -6,7 +6,7 @@ Nothing is paired because it is left over: a reset on the wrong clock passes eve
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from types import MappingProxyType
 
 from cm.design.hdl.clock_reset_names import clock_domains, reset_domains, words
@@ -39,14 +39,16 @@ def associate(
     runs: Mapping[str, Sequence[str]] = MappingProxyType({}),
     *,
     sure: bool = True,
+    loose: Collection[str] = (),
 ) -> Associated:
     """Fill in clocks and resets of the interfaces, and vice versa, and the clocks of resets with the reasons.
 
     `runs`: by port, the clocks at whose edges the sources use it. `sure` is False if the module drives clocks too: then
-    being the only clock input proves nothing.
+    being the only clock input proves nothing. `loose`: what resets at once, whatever the clock, or is only used
+    at the clock's edges (a synchroniser's input), and may belong to another clock that has its name.
     """
     found = [replace(interface, clock=_clock(interface, clocks, runs, sure)) for interface in interfaces]
-    paired = tuple(pair(reset, resets, clocks, found, runs) for reset in resets)
+    paired = tuple(pair(reset, resets, clocks, found, runs, loose) for reset in resets)
     done, problems = [], []
     completed = [_completed(clock, found, paired) for clock in clocks]
     for interface in found:
@@ -65,6 +67,7 @@ def pair(
     clocks: Sequence[ModuleClock],
     interfaces: Sequence[Interface],
     runs: Mapping[str, Sequence[str]] = MappingProxyType({}),
+    loose: Collection[str] = (),
 ) -> Reset:
     """Return a reset with its clock and the reason, or with the clocks that it may belong to.
 
@@ -79,12 +82,12 @@ def pair(
     stated += [interface.clock for interface in interfaces if interface.reset == reset.port and interface.clock]
     if stated:
         return replace(reset, clock=stated[0], why="stated")
-    used = _among(runs.get(reset.port, ()), inputs)
-    if len(used) == 1:
-        return replace(reset, clock=used[0], why="it resets registers of that clock")
     domains = clock_domains(tuple(inputs))
     own = reset_domains(tuple(item.port for item in resets), tuple(inputs))[reset.port]
     name = " ".join(own)
+    used = _among(runs.get(reset.port, ()), inputs)
+    if len(used) == 1 and not (own and reset.port in loose and list(domains.values()).count(own) == 1):
+        return replace(reset, clock=used[0], why="it resets registers of that clock")
     rules: tuple[tuple[Callable[[str], bool], str], ...] = (
         (lambda port: domains[port] == own, f"both are named {name}" if own else "neither has a name of its own"),
         (lambda port: bool(_own(own)) and {*own} < {*domains[port]}, "words of the names"),
@@ -172,7 +175,9 @@ def named_after(driven: Sequence[str], interfaces: Iterable[Interface], inputs: 
     """Clocks that the module drives, and whose names fit an interface better than those of all clocks it is given."""
     ports = [*driven, *inputs]
     domains = {port: "_".join(found) for port, found in clock_domains(tuple(ports)).items()}
-    best = [best_fit(interface.name, domains) for interface in interfaces if _clocked(interface) and not interface.clock]
+    best = [
+        best_fit(interface.name, domains) for interface in interfaces if _clocked(interface) and not interface.clock
+    ]
     return [port for port in driven if port in best]
 
 

@@ -97,8 +97,11 @@ class _Detection:
         candidates = named_after([port.name for port in driven], self._interfaces, [clock.port for clock in clocks])
         self._take(candidates)
         clocks += [vivado_attributes.clock_of(name, module.port(name), {}) for name in candidates]
-        runs = {port.name: self._use(port.name).clocks for port in module.ports}
-        done = associate(self._interfaces, _stated(clocks, module.ports), resets, module.file, runs, sure=not driven)
+        used = {port.name: self._use(port.name) for port in module.ports}
+        loose = {name for name, use in used.items() if use.asynchronous or use.reset is None}
+        runs = {name: use.clocks for name, use in used.items()}
+        given = _stated(clocks, module.ports)
+        done = associate(self._interfaces, given, resets, module.file, runs, sure=not driven, loose=loose)
         idle = {clock.port for clock in done.clocks if clock.port in candidates and not clock.interfaces}
         self._free |= {name: module.port(name) for name in idle}
         return replace(

@@ -20,6 +20,7 @@ _CONTEXT = re.compile(r"\b(?:library\s+[\w\s,]+|use\s+[\w.]+)\s*;", re.IGNORECAS
 _RANGE = re.compile(r"\brange\s+(.+?)\s+(to|downto)\s+(.+)", re.IGNORECASE | re.DOTALL)
 _STREAM = frozenset(["valid", "ready", "data", "last", "keep", "strobe", "strb", "user", "id", "dest"])
 _SIDE = re.compile(r"(.+)_(?:i|o|in|out)|(?:i|o|in|out)_(.+)", re.IGNORECASE)
+_CHANNEL = re.compile(r".*axi.*_(aw|w|b|ar|r|a)(?:_t|_type|_rec)?")
 _BITS = ("std_logic", "std_ulogic", "bit")
 _MAX_DEPTH = 8
 
@@ -102,9 +103,11 @@ def _plain_type(kind: str) -> str:
 
 def _fields(where: str, port: Declaration, direction: PortDirection, bus: str, scope: _Scope) -> Iterator[FlatPort]:
     leaves = list(_leaves(where, (), port.type, scope, 0))
-    stream = all(path[-1].lower() in _STREAM and len(path) == 1 for path, _, _ in leaves)
+    channel = _CHANNEL.fullmatch(_plain_type(port.type))  # one channel of AXI alone is no stream: axi_m2s_w_t
+    stream = channel is None and all(path[-1].lower() in _STREAM and len(path) == 1 for path, _, _ in leaves)
     for path, width, base in leaves:
-        yield FlatPort(field_name(bus, path, stream), direction, width, ".".join((port.name, *path)), base)
+        name = field_name(bus, (channel[1], *path) if channel and channel[1] != "a" else path, stream)
+        yield FlatPort(name, direction, width, ".".join((port.name, *path)), base)
 
 
 def _leaves(

@@ -75,7 +75,7 @@ def candidates(ports: Iterable[Port], protocol: Protocol) -> Iterator[Candidate]
         if agreeing[prefix, tail] and _once(group):
             yield _candidate(group, prefix + tail, protocol)
         elif mirrors and all(map(_once, mirrors)):
-            yield from (_candidate(side, side[0].prefix + side[0].tail, protocol) for side in mirrors)
+            yield from (_candidate(side, None, protocol) for side in mirrors)
         else:
             yield from _split_group(group, protocol)
 
@@ -86,7 +86,7 @@ def _once(group: list[_Named]) -> bool:
 
 
 def _mirrors(group: list[_Named], protocol: Protocol) -> Sequence[list[_Named]]:
-    """The slave's and the master's side of `i_valid`, `o_ready`, `o_valid`, `i_ready`, whose affixes show directions."""
+    """The sides of a slave and a master, `i_valid`, `o_ready` and `o_valid`, `i_ready`, by affixes of direction."""
     sides: tuple[list[_Named], list[_Named]] = ([], [])
     for item in group:
         sides[item.port.direction is protocol.signals[item.signal].direction].append(item)
@@ -129,8 +129,12 @@ def _split_group(group: list[_Named], protocol: Protocol) -> Iterator[Candidate]
             yield _candidate(some, name, protocol)
 
 
-def _candidate(group: list[_Named], bare: str, protocol: Protocol) -> Candidate:
-    spelled = group[0].prefix + group[0].tail
+def _candidate(group: list[_Named], bare: str | None, protocol: Protocol) -> Candidate:
+    """The candidate with the name `bare`, or that of what the sender drives, as it is spelled."""
+    sent = (item for item in group if protocol.signals[item.signal].direction is PortDirection.OUT)
+    first = group[0] if bare is not None else next(sent, group[0])
+    spelled = first.prefix + first.tail
+    bare = spelled if bare is None else bare
     one = len({(item.prefix, item.tail) for item in group}) == 1 and _INFIX.search(group[0].prefix)
     name = spelled if one or spelled.lower() == bare.lower() else bare
     return Candidate(name.strip("_").replace("__", "_"), protocol, {item.signal: item.port for item in group})

@@ -10,6 +10,7 @@ not known, and no proof.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 
 from cm.design.hdl.associate import best_fit
@@ -149,11 +150,12 @@ class _Ports:
     ) -> None:
         self._body, self._below = body, below
         self._origin = {port: (port, False) for port in ports}  # signal → the port that it is, and whether inverted
+        turns = {a: turned for a, turned, _ in body.copies}
+        given = Counter(a for a, _, _ in set(body.copies))  # what generate constructs give several is not known
         for _ in range(_MOST):
-            new = {a: b for a, turned, b in body.copies if a not in self._origin and b in self._origin}
+            new = {a: b for a, _, b in body.copies if given[a] == 1 and a not in self._origin and b in self._origin}
             if not new:
                 break
-            turns = {a: turned for a, turned, _ in body.copies}
             self._origin |= {a: (self._origin[b][0], self._origin[b][1] != turns[a]) for a, b in new.items()}
         self._found: dict[str, _Found] = {}
 

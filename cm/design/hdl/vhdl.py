@@ -26,6 +26,8 @@ _INTERFACE_DECLARATIONS = (
     "interface_constant_declaration",
     "interface_variable_declaration",
 )
+_OF_GENERIC = re.compile(r"(\w+)'(range|length)\b", re.IGNORECASE)
+_BOUNDS = re.compile(r"\((.+?)\s+(downto|to)\s+(.+)\)", re.IGNORECASE)
 _DIRECTIONS = {
     "in": PortDirection.IN,
     "out": PortDirection.OUT,
@@ -135,10 +137,16 @@ class VhdlReader:
         return evaluation.names, self._subtypes
 
     def _evaluate_constants(self) -> dict[str, Value | None]:
+        """Their values; those of a package may depend on one that comes later among the files."""
         values: dict[str, Value | None] = {}
-        for name, declaration in self._constants.items():
-            values[name] = _value(declaration.default, values)
-        return values
+        todo = dict(self._constants)
+        while todo:
+            found = {name: value for name, one in todo.items() if (value := _value(one.default, values)) is not None}
+            if not found:
+                break
+            values |= found
+            todo = {name: one for name, one in todo.items() if name not in found}
+        return values | dict.fromkeys(todo)
 
 
 class _Evaluation:
@@ -189,10 +197,22 @@ class _Evaluation:
         texts += [other.default for other in self._entity.generics if other.name != generic]
         return any(re.search(rf"\b{re.escape(generic)}\b", text, re.IGNORECASE) for text in texts)
 
+    def _range(self, found: re.Match[str]) -> str:
+        """The bounds of a generic that is a vector, in place of ``G'range``, or ``G'length`` as a number."""
+        types = {generic.name.lower(): generic.type for generic in self._entity.generics}
+        bounds = _BOUNDS.search(types.get(found[1].lower(), ""))
+        value = self.names.get(found[1].lower())
+        if found[2].lower() == "length" and isinstance(value, str):
+            return str(len(value))
+        if bounds is None:
+            return found[0]
+        high, low = (bounds[1], bounds[3]) if bounds[2].lower() == "downto" else (bounds[3], bounds[1])
+        return bounds[0][1:-1] if found[2].lower() == "range" else f"(({high}) - ({low}) + 1)"
+
     def _port(self, port: Declaration) -> Port:
         flat, width = True, None
         try:
-            width = width_of(port.type, self.names, self._subtypes)
+            width = width_of(_OF_GENERIC.sub(self._range, port.type), self.names, self._subtypes)
         except Unknown as error:
             self._problems.append(Problem(f"port {port.name}: {error}", str(self._entity.path), port.line, fatal=True))
             flat = not isinstance(error, NotFlat)

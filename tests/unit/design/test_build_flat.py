@@ -342,3 +342,12 @@ def test_a_record_with_a_field_that_is_not_a_vector_names_the_field(
 )
 def test_fields_are_named_as_buses_are(port: str, path: list[str], stream: bool, name: str) -> None:
     assert field_name(port, path, stream) == name
+
+
+def test_one_channel_of_axi_is_no_stream(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    text = STREAM_RECORDS.replace("down_t", "axi_m2s_w_t").replace("up_t", "axi_s2m_w_t")
+    path = of_stream_records(
+        tmp_path, text.replace("tdata", "data").replace("tvalid", "valid").replace("tready", "ready")
+    )
+    assert main(["build", "check", str(path)]) == 1
+    assert "looks like the AXI bus s_axis, but" in capsys.readouterr().out

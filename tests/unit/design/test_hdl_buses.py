@@ -11,7 +11,7 @@ pytest.importorskip("pyslang")
 
 from hdl_support import lite, ports, stream
 
-from cm.design.hdl.model import Mode
+from cm.design.hdl.model import Mode, Stated
 from cm.frozen import replace
 
 SIGNALS = {
@@ -130,3 +130,40 @@ def test_the_port_map_of_a_component_goes_before_names(tmp_path: Path) -> None:
     (bus,) = named.interfaces
     stated = replace(named, interfaces=(replace(bus, name="left", vlnv="xilinx.com:interface:axis:1.0"),))
     assert [(i.name, len(i.ports)) for i in ports(tmp_path, text, described=stated).interfaces] == [("left", 3)]
+
+
+MIRRORED = """
+input i_axis_tvalid; output o_axis_tready; input [7:0] i_axis_tdata;
+output o_axis_tvalid; input i_axis_tready; output [7:0] o_axis_tdata
+"""
+
+
+def test_two_sides_whose_affixes_show_directions_are_two_streams(tmp_path: Path) -> None:
+    found = ports(tmp_path, MIRRORED)
+    assert [(bus.name, bus.mode.value) for bus in found.interfaces] == [("i_axis", "slave"), ("o_axis", "master")]
+    plain = ports(tmp_path, MIRRORED.replace("axis_t", ""))
+    assert plain.asked == ("i", "o")
+
+
+NAMED = {
+    "wbs_cyc_i wbs_stb_i wbs_ack_o": "Wishbone",
+    "s_psel_i s_penable_i": "APB",
+    "cmd_valid_i cmd_ready_o": "a handshake",
+    "x_valid_i x_data_i": "a stream without ready: streams: [x]",
+    "axi_m_wvalid_o axi_m_wready_i axi_m_wdata_o": "AXI bus axi_m",
+}
+
+
+@pytest.mark.parametrize(("names", "said"), NAMED.items())
+def test_what_is_no_bus_of_a_region_is_named(names: str, said: str, tmp_path: Path) -> None:
+    ways = {"i": "input", "o": "output"}
+    found = ports(tmp_path, "; ".join(f"{ways[name[-1]]} {name}" for name in names.split()))
+    assert all(said in left.reason for left in found.leftovers)
+    assert [left.port for left in found.leftovers] == names.split()
+
+
+def test_a_stream_may_be_called_after_its_data(tmp_path: Path) -> None:
+    text = "input clk; input [3:0] tag; input tag_valid; output tag_ready"
+    assert ports(tmp_path, text).asked == ("tag",)
+    (found,) = ports(tmp_path, text, stated=Stated(streams=("tag",))).interfaces
+    assert found.ports == {"TDATA": "tag", "TVALID": "tag_valid", "TREADY": "tag_ready"}

@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("pyslang")
 pytest.importorskip("tree_sitter_vhdl")
 
-from hdl_support import module, ports, stream
+from hdl_support import lite, module, ports, stream
 
 from cm.design.hdl.model import ModuleInfo, Polarity, PortDirection
 
@@ -31,6 +31,9 @@ NAMED = [
     ("clk rst_n sys_rst", "clk rst_n-clk sys_rst+clk"),
     ("clk rst_n core_rst_n", "clk rst_n-clk core_rst_n-clk"),
     ("clk soft_reset", "clk soft_reset+clk"),
+    ("clka clkb rsta rstb", "clka clkb rsta+clka rstb+clkb"),
+    ("clk first_bit burst_len gt_prbscntreset qpllreset", "clk qpllreset+clk"),
+    ("gt0_qplloutrefclk spi_sclk rxusrclk2", "gt0_qplloutrefclk rxusrclk2"),
     ("axi_clk aresetn ddr_sys_clk_p ddr_sys_clk_n sys_rst",
      "axi_clk ddr_sys_clk_p ddr_sys_clk_n aresetn-axi_clk sys_rst+ddr_sys_clk_p"),
 ]  # fmt: skip
@@ -43,6 +46,7 @@ def test_names_say_which_inputs_are_clocks_and_resets(names: str, wanted: str, t
 
 def test_counters_vectors_and_traces_of_interrupts_are_none(tmp_path: Path) -> None:
     outputs = "trace_interrupt_ip interrupt_count_o irq_vector_valid cfg_irq_level irq_uart"
+    outputs += " cfg_interrupt_msi_sent clk_int_o blowoff_int blowoff_ext irq_events"
     found = ports(tmp_path, "; ".join(f"output {name}" for name in outputs.split()) + "; input clk")
     assert [interrupt.port for interrupt in found.interrupts] == ["irq_uart"]
 
@@ -136,3 +140,58 @@ endmodule
 """
     found = module(tmp_path, text)
     assert [(bus.name, bus.clock) for bus in found.interfaces] == [("s_axis", "two_clk"), ("pix", "one_clk")]
+
+
+FIFO = """
+module m (input tx_clk, input logic_clk, input tx_rst, input logic_rst, {});
+    vendor_fifo fifo (.s_clk(logic_clk), .m_clk(tx_clk), .s_axis_tdata(tx_axis_tdata), .s_axis_tvalid(tx_axis_tvalid),
+                      .s_axis_tready(tx_axis_tready));
+endmodule
+"""
+
+
+def test_the_pins_of_an_unknown_instance_tell_more_than_the_names_of_ports(tmp_path: Path) -> None:
+    found = module(tmp_path, FIFO.format(stream("tx_axis_", "slave").rstrip("; ").replace(";", ",")))
+    assert (found.interface("tx_axis").clock, found.interface("tx_axis").reset) == ("logic_clk", "logic_rst")
+
+
+CROSSED = """
+module m (input a_clk, input a_rst, input b_clk, input b_rst, output reg a_in_b, output reg b_in_a, output reg late);
+    always @(posedge b_clk or posedge a_rst) if (a_rst) a_in_b <= 1; else a_in_b <= 0;
+    always @(posedge a_clk) b_in_a <= b_rst;
+endmodule
+"""
+
+
+def test_a_reset_that_is_synchronised_to_another_clock_belongs_to_that_of_its_name(tmp_path: Path) -> None:
+    assert told(module(tmp_path, CROSSED)) == "a_clk b_clk a_rst+a_clk b_rst+b_clk"
+
+
+CHOSEN = """
+module m #(parameter FAST = 0) (input s_axi_aclk, input up_clk, {});
+    wire clk;
+    reg r;
+    generate if (FAST) begin assign clk = up_clk; end else begin assign clk = s_axi_aclk; end endgenerate
+    always @(posedge clk) r <= s_axi_awvalid;
+endmodule
+"""
+
+
+def test_a_clock_that_a_parameter_chooses_is_not_known_by_the_last_choice(tmp_path: Path) -> None:
+    found = module(tmp_path, CHOSEN.format(lite("s_axi_").rstrip("; ").replace(";", ",")))
+    assert found.interface("s_axi").clock == "s_axi_aclk"
+
+
+def test_the_reset_of_a_bus_is_that_of_its_clocks_name(tmp_path: Path) -> None:
+    found = ports(tmp_path, f"input S_AXI_ACLK; input S_AXI_ARESETN; input i_reset; {stream('S_AXIS_', 'slave')}")
+    assert found.interface("S_AXIS").reset == "S_AXI_ARESETN"
+
+
+def test_a_clock_that_is_driven_and_on_which_no_bus_runs_is_none(tmp_path: Path) -> None:
+    text = f"""
+module m (input tx_clk, output tx_clk_out, {stream("tx_", "slave").rstrip("; ").replace(";", ",")});
+    reg r;
+    always @(posedge tx_clk) r <= tx_tvalid;
+endmodule
+"""
+    assert [clock.port for clock in module(tmp_path, text).clocks] == ["tx_clk"]

@@ -259,3 +259,17 @@ def test_a_generic_that_no_port_needs_is_asked_for_only_if_it_has_no_default(tmp
     found = entity(tmp_path, "a : in std_logic_vector(BITS - 1 downto 0)", generics)
     asked = [problem.message.split()[1] for problem in found.problems if problem.message.startswith("generic ")]
     assert asked == ["SEED", "BITS"]
+
+
+def test_a_port_may_take_the_range_of_a_generic(tmp_path: Path) -> None:
+    start = "start : std_ulogic_vector(width - 1 downto 0) := (others => '0')"
+    generics = f'width : positive := 8; {start}; poly : bits := "101"'
+    two = "b : in bit_vector(poly'length downto 1); c : out unsigned(start'length downto 0)"
+    ports = f"a : in std_ulogic_vector(start'range); {two}"
+    assert [port.width for port in entity(tmp_path, ports, generics).ports] == [8, 3, 9]
+
+
+def test_a_constant_may_need_one_of_a_later_package(tmp_path: Path) -> None:
+    before = "package a is constant W : positive := LATER * 2; end package;\n"
+    before += "package b is constant LATER : natural := 4; end package;"
+    assert entity(tmp_path, "p : in std_logic_vector(W - 1 downto 0)", before=before).port("p").width == 8
