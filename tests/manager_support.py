@@ -323,20 +323,27 @@ def place_of(made: Rig, sim: SimBoard, configs: Mapping[str, Config]) -> str:
 
 
 def killed_at(
-    root: Path, state: Path, configs: Iterable[Config], goal: tuple[str, str] | ChangeMode | CheckRegion, number: int
+    root: Path,
+    state: Path,
+    configs: Iterable[Config],
+    goal: tuple[str, str] | ChangeMode | CheckRegion | None,
+    number: int,
 ) -> bool:
     """Go to `goal` (configuration, mode), or repair a region, in a child process that is killed at an operation.
 
-    False if it survived.
+    Without a goal it only starts, with what it then puts right. False if it survived.
     """
     pid = os.fork()
     if pid == 0:
         try:
             made = make_rig(root, state, *configs)
             made.fault.make = lambda _: os.kill(os.getpid(), signal.SIGKILL)  # type: ignore[assignment,return-value]
+            made.arm(number if goal is None else -1)
             made.manager.start()
             made.manager.wait_idle()
             made.arm(number)
+            if goal is None:
+                os._exit(0)
             if isinstance(goal, CheckRegion):
                 made.manager.repair(goal).wait(30.0)
             else:

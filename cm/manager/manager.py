@@ -18,7 +18,7 @@ from cm.manager.access.leases import Leases, leases_concerned
 from cm.manager.access.memory_service import MemoryService
 from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_service import RegisterService
-from cm.manager.errors import ChangeBusy, NothingLoaded, UnknownRegion, hint
+from cm.manager.errors import ChangeBusy, NothingLoaded, RecordFailed, UnknownRegion, hint, listed
 from cm.manager.execution.region_readback import Checked, Pace, Scan, checked_region, loaded_map
 from cm.manager.execution.transaction import Tools, plan_to
 from cm.manager.execution.worker import Change, Look, Worker
@@ -26,7 +26,7 @@ from cm.manager.loaders import Loaders
 from cm.manager.planner import Goal
 from cm.manager.recovery import destination, held_images, is_whole, repair, take_stock, under_schema, undo, way_back
 from cm.manager.state.board_state import BoardState, slept
-from cm.manager.state.journal import Journal, ManagerState, Pending
+from cm.manager.state.journal import Journal, ManagerState
 from cm.manager.state.steps import ApplyOverlay
 from cm.manager.status_reports import Moment, StatusReporter, config_info
 from cm.schema.model import Config
@@ -156,23 +156,20 @@ class Manager:
         finding = take_stock(self._state, self._env.devices, self._bus, self._env.files, new_board)
         if finding.notes:
             self.reporter.set_notice(ErrorInfo("reconciled", "; ".join(finding.notes)))
-        self._repair(finding.interrupted)
-        self._env.data_plane.resume(self.loaded_config(), self.state.mode, self.state.modules)
-        self.reporter.note(self._state.try_record())  # a full disk is no reason not to serve
-        self.reporter.changed()
-        return finding.notes
-
-    def _repair(self, interrupted: Pending | None) -> None:
-        """Queue a change that brings the board back to a whole mode, if it is not in one."""
-        there = destination(self.state, interrupted, self.configs)
+        there = destination(self.state, finding.interrupted, self.configs)
         if there is None:
             self._state.update(lambda state: replace(state, config=None, mode=None))
-        elif interrupted is not None or not is_whole(self.state, there):
-            change = repair(self._state.next_number(), there, interrupted, self.state)
-            change.why = (
-                "to undo a change that was cut short" if interrupted else "to bring the board back, which held less"
-            )
+        elif finding.interrupted is None and is_whole(self.state, there):
+            there = None
+        self._env.data_plane.resume(self.loaded_config(), self.state.mode, self.state.modules)
+        cut = finding.interrupted if there is not None else None  # if killed before its end, this is begun anew
+        self.reporter.note(self._state.try_record(cut))  # a full disk is no reason not to serve
+        if there is not None:  # the board is in no whole mode
+            change = repair(self._state.next_number(), there, cut, self.state)
+            change.why = "to undo a change that was cut short" if cut else "to bring the board back, which held less"
             self._worker.add(change)
+        self.reporter.changed()
+        return finding.notes
 
     def board_restarted(self) -> None:
         """The board was started anew: nothing that is recorded is true any more.
@@ -419,14 +416,20 @@ class Manager:
         return self.tell_registers(self.registers.write(writes, lease), by)
 
     def tell_registers(self, result: RegValues, by: str = "") -> RegValues:
-        """Publish what was written; what cannot be read back is recorded first."""
+        """Publish what was written; what cannot be read back is recorded first. Raises RecordFailed for that."""
         written, now = self.reporter.history.written, monotonic_ns()
         for value in result.values:
             written[value.name] = value.value, now, by
-        if self._state.urgent:
-            self.flush()
+        unkept = self._state.flush() if self._state.urgent else None
         self._env.data_plane.wrote(result.generation)  # before any client knows its number
         self._env.observer.registers_changed(result)
+        if unkept is not None:
+            self.reporter.note(unkept)
+            if names := self.registers.unread(value.name for value in result.values):
+                raise RecordFailed(
+                    f"{listed(names)} was written, but is not known after a restart, as it cannot be read back: "
+                    f"{unkept.message}"
+                )
         return result
 
     def flush(self) -> None:

@@ -91,8 +91,8 @@ def _as_it_reads(finding: Finding, configs: Mapping[str, Config], registers: Reg
     """Registers that nothing has reset since, as they read now: a write that was confirmed is in the hardware at once,
     and in the record within a second.
 
-    Left out are those that hold what the change that was cut short writes itself: they go back to what they were before
-    it. Other values were written since, where the disk took no record of that.
+    Left out are those of regions that the change which was cut short kept from clients, and those that hold what it
+    writes itself: they go back to what they were before it. Other values were written since.
     """
     state, cut = finding.state, finding.interrupted
     config = configs.get(state.config or "")
@@ -104,7 +104,7 @@ def _as_it_reads(finding: Finding, configs: Mapping[str, Config], registers: Reg
     spared = {} if cut is None else _written_by(cut, configs)
     live: dict[str, int] = {}
     for register in config.visible_registers(state.mode).values():
-        if not register.keeps or not _answers(register, state):
+        if not register.keeps or not _answers(register, state) or (cut and register.region in cut.locked):
             continue
         try:
             value = registers.read(register)
@@ -397,6 +397,7 @@ def repair(number: int, there: Destination, cut: Pending | None, board: BoardSta
     """The change that brings the board back, with all that the record holds of what was there before."""
     change = Change(number, there.config.name, there.mode, static=there.static, values=board.values)
     if cut is not None:
+        change.resumes = cut
         _restoring(change, there.config, cut, board)
     return change
 

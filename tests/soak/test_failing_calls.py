@@ -167,10 +167,7 @@ def run(session: Session, shim: Path, at: int, number: int, lasting: bool) -> in
         session.steps(board)
         told = at_rest(board)
         assert truth(session.sim, told) == [], "as it was told at the end"
-        kept = (
-            ("led", "scratch") if lasting else ("focus", "led", "scratch")
-        )  # a region may be loaded again at the start
-        values = {name: board.registers[name] for name in kept} if told.mode else {}
+        values = {name: board.registers[name] for name in ("focus", "led", "scratch")} if told.mode else {}
     assert manager.stop() == 0, manager.log.decode()
     again = session.manager().start()
     try:

@@ -231,7 +231,7 @@ class MemoryService:
         return Transfer(self, memory, offset, length)
 
     def begin_write(self, name: str, offset: int, data: bytes | memoryview, lease: str) -> Transfer:
-        """Begin a write, which moves nothing yet. Raises as `begin_read`, and HeldBy."""
+        """Begin a write, which moves nothing yet. Raises as `begin_read`, HeldBy, RecordFailed."""
         memory = self.named(name)
         if memory.access is Access.RO:
             raise AccessDenied(f"memory {name!r} is read-only")
@@ -240,6 +240,7 @@ class MemoryService:
         self._check_covered(memory)
         self._leases.check(_scopes(memory), lease)
         self._registers.check_region(memory.region, f"memory {name!r}")
+        self._state.check_kept()
         return Transfer(self, memory, offset, len(view), view)
 
     def move(self, transfer: Transfer, start: int, end: int) -> None:

@@ -206,7 +206,7 @@ class RegisterService:
             return self._do(self._look(), checked)
 
     def check_again(self, checked: list[Checked], lease: str) -> None:
-        """Raise HeldBy or RegionBusy if what was checked a while ago now has another holder, or no longer exists."""
+        """Raise HeldBy, RegionBusy or RecordFailed if what was checked a while ago would be refused now."""
         visible = self._look().registers
         for register in (place.register for place, _, _ in checked):
             if visible.get(register.name) is not register:
@@ -233,6 +233,11 @@ class RegisterService:
         else:
             values = tuple([self._write(place, value, mask) for place, value, mask in checked])
         return RegValues(values, view.config.name, view.mode or "", self._state.written())
+
+    def unread(self, names: Iterable[str]) -> list[str]:
+        """Those of some registers that can only be written."""
+        known = self._look().registers
+        return [name for name in names if name in known and known[name].access is _WO]
 
     def take_flags(self, name: str, clear: int) -> int:
         """Read a status register, and acknowledge those interrupts of `clear` (bits) that are set; returns the value.
@@ -337,6 +342,8 @@ class RegisterService:
             raise missing(place, mask)
 
     def _check_leases(self, checked: list[Checked], lease: str) -> None:
+        if self._state.overtaken:
+            self._state.check_kept()
         if not self._leases.any_held:
             return
         registers = [place.register for place, _, _ in checked]

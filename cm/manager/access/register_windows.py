@@ -119,7 +119,7 @@ class Windows:
         """Lend; returns the loan, and a descriptor of the pages, the caller's to give away and to close.
 
         `ended` may be called from any thread, once, and not after `give_back`. Raises NothingLoaded, NotFound,
-        ModuleAbsent, RegionBusy, HeldBy, NoWindow, Busy.
+        ModuleAbsent, RegionBusy, HeldBy, NoWindow, Busy, RecordFailed.
         """
         with self._state.lock:  # a change that begins meanwhile waits, and takes it back
             place = self._find(request.name)
@@ -166,6 +166,7 @@ class Windows:
         if not request.write:
             return
         self._leases.check(_scopes(place), request.lease)
+        self._state.check_kept()
         with self._lock:
             loans = tuple(self._loans.values())
         others = [x for x in loans if request.exclusive and x.request.write and x.place.region == place.region]

@@ -410,11 +410,14 @@ def _remember(run: StepContext, register: Register) -> None:
         return
     same = run.board.config == run.plan.goal.config.name
     names = {register.name} if same else _names_before(run, register)
-    if any(run.tools.state.written_value(name) is not None for name in names) or place_of(register) in run.found:
+    place = place_of(register)
+    if any(run.tools.state.written_value(name) is not None for name in names):
+        return
+    if place in run.found or place in run.plan.goal.found:
         return
     value = run.tools.registers.read(register)
-    run.found[place_of(register)] = value
-    run.tools.state.note_found(place_of(register), value)
+    run.found[place] = value
+    run.tools.state.note_found(place, value)
     run.record(run.step)  # a kill between the write and the next step must not lose it
 
 

@@ -48,6 +48,7 @@ class Change:
     found: Mapping[Place, int] = field(default_factory=dict)  # others, likewise
     rates: Mapping[str, int] = field(default_factory=dict)  # clocks that it restores, in Hz
     asked: bool = False  # by a client, so that the way back of the change before it is void
+    resumes: Pending | None = None  # one that was cut short, whose way back this is
     undoing: bool = False  # that change before it: void only once this one has ended well
     undoable: str = ""  # the name under which its own way back is kept
     repairs: str = ""  # a region that it compares with what was loaded, and repairs; it goes nowhere else
@@ -246,7 +247,9 @@ class Worker:
             PastChange(change.number, change.config, change.mode, *before, change.by, change.why)
         )
         self._tools.reporter.begun(change.number, change.config, change.mode, full)
-        state.pending = Pending(
+        values = {**board.values, **change.values}
+        state.pending = change.resumes and replace(change.resumes, values=values, touched=False)
+        state.pending = state.pending or Pending(
             change.number,
             change.config,
             change.mode,
@@ -254,7 +257,7 @@ class Worker:
             board.mode,
             from_static=board.static_config,
             held=_held(board),
-            values={**board.values, **change.values},
+            values=values,
             found=tuple((*place, value) for place, value in change.found.items()),
             rates=change.rates,
         )

@@ -118,6 +118,7 @@ class Pending:
     rates: Mapping[str, int] = field(default_factory=dict)  # clocks, in Hz, likewise
     touched: bool = False  # whether anything of the board may differ for it
     begun: tuple[str, ...] = ()  # regions whose load has begun, there or on the way back
+    locked: tuple[str, ...] = ()  # regions whose registers no client has written since, likewise
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +195,7 @@ def _change(x: Pending, begin: Kept[str], rest: Kept[str]) -> str:
     overlay = "null" if x.overlay is None else _json(x.overlay)
     step = f'"step":{_json(x.step)},"subject":{_json(x.subject)},"overlay":{overlay}'
     left = f'"touched":{_json(x.touched)},"begun":{_json(x.begun)}'
-    return f"{{{text},{step},{left},{rest.of(x.from_static, x.held, x.values, x.found, x.rates)}}}"
+    return f"{{{text},{step},{left},{rest.of(x.from_static, x.held, x.values, x.found, x.rates, x.locked)}}}"
 
 
 def encode(record: Record, texts: Texts) -> bytes:
@@ -241,9 +242,15 @@ def _change_begin(number: int, config: str, mode: str, from_config: str | None, 
 
 
 def _change_rest(
-    static: str | None, held: Mapping[str, str], values: Mapping[str, int], found: object, rates: Mapping[str, int]
+    static: str | None,
+    held: Mapping[str, str],
+    values: Mapping[str, int],
+    found: object,
+    rates: Mapping[str, int],
+    locked: tuple[str, ...],
 ) -> str:
-    return _members({"from_static": static, "held": {**held}, "values": {**values}, "found": found, "rates": {**rates}})
+    before = {"from_static": static, "held": {**held}, "values": {**values}, "found": found, "rates": {**rates}}
+    return _members({**before, "locked": locked})
 
 
 def _all_measured(known: Throughput) -> str:
@@ -297,7 +304,8 @@ def _understood(body: bytes) -> Record:
 
 def _pending_from_plain(plain: Mapping[str, Any]) -> Pending:
     found = tuple((int(a), int(w), int(v)) for a, w, v in plain["found"])
-    return Pending(**{**plain, "found": found, "begun": tuple(map(str, plain["begun"]))})
+    begun, locked = tuple(plain["begun"]), tuple(plain.get("locked", ()))
+    return Pending(**{**plain, "found": found, "begun": begun, "locked": locked})
 
 
 def _from_plain(plain: Mapping[str, Any]) -> Record:
@@ -536,6 +544,9 @@ class ManagerState:
         self._number = 0
         self.generation = 0  # of the registers
         self._recorded: Record | None = None  # the last one that was written
+        self._under_way: Pending | None = None  # what a record of now says beside the board
+        self._disk_says: Pending | None = None  # what the last one that was written or found says
+        self.overtaken = False  # that change is over, and no record could say so
         self._took: list[tuple[str, float]] = []  # by steps of the change that runs
         self._dirty = False
         self.urgent = False  # something was noted that is nowhere but here
@@ -626,6 +637,8 @@ class ManagerState:
         """Lock these regions' registers, or all, against requests; waits for an access under way."""
         with self.lock:
             self.locked = LockedRegions(regions, whole)
+            if self.pending is not None and not regions.issubset(self.pending.locked):
+                self.pending = replace(self.pending, locked=tuple(sorted(regions.union(self.pending.locked))))
             self.moved()
 
     def release_regions(self) -> None:
@@ -661,8 +674,10 @@ class ManagerState:
         self.moved()
         self.way_back = record.way_back if record is not None and record.boot_id == boot_id else None
         self.runtime_memories = MappingProxyType({})
+        self._under_way = self._disk_says = None
         if record is not None:
             self.throughput, self._number = record.throughput, record.number
+            self._disk_says = record.pending if record.boot_id == boot_id else None
 
     def record(self, step: Step | None) -> None:
         """Write the state and the step about to be taken, or that no change is under way. Raises RecordFailed."""
@@ -672,18 +687,29 @@ class ManagerState:
             self._write(None if step is None else self.pending)
 
     def _write(self, pending: Pending | None, again: bool = True) -> None:
+        self._under_way = pending
         known = Record(self._boot_id, self.board, pending, self.throughput, self._number, self.way_back)
         if not again and known == self._recorded:
             return
         try:
             self._journal.write(known)
         except OSError as error:
+            self.overtaken = pending is None and self._disk_says is not None
             raise RecordFailed(f"the state record could not be written: {sentence(error)}") from error
-        self._recorded, self._dirty, self.urgent = known, False, False
+        self._recorded, self._disk_says, self._dirty, self.urgent = known, pending, False, False
+        self.overtaken = False
 
-    def try_record(self) -> ErrorInfo | None:
-        """Write that no change is under way; what went wrong, if it could not be written."""
-        return self._tried(None)
+    def check_kept(self) -> None:
+        """Raise RecordFailed where a start from the last record would undo a write to a register or a memory.
+
+        That record is then of a change that is over: its regions are loaded again, with the values from before it.
+        """
+        if self.overtaken and (problem := self.try_record()) is not None:
+            raise RecordFailed(f"nothing was written, as a restart would undo it: {problem.message}")
+
+    def try_record(self, under_way: Pending | None = None) -> ErrorInfo | None:
+        """Write what the board holds, and that no other change is under way; what went wrong, if that failed."""
+        return self._tried(under_way)
 
     def settle(self) -> ErrorInfo | None:
         """The same, unless the last record says just what this one would."""
@@ -697,7 +723,8 @@ class ManagerState:
 
     def flush(self) -> ErrorInfo | None:
         """Write what was noted since the last record; a change that runs meanwhile stays under way."""
-        return self._tried(self._recorded.pending if self._recorded else None) if self._dirty else None
+        self.urgent = False
+        return self._tried(self._under_way) if self._dirty else None
 
     def _tried(self, pending: Pending | None, again: bool = True) -> ErrorInfo | None:
         try:

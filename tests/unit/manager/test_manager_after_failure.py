@@ -129,6 +129,27 @@ def test_registers_are_what_they_were_after_a_kill(
     assert back > 5
 
 
+@pytest.mark.parametrize(("goal", "first"), [(("duo", "both"), 24), (("second", "default"), 30)])
+def test_a_start_that_is_killed_while_it_undoes_a_change_loses_nothing(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path, goal: tuple[str, str], first: int
+) -> None:
+    number, ends = 0, 0
+    while True:
+        with rig(sim.root, tmp_path, *configs.values()) as before:
+            written_by_hand(before)
+            expected = held(sim)
+        assert killed_at(sim.root, tmp_path, configs.values(), goal, first)
+        killed = killed_at(sim.root, tmp_path, configs.values(), None, number)
+        with rig(sim.root, tmp_path, *configs.values()) as again:
+            again.manager.wait_idle()
+            assert place_of(again, sim, configs) == "duo/default", f"killed again at operation {number}: {again.notes}"
+            assert held(sim) == expected, f"killed again at operation {number}: {again.notes}"
+        if not killed:
+            break
+        number, ends = number + 2, ends + 1
+    assert ends > 5
+
+
 def changed(made: Rig, request: ChangeMode) -> ErrorInfo | None:
     change = made.manager.submit(request)
     assert change.wait(30.0)

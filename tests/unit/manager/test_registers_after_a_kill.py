@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import threading
@@ -16,6 +17,8 @@ import pytest
 from manager_support import Rig, camera, make_rig, rig
 
 from cm.errors import CmError
+from cm.manager.access.register_windows import WindowRequest
+from cm.manager.errors import RecordFailed
 from cm.schema.model import Access, Config
 from cm.simulation.software import Board as SimBoard
 from cm.wire.messages.requests import ChangeMode, RegWrite
@@ -132,3 +135,72 @@ def test_what_cannot_be_read_back_is_recorded_before_its_write_is_confirmed(sim:
         assert record.state.values["scratch"] == 5
         write(made, LED, 6)  # which can be read back
         assert made.journal.read() == record
+        made.fault.watch = no_record
+        with pytest.raises(RecordFailed, match="scratch was written, but is not known after a restart"):
+            write(made, "scratch", 7)
+        write(made, LED, 8)
+
+
+def no_record(name: str) -> None:
+    if name == "journal.write":
+        raise OSError(errno.EIO, "injected")
+
+
+def taken(made: Rig, name: str, value: int) -> bool:
+    """Write; whether that was confirmed, and not refused as a restart would undo it."""
+    try:
+        write(made, name, value)
+    except RecordFailed as error:
+        if "nothing was written, as a restart would undo it: the state record could not be" not in str(error):
+            raise
+        return False
+    return True
+
+
+def test_a_write_that_the_next_start_would_undo_is_refused(sim: SimBoard, tmp_path: Path) -> None:
+    """Where the disk failed in the middle of a change, that start goes by a record from before it was undone."""
+    refused, kept = 0, 0
+    for number in range(40):
+        with rig(sim.root, tmp_path / str(number)) as made:
+            assert made.go("default") is None
+            write(made, "focus", 4)
+            writes = iter(range(1000))
+            made.fault.watch = lambda name, w=writes, n=number: (  # type: ignore[misc]
+                no_record(name) if name == "journal.write" and next(w) >= n else None
+            )
+            ended = made.go("edge_detection")
+            told = {name: value for name, value in (("focus", 7), (LED, 8), ("scratch", 9)) if taken(made, name, value)}
+            refused += 3 - len(told)
+            if not told:
+                with pytest.raises(RecordFailed):
+                    made.manager.windows.lend(WindowRequest("prr0", True, False, "", "a test", 1), None, print)  # type: ignore[arg-type]
+                with pytest.raises(RecordFailed):
+                    made.manager.memories.begin_write("scratchpad", 0, bytes(4), "")
+            now = told or {name: read(made, name) for name in ("focus", LED, "scratch")}
+            kept += len(told)
+            mode = made.manager.state.mode
+        with rig(sim.root, tmp_path / str(number)) as again:
+            again.manager.wait_idle()
+            assert {name: read(again, name) for name in now} == now, f"no record from number {number} on: {again.notes}"
+            assert again.manager.state.mode == mode
+        if ended is None:
+            break
+    assert refused > 3 < kept
+
+
+def test_a_disk_that_is_whole_again_takes_the_record_with_the_next_write(sim: SimBoard, tmp_path: Path) -> None:
+    with rig(sim.root, tmp_path) as made:
+        assert made.go("default") is None
+        writes = iter(range(1000))
+        made.fault.watch = lambda name: no_record(name) if name == "journal.write" and next(writes) >= 4 else None
+        assert made.go("edge_detection") is not None
+        with pytest.raises(RecordFailed):
+            write(made, "focus", 6)
+        made.fault.watch = lambda _: None
+        write(made, "focus", 7)
+        record = made.journal.read()
+        assert record is not None
+        assert record.pending is None
+    with rig(sim.root, tmp_path) as again:
+        again.manager.wait_idle()
+        assert (again.notes, read(again, "focus")) == ((), 7)
