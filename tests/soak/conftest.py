@@ -9,7 +9,10 @@ import pytest
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--changes", type=int, default=200, help="changes of mode to make")
     parser.addoption("--rounds", type=int, default=4, help="rounds of KILL and STOP")
-    parser.addoption("--kills", type=int, default=6, help="managers killed while registers are written")
+    parser.addoption(
+        "--kills", type=int, default=6, help="managers killed while registers are written, and while they do anything"
+    )
+    parser.addoption("--kill-seed", type=int, default=59, help="of what they are doing then")
     parser.addoption("--upsets", type=int, default=300, help="bits of configuration memory that turn over")
     parser.addoption("--failing", type=int, default=6, help="calls to fail of those that write to the disk; 0: each")
     parser.addoption("--builds", type=int, default=8, help="rounds of designs that are built anew")

@@ -2,12 +2,13 @@
 // Fails one of the calls by which a process writes below a folder, or all from there on; for LD_PRELOAD.
 //
 // FAIL_BELOW: the folder. FAIL_AT: the number of the call, from 1 (0: none). FAIL_LASTING: set for all from there on.
-// FAIL_ERRNO: its error. FAIL_LOG: a file that gets a line for each call that counts.
+// FAIL_ERRNO: its error (0: the process is killed before it). FAIL_LOG: a file that gets a line for each call that counts.
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <errno.h>
 #include <fcntl.h>
 #include <limits.h>
+#include <signal.h>
 #include <stdarg.h>
 #include <stdatomic.h>
 #include <stdio.h>
@@ -37,8 +38,8 @@ static int fails(const char *name, const char *path)
 		real_syscall(SYS_write, fd, line, (long)length);
 		close(fd);
 	}
-	if (failing)
-		errno = atoi(getenv("FAIL_ERRNO"));
+	if (failing && !(errno = atoi(getenv("FAIL_ERRNO"))))
+		kill(getpid(), SIGKILL);
 	return failing;
 }
 

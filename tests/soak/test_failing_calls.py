@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Each call by which a manager writes to its disk fails, once and from there on: what it tells stays true."""
+"""Each call by which a manager writes to its disk fails, once and from there on, or it is killed there or anywhere:
+what it tells stays true.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +9,8 @@ import errno
 import random
 import shutil
 import subprocess
+import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,7 +20,9 @@ import pytest
 from manager_process import CAMERA, Manager, environment, short_folder, until
 
 import cm
+from cm.client.errors import RequestFailed
 from cm.errors import CmError
+from cm.manager.state.journal import LENGTH
 from cm.simulation.software import Board as SimBoard
 
 ERRORS = (errno.ENOSPC, errno.EIO, errno.EDQUOT)
@@ -204,3 +210,145 @@ def test_whatever_call_fails_what_is_told_is_what_the_board_and_the_disk_hold(
             run(session, shim, at, number, lasting)
         except Exception as error:
             raise AssertionError(f"{said}: {error}; {[step for step in session.told if step[1]]}") from error
+
+
+@dataclass
+class Told:
+    """What a client knows of a board at rest: what was confirmed, beside what it has asked for and was not told."""
+
+    place: set[tuple[str, str]] = field(default_factory=set)  # configuration and mode
+    registers: dict[str, set[int]] = field(default_factory=dict)  # in the place that was confirmed
+    stored: dict[str, set[int | None]] = field(default_factory=dict)  # versions
+
+    def load(self, board: cm.Board, config: str, mode: str) -> None:
+        self.place.add((config, mode))
+        if self.place != {(config, mode)}:
+            self.registers.clear()  # in another mode they are what it sets
+        board.load(config, mode)
+        self.place = {(config, mode)}
+        self.look(board)
+
+    def look(self, board: cm.Board) -> None:
+        self.registers = {name: {board.registers[name]} for name in ("focus", "led", "scratch")}
+
+    def write(self, board: cm.Board, name: str, value: int) -> None:
+        self.registers[name].add(value)
+        board.registers[name] = value
+        self.registers[name] = {value}
+
+    def send(self, session: Session, board: cm.Board, name: str, version: int) -> None:
+        self.stored[name].add(version)
+        session.send(board, name, version)
+        self.stored[name] = {version}
+
+    def remove(self, board: cm.Board, name: str) -> None:
+        self.stored[name].add(None)
+        try:
+            board.remove_config(name)
+        except RequestFailed as refused:
+            if refused.code != "unknown_config":
+                raise
+        self.stored[name] = {None}
+
+    def differences(self, session: Session, board: cm.Board) -> list[str]:
+        """From what a manager that was started again says, and the board and the disk hold."""
+        status = at_rest(board)
+        wrong = truth(session.sim, status)
+        if (status.config_name, status.mode) not in self.place:
+            wrong.append(f"{status.config_name}/{status.mode} is none of {self.place}")
+        if len(self.place) == 1:
+            now = {name: board.registers[name] for name in self.registers}
+            wrong += [f"{n} is {now[n]:#x}, none of {may}" for n, may in self.registers.items() if now[n] not in may]
+        for name, may in self.stored.items():
+            there = session.stored(name)
+            if there not in may or (name in status.configs) != (there is not None):
+                wrong.append(f"{name}: version {there} is stored, none of {may}; told are {status.configs}")
+        return wrong
+
+
+def busy(session: Session, told: Told, board: cm.Board, draw: random.Random) -> None:
+    """Ask for one thing after the other, until nobody answers any more."""
+    for version in range(2, 10):
+        deed = draw.choice(("load", "load", "write", "write", "write", "send", "remove"))
+        if deed == "load":
+            mode = draw.choice(("default", "edge_detection", "colorise", "loopback"))
+            told.load(board, draw.choice(("camera", "sent")), mode)
+        elif deed == "write":
+            told.write(board, draw.choice(tuple(told.registers)), draw.randrange(8))
+        elif deed == "send":
+            told.send(session, board, draw.choice(("sent", "gone")), version)
+        else:
+            told.remove(board, "gone")
+
+
+def turn_soon(journal: Path, draw: random.Random) -> None:
+    """Write a journal's last line again and again, until it has room for a few: then it turns over."""
+    data = journal.read_bytes().rstrip(b"\0")
+    line = b"\n" + data.split(b"\n")[-2] + b"\n"
+    room = LENGTH - len(data) - draw.randrange(12) * len(line)
+    journal.write_bytes((data + max(0, room // len(line)) * line).ljust(LENGTH, b"\0"))
+
+
+@pytest.mark.timeout(36000)
+def test_whenever_it_is_killed_what_was_told_is_what_the_board_and_the_disk_hold(
+    session: Session, shim: Path, request: pytest.FixtureRequest
+) -> None:
+    draw = random.Random(request.config.getoption("--kill-seed"))
+    told = Told(stored={"sent": {1}, "gone": {1}})
+    turns = 0
+    manager = session.manager().start()
+    with manager.connected() as board:
+        told.load(board, "camera", "default")
+    for number in range(request.config.getoption("--kills")):
+        manager.kill()
+        if draw.random() < 0.5:
+            turn_soon(session.folder / "state/journal", draw)
+        before = (session.folder / "state/journal").stat().st_ino
+        by_call = draw.choice((0, draw.randrange(1, 60)))
+        places = {"LD_PRELOAD": str(shim), "FAIL_BELOW": f"{session.folder}/state/", "FAIL_ERRNO": "0"}
+        manager = session.manager(FAIL_AT=str(by_call), **places)
+        errors = killed_amid(manager, session, told, draw, 0.0 if by_call else draw.uniform(0.01, 0.6))
+        turns += (session.folder / "state/journal").stat().st_ino != before
+        manager = session.manager().start()
+        with manager.connected() as board:
+            wrong = told.differences(session, board)
+            assert (wrong, errors) == ([], []), f"round {number}, call {by_call}; {manager.log.decode()}"
+            status = board.status
+            told.place = {(status.config_name, status.mode)}
+            told.look(board)
+            told.stored = {name: {session.stored(name)} for name in told.stored}
+    assert manager.stop() == 0
+    assert turns > request.config.getoption("--kills") // 20
+
+
+def killed_amid(manager: Manager, session: Session, told: Told, draw: random.Random, seconds: float) -> list[str]:
+    """Let a client be busy with a manager that is killed: after some time, where it kills itself, or at the end.
+
+    Returns what else went wrong.
+    """
+    errors: list[str] = []
+    try:
+        manager.start()
+    except AssertionError:  # killed so early
+        manager._reap()
+        return errors
+
+    def client() -> None:
+        try:
+            with cm.connect(runtime_dir=manager.runtime, timeout=20) as board:
+                at_rest(board)
+                busy(session, told, board, draw)
+        except RequestFailed as error:
+            errors.append(f"{error.code}: {error}")
+        except (CmError, OSError):
+            pass  # nobody answers any more
+
+    thread = threading.Thread(target=client)
+    thread.start()
+    if seconds:
+        time.sleep(seconds)  # anywhere in it
+        assert manager.process is not None
+        manager.process.kill()
+    thread.join()
+    manager.kill()
+    return errors
