@@ -47,6 +47,7 @@ COMMANDS = (
         "board",
         linux=True,
     ),
+    Command("why", "cm.cli.why", "say how the board came to be as it is, or as a record has it", "board"),
     Command("reg", "cm.cli.reg", "list, read, write and watch registers", "data"),
     Command("mem", "cm.cli.mem", "list, read and write memories", "data"),
     Command("irq", "cm.cli.irq", "list interrupts and wait for them", "data"),

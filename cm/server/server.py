@@ -233,9 +233,7 @@ class Server:
 
     def _autoload(self) -> None:
         if self._options.load and self._manager.state.config is None:
-            self._manager.submit(
-                ChangeMode(*self._options.load.partition("/")[::2]), why="as the manager was started to"
-            )
+            self._manager.submit(ChangeMode(*self._options.load.partition("/")[::2]), why="as it was started to")
 
     def _close(self) -> None:
         self._service.stopping()
