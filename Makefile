@@ -55,7 +55,7 @@ $(VENV)/.installed-%: $(STAMP)
 	@touch $@
 
 $(LINT_STAMP): $(STAMP)
-	$(call install,what lint needs (once),'fpga-cm[lint$(COMMA)test$(COMMA)build$(COMMA)web$(COMMA)zenoh$(COMMA)metrics]')
+	$(call install,what lint needs (once),'fpga-cm[lint$(COMMA)test$(COMMA)build$(COMMA)web$(COMMA)zenoh$(COMMA)metrics$(COMMA)record]')
 	@$(BIN)/python -m grpc_tools.protoc -I. --pyi_out=. cm/wire/cm.proto
 	@touch $@
 
@@ -105,7 +105,7 @@ test-lowest: | check-system ### `make test` of the last commit with the oldest v
 	cd $(LOWEST) && $(RUN_PLAIN)
 
 test-design: ### the tests that read HDL, generate projects and run Tcl (apt: tcl device-tree-compiler)
-test-networks: ### those of zenoh and ROS 2 (apt: python3-rosidl python3-empy)
+test-networks: ### those of zenoh, ROS 2 and records (apt: python3-rosidl python3-empy)
 test-web: ### those of the page (apt: chromium)
 test-programs: ### those of C clients, shells, terminals, notebooks and type checkers (apt: the lines of .ci/run; some as root)
 test-release: ### those of packages, wheels and the layer

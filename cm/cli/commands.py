@@ -53,6 +53,7 @@ COMMANDS = (
     Command("irq", "cm.cli.irq", "list interrupts and wait for them", "data"),
     Command("stream", "cm.cli.stream", "list, set, capture and play data streams", "data"),
     Command("view", "cm.cli.view", "show a stream in the terminal or a window", "data"),
+    Command("record", "cm.cli.record", "record what a board does, for afterwards", "data", linux=True),
     Command("lease", "cm.cli.lease", "take, list and break leases", "sharing"),
     Command("keygen", "cm.cli.keygen", "make keys for connections over TCP", "sharing"),
     Command("config", "cm.cli.config", "list, send, check and roll back configurations", "designs"),
@@ -95,6 +96,8 @@ def understood(words: list[str]) -> list[str]:
         return [*before, *name, *understood(rest)]
     if name == ["fleet"] and rest[:1] == ["ls"]:
         rest = ["list", *rest[1:]]
+    if name == ["record"] and not {*rest[:1]} & {"start", "repair", "plot", "-h", "--help"}:
+        rest = ["start", *rest]  # a file may stand there, which argparse would take for an action
     return [*before, *_SHORT.get(name[0], name), *rest] if name else words
 
 

@@ -93,8 +93,15 @@ def opened(strings: Mapping[str, str]) -> Opened:
         raise InvalidRequest(f"its metadata {METADATA!r} are not whole: {error}") from None
 
 
+def is_folder(record: Path) -> bool:
+    """Whether a record is a folder of files, by its name: one that does not end in ``.mcap``."""
+    return record.suffix != ".mcap"
+
+
 def file_name(record: Path, number: int) -> Path:
-    """The place of a record's file: ``FILE.mcap`` is the first, ``FILE-000002.mcap`` beside it the second."""
+    """The place of a record's file: ``FILE.mcap``, then ``FILE-000002.mcap`` beside it; ``FOLDER/000001.mcap``."""
+    if is_folder(record):
+        return record / f"{number:06d}.mcap"
     return record if number == 1 else record.with_name(f"{record.stem}-{number:06d}{record.suffix}")
 
 

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm record``: what a manager tells its clients, into MCAP files."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cm.cli.common import add_connection_options
+from cm.errors import InvalidRequest, NotInstalled
+
+if TYPE_CHECKING:
+    from cm.recording.record import Limits
+    from cm.recording.recorder import Wanted
+
+_SIZES = {"KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30}
+_TIMES = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
+_LEAST = 1 << 20  # bytes of a file
+
+
+def fill_parser(parser: argparse.ArgumentParser) -> None:
+    """Describe the command."""
+    parser.description = "Record what a board does. `cm record FILE` is short for `cm record start FILE`."
+    actions = parser.add_subparsers(metavar="ACTION", required=True)
+    _add_start(actions)
+
+
+def _add_start(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = actions.add_parser("start", help="record until interrupted")
+    parser.description = (
+        "Record what the manager tells its clients: statuses, steps of changes, writes of registers and who made "
+        "them, interrupts, leases, errors, upsets, and frames of the streams that are named. The record is an MCAP "
+        "file, or several that follow each other; docs/how-to/what-happened.md says what is in it."
+    )
+    add_connection_options(parser)
+    parser.add_argument(
+        "file",
+        nargs="?",
+        type=Path,
+        metavar="FILE",
+        help="file to write, or a folder for --split and --ring (default: BOARD-DATE-TIME.mcap, in this folder)",
+    )
+    parser.add_argument(
+        "--streams",
+        nargs="+",
+        default=["none"],
+        metavar="NAME",
+        help="streams whose frames are recorded: names, all (but those with back-pressure, which a slow reader would "
+        "hold up), or none (default). A stream runs while it is recorded",
+    )
+    parser.add_argument(
+        "--frames",
+        nargs="+",
+        default=["whole"],
+        metavar="WHAT",
+        help="whole (default), every N: only the data of each N-th, or hash: the SHA-256 of each instead",
+    )
+    parser.add_argument("--split", default="", metavar="AMOUNT", help="begin another file after 1GiB, or 10min")
+    parser.add_argument("--ring", default="", metavar="AMOUNT", help="keep only the last 5min, or 2GiB")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Record until interrupted; the exit status."""
+    limits, wanted = limits_of(args.split, args.ring), wanted_of(args.streams, args.frames)
+    place = args.file
+    if place is not None and limits.is_ring and place.suffix == ".mcap":
+        raise InvalidRequest(f"--ring keeps several files: name a folder, such as {place.with_suffix('')}")
+    recorder_module()
+    from cm.client.board import Board, connect
+    from cm.recording.recorder import Recorder
+
+    def connected() -> Board:
+        return connect(args.connect, runtime_dir=args.runtime_dir, keys=args.keys)
+
+    if place is None:
+        with connected() as board:
+            name = f"{board.status.board}-{time.strftime('%Y%m%d-%H%M%S')}"
+        place = Path(name if limits.is_ring else f"{name}.mcap")
+    recorder = Recorder(connected, place, limits, wanted, _tell)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: recorder.stop())
+    _tell(f"into {place}; Ctrl-C ends it")
+    missing = recorder.run()
+    if missing:
+        _tell(f"{missing} messages are in no file, since the disk took no more")
+    return 1 if missing else 0
+
+
+def recorder_module() -> None:
+    """Raise NotInstalled where the library is absent that writes records."""
+    try:
+        import foxglove  # noqa: F401
+    except ModuleNotFoundError as error:
+        if error.name != "foxglove":
+            raise
+        raise NotInstalled("cm record needs foxglove-sdk: pip install 'fpga-cm[record]'") from None
+
+
+def _tell(text: str) -> None:
+    print(f"cm record: {text}", file=sys.stderr, flush=True)
+
+
+def limits_of(split: str, ring: str) -> Limits:
+    """When a file ends, and which are removed. Raises InvalidRequest."""
+    from cm.recording.record import Limits
+
+    (split_bytes, split_seconds), (ring_bytes, ring_seconds) = amount("--split", split), amount("--ring", ring)
+    if 0 < split_bytes < _LEAST or 0 < ring_bytes < 8 * _LEAST:
+        raise InvalidRequest("a file takes 1MiB at least, and a ring eight of them")
+    return Limits(split_bytes, split_seconds, ring_bytes, ring_seconds)
+
+
+def amount(option: str, text: str) -> tuple[int, float]:
+    """``1GiB`` → bytes, 0; ``10min`` → 0, seconds; empty: 0, 0. Raises InvalidRequest."""
+    digits = text.rstrip("".join({*"".join((*_SIZES, *_TIMES))}))
+    unit = text[len(digits) :]
+    try:
+        value = float(digits) if text else 0.0
+    except ValueError:
+        value = -1.0
+    if text and not (0 < value < 1e9 and (unit in _SIZES or unit in _TIMES)):
+        raise InvalidRequest(f"{option} {text}: an amount is a number with {', '.join((*_SIZES, *_TIMES))}")
+    return (int(value * _SIZES[unit]), 0.0) if unit in _SIZES else (0, value * _TIMES.get(unit, 0.0))
+
+
+def wanted_of(streams: list[str], frames: list[str]) -> Wanted:
+    """Which frames are recorded. Raises InvalidRequest."""
+    from cm.recording.recorder import ALL, Wanted
+
+    alone = {ALL, "none"} & set(streams)
+    if alone and len(streams) > 1:
+        raise InvalidRequest(f"--streams: {alone.pop()} stands alone")
+    names = () if streams == ["none"] else tuple(streams)
+    if frames == ["whole"]:
+        return Wanted(names)
+    if frames == ["hash"]:
+        return Wanted(names, every=0, hashed=True)
+    if len(frames) == 2 and frames[0] == "every" and frames[1].isdecimal() and int(frames[1]):
+        return Wanted(names, every=int(frames[1]))
+    raise InvalidRequest(f"--frames {' '.join(frames)}: whole, every N, or hash")

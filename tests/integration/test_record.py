@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm record`` beside a manager: what its clients are told is in the file, as other people's readers see it."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import signal
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from manager_process import Manager, environment, served, until
+
+from cm import child
+from cm.client.errors import RequestFailed
+from cm.recording import layout
+
+pytest.importorskip("foxglove", reason="needs the extra [record]")
+mcap_reader = pytest.importorskip("mcap.reader")
+decoder = pytest.importorskip("mcap_protobuf.decoder")
+
+pytestmark = [pytest.mark.networks, pytest.mark.timeout(90)]
+
+
+@pytest.fixture
+def manager() -> Iterator[Manager]:
+    with served() as (made, _):
+        with made.connected() as board:
+            board.load("camera", "default")
+        yield made
+
+
+@contextlib.contextmanager
+def recording(manager: Manager, *arguments: object) -> Iterator[subprocess.Popen[str]]:
+    """``cm record`` at work; ended by SIGTERM."""
+    words = child.command("cm.cli.main", "record", *map(str, arguments), "--runtime-dir", str(manager.runtime))
+    with subprocess.Popen(words, env=environment(), stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        try:
+            assert process.stderr.readline().startswith("cm record: ")
+            with manager.connected() as board:  # it listens when it is a client
+                until(lambda: any(f"pid {process.pid} " in client.name for client in board.clients()))
+            yield process
+        finally:
+            if process.poll() is None:
+                process.send_signal(signal.SIGTERM)
+            process.communicate(timeout=60)
+
+
+def messages(path: Path) -> list[tuple[str, str, Any, Any]]:
+    """Topic, schema, message and what it holds, in the order of their times, with all CRCs checked."""
+    with path.open("rb") as file:
+        reader = mcap_reader.make_reader(file, validate_crcs=True, decoder_factories=[decoder.DecoderFactory()])
+        return [(m.channel.topic, m.schema.name, m.message, m.decoded_message) for m in reader.iter_decoded_messages()]
+
+
+def of(found: list[tuple[str, str, Any, Any]], topic: str) -> list[Any]:
+    return [held for its, _, _, held in found if its == topic]
+
+
+def test_a_day_s_work_is_in_the_record_with_who_did_it(manager: Manager, tmp_path: Path) -> None:
+    path = tmp_path / "day.mcap"
+    with manager.connected() as board:
+        with recording(manager, path) as recorder:
+            until(lambda: path.exists() and path.stat().st_size > 0)
+            generation = board.registers.write({"focus": 5}).generation
+            board.load("camera", "edge_detection")
+            with pytest.raises(RequestFailed):
+                board.load("camera", "nowhere")
+            with board.lease("registers:focus", holder="a test"):
+                board.registers["focus"] = 6
+            until(lambda: not board.status.leases)
+        assert recorder.returncode == 0
+        status = board.status
+    found = messages(path)
+    assert {(topic, schema) for topic, schema, _, _ in found} >= {
+        (topic, f"cm.{name}") for topic, name in layout.SCHEMAS.items() if topic not in (layout.IRQ, layout.GAP)
+    }
+    assert not of(found, layout.GAP)
+    writes = [(w.generation, {v.name: v.value for v in w.values}) for w in of(found, layout.REGISTERS) if w.generation]
+    assert writes[0] == (generation, {"focus": 5})
+    by = {(a.request, a.error.code, a.pid) for a in of(found, layout.AUDIT)}
+    assert by >= {(r, "", os.getpid()) for r in ("WriteReg", "ChangeMode", "TakeLease", "ReleaseLease")}
+    assert ("ChangeMode", "unknown_mode", os.getpid()) in by
+    assert generation in {a.generation for a in of(found, layout.AUDIT)}
+    statuses = of(found, layout.STATUS)
+    assert {s.progress.step for s in statuses} >= {"decouple", "load", "recouple"}
+    assert statuses[-1].mode == status.mode == "edge_detection"
+    assert any(s.leases and s.leases[0].holder == "a test" for s in statuses)
+    assert [c.mode for c in of(found, layout.CONFIG)] == ["default", "edge_detection"]
+    assert "config:" in of(found, layout.CONFIG)[0].schema or of(found, layout.CONFIG)[0].schema
+
+
+def test_times_are_the_manager_s_and_both_clocks_are_told(manager: Manager, tmp_path: Path) -> None:
+    path = tmp_path / "times.mcap"
+    with recording(manager, path, "--streams", "camera", "--frames", "hash"):
+        until(lambda: path.exists() and path.stat().st_size > 4000)
+    with path.open("rb") as file:
+        reader = mcap_reader.make_reader(file)
+        (metadata,) = [m.metadata for m in reader.iter_metadata() if m.name == layout.METADATA]
+    opened = layout.opened(metadata)
+    found = messages(path)
+    assert all(m.publish_time == m.log_time for _, _, m, _ in found)
+    for _, _, message, irq in (entry for entry in found if entry[0] == layout.IRQ):
+        assert message.log_time == opened.time_of(irq.timestamp_ns)
+    (_, _, message, clock), *_ = (entry for entry in found if entry[0] == layout.CLOCK)
+    assert abs(message.log_time - clock.realtime_ns) < 10**9
+    assert abs(opened.time_of(clock.monotonic_ns) - message.log_time) < 10**9
+
+
+def test_frames_are_pictures_and_each_is_told(manager: Manager, tmp_path: Path) -> None:
+    whole, hashed = tmp_path / "whole.mcap", tmp_path / "hashed.mcap"
+    with (
+        recording(manager, whole, "--streams", "camera", "--frames", "every", 2),
+        recording(manager, hashed, "--streams", "all", "--frames", "hash"),
+    ):
+        until(lambda: whole.exists() and whole.stat().st_size > 8 << 20)
+    pictures = of(messages(whole), "cm_stream/camera")
+    seen = of(messages(whole), "cm_frame/camera")
+    kept = [s.frame for s in seen if s.kept]
+    assert [f.sequence for f in kept] == [s.frame.sequence for s in seen if s.frame.sequence % 2 == 0]
+    assert len(pictures) == len(kept) > 2
+    for picture, frame in zip(pictures, kept, strict=True):
+        assert (picture.height, picture.width) == tuple(frame.shape[:2])
+        assert picture.encoding == "mono8"
+        assert len(picture.data) == frame.length == picture.height * picture.step
+    digests = {s.frame.sequence: s.sha256 for s in of(messages(hashed), "cm_frame/camera")}
+    both = [(p, f) for p, f in zip(pictures, kept, strict=True) if f.sequence in digests]
+    assert both
+    for picture, frame in both:
+        assert hashlib.sha256(picture.data).digest() == digests[frame.sequence]
+
+
+def test_a_manager_that_is_gone_for_a_while_is_a_gap(manager: Manager, tmp_path: Path) -> None:
+    path = tmp_path / "gone.mcap"
+    with recording(manager, path) as recorder:
+        until(lambda: path.exists() and path.stat().st_size > 0)
+        manager.kill()
+        manager.start()
+        assert recorder.stderr is not None
+        for line in recorder.stderr:
+            if "is back" in line:
+                break
+    (gap,) = of(messages(path), layout.GAP)
+    assert (gap.cause, gap.topic) == ("manager_gone", "")
+    assert gap.from_ns < gap.until_ns
+    assert len({s.started_ns for s in of(messages(path), layout.STATUS)}) == 2
