@@ -24,7 +24,7 @@ CODE = re.compile(r" \[[a-z_]+\]$")
 # What runs until it is ended, asks a person, or prints text that is its only purpose.
 WITHOUT_JSON = {
     "serve", "sim", "view", "web", "demo", "completion", "help", "build configure", "fleet router",
-    "fleet keys", "bridge",
+    "fleet keys", "bridge", "record start",
 }  # fmt: skip
 
 
