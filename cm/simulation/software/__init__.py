@@ -13,17 +13,19 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from cm.simulation.software.errors import SimError
+    from cm.simulation.software.hardware.block_models import HlsKernel
     from cm.simulation.software.hardware.board_spec import BoardSpec
     from cm.simulation.software.hardware.models import Model
     from cm.simulation.software.process.child import Board
     from cm.simulation.software.process.control import Control
 
-__all__ = ["Board", "BoardSpec", "Control", "Model", "SimError"]
+__all__ = ["Board", "BoardSpec", "Control", "HlsKernel", "Model", "SimError"]
 
 _HOMES = {
     "Board": "process.child",
     "BoardSpec": "hardware.board_spec",
     "Control": "process.control",
+    "HlsKernel": "hardware.block_models",
     "Model": "hardware.models",
     "SimError": "errors",
 }

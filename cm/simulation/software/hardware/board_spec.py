@@ -141,6 +141,7 @@ class ChannelSpec:
     partner: str | None = None
     vdma: bool = False  # moves lines only
     simple: int = 0  # bits of the length register of an engine without scatter/gather; 0: it has scatter/gather
+    quiet: bool = False  # a design says what is before it, so that no camera is
     blind: bool = False  # its driver cannot tell how much arrived
 
     @property
@@ -151,21 +152,52 @@ class ChannelSpec:
     @property
     def is_camera(self) -> bool:
         """Whether frames come by themselves."""
-        return self.direction is Direction.S2MM and self.partner is None
+        return self.direction is Direction.S2MM and self.partner is None and not self.quiet
 
 
 def channels_of(configs: Iterable[Config]) -> dict[str, ChannelSpec]:
-    """The channels of all streams, each paired with the one at the other side of its region."""
+    """The channels of all streams, each paired with the one at the other side of its region, or as a design says."""
     found: dict[str, ChannelSpec] = {}
-    for config in configs:
+    given = list(configs)
+    for config in given:
         streams = list(config.streams.values())
         for mode in config.modes.values():
             streams.extend(mode.streams.values())
         for stream in streams:
             found.setdefault(stream.channel, _channel(stream))
+    for config in given:
+        if any(block.peers for block in config.blocks.values()):
+            _pair_as_designed(found, config)
     for region in {spec.region for spec in found.values()}:
         _pair(found, region)
     return found
+
+
+def _pair_as_designed(found: dict[str, ChannelSpec], config: Config) -> None:
+    """Pair the channels of a design by its blocks; the first design that names a channel decides."""
+    mine = {stream.channel: name for name, stream in config.streams.items() if not found[stream.channel].quiet}
+    for channel, name in mine.items():
+        found[channel] = replace(found[channel], quiet=True)
+        end = (chain(config, name) or [""])[-1]
+        sink = config.streams[end].channel if end in config.streams else ""
+        if found[channel].direction is Direction.MM2S and sink in mine and found[sink].partner is None:
+            found[channel] = replace(found[channel], partner=sink, quiet=True)
+            found[sink] = replace(found[sink], partner=channel, quiet=True)
+
+
+def chain(config: Config, stream: str) -> list[str]:
+    """The blocks that a stream to the PL leads through, and the stream from it that it ends at; empty if at none."""
+    owner = next((block.name for block in config.blocks.values() if stream in block.streams), None)
+    ways: list[list[str]] = [[peer] for peer in config.blocks[owner].peers] if owner else []
+    seen: set[str] = {owner} if owner else set()
+    while ways:
+        way = ways.pop(0)
+        if way[-1] in config.streams:
+            return way
+        if way[-1] not in seen:
+            seen.add(way[-1])
+            ways += [[*way, peer] for peer in config.blocks[way[-1]].peers]
+    return []
 
 
 def _channel(stream: Stream) -> ChannelSpec:
@@ -175,7 +207,7 @@ def _channel(stream: Stream) -> ChannelSpec:
 
 def _pair(found: dict[str, ChannelSpec], region: str | None) -> None:
     """Pair in the order of the file; a channel called camera… is a camera as long as there are others."""
-    here: Mapping[str, ChannelSpec] = {n: s for n, s in found.items() if s.region == region}
+    here: Mapping[str, ChannelSpec] = {n: s for n, s in found.items() if s.region == region and not s.quiet}
     sources = [n for n, s in here.items() if s.direction is Direction.MM2S]
     sinks = [n for n, s in here.items() if s.direction is Direction.S2MM]
     sinks.sort(key=lambda name: "camera" in name or "cam" in name.split("_"))

@@ -7,6 +7,7 @@ import errno
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from itertools import groupby
+from typing import Protocol
 
 from cm.frozen import dataclass
 from cm.schema.model import Access, Decoupler
@@ -19,15 +20,32 @@ from cm.simulation.software.transport.protocol import BLOCK_MAX
 _WIDTHS = (8, 16, 32, 64)
 
 
+class Watcher(Protocol):
+    """Who sees the words of a static part's blocks."""
+
+    def at(self, window: Window, offset: int) -> object:
+        """Something true where a block is."""
+
+    def read(self, window: Window, offset: int) -> int | None:
+        """What is read at a word in place of what it holds; None: that."""
+
+    def written(self, window: Window, offset: int, before: int) -> None:
+        """A word was written that held `before`."""
+
+
 class Bus:
     """Reads and writes as the processor makes them."""
 
     def __init__(
-        self, fabric: Fabric, faults: Faults, written: Callable[[Window, int, int], None] = lambda *_: None
+        self,
+        fabric: Fabric,
+        faults: Faults,
+        written: Callable[[Window, int, int], None] = lambda *_: None,
+        blocks: Watcher | None = None,
     ) -> None:
         """`written` is told of each write: window, offset, bytes."""
         self._fabric = fabric
-        self._written = written
+        self._written, self._blocks = written, blocks
         self._faults = faults
         self._show = Show(fabric)
         self._decouplers = [
@@ -43,6 +61,8 @@ class Bus:
         register.
         """
         length = check_access(window, offset, width)
+        if self._blocks is not None and (answer := self._blocks.read(window, offset & ~3)) is not None:
+            return answer >> 8 * (offset & 3) & ((1 << width) - 1)
         value = 0
         for at, part in _pieces(window, offset, length):
             value |= _read_piece(window, at, part) << 8 * (at - offset)
@@ -51,17 +71,23 @@ class Bus:
     def write(self, window: Window, offset: int, width: int, value: int) -> None:
         """Write at an offset; lost if the register is read-only or no module answers."""
         length = check_access(window, offset, width)
+        told = [at for at in range(offset & ~3, offset + length, 4) if self._blocks and self._blocks.at(window, at)]
+        before = [int.from_bytes(window.memory[at : at + 4], "little") for at in told]
         for at, part in _pieces(window, offset, length):
             bits = value >> 8 * (at - offset) & ((1 << 8 * part) - 1)
             self._write_piece(window, at, part, bits)
         for decoupler in self._decouplers:
             decoupler.update(window)
         self._written(window, offset, length)
+        for at, word in zip(told, before, strict=True):
+            assert self._blocks is not None
+            self._blocks.written(window, at, word)
 
     def read_block(self, window: Window, offset: int, length: int) -> bytes:
         """The bytes that accesses of 32 bits, one after the other, return."""
         check_block(window, offset, length)
         alike, area = _alike(window, offset, length)
+        alike = alike and not (self._blocks and self._blocks.at(window, offset))
         if alike and (area is None or (answers(area) and area.access is not Access.WO)):
             return window.memory[offset : offset + length]
         return b"".join(self.read(window, at, 32).to_bytes(4, "little") for at in range(offset, offset + length, 4))
@@ -70,7 +96,7 @@ class Bus:
         """Accesses of 32 bits, one after the other."""
         check_block(window, offset, len(data))
         alike, area = _alike(window, offset, len(data))
-        if not alike:
+        if not alike or (self._blocks and self._blocks.at(window, offset)):
             for at in range(0, len(data), 4):
                 self.write(window, offset + at, 32, int.from_bytes(data[at : at + 4], "little"))
         elif area is None or (answers(area) and area.access is not Access.RO):

@@ -39,13 +39,12 @@ class Datapath:
         """False while the region is decoupled."""
         return self._region is None or not self._region.decoupled
 
-    @property
-    def plain(self) -> bool:
+    def plain(self, stream: str) -> bool:
         """Whether data leaves as it enters, and none of it has to be kept."""
         if self._fabric.cell("frame_count", self._name) is not None:
             return False
         if self._region is None:
-            return True
+            return self._running.blocks.plain(stream)
         module = self._region.module
         return self._region.running and module is not None and self._models.get(module.model) is default
 
@@ -71,7 +70,7 @@ class Datapath:
 
     def consume(self, frame: Bytes, stream: str) -> None:
         """A frame enters the region on a stream without an output: for models with a state."""
-        if self._running.of(self._name) is not None:
+        if self._region is None or self._running.of(self._name) is not None:
             self.process(frame, stream)
 
     def _by_state(self, frame: Bytes, stream: str) -> Bytes | None:
@@ -84,7 +83,8 @@ class Datapath:
     def process(self, frame: Bytes, stream: str) -> Bytes | None:
         """The bytes that leave the region when a frame, (height, width), enters it on a stream; None: none do."""
         if self._region is None:
-            return frame.reshape(-1)
+            led, left = self._running.blocks.through(stream, frame)
+            return left if led else frame.reshape(-1)
         if not self._region.running or self._region.module is None:
             return self._fabric.noise(frame.size)
         frame = frame.view()

@@ -204,7 +204,11 @@ class LoopLink(ModelLink):
     def _plain(self) -> bool:
         """Whether data is only passed on, without an interrupt."""
         told = self._interrupts.of_packets(self._sink.spec.name, self._sink.spec.region)
-        return not (self._slow or self._faults.waiting or told) and self._path.flows and self._path.plain
+        return (
+            not (self._slow or self._faults.waiting or told)
+            and self._path.flows
+            and self._path.plain(self._source.spec.name)
+        )
 
     def _taken(self, data: Bytes) -> Bytes:
         """A packet on its way through the PL: its bytes have left the memory that they came from."""
@@ -255,6 +259,17 @@ class SinkLink(ModelLink):
             self._path.consume(self._path.frame(transfer.data()), source.spec.name)
             source.complete(transfer.period)
         self.kick()
+
+
+class SourceLink(ModelLink):
+    """Stream to memory, with nothing before it but what models send."""
+
+    def __init__(self, loop: Loop, faults: Faults, interrupts: InterruptWiring, path: Datapath, sink: Channel) -> None:
+        super().__init__(loop, faults, interrupts, path)
+        self._sink = sink
+
+    def _move(self) -> None:
+        self._send(self._sink)
 
 
 class CameraLink(ModelLink):

@@ -13,7 +13,7 @@ from typing import Protocol
 
 from cm.frozen import dataclass, field
 from cm.loop import Loop
-from cm.schema.model import Direction
+from cm.schema.model import Config, Direction
 from cm.simulation.software.errors import NodeError
 from cm.simulation.software.faults import Faults
 from cm.simulation.software.hardware.bus import Bus
@@ -22,7 +22,7 @@ from cm.simulation.software.hardware.datapath import Datapath
 from cm.simulation.software.hardware.dma import Channel
 from cm.simulation.software.hardware.fabric import Fabric
 from cm.simulation.software.hardware.interrupts import InterruptWiring
-from cm.simulation.software.hardware.links import Camera, CameraLink, Link, LoopLink, SinkLink
+from cm.simulation.software.hardware.links import Camera, CameraLink, Link, LoopLink, SinkLink, SourceLink
 from cm.simulation.software.hardware.models import Models
 from cm.simulation.software.hardware.register_windows import Window
 from cm.simulation.software.hardware.running_models import RunningModels
@@ -54,6 +54,9 @@ class Logic:
     def links(self, channels: Mapping[str, Channel]) -> dict[str, Link]:
         """The other end of each channel's stream; called once."""
         raise NotImplementedError
+
+    def know(self, images: Mapping[str, Config], digest: Callable[[memoryview], str]) -> None:
+        """The images of static parts by what `digest` makes of one that was loaded; nothing here needs them."""
 
     def configure(self, words: memoryview, failed: bool) -> memoryview:  # noqa: ARG002 - nothing here shows it
         """The words that reach the configuration logic when ICAP gets these; the flag: whether it signals an error."""
@@ -121,7 +124,11 @@ class SoftwareLogic(Logic):
         self._parts = parts
         self.interrupts = InterruptWiring(parts.fabric, parts.faults)
         self._running = RunningModels(parts.loop, parts.fabric, parts.models, self.interrupts, parts.memory)
-        self.bus = Bus(parts.fabric, parts.faults, self._running.written)
+        self.bus = Bus(parts.fabric, parts.faults, self._running.written, self._running.blocks)
+
+    def know(self, images: Mapping[str, Config], digest: Callable[[memoryview], str]) -> None:
+        """The images of static parts, whose blocks have models."""
+        self._running.blocks.know(images, digest)
 
     def links(self, channels: Mapping[str, Channel]) -> dict[str, Link]:
         """A camera, a loop through a region, or an end that consumes, by what the channel says."""
@@ -132,6 +139,8 @@ class SoftwareLogic(Logic):
                 continue
             if spec.is_camera:
                 links[name] = CameraLink(*self._common, self._path(channel), channel, self._parts.camera(channel))
+            elif spec.partner is None and spec.direction is Direction.S2MM:
+                links[name] = SourceLink(*self._common, self._path(channel), channel)
             elif spec.partner is None:
                 links[name] = SinkLink(*self._common, self._path(channel), channel)
             else:

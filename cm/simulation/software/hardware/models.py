@@ -20,7 +20,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, ClassVar, Protocol, TypeAlias
 
-from cm.schema.model import Config
+from cm.schema.model import Block, Config
 from cm.simulation.software.errors import SimError
 from cm.wire.lazy_numpy import NDArray, np
 
@@ -72,12 +72,31 @@ class Model:
     """
 
     outputs: ClassVar[tuple[str, ...]] = ()
+    reads: ClassVar[tuple[int, ...]] = ()  # offsets of a block's words that `read` answers
+    name = ""  # of the block
+    interrupts: tuple[str, ...] = ()  # of the block
+    words: NDArray[Any]  # 32 bits each, of the block's window, as the bus sees them
 
     def __init__(self, registers: Registers, memories: Mapping[str, NDArray[Any]], board: Surroundings) -> None:
         self.registers = registers
         self.memories = memories
         self.board = board
         self.start()
+
+    @classmethod
+    def of_block(cls, block: Block, words: NDArray[Any], *parts: Any) -> Model:
+        """The model of a block, which has a name, words and interrupts when it starts."""
+        made = cls.__new__(cls)
+        made.name, made.words, made.interrupts = block.name, words, block.interrupts
+        made.__init__(*parts)  # type: ignore[misc]
+        return made
+
+    def wrote(self, offset: int, value: int, before: int) -> None:
+        """The bus has written a word of the block, described or not; `before`: what it held."""
+
+    def read(self, offset: int) -> int:
+        """What the bus reads at an offset that `reads` names."""
+        return int(self.words[offset // 4])
 
     def start(self) -> None:
         """The module was loaded: registers are at their reset, memories zero."""
@@ -178,7 +197,7 @@ class Models:
 
     @classmethod
     def standard(cls) -> Models:
-        """`default`, `edge` and `colorise`."""
+        """`default`, `edge` and `colorise`; blocks' are `cm.simulation.software.hardware.block_models`."""
         return cls({"default": default, "edge": edge, "colorise": Colorise()})
 
     def __iter__(self) -> Iterator[str]:
@@ -187,6 +206,11 @@ class Models:
     def get(self, name: str) -> AnyModel:
         """The model of that name, or `default`."""
         return self._all.get(name, default)
+
+    def of_vlnv(self, vlnv: str) -> type[Model] | None:
+        """The model of a block: under its VLNV, or that without the version; None if there is none."""
+        found = self._all.get(vlnv) or self._all.get(vlnv.rpartition(":")[0])
+        return found if isinstance(found, type) and issubclass(found, Model) else None
 
     def add(self, name: str, model: AnyModel) -> None:
         """Add or replace one."""

@@ -13,6 +13,7 @@ from cm.simulation.software.hardware.fabric import Fabric
 from cm.simulation.software.hardware.interrupts import InterruptWiring
 from cm.simulation.software.hardware.models import Model, Models
 from cm.simulation.software.hardware.register_windows import Region, Window
+from cm.simulation.software.hardware.running_blocks import RunningBlocks, array
 from cm.simulation.software.transport.buffers import DmaMemory
 from cm.wire.lazy_numpy import NDArray, np
 
@@ -35,12 +36,17 @@ class RunningModels:
         self._loop, self._fabric, self._models = loop, fabric, models
         self._interrupts, self._memory = interrupts, memory
         self._running: dict[str, Model] = {}
+        self.blocks = RunningBlocks(fabric, models, lambda: _Place(self), self.guarded)
         self.links: Mapping[str, Outlet] = {}
         fabric.loaded = self._loaded
 
     def of(self, region: str | None) -> Model | None:
         """The model that runs in a region."""
         return self._running.get(region) if region else None
+
+    def runs(self, model: Model) -> bool:
+        """Whether it does still."""
+        return model in self._running.values() or self.blocks.has(model)
 
     def fills(self, region: str | None, stream: str) -> bool:
         """Whether the model in a region sends on a stream by itself."""
@@ -67,6 +73,7 @@ class RunningModels:
         except Exception:  # noqa: BLE001 - a user's model must not end the board
             _log.exception("the model %s failed, and runs no more", type(model).__name__)
             self._running = {name: one for name, one in self._running.items() if one is not model}
+            self.blocks.forget(model)
             return None
 
     def _loaded(self, region: Region) -> None:
@@ -78,7 +85,7 @@ class RunningModels:
             self._start(region, kind)
 
     def _start(self, region: Region, kind: type[Model]) -> None:
-        place = _Place(self, region)
+        place = _Place(self)
         try:
             model = kind(self._fabric.registers(region.name), _arrays(self._fabric, region), place)
         except Exception:  # noqa: BLE001 - as above
@@ -90,9 +97,8 @@ class RunningModels:
         """Make a call that a model asked for, if it still runs."""
 
         def due() -> None:
-            model = place.model
-            if model is not None and self.of(place.region) is model:
-                self.guarded(model, call)
+            if place.model is not None and self.runs(place.model):
+                self.guarded(place.model, call)
 
         self._loop.call_later(seconds, due)
 
@@ -109,9 +115,8 @@ class RunningModels:
 class _Place:
     """A model's surroundings."""
 
-    def __init__(self, models: RunningModels, region: Region) -> None:
+    def __init__(self, models: RunningModels) -> None:
         self._models = models
-        self.region = region.name
         self.model: Model | None = None
 
     def interrupt(self, name: str) -> None:
@@ -136,8 +141,5 @@ def _arrays(fabric: Fabric, region: Region) -> Mapping[str, NDArray[Any]]:
     for window in fabric.windows:
         for area in window.areas:
             if area.region is None or area.region is region:
-                raw = np.frombuffer(window.memory, np.uint8, area.end - area.offset, area.offset)
-                typed = raw.view(np.dtype(area.memory.dtype).newbyteorder("<"))
-                shape = area.memory.shape
-                found[area.memory.name] = typed.reshape(shape) if shape else typed
+                found[area.memory.name] = array(window, area)
     return found

@@ -46,6 +46,17 @@ class Firmware:
                 self._overlay(config, overlay)
         return known
 
+    def images(self) -> dict[str, Config]:
+        """The full configurations that describe their blocks, by the digest of their images."""
+        found: dict[str, Config] = {}
+        for config in self._spec.configs:
+            path = (
+                self._found(bitstream_path, config, None) if config.blocks and config.type is ConfigType.FULL else None
+            )
+            if path is not None:
+                found[digest(to_dma_words(path))] = config
+        return found
+
     def _module(self, config: Config, module: Module) -> Path | None:
         """The path of the module's bitstream; None if there was none and it was made."""
         found = self._found(bitstream_path, config, module)

@@ -14,7 +14,7 @@ from cm.simulation.software.errors import SimError
 from cm.simulation.software.faults import Faults
 from cm.simulation.software.hardware.board_spec import BoardSpec, ChannelSpec
 from cm.simulation.software.hardware.configuration_engine import ConfigurationEngine
-from cm.simulation.software.hardware.configuration_memory import ConfigMemory
+from cm.simulation.software.hardware.configuration_memory import ConfigMemory, digest
 from cm.simulation.software.hardware.dma import Channel
 from cm.simulation.software.hardware.fabric import Fabric
 from cm.simulation.software.hardware.logic import LogicParts, MakeLogic, Options, SoftwareLogic
@@ -159,7 +159,9 @@ class Machine:
         return state
 
     def _engine(self) -> ConfigurationEngine:
-        known = Firmware(self.root, self.spec, self.options.bitstream_size).install()
+        firmware = Firmware(self.root, self.spec, self.options.bitstream_size)
+        known = firmware.install()
+        self.logic.know(firmware.images(), digest)
         self._config = ConfigMemory(self.fabric, known)
         rate = self.options.icap_rate
         if rate is None:

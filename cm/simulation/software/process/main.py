@@ -92,6 +92,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def run(args: argparse.Namespace, make: MakeLogic = SoftwareLogic) -> int:
     """Serve until a signal or the linger time ends it; `make` makes the logic behind the nodes."""
     parent = Parent() if args.linger is not None else None
+    _models_print_to_stderr(args)
     try:
         configs, models = _configs(args.config), _models(args.models)
         if make is SoftwareLogic:  # other logic has no use for models, whatever the schemas call theirs
@@ -117,8 +118,19 @@ def failed(why: object, args: argparse.Namespace) -> int:
     if args.linger is None:
         print(f"cm sim: {why}", file=sys.stderr)
     else:
-        print(json.dumps({"ready": False, "error": str(why)}), flush=True)
+        os.write(
+            1 if args.ready_fd is None else args.ready_fd,
+            f"{json.dumps({'ready': False, 'error': str(why)})}\n".encode(),
+        )
     return 1
+
+
+def _models_print_to_stderr(args: argparse.Namespace) -> None:
+    """What a model prints is for people; who started us reads one line of standard output, and no more."""
+    if args.linger is not None and args.ready_fd is None:
+        args.ready_fd = os.dup(1)
+        os.dup2(2, 1)
+        sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
 
 
 def _serve(args: argparse.Namespace, made: Callable[[Loop], Machine], parent: Parent | None) -> None:
