@@ -14,7 +14,8 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
-from manager_process import environment
+import yaml
+from manager_process import CAMERA, environment
 
 from cm import child
 
@@ -108,3 +109,29 @@ def change(page: Any, mode: str) -> None:
     page.click(f"li[data-mode={mode}] .go")
     page.wait_for_selector(f"li[data-mode={mode}][data-here=true]")
     page.wait_for_selector("#state[data-state=idle]")
+
+
+_KINDS = {
+    "gain": "{}",
+    "packets_counted": "{access: ro, volatile: true}",
+    "prefetch_threshold_high": "{default: 3, min: 0, max: 4095}",
+    "fifo_status": "{access: ro, volatile: true, fields: {full: {bits: 0}, level: {bits: '19:8'}, "
+    "state: {bits: '3:1', values: {idle: 0, run: 1, drain: 2}}}}",
+    "control": "{fields: {enable: {bits: 0, doc: Lets data through.}, invert: {bits: 1}, "
+    "mode: {bits: '3:2', values: {bypass: 0, wrap: 1, saturate: 2}}}}",
+}
+
+
+def crowded(folder: Path) -> Path:
+    """The camera example, in `folder`, with sixty more registers of long names and all kinds."""
+    schema = yaml.safe_load((CAMERA / "camera.yaml").read_text("utf-8"))["config"]
+    homes = {"system": (schema, 0x1000, 0x100), "capture": (schema, 0x2000, 0x100)}
+    homes["edge_filter"] = (schema["modules"]["edge"], 0x2000, 0x200)
+    for prefix, (home, base, offset) in homes.items():
+        window = next(one for one in home["mmio"] if one["base_address"] == base)
+        names = [(f"{prefix}_{name}_{number}", kind) for number in range(4) for name, kind in _KINDS.items()]
+        for place, (name, kind) in enumerate(names):
+            window["registers"][name] = {"offset": offset + 4 * place, **yaml.safe_load(kind)}
+    (folder / "crowded").mkdir()
+    (folder / "crowded/camera.yaml").write_text(yaml.safe_dump({"config": schema}, sort_keys=False), "utf-8")
+    return folder / "crowded"

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from cm.frozen import dataclass
 
 Array = npt.NDArray[Any]
-_MOST = 1e38  # greatest value of a signal: close to what a float32 can hold
+MOST = 1e38  # greatest value of a signal: close to what a float32 can hold
 Bytes = npt.NDArray[np.uint8]
 
 
@@ -81,7 +81,7 @@ def scaled(values: Array) -> tuple[Bytes, tuple[float, float]]:
 
 def outline(values: Array, columns: int) -> Outline:
     """A signal in at most that many columns."""
-    numbers = np.clip(np.nan_to_num(_real(values.ravel()), posinf=0.0, neginf=0.0), -_MOST, _MOST)
+    numbers = np.clip(np.nan_to_num(_real(values.ravel()), posinf=0.0, neginf=0.0), -MOST, MOST)
     edges = np.linspace(0, len(numbers), min(len(numbers), columns) + 1).astype(np.int64)[:-1]
     return Outline(np.minimum.reduceat(numbers, edges), np.maximum.reduceat(numbers, edges))
 

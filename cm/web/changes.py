@@ -31,10 +31,11 @@ class ChangeLog:
             self._goes_on(status.progress)
             return True
         ended = self._last_change is not None and status.last_change > self._last_change
-        if ended or self._running is not None:
+        new = ended or self._running is not None  # one may have been under way when this began to look
+        if new:
             self._ended(status)
         self._last_change = status.last_change
-        return ended
+        return new
 
     def forget(self) -> None:
         """Forget all: another manager, or the same one restarted, numbers its changes anew."""

@@ -15,7 +15,7 @@ from cm.errors import CmError
 from cm.web.commands import Commands
 from cm.web.gate import Gate
 from cm.web.hub import Hub
-from cm.web.shown_streams import Watching
+from cm.web.shown_streams import Wanted, Watching
 
 _PAUSE = 0.02  # seconds between two messages, so that changes at about the same time are sent together
 _HELLO = 10.0  # seconds in which a page has to say who it is
@@ -33,10 +33,11 @@ class Session:
         """`near`: the page is on this machine."""
         self._socket = socket
         self._hub, self._watching, self._commands = hub, watching, commands
-        self._kind = "raw" if near else "small"
+        self._near = near
         self._changed: dict[str, None] = {}  # topics, in order
         self._wake = asyncio.Event()
         self._replies: deque[str] = deque()
+        self._wanted: dict[str, Wanted] = {}  # by stream that is watched
         self._sent: dict[str, int] = {}  # by stream: number of the last picture
         self._waiting: dict[str, int] = {}  # by stream: pictures that were sent and not drawn yet
         self._tasks: set[asyncio.Task[None]] = set()
@@ -63,7 +64,7 @@ class Session:
             await self._socket.close(code=1003, message=b"that is not a message of the page's")
         finally:
             self._hub.topics.ignore(self._tell)
-            for stream in tuple(self._sent):
+            for stream in self._wanted:
                 self._watching.leave(self, stream)
             for task in (teller, *self._tasks):
                 task.cancel()
@@ -87,19 +88,20 @@ class Session:
                 self._waiting[stream] -= 1
                 self._wake.set()
         elif "watch" in message:
-            self._watch({str(stream) for stream in message["watch"]})
+            self._watch({str(stream): Wanted(str(view), self._near) for stream, view in message["watch"].items()})
         elif "do" in message:
             self._do(message)
 
-    def _watch(self, wanted: set[str]) -> None:
+    def _watch(self, wanted: Mapping[str, Wanted]) -> None:
         known = {s.name for s in self._hub.status.streams} if self._hub.status else set()
-        for stream in self._sent.keys() - wanted:
+        for stream in self._wanted.keys() - wanted.keys():
             self._watching.leave(self, stream)
-            self._sent.pop(stream)
-            self._waiting.pop(stream, None)
-        for stream in (wanted & known) - self._sent.keys():
-            self._sent[stream] = 0
-            self._watching.watch(self, stream, self._kind, lambda _: self._wake.set())
+            for kept in (self._wanted, self._sent, self._waiting):
+                kept.pop(stream, None)
+        for stream, how in wanted.items():
+            if stream in known and self._wanted.get(stream) != how:
+                self._wanted[stream] = how
+                self._watching.watch(self, stream, how, lambda _: self._wake.set())
 
     def _do(self, message: Mapping[str, Any]) -> None:
         number, what, words = int(message["id"]), str(message["do"]), dict(message.get("with") or {})
@@ -137,7 +139,7 @@ class Session:
                     await self._socket.send_str(self._hub.topics.message(changed))
                 while self._replies:
                     await self._socket.send_str(self._replies.popleft())
-                for stream in tuple(self._sent):
+                for stream in tuple(self._wanted):
                     await self._send_picture(stream)
                 await asyncio.sleep(_PAUSE)
         except ConnectionError:  # the page has gone, which ends the other direction as well
@@ -146,8 +148,9 @@ class Session:
     async def _send_picture(self, stream: str) -> None:
         if self._waiting.get(stream, 0) >= _UNDER_WAY:
             return
-        newest = self._watching.newest(stream, self._kind, self._sent.get(stream, 0))
-        if newest is not None and stream in self._sent:
+        wanted = self._wanted.get(stream)
+        newest = wanted and self._watching.newest(stream, wanted, self._sent.get(stream, 0))
+        if newest:
             self._sent[stream] = newest[0]
             self._waiting[stream] = self._waiting.get(stream, 0) + 1
             await self._socket.send_bytes(newest[1])

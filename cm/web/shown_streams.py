@@ -15,30 +15,38 @@ from typing import Any
 from cm.client.aio.stream import Stream
 from cm.client.frame import Frame
 from cm.errors import CmError
+from cm.frozen import dataclass
 from cm.web import pictures
 from cm.web.hub import Hub
 
 _EVERY = 1 / 30  # seconds between two pictures at least
 _REREAD = 1.0  # seconds before a stream that could not be read is tried again
 _LINGER = 2.0  # seconds for which a stream is still read when no page watches it: a page may just be reloading
-_KINDS = {"raw": pictures.raw, "small": pictures.small}
 OnPicture = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """How a page wants a stream's frames: `pictures.message` has the words."""
+
+    view: str
+    near: bool
 
 
 class _Watched:
     """A stream that at least one page shows."""
 
     def __init__(self) -> None:
-        self.watchers: dict[Hashable, tuple[str, OnPicture]] = {}
-        self.pictures: dict[str, bytes] = {}  # the newest, by kind
+        self.watchers: dict[Hashable, tuple[Wanted, OnPicture]] = {}
+        self.pictures: dict[Wanted, bytes] = {}  # the newest
         self.number = 0  # of the newest
         self.problem = ""
         self.task: asyncio.Task[None] | None = None
 
     @property
-    def kinds(self) -> set[str]:
+    def wanted(self) -> set[Wanted]:
         """The kinds of picture that pages want of it."""
-        return {kind for kind, _ in self.watchers.values()}
+        return {wanted for wanted, _ in self.watchers.values()}
 
 
 class Watching:
@@ -48,10 +56,10 @@ class Watching:
         self._hub = hub
         self._streams: dict[str, _Watched] = {}
 
-    def watch(self, watcher: Hashable, stream: str, kind: str, on_picture: OnPicture) -> None:
-        """Call `on_picture` with the stream's name for each new one, `kind` raw or small."""
+    def watch(self, watcher: Hashable, stream: str, wanted: Wanted, on_picture: OnPicture) -> None:
+        """Call `on_picture` with the stream's name for each new one."""
         watched = self._streams.setdefault(stream, _Watched())
-        watched.watchers[watcher] = (kind, on_picture)
+        watched.watchers[watcher] = (wanted, on_picture)
         if watched.task is None:
             watched.task = asyncio.create_task(self._read(stream, watched))
 
@@ -64,12 +72,12 @@ class Watching:
         if not watched.watchers:
             asyncio.get_running_loop().call_later(_LINGER, self._end_unwatched, stream)
 
-    def newest(self, stream: str, kind: str, after: int) -> tuple[int, bytes] | None:
+    def newest(self, stream: str, wanted: Wanted, after: int) -> tuple[int, bytes] | None:
         """The newest picture and its number, if it is newer than number `after`."""
         watched = self._streams.get(stream)
-        if watched is None or watched.number <= after or kind not in watched.pictures:
+        if watched is None or watched.number <= after or wanted not in watched.pictures:
             return None
-        return watched.number, watched.pictures[kind]
+        return watched.number, watched.pictures[wanted]
 
     async def close(self) -> None:
         """Read nothing any more."""
@@ -134,7 +142,10 @@ class Watching:
     async def _make(self, stream: str, watched: _Watched, frame: Frame) -> None:
         about: dict[str, Any] = {"sequence": frame.sequence, "mode": frame.info.mode}
         try:
-            made = {k: await asyncio.to_thread(_KINDS[k], stream, frame, about) for k in watched.kinds}
+            made = {
+                wanted: await asyncio.to_thread(pictures.message, stream, frame, about, wanted.view, wanted.near)
+                for wanted in watched.wanted
+            }
         finally:
             frame.release()
         watched.pictures = made

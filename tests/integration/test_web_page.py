@@ -10,6 +10,7 @@ import base64
 import io
 import json
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ import pytest
 from manager_process import REPOSITORY, Manager, patient, served, until
 from PIL import Image
 from web_leaks import changed, held
-from web_support import WebServer, change, chromium, page_of, watch, web_server
+from web_support import WebServer, change, chromium, crowded, page_of, watch, web_server
 
 from cm.simulation.software import Board as SimBoard
 
@@ -127,17 +128,6 @@ def test_the_page_fits_a_phone(width: int, server: WebServer, browser: Any, page
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [390, 1024, 1680])
-def test_pictures_at_three_widths(width: int, scheme: str, server: WebServer, browser: Any, page: Any) -> None:
-    """To be looked at: build/web/WIDTH-SCHEME.png."""
-    with page_of(browser, server, width=width, height=1050, color_scheme=scheme) as shown:
-        watch(shown)
-        change(shown, "edge_detection")
-        shown.wait_for_selector("[data-register=threshold]")
-        shoot(shown, f"{width}-{scheme}")
-
-
-@pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_axe_finds_nothing(scheme: str, server: WebServer, browser: Any, page: Any) -> None:
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="needs the extra [test-web]")
     with page_of(browser, server, color_scheme=scheme) as shown:
@@ -168,13 +158,24 @@ def test_a_regions_frames_are_drawn_and_what_is_wrong_is_red(page: Any, camera: 
     seen(page, "document.querySelector('#state').dataset.state === 'idle'")
 
 
-def test_what_fails_is_told_beside_what_was_tapped(page: Any, camera: tuple[Manager, SimBoard]) -> None:
+def test_what_fails_is_told_in_one_place_and_marked_where_it_was_tapped(
+    page: Any, camera: tuple[Manager, SimBoard]
+) -> None:
+    told = "#errors:not([hidden]) li"
     with camera[0].connected() as board, board.lease("region:prr0", seconds=60):
         page.click("li[data-mode=edge_detection] .go")
-        page.wait_for_selector("li[data-mode=edge_detection] .note:not([hidden])")
-        assert "held_by" in page.text_content("li[data-mode=edge_detection] .note")
+        page.wait_for_selector("li[data-mode=edge_detection] .go[data-refused]")
+        assert "held_by" in page.inner_text(told)
+        page.get_by_role("slider", name="focus").press("ArrowRight")
+        page.wait_for_selector("[data-register=focus][data-refused]")
+        assert page.locator("body :text('is held by')").count() == 1, "nowhere else"
+        box = page.locator("#errors").bounding_box()
+        assert box["y"] + box["height"] < 200, "it is seen wherever the page is scrolled to"
     change(page, "edge_detection")
-    assert page.is_hidden("li[data-mode=edge_detection] .note")
+    page.wait_for_selector("#errors", state="hidden")
+    assert page.query_selector("li[data-mode=edge_detection] .go[data-refused]") is None
+    page.click("#told")
+    assert "held_by" in page.inner_text(told), "what was told is still to be read"
 
 
 def test_the_theme_is_the_systems_until_one_is_chosen(page: Any) -> None:
@@ -229,7 +230,7 @@ def test_a_change_is_shown_step_by_step_and_a_region_that_it_left_cut_off(browse
         page.wait_for_selector("#progress", state="hidden")
         page.wait_for_selector("#changes [data-state=failed]")
         page.wait_for_selector("g[data-region=prr0].failed")  # there was no mode to go back to
-        assert "load_failed" in " ".join(page.locator(".modes .note").all_text_contents())
+        assert "load_failed" in page.inner_text("#errors")
         assert page.get_attribute("#state", "data-state") == "error"
         shoot(page, "cut-off")
 
@@ -237,10 +238,13 @@ def test_a_change_is_shown_step_by_step_and_a_region_that_it_left_cut_off(browse
 def test_a_change_that_fails_says_why_and_stays_in_the_list(page: Any, camera: tuple[Manager, SimBoard]) -> None:
     camera[1].control.inject("icap_crc", count=1)
     page.click("li[data-mode=colorise] .go")
-    page.wait_for_selector("#changes [data-state=failed] .note")
-    page.wait_for_selector("li[data-mode=colorise] .note:not([hidden])")
-    page.wait_for_selector("#errors li")
+    page.wait_for_selector("#changes [data-state=failed]")
+    page.wait_for_selector("li[data-mode=colorise] .go[data-refused]")
     page.wait_for_selector("li[data-mode=default][data-here=true]")  # it went back
+    page.wait_for_selector("#errors li")
+    assert "load_failed" in page.inner_text("#errors li")
+    page.click("#changes li:first-child summary")
+    assert page.inner_text("#errors li").endswith(page.inner_text("#changes li:first-child details > p"))
     shoot(page, "failed")
 
 
@@ -250,11 +254,11 @@ def test_what_others_hold_is_shown_and_keeps_the_page_off(page: Any, camera: tup
         assert page.text_content("#leases code") == "region:prr0"
         assert "calibration" in page.text_content("#leases")
         page.click("li[data-mode=colorise] .go")
-        page.wait_for_selector("li[data-mode=colorise] .note:not([hidden])")
-        assert "held by calibration" in page.text_content("li[data-mode=colorise] .note")
+        page.wait_for_selector("li[data-mode=colorise] .go[data-refused]")
+        assert "held by calibration" in page.inner_text("#errors")
         before = board.registers["focus"]
         page.get_by_role("slider", name="focus").press("ArrowRight")
-        page.wait_for_selector("[data-register=focus] .note:not([hidden])")
+        page.wait_for_selector("[data-register=focus][data-refused]")
         seen(page, f"document.querySelector('[data-register=focus] input').value === '{before}'")
         shoot(page, "lease")
     seen(page, "!document.querySelector('#leases code')")
@@ -265,7 +269,8 @@ def test_a_manager_that_goes_is_reported_and_found_again(browser: Any) -> None:
         page.wait_for_selector(".go:not([aria-disabled=true])")
         manager.kill()
         page.wait_for_selector("body[data-link=manager]")
-        assert "No manager" in page.text_content("#banner")
+        assert "No manager" in page.inner_text("#banner")
+        assert "systemctl start cm" in page.inner_text("#banner"), "what to do"
         assert page.get_attribute("li[data-mode=default] .go", "aria-disabled") == "true"
         shoot(page, "no-manager")
         manager.start()
@@ -287,8 +292,150 @@ def test_a_signal_is_drawn_as_one(page: Any, camera: tuple[Manager, SimBoard]) -
 
         until(drawn, 60)
         assert "-2.000e+4 … 2.000e+4" in page.text_content("article[data-stream=from_pl] .readout")
-        assert pixels(page, "from_pl").shape == (320, 1024, 3)
-        shoot(page, "signal")
+        lines = series_seen(page, "from_pl")
+        assert lines[0] > 500, "a curve"
+        assert lines[1] == 0, "and one only"
+
+
+def test_complex_samples_are_drawn_as_i_and_q_as_a_spectrum_and_as_points(
+    page: Any, camera: tuple[Manager, SimBoard]
+) -> None:
+    card = "article[data-stream=from_pl]"
+    samples = (0.5 * np.exp(-2j * np.pi * np.arange(4096) / 512)).astype(np.complex64)
+    with camera[0].connected() as board:
+        board.load("camera", "loopback")
+        for name in ("to_pl", "from_pl"):
+            board.configure_stream(name, shape=samples.shape, dtype="complex64", force=True)
+        if page.get_attribute(card, "data-watched") != "true":  # it may run still for the page before
+            page.click(f"{card} button")
+        page.wait_for_selector(f"{card}[data-open=true]")
+
+        def looks(view: str, mark: str) -> str:
+            def drawn() -> bool:
+                board.write("to_pl", samples)
+                return mark in page.text_content(f"{card} .readout")
+
+            if view:
+                page.select_option(f"{card} select", label=view)
+            until(drawn, 60)
+            return str(page.text_content(f"{card} .readout"))
+
+        looks("", "0.5000")
+        assert page.inner_text(f"{card} .series").split() == ["I", "Q"]
+        assert min(series_seen(page, "from_pl")) > 300
+        assert "-6.0" in looks("Spectrum", "dB of full scale"), "half of full scale"
+        shoot(page, "spectrum")
+        looks("Constellation", "-0.5000 … 0.5000")
+        curve, other = series_seen(page, "from_pl")
+        assert curve > 300, "a circle"
+        assert other == 0
+        for width in (390, 820, 1400):
+            page.set_viewport_size({"width": width, "height": 900})
+            looks("Over time", "0.5000")
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
+            shoot(page, f"complex-{width}")
+
+
+def series_seen(page: Any, stream: str) -> tuple[int, int]:
+    """How many pixels of a signal's canvas have the first line's colour, and the second's."""
+    style = "getComputedStyle(document.documentElement).getPropertyValue('--series-{}')"
+    shown = pixels(page, stream).astype(int)
+    found = []
+    for line in (0, 1):
+        colour = page.evaluate(style.format(line)).strip()
+        wanted = [int(colour[at : at + 2], 16) for at in (1, 3, 5)]
+        away = np.abs(shown - wanted).max(axis=2)
+        found.append(int((away < 60).sum()))
+    return found[0], found[1]
+
+
+# ---- sixty registers ----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def crowd(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Manager, WebServer]]:
+    with (
+        served(schemas=crowded(tmp_path_factory.mktemp("crowd"))) as (manager, _),
+        web_server(manager.runtime, "--control") as server,
+        manager.connected() as board,
+    ):
+        board.load("camera", "edge_detection")
+        yield manager, server
+
+
+NAMES = """[...document.querySelectorAll('.register')]
+    .filter((node) => node.checkVisibility()).map((node) => node.dataset.register)"""
+
+
+def test_sixty_registers_are_folded_by_module_found_by_a_word_and_ordered_by_change(
+    crowd: tuple[Manager, WebServer], browser: Any
+) -> None:
+    with page_of(browser, crowd[1]) as page, crowd[0].connected() as board:
+        page.wait_for_selector("[data-register=edge_filter_control_3]")
+        late = "document.querySelector('[data-register=system_prefetch_threshold_high_2] .hex').textContent"
+        seen(page, f"{late} === '0x00000003'")  # its first value, which is no change
+        everything = page.evaluate(NAMES)
+        assert len(everything) > 60
+        groups = page.locator(".group h3").all_text_contents()
+        assert groups == ["static part", "prr0", "prr0 · edge", "prr1"]
+        page.click("[data-group=prr0] summary")
+        seen(page, f"{NAMES}.length < {len(everything) - 20}")
+        page.fill("input[type=search]", "capture fifo")
+        found = [f"capture_fifo_status_{number}" for number in range(4)]
+        assert page.evaluate(NAMES) == found, "found, though its module is folded"
+        assert page.inner_text(".tools [role=status]") == f"4 of {len(everything)}"
+        page.fill("input[type=search]", "")
+        page.select_option(".tools select", label="last changed first")
+        page.mouse.move(5, 5)
+        page.evaluate("document.activeElement.blur()")
+        board.registers["system_prefetch_threshold_high_2"] = 77
+        seen(page, f"{NAMES}[0] === 'system_prefetch_threshold_high_2'")
+        assert page.inner_text("[data-register=system_prefetch_threshold_high_2] .when").count(":") == 2
+        status = page.locator("[data-register=capture_fifo_status_0] .value-row").all_inner_texts()
+        assert [line.split() for line in status] == [["full", "0"], ["level", "0"], ["state", "idle"]]
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [390, 820, 1400])
+def test_pictures_at_three_widths(width: int, scheme: str, crowd: tuple[Manager, WebServer], browser: Any) -> None:
+    """To be looked at: build/web/WIDTH-SCHEME.png."""
+    with page_of(browser, crowd[1], width=width, height=900, color_scheme=scheme) as shown:
+        watch(shown)
+        shown.wait_for_selector("[data-register=threshold]")
+        shown.wait_for_selector("[data-chart=temperature] canvas")
+        assert shown.evaluate("document.documentElement.scrollWidth") <= width
+        cut = """[...document.querySelectorAll('.register .name')]
+            .filter((node) => node.clientWidth && node.scrollWidth > node.clientWidth + 1)"""
+        assert shown.evaluate(f"{cut}.length") == 0, "names wrap"
+        tops = [shown.locator(part).bounding_box()["y"] for part in ("#device", "#charts", "#registers")]
+        assert tops == sorted(tops)
+        switch = shown.evaluate(
+            "(() => { const s = getComputedStyle(document.querySelector('[role=switch]'), '::before');"
+            " return [s.borderTopColor, getComputedStyle(document.querySelector('main section')).backgroundColor]; })()"
+        )
+        assert contrast(*switch) > 3, "an unchecked box can be seen (WCAG 2.2, 1.4.11)"
+        shoot(shown, f"{width}-{scheme}")
+
+
+def test_the_map_of_frames_is_dark_in_the_dark(page: Any) -> None:
+    page.click("[data-map=prr0] summary")
+    page.wait_for_selector("[data-map=prr0] svg")
+    fill = "getComputedStyle(document.querySelector('[data-map=prr0] svg {}')).fill"
+    paper, ink = (page.evaluate(fill.format(part)) for part in ("rect", "text"))
+    assert contrast("rgb(0, 0, 0)", paper) < 2
+    assert contrast(ink, paper) > 7
+
+
+def contrast(one: str, other: str) -> float:
+    """Of two colours `rgb(r, g, b)` (WCAG 2.2)."""
+
+    def luminance(colour: str) -> float:
+        shares = [int(part) / 255 for part in re.findall(r"\d+", colour)[:3]]
+        linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in shares]
+        return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+    high, low = sorted((luminance(one), luminance(other)), reverse=True)
+    return (high + 0.05) / (low + 0.05)
 
 
 # ---- changes ------------------------------------------------------------------------------------

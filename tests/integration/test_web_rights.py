@@ -45,7 +45,7 @@ async def tried(server: WebServer, what: str, **words: Any) -> str:
 def test_a_server_that_may_only_observe_shows_frames_and_changes_nothing(guarded: Guarded) -> None:
     async def looked(server: WebServer) -> None:
         async with page(server) as made:
-            await made.socket.send_json({"watch": ["camera"]})
+            await made.socket.send_json({"watch": {"camera": ""}})
             await made.until(lambda: made.pictures >= 3)
             assert made.topics["status"]["mode"] == "default"
             assert made.topics["config"]["registers"]

@@ -296,7 +296,7 @@ def test_any_number_of_pages_add_one_reader_to_a_stream_and_others_lose_nothing(
         async with AsyncExitStack() as stack:
             pages = [await stack.enter_async_context(page(looking)) for _ in range(8)]
             for made in pages:
-                await made.socket.send_json({"watch": ["camera", "to_pl", "nowhere"]})
+                await made.socket.send_json({"watch": {"camera": "", "to_pl": "", "nowhere": ""}})
             await asyncio.gather(*[made.until(lambda made=made: made.pictures >= 10) for made in pages])
             stream = next(s for s in board.status.streams if s.name == "camera")
             assert [client.pid for client in stream.clients] == [looking.process.pid]
@@ -312,7 +312,7 @@ def test_a_page_that_draws_nothing_is_sent_two_pictures(looking: WebServer) -> N
     async def attempt() -> int:
         async with page(looking) as slow, page(looking) as quick:
             for made in (slow, quick):
-                await made.socket.send_json({"watch": ["camera"]})
+                await made.socket.send_json({"watch": {"camera": ""}})
             await quick.until(lambda: quick.pictures >= 20)
             await slow.socket.send_json({"do": "read", "id": 1, "with": {"names": ["led"]}})
             pictures = 0
@@ -329,7 +329,7 @@ def test_a_page_that_draws_nothing_is_sent_two_pictures(looking: WebServer) -> N
 def test_a_manager_that_starts_anew_is_found_again() -> None:
     async def attempt(manager: Manager, server: WebServer) -> None:
         async with page(server) as made:
-            await made.socket.send_json({"watch": ["camera"]})
+            await made.socket.send_json({"watch": {"camera": ""}})
             await made.until(lambda: made.pictures >= 1)
             started = made.topics["status"]["started_ns"]
             await asyncio.to_thread(manager.kill)

@@ -10,11 +10,11 @@ import { Changes } from "./changes.js";
 import { Registers } from "./registers.js";
 import { Notices } from "./notices.js";
 import { Charts } from "./charts.js";
+import { Errors } from "./errors.js";
 import { Fleet } from "./fleet.js";
 import { theme } from "./theme.js";
 
 const state = { link: { up: false, control: false }, server: "connecting" };
-const failed = (error) => banner(`${error.code ? `${error.code}: ` : ""}${error.message}`);
 
 const link = new Link({
   topics(message) {
@@ -35,12 +35,17 @@ const link = new Link({
 });
 
 const control = () => state.link.control && state.link.up && state.server === "up";
-const ask = (what, words) => link.ask(what, words).then((value) => (banner(""), value));
+const errors = new Errors();
+// Ask the board, by the control `node`. What it refuses is told in the one place for errors, and the answer is undefined.
+const ask = (what, words, node) => link.ask(what, words).then(
+  (value) => { errors.done(node); return value ?? true; },
+  (error) => errors.refused(error, node),
+);
 const streams = new Streams(byId("streams"), link);
-const device = new Device({ ask, failed, control });
-const maps = new Maps({ ask: (what, words) => link.ask(what, words), control });
-const changes = new Changes({ ask, failed, control });
-const registers = new Registers(byId("registers"), { ask, failed, control });
+const device = new Device({ ask, control });
+const maps = new Maps({ ask, control });
+const changes = new Changes({ ask, control });
+const registers = new Registers(byId("registers"), { ask, control });
 const notices = new Notices();
 const charts = new Charts(byId("charts"));
 const fleet = new Fleet();
@@ -67,8 +72,12 @@ const handlers = {
   configs: () => device.show(state),
   registers: () => registers.show(state),
   interrupts: () => notices.interrupts(state.interrupts),
-  errors: () => notices.errors(state.errors),
-  changes: () => changes.show(state),
+  errors: () => errors.board(state.errors),
+  changes() {
+    changes.show(state);
+    const { at, seconds, state: how } = state.changes.at(-1) ?? {};
+    if (how === "done") errors.settled(at + seconds);
+  },
   fleet: () => fleet.show(state.fleet),
   history: (points) => charts.begin(points),
   point: (point) => charts.add(point),
@@ -83,9 +92,7 @@ function head() {
   text(byId("link"), up ? "connected" : server === "up" ? "no manager" : server === "denied" ? "no token" : "connecting …");
   byId("link").title = up ? "" : manager.problem || "";
   text(byId("rights"), state.link.control ? "" : "read-only");
-  if (server === "down") banner("The page's server is not there. What you see is as it was; it is tried again.", "link");
-  else if (server === "up" && !manager.up && !state.fleet) banner(`No manager: ${manager.problem}. It is tried again.`, "link");
-  else if (byId("banner").dataset.of === "link") banner("");
+  banner(server === "up" ? (manager.up || state.fleet ? "" : manager.problem) : "", server === "down");
   if (!status) return;
   text(byId("board"), status.board || "fpga-cm");
   document.title = `${status.board}: ${status.mode || "nothing loaded"}`;
@@ -97,14 +104,16 @@ function head() {
   pill.dataset.state = upset ? "error" : status.pr_mode;
 }
 
-function banner(sentence, of = "") {
-  const node = byId("banner");
-  node.hidden = !sentence;
-  node.dataset.of = of;
-  text(node, sentence);
+// What is missing between the page and the board, and what to do about it.
+function banner(problem, isAlone) {
+  byId("banner").hidden = !problem && !isAlone;
+  text(byId("missing"), isAlone ? "The page's server is not there. What you see is as it was." : "No manager.");
+  text(byId("why"), isAlone ? "" : problem);
+  byId("remedy").hidden = isAlone;
+  byId("again").hidden = !isAlone;
 }
 
-byId("refresh").addEventListener("click", () => ask("read").catch(failed));
+byId("refresh").addEventListener("click", () => ask("read", {}, byId("refresh")));
 byId("ask").addEventListener("close", () => byId("token").value && link.use(byId("token").value.trim()));
 theme(byId("theme"), () => charts.draw());
 link.open();

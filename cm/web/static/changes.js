@@ -8,13 +8,13 @@ const KINDS = [["validate", "check"], ["quiesce", "stop streams"], ["overlay_rem
   ["registers", "registers"], ["other", "all else"]];
 
 export class Changes {
-  constructor({ ask, failed, control }) {
+  constructor({ ask, control }) {
     this.control = control;
     const node = byId("progress");
     this.title = h("strong");
     this.step = h("span", { class: "muted" });
     this.bar = h("progress", { max: 1, "aria-label": "How far it is" });
-    this.cancel = h("button", { type: "button", text: "Cancel", onclick: () => ask("cancel").catch(failed) });
+    this.cancel = h("button", { type: "button", text: "Cancel", onclick: () => ask("cancel", {}, this.cancel) });
     byId("changes").before(h("ul", { class: "key" }, ...KINDS.map(([step, name]) => h("li", {}, h("i", { "data-step": step }), name))));
     node.append(h("div", { class: "row" }, this.title, this.step, h("span", { class: "stretch" }), this.cancel), this.bar);
   }
@@ -37,11 +37,11 @@ export class Changes {
 function make() {
   const parts = {
     where: h("strong"), when: h("span", { class: "muted" }), took: h("span", { class: "took" }),
-    bar: h("div", { class: "steps", "aria-hidden": "true" }), list: h("ol", { class: "legend" }), note: h("p", { class: "note" }),
+    bar: h("div", { class: "steps", "aria-hidden": "true" }), list: h("ol", { class: "legend" }), why: h("p", { class: "muted small" }),
   };
   const details = h("details", {}, h("summary", {}, h("span", { class: "row" }, parts.where, parts.when,
-    h("span", { class: "stretch" }), parts.took), parts.bar), parts.list);
-  return { node: h("li", {}, details, parts.note), parts, shown: "" };
+    h("span", { class: "stretch" }), parts.took), parts.bar), parts.why, parts.list);
+  return { node: h("li", {}, details), parts, shown: "" };
 }
 
 function update(row, change) {
@@ -53,9 +53,8 @@ function update(row, change) {
   node.dataset.number = change.number;
   text(parts.where, `${change.config} / ${change.mode}`);
   text(parts.when, `#${change.number} · ${at(change.at)}`);
-  text(parts.took, change.state === "running" ? "…" : `${change.state === "done" ? "" : `${change.state}, `}${duration(change.seconds)}`);
-  text(parts.note, change.error ? `${change.error.code}: ${change.error.message}` : "");
-  parts.note.hidden = !change.error;
+  text(parts.took, change.state === "running" ? "…" : `${change.state === "done" ? "" : `${change.error?.code ?? change.state}, `}${duration(change.seconds)}`);
+  text(parts.why, change.error?.message);
   const steps = change.steps.map((step, index) => ({ ...step, index }));
   keyed(parts.bar, steps, (step) => step.index, (step) => ({ node: h("i", { "data-step": step.step }) }), ({ node: part }, step) => {
     part.style.flexGrow = Math.max((step.seconds ?? 0) * 1e6, 1);

@@ -1,11 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 // Ten minutes of rates, latencies, changes and what the board measures: a small chart for each.
 
+import { axes, span, ticks } from "./axes.js";
 import { at, h, keyed, text } from "./dom.js";
 
 const KEPT = 600; // seconds
 const TITLES = { rate: ["Frame rate", "/s"], latency: ["Latency", "µs"], change: ["Changes of mode", "ms"],
   temperature: ["Temperature", "°C"], voltage: ["Voltage", "V"], current: ["Current", "A"], power: ["Power", "W"] };
+// What is measured is shown over at least so much of its unit; all else from 0 on.
+const LEAST = { temperature: 4, voltage: 0.1, current: 0.1, power: 0.5 };
 const ORDER = Object.keys(TITLES);
 
 export class Charts {
@@ -45,12 +48,12 @@ export class Charts {
 
   make(group) {
     const canvas = h("canvas", { role: "img" });
-    const parts = { canvas, legend: h("ul", { class: "series" }), range: h("span", { class: "muted small" }) };
+    const parts = { canvas, legend: h("ul", { class: "series" }), when: h("span", { class: "muted small" }) };
     canvas.addEventListener("pointermove", (event) => this.point(row, event.offsetX));
     canvas.addEventListener("pointerleave", () => this.point(row, null));
     const [title, unit] = TITLES[group] ?? [group, ""];
     const row = { node: h("figure", { class: "chart", "data-chart": group }, h("figcaption", { class: "row" }, h("strong", { text: title }),
-      h("span", { class: "muted small", text: unit }), h("span", { class: "stretch" }), parts.range), canvas, parts.legend), parts, group, hover: null };
+      h("span", { class: "muted small", text: unit }), h("span", { class: "stretch" }), parts.when), canvas, parts.legend), parts, group, hover: null };
     return row;
   }
 
@@ -60,37 +63,21 @@ export class Charts {
   }
 
   paint(row, group, names) {
-    const { canvas, legend, range } = row.parts;
     row.names = names;
-    const [width, height, ratio] = [canvas.clientWidth, canvas.clientHeight, devicePixelRatio || 1];
-    if (!width) return;
-    if (canvas.width !== Math.round(width * ratio)) canvas.width = Math.round(width * ratio);
-    if (canvas.height !== Math.round(height * ratio)) canvas.height = Math.round(height * ratio);
-    const context = canvas.getContext("2d");
-    context.setTransform(ratio, 0, 0, ratio, 0, 0);
-    context.clearRect(0, 0, width, height);
-    const style = getComputedStyle(this.node);
     const all = this.points.flatMap((point) => names.map((name) => point.values[name]).filter((value) => value !== undefined));
     const [low, high] = scale(all, group);
     const end = this.points.at(-1)?.at ?? 0;
-    const span = Math.min(KEPT, Math.max(60, Math.ceil((end - (this.points[0]?.at ?? end)) / 60) * 60));
-    const x = (time) => width - ((end - time) / span) * width;
-    const y = (value) => height - 3 - ((value - low) / (high - low || 1)) * (height - 6);
-    context.strokeStyle = style.getPropertyValue("--line");
-    for (let part = 1; part < 5; part++) {
-      const place = Math.round((width * part) / 5) + 0.5;
-      context.beginPath();
-      context.moveTo(place, 0);
-      context.lineTo(place, height);
-      context.stroke();
-    }
+    const minutes = Math.min(KEPT / 60, Math.max(1, Math.ceil((end - (this.points[0]?.at ?? end)) / 60)));
+    const plot = axes(row.parts.canvas, { low: -minutes, high: 0, label: ago, most: 3 }, { low, high });
+    if (!plot) return;
+    const x = (time) => plot.x((time - end) / 60);
     names.forEach((name, index) => {
-      context.strokeStyle = context.fillStyle = colour(style, index);
-      context.lineWidth = 1.5;
-      if (group === "change") this.dots(context, name, x, y);
-      else this.line(context, name, x, y);
+      plot.context.strokeStyle = plot.context.fillStyle = colour(plot.style, index);
+      plot.context.lineWidth = 1.5;
+      if (group === "change") this.dots(plot.context, name, x, plot.y);
+      else this.line(plot.context, name, x, plot.y);
     });
-    this.tell(row, names, style, x, row.hover, { legend, range, canvas, low, high, span });
+    this.tell(row, plot, x, { low, high, minutes });
   }
 
   line(context, name, x, y) {
@@ -117,14 +104,18 @@ export class Charts {
     }
   }
 
-  tell(row, names, style, x, hover, { legend, range, canvas, low, high, span }) {
-    const shown = hover === null ? this.points.at(-1) : nearest(this.points, hover, x);
-    text(range, hover === null || !shown ? `${span / 60} min` : at(shown.at));
-    canvas.setAttribute("aria-label", `${row.group}, ${low.toPrecision(3)} to ${high.toPrecision(3)} over ${span / 60} minutes`);
-    keyed(legend, names.map((name, index) => ({ name, index })), ({ name }) => name, ({ name }) => {
+  tell(row, { style, canvas, context, area }, x, { low, high, minutes }) {
+    const shown = row.hover === null ? this.points.at(-1) : nearest(this.points, row.hover, x);
+    text(row.parts.when, row.hover === null || !shown ? "" : at(shown.at));
+    if (row.hover !== null && shown) {
+      context.fillStyle = style.getPropertyValue("--muted");
+      context.fillRect(Math.round(x(shown.at)), area.top, 1, area.height);
+    }
+    canvas.setAttribute("aria-label", `${row.group}, ${low.toPrecision(3)} to ${high.toPrecision(3)} over ${minutes} minutes`);
+    keyed(row.parts.legend, row.names.map((name, index) => ({ name, index })), ({ name }) => name, ({ name }) => {
       const value = h("output");
       const mark = h("i", { "aria-hidden": "true" });
-      return { node: h("li", {}, mark, h("span", { text: name.split(":")[1] ?? "last" }), value), value, mark };
+      return { node: h("li", {}, mark, h("span", { text: name.slice(name.indexOf(":") + 1).replace(/^change$/, "last") }), value), value, mark };
     }, (item, { name, index }) => {
       item.mark.style.background = colour(style, index);
       const last = shown?.values[name] ?? (row.group === "change" ? this.points.findLast((p) => name in p.values)?.values[name] : undefined);
@@ -137,10 +128,16 @@ const colour = (style, index) => style.getPropertyValue(`--series-${index % 5}`)
 
 function scale(all, group) {
   if (!all.length) return [0, 1];
-  const [least, most] = [Math.min(...all), Math.max(...all)];
-  if (["rate", "latency", "change"].includes(group)) return [0, most * 1.1 || 1];
-  const room = Math.max((most - least) * 0.15, Math.abs(most) * 0.005);
-  return [least - room, most + room];
+  const [low, high] = [Math.min(...all), Math.max(...all)];
+  const room = (high - low) * 0.05;
+  const [from, to] = group in LEAST ? span(low - room, high + room, LEAST[group]) : [0, high || 1];
+  const { step } = ticks(from, to, 3);
+  return [Math.floor(from / step) * step, Math.ceil(to / step) * step];
+}
+
+function ago(minutes) {
+  if (!minutes) return "now";
+  return minutes > -1 ? `−${Math.round(-minutes * 60)} s` : `−${Number((-minutes).toFixed(1))} min`;
 }
 
 function nearest(points, place, x) {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The device as a picture, with what is loaded where, and the modes that it can be in.
 
-import { byId, bytes, duration, empty, h, keyed, s, set, tell, text } from "./dom.js";
+import { byId, bytes, duration, empty, h, keyed, s, set, text } from "./dom.js";
 
 const [WIDTH, LEFT, BUS, TOP] = [660, 152, 118, 34];
 const [TALL, GAP] = [76, 14];
@@ -9,8 +9,8 @@ const STACKED = matchMedia("(max-width: 40rem)"); // the processor above the log
 const [RAIL, WIRES] = [19, 64]; // of a stacked drawing: a line of the processor's, and the space for streams
 
 export class Device {
-  constructor({ ask, failed, control }) {
-    Object.assign(this, { ask, failed, control });
+  constructor({ ask, control }) {
+    Object.assign(this, { ask, control });
     this.picture = s("svg", { class: "device", role: "img", "aria-label": "The device" });
     this.caption = h("p", { class: "muted small" });
     byId("device").append(this.picture, this.caption);
@@ -167,15 +167,14 @@ export class Device {
   }
 
   makeMode(config, mode) {
-    const note = h("p", { class: "note", role: "alert", hidden: true });
     const go = h("button", { type: "button", class: "go", onclick: () => {
-      if (go.getAttribute("aria-disabled") !== "true") this.go(config, mode.name, note);
+      if (go.getAttribute("aria-disabled") !== "true") this.ask("mode", { config, mode: mode.name }, go);
     } });
     const plan = h("div", { class: "plan" });
     const details = h("details", { ontoggle: () => details.open && this.plan(config, mode.name, plan) },
       h("summary", { text: "plan" }), plan);
     const modules = h("span", { class: "chips" }, ...mode.modules.map((name) => h("span", { class: "chip", text: name })));
-    const node = h("li", { "data-mode": mode.name }, h("div", { class: "row" }, go, modules, details), note, plan);
+    const node = h("li", { "data-mode": mode.name }, h("div", { class: "row" }, go, modules, details), plan);
     plan.hidden = true;
     details.addEventListener("toggle", () => (plan.hidden = !details.open));
     return { node, go, details, plan };
@@ -198,21 +197,13 @@ export class Device {
     }
   }
 
-  go(config, mode, note) {
-    note.hidden = true;
-    this.ask("mode", { config, mode }).catch((error) => tell(note, error));
-  }
-
   async plan(config, mode, node) {
-    try {
-      const plan = await this.ask("plan", { config, mode });
-      const steps = plan.steps.map((step) => h("li", {}, h("span", { text: step.text }),
-        h("span", { class: "muted", text: step.seconds ? duration(step.seconds) : "" })));
-      node.replaceChildren(h("ol", {}, ...steps),
-        h("p", { class: "muted", text: `${bytes(plan.bytes)} to load, ${duration(plan.seconds)} expected` }));
-    } catch (error) {
-      node.replaceChildren(h("p", { class: "note", text: error.message }));
-    }
+    const plan = await this.ask("plan", { config, mode }, node);
+    if (plan === undefined) return node.replaceChildren();
+    const steps = plan.steps.map((step) => h("li", {}, h("span", { text: step.text }),
+      h("span", { class: "muted", text: step.seconds ? duration(step.seconds) : "" })));
+    return node.replaceChildren(h("ol", {}, ...steps),
+      h("p", { class: "muted", text: `${bytes(plan.bytes)} to load, ${duration(plan.seconds)} expected` }));
   }
 }
 

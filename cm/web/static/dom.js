@@ -26,12 +26,6 @@ export function text(node, value) {
   if (node.textContent !== wanted) node.textContent = wanted;
 }
 
-// What went wrong, beside what was tapped.
-export function tell(note, error) {
-  text(note, `${error.code ? `${error.code}: ` : ""}${error.message}`);
-  note.hidden = false;
-}
-
 const rows = new WeakMap();
 
 // One child of `parent` for each item, by key, in their order: made when it comes, updated, removed when it goes.

@@ -10,7 +10,7 @@ export class Link {
     this.asked = new Map();
     this.number = 0;
     this.wait = 500;
-    this.watched = [];
+    this.watched = {};
     this.takeToken();
   }
 
@@ -81,7 +81,7 @@ export class Link {
     if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
   }
 
-  // The streams whose pictures are wanted.
+  // The streams whose frames are wanted, with how they are drawn.
   watch(streams) {
     this.watched = streams;
     this.send({ watch: streams });

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What was loaded into each region, frame by frame: drawn by the page's server, asked for when it is opened.
 
-import { byId, h, keyed, set, tell, text } from "./dom.js";
+import { byId, h, keyed, set, text } from "./dom.js";
 
 export class Maps {
   constructor({ ask, control }) {
@@ -22,11 +22,10 @@ export class Maps {
 
   made(name) {
     const picture = h("div", { class: "map", tabindex: 0, role: "group", "aria-label": `Frames of ${name}` });
-    const note = h("p", { class: "error small", role: "alert", hidden: true });
     const compare = h("button", { type: "button", class: "quiet small", text: "Compare with what was loaded", hidden: true });
-    const health = h("span");
-    const node = h("details", { "data-map": name }, h("summary", { text: `Frames of ${name}` }, health), compare, note, picture);
-    const row = { node, name, picture, note, compare, health, holds: "" };
+    const health = h("span", { class: "muted" });
+    const node = h("details", { "data-map": name }, h("summary", { text: `Frames of ${name}` }, health), compare, picture);
+    const row = { node, name, picture, compare, health, holds: "" };
     node.addEventListener("toggle", () => node.open && this.draw(row, false));
     compare.addEventListener("click", () => this.draw(row, true));
     return row;
@@ -34,21 +33,15 @@ export class Maps {
 
   async draw(row, check) {
     row.compare.disabled = true;
-    try {
-      const drawing = await this.ask("map", { region: row.name, check });
-      row.picture.replaceChildren(document.importNode(new DOMParser().parseFromString(drawing, "image/svg+xml").documentElement, true));
-      row.note.hidden = true;
-    } catch (error) {
-      row.picture.replaceChildren();
-      tell(row.note, error);
-    } finally {
-      row.compare.disabled = false;
-    }
+    const drawing = await this.ask("map", { region: row.name, check }, row.node);
+    row.compare.disabled = false;
+    if (drawing === undefined) row.picture.replaceChildren();
+    else row.picture.replaceChildren(document.importNode(new DOMParser().parseFromString(drawing, "image/svg+xml").documentElement, true));
   }
 }
 
 function found(health) {
   if (!health?.checks) return "";
   const now = health.wrong_bits ? `, ${health.wrong_bits} bits are wrong` : health.checked_ns ? ", good by the last" : ", none since it was loaded";
-  return ` · compared ${health.checks} times, ${health.upsets} upsets, ${health.repairs} repairs${now}`;
+  return `compared ${health.checks === 1 ? "once" : `${health.checks} times`}, ${health.upsets} upsets, ${health.repairs} repairs${now}`;
 }

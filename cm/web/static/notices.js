@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Interrupts, leases and errors.
+// Interrupts and leases.
 
 import { at, byId, empty, h, keyed, text } from "./dom.js";
 
@@ -36,12 +36,5 @@ export class Notices {
       text(parts.left, `${Math.round(lease.seconds)} s left`);
     });
     empty(node, !found.length, "Nobody holds anything.");
-  }
-
-  errors(found) {
-    keyed(byId("errors"), [...found].reverse(), (error) => `${error.at}${error.code}`, (error) => ({
-      node: h("li", {}, h("span", { class: "muted small", text: at(error.at) }), " ", h("code", { text: error.code }), " ", h("span", { text: error.message })),
-    }), () => {});
-    empty(byId("errors"), !found.length, "None.");
   }
 }

@@ -1,148 +1,94 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registers of the loaded mode by region, with their fields; sliders where their bounds are known.
+// Registers of the loaded mode: by module, folded at will, found by a word, or those that changed last first.
 
-import { empty, h, hex, keyed, set, tell, text } from "./dom.js";
+import { at, empty, h, hex, keyed, text } from "./dom.js";
+import { Register } from "./register.js";
 
-const SLIDER_BITS = 12; // a wider one without bounds is a number to type
-const BETWEEN = 60; // milliseconds between two writes while a slider moves
-const SETTLED = 1000; // milliseconds from an answered write until what the board says counts, whatever it is
+const FEW = 8; // registers that need no filter
 
 export class Registers {
-  constructor(node, { ask, failed, control }) {
-    Object.assign(this, { node, ask, failed, control });
+  constructor(node, { ask, control }) {
+    Object.assign(this, { node, ask, control, changed: new Map(), held: {} });
+    this.filter = h("input", { type: "search", placeholder: "Filter", "aria-label": "Filter registers by a word", oninput: () => this.again() });
+    this.order = h("select", { "aria-label": "Order of registers", onchange: () => this.again() },
+      h("option", { value: "", text: "by module" }), h("option", { value: "changed", text: "last changed first" }));
+    this.count = h("span", { class: "muted small", role: "status" });
+    this.tools = h("div", { class: "tools" }, this.filter, this.order, this.count);
+    node.before(this.tools);
+  }
+
+  again() {
+    if (this.last) this.show(this.last);
   }
 
   show(state) {
     const { config, registers = {}, status } = state;
     if (!status) return;
-    this.again = () => this.show(state); // where a write was refused, its control goes back to what the register holds
-    const visible = (config?.registers ?? []).filter((r) => !r.modes.length || r.modes.includes(config.mode));
-    const groups = new Map();
-    for (const register of visible) {
-      const place = register.region || "static part";
-      groups.set(place, [...(groups.get(place) ?? []), register]);
-    }
-    keyed(this.node, [...groups], ([place]) => place, ([place]) => {
-      const list = h("div", { class: "registers" });
-      return { node: h("div", {}, h("h3", { text: place }), list), list };
-    }, (row, [, all]) => {
-      keyed(row.list, all, key, (register) => this.make(register), (item, register) => {
-        this.update(item, register, registers[register.name]);
-      });
+    this.last = state;
+    this.note(registers, status);
+    const all = (config?.registers ?? []).filter((r) => !r.modes.length || r.modes.includes(config.mode));
+    const shown = matching(all, this.filter.value);
+    this.tools.hidden = all.length <= FEW;
+    text(this.count, shown.length === all.length ? `${all.length} registers` : `${shown.length} of ${all.length}`);
+    const groups = this.order.value ? this.recent(shown) : byModule(shown, status);
+    keyed(this.node, groups, ([title]) => title, ([title]) => this.makeGroup(title), (group, [title, own]) => {
+      text(group.count, own.length);
+      if (this.filter.value) group.node.open = true;
+      keyed(group.list, own, key, (register) => new Register(register, { ask: this.ask, control: this.control, again: () => this.again() }),
+        (row, register) => row.update(registers[register.name], this.order.value && this.changed.has(register.name) ? at(this.changed.get(register.name)) : ""));
     });
-    empty(this.node, !visible.length, "The loaded mode has no registers.");
+    empty(this.node, !shown.length, all.length ? "No register has that word." : "The loaded mode has no registers.");
   }
 
-  make(register) {
-    const fields = register.fields.length ? register.fields : [null];
-    const note = h("p", { class: "note", role: "alert", hidden: true });
-    const rows = fields.map((field) => this.makeValue(register, field, note));
-    const title = h("div", { class: "row" }, h("code", { text: register.name }), h("span", { class: "muted small", text: register.access }),
-      h("span", { class: "stretch" }), h("code", { class: "hex" }));
-    const node = h("div", { class: "register", "data-register": register.name, title: `${hex(register.address)} · ${register.width} bit` },
-      title, register.doc ? h("p", { class: "muted small", text: register.doc }) : null, ...rows.map((row) => row.node), note);
-    return { node, rows, hex: title.lastChild };
-  }
-
-  makeValue(register, field, note) {
-    const name = field ? `${register.name}.${field.name}` : register.name;
-    const row = { field, own: null };
-    const send = throttled((value) => this.ask("write", { name, value }).then(
-      () => { note.hidden = true; if (row.own?.value === value) row.own.answered = performance.now(); },
-      (error) => { row.own = null; tell(note, error); this.again(); },
-    ));
-    const write = (value) => {
-      row.own = { value, answered: Infinity };
-      send(value);
-    };
-    const input = this.input(register, field, name, write);
-    const shown = h("output", { class: "value" });
-    const label = field ? h("span", { class: "field", text: field.name, title: field.doc }) : null;
-    const clear = register.access === "w1c"
-      ? h("button", { type: "button", class: "small", text: "clear", onclick: () => write(field ? 2 ** field.width - 1 : 0xffffffff) })
-      : null;
-    return Object.assign(row, { node: h("div", { class: "row value-row" }, label, input, clear, shown), input, clear, shown });
-  }
-
-  input(register, field, name, write) {
-    if (register.access === "ro" || register.access === "w1c") return null;
-    const [low, high] = bounds(register, field);
-    const label = { "aria-label": name };
-    if (field?.values.length && field.values.length >= 2 ** field.width - 1) return choice(field, label, write);
-    if (field && field.width === 1) {
-      return h("input", { type: "checkbox", role: "switch", ...label, onchange: (event) => write(event.target.checked ? 1 : 0) });
-    }
-    if (high - low < 2 ** SLIDER_BITS) {
-      return h("input", { type: "range", min: low, max: high, step: 1, ...label, onchange: () => this.again(),
-        oninput: (event) => write(event.target.valueAsNumber) });
-    }
-    return h("input", { type: "text", inputmode: "text", spellcheck: "false", ...label, onchange: (event) => typed(event.target, write) });
-  }
-
-  update(item, register, held) {
-    text(item.hex, held ? hex(held.value, register.width) : "—");
-    for (const row of item.rows) {
-      const value = held && (row.field ? held.fields[row.field.name] : held.value);
-      const name = row.field?.values.find(([, known]) => known === value)?.[0];
-      text(row.shown, value === undefined ? "" : name ?? value);
-      const off = !this.control();
-      if (row.clear) row.clear.disabled = off;
-      if (!row.input) continue;
-      row.input.disabled = off;
-      if (value === undefined || row.input.matches(":active") || !settled(row, value)) continue; // the user is moving it
-      if (row.input.type === "checkbox") row.input.checked = value > 0;
-      else if (row.input.type === "text") {
-        if (document.activeElement !== row.input) row.input.value = hex(value, register.width);
-      } else row.input.value = String(value);
-      if (row.input.type === "range") set(row.input, "aria-valuetext", name ?? null);
+  // When each was seen to change; a mode's first values are no change.
+  note(registers, status) {
+    const place = `${status.started_ns} ${status.config_name} ${status.mode}`;
+    if (this.place !== place) this.held = {};
+    this.place = place;
+    for (const [name, { value }] of Object.entries(registers)) {
+      if (name in this.held && this.held[name] !== value) this.changed.set(name, Date.now() / 1000);
+      this.held[name] = value;
     }
   }
-}
 
-// Values on their way are older than one's own: a slider that took them would lose steps of the keyboard.
-function settled(row, value) {
-  if (row.own && value !== row.own.value && performance.now() - row.own.answered < SETTLED) return false;
-  row.own = null;
-  return true;
+  // One list; it stays as it is while the user is in it, so that nothing moves under the hand.
+  recent(shown) {
+    const names = shown.map((register) => register.name).sort().join();
+    if (this.recently?.names !== names || !this.node.matches(":hover, :focus-within")) {
+      const when = (register) => this.changed.get(register.name) ?? 0;
+      this.recently = { names, own: shown.toSorted((a, b) => when(b) - when(a)) };
+    }
+    return [["last changed first", this.recently.own]];
+  }
+
+  makeGroup(title) {
+    const list = h("div", { class: "registers" });
+    const count = h("span", { class: "muted small" });
+    const node = h("details", { class: "group", "data-group": title, open: true }, h("summary", {}, h("h3", { text: title }), count), list);
+    return { node, list, count };
+  }
 }
 
 const key = (register) => `${register.name}@${register.address}/${register.fields.length}`;
 
-function bounds(register, field) {
-  const width = field ? field.width : register.width;
-  return [(field ? null : register.minimum) ?? 0, (field ? null : register.maximum) ?? 2 ** width - 1];
+function matching(all, words) {
+  const wanted = words.trim().toLowerCase().split(/\s+/);
+  return all.filter((register) => {
+    const known = [register.name, register.doc, register.region, hex(register.address), ...register.fields.flatMap((field) => [field.name, field.doc])];
+    const said = known.join(" ").toLowerCase();
+    return wanted.every((word) => said.includes(word));
+  });
 }
 
-function choice(field, label, write) {
-  const options = field.values.map(([name, value]) => h("option", { value, text: name }));
-  for (let value = 0; value < 2 ** field.width; value++) {
-    if (!field.values.some(([, known]) => known === value)) options.push(h("option", { value, text: value }));
+// Those of the static part, of each region whatever it holds, and of the module in it.
+function byModule(shown, status) {
+  const groups = new Map();
+  for (const register of shown) {
+    const module = status.regions.find((region) => region.name === register.region)?.module;
+    const own = register.modes.length && module;
+    const title = register.region ? `${register.region}${own ? ` · ${module}` : ""}` : "static part";
+    groups.set(title, [...(groups.get(title) ?? []), register]);
   }
-  return h("select", { ...label, onchange: (event) => write(Number(event.target.value)) }, ...options);
-}
-
-function typed(input, write) {
-  const value = Number(input.value.trim());
-  const good = input.value.trim() !== "" && Number.isSafeInteger(value) && value >= 0;
-  input.setCustomValidity(good ? "" : "a number is wanted: 18, or 0x12");
-  input.reportValidity();
-  if (good) write(value);
-}
-
-// The first at once, then the newest of what came meanwhile.
-function throttled(call) {
-  let waiting = null;
-  let timer = 0;
-  const next = () => {
-    timer = 0;
-    if (waiting !== null) {
-      call(waiting);
-      waiting = null;
-      timer = setTimeout(next, BETWEEN);
-    }
-  };
-  return (value) => {
-    waiting = value;
-    if (!timer) next();
-  };
+  const place = ([title]) => (title === "static part" ? "" : title);
+  return [...groups].sort((a, b) => (place(a) < place(b) ? -1 : 1));
 }

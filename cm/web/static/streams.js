@@ -3,6 +3,7 @@
 
 import { bytes, empty, h, keyed, set, text } from "./dom.js";
 import { draw } from "./picture.js";
+import { VIEWS } from "./signal.js";
 
 export class Streams {
   constructor(node, link) {
@@ -11,6 +12,7 @@ export class Streams {
     this.cards = new Map();
     this.wanted = new Set(); // chosen here
     this.refused = new Set(); // stopped here, though they run
+    this.views = {}; // of signals, by stream
     this.pending = new Map();
     this.watching = "";
   }
@@ -29,9 +31,10 @@ export class Streams {
 
   // Those that run anyway are looked at unless they were stopped here; others when they are asked for.
   watch(streams) {
-    const wanted = streams.filter((stream) => this.isWatched(stream)).map((stream) => stream.name);
-    if (wanted.join() !== this.watching) {
-      this.watching = wanted.join();
+    const names = streams.filter((stream) => this.isWatched(stream)).map((stream) => stream.name);
+    const wanted = Object.fromEntries(names.map((name) => [name, this.views[name] ?? ""]));
+    if (JSON.stringify(wanted) !== this.watching) {
+      this.watching = JSON.stringify(wanted);
       this.link.watch(wanted);
     }
   }
@@ -45,17 +48,19 @@ export class Streams {
     const name = stream.name;
     const canvas = h("canvas", { role: "img", "aria-label": `Frames of ${name}`, width: 16, height: 9 });
     const button = h("button", { type: "button", onclick: () => this.toggle(name) });
+    const view = h("select", { class: "small", hidden: true, "aria-label": `How ${name} is drawn`, onchange: () => this.look(name, view.value) },
+      ...VIEWS.map(([value, words]) => h("option", { value, text: words })));
     const parts = {
-      kind: h("span", { class: "muted" }), button, canvas,
+      kind: h("span", { class: "muted" }), button, canvas, choice: view, lines: h("ul", { class: "series" }),
       flow: h("dl", { class: "flow" }),
       note: h("p", { class: "note", role: "status" }),
       view: h("div", { class: "view" }, canvas, h("span", { class: "idle muted" })),
       readout: h("span", { class: "readout" }),
     };
     parts.view.append(parts.readout);
-    const title = h("h3", {}, h("span", { class: "arrow", "aria-hidden": "true" }), name, " ", parts.kind);
+    const title = h("h3", {}, h("span", { class: "arrow", "aria-hidden": "true" }), h("span", { text: name }), " ", parts.kind);
     const node = h("article", { class: "card stream", "data-stream": name },
-      h("div", { class: "row" }, title, h("span", { class: "stretch" }), button), parts.view, parts.note, parts.flow);
+      h("div", { class: "row" }, title, h("span", { class: "stretch" }), view, button), parts.view, parts.lines, parts.note, parts.flow);
     const card = { node, parts, stream, drawn: 0, times: [] };
     this.cards.set(name, card);
     return card;
@@ -82,6 +87,7 @@ export class Streams {
       : watched ? "no frame yet" : stream.open ? "not shown" : "does not run";
     text(parts.view.querySelector(".idle"), idle);
     if (!watched) node.dataset.live = "false";
+    parts.choice.hidden = parts.lines.hidden = node.dataset.live !== "true" || node.dataset.kind !== "signal";
     text(parts.note, problem || stream.last_error?.message || "");
     parts.note.hidden = !parts.note.textContent;
     this.flow(parts.flow, stream);
@@ -111,9 +117,17 @@ export class Streams {
       this.refused.delete(name);
       this.wanted.add(name);
     }
-    const all = [...this.cards.values()].map((card) => card.stream);
     for (const card of this.cards.values()) this.update(card, card.stream, "");
-    this.watch(all);
+    this.watchAll();
+  }
+
+  look(name, view) {
+    this.views[name] = view;
+    this.watchAll();
+  }
+
+  watchAll() {
+    this.watch([...this.cards.values()].map((card) => card.stream));
   }
 
   // Drawn with the next repaint, so never in a hidden page, which then gets no more.
@@ -136,15 +150,25 @@ export class Streams {
   }
 
   async drawOne(card, header, payload) {
+    card.node.dataset.kind = header.kind; // first: a signal's canvas takes its size from the page
+    card.node.dataset.live = "true";
     await draw(card.parts.canvas, header, payload);
     const now = performance.now();
     card.times = [...card.times.filter((time) => time > now - 1000), now];
     card.drawn += 1;
-    card.node.dataset.live = "true";
     card.node.dataset.frames = card.drawn;
     card.node.dataset.mode = header.mode;
-    const span = header.range ? ` · ${header.range.map((value) => value.toPrecision(4)).join(" … ")}` : "";
+    if (header.kind === "signal") this.describe(card.parts, header);
+    const range = header.range ? ` · ${header.range.map((value) => value.toPrecision(4)).join(" … ")}` : "";
+    const unit = header.view === "spectrum" ? " dB of full scale" : "";
     const part = header.step ? ` · every ${header.step}. pixel` : "";
-    text(card.parts.readout, `#${header.sequence} · ${card.times.length}/s drawn${span}${part}`);
+    text(card.parts.readout, `#${header.sequence} · ${card.times.length}/s drawn${range}${unit}${part}`);
+  }
+
+  describe({ choice, lines }, header) {
+    choice.hidden = lines.hidden = false;
+    choice.options[2].hidden = !header.complex; // points need two numbers
+    const named = header.lines?.length > 1 ? header.lines.map((name, index) => ({ name, index })) : [];
+    keyed(lines, named, ({ name }) => name, ({ name, index }) => ({ node: h("li", {}, h("i", { "data-series": index, "aria-hidden": "true" }), name) }), () => {});
   }
 }

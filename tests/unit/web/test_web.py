@@ -22,7 +22,7 @@ from PIL import Image
 from cm.cli.web import _address
 from cm.client.aio.board import Board
 from cm.errors import InvalidRequest, NotFound
-from cm.web import pictures
+from cm.web import pictures, signals
 from cm.web.changes import KEPT, ChangeLog
 from cm.web.gate import Gate, is_loopback
 from cm.web.history import KEPT as SECONDS
@@ -139,7 +139,7 @@ def opened(message: bytes) -> tuple[dict[str, Any], bytes]:
 @pytest.mark.parametrize(("shape", "kind"), [((4, 6), "grey"), ((4, 6, 3), "rgb"), ((4, 6, 1), "grey")])
 def test_a_picture_of_bytes_is_sent_as_it_is(shape: tuple[int, ...], kind: str) -> None:
     frame = np.arange(np.prod(shape), dtype=np.uint8).reshape(shape)
-    header, payload = opened(pictures.raw("camera", frame, {"sequence": 7}))
+    header, payload = opened(pictures.message("camera", frame, {"sequence": 7}, "", True))
     assert (header["kind"], header["width"], header["height"], header["sequence"]) == (kind, 6, 4, 7)
     assert payload == frame.tobytes()
 
@@ -147,7 +147,7 @@ def test_a_picture_of_bytes_is_sent_as_it_is(shape: tuple[int, ...], kind: str) 
 @pytest.mark.parametrize("shape", [(48, 64), (48, 64, 3), (48, 64, 4)])
 def test_elsewhere_it_is_a_jpeg_that_others_can_read(shape: tuple[int, ...]) -> None:
     frame = np.full(shape, 200, np.uint8)
-    header, payload = opened(pictures.small("camera", frame, {}))
+    header, payload = opened(pictures.message("camera", frame, {}, "", False))
     with Image.open(io.BytesIO(payload)) as image:
         assert (header["kind"], image.format, image.size) == ("jpeg", "JPEG", (64, 48))
         assert abs(int(np.asarray(image).mean()) - 200) < 3
@@ -156,42 +156,63 @@ def test_elsewhere_it_is_a_jpeg_that_others_can_read(shape: tuple[int, ...]) -> 
 def test_a_large_frame_is_shown_with_every_nth_pixel() -> None:
     frame = np.zeros((2160, 3840), np.uint8)
     frame[::3, ::3] = 9
-    header, payload = opened(pictures.raw("camera", frame, {}))
+    header, payload = opened(pictures.message("camera", frame, {}, "", True))
     assert (header["step"], header["width"], header["height"], set(payload)) == (3, 1280, 720, {9})
 
 
 def test_numbers_are_spread_over_the_visible_range() -> None:
-    header, payload = opened(pictures.raw("depth", np.array([[-2.0, 0.0], [np.nan, 6.0]], np.float32), {}))
+    header, payload = opened(
+        pictures.message("depth", np.array([[-2.0, 0.0], [np.nan, 6.0]], np.float32), {}, "", True)
+    )
     assert (header["range"], list(payload)) == ([-2.0, 6.0], [0, 64, 0, 255])
 
 
 def test_a_signal_keeps_its_peaks_however_long_it_is() -> None:
     signal = np.zeros(100_000, np.int16)
     signal[70_001], signal[20_003] = 30_000, -20_000
-    header, payload = opened(pictures.raw("adc", signal, {}))
+    header, payload = opened(pictures.message("adc", signal, {}, "", True))
     low, high = np.frombuffer(payload, "<f4").reshape(2, -1)
-    assert (header["kind"], header["columns"], header["range"]) == ("signal", pictures.COLUMNS, [-20_000, 30_000])
+    assert (header["kind"], header["columns"], header["range"]) == ("signal", signals.COLUMNS, [-20_000, 30_000])
     assert (low.min(), high.max()) == (-20_000, 30_000)
 
 
 DTYPES = st.sampled_from(["u1", "i2", "u4", "i8", "f4", "f8", "c8", "?"])
 
 
-@given(DTYPES.flatmap(lambda kind: arrays.arrays(kind, arrays.array_shapes(min_dims=0, max_dims=5, max_side=7))))
-def test_every_frame_has_a_picture_that_is_as_large_as_it_says(frame: Any) -> None:
-    for make in (pictures.raw, pictures.small):
-        header, payload = opened(make("any", frame, {}))
+@given(
+    DTYPES.flatmap(lambda kind: arrays.arrays(kind, arrays.array_shapes(min_dims=0, max_dims=5, max_side=7))),
+    st.sampled_from(["", "spectrum", "constellation"]),
+)
+def test_every_frame_has_a_picture_that_is_as_large_as_it_says(frame: Any, view: str) -> None:
+    for near in (True, False):
+        header, payload = opened(pictures.message("any", frame, {}, view, near))
         sizes = {"grey": 1, "rgb": 3}
         if header["kind"] == "signal":
-            assert len(payload) == 8 * header["columns"]
+            planes = {"": 2 * len(header.get("lines", ())), "spectrum": 1, "constellation": 2}[header["view"]]
+            assert len(payload) == 4 * planes * header["columns"]
+            assert np.isfinite([*header["range"], *np.frombuffer(payload, "<f4")]).all(), "what JSON and a canvas take"
         elif header["kind"] in sizes:
             assert len(payload) == header["width"] * header["height"] * sizes[header["kind"]]
         else:
             assert header["kind"] == "jpeg"
 
 
+def test_a_spectrum_is_in_decibels_of_a_tone_of_full_scale() -> None:
+    turns = 2 * np.pi * np.arange(4096)
+    tone = (16384 * np.cos(turns / 16)).astype(np.int16)  # half of full scale
+    header, payload = opened(pictures.message("adc", tone, {}, "spectrum", True))
+    line = np.frombuffer(payload, "<f4")
+    assert (header["low"], int(line.argmax())) == (0, header["columns"] // 16 * 2)
+    assert abs(line.max() + 6.02) < 0.05
+    pairs = np.stack([tone, (16384 * np.sin(-turns / 16)).astype(np.int16)], axis=1)  # at -1/16 of the sample rate
+    header, payload = opened(pictures.message("adc", pairs, {}, "spectrum", True))
+    line = np.frombuffer(payload, "<f4")
+    assert header["low"] + int(line.argmax()) / header["columns"] == -1 / 16
+    assert abs(line.max() + 6.02) < 0.05
+
+
 def test_an_empty_frame_is_reported_as_empty() -> None:
-    assert opened(pictures.raw("x", np.zeros((0, 5), np.uint8), {}))[0]["kind"] == "empty"
+    assert opened(pictures.message("x", np.zeros((0, 5), np.uint8), {}, "", True))[0]["kind"] == "empty"
 
 
 # ---- changes ----------------------------------------------------------------------------
@@ -211,6 +232,13 @@ def test_a_change_is_its_steps_and_how_it_ended() -> None:
     assert [(s["step"], s["subject"]) for s in change["steps"]] == [("validate", ""), ("load", "prr0")]
     assert all(s["seconds"] >= 0 for s in change["steps"])
     assert (change["number"], change["mode"], change["state"], change["seconds"]) == (2, "edge", "done", 0.5)
+
+
+def test_the_end_of_a_change_that_ran_before_this_began_to_look_is_told() -> None:
+    log = ChangeLog()
+    log.take(running("load"))
+    assert log.take(Status("camera", "edge", last_change=2, last_change_seconds=0.5))
+    assert log.changes[0]["state"] == "done"
 
 
 def test_a_change_that_failed_says_why() -> None:
