@@ -16,7 +16,7 @@ from typing import IO, Any, NamedTuple
 
 from cm.errors import InvalidRequest
 from cm.recording.layout import GAP, METADATA, Opened, files_of, opened
-from cm.wire.recorded import Gap, decode_recorded
+from cm.wire.records import Gap, decode_recorded
 
 _HORIZON = 2_000_000_000  # nanoseconds by which a message may stand behind a later one
 Wanted = Callable[[str], bool]

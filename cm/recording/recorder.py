@@ -23,7 +23,7 @@ from cm.client.core import calls
 from cm.client.frame import Frame
 from cm.client.request_reply import Subscription
 from cm.errors import CmError, Forbidden, Timeout
-from cm.frozen import dataclass
+from cm.frozen import dataclass, replace
 from cm.recording import layout, pictures
 from cm.recording.record import Limits, Message, Record
 from cm.wire import topics
@@ -78,6 +78,7 @@ class Recorder:
         self._shift = 0  # this machine's CLOCK_MONOTONIC → time of the record
         self._opened: layout.Opened
         self._status: Status | None = None
+        self._past = Status()  # the last one with its history
         self._config = ConfigInfo()
         self._values: dict[str, RegValue] = {}
         self._heard = 0  # when the manager was last (time of the record)
@@ -163,6 +164,7 @@ class Recorder:
     def _begin(self, board: Board, status: Status) -> None:
         """The manager is there, for the first time or again."""
         first = self._record is None
+        self._past = board.ask(calls.history())
         if first:
             # On another machine its clock is not ours: there the record follows the wall clock of here.
             here = time.time_ns() - time.monotonic_ns()
@@ -233,7 +235,8 @@ class Recorder:
         status = self._status
         assert status is not None
         yield record.channel(layout.CLOCK), self._clock()
-        yield record.channel(layout.STATUS), bytes(encode_status(status)[1])
+        told = replace(status, changes=self._past.changes, writes=self._past.writes)
+        yield record.channel(layout.STATUS), bytes(encode_status(told)[1])
         yield record.channel(layout.CONFIG), encode_table(self._config)
         values = RegValues(tuple(self._values.values()), status.config_name, status.mode)
         yield record.channel(layout.REGISTERS), bytes(encode_registers(values)[1])
@@ -283,6 +286,9 @@ class Recorder:
         known, self._status = self._status, status
         if status.fpga_busy or known is None:
             return
+        if status.last_change != known.last_change:  # how long its steps took, and who asked for it
+            self._past = board.ask(calls.history())
+            self._log(layout.STATUS, bytes(encode_status(self._past)[1]), self._now())
         if _place(status) == _place(known) and status.config_name == self._config.name:
             return
         self._look_up(board, status)

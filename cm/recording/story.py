@@ -22,7 +22,7 @@ from cm.wire.messages.status import (
     Status,
     StepTaken,
 )
-from cm.wire.recorded import Gap
+from cm.wire.records import Gap
 
 _AUDITS = 1024  # that are kept
 

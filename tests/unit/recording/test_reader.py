@@ -15,7 +15,7 @@ from cm.recording.layout import file_name
 from cm.recording.reader import Record
 from cm.wire import cm_pb2 as pb
 from cm.wire.messages.status import Irq, Status
-from cm.wire.recorded import FrameSeen
+from cm.wire.records import FrameSeen
 
 EVENTS = [(float(n), "cm_irq", Irq("zz_irq", n, n)) for n in range(8)]
 
