@@ -5,11 +5,14 @@ from __future__ import annotations
 
 import select
 import threading
+from collections.abc import Callable
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 from weakref import WeakSet
 
 from cm.client.core import calls, memory, registers
-from cm.errors import NotFound
+from cm.client.errors import ConnectionLost, RequestFailed
+from cm.errors import Forbidden, InvalidRequest, NotFound, Timeout
 from cm.wire.lazy_numpy import np
 from cm.wire.messages.status import BlockInfo, MemoryInfo, RegisterInfo, Status
 
@@ -20,6 +23,7 @@ if TYPE_CHECKING:
     from cm.client.events import EventStream
     from cm.client.interrupts import Interrupts
     from cm.client.memories import Memories
+    from cm.client.register_window import RegisterWindow
     from cm.client.registers import Registers
 
 _T = TypeVar("_T")
@@ -59,6 +63,8 @@ class Places:
         self._change: object = None
         self._words: dict[int, tuple[RegisterInfo, int]] = {}  # with the first bit of the word
         self._registers: tuple[RegisterInfo, ...] = ()
+        self._blocks: tuple[BlockInfo, ...] = ()
+        self._windows: dict[str, RegisterWindow | None] = {}  # by block; None: its registers go by requests
         self._memories: list[MemoryInfo] = []
         self._written: dict[int, int] = {}  # words of write-only registers as this program wrote them
 
@@ -70,6 +76,30 @@ class Places:
         if info.access == "wo" and address in self._written:
             return self._written[address]
         return self._board.registers[info.name] >> place & WHOLE
+
+    def load(self, address: int) -> Callable[[], int] | None:
+        """What reads a word by one load, until it raises WindowRevoked; None where the word goes by requests."""
+        with self._lock:
+            info, place = self._at(address)
+            wrong = isinstance(info, RegisterInfo) and (place or info.width > 32)
+            if wrong or info.access == "wo" or (isinstance(info, MemoryInfo) and info.defined):
+                return None
+            for block in self._blocks:
+                if block.base_address <= address < block.base_address + block.size:
+                    window = self._window(block.name)
+                    return None if window is None else window.word(address)
+        return None
+
+    def _window(self, name: str) -> RegisterWindow | None:
+        """The window of a block, for reading; there is none without the right, the kernel module or the machine."""
+        found = self._windows.get(name)
+        if name not in self._windows or (found is not None and found.revoked):
+            if found is not None:
+                found.close()
+            self._windows[name] = None
+            with suppress(RequestFailed, ConnectionLost, Timeout, InvalidRequest, Forbidden, NotFound):
+                self._windows[name] = self._board.registers.window(name, write=False)
+        return self._windows[name]
 
     def write(self, address: int, value: int, mask: int = WHOLE) -> None:
         """Write a word, or the bits of it in `mask`; those of a register by one request. Raises as `read`."""
@@ -127,6 +157,11 @@ class Places:
                 for info in self._registers
                 for part in range(max(1, info.width // 32))
             }
+            self._blocks = described.blocks
+            for window in self._windows.values():
+                if window is not None:
+                    window.close()
+            self._windows.clear()
             self._memories = list(memory.visible(described).values())
 
     def _at(self, address: int) -> tuple[RegisterInfo | MemoryInfo, int]:

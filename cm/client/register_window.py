@@ -228,6 +228,22 @@ class RegisterWindow:
         there = ", ".join(self._readers) or "none"
         raise RequestNotFound(ErrorInfo("unknown_register", f"no register {name!r} in this window; there are {there}"))
 
+    def word(self, address: int) -> Callable[[], int]:
+        """What loads the word at a physical address, as often as it is called; raises what an access by name does."""
+        offset = address - self._pages.address
+        if not 0 <= offset <= self._pages.length - 4:
+            raise InvalidRequest(f"{address:#x} is not in {self!r}")
+
+        def load() -> int:
+            handle = self._handle
+            value: int = read32(handle, offset, 32)
+            if value < 0:
+                self._failed(handle)
+                return load()
+            return value
+
+        return load
+
     # ---- several at once ----------------------------------------------------------------
 
     def array(self, name: str, count: int = 1) -> npt.NDArray[np.uint32]:

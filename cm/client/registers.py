@@ -49,7 +49,7 @@ class Registers(MutableMapping[str, int]):
         timeout: Limit = DEFAULT,
         lease: str = "",
     ) -> RegisterWindow:
-        """Map the registers of a module, of what a region holds, or of the static part ("static").
+        """Map the registers of a module, of what a region holds, of a block, or of the static part ("static").
 
         A context manager whose attributes are the registers: each access is one load or store. The manager takes the
         pages back when the region is reconfigured, and each access raises WindowRevoked from then on; with `wait` it

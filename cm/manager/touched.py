@@ -65,7 +65,9 @@ def window_place(config: Config, name: str) -> tuple[str, str] | None:
     if name == STATIC or name in config.regions:
         return name, ""
     module = config.modules.get(name)
-    return (module.region, name) if module is not None else None
+    if module is not None:
+        return module.region, name
+    return (STATIC, "") if name in config.blocks else None
 
 
 def nothing(_: object, __: Scene) -> Iterator[Thing]:

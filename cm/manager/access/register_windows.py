@@ -10,7 +10,7 @@ from __future__ import annotations
 import errno
 import mmap
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from itertools import count
 from typing import TYPE_CHECKING, NamedTuple, NoReturn
@@ -25,7 +25,7 @@ from cm.manager.errors import HeldBy, ModuleAbsent, NothingLoaded, NoWindow, Reg
 from cm.manager.state.journal import LockedRegions, ManagerState
 from cm.manager.status_reports import memory_info, register_info
 from cm.manager.touched import STATIC, window_place
-from cm.schema.model import Access, Config, Memory, Mode, Module, Register
+from cm.schema.model import Access, Block, Config, Memory, Mode, Module, Register
 from cm.wire.messages.status import ConfigInfo, RegValues, WindowStatus
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ _SURE = 8  # registers that are read even then: the time may have gone to other 
 
 
 class WindowRequest(NamedTuple):
-    """What a client asks for: the registers of a module, of whatever a region holds, or of the static part."""
+    """What a client asks for: the registers of a module, of what a region holds, of a block or of the static part."""
 
     name: str
     write: bool = False
@@ -186,10 +186,13 @@ class Windows:
             registers.update(config.modes[mode].registers)
             memories.update(config.modes[mode].memories)
         ours = tuple([r for r in registers.values() if r.region == region])
-        if not ours:
+        ends = [(r.address, r.address + r.width // 8) for r in ours]
+        if region is None and name in config.blocks:
+            ours, ends = _of_block(config.blocks[name], ours, memories.values())
+        if not ends:
             raise NoWindow(f"{name!r} has no registers")
-        address = min(r.address for r in ours) & -mmap.PAGESIZE
-        end = max(r.address + r.width // 8 for r in ours) + mmap.PAGESIZE - 1 & -mmap.PAGESIZE
+        address = min(start for start, _ in ends) & -mmap.PAGESIZE
+        end = max(end for _, end in ends) + mmap.PAGESIZE - 1 & -mmap.PAGESIZE
         inside = tuple([m for m in memories.values() if m.region == region and address <= m.address and m.end <= end])
         return Place(region, module, config, mode, ours, inside, address, end - address)
 
@@ -210,7 +213,8 @@ class Windows:
         for other in self._state.configs.values():
             if name in other.modules or name in other.regions:
                 raise ModuleAbsent(f"module {name!r} is not loaded: it is one of configuration {other.name!r}")
-        raise NotFound(f"no module or region {name!r}{hint(name, [*config.modules, *config.regions, STATIC])}")
+        known = [*config.modules, *config.regions, *config.blocks, STATIC]
+        raise NotFound(f"no module, region or block {name!r}{hint(name, known)}")
 
     # ---- taking back ----------------------------------------------------------------
 
@@ -338,6 +342,16 @@ class Windows:
             if known:
                 with self._state.lock:
                     self._state.update(lambda board: board.without_values(known))
+
+
+def _of_block(
+    block: Block, static: tuple[Register, ...], memories: Iterable[Memory]
+) -> tuple[tuple[Register, ...], list[tuple[int, int]]]:
+    """A block's registers, and where they and its memories begin and end."""
+    window = range(block.base_address, block.base_address + block.size)
+    ours = tuple([r for r in static if r.address in window])
+    ends = [(r.address, r.address + r.width // 8) for r in ours]
+    return ours, ends + [(m.address, m.end) for m in memories if m.address in window and m.region is None]
 
 
 def _is_recorded(register: Register) -> bool:

@@ -277,7 +277,7 @@ ALONE = "InvalidRequest: an exclusive window is one for writing, of a region: it
         ({"name": "default"}, "ModuleAbsent: module 'default' is not loaded: region prr0 holds edge"),
         ({"name": "loopback"}, "ModuleAbsent: module 'loopback' is not loaded: region prr1 holds none"),
         ({"name": "b0"}, "ModuleAbsent: module 'b0' is not loaded: it is one of configuration 'duo'"),
-        ({"name": "edgy"}, "NotFound: no module or region 'edgy'; did you mean 'edge'?"),
+        ({"name": "edgy"}, "NotFound: no module, region or block 'edgy'; did you mean 'edge'?"),
         ({"name": "prr1"}, "RegionBusy: window 'prr1' lies in region prr1, which is unknown"),
         ({"lease": "mine"}, "HeldBy: registers:threshold is held by anna (alone), for 30 s more unless renewed"),
     ],

@@ -121,6 +121,23 @@ def test_registers_are_read_and_written_by_offset(overlay: pynq.Overlay) -> None
     assert overlay.filter.read(0x10) == 480
 
 
+def test_words_are_loaded_from_a_window_until_the_design_is_loaded_anew(overlay: pynq.Overlay) -> None:
+    def asked() -> int:
+        return sum(client.requests for client in board().clients())
+
+    found = overlay.filter
+    found.write(0x18, 7)
+    overlay.ram.mmio.array[2] = 9
+    assert (found.read(0x18), overlay.ram.read(8)) == (7, 9)
+    before = asked()
+    assert {(found.read(0x18), overlay.ram.read(8)) for _ in range(100)} == {(7, 9)}
+    assert asked() - before == 1
+    assert {window.writes for window in board().status.windows} == {False}
+    overlay.download()
+    assert found.read(0x18) == 0
+    assert found.mmio.read(0x18, 2) == 0
+
+
 def test_fields_and_bits_of_a_register_map(overlay: pynq.Overlay) -> None:
     found = overlay.filter.register_map
     found.CTRL = 0
