@@ -143,7 +143,9 @@ class Board(Guarded):
 
         Raises what `cm.client.errors` holds.
         """
-        return self._link.ask(self._leases.carried(call), seconds(timeout, self._link.timeout))
+        link, leases = self._link, self._leases
+        carried = leases.carried(call) if leases.held else call
+        return link.ask(carried, link.timeout if timeout is DEFAULT else seconds(timeout, None))
 
     def run(self, flow: Flow[_T]) -> _T:
         """Run a flow of `cm.client.core` to its end."""

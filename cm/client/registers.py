@@ -66,7 +66,7 @@ class Registers(MutableMapping[str, int]):
         return self._board.ask(calls.read_registers((name,))).values[0].value if value is None else value
 
     def __setitem__(self, name: str, value: Value) -> None:
-        self.write({name: value})
+        self._board.ask(calls.write_registers({name: value}))
 
     def __delitem__(self, name: str) -> None:
         raise TypeError("a register cannot be deleted")

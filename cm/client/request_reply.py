@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import struct
 import time
-from collections.abc import Sequence
+from time import monotonic
 from typing import Any, Protocol, TypeVar
 
 import zmq
@@ -14,9 +14,10 @@ from zmq import zmq_poll
 from cm.client.connections import Socket, Sockets, not_subscribed
 from cm.client.core.calls import Call
 from cm.client.core.flow_effects import DEFAULT, AskBeside, Deadline, Flow, Limit, Pause, Receive, seconds
-from cm.client.core.requests import CONNECTING, Requests, result
+from cm.client.core.requests import CONNECTING, Requests
 from cm.client.errors import ConnectionLost, NotAdmitted
 from cm.wire import multipart
+from cm.wire.encode import decode_reply
 
 _T = TypeVar("_T")
 
@@ -109,25 +110,30 @@ class Link:
         with self._turn:
             if self._sockets.closed or self._socket.closed:
                 raise self._sockets.gone()
+            number, frames = self._requests.begin(call)
             try:
-                reply = self._exchange(call, timeout, beside)
+                if zmq_poll(self._sources[1:], 0):
+                    self._take_events()
+                if self._handshake.lost:  # that was before
+                    self._handshake.lost = False
+                    self.unanswered.clear()
+                try:
+                    multipart.send(self._socket, frames, _NOBLOCK)
+                except zmq.Again:  # a socket whose peer broke the protocol has none any more
+                    self._take_events()
+                    self.close()
+                    self._open()
+                    multipart.send(self._socket, frames, _NOBLOCK)
+                try:
+                    reply = self._wait(number, timeout, beside)
+                except (ConnectionLost, NotAdmitted):
+                    raise
+                except BaseException:
+                    self.unanswered.add(number)
+                    raise
             except zmq.ContextTerminated:  # closed by another thread
                 raise self._sockets.gone() from None
-        return result(call, reply)
-
-    def _exchange(self, call: Call[Any], timeout: float | None, beside: AskBeside | None) -> list[bytes | memoryview]:
-        number, frames = self._requests.begin(call)
-        self._look()
-        if self._handshake.lost:  # that was before
-            self._handshake.lost = False
-            self.unanswered.clear()
-        self._send(frames)
-        try:
-            return self._wait(number, timeout, beside)
-        except BaseException as error:
-            if not isinstance(error, (ConnectionLost, NotAdmitted)):
-                self.unanswered.add(number)
-            raise
+        return call.result(decode_reply(reply))
 
     def run(self, flow: Flow[_T]) -> _T:
         """Run a flow to its end. Raises what it raises."""
@@ -155,45 +161,36 @@ class Link:
         return self.ask(effect.call, seconds(effect.timeout, self.timeout), beside)
 
     def _wait(self, number: bytes, timeout: float | None, beside: AskBeside | None) -> list[bytes | memoryview]:
-        deadline = Deadline(timeout)
+        until = None if timeout is None else monotonic() + timeout
         connecting: Deadline | None = None
         other = beside.subscription.socket if beside else None
         sources = self._sources if other is None else [*self._sources, (other, _POLLIN)]
         while True:
-            left = deadline.left
+            left = None if until is None else max(0.0, until - monotonic())
             if not self._handshake.up:  # a request waits as long as it may, but for a connection no longer than others
                 if absent := self._requests.absent():
                     raise absent
                 connecting = connecting or Deadline(self.timeout)
                 left = min(x for x in (left, connecting.left, CONNECTING) if x is not None)
-            ready = dict(zmq_poll(sources, -1 if left is None else _milliseconds(left)))
+            ready = dict(zmq_poll(sources, -1 if left is None else int(left * 1000) + 1 if left > 0 else 0))
             if beside is not None and other is not None and other in ready:
                 beside.take(other.recv_multipart())
             if self._socket in ready:
                 frames = multipart.receive(self._socket)
                 if frames[0] == number:
-                    body = self._requests.body(frames)
+                    body = frames[self._requests.envelope :]
                     return [*map(bytes, body[:2]), *body[2:]]  # payloads stay where libzmq put them
                 self.unanswered.discard(bytes(frames[0]))  # it timed out
             elif self._monitor in ready:
-                self._look()
+                self._take_events()
                 if self._handshake.lost:
                     raise self._requests.lost()
             elif not ready and left == 0:
-                over = connecting if connecting is not None and deadline.left != 0 else deadline
-                raise self._handshake.suspected or self._requests.no_answer(over.limit)
+                late = connecting is None or (until is not None and until <= monotonic())
+                over = timeout if late or connecting is None else connecting.limit
+                raise self._handshake.suspected or self._requests.no_answer(over)
 
-    def _send(self, frames: Sequence[Any]) -> None:
-        """Raise if it cannot be sent. A socket whose peer broke the protocol has none any more: it is made anew."""
-        try:
-            multipart.send(self._socket, frames, _NOBLOCK)
-        except zmq.Again:
-            self._look()
-            self.close()
-            self._open()
-            multipart.send(self._socket, frames, _NOBLOCK)
-
-    def _look(self) -> None:
+    def _take_events(self) -> None:
         """Handle the monitor's events. Raises NotAdmitted; the next request tries again."""
         while zmq_poll(self._sources[1:], 0):
             event, value = _TOLD.unpack(self._monitor.recv_multipart()[0])

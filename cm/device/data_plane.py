@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import errno
+from collections.abc import Callable
+from functools import partial
 
 from cm.device.axidma import AxiDma
 from cm.device.errors import device_error
@@ -59,6 +61,8 @@ class Plane:
         """Start the thread."""
         self._handle = native.new()
         self._open = True
+        # Registers were written and hold the new values: frames that begin from now on have this generation.
+        self.wrote: Callable[[int], None] = partial(native.wrote, self._handle)
 
     def fileno(self) -> int:
         """Return the descriptor that polls readable when an event waits."""
@@ -113,10 +117,6 @@ class Plane:
     def tell(self, stream: int, packet: bytes) -> None:
         """Send a packet to all clients of a stream."""
         native.tell(self._handle, stream, packet)
-
-    def wrote(self, generation: int) -> None:
-        """Registers were written and hold the new values: frames that begin from now on have this generation."""
-        native.wrote(self._handle, generation)
 
     def settle(self) -> None:
         """Handle what clients have sent by now: events report all that hung up before the call."""

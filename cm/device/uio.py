@@ -138,7 +138,8 @@ class Uio(Device):
     def write(self, offset: int, value: int, width: int = 32, map: int = 0) -> None:  # noqa: A002
         """Write ``value`` to the register at ``offset``; as `read`, also DeviceInvalid if it is too wide."""
         try:
-            native.write(self._handle, map, offset, width, value)
+            if native.write(self._handle, map, offset, width, value) < 0:
+                raise last_error()
         except (OSError, OverflowError) as error:
             raise self._access_error(error, f"write {value:#x} to", offset, width, map) from error
 

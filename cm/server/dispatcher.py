@@ -49,7 +49,8 @@ class Dispatcher:
         self._loop = loop
         self._sockets = sockets
         self._gate, self._clients, self._turns = services.sessions.gate, services.clients, services.turns
-        self._order = Order(services.manager, partial(carry_out, services))
+        self._carry_out = partial(carry_out, services)
+        self._order = Order(services.manager, self._carry_out)
         self._publisher = publisher
         self._note_error = note_error
         self.taken = 0
@@ -84,10 +85,7 @@ class Dispatcher:
         client.requests += 1
         sender: bytes = came.frames[0]  # type: ignore[assignment]
         if client.sender == sender:
-            if client.unread_bytes <= LITTLE:
-                self._answer(came, client)
-            else:
-                self._serve(came, client)
+            (self._answer if client.unread_bytes <= LITTLE else self._serve)(came, client)
             return
         several, client.sender = client.sender != b"", sender
         if several:
@@ -163,11 +161,9 @@ class Dispatcher:
     def _reply(self, envelope: list[Frame], topic: bytes, client: Client, reply: Reply) -> None:
         if reply.error is not None:
             self.refused[reply.error.code] += 1
-        self._send([*envelope, *encode_reply(topic, reply, self._publisher.sequence)], client)
-
-    def _send(self, frames: list[Frame], client: Client) -> None:
-        """Send a reply. It may stay in ZeroMQ unread; the client's record knows how much does."""
+        frames = [*envelope, *encode_reply(topic, reply, self._publisher.sequence)]
         sender: bytes = frames[0]  # type: ignore[assignment]
+        # It may stay in ZeroMQ unread; the client's record knows how much does.
         untold = self._untold.get(sender, 0) + sum(map(len, frames)) + REPLY
         if untold < TRACKED:
             self._untold[sender] = untold
@@ -208,8 +204,10 @@ class Dispatcher:
         if long:
             slices = self._order.take_in_slices(asked, writes(bytes(frames[1])))
             self._turns.run(slices, ("reads", charged))
-        else:
+        elif sender in self._order.senders:
             self._order.take(asked)
+        else:  # mostly
+            self._carry_out(asked)
 
 
 def _size(message: Message) -> int:

@@ -292,7 +292,7 @@ class Publisher:
 
     def passes_over(self) -> bool:
         """Count a status that no one subscribes to; False if someone does. Any thread."""
-        if self.has_subscriber(topics.STATUS):
+        if self._subscriptions.covers(topics.STATUS):
             return False
         self._count()
         return True
@@ -310,7 +310,7 @@ class Publisher:
 
     def registers(self, values: RegValues) -> None:
         """Publish changed registers, if anyone subscribes to them or may: unlike a status, they are sent only once."""
-        if self.has_subscriber(topics.READ_REG) or zmq_poll(self._coming, 0):
+        if self._subscriptions.covers(topics.READ_REG) or zmq_poll(self._coming, 0):
             self._sender.send(encode.encode_registers(values))
 
     def interrupt(self, irq: Irq) -> None:
@@ -359,6 +359,7 @@ class StatusTold:
         self._streams = streams
         self._manager: Manager
         self._interrupts: InterruptWatch
+        self.registers_changed = publisher.registers  # those are written in the loop's thread only
         self._moments: deque[Moment] = deque()
         self._collecting = False  # what is put there waits, for a moment
         self.at_rest: Callable[[], None] = lambda: None  # something is different, and no change runs
@@ -402,10 +403,6 @@ class StatusTold:
         if not self._collecting:
             self._collecting = True
             self._loop.call_threadsafe(self._publish_and_collect)
-
-    def registers_changed(self, values: RegValues) -> None:
-        """Registers are written in the loop's thread only."""
-        self._publisher.registers(values)
 
     def _publish_and_collect(self) -> None:
         self._publish_moments()

@@ -15,7 +15,7 @@ from cm.errors import Busy, CmError, InvalidRequest
 from cm.frozen import dataclass, replace
 from cm.manager.access.leases import check_scope_names_something
 from cm.manager.access.memory_service import Transfer
-from cm.manager.access.register_service import ReadPieces, WritePieces
+from cm.manager.access.register_service import AT_ONCE, ReadPieces, WritePieces
 from cm.manager.errors import ChangeBusy, UnknownInterrupt, UnknownStream, hint
 from cm.manager.execution.region_readback import Checked
 from cm.manager.execution.worker import QUEUE_LENGTH, Change
@@ -34,7 +34,7 @@ from cm.server.provision import Provisioner, Sender
 from cm.server.rights.admission import check
 from cm.server.rights.model import Role
 from cm.server.rights.required_rights import provisioning
-from cm.server.sender_order import Asked, Work
+from cm.server.sender_order import Asked, Holds, Work
 from cm.server.sockets import Loop
 from cm.server.streams.running import Streams
 from cm.server.streams.stream import Frame
@@ -138,17 +138,21 @@ def _answered(s: Services, asked: Asked, work: Work) -> Iterator[object]:
 
 def read_reg(s: Services, asked: Asked, request: rq.ReadReg) -> Reply | Work:
     """Many are read piece by piece."""
-    registers = s.manager.registers
-    return _by_pieces(ReadPieces(registers, request.names)) if asked.held else Reply(registers.read(request.names))
+    registers, names = s.manager.registers, request.names
+    if len(names or registers.visible_names()) <= AT_ONCE:
+        return Reply(registers.read(names))
+    asked.hold(Holds.LONG)
+    return _by_pieces(ReadPieces(registers, names))
 
 
 def write_reg(s: Services, asked: Asked, request: rq.WriteReg) -> Reply | Work:
     """Many are written piece by piece; what was written is told, even if that is not all."""
-    manager = s.manager
-    if not asked.held:
-        return Reply(manager.write_registers(request.writes, request.lease, asked.client.who))
+    manager, writes = s.manager, request.writes
+    if len(writes) <= AT_ONCE:
+        return Reply(manager.write_registers(writes, request.lease, asked.client.who))
+    asked.hold(Holds.LONG)
     tell = partial(manager.tell_registers, by=asked.client.who)
-    return _by_pieces(WritePieces(manager.registers, request.writes, request.lease), tell)
+    return _by_pieces(WritePieces(manager.registers, writes, request.lease), tell)
 
 
 def _by_pieces(work: ReadPieces | WritePieces, tell: Callable[[RegValues], object] = lambda _: None) -> Work:
@@ -244,6 +248,7 @@ def cancel_change(s: Services, _: Asked, request: rq.CancelChange) -> Reply:
 
 def provision(s: Services, asked: Asked, request: rq.Provision) -> None:
     """Store a configuration, then go to it if that is asked for."""
+    asked.hold(Holds.STORES)
     s.manager.leases.check(("config",), request.lease)
     whose = name_check(s, asked.connection), sender_of(s, asked.connection)
 
@@ -263,6 +268,7 @@ def provision(s: Services, asked: Asked, request: rq.Provision) -> None:
 
 def remove_config(s: Services, asked: Asked, request: rq.RemoveConfig) -> None:
     """Forget one that a client sent."""
+    asked.hold(Holds.STORES)
     s.manager.leases.check(("config",), request.lease)
     if s.manager.in_use(request.config_name):
         raise ChangeBusy(f"configuration {request.config_name!r} is in use; load another first")
@@ -356,6 +362,7 @@ def write_data(s: Services, asked: Asked, request: rq.WriteData) -> Work | None:
     """A frame, or part of a memory."""
     memories = s.manager.memories
     if request.offset or memories.find(request.stream):
+        asked.hold(Holds.WRITES)
         written = memories.begin_write(request.stream, request.offset, request.data, request.lease)
         return _transfer(s, asked, written)
     if request.stream:

@@ -11,29 +11,15 @@ from typing import Any
 
 from cm.errors import CmError
 from cm.manager import touched
-from cm.manager.access.register_service import AT_ONCE
 from cm.manager.manager import Manager
 from cm.manager.touched import Scene, Thing
 from cm.schema.model import Memory
 from cm.server import request_handlers as do
 from cm.server.rights.model import Need, Role
 from cm.server.rights.required_rights import Right
-from cm.server.sender_order import Holds, Row, Waits
+from cm.server.sender_order import Row, Waits
 from cm.wire.messages import requests as rq
 from cm.wire.request_table import BY_KIND as ON_THE_WIRE
-
-
-def _many_registers(request: rq.ReadReg | rq.WriteReg, manager: Manager) -> Holds | None:
-    named = request.writes if isinstance(request, rq.WriteReg) else request.names or manager.registers.visible_names()
-    return Holds.LONG if len(named) > AT_ONCE else None
-
-
-def _stores(_: rq.Provision | rq.RemoveConfig, __: Manager) -> Holds | None:
-    return Holds.STORES
-
-
-def _writes_memory(request: rq.WriteData, manager: Manager) -> Holds | None:
-    return Holds.WRITES if _memory(request.stream, manager) else None
 
 
 def _is_memory(request: rq.WriteData, manager: Manager) -> bool:
@@ -82,14 +68,12 @@ ROWS = (
     _row(rq.PlanChange, do.plan_change, OBSERVE, touched.named_config, NEVER, counted=True),
     _row(rq.ChangeMode, do.change_mode, OPERATE, touched.change, TO_CHANGE, counted=True),
     _row(rq.CancelChange, do.cancel_change, OPERATE, touched.running_change, NEVER),
-    _row(  # what it touches is asked for when its schema has been read: `provisioning`
-        rq.Provision, do.provision, PROVISION, touched.nothing, TO_CHANGE, holds=_stores, counted=True, uploads=True
-    ),
-    _row(rq.RemoveConfig, do.remove_config, PROVISION, touched.named_config, TO_CHANGE, holds=_stores, counted=True),
-    _row(rq.ReadReg, do.read_reg, OBSERVE, touched.registers, IN_LINE, holds=_many_registers),
+    # What it touches is asked for when its schema has been read: `provisioning`.
+    _row(rq.Provision, do.provision, PROVISION, touched.nothing, TO_CHANGE, counted=True, uploads=True),
+    _row(rq.RemoveConfig, do.remove_config, PROVISION, touched.named_config, TO_CHANGE, counted=True),
+    _row(rq.ReadReg, do.read_reg, OBSERVE, touched.registers, IN_LINE),
     _row(
-        rq.WriteReg, do.write_reg, OPERATE, touched.registers, TO_WRITE,
-        holds=_many_registers, writes=_registers, behind_memory=_always,
+        rq.WriteReg, do.write_reg, OPERATE, touched.registers, TO_WRITE, writes=_registers, behind_memory=_always
     ),
     _row(rq.DescribeData, do.describe_data, OBSERVE, touched.data, IN_LINE),
     _row(rq.ConfigureStream, do.configure_stream, OPERATE, touched.data, TO_WRITE, writes=_data),
@@ -97,7 +81,7 @@ ROWS = (
     _row(rq.ReadData, do.read_data, OBSERVE, touched.data, IN_LINE, counted=True),
     _row(
         rq.WriteData, do.write_data, OPERATE, touched.data, TO_WRITE,
-        holds=_writes_memory, writes=_data, behind_memory=_is_memory, counted=True, uploads=True,
+        writes=_data, behind_memory=_is_memory, counted=True, uploads=True,
     ),
     _row(rq.Upload, do.upload, OPERATE, touched.nothing, IN_LINE),
     _row(rq.CheckRegion, do.check_region, OPERATE, touched.region, IN_LINE),

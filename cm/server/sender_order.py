@@ -56,14 +56,13 @@ def _never(_: Any, __: Manager) -> bool:
 @dataclass(frozen=True, slots=True)
 class Row:
     """A kind of request. Its handler is given services, an `Asked` and the request, and returns the reply, or `Work`,
-    or None if it answers later.
+    or None if it answers later. It says what the request `holds` before it returns.
     """
 
     kind: type
     handler: Callable[[Any, Asked, Any], Reply | Work | None]
     right: Right
     waits: Waits
-    holds: Callable[[Any, Manager], Holds | None] | None = None  # what it is for those behind it, by the same sender
     writes: Callable[[Any, Manager], Iterator[str]] = _nothing  # scopes (`cm.manager.access.leases`)
     behind_memory: Callable[[Any, Manager], bool] = _never  # whether it waits for memories that are written
     counted: bool = False  # among the long ones of its client, of which there are so many at most
@@ -91,6 +90,11 @@ class Asked:
         self.told: Callable[[Reply | None], object] | None = None  # of its begin if it takes time, and its end
         self.answered = False
 
+    def hold(self, what: Holds) -> None:
+        """Those behind it may have to wait for it, until it is answered."""
+        self.held = what
+        self.order.hold(self.sender, what)
+
     def answer(self, reply: Reply) -> None:
         """Reply; later answers are none. What waits for it goes on behind the reply."""
         if self.answered:
@@ -107,7 +111,7 @@ class Asked:
         if self.told is not None:
             self.told(reply)
         if self.held is not None:
-            self.order.release(self, self.held)
+            self.order.release(self.sender, self.held)
 
 
 @dataclass(slots=True)
@@ -129,13 +133,9 @@ class Order:
 
     def take(self, asked: Asked) -> None:
         """Carry out a request, now or in its turn."""
-        state = self.senders.get(asked.sender) if self.senders else None
-        if state is None:  # mostly
-            if (holds := asked.row.holds) and (held := holds(asked.request, self._manager)):
-                self._hold(asked, held)
+        state = self.senders.get(asked.sender)
+        if state is None or asked.row.waits is Waits.NEVER or not (state.queue or self._is_blocked(state, asked)):
             self._carry_out(asked)
-        elif asked.row.waits is Waits.NEVER or not (state.queue or self._is_blocked(state, asked)):
-            self._begin(asked)
         elif len(state.queue) >= _MOST:
             asked.answer(refusal(Busy(f"{_MOST} requests wait for the end of a change; ask again after it")))
         else:
@@ -164,10 +164,14 @@ class Order:
         self.senders[sender].changes.remove(change)
         self._resume(sender)
 
-    def release(self, asked: Asked, held: Holds) -> None:
-        """A request that others may wait for is answered."""
-        self.senders[asked.sender].held[held] -= 1
-        self._resume(asked.sender)
+    def hold(self, sender: bytes, what: Holds) -> None:
+        """A request is under way that others may wait for."""
+        self._state(sender).held[what] += 1
+
+    def release(self, sender: bytes, what: Holds) -> None:
+        """It is answered."""
+        self.senders[sender].held[what] -= 1
+        self._resume(sender)
 
     def _state(self, sender: bytes) -> _Sender:
         return self.senders.setdefault(sender, _Sender())
@@ -183,22 +187,12 @@ class Order:
         scopes = {"config", *asked.row.writes(asked.request, self._manager)}
         return any(scopes & set(change.scopes) for change in state.changes)
 
-    def _begin(self, asked: Asked) -> None:
-        if (holds := asked.row.holds) and (held := holds(asked.request, self._manager)):
-            self._hold(asked, held)
-        self._carry_out(asked)
-
-    def _hold(self, asked: Asked, held: Holds) -> None:
-        """Those behind it may have to wait for it, until it is answered."""
-        asked.held = held
-        self._state(asked.sender).held[held] += 1
-
     def _resume(self, sender: bytes) -> None:
         """Carry out what waits no longer."""
         state = self.senders.get(sender)
         if state is None:
             return
         while state.queue and state.queue[0].request is not None and not self._is_blocked(state, state.queue[0]):
-            self._begin(state.queue.popleft())
+            self._carry_out(state.queue.popleft())
         if not (state.changes or state.queue or any(state.held.values())):
             self.senders.pop(sender, None)

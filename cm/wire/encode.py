@@ -121,8 +121,13 @@ def encode_reply(topic: bytes, reply: st.Reply, sequence: int | None = None) -> 
     begin = _well(number) if reply.error is None else _refused(reply.error, number)
     if body is None:
         encoded = reply.encoded
-    elif type(body) is st.RegValues and not body.generation:  # of a read
-        encoded = _read_registers(body)
+    elif type(body) is st.RegValues:
+        if body.generation:
+            message = pb.Reply()
+            protobuf_messages.registers_into(message.registers, body)
+            encoded = message.SerializeToString()
+        else:  # of a read
+            encoded = _read_registers(body)
     else:
         encoded = _body(body)
     return [topic, begin + encoded, *reply.payload]

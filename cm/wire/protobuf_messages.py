@@ -247,12 +247,11 @@ def registers_into(message: pb.RegValues, r: st.RegValues) -> None:
 
 
 def registers_from_pb(m: pb.RegValues) -> st.RegValues:
-    return st.RegValues(tuple([_value_from_pb(v) for v in m.values]), m.config_name, m.mode, m.generation)
-
-
-def _value_from_pb(m: pb.RegValue) -> st.RegValue:
-    fields = m.fields
-    return st.RegValue(m.name, m.value, tuple(sorted([(name, fields[name]) for name in fields])) if fields else ())
+    values = [  # with the fields' values, which are a map there
+        st.RegValue(v.name, v.value, tuple(sorted([(name, held[name]) for name in held])) if (held := v.fields) else ())
+        for v in m.values
+    ]
+    return st.RegValues(tuple(values), m.config_name, m.mode, m.generation)
 
 
 class _Registers:

@@ -15,10 +15,9 @@ from zmq.utils.monitor import parse_monitor_message
 
 from cm.client.connections import Sockets, not_subscribed
 from cm.client.core.calls import Call
-from cm.client.core.requests import result
 from cm.client.errors import ConnectionLost, NoAnswer
 from cm.client.find_manager import Keys, find
-from cm.wire.encode import encode_request
+from cm.wire.encode import decode_reply, encode_request
 from cm.wire.envelope import GUEST
 
 _T = TypeVar("_T")
@@ -126,7 +125,7 @@ class Relay:
 
     async def ask(self, call: Call[_T], guest: str = "", timeout: float | None = 10.0) -> _T:
         """Make a request of our own. Raises what `forward` does, and the manager's refusal."""
-        return result(call, await self.forward(encode_request(call.request), guest, timeout))
+        return call.result(decode_reply(await self.forward(encode_request(call.request), guest, timeout)))
 
     def subscribe(self, *topics: bytes, take: Take, depth: int = 0) -> Subscribed:
         """Have `take` called in the event loop with the frames of each message of some topics, in our own name.

@@ -17,8 +17,9 @@ from cm.client.connections import Sockets, not_subscribed
 from cm.client.core.calls import Call
 from cm.client.core.connection_monitor import Handshake
 from cm.client.core.flow_effects import DEFAULT, Ask, AskBeside, Deadline, Flow, Limit, Pause, Receive, seconds
-from cm.client.core.requests import CONNECTING, LOOKS, Requests, result
+from cm.client.core.requests import CONNECTING, LOOKS, Requests
 from cm.client.errors import NoAnswer
+from cm.wire.encode import decode_reply
 
 _T = TypeVar("_T")
 
@@ -128,7 +129,7 @@ class Link:
             self.unanswered.discard(frames[0])
             waiting = self._pending.pop(frames[0], None)
             if waiting is not None and not waiting.done():
-                waiting.set_result(list(self._requests.body(frames)))
+                waiting.set_result(frames[self._requests.envelope :])
 
     async def _look(self) -> None:
         """If the manager goes away, or does not admit us, raise that in all calls that wait."""
@@ -193,7 +194,7 @@ class Link:
                 self._renew(self._requests.lost)
             if looking is not None:
                 looking.cancel()
-        return result(call, reply)
+        return call.result(decode_reply(reply))
 
     def _up(self) -> bool:
         return self._handshake is not None and self._handshake.up

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, SupportsIndex, TypeVar
 
@@ -56,9 +57,17 @@ def _body(reply: Reply, kind: type[_T]) -> _T:
     return reply.body
 
 
+def _whole(kind: type[_T]) -> Callable[[Reply], _T]:
+    return partial(_body, kind=kind)
+
+
+_STATUS = Call(rq.ReadStatus(), _whole(Status))
+_REGISTERS = _whole(RegValues)
+
+
 def status() -> Call[Status]:
     """The current status."""
-    return Call(rq.ReadStatus(), lambda r: _body(r, Status))
+    return _STATUS
 
 
 def clients() -> Call[tuple[ClientStatus, ...]]:
@@ -88,12 +97,12 @@ def remove_config(name: str, lease: str) -> Call[tuple[ConfigEntry, ...]]:
 
 def describe(name: str = "") -> Call[ConfigInfo]:
     """A configuration."""
-    return Call(rq.ReadConfig(config_name=name), lambda r: _body(r, ConfigInfo))
+    return Call(rq.ReadConfig(config_name=name), _whole(ConfigInfo))
 
 
 def plan(mode: str = "", config: str = "") -> Call[PlanInfo]:
     """What going to a mode would do."""
-    return Call(rq.PlanChange(config, mode), lambda r: _body(r, PlanInfo))
+    return Call(rq.PlanChange(config, mode), _whole(PlanInfo))
 
 
 def load(
@@ -111,12 +120,12 @@ def load(
         undoable=undoable,
         undo=undo,
     )
-    return Call(request, lambda r: _body(r, ChangeInfo))
+    return Call(request, _whole(ChangeInfo))
 
 
 def cancel() -> Call[Status]:
     """Cancel the running change."""
-    return Call(rq.CancelChange(), lambda r: _body(r, Status))
+    return Call(rq.CancelChange(), _whole(Status))
 
 
 def provision(schema: Path, files: tuple[Path, ...], lease: str) -> Call[ConfigInfo]:
@@ -129,29 +138,29 @@ def provision(schema: Path, files: tuple[Path, ...], lease: str) -> Call[ConfigI
             f"{schema} is no runtime schema: it is not UTF-8 ({error.reason} at byte {error.start})"
         ) from None
     request = rq.Provision(text, sent, lease=lease)
-    return Call(request, lambda r: _body(r, ConfigInfo))
+    return Call(request, _whole(ConfigInfo))
 
 
 def upload(part: rq.Upload) -> Call[UploadInfo]:
     """Send a part of data that is too long for one message."""
-    return Call(part, lambda r: _body(r, UploadInfo))
+    return Call(part, _whole(UploadInfo))
 
 
 def read_registers(names: tuple[str, ...]) -> Call[RegValues]:
     """Registers by name; all readable ones if none is named."""
-    return Call(rq.ReadReg(names), lambda r: _body(r, RegValues))
+    return Call(rq.ReadReg(names), _REGISTERS)
 
 
 def write_registers(values: Writes, lease: str = "") -> Call[RegValues]:
     """Registers by name, in order, all checked before the first is written; a field's value may be named."""
     pairs = values.items() if isinstance(values, Mapping) else values
     try:
-        writes = tuple(register_write(name, value) for name, value in pairs)
+        writes = tuple([register_write(name, value) for name, value in pairs])
     except (TypeError, ValueError) as error:
         if isinstance(error, InvalidRequest):
             raise
         raise InvalidRequest(f"registers are written as {{name: value}}, or pairs of these, not {values!r}") from None
-    return Call(rq.WriteReg(writes, lease), lambda r: _body(r, RegValues))
+    return Call(rq.WriteReg(writes, lease), _REGISTERS)
 
 
 def write_masked(name: str, value: int, mask: int, lease: str = "") -> Call[RegValues]:
@@ -160,7 +169,7 @@ def write_masked(name: str, value: int, mask: int, lease: str = "") -> Call[RegV
         rq.WriteReg(
             (rq.RegWrite(name, register_value(name, value), mask=register_value(f"{name} (mask)", mask)),), lease
         ),
-        lambda r: _body(r, RegValues),
+        _REGISTERS,
     )
 
 
@@ -176,12 +185,12 @@ def axes(stream: str, shape: Iterable[int]) -> tuple[int, ...]:
 
 def configure_stream(request: rq.ConfigureStream) -> Call[StreamStatus]:
     """Configure a stream."""
-    return Call(request, lambda r: _body(r, StreamStatus))
+    return Call(request, _whole(StreamStatus))
 
 
 def describe_stream(name: str) -> Call[StreamStatus]:
     """A stream's settings and counters."""
-    return Call(rq.DescribeData(name), lambda r: _body(r, StreamStatus))
+    return Call(rq.DescribeData(name), _whole(StreamStatus))
 
 
 def read_data(stream: str, timeout: float, raw: bool = False) -> Call[Frame]:
@@ -204,12 +213,12 @@ def write_data(stream: str, data: Any, lease: str) -> Call[FrameInfo]:
     except TypeError:
         raise InvalidRequest(f"stream {stream!r} takes an array or bytes, not {type(data).__name__}") from None
     picture = not plain and data.ndim == 3 and data.shape[2] == 3 and data.dtype == np.uint8
-    return Call(rq.WriteData(stream, view, lease=lease, format="rgb" if picture else ""), lambda r: _body(r, FrameInfo))
+    return Call(rq.WriteData(stream, view, lease=lease, format="rgb" if picture else ""), _whole(FrameInfo))
 
 
 def define_memory(request: rq.DefineMemory) -> Call[MemoryInfo]:
     """Define a memory."""
-    return Call(request, lambda r: _body(r, MemoryInfo))
+    return Call(request, _whole(MemoryInfo))
 
 
 def describe_memory(name: str) -> Call[MemoryInfo]:
@@ -231,27 +240,27 @@ def read_memory(name: str, offset: int, length: int) -> Call[tuple[FrameInfo, An
 
 def write_memory(name: str, offset: int, data: memoryview, lease: str) -> Call[FrameInfo]:
     """Write bytes to a memory; the reply comes when they have been written."""
-    return Call(rq.WriteData(name, data, lease=lease, offset=offset), lambda r: _body(r, FrameInfo))
+    return Call(rq.WriteData(name, data, lease=lease, offset=offset), _whole(FrameInfo))
 
 
 def check_region(name: str, repair: bool, reload: bool, lease: str) -> Call[RegionCheck]:
     """Compare a region's frames with what was loaded."""
-    return Call(rq.CheckRegion(name, repair or reload, reload=reload, lease=lease), lambda r: _body(r, RegionCheck))
+    return Call(rq.CheckRegion(name, repair or reload, reload=reload, lease=lease), _whole(RegionCheck))
 
 
 def map_region(name: str) -> Call[RegionMap]:
     """Count what was loaded into a region."""
-    return Call(rq.MapRegion(name), lambda r: _body(r, RegionMap))
+    return Call(rq.MapRegion(name), _whole(RegionMap))
 
 
 def interrupt(name: str) -> Call[Irq]:
     """Count and time of an interrupt."""
-    return Call(rq.ReadIrq(name), lambda r: _body(r, Irq))
+    return Call(rq.ReadIrq(name), _whole(Irq))
 
 
 def lease(request: rq.TakeLease | rq.RenewLease | rq.ReleaseLease | rq.BreakLease) -> Call[LeaseInfo]:
     """Take, renew or give back a lease."""
-    return Call(request, lambda r: _body(r, LeaseInfo))
+    return Call(request, _whole(LeaseInfo))
 
 
 def ended(status: Status, number: int) -> float:

@@ -19,7 +19,7 @@ class Written(dict[str, int]):
     generation: int
 
     def __init__(self, answer: RegValues) -> None:
-        super().__init__((v.name, v.value) for v in answer.values)
+        super().__init__([(v.name, v.value) for v in answer.values])
         self.generation = answer.generation
 
 

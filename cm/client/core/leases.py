@@ -19,24 +19,24 @@ class HeldLeases:
     """The ids of a board's own leases; they go along with each request that takes a lease and names none."""
 
     def __init__(self) -> None:
-        self._ids: tuple[str, ...] = ()
+        self.held: tuple[str, ...] = ()
 
     def add(self, lease: str) -> None:
         """One was taken."""
-        self._ids = (*self._ids, lease)
+        self.held = (*self.held, lease)
 
     def remove(self, lease: str) -> None:
         """One was given back."""
-        self._ids = tuple([held for held in self._ids if held != lease])
+        self.held = tuple([held for held in self.held if held != lease])
 
     def named(self, lease: str) -> str:
         """The ids to send: `lease` if it is given, else all that are held."""
-        return lease or ",".join(self._ids)
+        return lease or ",".join(self.held)
 
     def carried(self, call: Call[_T]) -> Call[_T]:
         """The call with the ids of the leases."""
         request: Any = call.request
-        if not self._ids or getattr(request, "lease", None) != "":
+        if not self.held or getattr(request, "lease", None) != "":
             return call
         return replace(call, request=replace(request, lease=self.named("")))
 

@@ -4,17 +4,15 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from typing import Any, TypeVar
+from typing import Any
 
 from cm.client.core.calls import Call
 from cm.client.errors import ConnectionLost, NoAnswer
 from cm.client.find_manager import deserted
-from cm.wire.encode import decode_reply, encode_request
+from cm.wire.encode import encode_request
 from cm.wire.envelope import GUEST
 from cm.wire.messages import requests as rq
 
-_T = TypeVar("_T")
 CONNECTING = 0.1  # seconds after which it is looked again whether anybody is there, while there is no connection
 LOOKS = (  # change nothing
     *(rq.ReadReg, rq.ReadStatus, rq.ReadConfig, rq.ListConfigs, rq.PlanChange, rq.ReadIrq, rq.DescribeData),
@@ -32,16 +30,12 @@ class Requests:
         self.address = address
         self._numbers = itertools.count(1)
         self._between = (GUEST + guest.encode(), b"") if guest else (b"",)  # the number and the command
-        self._envelope = 1 + len(self._between)
+        self.envelope = 1 + len(self._between)  # frames of a request that come back before its reply
 
     def begin(self, call: Call[Any]) -> tuple[bytes, tuple[Any, ...]]:
         """The number of a new request, and the frames that carry it."""
         number = b"%d" % next(self._numbers)
         return number, (number, *self._between, *encode_request(call.request))
-
-    def body(self, frames: Sequence[_T]) -> Sequence[_T]:
-        """The reply, without the frames of the request that came back."""
-        return frames[self._envelope :]
 
     def absent(self) -> NoAnswer | None:
         """The error where the socket itself says that nobody will answer; for as long as there is no connection."""
@@ -55,8 +49,3 @@ class Requests:
     def lost(self) -> ConnectionLost:
         """The manager went away."""
         return ConnectionLost(f"the configuration manager at {self.address} went away")
-
-
-def result(call: Call[_T], frames: Sequence[Any]) -> _T:
-    """The result of a reply, without its number. Raises the manager's refusal."""
-    return call.result(decode_reply(frames))

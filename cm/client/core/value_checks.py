@@ -30,6 +30,8 @@ def register_write(name: str, value: Any) -> RegWrite:
     """A write of an integer, or of a field's value by its name, which the manager looks up. Raises InvalidRequest."""
     if isinstance(value, str) and value:
         return RegWrite(name, 0, named=value)
+    if type(value) is int and 0 <= value <= _MOST:  # mostly
+        return RegWrite(name, value)
     return RegWrite(name, register_value(name, value))
 
 

@@ -118,9 +118,7 @@ def tell(plane: Handle, stream: int, packet: bytes) -> None:
     check(lib.cm_plane_tell(plane, stream, packet, len(packet)))
 
 
-def wrote(plane: Handle, generation: int) -> None:
-    """Note that registers were written: frames that begin from now on have this generation."""
-    lib.cm_plane_wrote(plane, generation)
+wrote = lib.cm_plane_wrote
 
 
 def settle(plane: Handle) -> None:

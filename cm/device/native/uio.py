@@ -10,7 +10,7 @@ from cm.device.native.call import Handle, check, encode, last_error, owned, wait
 
 Buffer = bytes | bytearray | memoryview
 LIST_ROOM = 64
-read32 = lib.cm_uio_read32
+read32, write = lib.cm_uio_read32, lib.cm_uio_write  # below 0: an error, which `last_error` has
 _VALUE = ffi.typeof("uint64_t *")
 
 
@@ -105,12 +105,6 @@ def read(handle: Handle, index: int, offset: int, width: int) -> int:
     if lib.cm_uio_read(handle, index, offset, width, value) < 0:
         raise last_error()
     return int(value[0])
-
-
-def write(handle: Handle, index: int, offset: int, width: int, value: int) -> None:
-    """Write one register of ``width`` bits."""
-    if lib.cm_uio_write(handle, index, offset, width, value) < 0:
-        raise last_error()
 
 
 def read_block(handle: Handle, index: int, offset: int, length: int) -> bytearray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from cm.field_access import Rest
@@ -51,6 +51,16 @@ class RegisterBus:
         with self._lock:
             window = self._windows.get((address, width)) or self._find(address, width)
             return window.device.read(window.offset, width, window.map)
+
+    def read_places(self, places: Sequence[Place]) -> list[int]:
+        """The values of registers, in this order. Raises DeviceError."""
+        found, windows = [], self._windows
+        with self._lock:
+            for place in places:
+                address, width = place.address, place.width
+                window = windows.get((address, width)) or self._find(address, width)
+                found.append(window.device.read(window.offset, width, window.map))
+        return found
 
     def offer(self, name: str, place: Place, table: RegisterTable) -> None:
         """Let clients on this machine read a register or field by themselves. Raises DeviceError."""

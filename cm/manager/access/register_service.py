@@ -150,12 +150,20 @@ class RegisterService:
             if view is None or not same or view.configs is not state.configs:
                 view = self._look()
             known = view.places
-            if len(names) == 1:  # mostly; a comprehension is a call
-                values: tuple[RegValue, ...] = (self._read(known.get(names[0]) or self._find(view, names[0]), view),)
-            else:
-                places = [known.get(n) or self._find(view, n) for n in names] if names else self._readable(view)
-                values = tuple([self._read(place, view) for place in places])
-            return RegValues(values, view.config.name, view.mode or "")
+            places = [known.get(n) or self._find(view, n) for n in names] if names else self._readable(view)
+            for place in places:
+                if place.region not in view.free or place.register.access is _WO or place.field is not None:
+                    self._check_readable(place)
+            found = self._bus.read_places(places)
+            values = [
+                RegValue(
+                    place.register.name, value, tuple([(n, (value & mask) >> lsb) for n, mask, lsb in place.parts])
+                )
+                if (field := place.field) is None
+                else RegValue(f"{place.register.name}.{field.name}", (value & place.mask) >> place.lsb)
+                for place, value in zip(places, found, strict=True)
+            ]
+            return RegValues(tuple(values), view.config.name, view.mode or "")
 
     def visible_names(self) -> Collection[str]:
         """The names of all registers of this mode; none if nothing is loaded."""
@@ -211,7 +219,8 @@ class RegisterService:
         for register in (place.register for place, _, _ in checked):
             if visible.get(register.name) is not register:
                 raise RegionBusy(f"register {register.name!r}: the mode was changed while the request was carried out")
-        self._check_leases(checked, lease)
+        if self._leases.any_held or self._state.overtaken:
+            self._check_leases(checked, lease)
 
     def _check(self, view: View, writes: tuple[RegWrite, ...], lease: str) -> list[Checked]:
         known = view.places
@@ -221,7 +230,8 @@ class RegisterService:
             checked.append(checked_write(place, write))
             if place.rest.unread or write.mask is not None:
                 self._check_known(checked)
-        self._check_leases(checked, lease)
+        if self._leases.any_held or self._state.overtaken:
+            self._check_leases(checked, lease)
         return checked
 
     def _do(self, view: View, checked: list[Checked]) -> RegValues:
@@ -257,7 +267,8 @@ class RegisterService:
         view, state = self._view, self._state
         if view is None:
             return self._renewed(None)
-        return view if view.still_holds(state) else self._renewed(view)
+        same = view.board is state.latest and view.locked is state.locked and view.configs is state.configs  # mostly
+        return view if same or view.still_holds(state) else self._renewed(view)
 
     def _renewed(self, before: View | None) -> View:
         config = self._state.loaded_config()
@@ -288,18 +299,13 @@ class RegisterService:
         places = [view.places.get(r.name) or self._find(view, r.name) for r in readable]
         return [place for place in places if not place.read_changes]  # who wants that names it
 
-    def _read(self, place: Place, view: View) -> RegValue:
+    def _check_readable(self, place: Place) -> None:
         register, field = place.register, place.field
-        if place.region not in view.free:
-            self._check_free(register)
+        self._check_free(register)
         if register.access is _WO:
             raise AccessDenied(f"register {register.name!r} is write-only")
         if field is not None and field.access is _FIELD_WO:
             raise AccessDenied(f"field {register.name}.{field.name} is write-only")
-        value = self._bus.read_address(place.address, place.width)
-        if field is None:
-            return value_of(register, value) if register.fields else RegValue(register.name, value)
-        return RegValue(f"{register.name}.{field.name}", (value & field.mask) >> field.lsb)
 
     def _write(self, place: Place, value: int, mask: int) -> RegValue:
         register, bus = place.register, self._bus
@@ -310,7 +316,7 @@ class RegisterService:
             value = bus.write(register, value, mask, self._last(register), rest)
         self._state.note_written(register.name, value, register.access is _WO)
         shown = value if not place.shown else bus.read_address(place.address, place.width)
-        return value_of(register, shown) if register.fields else RegValue(register.name, shown)
+        return RegValue(register.name, shown, tuple([(n, (shown & m) >> lsb) for n, m, lsb in place.parts]))
 
     def _last(self, register: Register) -> int | None:
         """What a register holds that is not read, as far as is known."""
@@ -344,8 +350,6 @@ class RegisterService:
     def _check_leases(self, checked: list[Checked], lease: str) -> None:
         if self._state.overtaken:
             self._state.check_kept()
-        if not self._leases.any_held:
-            return
         registers = [place.register for place, _, _ in checked]
         scopes = {f"registers:{r.name}" for r in registers} | {f"region:{r.region}" for r in registers if r.region}
         self._leases.check(tuple(scopes), lease)

@@ -70,6 +70,7 @@ class Place(NamedTuple):
     rest: Rest  # what is written to the other bits
     read_changes: bool  # reading the register changes a field of it
     shown: bool  # after a write, it is read
+    parts: tuple[tuple[str, int, int], ...]  # name, mask and lowest bit of each of the register's fields
 
 
 Checked = tuple[Place, int, int]  # value and mask in the register's place
@@ -89,7 +90,8 @@ def place_of(register: Register, field: BitField | None) -> Place:
         low, high = 1, 0
     shown = register.access is Access.RW and not changes
     where = (register.region, register.address, register.width)
-    return Place(register, field, *where, low, high, lsb, mask, rest, changes, shown)
+    parts = tuple([(f.name, f.mask, f.lsb) for f in register.fields.values()])
+    return Place(register, field, *where, low, high, lsb, mask, rest, changes, shown, parts)
 
 
 def _is_writable(register: Register, field: BitField | None) -> bool:

@@ -501,7 +501,7 @@ class Streams:
         self._lifecycle = StreamLifecycle()
         self._driver = RunningStreams(loop, devices, subscribers, self._lifecycle, on_error, limits.slots_each, turns)
         self.memories = self._driver.echoes, self._driver.allocations  # for clients that want no stream
-        self.moved = self._driver.moved
+        self.moved, self.wrote = self._driver.moved, self._driver.plane.wrote
         self._idle: dict[str, tuple[Stream, StreamStatus]] = {}
         self.renew(limits)
 
@@ -520,10 +520,6 @@ class Streams:
     def resume(self, config: Config | None, mode: str | None, held: Mapping[str, str | None]) -> None:
         """Switch to the streams of this mode; `held`: the module in each region."""
         self._loop.ask(lambda: self._enter(config, mode, held))
-
-    def wrote(self, generation: int) -> None:
-        """Note that registers were written, for frames to carry. May be called from any thread, and never waits."""
-        self._driver.plane.wrote(generation)
 
     def _hold(self, names: Collection[str]) -> None:
         for name in names:

@@ -109,9 +109,13 @@ class Bench:
             loop=SimpleNamespace(call_threadsafe=lambda call: call()),
             connections=SimpleNamespace(counted=lambda: {NAME: 2}),
         )  # type: ignore[arg-type]  # fmt: skip
+        self.held: list[Holds] = []
         self.started: list[Any] = []  # clients whose work was taken in steps, or beside the loop
         self.order = SimpleNamespace(
-            began=lambda *_: None, ended=lambda _, change: self.ended.append(f"change {change.reply().body.number}")
+            began=lambda *_: None,
+            hold=lambda _, what: self.held.append(what),
+            release=lambda *_: None,
+            ended=lambda _, change: self.ended.append(f"change {change.reply().body.number}"),
         )
 
     def _start(self, client: Any, steps: Any) -> None:
@@ -155,12 +159,10 @@ class Bench:
     def _check(self, _: Any, on_done: Any) -> None:
         self.ends.append(on_done)
 
-    def ask(self, request: rq.Request, held: Any = None) -> None:
+    def ask(self, request: rq.Request) -> None:
         order: Any = self.order
         row = BY_KIND[type(request)]
         asked = Asked(row, request, ME, b"a", self.client, self.client, order, self.replies.append)
-        asked.held = held
-        self.order.release = lambda *_: None
         carry_out(self.services, asked)
 
     def codes(self) -> list[str]:
@@ -303,7 +305,8 @@ def test_many_registers_are_done_in_pieces_and_what_was_written_is_told(
     whose: list[str] = []
     manager.tell_registers = lambda values, by: told.append(values) or whose.append(by)
     writes = (rq.RegWrite("focus", 1),) * 33
-    bench.ask(rq.WriteReg(writes, "lease") if write else rq.ReadReg(("focus",) * 33), held=Holds.LONG)
+    bench.ask(rq.WriteReg(writes, "lease") if write else rq.ReadReg(("focus",) * 33))
+    assert bench.held == [Holds.LONG]
     assert given == ([manager.registers, writes, "lease"] if write else [manager.registers, ("focus",) * 33])
     assert (bench.started, len(bench.steps)) == ([bench.client], 1)
     (reply,) = bench.replies

@@ -230,6 +230,7 @@ class Told:
         self.later: list[Any] = []
         self.published: list[int] = []
         self.step, self.running = 0, True
+        self.registers: Any = None
         make: Any = StatusTold
         self.told = make(self, self, None)
         self.told.status = lambda moment=None: moment.step if moment else 100
