@@ -21,8 +21,8 @@ RECORDED, BASE = HERE / "counts.json", HERE / "BASE"
 PAGE = HERE.parents[1] / "docs/performance.md"
 PYTHON = ".".join(map(str, sys.version_info[:2]))
 GROWTH = 1.03
-# A change of mode looks after its timers as often as the machine gives it time, and a thread of libzmq that is still awake
-# needs no call to wake it: one commit counted 64 to 69 calls for a status.
+# A change of mode looks after its timers as often as the machine gives it time, and a thread of libzmq that is still
+# awake needs no call to wake it: one commit counted 64 to 69 calls for a status.
 TIMED = {
     "mode, calls of the manager": 1.10,
     **dict.fromkeys(("request, system calls", "write, system calls", "status, system calls"), 1.15),

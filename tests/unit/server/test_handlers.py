@@ -108,6 +108,7 @@ class Bench:
             interrupts=SimpleNamespace(counts={"done": 3}), complete=None, renew_config=self.given.append,
             loop=SimpleNamespace(call_threadsafe=lambda call: call()),
             connections=SimpleNamespace(counted=lambda: {NAME: 2}),
+            audits=SimpleNamespace(publisher=SimpleNamespace(wants_audit=False)),
         )  # type: ignore[arg-type]  # fmt: skip
         self.held: list[Holds] = []
         self.started: list[Any] = []  # clients whose work was taken in steps, or beside the loop
