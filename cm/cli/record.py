@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cm.cli.common import add_connection_options
+from cm.cli.common import add_connection_options, add_json_option, answer
 from cm.errors import InvalidRequest, NotInstalled
 
 if TYPE_CHECKING:
@@ -27,6 +27,14 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
     parser.description = "Record what a board does. `cm record FILE` is short for `cm record start FILE`."
     actions = parser.add_subparsers(metavar="ACTION", required=True)
     _add_start(actions)
+    repairing = actions.add_parser("repair", help="write what is whole of a damaged record to another file")
+    repairing.description = (
+        "Write all messages that are whole to another file, which every reader takes, and say what is missing: of a "
+        "record whose recorder was killed, whose disk was full, or that was damaged."
+    )
+    repairing.add_argument("file", type=Path, metavar="FILE", help="the damaged file")
+    repairing.add_argument("out", nargs="?", type=Path, metavar="OUT", help="(default: FILE-repaired.mcap)")
+    add_json_option(repairing, repair)
 
 
 def _add_start(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -89,6 +97,24 @@ def run(args: argparse.Namespace) -> int:
     if missing:
         _tell(f"{missing} messages are in no file, since the disk took no more")
     return 1 if missing else 0
+
+
+def repair(args: argparse.Namespace) -> int:
+    """Repair a file; the exit status."""
+    try:
+        from cm.recording.repair import repair as repaired
+    except ModuleNotFoundError as error:
+        if error.name != "mcap":
+            raise
+        raise NotInstalled("cm record repair needs mcap: pip install 'fpga-cm[record]'") from None
+    target = args.out or args.file.with_name(f"{args.file.stem}-repaired.mcap")
+    found = repaired(args.file, target)
+    lines = [f"{args.file}: {text}" for text in found.lost]
+    if found.orphans:
+        lines.append(f"{args.file}: {found.orphans} messages are whole, but what they mean is lost")
+    text = "\n".join([*lines, f"{found.messages} messages are in {target}"])
+    told = {"file": str(target), "messages": found.messages, "orphans": found.orphans, "lost": list(found.lost)}
+    return answer(args, told, text)
 
 
 def recorder_module() -> None:

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Records, read from the front: so one whose recorder was killed, or whose disk was full, is read as far as it goes.
 
-Each chunk is checked before anything in it is believed. What is damaged becomes a `Gap` of cause ``damaged``, and the
-chunks behind it are read on. Where the order of the file itself is damaged, it ends there.
+What is damaged (`cm.recording.salvage`) becomes a `Gap` of cause ``damaged``, and the chunks behind it are read on.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from heapq import heappop, heappush
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from cm.errors import InvalidRequest
 from cm.recording.layout import GAP, METADATA, Opened, files_of, opened
@@ -112,51 +111,10 @@ class Record:
 def _records(file: Path, lost: Callable[[str], object]) -> Iterator[Any]:
     """MCAP's records of a file, those in whole chunks too; `lost` is told in words what cannot be read."""
     try:
-        stream = file.open("rb")
-    except OSError as error:
-        raise InvalidRequest(f"{file}: {error.strerror or error}") from error
-    with stream:
-        yield from _read(stream, file, lost)
-
-
-def _read(stream: IO[bytes], file: Path, lost: Callable[[str], object]) -> Iterator[Any]:
-    try:
-        from mcap.exceptions import McapError
-        from mcap.records import Chunk
-        from mcap.stream_reader import StreamReader, breakup_chunk
+        from cm.recording.salvage import records
     except ModuleNotFoundError as error:
         raise needs_mcap(error) from None
-    broken = (McapError, struct.error, ValueError, EOFError, OverflowError, MemoryError)
-    size, told = file.stat().st_size, 0
-    reader = StreamReader(stream, emit_chunks=True, validate_crcs=True, record_size_limit=max(size, 1))
-    records = iter(reader.records)
-    while True:
-        at = stream.tell()
-        try:
-            record = next(records)
-        except StopIteration:
-            return
-        except broken as error:
-            if type(error).__name__ != "CRCValidationError":
-                cut = stream.tell() >= size or type(error).__name__ == "RecordLengthLimitExceeded"
-                why = "its recorder was killed, or its disk was full" if cut else f"it is damaged ({_words(error)})"
-                lost(f"it ends at byte {at} of {size}: {why}")
-            elif not told:  # the data as a whole, so what holds them together
-                lost(f"something between its chunks is damaged, so some may be missing ({_words(error)})")
-            return
-        kind = type(record).__name__
-        if kind == "DataEnd":  # what follows says again what stands before it
-            return
-        try:
-            parts = breakup_chunk(record, validate_crc=True) if isinstance(record, Chunk) else [record]
-        except broken as error:
-            if stream.tell() >= size:
-                lost(f"its last chunk, at byte {at}, is cut off: its recorder was killed, or its disk was full")
-                return
-            told += 1
-            lost(f"the chunk at byte {at} is damaged, and nothing of it is shown ({_words(error)})")
-            continue
-        yield from parts
+    return records(file, lost)
 
 
 def _from_summary(file: Path, schemas: dict[int, Any], channels: dict[int, Any]) -> None:
@@ -171,7 +129,3 @@ def _from_summary(file: Path, schemas: dict[int, Any], channels: dict[int, Any])
                 schemas.setdefault(number, schema)
             for number, channel in summary.channels.items():
                 channels.setdefault(number, channel)
-
-
-def _words(error: BaseException) -> str:
-    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
