@@ -8,6 +8,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/inotify.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -216,4 +217,20 @@ int cm_attr_mkdir(const char *root, const char *folder, const char *name)
 int cm_attr_rmdir(const char *root, const char *folder, const char *name)
 {
 	return change_folder(root, folder, CM_NODE_OP_RMDIR, name);
+}
+
+int cm_attr_watch(const char *root, const char *folder)
+{
+	char *path = cm_path_join(root, folder);
+	int fd;
+
+	if (!path)
+		return -1;
+	fd = inotify_init1(IN_CLOEXEC | IN_NONBLOCK);
+	if (fd >= 0 && inotify_add_watch(fd, path, IN_MODIFY | IN_MOVED_TO | IN_ONLYDIR) < 0) {
+		close_keeping_errno(fd);
+		fd = -1;
+	}
+	free(path);
+	return fd;
 }

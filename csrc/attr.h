@@ -29,4 +29,12 @@ int cm_attr_write(const char *root, const char *path, const void *data, size_t s
 int cm_attr_mkdir(const char *root, const char *folder, const char *name);
 int cm_attr_rmdir(const char *root, const char *folder, const char *name);
 
+/**
+ * cm_attr_watch() - a non-blocking inotify(7) descriptor of the folder @folder under @root
+ *
+ * It has an event, with the name, for each write to an attribute in it by anybody, and, as a simulated board writes
+ * its plain attributes, for each that is replaced.
+ */
+int cm_attr_watch(const char *root, const char *folder);
+
 #endif /* CM_SHIM_ATTR_H */

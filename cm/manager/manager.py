@@ -7,7 +7,7 @@ immutable values that are swapped (`cm.manager.state.journal`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from time import monotonic_ns
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -24,8 +24,18 @@ from cm.manager.execution.transaction import Tools, plan_to
 from cm.manager.execution.worker import Change, Look, Worker
 from cm.manager.loaders import Loaders
 from cm.manager.planner import Goal
-from cm.manager.recovery import destination, held_images, is_whole, repair, take_stock, under_schema, undo, way_back
-from cm.manager.state.board_state import BoardState, slept
+from cm.manager.recovery import (
+    destination,
+    held_images,
+    is_whole,
+    port_error,
+    repair,
+    take_stock,
+    under_schema,
+    undo,
+    way_back,
+)
+from cm.manager.state.board_state import BoardState, all_lost, slept, taken, without_overlays
 from cm.manager.state.journal import Journal, ManagerState
 from cm.manager.state.steps import ApplyOverlay
 from cm.manager.status_reports import Moment, StatusReporter, config_info
@@ -206,6 +216,32 @@ class Manager:
             )
         self.reporter.changed()
 
+    def board_taken(self, loads: Sequence[str], removed: Collection[str], who: str = "") -> None:
+        """Others have loaded the PL (in sentences), or removed overlays of ours: what was known is not served any more.
+
+        Nothing is loaded in its place: that would be a fight. Raises ChangeBusy while a change runs.
+        """
+        if self._worker.busy:
+            raise ChangeBusy("another program loaded the PL while a change ran; its end is awaited")
+        self._forget_windows()
+        self._bus.forget()
+        if loads:
+            self._state.update(self._after_other_loads)
+        if removed:
+            self._state.update(lambda state: without_overlays(state, removed))
+        told = [*loads, *(f"overlay {name} was removed" for name in removed)]
+        left = "nothing is known of what the PL holds" if loads else "the board is in no mode"
+        text = f"by another program: {'; '.join(told)}; {left}: cm load brings a mode back{who and f'; {who}'}"
+        self.reporter.set_notice(ErrorInfo("other_loader", text))
+        self._state.taken = text
+        self._env.data_plane.resume(self.loaded_config(), self.state.mode, self.state.modules)
+        self.reporter.note(self._state.try_record())
+        self.reporter.changed()
+
+    def _after_other_loads(self, state: BoardState) -> BoardState:
+        """A load that the kernel says went wrong has left an empty device, which must not be accessed."""
+        return all_lost(state) if port_error(self._env.devices, None) else taken(state)
+
     def board_lost(self, error: Exception) -> None:
         """The board does not answer any more: nothing is known of it."""
         with self._state.lock:
@@ -355,7 +391,8 @@ class Manager:
         """Accept a change that compares a region and repairs it; `on_done` as for `submit`."""
         config, mode = self.loaded_config(), self.state.mode
         if config is None or mode is None:
-            raise NothingLoaded("nothing is loaded: there is no region to compare")
+            why = self._state.taken and f"; {self._state.taken}"
+            raise NothingLoaded(f"nothing is loaded: there is no region to compare{why}")
         if request.name not in config.regions:
             known = hint(request.name, config.regions)
             raise UnknownRegion(f"configuration {config.name!r} has no region {request.name!r}{known}")

@@ -211,20 +211,20 @@ def _port(state: BoardState, configs: Mapping[str, Config], devices: Devices, no
     """An fpga_manager in an error says that its last load went wrong, also one that we did not ask for."""
     by_kernel = (LoaderKind.FPGA_MANAGER, LoaderKind.OVERLAY)
     static = configs.get(state.static_config or "")
-    if static is not None and static.loader in by_kernel and (said := _error_of(devices, None)):
+    if static is not None and static.loader in by_kernel and (said := port_error(devices, None)):
         notes.append(f"the fpga_manager says {said!r}, so what {static.name} loaded is not trusted")
         return all_lost(state)
     config = configs.get(state.config or "")
     config = resolved(config, (), devices)[0] if config else None
     for name, region in config.regions.items() if config else ():
-        if region.loader in by_kernel and name in state.regions and (said := _error_of(devices, region.loader_name)):
+        if region.loader in by_kernel and name in state.regions and (said := port_error(devices, region.loader_name)):
             notes.append(f"the fpga_manager says {said!r}, so the content of region {name} is not trusted")
             state = state.with_region(name, state.region(name).after(RegionEvent.LOSE))
     return state
 
 
-def _error_of(devices: Devices, name: str | None) -> str:
-    """The manager's state if it is an error, or says that the device is empty; else an empty text."""
+def port_error(devices: Devices, name: str | None) -> str:
+    """An fpga_manager's state if it is an error, or says that the device is empty; else an empty text."""
     try:
         said = devices.fpga_manager(name).state
     except (CmError, OSError):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the board is there, and still the same one: it may go, be restarted, or sleep, while the manager runs.
+"""Whether the board is there, and still the same one: it may go, be restarted, sleep, or be loaded by others.
 
 A suspend shows as CLOCK_BOOTTIME going on while CLOCK_MONOTONIC does not.
 """
@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 
 from cm.device import DeviceGone
+from cm.device.other_loads import OtherLoads
 from cm.errors import CmError
 from cm.manager.manager import Manager
 from cm.server.interrupts import InterruptWatch
@@ -47,6 +48,7 @@ class BoardWatch:
     def __init__(
         self,
         boot_id: Callable[[], str],
+        others: OtherLoads,
         manager: Manager,
         streams: Streams,
         interrupts: InterruptWatch,
@@ -54,6 +56,7 @@ class BoardWatch:
     ) -> None:
         """`begin` is called when a board that was started anew can be used."""
         self._boot_id = boot_id
+        self._others = others
         self._manager = manager
         self._streams = streams
         self._interrupts = interrupts
@@ -64,6 +67,7 @@ class BoardWatch:
     def begin(self) -> None:
         """Remember the board as it is now."""
         self._known = self._boot_id()
+        self._others.begin()
         self._interrupts.watch(self._manager.loaded_config())
         self._begin()
 
@@ -73,9 +77,14 @@ class BoardWatch:
             self._manager.board_lost(error)
 
     def look(self) -> None:
-        """Deal with a board that was restarted, or that slept; called now and then."""
+        """Deal with a board that was restarted, that slept, or that others have loaded; called now and then."""
         self._look_for_restart()
         self._look_for_sleep()
+        self._look_for_others()
+
+    def close(self) -> None:
+        """Watch nothing any more."""
+        self._others.close()
 
     def _look_for_restart(self) -> None:
         """A restarted board holds nothing of what is recorded."""
@@ -90,6 +99,7 @@ class BoardWatch:
             _LOG.info("the board is back but does not answer yet: %s", error)
             return
         self._known = boot_id
+        self._others.begin()
         try:
             self._begin()
         except CmError as error:  # what the start asked for may have been removed since
@@ -105,3 +115,14 @@ class BoardWatch:
             _LOG.warning("after the machine's sleep: %s", error)
             return
         self._sleep.noted()
+
+    def _look_for_others(self) -> None:
+        """What other programs have loaded, or removed; what they do while a change runs is seen after it."""
+        manager = self._manager
+        if manager.changing:
+            return
+        seen = self._others.look([overlay.name for overlay in manager.state.overlays])
+        if (seen.loads or seen.removed) and self._boot_id() == self._known:  # else it is another board, seen to next
+            who = self._others.who()
+            _LOG.warning("another program: %s; %s", "; ".join((*seen.loads, *seen.removed)), who or "none is known")
+            manager.board_taken(seen.loads, seen.removed, who)

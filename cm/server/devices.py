@@ -31,6 +31,7 @@ from cm.device import (
     list_uio,
 )
 from cm.device.checks.machine import Machine
+from cm.device.other_loads import OtherLoads
 from cm.errors import NotFound
 from cm.frozen import dataclass
 from cm.manager.errors import NoWindow
@@ -106,6 +107,30 @@ def _told(buffer: DmaBuffer) -> DmaBuffer:
     raise NotFound("the kernel module does not report the addresses of memory: it is older than this package")
 
 
+class _OurFpgaManager(FpgaManager):
+    """One whose loads are told apart from those of other programs."""
+
+    def __init__(self, index: int, root: Root, others: OtherLoads) -> None:
+        super().__init__(index, root)
+        self._others = others
+
+    def load(self, firmware_name: str, partial: bool = False, encrypted: bool = False) -> None:
+        with self._others.ours():
+            super().load(firmware_name, partial, encrypted)
+
+
+class _OurOverlays(Overlays):
+    """The same of overlays, which may load something."""
+
+    def __init__(self, root: Root, others: OtherLoads) -> None:
+        super().__init__(root)
+        self._others = others
+
+    def apply(self, name: str, dtbo: bytes) -> None:
+        with self._others.ours():
+            super().apply(name, dtbo)
+
+
 _BOOT_ID = "proc/sys/kernel/random/boot_id"
 
 
@@ -115,6 +140,7 @@ class BoardDevices:
     def __init__(self, root: Root, assume_loaded: bool = False) -> None:
         """`assume_loaded`: the operator says that the PL holds a design."""
         self._root, self._assumed = root, assume_loaded
+        self.others = OtherLoads(root)
         self._lock = threading.RLock()
         self._uios: dict[str, Uio] = {}
         self._icaps: dict[str, Icap] = {}
@@ -197,11 +223,11 @@ class BoardDevices:
         number = (name or "fpga0").removeprefix("fpga")
         if not number.isdecimal():
             raise DeviceNotFound(errno.ENOENT, f"no fpga_manager {name!r}: their names are fpga0, fpga1, …")
-        return FpgaManager(int(number), self._root)
+        return _OurFpgaManager(int(number), self._root, self.others)
 
     def overlays(self) -> Overlays:
         """The overlays in configfs."""
-        return Overlays(self._root)
+        return _OurOverlays(self._root, self.others)
 
     def clocks(self) -> PlClocks:
         """The clocks of the processing system for the PL."""

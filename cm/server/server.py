@@ -112,7 +112,8 @@ class Server:
         )
         self._status.begin(self._manager, self._interrupts)
         self._leases = LeaseWatch(self._loop, leases)
-        self._board = BoardWatch(self._devices.boot_id, self._manager, self._streams, self._interrupts, self._autoload)
+        parts = self._manager, self._streams, self._interrupts
+        self._board = BoardWatch(self._devices.boot_id, self._devices.others, *parts, self._autoload)
         self._service = ServiceManager()
         self._reloader = self._make_reloader()
         self._dispatcher = Dispatcher(
@@ -240,7 +241,7 @@ class Server:
         if self._metrics is not None:
             self._metrics.close()
         users = (self._uploads.close, self._streams.end, self._turns.close, self._interrupts.close)
-        watches = (self._sensors.close, self._leases.close, self._files.close)
+        watches = (self._sensors.close, self._leases.close, self._files.close, self._board.close)
         board = (self._publisher.close, self._devices.lost, self._journal.close, self._sockets.close)
         last = (self._authenticator.close, self._context.term, self._loop.close, self._locks.release)
         for end in (self._manager.stop, self._data_socket.close, self._close_windows, *users, *watches, *board, *last):

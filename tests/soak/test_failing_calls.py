@@ -219,8 +219,10 @@ class Told:
     place: set[tuple[str, str]] = field(default_factory=set)  # configuration and mode
     registers: dict[str, set[int]] = field(default_factory=dict)  # in the place that was confirmed
     stored: dict[str, set[int | None]] = field(default_factory=dict)  # versions
+    asked: list[str] = field(default_factory=list)  # in this order
 
     def load(self, board: cm.Board, config: str, mode: str) -> None:
+        self.asked.append(f"load {config}/{mode}")
         self.place.add((config, mode))
         if self.place != {(config, mode)}:
             self.registers.clear()  # in another mode they are what it sets
@@ -232,16 +234,19 @@ class Told:
         self.registers = {name: {board.registers[name]} for name in ("focus", "led", "scratch")}
 
     def write(self, board: cm.Board, name: str, value: int) -> None:
+        self.asked.append(f"{name}={value}")
         self.registers[name].add(value)
         board.registers[name] = value
         self.registers[name] = {value}
 
     def send(self, session: Session, board: cm.Board, name: str, version: int) -> None:
+        self.asked.append(f"send {name} {version}")
         self.stored[name].add(version)
         session.send(board, name, version)
         self.stored[name] = {version}
 
     def remove(self, board: cm.Board, name: str) -> None:
+        self.asked.append(f"remove {name}")
         self.stored[name].add(None)
         try:
             board.remove_config(name)
@@ -312,7 +317,8 @@ def test_whenever_it_is_killed_what_was_told_is_what_the_board_and_the_disk_hold
         manager = session.manager().start()
         with manager.connected() as board:
             wrong = told.differences(session, board)
-            assert (wrong, errors) == ([], []), f"round {number}, call {by_call}; {manager.log.decode()}"
+            assert (wrong, errors) == ([], []), f"round {number}, call {by_call}: {told.asked}; {manager.log.decode()}"
+            told.asked.clear()
             status = board.status
             told.place = {(status.config_name, status.mode)}
             told.look(board)

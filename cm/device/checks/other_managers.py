@@ -34,7 +34,7 @@ _UNITS = {
 
 def checks(machine: Machine) -> Iterator[Finding]:
     """One finding for each such program, and for each unit that loads at boot; or one that says that there is none."""
-    found = {comm: pid for pid, comm in _processes(machine) if comm in _OTHERS}
+    found = running(machine)
     for comm, pid in sorted(found.items()):
         detail = f"runs (pid {pid}), and may load the PL behind the manager's back"
         yield Finding("other", comm, f"/proc/{pid}", State.WRONG, detail, _OTHERS[comm])
@@ -49,6 +49,16 @@ def checks(machine: Machine) -> Iterator[Finding]:
         yield Finding("other", name, f"/{_OVERLAYS}/{name}", State.WRONG, detail, advice)
     if not (found or units or strange):
         yield Finding("other", "managers", "/proc", State.OK, "no other program is known to load this PL")
+
+
+def running(machine: Machine) -> dict[str, str]:
+    """Programs that may load the PL, and their pids."""
+    return {comm: pid for pid, comm in _processes(machine) if comm in _OTHERS}
+
+
+def told(machine: Machine) -> str:
+    """Which of them run, for a sentence; empty where none is known."""
+    return ", ".join(f"{comm} runs (pid {pid}; {_OTHERS[comm]})" for comm, pid in sorted(running(machine).items()))
 
 
 def _processes(machine: Machine) -> Iterator[tuple[str, str]]:

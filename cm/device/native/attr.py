@@ -30,3 +30,8 @@ def mkdir(root: str, folder: str, name: str) -> None:
 def rmdir(root: str, folder: str, name: str) -> None:
     """Remove the folder ``name`` from ``folder``."""
     check(lib.cm_attr_rmdir(encode(root), encode(folder), encode(name)))
+
+
+def watch(root: str, folder: str) -> int:
+    """A non-blocking descriptor of inotify(7), the caller's: an event for each attribute in it that is written."""
+    return check(lib.cm_attr_watch(encode(root), encode(folder)))

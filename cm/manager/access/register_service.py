@@ -273,8 +273,8 @@ class RegisterService:
     def _renewed(self, before: View | None) -> View:
         config = self._state.loaded_config()
         if config is None:
-            there = listed(self._state.configs)
-            raise NothingLoaded(f"nothing is loaded, so there are no registers; there are {there}")
+            there = "; ".join(filter(None, (f"there are {listed(self._state.configs)}", self._state.taken)))
+            raise NothingLoaded(f"nothing is loaded, so there are no registers; {there}")
         view = View(self._state, config)
         if before is not None and before.config is config and before.mode == view.mode:
             view.places = before.places

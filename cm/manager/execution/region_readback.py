@@ -78,7 +78,8 @@ def _loaded(name: str, state: ManagerState) -> tuple[Config, str]:
     """The loaded configuration, which has the region, and its mode."""
     config, mode = state.loaded_config(), state.board.mode
     if config is None or mode is None:
-        raise RegionBusy(f"region {name!r}: nothing is loaded that could be compared")
+        why = state.taken and f"; {state.taken}"
+        raise RegionBusy(f"region {name!r}: nothing is loaded that could be compared{why}")
     if name not in config.regions:
         raise UnknownRegion(f"configuration {config.name!r} has no region {name!r}{hint(name, config.regions)}")
     return config, mode

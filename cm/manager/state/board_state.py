@@ -172,6 +172,21 @@ def slept(state: BoardState) -> BoardState:
     return replace(state, regions=lost.regions, values=_empty())
 
 
+def taken(state: BoardState) -> BoardState:
+    """After a load by another program: nothing is known of what the PL holds, as on a board that others have loaded."""
+    return replace(all_lost(state), static_lost=state.static_lost)
+
+
+def without_overlays(state: BoardState, gone: Collection[str]) -> BoardState:
+    """After others have removed overlays: the devices that a mode needs are not there, nor what an overlay loaded."""
+    regions = {
+        name: region.after(RegionEvent.LOSE) if loading_overlay(name) in gone else region
+        for name, region in state.regions.items()
+    }
+    kept = tuple(overlay for overlay in state.overlays if overlay.name not in gone)
+    return replace(state, mode=None, regions=MappingProxyType(regions), overlays=kept)
+
+
 def all_lost(state: BoardState) -> BoardState:
     """While a full image is loaded nothing is known of the device but what the kernel keeps: overlays and clocks."""
     lost = {name: region.after(RegionEvent.LOSE) for name, region in state.regions.items()}

@@ -534,6 +534,7 @@ class ManagerState:
         self.pending: Pending | None = None  # the change under way
         self.way_back: WayBack | None = None  # of the last change, where its requester wanted it kept
         self.locked = LockedRegions()
+        self.taken = ""  # a sentence on what another program has loaded, until a configuration is entered
         # From now on names may lead elsewhere; called under the lock, or from the thread of requests.
         self.moved: Callable[[], None] = lambda: None
         self.runtime_memories: Mapping[str, Memory] = MappingProxyType(
@@ -630,6 +631,7 @@ class ManagerState:
             after = self.latest = change(before)
             if after.config != before.config:
                 self.runtime_memories = MappingProxyType({})
+                self.taken = "" if after.config else self.taken
             if after.regions is not before.regions or after.mode != before.mode or after.config != before.config:
                 self.moved()
 

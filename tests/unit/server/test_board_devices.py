@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from cm.device import DeviceBusy, DeviceGone, DeviceNotFound, Root
+from cm.device.other_loads import Seen
 from cm.errors import NotFound
 from cm.manager.errors import NoWindow, UnknownConfig
 from cm.server import board_watch, devices
@@ -194,12 +195,12 @@ def test_what_the_kernel_says_of_itself(tmp_path: Path) -> None:
     assert board.boot_id() == "4f1c"
 
 
-def test_an_fpga_manager_is_known_by_its_number(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(devices, "FpgaManager", lambda *given: given)
+def test_an_fpga_manager_is_known_by_its_number(tmp_path: Path) -> None:
     root = Root.of(tmp_path)
-    assert [BoardDevices(root).fpga_manager(name) for name in (None, "fpga0", "fpga12")] == [
-        (0, root), (0, root), (12, root),
-    ]  # fmt: skip
+    for number in (0, 12):
+        (tmp_path / f"sys/class/fpga_manager/fpga{number}").mkdir(parents=True)
+        (tmp_path / f"sys/class/fpga_manager/fpga{number}/name").write_text(str(number))
+    assert [BoardDevices(root).fpga_manager(name).name for name in (None, "fpga0", "fpga12")] == ["0", "0", "12"]
     with pytest.raises(DeviceNotFound, match=r"no fpga_manager 'cm_icap0': their names are fpga0, fpga1, …"):
         BoardDevices(root).fpga_manager("cm_icap0")
 
@@ -241,8 +242,14 @@ class Board:
         monkeypatch.setattr(board_watch, "Sleep", lambda make=board_watch.Sleep: make(lambda: self.slept))
         streams = SimpleNamespace(close=lambda: self._do("no streams"))
         interrupts = SimpleNamespace(watch=lambda of: self._do(f"watch {of}"), close=lambda: self._do("no interrupts"))
-        parts: Any = (self, streams, interrupts)
+        self.seen, self.state = Seen(), SimpleNamespace(overlays=[SimpleNamespace(name="camera")])
+        others = SimpleNamespace(begin=lambda: None, look=self._seen, who=lambda: "dfx-mgrd runs")
+        parts: Any = (others, self, streams, interrupts)
         self.watch = BoardWatch(lambda: self.boot_id, *parts, lambda: self._do("begin"))
+
+    def _seen(self, ours: list[str]) -> Seen:
+        seen, self.seen = self.seen, Seen()
+        return seen
 
     @property
     def changing(self) -> bool:
@@ -259,6 +266,9 @@ class Board:
 
     def board_slept(self) -> None:
         self._do("slept")
+
+    def board_taken(self, loads: tuple[str, ...], removed: tuple[str, ...], who: str) -> None:
+        self._do(f"taken {loads} {removed} {who}")
 
     def board_lost(self, error: Exception) -> None:
         self._do(f"lost {error}")
@@ -314,6 +324,18 @@ def test_what_was_lost_in_a_sleep_is_seen_to_after_a_change_and_until_it_succeed
     assert caplog.messages == ["after the machine's sleep: no answer"]
     board.fails = {}
     assert [board.look() for _ in range(2)] == [["slept"], []]
+
+
+def test_what_others_load_is_seen_to_after_a_change_and_unless_the_board_is_another_one(
+    board: Board, caplog: pytest.LogCaptureFixture
+) -> None:
+    board.seen, board.busy = Seen(("app",), ("camera",)), True
+    assert board.look() == []
+    board.busy = False
+    assert [board.look() for _ in range(2)] == [["taken ('app',) ('camera',) dfx-mgrd runs"], []]
+    assert caplog.messages == ["another program: app; camera; dfx-mgrd runs"]
+    board.seen, board.boot_id = Seen(("app",)), ""
+    assert board.look() == []
 
 
 def test_only_that_a_board_has_gone_is_passed_on(board: Board) -> None:
