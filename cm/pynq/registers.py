@@ -35,6 +35,8 @@ class Register:
         window, offset = (MMIO(address, width // 8), 0) if buffer is None else (buffer, address)
         named = {_attribute(name): field for name, field in (fields or {}).items()}
         vars(self).update(address=address, width=width, access=access, _mmio=window, _offset=offset, _fields=named)
+        places = {name: (field["bit_offset"], (1 << field["bit_width"]) - 1) for name, field in named.items()}
+        vars(self)["_places"] = {} if access == _WRITE_ONLY else places
 
     def __getitem__(self, bits: int | slice) -> Any:
         """A bit, or bits; from the low end up they come in reverse. ``"write-only"`` where nothing can be read."""
@@ -62,7 +64,10 @@ class Register:
                 self._mmio.write_masked(self._offset + shift // 8, number >> shift & WHOLE, mask >> shift & WHOLE)
 
     def __getattr__(self, name: str) -> Any:
-        return self[_bits(self._field(name))]
+        place = vars(self).get("_places", {}).get(name)
+        if place is None:
+            return self[_bits(self._field(name))]
+        return self._mmio.read(self._offset, self.width // 8) >> place[0] & place[1]
 
     def __setattr__(self, name: str, value: Any) -> None:
         if self._field(name)["access"] == _READ_ONLY:
@@ -105,14 +110,13 @@ class RegisterMap:
             one = Register(info["address_offset"], width, mmio, info["access"], info["fields"])
             if info["size"] <= 64:
                 found.setdefault(_attribute(name), one)
-        vars(self).update(_registers=found)
+        vars(self).update(found, _registers=found)
 
     def __getattr__(self, name: str) -> Register:
-        registers: Mapping[str, Register] = vars(self).get("_registers", {})
-        return _found("register", name, registers)
+        return _found("register", name, vars(self).get("_registers", {}))
 
     def __setattr__(self, name: str, value: Any) -> None:
-        getattr(self, name)[:] = value
+        _found("register", name, vars(self)["_registers"])[:] = value
 
     def __dir__(self) -> list[str]:
         return [*super().__dir__(), *vars(self)["_registers"]]

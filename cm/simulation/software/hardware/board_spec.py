@@ -308,7 +308,7 @@ def _device(configs: Iterable[Config]) -> Device:
 
 
 def _with_streams(config: Config) -> Config:
-    if config.streams or any(mode.streams for mode in config.modes.values()):
+    if config.streams or config.blocks or any(mode.streams for mode in config.modes.values()):
         return config
     region = next(iter(config.regions), None)
     shape = (480, 640)
