@@ -43,10 +43,13 @@ def ports(*items: str) -> str:
     return f"<PORTS>{''.join(items)}</PORTS>"
 
 
-def port(name: str, direction: str, *ends: tuple[str, str], kind: str = "undef", bits: int = 1) -> str:
+def port(
+    name: str, direction: str, *ends: tuple[str, str], kind: str = "undef", bits: int = 1, sensitivity: str = ""
+) -> str:
     """A port connected to (instance, port) ends."""
     found = "".join(f'<CONNECTION INSTANCE="{instance}" PORT="{other}"/>' for instance, other in ends)
     width = f'LEFT="{bits - 1}" RIGHT="0" ' if bits > 1 else ""
+    width += f'SENSITIVITY="{sensitivity}" ' if sensitivity else ""
     return f'<PORT DIR="{direction}" NAME="{name}" {width}SIGIS="{kind}"><CONNECTIONS>{found}</CONNECTIONS></PORT>'
 
 

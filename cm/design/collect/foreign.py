@@ -273,4 +273,5 @@ def _windows(design: hwh.Hwh, lines: ForeignInterrupts) -> Iterator[dict[str, An
                 "base": window.base,
                 "size": window.size,
                 "spi": lines.spis.get(window.instance),
+                "trigger": 1 if window.instance in lines.edges else 4,  # IRQ_TYPE_EDGE_RISING, _LEVEL_HIGH
             }

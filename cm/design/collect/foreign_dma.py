@@ -179,10 +179,11 @@ def _drives(design: hwh.Hwh, end: hwh.ConnectedPort) -> bool:
 
 @dataclass(slots=True)
 class ForeignInterrupts:
-    """`lines`: name in the runtime schema → interrupt; `spis`: instance → GIC SPI; a note for each line left out."""
+    """`lines`: name in the runtime schema → interrupt; `spis`: instance → GIC SPI, `edges` those that rise; a note for each line left out."""
 
     lines: dict[str, Interrupt] = field(default_factory=dict)
     spis: dict[str, int] = field(default_factory=dict)
+    edges: set[str] = field(default_factory=set)
     notes: list[str] = field(default_factory=list)
 
 
@@ -204,6 +205,7 @@ def interrupts(design: hwh.Hwh, platform: Platform) -> ForeignInterrupts:
             name = f"{identifier(design.modules[line.instance].name)}_{identifier(line.port)}"
             found.lines[name] = Interrupt(name, bases[line.instance])
             found.spis[line.instance] = spi
+            found.edges.update([line.instance] if line.edge else [])
     return found
 
 

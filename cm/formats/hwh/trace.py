@@ -34,6 +34,7 @@ class InterruptLine:
     """An interrupt source. `index`: its bit at `controller` (an axi_intc), or at the PS port if that is None.
 
     `pin` is the port of the processor that it reaches: ``IRQ_F2P``, ``pl_ps_irq0``, ``pl_ps_irq1``, …
+    `edge`: its source says that a rising edge is the interrupt, not a level.
     """
 
     instance: str
@@ -41,6 +42,7 @@ class InterruptLine:
     controller: str | None
     index: int
     pin: str = ""
+    edge: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +168,9 @@ def _lines(hwh: Hwh, instance: str, port: str, controller: str | None, pin: str)
         if driver is not None and driver.type == "axi_intc" and controller is None:
             yield from _lines(hwh, driver.instance, "intr", driver.instance, pin)
         elif source.instance and (driver is None or driver.type not in _CONSTANTS):
-            yield InterruptLine(source.instance, source.port, controller, index, pin)
+            port_of = driver.ports.get(source.port) if driver is not None else None
+            edge = port_of is not None and port_of.sensitivity == "EDGE_RISING"
+            yield InterruptLine(source.instance, source.port, controller, index, pin, edge)
 
 
 def dma_channels(hwh: Hwh) -> tuple[DmaChannel, ...]:

@@ -249,8 +249,11 @@ def _interrupts(hwh: Hwh, registers: Mapping[str, Register], notes: list[str]) -
         if not flags:
             told = names.take(name)
             found[told] = Interrupt(told, base, doc=at)
-            notes.append(f"interrupt {line.port} of {line.instance}: its status is not described; a level stays until")
-            notes[-1] += " the program clears it"
+            if not line.edge:
+                notes.append(
+                    f"interrupt {line.port} of {line.instance}: its status is not described; a level stays until"
+                )
+                notes[-1] += " the program clears it"
     return found
 
 
