@@ -113,7 +113,8 @@ class RegisterMap:
         vars(self).update(found, _registers=found)
 
     def __getattr__(self, name: str) -> Register:
-        return _found("register", name, vars(self).get("_registers", {}))
+        registers: Mapping[str, Register] = vars(self).get("_registers", {})
+        return _found("register", name, registers)
 
     def __setattr__(self, name: str, value: Any) -> None:
         _found("register", name, vars(self)["_registers"])[:] = value

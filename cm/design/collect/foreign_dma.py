@@ -179,7 +179,10 @@ def _drives(design: hwh.Hwh, end: hwh.ConnectedPort) -> bool:
 
 @dataclass(slots=True)
 class ForeignInterrupts:
-    """`lines`: name in the runtime schema → interrupt; `spis`: instance → GIC SPI, `edges` those that rise; a note for each line left out."""
+    """`lines`: name in the runtime schema → interrupt; `spis`: instance → GIC SPI; a note for each line left out.
+
+    `edges`: the instances whose interrupt is a rising edge.
+    """
 
     lines: dict[str, Interrupt] = field(default_factory=dict)
     spis: dict[str, int] = field(default_factory=dict)

@@ -43,10 +43,12 @@ from cm.schema.model import (
 
 # Their registers belong to kernel drivers; written behind a driver's back they hang the bus.
 _NODE = 31  # letters of a node in /dev/cm_dma
-# Offset of each status register, and its bits (PG144, PG079); of HLS, UG1399, S_AXILITE control
+# Offset of each status register, and its bits (PG144, PG079, PG090, PG153); of HLS, UG1399, S_AXILITE control
 _STATUS: Mapping[str, tuple[tuple[int, Sequence[int]], ...]] = {
     "axi_gpio": ((0x120, (0, 1)),),
     "axi_timer": ((0x00, (8,)), (0x10, (8,))),
+    "axi_iic": ((0x20, range(8)),),
+    "axi_quad_spi": ((0x20, range(14)),),
 }
 _HLS_STATUS = 0x0C
 _DRIVEN = ("axi_dma", "axi_vdma", "axi_mcdma", "axi_intc", "axi_cdma")

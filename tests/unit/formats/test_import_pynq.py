@@ -433,3 +433,26 @@ def test_a_block_has_its_window_interrupts_and_streams_and_says_where_its_own_le
         Block("gpio", 0x41200000, 0x10000, "xilinx.com:ip:axi_gpio:1.0", "gpio_", irqs),
     ]
     assert loads(dump(config), Path("loop.yaml")).blocks == config.blocks
+
+
+def test_the_interrupts_of_an_i2c_controller_are_told_apart_and_acknowledged(tmp_path: Path) -> None:
+    status = (register_field(f"int{bit}", bit, 1, MODIFIED_READ_VALUES="oneToToggle") for bit in range(8))
+    design = hwh(
+        module(
+            "ps",
+            "processing_system7",
+            ports(port("IRQ_F2P", "I", ("iic", "iic2intc_irpt"), kind="INTERRUPT")),
+            memory(("iic", 0x41600000, 0x10000)),
+        ),
+        module(
+            "iic",
+            "axi_iic",
+            described(register("ISR", 0x20, *status)),
+            ports(port("iic2intc_irpt", "O", ("ps", "IRQ_F2P"), kind="INTERRUPT")),
+        ),
+    )
+    (tmp_path / "i.bit").write_bytes(bitstream())
+    (tmp_path / "i.hwh").write_bytes(design)
+    [config] = import_pynq(tmp_path / "i.bit").configs
+    found = config.interrupts.values()
+    assert [(one.status, one.bit, one.acknowledge) for one in found] == [("iic_isr", bit, True) for bit in range(8)]
