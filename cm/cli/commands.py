@@ -54,6 +54,7 @@ COMMANDS = (
     Command("stream", "cm.cli.stream", "list, set, capture and play data streams", "data"),
     Command("view", "cm.cli.view", "show a stream in the terminal or a window", "data"),
     Command("record", "cm.cli.record", "record what a board does, for afterwards", "data", linux=True),
+    Command("replay", "cm.cli.replay", "run a record again on a simulated board", "data", linux=True),
     Command("lease", "cm.cli.lease", "take, list and break leases", "sharing"),
     Command("keygen", "cm.cli.keygen", "make keys for connections over TCP", "sharing"),
     Command("config", "cm.cli.config", "list, send, check and roll back configurations", "designs"),

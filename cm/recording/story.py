@@ -162,13 +162,10 @@ class _Teller:
             return
         if change is None:
             change = PastChange(number, status.config_name, status.mode, before.config_name, before.mode)
-        error = status.last_error if _failed(change, status) else None
-        steps = change.steps
-        if error is not None and steps:
-            steps = (*steps[:-1], replace(steps[-1], failed=True))
+        error = _failed(change, status)
         begun = change.begun_ns or (status.last_change_ns or at) - round(status.last_change_seconds * 1e9)
         self._changes[number] = replace(
-            change, begun_ns=begun, ended_ns=status.last_change_ns or at, error=error, steps=steps,
+            change, begun_ns=begun, ended_ns=status.last_change_ns or at, error=error,
             by=change.by or self._asked(number),
         )  # fmt: skip
 

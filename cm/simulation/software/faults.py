@@ -37,12 +37,13 @@ def target_of(kind: str) -> str:
 
 @dataclass(slots=True)
 class Fault:
-    """One order: `left` more times (0: until cleared)."""
+    """One order: `left` more times (0: until cleared), once so many loads have ended."""
 
     kind: str
     target: str
     value: int
     left: int
+    loads: int = 0
 
 
 class Faults:
@@ -51,17 +52,18 @@ class Faults:
     def __init__(self) -> None:
         self._waiting: list[Fault] = []
         self.ordered: Callable[[], None] = lambda: None  # called when one is ordered
+        self.loads: Callable[[], int] = lambda: 0  # how many have ended
 
     @property
     def waiting(self) -> bool:
         """Whether any are to happen."""
         return bool(self._waiting)
 
-    def inject(self, kind: str, target: str = "", value: int = 0, count: int = 1) -> None:
-        """Order a fault; `count` 0 and the sticky kinds last until they are cleared."""
+    def inject(self, kind: str, target: str = "", value: int = 0, count: int = 1, after: int = 0) -> None:
+        """Order a fault, for when `after` more loads have ended; `count` 0 and the sticky kinds last until cleared."""
         if kind in STICKY:
             count = UNTIL_CLEARED
-        self._waiting.append(Fault(kind, target, value, count))
+        self._waiting.append(Fault(kind, target, value, count, self.loads() + after if after else 0))
         self.ordered()
 
     def take(self, kind: str, target: str = "") -> Fault | None:
@@ -69,7 +71,7 @@ class Faults:
         if not self._waiting:
             return None
         for fault in self._waiting:
-            if fault.kind == kind and fault.target in ("", target):
+            if fault.kind == kind and fault.target in ("", target) and fault.loads <= self.loads():
                 self._count(fault)
                 return fault
         return None

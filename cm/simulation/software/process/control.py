@@ -23,14 +23,16 @@ class Control:
     def __init__(self, root: Path | str) -> None:
         self.root = Path(root)
 
-    def inject(self, name: str, target: str | None = None, count: int = 1, value: int = 0) -> None:
-        """Order a fault, `count` times (0: until cleared). See `KINDS` for names, targets and values.
+    def inject(self, name: str, target: str | None = None, count: int = 1, value: int = 0, after: int = 0) -> None:
+        """Order a fault, `count` times (0: until cleared), once `after` more loads have ended.
+
+        See `KINDS` for names, targets and values.
 
         Raises:
             SimError: there is no such fault or target, or no simulator at the root.
         """
         _check_kind(name)
-        self._order("inject", kind=name, target=target, count=count, value=value)
+        self._order("inject", kind=name, target=target, count=count, value=value, after=after)
 
     def clear(self, name: str | None = None, target: str | None = None) -> None:
         """Forget the faults of that name and target that still wait (None: all). Raises SimError as `inject` does."""
@@ -53,6 +55,17 @@ class Control:
     def resume(self, channel: str) -> None:
         """Let a camera run again."""
         self._order("resume", channel=channel)
+
+    def frame(self, channel: str, file: Path | str) -> None:
+        """Let the bytes of a file leave on a channel, as if the hardware had sent them, when it has room for them.
+
+        Raises SimError, also where many wait already.
+        """
+        self._order("frame", channel=channel, file=str(Path(file).absolute()))
+
+    def register(self, name: str, value: int) -> None:
+        """Let the hardware itself put a value into a register."""
+        self._order("register", name=name, value=value)
 
     def reset(self) -> None:
         """Empty all regions and reset all registers, as power-up does."""

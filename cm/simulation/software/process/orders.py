@@ -14,6 +14,7 @@ from cm.simulation.software.hardware.links import Camera
 from cm.simulation.software.nodes.attributes import AttributeNode
 from cm.simulation.software.process.machine import Machine
 from cm.simulation.software.transport.protocol import CONTROL_PATH
+from cm.wire.lazy_numpy import np
 
 Order = dict[str, Any]
 
@@ -37,6 +38,8 @@ class Orders:
             "trace": lambda order: logic.trace(str(order.get("folder") or "")),
             "mark": lambda order: logic.mark(str(order["text"])),
             "upset": self._upset,
+            "frame": self._frame,
+            "register": self._register,
             "cover": lambda _: logic.cover(),
         }
         machine.server.listen(machine.root.bind(CONTROL_PATH), AttributeNode(self._read, self._write))
@@ -59,7 +62,8 @@ class Orders:
             raise NodeError(errno.EINVAL, f"no fault is called {kind}")
         if target:
             self._check_target(kind, target)
-        self._machine.faults.inject(kind, target, int(order.get("value", 0)), int(order.get("count", 1)))
+        numbers = (int(order.get("value", 0)), int(order.get("count", 1)), int(order.get("after", 0)))
+        self._machine.faults.inject(kind, target, *numbers)
 
     def _check_target(self, kind: str, target: str) -> None:
         """Raise NodeError for a target that the board does not have: the fault would wait for ever."""
@@ -92,6 +96,27 @@ class Orders:
         except (KeyError, IndexError):
             where = "" if frame is None else f" in frame {frame:#010x}, or no such bit"
             raise NodeError(errno.ENODATA, f"region {region} holds no configuration{where}") from None
+
+    def _frame(self, order: Order) -> None:
+        channel = str(order["channel"])
+        links = self._machine.links
+        if channel not in links:
+            raise NodeError(errno.ENOENT, f"no channel is called {channel}{_there(links)}")
+        try:
+            data = np.fromfile(str(order["file"]), np.uint8)
+        except OSError as error:
+            raise NodeError(error.errno or errno.EIO, f"{order['file']}: {error.strerror}") from error
+        if not links[channel].offer(channel, data):
+            raise NodeError(errno.EAGAIN, f"too many frames of {channel} wait already, or no module is before it")
+
+    def _register(self, order: Order) -> None:
+        name, fabric = str(order["name"]), self._machine.fabric
+        cells = [cell for region in (None, *fabric.regions) if (cell := fabric.cell(name, region)) is not None]
+        if not cells:
+            names = {register.name for register in fabric.spec.registers}
+            raise NodeError(errno.ENOENT, f"no register is called {name}{_there(names)}")
+        for cell in cells:
+            cell.value = int(order["value"])
 
     def _adopt(self, order: Order) -> None:
         if self._adopted is None:
