@@ -15,7 +15,7 @@
 
 #include "uio.h"
 
-#define CM_READS_EACH 16  /* connections of one process */
+#define CM_READS_EACH 96  /* connections of one user */
 #define CM_READS_MOST 128 /* of all */
 
 struct cm_reads;
@@ -34,7 +34,7 @@ int cm_reads_wanted_fd(struct cm_reads *reads);
 
 /**
  * cm_reads_adopt() - take over a connected socket
- * @owner: the process at its other end
+ * @owner: the user at its other end
  *
  * Errors: EUSERS where it has as many as it may, or all together have; the descriptor stays the caller's then.
  */

@@ -68,7 +68,7 @@ class Ring(Generic[_K, _T]):
         self._lines.clear()
 
 
-PENDING = 64  # long requests of one client at a time: reads of data, changes, configurations that are stored
+PENDING = 64  # long requests of one user at a time: reads of data, changes, configurations that are stored
 LITTLE = 32 << 10  # bytes of replies that a client may leave unread, whatever others do
 TRACKED = 16 << 10  # bytes of replies over a connection, after each of which we are told that they were read
 REPLY = 320  # bytes of overhead that ZeroMQ needs for a reply
@@ -120,8 +120,9 @@ class Client:
 
     def begin(self, size: int) -> None:
         """A request of `size` bytes that takes long is under way. Raises TooMuchWaiting."""
-        if self.pending >= PENDING:
-            raise TooMuchWaiting(f"{PENDING} requests of {self.name} are under way; ask again when one has ended")
+        own = self._all.of_account(self.account)
+        if sum([client.pending for client in own]) >= PENDING:
+            raise TooMuchWaiting(f"{PENDING} requests of {self.account} are under way; ask again when one has ended")
         self.queue(size)
         self.pending += 1
 
@@ -133,9 +134,10 @@ class Client:
     def queue(self, size: int) -> None:
         """Count the bytes of a request that waits, until they are taken off `waiting_bytes`. Raises TooMuchWaiting."""
         most, of_all = self._all.bounds.waiting_bytes, self._all.waiting_bytes()
-        if self.waiting_bytes and (self.waiting_bytes + size > most or of_all + size > most * 3 // 2):
+        own = sum([client.waiting_bytes for client in self._all.of_account(self.account)])
+        if own and (own + size > most or of_all + size > most * 3 // 2):
             raise TooMuchWaiting(
-                f"{self.waiting_bytes} bytes of {self.name} wait, {of_all} of all; "
+                f"{own} bytes of {self.account} wait, {of_all} of all; "
                 f"{size} more are too many (limits.waiting_mib): wait for an answer"
             )
         self.waiting_bytes += size
@@ -233,6 +235,10 @@ class Clients:
             found = self._named.get(name) or Client(name, who, self)
             self.known[connection] = self._named[name] = found
         return found
+
+    def of_account(self, account: str) -> list[Client]:
+        """Those of one user, or key, or address: what they hold together is what one may hold."""
+        return [client for client in self._named.values() if client.account == account]
 
     def waiting_bytes(self) -> int:
         """Of requests of all clients."""

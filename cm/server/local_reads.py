@@ -44,7 +44,7 @@ class LocalReads:
         """Serve a connection; the caller closes its own copy. Raises DeviceBusy for one too many."""
         fd = os.dup(connection.fileno())
         try:
-            self._reads.adopt(fd, peer.pid)
+            self._reads.adopt(fd, peer.uid)
         except BaseException:
             os.close(fd)
             raise

@@ -24,7 +24,7 @@ from cm.manager.status_reports import config_list, is_long
 from cm.schema.model import Config, Stream
 from cm.server.audit_events import AuditEvents
 from cm.server.board_watch import BoardWatch
-from cm.server.client_quotas import Clients, with_holdings
+from cm.server.client_quotas import Client, Clients, with_holdings
 from cm.server.connections import Connections, Sessions
 from cm.server.error_replies import refusal
 from cm.server.interrupts import InterruptWatch
@@ -54,7 +54,7 @@ from cm.wire.messages.status import (
 )
 from cm.wire.protobuf_messages import encode_values, encoded_registers
 
-CHANGES_EACH = QUEUE_LENGTH - 1  # of one client, beside the one that runs: the last two are for others
+CHANGES_EACH = QUEUE_LENGTH - 1  # of one user, beside the one that runs: the last two are for others
 _OPERATE = Role.OPERATE  # looking it up in the enum's class takes time
 _T = TypeVar("_T")
 
@@ -226,8 +226,7 @@ def change_mode(s: Services, asked: Asked, request: rq.ChangeMode) -> Reply | No
 def _begin_change(s: Services, asked: Asked, submit: Callable[[Callable[[Change], None]], Change]) -> Change:
     """Have a client's change accepted, and answer when it has ended, unless that was done before."""
     client, order = asked.client, asked.order
-    if client.changes >= CHANGES_EACH:
-        raise Busy(f"{client.changes} changes of {client.name} wait or run; try again when one has ended")
+    _check_changes(s, client)
 
     def ended(change: Change) -> None:
         asked.answer(change.reply())
@@ -238,6 +237,12 @@ def _begin_change(s: Services, asked: Asked, submit: Callable[[Callable[[Change]
     client.changes += 1
     order.began(asked.sender, change)  # its end is reported in a later turn of the loop
     return change
+
+
+def _check_changes(s: Services, client: Client) -> None:
+    own = sum(one.changes for one in s.clients.of_account(client.account))
+    if own >= CHANGES_EACH:
+        raise Busy(f"{own} changes and checks of {client.account} wait or run; try again when one has ended")
 
 
 def cancel_change(s: Services, _: Asked, request: rq.CancelChange) -> Reply:
@@ -431,8 +436,7 @@ def check_region(s: Services, asked: Asked, request: rq.CheckRegion) -> None:
     if request.repair:
         _begin_change(s, asked, partial(manager.repair, request, by=client.who))
         return
-    if client.changes >= CHANGES_EACH:
-        raise Busy(f"{client.changes} changes and checks of {client.name} wait or run; try again when one has ended")
+    _check_changes(s, client)
     client.changes += 1
 
     def ended(result: RegionCheck | Exception) -> None:

@@ -77,31 +77,35 @@ class Uploads:
             return UploadInfo(part.id, part.length, 0)
         upload = self._there[key][0] if key in self._there else self._begin(key, client, part)
         self._check(upload, part)
+        self._check_room(client, len(part.data), part.length - upload.got)
         try:
             _write(upload.fd, part)
         except OSError as error:
             self._drop(key)
             raise UploadFailed(f"upload {part.id!r} in {self._folder}: {error.strerror}") from error
         upload.got += len(part.data)
+        client.upload_bytes += len(part.data)
         upload.until = time.monotonic() + IDLE
         return UploadInfo(part.id, upload.length, upload.got)
 
     def _begin(self, key: tuple[str, str], client: Client, part: rq.Upload) -> _Upload:
         if part.offset:
             raise UnknownUpload(f"upload {part.id!r}: there are no bytes before {part.offset}; begin with offset 0")
-        own = [upload.length for upload, other in self._there.values() if other.account == client.account]
-        if sum(own) + part.length > self._most or self._total() + part.length > self._all_most:
-            raise TooMuchUploaded(
-                f"{sum(own)} bytes of {client.account} are stored here unused, "
-                f"{self._total()} of all; {part.length} more are too many "
-                "(limits.upload_mib, limits.uploads_mib)"
-            )
-        if len(own) >= EACH:
+        if sum(other.account == client.account for _, other in self._there.values()) >= EACH:
             raise TooMuchUploaded(f"{EACH} uploads of {client.account} are stored here unused")
+        self._check_room(client, len(part.data), part.length)
         upload = _Upload(self._new(part), part.length, time.monotonic() + IDLE)
         self._there[key] = upload, client
-        client.upload_bytes += part.length
         return upload
+
+    def _check_room(self, client: Client, more: int, rest: int) -> None:
+        """Raise TooMuchUploaded: what has come counts, not what a client says that will come, unless it is hopeless."""
+        own = sum(upload.got for upload, other in self._there.values() if other.account == client.account)
+        if own + more > self._most or self._total() + more > self._all_most or rest > self._most:
+            raise TooMuchUploaded(
+                f"{own} bytes of {client.account} are stored here unused, {self._total()} of all; "
+                f"{max(more, rest)} more are too many (limits.uploads_mib: half of it for each user)"
+            )
 
     def _new(self, part: rq.Upload) -> int:
         import tempfile  # with shutil 1 MiB, which most managers never need
@@ -166,7 +170,7 @@ class Uploads:
         found = self._there.pop(key, None)
         if found is not None:
             upload, client = found
-            client.upload_bytes -= upload.length
+            client.upload_bytes -= upload.got
             os.close(upload.fd)
 
     def close(self) -> None:

@@ -84,10 +84,10 @@ def refused(board: cm.Board, scope: str = "registers:focus") -> str:
 
 def test_leases_are_as_many_as_the_file_says_now_and_held_ones_stay(limited: Limited, board: cm.Board) -> None:
     with board.lease("registers:focus", exclusive=False), board.lease("registers:zoom", exclusive=False):
-        limited.reload(leases_each=1)
+        limited.reload(leases=8)
         assert len(board.status.leases) == 2
         assert refused(board) == "too_many_leases"
-        limited.reload(leases_each=3)
+        limited.reload(leases=24)
         assert refused(board) == ""
 
 
@@ -103,7 +103,7 @@ def test_settings_that_need_a_restart_are_reported(limited: Limited) -> None:
 
 
 def test_a_wrong_limit_leaves_all_as_it_was(limited: Limited, board: cm.Board) -> None:
-    limited.write(leases_each="-3")
+    limited.write(leases="-3")
     limited.signal()
     until(lambda: b"not reloaded" in limited.log(), 60)
     assert refused(board) == ""

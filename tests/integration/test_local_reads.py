@@ -252,9 +252,9 @@ def descriptors(manager: Manager) -> int:
     return len(list(Path(f"/proc/{manager.pid}/fd").iterdir()))
 
 
-def test_a_process_has_so_many_and_one_more_goes_by_requests(board: cm.Board, manager: Manager) -> None:
+def test_a_user_has_so_many_and_one_more_goes_by_requests(board: cm.Board, manager: Manager) -> None:
     with ExitStack() as stack:
-        held = [stack.enter_context(raw(manager)) for _ in range(16)]
+        held = [stack.enter_context(raw(manager)) for _ in range(96)]
         assert {received(connection).kind for connection in held} == {packets.REGISTERS}
         with raw(manager) as connection:
             assert received(connection).kind == packets.REFUSED

@@ -204,7 +204,7 @@ class Leases:
         if own >= self._each or len(self._held) >= self._most:
             raise TooManyLeases(
                 f"{account or 'this client'} holds {own} leases, all together {len(self._held)}; "
-                f"{self._each} and {self._most} may be held (limits.leases_each, limits.leases)"
+                f"{self._each} and {self._most} may be held (limits.leases)"
             )
         for held in self._held.values():
             alone = request.exclusive or held.info.exclusive

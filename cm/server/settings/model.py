@@ -87,20 +87,16 @@ class AccessSettings:
 
 @dataclass(frozen=True, slots=True)
 class LimitSettings:
-    """What one client (`…_each`), and all together, may take of the manager; see docs/limits.md."""
+    """What clients may take of the manager; see docs/limits.md. `slots_each`: one user's."""
 
     message_mib: int = 8
     waiting_mib: int = 32
     replies_mib: int = 16
-    upload_mib: int = 256
     uploads_mib: int = 512
     leases: int = 256
-    leases_each: int = 32
     slots_each: int = 64
     provisioned_mib: int = 1024
-    provisioned_each_mib: int = 512
     memory_mib: int = 256
-    memory_each_mib: int = 192
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,12 +129,11 @@ _MIB = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What an operator may set (`limits` of ``/etc/cm/cm.yaml``, where the defaults are); `…_each` is of one client.
+    """What an operator may set (`limits` of ``/etc/cm/cm.yaml``), and the share of one user: `upload_bytes`, `…_each`.
 
-    `message_bytes`: of one frame of a message. `waiting_bytes`: of one client's requests that wait. `replies_bytes`:
-    of replies that it has not read. `upload_bytes`, `uploads_bytes`: sent in parts and not used yet, of one client and
-    of all. `slots_each`: of one stream. `memory_bytes`, `memory_each_bytes`: for masters in the PL, of all and of one
-    client. `provisioned_bytes`, `provisioned_each_bytes`: of configurations that clients sent.
+    `message_bytes`: of one frame of a message. `waiting_bytes`: of one user's requests that wait. `replies_bytes`: of
+    replies that one client has not read. `uploads_bytes`: sent in parts and not used yet. `slots_each`: of one stream.
+    `memory_bytes`: for masters in the PL. `provisioned_bytes`: of configurations that clients sent.
     """
 
     message_bytes: int
@@ -161,15 +156,15 @@ class Limits:
             message_bytes=said.message_mib * _MIB,
             waiting_bytes=said.waiting_mib * _MIB,
             replies_bytes=said.replies_mib * _MIB,
-            upload_bytes=said.upload_mib * _MIB,
+            upload_bytes=said.uploads_mib * _MIB // 2,
             uploads_bytes=said.uploads_mib * _MIB,
             leases=said.leases,
-            leases_each=said.leases_each,
+            leases_each=-(-said.leases // 8),
             slots_each=said.slots_each,
             memory_bytes=said.memory_mib * _MIB,
-            memory_each_bytes=said.memory_each_mib * _MIB,
+            memory_each_bytes=said.memory_mib * _MIB * 3 // 4,
             provisioned_bytes=said.provisioned_mib * _MIB,
-            provisioned_each_bytes=said.provisioned_each_mib * _MIB,
+            provisioned_each_bytes=said.provisioned_mib * _MIB // 2,
         )
 
 

@@ -70,7 +70,7 @@ class MemoryBudget:
             raise Busy(f"{self._what} is {self._most >> 20} MiB together; {used} bytes are taken ({self._holders()})")
         if sum(held) + length > self._each:
             raise Busy(
-                f"{self._what} is {self._each >> 20} MiB for one user (limits.memory_each_mib); "
+                f"{self._what} is {self._each >> 20} MiB for one user (limits.memory_mib); "
                 f"processes of user {peer.uid} have {sum(held)} bytes"
             )
         if len(held) >= MEMORIES:

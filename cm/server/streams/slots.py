@@ -51,7 +51,7 @@ def _seal(fd: int, seals: int) -> None:
 
 RESERVE = 2  # slots that clients can never hold: the hardware fills one while the next waits
 _OURS = 4  # for what goes over ZeroMQ
-_NEWCOMERS = 16  # for processes that hold none yet
+_NEWCOMERS = 16  # for users who hold none yet
 
 
 class NoSlots(Busy):
@@ -63,19 +63,20 @@ class NoSlots(Busy):
 def share(stream: str, depth: int, peer: Peer, held: Iterable[tuple[Peer, int]], each: int) -> int:
     """Return how many slots a process gets if it asks for `depth`; `held`: the slots that each client may hold already.
 
-    It gets fewer than it asks for rather than none. Raises NoSlots, which says who holds them.
+    All processes of a user share `each`. It gets fewer than it asks for rather than none. Raises NoSlots, which says
+    who holds them.
     """
     slots = Counter[Peer]()
     for other, count in held:
         slots[other] += count
-    own = slots[peer]
+    own = sum(count for other, count in slots.items() if other.uid == peer.uid)
     left = SLOTS_MAX - RESERVE - _OURS - slots.total() - (_NEWCOMERS if own else 0)
     most = min(each - own, left)
     if most < 1:
         raise NoSlots(
             f"stream {stream!r} has no slots for one more client of pid {peer.pid} ({peer.name}): "
             f"{', '.join(f'pid {p.pid} ({p.name}) holds {n}' for p, n in slots.most_common(4))}, of {SLOTS_MAX}; "
-            f"one process gets {each} (limits.slots_each)"
+            f"one user gets {each} (limits.slots_each)"
         )
     return min(depth, most)
 

@@ -49,8 +49,10 @@ def test_a_client_has_so_many_requests_under_way_and_gets_room_as_they_end(clien
     client = clients.of("ipc:0:0:9000001")
     for _ in range(PENDING):
         client.begin(1)
-    with pytest.raises(TooMuchWaiting, match="64 requests of pid 9000001"):
-        client.begin(1)
+    for process in (client, clients.of("ipc:0:0:9000002")):  # of the same user
+        with pytest.raises(TooMuchWaiting, match="64 requests of uid:0"):
+            process.begin(1)
+    clients.of("ipc:7:0:9000003").begin(1)
     client.ended(1)
     client.begin(1)
 
@@ -68,14 +70,15 @@ def test_it_is_found_out_once_whose_a_connection_is() -> None:
 
 
 def test_waiting_requests_are_bounded_for_one_client_and_for_all(clients: Clients) -> None:
-    one, two = clients.of("ipc:0:0:9000001"), clients.of("ipc:0:0:9000002")
+    one, two = clients.of("ipc:0:0:9000001"), clients.of("ipc:7:0:9000002")
     one.begin(900)
-    with pytest.raises(TooMuchWaiting, match="900 bytes of pid 9000001"):
-        one.begin(200)
+    for process in (one, clients.of("ipc:0:0:9000004")):  # of the same user
+        with pytest.raises(TooMuchWaiting, match="900 bytes of uid:0"):
+            process.begin(200)
     two.begin(500)
     with pytest.raises(TooMuchWaiting, match="1400 of all"):
         two.begin(200)
-    clients.of("ipc:0:0:9000003").begin(5000)  # one that has nothing waiting is let in
+    clients.of("ipc:8:0:9000003").begin(5000)  # one that has nothing waiting is let in
 
 
 def test_a_client_that_does_not_read_gets_no_more_until_it_does(clients: Clients) -> None:
@@ -113,7 +116,7 @@ def test_clients_that_are_gone_and_have_nothing_are_forgotten(clients: Clients) 
 
 
 def test_all_bounds_are_of_what_there_may_be_at_most(clients: Clients) -> None:
-    one, two = clients.of("ipc:0:0:9000001"), clients.of("ipc:0:0:9000002")
+    one, two = clients.of("ipc:0:0:9000001"), clients.of("ipc:7:0:9000002")
     one.begin(400)
     one.queue(600)
     assert (one.waiting_bytes, one.pending) == (1000, 1)

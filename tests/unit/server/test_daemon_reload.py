@@ -186,7 +186,7 @@ def test_bounds_are_those_that_were_read_last(served: Daemon, source: Source, re
             found, message = served.refused(request)
             assert (found, words in message) == (code, True), message
         for wanted, code, words in (
-            (Open("camera", depth=1), "no_slots", "one process gets 8"),
+            (Open("camera", depth=1), "no_slots", "one user gets 8"),
             (
                 Open("", Purpose.ALLOCATE, length=2 * MIB),
                 "busy",

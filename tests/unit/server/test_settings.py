@@ -134,13 +134,21 @@ def test_schema_and_data_name_the_same_keys_with_the_same_defaults() -> None:
     compare(schema(), Settings())
 
 
-@pytest.mark.parametrize("name", [one.name for one in fields(Limits)])
-def test_each_limit_has_its_default_and_its_value_from_the_settings_alone(name: str) -> None:
+SHARES = {  # of one user: of which limit, and how much of it
+    "leases": ("leases_each", 1 / 8), "memory_mib": ("memory_each_bytes", 3 / 4),
+    "provisioned_mib": ("provisioned_each_bytes", 1 / 2), "uploads_mib": ("upload_bytes", 1 / 2),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("key", [one.name for one in fields(LimitSettings)])
+def test_each_limit_has_its_default_and_its_value_from_the_settings_alone_and_a_user_has_a_share(key: str) -> None:
     assert all(one.default is one.default_factory is MISSING for one in fields(Limits))
-    key = name.replace("_bytes", "_mib")
-    said = replace(LimitSettings(), **{key: getattr(LimitSettings(), key) + 1})
-    unit = 1 << 20 if key.endswith("_mib") else 1
-    assert Limits.of(said) == replace(USUAL, **{name: getattr(USUAL, name) + unit})
+    said = replace(LimitSettings(), **{key: getattr(LimitSettings(), key) + 8})
+    name, more = key.replace("_mib", "_bytes"), 8 << 20 if key.endswith("_mib") else 8
+    wanted = {name: getattr(USUAL, name) + more}
+    if share := SHARES.get(key):
+        wanted[share[0]] = int(wanted[name] * share[1])
+    assert Limits.of(said) == replace(USUAL, **wanted)
 
 
 def test_one_address_may_stand_without_a_list() -> None:

@@ -22,10 +22,11 @@ def test_a_client_that_asks_for_all_gets_its_share_and_the_next_what_it_asks_for
     assert share("camera", 4, NEW, [(GREEDY, 64)], EACH) == 4
 
 
-def test_the_same_process_gets_no_more_by_asking_again() -> None:
+def test_the_same_user_gets_no_more_by_asking_again_from_whatever_process() -> None:
     assert share("camera", 60, GREEDY, [(GREEDY, 40)], EACH) == 24
-    with pytest.raises(NoSlots, match=r"pid 10 \(greedy\) holds 64, of 256; one process gets 64"):
-        share("camera", 4, GREEDY, [(GREEDY, 40), (GREEDY, 24)], EACH)
+    for peer in (GREEDY, Peer(11, "also greedy", GREEDY.uid)):
+        with pytest.raises(NoSlots, match=r"pid 10 \(greedy\) holds 64, of 256; one user gets 64"):
+            share("camera", 4, peer, [(GREEDY, 40), (GREEDY, 24)], EACH)
 
 
 def test_the_last_slots_are_for_clients_without_any() -> None:

@@ -61,29 +61,41 @@ def process(clients: Clients, pid: int) -> Client:
 
 
 def test_processes_of_one_user_share_what_it_may_store(kept: Uploads, clients: Clients) -> None:
-    kept.take(process(clients, GONE), Upload("a", 255))
+    kept.take(process(clients, GONE), Upload("a", 255, data=bytes(255)))
     with pytest.raises(TooMuchUploaded, match="255 bytes of uid:0 are stored here unused"):
-        kept.take(process(clients, GONE + 1), Upload("b", 2))
+        kept.take(process(clients, GONE + 1), Upload("b", 2, data=bytes(2)))
+
+
+def test_what_is_only_said_to_come_takes_no_room_of_others(kept: Uploads, clients: Clients) -> None:
+    for number in range(4):
+        kept.take(process(clients, GONE + number), Upload("a", 256, data=b"1"))
+    kept.take(process(clients, GONE), Upload("b", 252, data=bytes(252)))
+    with pytest.raises(TooMuchUploaded, match="256 bytes of uid:0 are stored here unused"):
+        kept.take(process(clients, GONE), Upload("a", 256, offset=1, data=b"2"))
+    kept.take(process(clients, GONE), Upload("b", discard=True))
+    assert kept.take(process(clients, GONE), Upload("a", 256, offset=1, data=b"2")).got == 2
+    with pytest.raises(TooMuchUploaded, match="257 more are too many"):
+        kept.take(process(clients, GONE), Upload("c", 257, data=b"1"))
 
 
 def test_no_client_gets_more_room_than_one_may_nor_all_more_than_there_is(kept: Uploads, clients: Clients) -> None:
     one, two, three = (clients.of(f"ipc:{i}:0:{GONE + i}") for i in range(3))
-    kept.take(one, Upload("a", 256))
-    said = r"256 bytes of uid:0 .*, 256 of all; 1 more are too many \(limits.upload_mib, limits.uploads_mib\)$"
+    kept.take(one, Upload("a", 256, data=bytes(256)))
+    said = r"256 bytes of uid:0 .*, 256 of all; 1 more are too many \(limits.uploads_mib: half of it for each user\)$"
     with pytest.raises(TooMuchUploaded, match=said):
-        kept.take(one, Upload("b", 1))
-    kept.take(two, Upload("a", 200))
+        kept.take(one, Upload("b", 1, data=b"1"))
+    kept.take(two, Upload("a", 200, data=bytes(200)))
     with pytest.raises(
         TooMuchUploaded, match=r"0 bytes of uid:2 are stored here unused, 456 of all; 57 more are too many"
     ):
-        kept.take(three, Upload("a", 57))
-    kept.take(three, Upload("a", 56))
+        kept.take(three, Upload("a", 57, data=bytes(57)))
+    kept.take(three, Upload("a", 56, data=bytes(56)))
 
 
 def test_uploads_of_a_process_that_is_gone_soon_make_room(kept: Uploads, now: Now, clients: Clients) -> None:
     gone, stays, elsewhere = process(clients, GONE), process(clients, os.getpid()), clients.of("192.0.2.1")
     for one in clients:
-        kept.take(one, Upload("a", 100))
+        kept.take(one, Upload("a", 100, data=bytes(100)))
     now.seconds += uploads.LEFT - 1
     kept.forget_old()
     assert [one.upload_bytes for one in (gone, stays, elsewhere)] == [100, 100, 100]
@@ -121,7 +133,7 @@ def test_parts_follow_each_other_within_the_length_that_was_said(kept: Uploads, 
     for client, name, offset in ((one, "b", 5), (other, "a", 5)):
         with pytest.raises(UnknownUpload, match=f"upload '{name}': there are no bytes before 5; begin with offset 0"):
             kept.take(client, Upload(name, 6, offset=offset, data=b"6"))
-    assert (one.upload_bytes, other.upload_bytes) == (6, 0)
+    assert (one.upload_bytes, other.upload_bytes) == (5, 0)
     assert kept.take(one, Upload("a", 6, offset=5, data=b"6")) == UploadInfo("a", 6, 6)
     assert kept.take(one, Upload("a", 6, discard=True)) == UploadInfo("a", 6, 0)
     assert one.upload_bytes == 0
