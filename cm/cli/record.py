@@ -14,6 +14,9 @@ from cm.cli.common import add_connection_options, add_json_option, answer
 from cm.errors import InvalidRequest, NotInstalled
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from cm.client.board import Board
     from cm.recording.record import Limits
     from cm.recording.recorder import Wanted
 
@@ -69,6 +72,11 @@ def _add_start(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     )
     parser.add_argument("--split", default="", metavar="AMOUNT", help="begin another file after 1GiB, or 10min")
     parser.add_argument("--ring", default="", metavar="AMOUNT", help="keep only the last 5min, or 2GiB")
+    parser.add_argument(
+        "--ros2",
+        action="store_true",
+        help="write the topics of the ROS 2 node (docs/ros2.md) instead, into a folder that ros2 bag and rosbags read",
+    )
     parser.set_defaults(run=run)
 
 
@@ -79,16 +87,18 @@ def run(args: argparse.Namespace) -> int:
     if place is not None and limits.is_ring and place.suffix == ".mcap":
         raise InvalidRequest(f"--ring keeps several files: name a folder, such as {place.with_suffix('')}")
     recorder_module()
-    from cm.client.board import Board, connect
+    from cm.client.board import connect
     from cm.recording.recorder import Recorder
 
-    def connected() -> Board:
-        return connect(args.connect, runtime_dir=args.runtime_dir, keys=args.keys)
+    def connected(guest: str = "") -> Board:
+        return connect(args.connect, runtime_dir=args.runtime_dir, keys=args.keys, guest=guest)
 
     if place is None:
         with connected() as board:
             name = f"{board.status.board}-{time.strftime('%Y%m%d-%H%M%S')}"
-        place = Path(name if limits.is_ring else f"{name}.mcap")
+        place = Path(name if limits.is_ring or args.ros2 else f"{name}.mcap")
+    if args.ros2:
+        return _as_ros(connected, place, limits, wanted)
     recorder = Recorder(connected, place, limits, wanted, _tell)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: recorder.stop())
@@ -97,6 +107,41 @@ def run(args: argparse.Namespace) -> int:
     if missing:
         _tell(f"{missing} messages are in no file, since the disk took no more")
     return 1 if missing else 0
+
+
+def _as_ros(connected: Callable[..., Board], place: Path, limits: Limits, wanted: Wanted) -> int:
+    """Record what the ROS 2 node would publish; the exit status."""
+    import threading
+
+    from cm.networks.bridge.commands import Commands
+    from cm.networks.bridge.follower import Follower
+    from cm.networks.ros.node import BoardNode, NodeName
+    from cm.networks.rosbag import RecordingTransport
+
+    if wanted.every != 1 or place.suffix == ".mcap":
+        raise InvalidRequest("--ros2 writes whole frames, into a folder: its name does not end in .mcap")
+    with connected() as board:
+        name = board.status.board
+    transport = RecordingTransport(place, name, limits, wanted.streams, _tell)
+    commands = Commands(connected, frozenset())
+    node = BoardNode(transport, NodeName(), commands)
+    follower, ended = Follower(connected, node), threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ended.set())
+    following = threading.Thread(target=follower.run, name="follower", daemon=True)
+    following.start()
+    _tell(f"into {place}; Ctrl-C ends it")
+    due = time.monotonic() + 1
+    while not ended.wait(node.look()):
+        if time.monotonic() >= due:
+            due += 1
+            transport.tick()
+    follower.stop()
+    commands.close()
+    following.join()
+    node.close()
+    transport.close()
+    return 1 if transport.record.missing else 0
 
 
 def repair(args: argparse.Namespace) -> int:

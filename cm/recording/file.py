@@ -86,10 +86,7 @@ class RecordFile:
         self.waiting = self.waiting_bytes = 0  # messages that are in no chunk on disk yet
         self.waiting_since = 0  # time of the first of them
         self._sink = _Sink(path)
-        # A CRC over all beside those of the chunks would take as long again, and no reader asks for it.
-        options = MCAPWriteOptions(
-            compression=None, profile=profile, disable_seeking=True, calculate_data_section_crc=False
-        )
+        options = MCAPWriteOptions(compression=None, profile=profile, disable_seeking=True)
         self._writer = foxglove.open_mcap(self._sink, context=channels.context, writer_options=options)
         self._writer.write_metadata(METADATA, opened.strings())
 

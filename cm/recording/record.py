@@ -16,7 +16,7 @@ from cm.errors import InvalidRequest, sentence
 from cm.frozen import dataclass, replace
 from cm.recording.file import Channels, RecordFile
 from cm.recording.layout import GAP, SCHEMAS, Opened, file_name, files_of, is_folder
-from cm.wire.records import descriptor_set, encode_gap
+from cm.wire.records import Gap, descriptor_set, encode_gap
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _ROOM = 32 << 20  # bytes that a full disk has free again before a record goes on
@@ -24,6 +24,12 @@ _AGAIN = 10.0  # seconds before a disk with another error is tried again
 _PARTS = 8  # files of a ring; the oldest goes when the others hold what is wanted
 
 Message = tuple[foxglove.Channel, bytes]
+
+
+def as_protobuf(record: Record, gap: Gap) -> Message:
+    """A gap on `cm_gap`."""
+    times = gap.from_ns, gap.until_ns
+    return record.channel(GAP), encode_gap(gap.topic, times, gap.cause, gap.text, gap.messages, gap.bytes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +71,11 @@ class Record:
         now: Callable[[], int],
         state: Callable[[Record], Iterable[Message]],
         told: Callable[[str], object] = lambda _: None,
+        gap: Callable[[Record, Gap], Message] = as_protobuf,
+        profile: str = "",
     ) -> None:
-        """`now`: the record's time. `state`: what each file begins with. `told` gets sentences for people.
+        """`now`: the record's time. `state`: what each file begins with. `told` gets sentences for people. `gap` makes
+        the message of one, `profile` is MCAP's.
 
         Raises OSError, InvalidRequest.
         """
@@ -74,6 +83,7 @@ class Record:
         self.missing = 0  # messages that no file has, nor a gap
         self._place, self._limits, self._opened = place, limits, opened
         self._now, self._state, self._told = now, state, told
+        self._gap, self._profile = gap, profile
         self._schemas = {name: _schema(name) for name in (*SCHEMAS.values(), "FrameSeen", "FrameData")}
         self._lock = threading.RLock()
         self._file: RecordFile | None = None
@@ -83,8 +93,7 @@ class Record:
         self._number = before[0]
         self._open()
         if before[1]:
-            gap = encode_gap("", (before[1], now()), "recorder_ended", "no recorder ran")
-            self.log(self.channel(GAP), gap, now())
+            self.tell(Gap("", before[1], now(), cause="recorder_ended", text="no recorder ran"))
 
     def _earlier(self) -> tuple[int, int]:
         """The number of the last file of this record, and when it ended (ns): a ring goes on."""
@@ -117,6 +126,10 @@ class Record:
                 return
             self._file.log(channel, data, time_ns)
             self._look()
+
+    def tell(self, gap: Gap) -> None:
+        """Something is missing."""
+        self.log(*self._gap(self, gap), gap.until_ns)
 
     def _look(self) -> None:
         file, limits = self._file, self._limits
@@ -159,7 +172,7 @@ class Record:
         self._number += 1
         path = file_name(self._place, self._number)
         try:
-            self._file = RecordFile(path, self.channels, replace(self._opened, number=self._number))
+            self._file = RecordFile(path, self.channels, replace(self._opened, number=self._number), self._profile)
         except FileExistsError:
             raise InvalidRequest(f"{path} is there already: name another file, or remove it") from None
         self._end = time.monotonic() + self._limits.file_seconds if self._limits.file_seconds else 0.0
@@ -203,9 +216,8 @@ class Record:
             return
         cause, since, messages, length = lost
         text = f"the disk took nothing for {(now - since) / 1e9:.1f} s"
-        gap = encode_gap("", (since, now), cause, text, messages, length)
         self._lost = None
-        self.log(self.channel(GAP), gap, now)
+        self.tell(Gap("", since, now, messages, length, cause, text))
         self._told(f"there is room again: {text}, {messages} messages ({length} bytes) are lost")
 
     # ---- the ring ------------------------------------------------------------------------

@@ -29,7 +29,7 @@ from cm.recording.record import Limits, Message, Record
 from cm.wire import topics
 from cm.wire.encode import decode_event, encode_registers, encode_status, encode_table
 from cm.wire.messages.status import Audit, ConfigInfo, Irq, RegValue, RegValues, Status, StreamStatus
-from cm.wire.records import encode_clock, encode_frame_seen, encode_gap
+from cm.wire.records import Gap, encode_clock, encode_frame_seen
 
 _EACH = 1.0  # seconds between two clocks, between writing what waits, and between two tries to connect
 _WAITING = 50_000  # publications that wait for the disk; more are lost, which is told
@@ -224,8 +224,8 @@ class Recorder:
         self._record.log(self._record.channel(topic), data, time_ns)
 
     def _gap(self, topic: str, since: int, cause: str, text: str, messages: int = 0) -> None:
-        now = self._now()
-        self._log(layout.GAP, encode_gap(topic, (since, now), cause, text, messages), now)
+        assert self._record is not None
+        self._record.tell(Gap(topic, since, self._now(), messages, cause=cause, text=text))
 
     def _clock(self) -> bytes:
         return encode_clock(self._now() - self._opened.offset_ns, time.time_ns())

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import mmap
 import struct
+import zlib
 from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
@@ -29,6 +30,7 @@ _CHUNK = struct.Struct("<QQQII")  # times of its first and last message, size, C
 _INDEX = struct.Struct("<HI")  # channel and bytes that follow
 _COMPRESSIONS = (b"", b"lz4", b"zstd")
 _BROKEN = (McapError, struct.error, ValueError, EOFError, OverflowError, MemoryError)
+_PART = 1 << 20  # bytes whose CRC is computed at a time
 _CUT = "its recorder was killed, or its disk was full"
 Lost = Callable[[str], object]
 
@@ -53,7 +55,8 @@ class _Walk:
     """A way through a file, from record to record."""
 
     def __init__(self, data: mmap.mmap, lost: Lost) -> None:
-        self._data, self._lost = data, lost
+        self._data, self._tell = data, lost
+        self._told = False
         self._chunks = False  # there was one: what holds messages is in chunks
 
     def records(self) -> Iterator[Any]:
@@ -73,6 +76,7 @@ class _Walk:
                 at = again
                 continue
             if data[at] == Opcode.DATA_END:
+                self._check_all(at)
                 return
             try:
                 yield from self._parts(at, end)
@@ -80,6 +84,21 @@ class _Walk:
                 self._lost(f"the record at byte {at} is damaged, and nothing of it is shown ({_words(error)})")
             at = end
         self._lost(f"it has no end: {_CUT}")
+
+    def _check_all(self, at: int) -> None:
+        """The end says which CRC all before it has."""
+        data, crc = self._data, 0
+        (wanted,) = struct.unpack_from("<I", data, at + _HEAD.size)
+        if not wanted or self._told:
+            return
+        for begin in range(0, at, _PART):
+            crc = zlib.crc32(data[begin : min(begin + _PART, at)], crc)
+        if crc != wanted:
+            self._lost("something between its chunks is damaged, but every chunk is whole")
+
+    def _lost(self, text: str) -> None:
+        self._told = True
+        self._tell(text)
 
     def _end(self, at: int) -> int | None:
         """Where the record ends that begins here; None if none does that could stand here."""

@@ -149,3 +149,42 @@ def test_a_manager_that_is_gone_for_a_while_is_a_gap(manager: Manager, tmp_path:
     assert (gap.cause, gap.topic) == ("manager_gone", "")
     assert gap.from_ns < gap.until_ns
     assert len({s.started_ns for s in of(messages(path), layout.STATUS)}) == 2
+
+
+def test_a_bag_has_the_topics_of_the_ros_node_as_rosbags_reads_them(manager: Manager, tmp_path: Path) -> None:
+    bags, typesys = pytest.importorskip("rosbags.rosbag2"), pytest.importorskip("rosbags.typesys")
+    bag = tmp_path / "bag"
+    with manager.connected() as board, recording(manager, bag, "--ros2", "--streams", "camera") as recorder:
+        until(lambda: sum(path.stat().st_size for path in bag.glob("*.mcap")) > 1 << 20)
+        board.registers["focus"] = 7
+        board.load("camera", "edge_detection")
+        size = sum(path.stat().st_size for path in bag.glob("*.mcap"))
+        until(lambda: sum(path.stat().st_size for path in bag.glob("*.mcap")) > size + (1 << 20))
+    assert recorder.returncode == 0
+    store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
+    for path in (Path(__file__).parents[2] / "ros2/cm_interfaces/msg").glob("*.msg"):
+        kind = f"cm_interfaces/msg/{path.stem}"
+        store.register(typesys.get_types_from_msg(path.read_text(), kind))
+    with bags.Reader(bag) as reader:
+        kinds = {connection.topic: connection.msgtype for connection in reader.connections}
+        held: dict[str, list[Any]] = {topic: [] for topic in kinds}
+        for connection, _, data in reader.messages():
+            held[connection.topic].append(store.deserialize_cdr(data, connection.msgtype))
+        counted = {topic: info.msgcount for topic, info in reader.topics.items()}
+    assert {topic: len(found) for topic, found in held.items()} == counted
+    assert (
+        kinds.items()
+        >= {
+            "/cm/status": "cm_interfaces/msg/Status",
+            "/cm/configuration": "cm_interfaces/msg/Configuration",
+            "/cm/registers": "cm_interfaces/msg/RegisterBank",
+            "/cm/interrupts": "cm_interfaces/msg/Interrupt",
+            "/cm/camera/image_raw": "sensor_msgs/msg/Image",
+            "/cm/camera/camera_info": "sensor_msgs/msg/CameraInfo",
+            "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+        }.items()
+    )
+    assert held["/cm/status"][-1].mode == "edge_detection"
+    assert [(r.name, r.value) for r in held["/cm/registers"][0].registers] == [("focus", 7)]
+    image = held["/cm/camera/image_raw"][0]
+    assert len(image.data) == image.height * image.step > 0

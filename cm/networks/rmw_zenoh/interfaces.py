@@ -191,6 +191,17 @@ def _field(line: str, package: str) -> Field:
     return Field(name, base, how, int(length or 0))
 
 
+def definition(name: str) -> str:
+    """The text of a message and of all that it holds, as MCAP's encoding ``ros2msg`` and rosbag2 have it."""
+    _ = message(name)
+    found = [name]
+    for one in found:  # grows
+        found += [f.kind for f in message(one).fields if f.kind.count("/") == 2 and f.kind not in found]
+    texts = [_texts()[one] for one in dict.fromkeys(found)]
+    own, *others = zip(dict.fromkeys(found), texts, strict=True)
+    return "\n".join([own[1], *(f"{'=' * 80}\nMSG: {one.replace('/msg/', '/')}\n{text}" for one, text in others)])
+
+
 _IDS = {
     "int8": 2, "uint8": 3, "int16": 4, "uint16": 5, "int32": 6, "uint32": 7, "int64": 8, "uint64": 9,
     "float32": 10, "float64": 11, "bool": 15, "byte": 16, "string": 17,

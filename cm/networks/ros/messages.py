@@ -17,6 +17,7 @@ from cm.networks.bridge.records import (
 )
 from cm.networks.ros.transport import Values
 from cm.wire.messages.status import PlanInfo, RegionHealth, RegValues, Status, StreamStatus
+from cm.wire.records import Gap
 
 _BILLION = 10**9
 _OK, _WARN, _ERROR, _STALE = b"\0", b"\1", b"\2", b"\3"
@@ -154,6 +155,12 @@ def diagnostics(node: str, board: Identity, now: Status | None, problem: str, st
         rows += [_diagnosed_region(node, board, r.name, r.health) for r in now.regions if r.health is not None]
         rows += [_diagnosed_stream(node, board, stream) for stream in now.streams if stream.open]
     return {"header": header(stamp_ns), "status": rows}
+
+
+def gap(board: str, missing: Gap) -> Values:
+    """diagnostic_msgs/DiagnosticArray: what a record does not have."""
+    row = _row(_ERROR, "cm record: gap", missing.text, Identity(board), missing._asdict())
+    return {"header": header(missing.until_ns), "status": [row]}
 
 
 def _diagnosed_board(node: str, board: Identity, now: Status | None, problem: str) -> Values:
