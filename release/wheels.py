@@ -23,6 +23,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PYTHON = "/usr/bin/python3"
+_NEEDED = ("setuptools", "cffi", "yaml", "fastjsonschema", "wheel")  # modules, as Debian's packages call them too
 _BUILD = "import sys, backend; backend.build_wheel(sys.argv[1])"
 _OLDEST = 17  # of the manylinux tags
 _GLIBC = re.compile(r"\bGLIBC_2\.(\d+)")
@@ -68,6 +69,13 @@ def headers(target: Target) -> Path:
         # One index of a mirror that is just being synced fails the whole update; the others have been fetched.
         (cache.root / f"apt-{target.debian}/fetched").touch()
         return rootfs.headers(cache, arch)
+
+
+def absent(python: str) -> list[str]:
+    """Debian's packages that building a wheel needs and this Python does not have."""
+    script = "import importlib.util as u, sys; print(*(name for name in sys.argv[1:] if u.find_spec(name) is None))"
+    said = subprocess.run([python, "-I", "-c", script, *_NEEDED], capture_output=True, text=True, check=True).stdout
+    return [f"python3-{name}" for name in said.split()]
 
 
 def build(sdist: Path, target: Target, out: Path) -> Path:
@@ -166,6 +174,8 @@ def main() -> int:
     parser.add_argument("--arch", action="append", choices=list(TARGETS))
     parser.add_argument("--pure", action="store_true", help="also the one without the compiled module")
     chosen = parser.parse_args()
+    if missing := absent(PYTHON):
+        sys.exit(f"wheels are built by {PYTHON}, which lacks what they need: apt install {' '.join(missing)}")
     for name in chosen.arch or list(TARGETS):
         print(build(chosen.sdist.resolve(), TARGETS[name], chosen.out.resolve()))
     if chosen.pure:

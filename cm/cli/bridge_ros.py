@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 from cm.cli.common import add_connection_options, interval
 from cm.errors import InvalidRequest, NotInstalled
+from cm.extras import installing
 
 if TYPE_CHECKING:
     from cm.client.board import Board
@@ -76,9 +77,7 @@ def run(args: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] not in ("zenoh", "xxhash"):
             raise
-        raise NotInstalled(
-            f"cm bridge ros needs eclipse-zenoh and xxhash: pip install 'fpga-cm[zenoh]' ({error})"
-        ) from None
+        raise NotInstalled(f"cm bridge ros needs eclipse-zenoh and xxhash: {installing('zenoh')} ({error})") from None
     from cm.networks.bridge.commands import writes_named
     from cm.networks.ros.node import NodeName
 

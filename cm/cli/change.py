@@ -213,7 +213,8 @@ def _cancelled(board: Board) -> tuple[int, Status]:
 
 def _told(change: int, status: Status) -> str:
     if not change:
-        return f"no change is running; the board is in {_reached(status)}"
+        there = where(status)
+        return f"no change is running; {f'the board is in {there}' if there else 'nothing is loaded'}"
     how = "was cancelled" if _was_cancelled(status) else "had ended before"
     return f"change {change} {how}; the board is at {_reached(status)}"
 

@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 from cm.errors import InvalidRequest
+from cm.extras import installing
 
 
 def fill_parser(parser: argparse.ArgumentParser) -> None:
@@ -39,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         from PIL import Image  # noqa: F401 (asked for before anything is started)
     except ModuleNotFoundError:
-        raise InvalidRequest("the demo writes a picture with Pillow: pip install 'fpga-cm[demo]'") from None
+        raise InvalidRequest(f"the demo writes a picture with Pillow: {installing('demo')}") from None
     started = time.monotonic()
     print(f"wrote     {_shown(args)} after {time.monotonic() - started:.1f} s")
     return 0

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from cm.cli.common import add_json_option, answer, digits, naming, parsed, print_json
 from cm.errors import CmError
+from cm.extras import installing
 from cm.formats.importers import Imported, import_dfx_mgr, import_pynq, unpack, write
 from cm.schema import dump
 from cm.server.settings.model import Settings
@@ -89,7 +90,7 @@ def _overlay_of(design: Any, config: Any, names: Any, notes: list[str]) -> dict[
     try:
         from cm.design.collect.foreign import overlay_of
     except ImportError as error:
-        notes.append(f"no overlay was made: {error} (pip install 'fpga-cm[build]')")
+        notes.append(f"no overlay was made: {error} ({installing('build')})")
         return {}
     try:
         return overlay_of(design, config, names, notes)

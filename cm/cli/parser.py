@@ -113,12 +113,18 @@ class Parser(argparse.ArgumentParser):
             wrong = [word for word in words if word[:1] == "-" and len(word) > 1 and not self._has(word)]
             if wrong:
                 message = f"unrecognized arguments: {' '.join(wrong)}{self._near(wrong)}"
+            elif choices := self._below():
+                message = f"what is to be done? {self.prog} {'|'.join(choices)}"
         super().error(message)
 
     def _has(self, word: str) -> bool:
         """Whether this is an option with or without its value, or a number."""
         known, number = self._option_string_actions, self._negative_number_matcher
         return word.partition("=")[0] in known or word[:2] in known or number.match(word) is not None
+
+    def _below(self) -> list[str]:
+        """The actions of this command, where it has any."""
+        return [name for action in self._actions if isinstance(action, _Below) for name in action.choices]
 
     def _near(self, words: list[str]) -> str:
         import difflib  # only those who err need it

@@ -18,6 +18,7 @@ from cm.cli.common import add_lease_option, binary_output, named, natural, print
 from cm.cli.connection import connected
 from cm.cli.failures import EXIT_INTERRUPTED
 from cm.errors import CmError, InvalidRequest, Timeout
+from cm.extras import installing
 
 if TYPE_CHECKING:
     import numpy as np
@@ -202,7 +203,7 @@ def png(frame: np.ndarray[Any, Any]) -> bytes:
     try:
         from PIL import Image
     except ModuleNotFoundError:
-        raise InvalidRequest("PNG files need Pillow: pip install 'fpga-cm[demo]', or write a .npy file") from None
+        raise InvalidRequest(f"PNG files need Pillow: {installing('demo')}, or write a .npy file") from None
     data = io.BytesIO()
     Image.fromarray(frame).save(data, "PNG")
     return data.getvalue()

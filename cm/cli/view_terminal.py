@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from cm.client.rendering import Bytes, coloured, picture
 from cm.errors import InvalidRequest
+from cm.extras import installing
 
 WAYS = ("kitty", "sixel", "blocks")
 _CELL = (10, 20)  # pixels of a character that a picture is made for; the terminal's own may differ
@@ -72,7 +73,7 @@ def _kind(way: str) -> Any:
     except ModuleNotFoundError:
         if way == "auto":
             return None
-        raise InvalidRequest(f"--as {way} needs textual-image: pip install 'fpga-cm[view]'") from None
+        raise InvalidRequest(f"--as {way} needs textual-image: {installing('view')}") from None
     except (termios.error, OSError) as error:
         if way == "auto":
             return None

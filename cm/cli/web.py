@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from cm.cli.common import add_connection_options, run_until_told
 from cm.cli.fleet_options import add_network_options
 from cm.errors import CmError, InvalidRequest, NotFound
+from cm.extras import installing
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -86,7 +87,7 @@ def _options(args: argparse.Namespace) -> Options:
     except ModuleNotFoundError as error:
         if error.name != "aiohttp":
             raise
-        raise InvalidRequest("cm web needs aiohttp and Pillow: pip install 'fpga-cm[web]'") from None
+        raise InvalidRequest(f"cm web needs aiohttp and Pillow: {installing('web')}") from None
     host, port = _address(args.listen)
     tls = _tls(*args.tls) if args.tls else None
     if tls is None and not args.insecure and not is_loopback(host):

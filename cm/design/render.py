@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from cm.design.errors import MissingTool
+from cm.extras import installing
 
 TEMPLATES = Path(__file__).parent / "templates"
 
@@ -21,7 +22,7 @@ def _environment() -> Any:
     try:
         import jinja2  # of the extra `build`
     except ImportError:
-        raise MissingTool("generating files needs Jinja2: pip install 'fpga-cm[build]'") from None
+        raise MissingTool(f"generating files needs Jinja2: {installing('build')}") from None
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES),
         undefined=jinja2.StrictUndefined,

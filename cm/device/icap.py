@@ -38,7 +38,7 @@ class IcapErrors(enum.Flag):
 
 
 _SENTENCES = {
-    IcapErrors.CRC: "the CRC does not match",
+    IcapErrors.CRC: "the CRC does not match (the file was damaged after it was built, or on its way here)",
     IcapErrors.ID: "the bitstream is for another device (IDCODE)",
     IcapErrors.DMA: "the DMA engine reported an error",
     IcapErrors.TIMEOUT: "the port did not finish",

@@ -31,7 +31,7 @@ SIGNATURES = "manifest.sig"
 _LARGEST = 1 << 20  # bytes of either: thousands of files
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _CONTEXT = b"fpga-cm configuration manifest 1\0"  # a signature over something else cannot be used for this
-_INSTALL = "install python3-cryptography, or the extra: pip install 'fpga-cm[sign]'"
+_INSTALL = "install python3-cryptography, or pip install cryptography"
 SIGNERS = Path("/etc/cm/signers")
 
 

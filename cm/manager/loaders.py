@@ -252,7 +252,7 @@ class IcapLoader:
 
 def _raise_failed(completion: PortCompletion, image: Image) -> None:
     if completion.status != 0:
-        raise LoadFailed(f"{image.path.name}: the configuration port reported {completion.reason}")
+        raise LoadFailed(f"{image.path.name}: the configuration port reported: {completion.reason}")
 
 
 class FpgaManagerLoader:

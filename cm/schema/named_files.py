@@ -28,10 +28,10 @@ class FileMissing(NotFound):
     code: ClassVar[str] = "file_missing"
 
 
-def find_file(config: Config, candidates: Iterable[str | Path], root: Path | str = "/") -> Path:
+def find_file(config: Config, candidates: Iterable[str | Path], root: Path | str = "/", whose: str = "") -> Path:
     """The first of `candidates` that is a file; every folder is searched for all of them in order.
 
-    Raises `FileMissing` with the folders that were searched.
+    Raises `FileMissing` with the folders that were searched, and `whose` file it is.
     """
     names = list(candidates)
     folders = _folders(config, root)
@@ -41,8 +41,10 @@ def find_file(config: Config, candidates: Iterable[str | Path], root: Path | str
             if _is_file(place):
                 return Path(place)
     relative = not all(Path(name).is_absolute() for name in names)
-    looked = f" in {', '.join(map(str, folders))}" if relative else ""
-    raise FileMissing(f"configuration {config.name}: no file {' or '.join(map(str, names))}{looked}")
+    first, *others = [str(name) for name in names]
+    named = first + (f" (or {', '.join(others)})" if others else "")
+    looked = f": put it into {folders[0]}; also searched: {', '.join(folders[1:])}" if relative else ""
+    raise FileMissing(f"configuration {config.name}: {f'{whose}: ' if whose else ''}no file {named}{looked}")
 
 
 def _is_file(place: str) -> bool:
@@ -62,17 +64,18 @@ def bitstream_path(config: Config, module: Module | str | None, root: Path | str
     Raises `FileMissing`, or `NotFound` for a name that is not a module.
     """
     if module is None:
-        return find_file(config, _candidates(config.name, config.bitstream), root)
+        return find_file(config, _candidates(config.name, config.bitstream), root, "the whole device (key bitstream)")
     if isinstance(module, str):
         module = _module(config, module)
-    return find_file(config, _candidates(module.name, module.bitstream), root)
+    whose = f"module {module.name} of region {module.region} (key bitstream)"
+    return find_file(config, _candidates(module.name, module.bitstream), root, whose)
 
 
 def overlay_path(config: Config, overlay: Overlay | str, root: Path | str = "/") -> Path:
     """The compiled overlay (.dtbo) of `overlay`; raises `FileMissing`."""
     if isinstance(overlay, str):
         overlay = Overlay(overlay)
-    return find_file(config, [overlay.file or f"{overlay.name}.dtbo"], root)
+    return find_file(config, [overlay.file or f"{overlay.name}.dtbo"], root, f"overlay {overlay.name} (key file)")
 
 
 def firmware_spellings(name: str) -> list[str]:

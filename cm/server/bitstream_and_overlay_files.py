@@ -655,6 +655,21 @@ def _decode(data: bytes) -> Mapping[_Key, LearnedFootprint]:
     }
 
 
+_KEYS = {"footprint_outside": "region's key footprint", "encrypted": "region's key allow_encrypted"}
+
+
+@contextlib.contextmanager
+def _of_module(path: Path, config: Config, module: Module) -> Iterator[None]:
+    """A refusal names the file, whose it is, and the key that mends it."""
+    try:
+        yield
+    except BitstreamError as refused:
+        key = _KEYS.get(refused.code, "module's key bitstream")
+        why = str(refused).removeprefix(f"{path}: ")
+        whose = f"module {module.name} of region {module.region} in {config.name}"
+        raise type(refused)(f"{path}, of {whose}: {why} (build it again, or see the {key})") from refused
+
+
 class BoardFiles:
     """`cm.manager.interfaces.Files` over the file system below a root."""
 
@@ -679,7 +694,8 @@ class BoardFiles:
         learned = () if region.footprint else self._learned(config, region)
         expect = expect_module(config, module, learned)
         path = bitstream_path(config, module, self._root)
-        report = self._reader.validated(path, expect)
+        with _of_module(path, config, module):
+            report = self._reader.validated(path, expect)
         if not (region.footprint or learned):
             shown = LearnedFootprint(module.name, report.sha256, footprint_of(report))
             self._footprints.learn(config.name, region.name, shown)

@@ -15,7 +15,7 @@ from cm.server.reload import Reloaded
 from cm.server.rights.model import Access, Security
 from cm.server.settings.model import USUAL, Limits, ScrubSettings
 
-NO_METRICS = "they need prometheus-client: pip install 'fpga-cm[metrics]', or Debian's python3-prometheus-client"
+NO_METRICS = "they need prometheus-client: pip install prometheus-client, or Debian's python3-prometheus-client"
 
 
 @dataclass(frozen=True, slots=True)

@@ -47,6 +47,8 @@ def test_a_change_that_runs_is_cancelled_and_the_board_is_back(
     written(tmp_path, ("duo",))
     with served(schemas=tmp_path) as (manager, sim), manager.connected() as board:
         place = ["--runtime-dir", str(manager.runtime)]
+        assert main(["cancel", *place]) == 0
+        assert capsys.readouterr().out == "no change is running; nothing is loaded\n"
         board.load("duo", "default")
         cancel = cm.Board.cancel
         monkeypatch.setattr(cm.Board, "cancel", lambda asking: (cancel(asking), sim.control.clear("icap_stall")))

@@ -7,6 +7,7 @@ import sys
 from typing import ClassVar
 
 from cm.errors import CmError, NotFound
+from cm.extras import installing
 
 
 class HdlError(CmError, ValueError):
@@ -47,5 +48,5 @@ def parser_missing(package: str, language: str) -> ParserMissing:
         return ParserMissing(f"reading {language} needs the Python package pyslang, which needs Python 3.11 or newer")
     return ParserMissing(
         f"reading {language} needs the Python package {package}, which is not installed: "
-        f"pip install 'fpga-cm[build]' (or pip install {package})"
+        f"{installing('build')} (or pip install {package})"
     )

@@ -10,6 +10,7 @@ from types import MappingProxyType
 from typing import Any
 
 from cm.design.errors import BuildError, MissingTool
+from cm.extras import installing
 from cm.formats.registers import Item, MemoryInfo, RegisterField, RegisterInfo
 
 _ACCESS = {(True, True): "read-write", (True, False): "read-only", (False, True): "write-only", (False, False): "none"}
@@ -33,7 +34,7 @@ def systemrdl_items(path: Path, module: str, notes: list[str]) -> list[Item]:
         from systemrdl.compiler import RDLCompiler
         from systemrdl.messages import MessagePrinter, RDLCompileError
     except ImportError:
-        raise MissingTool("reading SystemRDL needs systemrdl-compiler: pip install 'fpga-cm[build]'") from None
+        raise MissingTool(f"reading SystemRDL needs systemrdl-compiler: {installing('build')}") from None
     said: list[str] = []
 
     class Printer(MessagePrinter):

@@ -27,6 +27,7 @@ from typing import Any
 
 from cm.design.errors import BuildError, MissingTool
 from cm.design.partition.model import GRAIN, Partition, Problem, UsedMode, compatible, evaluate, group_of
+from cm.extras import installing
 
 SECONDS = 10.0
 _INFINITE = float("inf")
@@ -195,7 +196,7 @@ class _Program:
             from scipy.optimize import Bounds, LinearConstraint, milp
             from scipy.sparse import coo_array
         except ImportError:
-            raise MissingTool("the advisor needs scipy: pip install 'fpga-cm[advise]'") from None
+            raise MissingTool(f"the advisor needs scipy: {installing('advise')}") from None
         width = self._worst + 1
         cells = [
             (index, column, value) for index, (row, _, _) in enumerate(self._rows) for column, value in row.items()

@@ -152,7 +152,7 @@ class Leases:
         for held in self._held.values():
             shared = not held.info.exclusive and any(_overlap(one.info.scope, held.info.scope) for one in own)
             if held not in own and not shared and any(_overlap(held.info.scope, scope) for scope in scopes):
-                raise HeldBy(_held_by(held.info, self._left(held)))
+                raise HeldBy(_held_by(held, self._left(held)))
 
     def holds(self, lease: str) -> bool:
         """Whether a lease has not ended."""
@@ -209,7 +209,7 @@ class Leases:
         for held in self._held.values():
             alone = request.exclusive or held.info.exclusive
             if alone and _overlap(held.info.scope, request.scope):
-                raise HeldBy(_held_by(held.info, self._left(held)))
+                raise HeldBy(_held_by(held, self._left(held)))
         info = LeaseInfo(os.urandom(8).hex(), request.scope, request.exclusive, seconds, _named(request.holder))
         until = self._time.monotonic() + seconds
         self._held[info.id] = _Lease(info, until, next(self._numbers), client, request.pid, account)
@@ -282,10 +282,12 @@ def _overlap(a: str, b: str) -> bool:
     return a == b or "board" in (a, b) or "config" in (a, b)
 
 
-def _held_by(info: LeaseInfo, left: float) -> str:
+def _held_by(held: _Lease, left: float) -> str:
+    info = held.info
     how = "alone" if info.exclusive else "shared"
     long = f"for {left:.0f} s more unless renewed" if left < inf else "until that is given back"
-    return f"{info.scope} is held by {info.holder} ({how}), {long}"
+    out = f"give --lease ID if it is yours; cm lease break {held.number} ends it (for administrators)"
+    return f"{info.scope} is held by {info.holder} ({how}), {long}; {out}"
 
 
 def _named(holder: str) -> str:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from cm.errors import CmError, InvalidRequest, NotInstalled
+from cm.extras import installing
 
 PORT = 7447
 LEASE = 10.0  # seconds, zenoh's own
@@ -66,7 +67,7 @@ def zenoh_module() -> Any:
     try:
         import zenoh
     except ImportError as error:
-        raise NotInstalled(f"a fleet needs eclipse-zenoh: pip install 'fpga-cm[zenoh]' ({error})") from None
+        raise NotInstalled(f"a fleet needs eclipse-zenoh: {installing('zenoh')} ({error})") from None
     return zenoh
 
 

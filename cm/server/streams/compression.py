@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from importlib.util import find_spec
 
 from cm.errors import InvalidRequest
+from cm.extras import installing
 from cm.frozen import replace
 from cm.server.sockets import Loop
 from cm.server.streams.stream import Frame
@@ -34,7 +35,7 @@ def check_compression(wanted: str) -> None:
     if wanted and wanted not in compressions():
         raise Unsupported(
             f"frames cannot be compressed with {wanted!r}: the manager's machine has no package lz4 "
-            "(apt install python3-lz4, or pip install 'fpga-cm[lz4]')"
+            f"(apt install python3-lz4, or {installing('lz4')})"
         )
 
 

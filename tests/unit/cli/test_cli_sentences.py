@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import errno
 import os
 import socket
 import subprocess
@@ -23,6 +24,8 @@ from cm.cli.main import main
 from cm.client.errors import NoAnswer
 from cm.errors import InvalidRequest
 from cm.home import cache_home, state_home
+from cm.simulation.software.errors import SimError
+from cm.simulation.software.transport.root import Root
 
 
 def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
@@ -168,3 +171,21 @@ def test_a_file_in_the_place_of_a_folder_is_called_a_file(tmp_path: Path, option
     assert (done.returncode, done.stderr.count("\n")) == (1, 1)
     assert f"{tmp_path / 'f'} is a file, not a folder: name a folder" in done.stderr
     assert (tmp_path / "f").read_text() == "precious"
+
+
+def test_a_command_without_its_action_is_answered_with_those_that_there_are(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["reg"])
+    assert end.value.code == 2
+    assert "what is to be done? cm reg list|read|write|watch" in capsys.readouterr().err
+
+
+def test_a_simulators_full_disk_is_told_as_one(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Root, "_create", full)
+    with pytest.raises(SimError, match=r"^the root in memory cannot be used: No space .*; free some space there"):
+        Root(None)
+    with pytest.raises(SimError, match=f"^the root {tmp_path} cannot be used"):
+        Root(tmp_path)

@@ -45,6 +45,6 @@ def test_every_frame_can_be_drawn_within_the_terminal(frame: Any, way: str, colu
 def test_without_the_library_the_extra_that_brings_it_is_named(way: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "textual_image", None)
     monkeypatch.delitem(sys.modules, "textual_image.renderable", raising=False)
-    with pytest.raises(InvalidRequest, match=re.escape("pip install 'fpga-cm[view]'")):
+    with pytest.raises(InvalidRequest, match=re.escape("pip install 'textual-image>=0.8'")):
         Drawer(way)
     assert "▀" in Drawer("auto").text(SHADES, 10, 5)[0]

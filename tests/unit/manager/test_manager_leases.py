@@ -83,7 +83,12 @@ def test_a_lease_keeps_others_off_what_contains_it_or_is_in_it(
     assert kept_off(lambda: take(leases, asked, holder="bert")) is refused
 
 
-def test_the_refusal_names_the_holder_and_how_long(leases: Leases, clock: Clock) -> None:
+def out(number: int) -> str:
+    """What its holder gives, and how others end it."""
+    return f"; give --lease ID if it is yours; cm lease break {number} ends it (for administrators)"
+
+
+def test_the_refusal_names_the_holder_how_long_and_the_ways_out(leases: Leases, clock: Clock) -> None:
     take(leases, "region:prr0", seconds=30)
     clock.now += 12
     leases.hold("region:prr1", "window 1", "peer", 7)
@@ -91,11 +96,11 @@ def test_the_refusal_names_the_holder_and_how_long(leases: Leases, clock: Clock)
     take(leases, "registers:led", exclusive=False, holder="")
     texts = {scope: refusal(lambda scope=scope: leases.check((scope,))) for scope in ("region:prr0", "region:prr1")}
     assert texts == {
-        "region:prr0": "region:prr0 is held by anna (alone), for 18 s more unless renewed",
-        "region:prr1": "region:prr1 is held by window 1 (alone), until that is given back",
+        "region:prr0": "region:prr0 is held by anna (alone), for 18 s more unless renewed" + out(1),
+        "region:prr1": "region:prr1 is held by window 1 (alone), until that is given back" + out(2),
     }
     assert refusal(lambda: leases.check(("registers:led",))) == (
-        "registers:led is held by an?na (shared), for 10 s more unless renewed"
+        "registers:led is held by an?na (shared), for 10 s more unless renewed" + out(3)
     )
     assert refusal(lambda: take(leases, "region:prr0")) == texts["region:prr0"]
     assert leases.told() == (

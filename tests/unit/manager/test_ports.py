@@ -214,7 +214,7 @@ def test_an_image_is_written_once_and_its_own_end_is_waited_for(bench: Bench) ->
 @pytest.mark.parametrize(
     ("arrange", "error", "text"),
     [
-        ({"ends": [{"status": 3, "reason": "a CRC"}]}, LoadFailed, "b.bit: the configuration port reported a CRC"),
+        ({"ends": [{"status": 3, "reason": "a CRC"}]}, LoadFailed, "b.bit: the configuration port reported: a CRC"),
         ({"ends": ["none yet"] * 99}, StepTimeout, "the port took b.bit for more than 5.0 s and did not finish"),
         ({"busy": 99}, StepTimeout, "the port was busy with an earlier load for 5.0 s; b.bit waits"),
     ],
@@ -228,7 +228,7 @@ def test_a_load_that_does_not_end_well_says_how(
     vars(bench.port).update(ends=[{"status": 3, "reason": "why"}], busy=0)
     words = b"some"
     write: Any = lambda: bench.loaders.write(CONFIG.regions["fixed"], words, image("b.bit"), 5.0)  # noqa: E731
-    assert refused(write) == (LoadFailed, "b.bit: the configuration port reported why")
+    assert refused(write) == (LoadFailed, "b.bit: the configuration port reported: why")
     write()
     assert (bench.port.done[-1], len(bench.port.buffers)) == ((b"some", False, False), 1)
 

@@ -185,7 +185,8 @@ def test_a_missing_file_is_reported_with_the_places_looked_at(tmp_path: Path) ->
     config = cm.schema.load(tmp_path / "c.yaml")
     with pytest.raises(
         FileMissing,
-        match=r"no file edge\.bit or edge\.bin or edge\.bit\.bin in /.*/lib/firmware/cm/c, /.*/lib/firmware$",
+        match=r"module edge of region prr0 \(key bitstream\): no file edge\.bit \(or edge\.bin, edge\.bit\.bin\): "
+        r"put it into /.*; also searched: /.*/lib/firmware/cm/c, /.*/lib/firmware$",
     ):
         bitstream_path(config, "edge", tmp_path)
     with pytest.raises(NotFound, match="did you mean edge"):

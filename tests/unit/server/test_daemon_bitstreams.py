@@ -12,7 +12,7 @@ from bitstream_support import HERE, frames, small, two_sections
 
 from cm.formats import fdt
 from cm.formats.bitstream import Container, FrameAddress, FrameRun, assemble, convert
-from cm.formats.bitstream.errors import Sha256Mismatch
+from cm.formats.bitstream.errors import BitstreamError, Sha256Mismatch
 from cm.manager.errors import BadOverlay
 from cm.manager.inputs import Image
 from cm.schema import loads
@@ -254,3 +254,25 @@ def test_what_the_kernel_would_find_under_our_name_has_to_be_what_was_checked(pa
         copy.write_bytes(content)
         with pytest.raises(Sha256Mismatch, match=f"{copy}: {said} {package.image.path}"):
             package.files.check_firmware(name, package.image)
+
+
+@pytest.mark.parametrize(
+    ("image", "allowed", "why", "key"),
+    [
+        (small()[:-40], "", "bitstream_truncated", "module's key bitstream"),
+        (small(), "    footprint: [{row: 0, columns: [60, 61]}]\n", "footprint_outside", "region's key footprint"),
+    ],
+)
+def test_a_refused_bitstream_is_named_with_its_module_its_region_and_the_key_that_mends_it(
+    tmp_path: Path, image: bytes, allowed: str, why: str, key: str
+) -> None:
+    schema = "config:\n  name: c\n  type: partial\n  device: xc7z020\n  regions:\n   r:\n    timeout: 9\n"
+    schema += f"{allowed}  modules: {{m: {{region: r}}}}\n  modes: {{a: {{modules: [m]}}}}\n"
+    config = loads(schema, source=tmp_path / "c.yaml")
+    (tmp_path / "m.bit").write_bytes(image)
+    with pytest.raises(BitstreamError) as refused:
+        BoardFiles(tmp_path / "root").image(config, config.modules["m"])
+    told = str(refused.value)
+    assert (refused.value.code, told.count(str(tmp_path))) == (why, 1)
+    assert told.startswith(f"{tmp_path / 'm.bit'}, of module m of region r in c: ")
+    assert key in told

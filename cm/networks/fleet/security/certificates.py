@@ -13,6 +13,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from cm.errors import InvalidRequest, NotInstalled
+from cm.extras import installing
 
 try:
     from cryptography import x509
@@ -20,7 +21,7 @@ try:
     from cryptography.hazmat.primitives.asymmetric import ec
     from cryptography.x509.oid import ExtendedKeyUsageOID
 except ImportError as error:
-    raise NotInstalled(f"certificates need cryptography: pip install 'fpga-cm[zenoh]' ({error})") from None
+    raise NotInstalled(f"certificates need cryptography: {installing('zenoh')} ({error})") from None
 
 _FROM = datetime.datetime(1970, 1, 1, tzinfo=datetime.timezone.utc)  # boards without a battery begin there
 AUTHORITY_DAYS = 3653

@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TypeAlias
 
+from cm.extras import installing
 from cm.simulation.software.errors import SimError
 from cm.wire.lazy_numpy import NDArray, np
 
@@ -35,7 +36,7 @@ def load_photos(folder: Path) -> dict[str, Photo]:
     try:
         from PIL import Image
     except ImportError as error:
-        raise SimError("--images needs Pillow: pip install 'fpga-cm[demo]'") from error
+        raise SimError(f"--images needs Pillow: {installing('demo')}") from error
     try:
         found = sorted(p for p in folder.iterdir() if p.suffix.lower() in _SUFFIXES)
     except OSError as error:

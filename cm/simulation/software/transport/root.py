@@ -15,6 +15,7 @@ import socket
 from collections.abc import Sequence
 from pathlib import Path
 
+from cm.errors import sentence
 from cm.simulation.software.errors import NodeError, SimError
 from cm.simulation.software.transport.scratch import LOCK, Scratch
 
@@ -44,7 +45,9 @@ class Root:
             self._manifest = open(self.path / MANIFEST, "w", encoding="utf-8", opener=_for_us)  # noqa: SIM115
             self._manifest.write(".\n" if self._own else "")
         except OSError as error:
-            raise SimError(f"the root {path} cannot be used: {error}; give a folder you may write") from error
+            full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+            advice = "free some space there, or give a folder elsewhere" if full else "give a folder you may write"
+            raise SimError(f"the root {path or 'in memory'} cannot be used: {sentence(error)}; {advice}") from error
 
     def mkdir(self, relative: str) -> None:
         """Make a folder and those above it."""
