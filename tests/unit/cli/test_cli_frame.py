@@ -318,7 +318,7 @@ def test_a_bitstream_that_a_schema_names_and_nobody_has_is_noted(
     assert main(["config", "check", str(tmp_path / "b.yaml")]) == 0  # it may be where the board is
     good, note = capsys.readouterr().out.splitlines()
     assert note.startswith(
-        f"{tmp_path}/b.yaml: note: configuration b: module one (key bitstream): no file one.bit: put it "
+        f"{tmp_path}/b.yaml: note: configuration b: module one of region prr0 (key bitstream): no file one.bit: "
     )
     (tmp_path / "one.bit").touch()
     assert main(["config", "check", str(tmp_path / "b.yaml")]) == 0
