@@ -23,7 +23,7 @@ REGION_CLOCK = "aclk"  # of several clock ports of a region, the one that gets i
 _CLOCK_CORE = re.compile(
     r"(?P<before>[a-z0-9]{0,12}?)(?:clk|clock|(?<![a-z])ck)(?:in|i|x|p|n)?(?P<after>\d\w*|[a-mo-z])?"
 )
-_RESET_CORE = re.compile(r"n?(?P<before>[a-z0-9]{0,12}?)(?:rst|reset)(?:n|ni)?(?P<after>\d\w*|[a-d])?")
+_RESET_CORE = re.compile(r"n?(?P<before>[a-z0-9]{0,12}?)(?:rst|reset)(?:n|ni)?(?P<after>\d\w*|[a-h])?")
 _SHORT = {"w": "wr", "write": "wr", "r": "rd", "read": "rd", "pixel": "pix", "video": "vid", "source": "src"}
 _NOT_CLOCK = _words(
     "en ena enable ce cen sel select div divider valid cnt count locked lock req ack ok stop stopped gate "
@@ -31,9 +31,9 @@ _NOT_CLOCK = _words(
     "src stall err error override bypass polarity pol invert inv mode force test"
 )
 _ENABLES = frozenset(("en", "ena", "enable", "cen"))  # `ce` before clk is a name: ce_clk
-_RESET = re.compile(  # first, burst, preset are other words, as is what a transceiver resets; a, c, d: one of several
+_RESET = re.compile(  # first, burst, preset are other words, as is what a transceiver resets; a, c, …: one of several
     r"(?!\w*(?:fi|bu|wo|bo)rst|p?preset$|\w*(?:cnt|buf|scan|lpm)reset)"
-    r"(?P<n1>n)?[a-z0-9]{0,12}?(?:rst|reset)(?P<n2>n|b|_n)?(?:[acd]|\d+(?:m|mhz|k|khz)?)?"
+    r"(?P<n1>n)?[a-z0-9]{0,12}?(?:rst|reset)(?P<n2>n|b|_n)?(?:[ac-h]|\d+(?:m|mhz|k|khz)?)?"
 )
 _NOT_RESET = _words(
     "done cnt count busy req request ack ok en enable val value active status vector addr count time code data wstb stb"

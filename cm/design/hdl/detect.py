@@ -288,10 +288,9 @@ class _Detection:
         )
 
     def _clocks(self) -> list[ModuleClock]:
-        """Those that the sources show to be clocks, and those that are named so."""
-        found = [
-            port for port in self._unrejected() if is_clock(port) or (self._use(port.name).clock and is_wire(port))
-        ]
+        """Those that the sources show to be clocks, and those that are named so, unless a clock only samples them."""
+        free = [(port, self._use(port.name)) for port in self._unrejected()]
+        found = [port for port, use in free if (use.clock and is_wire(port)) or (is_clock(port) and not use.clocks)]
         found = [port for port in found if not is_reset(port)]
         self._take(port.name for port in found)
         return [vivado_attributes.clock_of(port.name, port, vivado_attributes.parameters(port)) for port in found]

@@ -189,7 +189,7 @@ class _Files:
     def needs(self, module: str) -> tuple[Path, ...]:
         """The files that synthesis of `module` needs; of several that declare one module, that in its own folder."""
         own = self._found[module][1].parent
-        reached = self._reached([module], ChainMap(self._below, self._vhdl_below))[0]
+        reached = self._reached([module], ChainMap(self._vhdl_below, self._below))[0]
         homes = {
             self._homes[name].get(own) or next(iter(self._homes[name].values()))
             for name in reached

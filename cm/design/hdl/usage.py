@@ -9,6 +9,7 @@ not known, and no proof.
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
@@ -22,13 +23,18 @@ Pins = tuple[str, Mapping[str, tuple[str, bool]]]  # an instance's module, and b
 _MOST = 64  # copies of copies that are followed
 
 _BLOCK = re.compile(r"@\s*\((?P<edges>[^()]*\b(?:pos|neg)edge\b[^()]*)\)")
-_NEXT = re.compile(r"\b(?:always\w*|assign|initial|endmodule|generate|endgenerate)\b")
+_NEXT = re.compile(r"\b(?:always\w*|assign|initial|endmodule|generate|endgenerate)\b|\(\s*\.\s*\w+\s*\(|#\s*\(\s*\.")
+_OPENS = re.compile(r"\s*begin\b")
+_BEGIN_END = re.compile(r"\b(?:begin|end)\b")
 _EDGE = re.compile(r"\b(pos|neg)edge\s+(\w+)")
 _TEST = re.compile(
     r"\bif\s*\(\s*([!~])?\s*\(?\s*(\w+)\s*\)?\s*(?:==+\s*(?:\d+'[bhd]|')?([01])\s*)?\)(.*?)(?:\belse\b|\bend\b|\Z)",
     re.DOTALL,
 )
 _COPY = re.compile(r"\b(?:assign\s+|wire\s+|logic\s+)(\w+)\s*=\s*([!~])?\s*(\w+)\s*;")
+# a member of an interface that is given a port, or that a port is given, as in a flat wrapper
+_MEMBER = re.compile(r"\bassign\s+(\w+)(?:\.\w+)?\s*=\s*(\w+)(?:\.\w+)?\s*;")
+_FIELD = re.compile(r"(?m)^\s*(\w+)(?:\.[\w.]+)?\s*<=\s*(\w+)(?:\.[\w.]+)?\s*;")
 _LEVELS = {"pos": Polarity.HIGH, "neg": Polarity.LOW}
 _WORD = re.compile(r"\w+")
 _VALUE = re.compile(r"<=\s*(?:#\s*\w+\s*)?([^;]+);")
@@ -41,7 +47,9 @@ _SAME = re.compile(r"(?m)^\s*(\w+)\s*<=\s*(not\s+)?(\w+)\s*;")
 _MAPPED = re.compile(
     r":\s*(?:entity\s+\w+\.|component\s+)?(\w+)\s+(?:generic\s+map\b[^;]*?)?port\s+map\s*\(([^;]*)\)\s*;"
 )
-_PIN = re.compile(r"(\w+)\s*=>\s*(not\s+)?(\w+)\s*(?=,|$|\))")
+_PIN = re.compile(
+    r"(\w+)\s*=>\s*(not\s+)?(?:(?:std_u?logic(?:_vector)?|(?:u_)?(?:un)?signed)\s*\(\s*)?(\w+)\s*\)?\s*(?=,|$|\))"
+)
 _SAYS_RESET = re.compile(r"rst|reset|clear|init", re.IGNORECASE)
 
 
@@ -53,6 +61,7 @@ class Body:
     resets: tuple[tuple[str, Polarity, str, bool], ...] = ()  # signal, level, clock, and whether it is asynchronous
     copies: tuple[tuple[str, bool, str], ...] = ()  # a signal that is another one, perhaps inverted
     instances: tuple[Pins, ...] = ()
+    members: tuple[tuple[str, str], ...] = ()  # an interface or a record and another signal, in either order
 
 
 def verilog_body(text: str, instances: Iterable[Pins]) -> Body:
@@ -60,8 +69,7 @@ def verilog_body(text: str, instances: Iterable[Pins]) -> Body:
     steps: dict[str, set[str]] = {}
     resets = []
     for match in _BLOCK.finditer(text):
-        end = _NEXT.search(text, match.end())
-        block = text[match.end() : end.start() if end else len(text)]
+        block = text[match.end() : _end(text, match.end())]
         edges = _EDGE.findall(match["edges"])
         first = _TEST.search(block)
         clocks = [name for _, name in edges if len(edges) == 1 or first is None or name != first[2]]
@@ -74,7 +82,19 @@ def verilog_body(text: str, instances: Iterable[Pins]) -> Body:
             level = _level((turned == "") != (value == "0"), inside) if _SAYS_RESET.search(name) else None
             resets += [(name, level, clock, False)] if level else []
     copies = tuple((one, bool(turned), other) for one, turned, other in _COPY.findall(text))
-    return Body(tuple((c, frozenset(names)) for c, names in steps.items()), tuple(resets), copies, tuple(instances))
+    parts = tuple((c, frozenset(names)) for c, names in steps.items())
+    return Body(parts, tuple(resets), copies, tuple(instances), tuple(_MEMBER.findall(text)))
+
+
+def _end(text: str, start: int) -> int:
+    """Where the statement behind an event control ends: with its `end`, or before the next thing that is none of it."""
+    depth = 0
+    for word in _BEGIN_END.finditer(text, start) if _OPENS.match(text, start) else ():
+        depth += 1 if word[0] == "begin" else -1
+        if depth == 0:
+            return word.end()
+    end = _NEXT.search(text, start)
+    return end.start() if end else len(text)
 
 
 def _level(high: bool, inside: str) -> Polarity | None:
@@ -104,7 +124,7 @@ def vhdl_body(text: str) -> Body:
         (unit, {port: (signal, bool(turned)) for port, turned, signal in _PIN.findall(pins)})
         for unit, pins in _MAPPED.findall(text)
     )
-    return Body(tuple(steps), tuple(resets), copies, instances)
+    return Body(tuple(steps), tuple(resets), copies, instances, tuple(_FIELD.findall(text)))
 
 
 class Usage:
@@ -157,6 +177,11 @@ class _Ports:
             if not new:
                 break
             self._origin |= {a: (self._origin[b][0], self._origin[b][1] != turns[a]) for a, b in new.items()}
+        self._members: dict[str, set[str]] = {}  # of an interface: the ports that are its members
+        for one, other in body.members:
+            for whole, port in ((one, other), (other, one)):
+                if port in ports and whole not in ports:
+                    self._members.setdefault(whole, set()).add(port)
         self._found: dict[str, _Found] = {}
 
     def result(self) -> dict[str, PortUse]:
@@ -188,9 +213,10 @@ class _Ports:
             self._clock(name)
         if use.reset is not None:
             self._reset(name, _turned(use.reset, turned), clocks, use.asynchronous)
-        elif name in self._origin:
-            for clock in clocks:
-                self._runs(self._origin[name][0], clock)
+        else:
+            of = {self._origin[name][0]} if name in self._origin else self._members.get(name, set())
+            for port, clock in itertools.product(sorted(of), clocks):
+                self._runs(port, clock)
 
     def _clock(self, name: str) -> None:
         if name in self._origin:

@@ -14,6 +14,7 @@ pytest.importorskip("tree_sitter_vhdl")
 from hdl_support import DATA, extract
 
 from cm.design.hdl.errors import HdlError
+from cm.design.hdl.extract import Sources, read
 from cm.design.hdl.model import Language, ModuleInfo, PortDirection
 from cm.design.hdl.vhdl_expr import NotFlat, Unknown, evaluate, width_of
 
@@ -273,3 +274,13 @@ def test_a_constant_may_need_one_of_a_later_package(tmp_path: Path) -> None:
     before = "package a is constant W : positive := LATER * 2; end package;\n"
     before += "package b is constant LATER : natural := 4; end package;"
     assert entity(tmp_path, "p : in std_logic_vector(W - 1 downto 0)", before=before).port("p").width == 8
+
+
+def test_the_files_of_an_entity_are_those_of_what_it_instantiates(tmp_path: Path) -> None:
+    inner = "entity inner is port (a : in bit); end entity;\narchitecture rtl of inner is begin end architecture;\n"
+    outer = "entity outer is port (a : in bit); end entity;\narchitecture rtl of outer is begin\n"
+    outer += "  one : entity work.inner port map (a => a);\nend architecture;\n"
+    files = [tmp_path / name for name in ("inner.vhd", "other.vhd", "outer.vhd")]
+    for file, text in zip(files, (inner, inner.replace("inner", "other"), outer), strict=True):
+        file.write_text(text)
+    assert read(Sources(files)).files["outer"] == (files[0], files[2])
