@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
 from cm.design.hdl import vivado_attributes
 from cm.design.hdl.associate import associate, named_after
@@ -296,8 +296,13 @@ class _Detection:
         return [vivado_attributes.clock_of(port.name, port, vivado_attributes.parameters(port)) for port in found]
 
     def _resets(self, clocks: Sequence[ModuleClock]) -> list[Reset]:
-        """Likewise; of those that are only named so, `ff_reset` beside a reset is none."""
-        ports = [port for port in self._unrejected() if is_reset(port) or (self._is_reset(port) and is_wire(port))]
+        """Likewise; of those that are only named so, `ff_reset` beside a reset is none, and `rst` beside `set`."""
+        every = {port.name.lower() for port in self._module.ports}
+        named = [
+            port for port in self._unrejected() if is_reset(port) and not _beside(port.name, "reset rst", "set", every)
+        ]
+        proven = [port for port in self._unrejected() if self._is_reset(port) and is_wire(port) and port not in named]
+        ports = [*named, *proven]
         names, inputs = [port.name for port in ports], [clock.port for clock in clocks if clock.direction is _IN]
         levels = {port.name: self._polarity(port, names, inputs) for port in ports}
         found = [
@@ -324,7 +329,7 @@ class _Detection:
         found = [
             (port, mode)
             for port in self._unrejected()
-            if (mode := interrupt_mode(port)) and not _internal(port.name.lower(), names)
+            if (mode := interrupt_mode(port)) and not _beside(port.name, "int", "ext", names)
         ]
         self._take(port.name for port, _ in found)
         return [
@@ -357,9 +362,10 @@ def _channel_alone(candidate: Candidate) -> bool:
     )
 
 
-def _internal(name: str, others: Iterable[str]) -> bool:
-    """Whether `int` is short for internal: beside `blowoff_int` there is `blowoff_ext`."""
-    return "int" in name and (name.replace("int", "ext") in others or name.replace("int", "external") in others)
+def _beside(name: str, words: str, other: str, names: Collection[str]) -> bool:
+    """Whether there is the same name with another word: beside `blowoff_ext`, `blowoff_int` is what is internal."""
+    name = name.lower()
+    return any(word in name and name.replace(word, other) in names for word in words.split())
 
 
 def _stated(clocks: Iterable[ModuleClock], ports: Sequence[Port]) -> list[ModuleClock]:

@@ -31,6 +31,7 @@ NAMED = [
     ("clk rst_n sys_rst", "clk rst_n-clk sys_rst+clk"),
     ("clk rst_n core_rst_n", "clk rst_n-clk core_rst_n-clk"),
     ("clk soft_reset", "clk soft_reset+clk"),
+    ("clk rst_i set_i", "clk"),
     ("clka clkb rsta rstb", "clka clkb rsta+clka rstb+clkb"),
     ("clk first_bit burst_len gt_prbscntreset qpllreset", "clk qpllreset+clk"),
     ("gt0_qplloutrefclk spi_sclk rxusrclk2", "gt0_qplloutrefclk rxusrclk2"),
