@@ -17,13 +17,13 @@ def _words(text: str) -> frozenset[str]:
 
 
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
-_CLOCK = re.compile(r"(?!sclk)(?:[a-z0-9]{0,12}clk|[a-z]?clock|ck)(?:in|i|x|p|n)?(?:\d+(?:m|mhz|k|khz)?)?[a-z]?")
+_CLOCK = re.compile(r"(?!sclk)(?:[a-z0-9]{0,12}clk|[a-z]?clock|ck)(?:in|i|x|p|n|ref)?(?:\d+(?:m|mhz|k|khz)?)?[a-z]?")
 REGION_CLOCK = "aclk"  # of several clock ports of a region, the one that gets its clock without a word
 # what is left of a word that says clock or reset: pixclk → pix, clk100 → 100; a (of AMBA's aclk) says nothing
 _CLOCK_CORE = re.compile(
-    r"(?P<before>[a-z0-9]{0,12}?)(?:clk|clock|(?<![a-z])ck)(?:in|i|x|p|n)?(?P<after>\d\w*|[a-mo-z])?"
+    r"(?P<before>[a-z0-9]{0,12}?)(?:clk|clock|(?<![a-z])ck)(?:in|i|x|p|n|ref)?(?P<after>\d\w*|[a-mo-z])?"
 )
-_RESET_CORE = re.compile(r"n?(?P<before>[a-z0-9]{0,12}?)(?:rst|reset)(?:n|ni)?(?P<after>\d\w*|[a-h])?")
+_RESET_CORE = re.compile(r"n?(?P<before>[a-z0-9]{0,12}?)(?:rst|reset|arest)(?:n|ni)?(?P<after>\d\w*|[a-h])?")
 _SHORT = {"w": "wr", "write": "wr", "r": "rd", "read": "rd", "pixel": "pix", "video": "vid", "source": "src"}
 _NOT_CLOCK = _words(
     "en ena enable ce cen sel select div divider valid cnt count locked lock req ack ok stop stopped gate "
@@ -33,14 +33,14 @@ _NOT_CLOCK = _words(
 _ENABLES = frozenset(("en", "ena", "enable", "cen"))  # `ce` before clk is a name: ce_clk
 _RESET = re.compile(  # first, burst, preset are other words, as is what a transceiver resets; a, c, …: one of several
     r"(?!\w*(?:fi|bu|wo|bo)rst|p?preset$|\w*(?:cnt|buf|scan|lpm)reset)"
-    r"(?P<n1>n)?[a-z0-9]{0,12}?(?:rst|reset)(?P<n2>n|b|_n)?(?:[ac-h]|\d+(?:m|mhz|k|khz)?)?"
+    r"(?P<n1>n)?[a-z0-9]{0,12}?(?:rst|reset|arest)(?P<n2>n|b|_n)?(?:[ac-h]|\d+(?:m|mhz|k|khz)?)?"
 )
 _NOT_RESET = _words(
     "done cnt count busy req request ack ok en enable val value active status vector addr count time code data wstb stb"
 )
 _LOW_WORDS = frozenset(("n", "b", "ni", "bar", "l"))
 _IO_WORDS = frozenset(("i", "o", "in", "out"))
-_INTERRUPT = re.compile(r"(?:irq|interrupt|interrupts|intr|intrpt|introut|irpt|irqs)\d*")
+_INTERRUPT = re.compile(r"(?:irq|interrupt|interrupts|intr|intrpt|itrpt|introut|irpt|irqs)\d*")
 _INT = re.compile(r"int\d*")
 _NOT_INTERRUPT = _words(
     "en enable mask clr clear ack pending status id num sel vector count cnt level valid trace ip addr code type cause "

@@ -89,8 +89,8 @@ def _missing(protocol: Protocol, ports: Mapping[str, Port]) -> str:
     lacking = [name for name, signal in protocol.signals.items() if signal.required and name not in ports]
     if lacking:
         return _lacking(lacking)
-    if protocol.company and len(ports) == 1:
-        return "it is one signal alone"
+    if protocol.company and set(ports) <= {"TVALID", "TLAST"}:
+        return "it is one signal alone" if len(ports) == 1 else "it has neither data nor ready"
     if not protocol.halves:
         return ""
     gaps = [sorted(half - set(ports)) for half in protocol.halves]

@@ -147,6 +147,8 @@ def test_two_sides_whose_affixes_show_directions_are_two_streams(tmp_path: Path)
 
 NAMED = {
     "wbs_cyc_i wbs_stb_i wbs_ack_o": "Wishbone",
+    "wb_ibus_cyc_o wb_ibus_ack_i": "Wishbone",
+    "m_axis_tvalid_i m_axis_tlast_i": "it has neither data nor ready",
     "s_psel_i s_penable_i": "APB",
     "cmd_valid_i cmd_ready_o": "a handshake",
     "x_valid_i x_data_i": "a stream without ready: streams: [x]",

@@ -32,6 +32,7 @@ NAMED = [
     ("clk rst_n core_rst_n", "clk rst_n-clk core_rst_n-clk"),
     ("clk soft_reset", "clk soft_reset+clk"),
     ("clk rst_i set_i", "clk"),
+    ("clkref tx_arestn", "clkref tx_arestn-clkref"),
     ("clka clkb rsta rstb", "clka clkb rsta+clka rstb+clkb"),
     ("clk first_bit burst_len gt_prbscntreset qpllreset", "clk qpllreset+clk"),
     ("gt0_qplloutrefclk spi_sclk rxusrclk2", "gt0_qplloutrefclk rxusrclk2"),
