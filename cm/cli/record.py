@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cm.cli.common import add_connection_options, add_json_option, answer
+from cm.cli.common import add_connection_options, add_json_option, answer, write_whole
 from cm.errors import InvalidRequest, NotInstalled
 
 if TYPE_CHECKING:
@@ -38,6 +38,10 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
     repairing.add_argument("file", type=Path, metavar="FILE", help="the damaged file")
     repairing.add_argument("out", nargs="?", type=Path, metavar="OUT", help="(default: FILE-repaired.mcap)")
     add_json_option(repairing, repair)
+    plotting = actions.add_parser("plot", help="draw a record: modes, changes, faults, frames and upsets over time")
+    plotting.add_argument("file", type=Path, metavar="FILE", help="the record")
+    plotting.add_argument("out", type=Path, metavar="OUT.svg", help="the picture")
+    add_json_option(plotting, plot)
 
 
 def _add_start(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -160,6 +164,17 @@ def repair(args: argparse.Namespace) -> int:
     text = "\n".join([*lines, f"{found.messages} messages are in {target}"])
     told = {"file": str(target), "messages": found.messages, "orphans": found.orphans, "lost": list(found.lost)}
     return answer(args, told, text)
+
+
+def plot(args: argparse.Namespace) -> int:
+    """Draw a record; the exit status."""
+    from cm.recording.plot import drawn, svg
+    from cm.recording.reader import Record
+
+    record = Record(args.file)
+    write_whole(args.out, svg(drawn(record)).encode())
+    told = {"file": str(args.out), "problems": record.problems}
+    return answer(args, told, "\n".join([*record.problems, f"wrote {args.out}"]))
 
 
 def recorder_module() -> None:

@@ -80,7 +80,7 @@ def test_one_flipped_bit_is_told_and_never_shown_as_data(tmp_path: Path) -> None
                 flips += 1
             assert set(there) <= set(range(8)), (at, bit)
             less += len(there) < 8
-            if not record.problems:
+            if not record.problems and there != list(range(8)):  # an index between chunks is no data
                 silent.append((at, bit))
     assert flips > 300
     assert less > 150
