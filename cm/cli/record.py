@@ -77,6 +77,13 @@ def _add_start(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     parser.add_argument("--split", default="", metavar="AMOUNT", help="begin another file after 1GiB, or 10min")
     parser.add_argument("--ring", default="", metavar="AMOUNT", help="keep only the last 5min, or 2GiB")
     parser.add_argument(
+        "--settings",
+        nargs="?",
+        const="/etc/cm/cm.yaml",
+        metavar="FILE",
+        help="be the black box that `record` in the settings (/etc/cm/cm.yaml) describes; cm-record.service is",
+    )
+    parser.add_argument(
         "--ros2",
         action="store_true",
         help="write the topics of the ROS 2 node (docs/ros2.md) instead, into a folder that ros2 bag and rosbags read",
@@ -86,6 +93,8 @@ def _add_start(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
 
 def run(args: argparse.Namespace) -> int:
     """Record until interrupted; the exit status."""
+    if args.settings is not None and not _take_settings(args):
+        return 0
     limits, wanted = limits_of(args.split, args.ring), wanted_of(args.streams, args.frames)
     place = args.file
     if place is not None and limits.is_ring and place.suffix == ".mcap":
@@ -111,6 +120,23 @@ def run(args: argparse.Namespace) -> int:
     if missing:
         _tell(f"{missing} messages are in no file, since the disk took no more")
     return 1 if missing else 0
+
+
+def _take_settings(args: argparse.Namespace) -> bool:
+    """Put what the settings say in the place of options; False if they want no record."""
+    if args.file is not None or args.split or args.ring:
+        raise InvalidRequest("--settings says where to and how much: name no file, --split or --ring beside it")
+    from cm.server.settings import load_settings
+
+    settings = load_settings(Path(args.settings))
+    said = settings.record
+    if said is None:
+        _tell(f"{args.settings} has no `record`: nothing is recorded")
+        return False
+    args.file, args.ring = Path(said.folder), said.ring
+    args.streams, args.frames = list(said.streams) or ["none"], said.frames.split()
+    args.runtime_dir = args.runtime_dir or settings.runtime_dir
+    return True
 
 
 def _as_ros(connected: Callable[..., Board], place: Path, limits: Limits, wanted: Wanted) -> int:

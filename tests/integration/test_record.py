@@ -188,3 +188,17 @@ def test_a_bag_has_the_topics_of_the_ros_node_as_rosbags_reads_them(manager: Man
     assert [(r.name, r.value) for r in held["/cm/registers"][0].registers] == [("focus", 7)]
     image = held["/cm/camera/image_raw"][0]
     assert len(image.data) == image.height * image.step > 0
+
+
+def test_the_settings_describe_the_black_box(manager: Manager, tmp_path: Path) -> None:
+    box, settings = tmp_path / "box", tmp_path / "cm.yaml"
+    settings.write_text(f"record:\n  folder: {box}\n  ring: 1h\n  streams: [camera]\n  frames: hash\n")
+    with recording(manager, "--settings", settings):
+        until(lambda: list(box.glob("*.mcap")) and sum(path.stat().st_size for path in box.glob("*.mcap")) > 20_000)
+    (path,) = layout.files_of(box)
+    assert all(len(seen.sha256) == 32 and not seen.kept for seen in of(messages(path), "cm_frame/camera"))
+    assert of(messages(path), "cm_frame/camera")
+    settings.write_text("log: info\n")
+    words = child.command("cm.cli.main", "record", "--settings", str(settings))
+    done = subprocess.run(words, env=environment(), capture_output=True, text=True, check=True)
+    assert "nothing is recorded" in done.stderr

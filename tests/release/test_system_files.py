@@ -52,7 +52,7 @@ def test_the_service_is_little_exposed(unit_file: Path) -> None:
 
 
 @needs_systemd
-@pytest.mark.parametrize("name", ["cm.service", "cm-bridge@.service", "cm-bridge-reload.path"])
+@pytest.mark.parametrize("name", ["cm.service", "cm-bridge@.service", "cm-bridge-reload.path", "cm-record.service"])
 def test_the_unit_has_no_line_that_systemd_does_not_know(name: str, tmp_path: Path) -> None:
     for path in (SYSTEM / "systemd").iterdir():
         (tmp_path / path.name).write_text(path.read_text().replace("/usr/bin/cm ", "/bin/true "))

@@ -25,6 +25,7 @@ from cm.server.settings.model import (
     ImportSettings,
     LimitSettings,
     PolicySettings,
+    RecordSettings,
     ScrubSettings,
     Settings,
     StreamSettings,
@@ -149,6 +150,8 @@ def _value(name: str, value: Any) -> Any:
         return access(value)
     if name == "scrub":
         return {region: _scrub(said or {}) for region, said in value.items()}
+    if name == "record":
+        return RecordSettings(**{**value, "streams": tuple(value.get("streams", ()))})
     if name in _GROUPS:
         return _GROUPS[name](**{key: Path(part) if key in _PATHS else part for key, part in value.items()})
     if name in _PATHS:

@@ -45,6 +45,16 @@ def _no_regions() -> Mapping[str, ScrubSettings]:
 
 
 @dataclass(frozen=True, slots=True)
+class RecordSettings:
+    """The black box (`cm record --settings`), as the command has it; the manager itself records nothing."""
+
+    folder: str = "/var/lib/cm-record"
+    ring: str = "1GiB"
+    streams: tuple[str, ...] = ()
+    frames: str = "whole"
+
+
+@dataclass(frozen=True, slots=True)
 class ImportSettings:
     """Imported bundles; `keep` earlier versions of each stay for a rollback."""
 
@@ -118,6 +128,7 @@ class Settings:
     streams: StreamSettings = StreamSettings()
     dma: DmaSettings = DmaSettings()
     scrub: Mapping[str, ScrubSettings] = field(default_factory=_no_regions)
+    record: RecordSettings | None = None
     imports: ImportSettings = ImportSettings()
     policy: PolicySettings = PolicySettings()
     limits: LimitSettings = LimitSettings()

@@ -19,7 +19,7 @@ PACKAGE_BEFORE_PN = "${PN}-client ${PN}-sim ${PN}-build ${PN}-bench ${PN}-web ${
 
 SYSTEMD_PACKAGES = "${PN} ${PN}-bridge"
 SYSTEMD_SERVICE:${PN} = "cm.service"
-SYSTEMD_SERVICE:${PN}-bridge = "cm-bridge@.service cm-bridge-reload.path"
+SYSTEMD_SERVICE:${PN}-bridge = "cm-bridge@.service cm-bridge-reload.path cm-record.service"
 SYSTEMD_AUTO_ENABLE:${PN}-bridge = "disable"
 INITSCRIPT_NAME = "cm"
 INITSCRIPT_PARAMS = "defaults 80"
@@ -37,7 +37,7 @@ GROUPADD_PARAM:${PN}-udev = "--system fpga"
 do_install:append:class-target() {
     if ${@bb.utils.contains('DISTRO_FEATURES', 'systemd', 'true', 'false', d)}; then
         install -D -m 0644 ${S}/system/systemd/cm.service ${D}${systemd_system_unitdir}/cm.service
-        for unit in cm-bridge@.service cm-bridge-reload.path cm-bridge-reload.service; do
+        for unit in cm-bridge@.service cm-bridge-reload.path cm-bridge-reload.service cm-record.service; do
             install -m 0644 ${S}/system/systemd/$unit ${D}${systemd_system_unitdir}/
         done
         install -D -m 0644 ${S}/system/tmpfiles.d/cm.conf ${D}${nonarch_libdir}/tmpfiles.d/cm.conf
