@@ -177,7 +177,8 @@ class Manager:
         if there is not None:  # the board is in no whole mode
             change = repair(self._state.next_number(), there, cut, self.state)
             change.why = "to undo a change that was cut short" if cut else "to bring the board back, which held less"
-            self._worker.add(change)
+            self.reporter.begun(change.number, change.config, change.mode, full=change.static is not None)
+            self._worker.add(change)  # busy from now on, as no client may take what is there for what will be
         self.reporter.changed()
         return finding.notes
 

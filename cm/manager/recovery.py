@@ -395,7 +395,7 @@ def is_whole(state: BoardState, there: Destination) -> bool:
 
 def repair(number: int, there: Destination, cut: Pending | None, board: BoardState) -> Change:
     """The change that brings the board back, with all that the record holds of what was there before."""
-    change = Change(number, there.config.name, there.mode, static=there.static, values=board.values)
+    change = Change(number, there.config.name, there.mode, static=there.static, values=board.values, since=board)
     if cut is not None:
         change.resumes = cut
         _restoring(change, there.config, cut, board)

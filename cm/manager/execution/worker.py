@@ -48,6 +48,7 @@ class Change:
     found: Mapping[Place, int] = field(default_factory=dict)  # others, likewise
     rates: Mapping[str, int] = field(default_factory=dict)  # clocks that it restores, in Hz
     asked: bool = False  # by a client, so that the way back of the change before it is void
+    since: BoardState | None = None  # what clients have written after that stays
     resumes: Pending | None = None  # one that was cut short, whose way back this is
     undoing: bool = False  # that change before it: void only once this one has ended well
     undoable: str = ""  # the name under which its own way back is kept
@@ -283,7 +284,9 @@ class Worker:
         mode = planner.mode_of(config, change.mode)  # or provisioned anew
         static = configs.get(change.static or "")
         also = tuple(name for name in change.also if name in config.modules)
-        goal = Goal(config, mode, change.force, change.values, also, static, change.rates, change.found)
+        since = change.since or self._tools.state.board
+        values = {**change.values, **self._tools.state.board.values_since(since, ())}
+        goal = Goal(config, mode, change.force, values, also, static, change.rates, change.found)
         self._go_to(goal, change)
 
     def _repair(self, change: Change) -> None:

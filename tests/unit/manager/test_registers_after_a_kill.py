@@ -14,7 +14,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 import pytest
-from manager_support import Rig, camera, make_rig, rig
+from manager_support import Rig, camera, killed_at, make_rig, rig
 
 from cm.errors import CmError
 from cm.manager.access.register_windows import WindowRequest
@@ -118,6 +118,23 @@ def test_a_value_confirmed_during_a_change_survives_whenever_the_manager_dies_in
             break
     else:
         raise AssertionError("the change never came to its end")
+
+
+def test_a_start_that_undoes_a_change_is_busy_from_its_beginning_and_keeps_what_is_written_meanwhile(
+    sim: SimBoard, tmp_path: Path
+) -> None:
+    with rig(sim.root, tmp_path) as made:
+        assert made.go("default") is None
+        write(made, LED, 3)
+    assert killed_at(sim.root, tmp_path, (camera(),), ("camera", "edge_detection"), 24)
+    again = make_rig(sim.root, tmp_path)
+    again.manager.reconcile()  # a start, as far as the worker's thread
+    assert again.manager.status().fpga_busy
+    write(again, LED, 9)
+    again.manager._worker.start()
+    again.manager.wait_idle()
+    assert (again.manager.state.mode, read(again, LED)) == ("default", 9)
+    again.close()
 
 
 def write_only() -> Config:
