@@ -94,7 +94,7 @@ _BUSY = (
 )  # fmt: skip
 _INVALID = (
     "invalid_request", "access", "out_of_range", "schema", "unsupported", "too_long", "too_many", "name_too_long",
-    "number_too_long", "config_reserved", "bad_overlay", "pixel_format", "no_window",
+    "config_reserved", "bad_overlay", "pixel_format", "no_window",
 )  # fmt: skip
 _KINDS: dict[str, type[RequestFailed]] = {
     **dict.fromkeys(_BUSY, RequestBusy),

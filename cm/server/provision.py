@@ -28,7 +28,6 @@ from cm.wire.messages.requests import File
 
 SCHEMA_FILE = "schema.yaml"
 MAX_BYTES = 512 << 20
-CONFIGS_MAX = 256  # of all clients
 SCHEMAS_EACH, SCHEMAS_ALL = 2 << 20, 4 << 20  # bytes of text of each, and of all: 10 to 15 times that in memory
 
 
@@ -257,8 +256,6 @@ class Provisioner:
                     f"configuration {name!r} has {more} bytes; {whose} would have {sum(held) + more} together, of "
                     f"{limit}: remove some (cm config remove)"
                 )
-        if len(others) >= CONFIGS_MAX:
-            raise QuotaExceeded(f"clients have sent {CONFIGS_MAX} configurations already: remove some")
 
     def _write(self, name: str, schema: bytes, files: tuple[File, ...], sender: Sender) -> None:
         import tempfile  # with shutil 1 MiB, which most managers never need

@@ -16,9 +16,6 @@ NAME_BYTES = 256
 LEASES_BYTES = 4096  # ids between commas
 SCHEMA_BYTES = 1 << 20
 MESSAGE_BYTES = 128 << 10  # of the second frame, unless it holds a schema
-TEXT_BYTES = 64 << 10
-BITS = 64
-_DIGITS = {16: 16, 10: 20, 8: 22, 2: 64}  # most digits of 64 bits, by the base
 WAIT_SECONDS = 86_400.0  # that a request waits for a frame; longer ones, and infinity, are taken as this
 SLICE = 64  # listed things that one turn of the manager's loop reads
 _ALWAYS_FINE = 256  # bytes of a message that is too short to break any bound
@@ -42,12 +39,6 @@ class NameTooLong(InvalidRequest):
     """A name is longer than any name can be."""
 
     code: ClassVar[str] = "name_too_long"
-
-
-class NumberTooLong(InvalidRequest):
-    """A number has more digits than 64 bits."""
-
-    code: ClassVar[str] = "number_too_long"
 
 
 def check_length(topic: str, message: bytes, schema: bool = False) -> None:
@@ -90,15 +81,6 @@ def _check_text(topic: str, field: str, text: str) -> None:
     most = _LIMITS.get(field, NAME_BYTES)
     if len(text.encode()) > most:
         raise NameTooLong(f"{topic}: {field} has {len(text.encode())} bytes ({text[:32]!r}…); {most} at most")
-
-
-def number(topic: str, name: str, text: str) -> int:
-    """An integer as Python and JSON spell it. Raises NumberTooLong, ValueError."""
-    base = {"0x": 16, "0o": 8, "0b": 2}.get(text[:2].lower(), 10)
-    digits = text[2:] if base != 10 else text
-    if len(digits.replace("_", "").lstrip("0")) > _DIGITS[base]:
-        raise NumberTooLong(f"{topic}: the value of {name!r} has {len(digits)} digits; a register has {BITS} bits")
-    return int(text, base)
 
 
 def in_one_go(slices: Generator[None, None, _T]) -> _T:

@@ -52,7 +52,7 @@ def parse_config(payload: bytes) -> ChangeMode:
 def parse_registers(payload: bytes) -> WriteReg:
     """``{ 'focus':0x2}`` → the writes in their order. Values are integers or true/false.
 
-    Raises InvalidRequest; TooLong, TooMany, NameTooLong and NumberTooLong for what no request may hold. Read entry by
+    Raises InvalidRequest; TooLong, TooMany and NameTooLong for what no request may hold. Read entry by
     entry, in a time proportional to the length of the text.
     """
     return bounds.in_one_go(in_slices(payload))
@@ -60,8 +60,7 @@ def parse_registers(payload: bytes) -> WriteReg:
 
 def in_slices(payload: bytes) -> Generator[None, None, WriteReg]:
     """The same, some entries with each `next`."""
-    if len(payload) > bounds.TEXT_BYTES:
-        raise bounds.TooLong(f"cm_write_reg: text of {len(payload)} bytes; at most {bounds.TEXT_BYTES} are read")
+    bounds.check_length("cm_write_reg", payload)
     try:
         text = payload.strip().decode("utf-8")
     except UnicodeDecodeError:
@@ -96,12 +95,14 @@ def _write(quoted: str, value: str) -> RegWrite:
         raise bounds.NameTooLong(f"cm_write_reg: a name of {len(name.encode())} bytes; {bounds.NAME_BYTES} at most")
     if value in ("true", "True", "false", "False"):
         return RegWrite(name, int(value in ("true", "True")))
+    base = {"0x": 16, "0o": 8, "0b": 2}.get(value[:2].lower(), 10)
     try:
-        return RegWrite(name, bounds.number("cm_write_reg", name, value))
-    except bounds.NumberTooLong:
-        raise
+        number = int(value, base)
     except ValueError:
         raise _no_integer(name) from None
+    if number >> 64:
+        raise _no_integer(name)
+    return RegWrite(name, number)
 
 
 def _wrong_entry(payload: bytes, text: str, at: int) -> InvalidRequest:
@@ -115,7 +116,9 @@ def _wrong_entry(payload: bytes, text: str, at: int) -> InvalidRequest:
 
 
 def _no_integer(name: str) -> InvalidRequest:
-    return InvalidRequest(f"cm_write_reg: the value of {name!r} is not an integer of 0 or more, such as 2 or 0x2")
+    return InvalidRequest(
+        f"cm_write_reg: the value of {name!r} is not an integer from 0 to 2**64 - 1, such as 2 or 0x2"
+    )
 
 
 def _no_mapping(payload: bytes) -> InvalidRequest:

@@ -158,9 +158,7 @@ def test_a_client_and_all_together_hold_no_more_leases_than_they_may(clock: Cloc
         return leases.request(TakeLease("registers:led", False, seconds=10.0), client).id
 
     held = [one("anna"), one("anna")]
-    assert refusal(lambda: one("anna")) == (
-        "anna holds 2 leases, all together 2; 2 and 3 may be held (limits.leases)"
-    )
+    assert refusal(lambda: one("anna")) == ("anna holds 2 leases, all together 2; 2 and 3 may be held (limits.leases)")
     held.append(one("bert"))
     assert refusal(lambda: one("")).startswith("this client holds 0 leases, all together 3; 2 and 3 may be held")
     leases.request(ReleaseLease(held[0]))

@@ -11,6 +11,7 @@ import pytest
 
 import cm
 from cm.errors import InvalidRequest
+from cm.server.settings.model import LimitSettings
 from cm.wire import bounds
 from cm.wire import cm_pb2 as pb
 from cm.wire.decode import decode_request
@@ -41,9 +42,9 @@ def mapping(count: int) -> bytes:
         (b"cm_write_reg", writes(100_000), "too_long"),
         (b"cm_write_reg", writes(bounds.ENTRIES + 1), "too_many"),
         (b"cm_write_reg", mapping(bounds.ENTRIES + 1), "too_many"),
-        (b"cm_write_reg", mapping(9000), "too_long"),
-        (b"cm_write_reg", b"{'a': 0x" + b"f" * 5000 + b"}", "number_too_long"),
-        (b"cm_write_reg", b"{'a': " + b"9" * 5000 + b"}", "number_too_long"),
+        (b"cm_write_reg", mapping(18_000), "too_long"),
+        (b"cm_write_reg", b"{'a': 0x" + b"f" * 17 + b"}", "invalid_request"),
+        (b"cm_write_reg", b"{'a': " + b"9" * 5000 + b"}", "invalid_request"),
         (b"cm_write_reg", b"{'" + b"a" * 60_000 + b"': 1}", "name_too_long"),
         (b"cm_write_reg", b"{" * 60_000, "invalid_request"),
         (b"cm_write_reg", b"{'a':" + b"(" * 60_000, "invalid_request"),
@@ -117,13 +118,39 @@ def test_a_manager_waits_for_a_frame_for_a_day_at_most(given: float) -> None:
     assert decode_request([b"cm_read_data", message]) == ReadData("camera", bounds.WAIT_SECONDS)
 
 
-def test_the_page_has_every_bound() -> None:
-    page = PAGE.read_text("utf-8")
-    told = dict(re.findall(r"^\|[^|]*\| ([^|]*?) \| ([^|]*?) \| `[a-z_]+` \|", page, re.MULTILINE))
-    assert told["bytes of a name"] == str(bounds.NAME_BYTES)
-    assert told["registers, writes and other things that one request lists"] == str(bounds.ENTRIES)
-    assert told["files of a configuration"] == str(bounds.FILES)
+BEYOND = {  # what stands in the page, and the test of what happens beyond it
+    "descriptors": "test_a_process_that_takes_up_the_descriptors_loses_its_connections",
+    "bytes of one frame": "test_a_frame_of_a_gibibyte_and_a_half_is_refused_when_it_is_announced",
+    "bytes of topics": "test_who_subscribes_to_thousands_of_topics_is_disconnected",
+    "bytes of a message": "test_each_bound_has_an_error_of_its_own",
+    "registers, writes": "test_each_bound_has_an_error_of_its_own",
+    "bytes of a name": "test_each_bound_has_an_error_of_its_own",
+    "nesting and values": "test_text_that_is_not_a_schema_is_refused",
+    "reads and writes": "test_a_client_has_so_many_requests_under_way_and_gets_room_as_they_end",
+    "bytes of these": "test_waiting_requests_are_bounded_for_one_client_and_for_all",
+    "bytes of replies": "test_unread_answers_have_a_limit_in_bytes",
+    "long requests": "test_so_many_jobs_of_a_client_wait_and_none_after_the_end",
+    "requests that wait": "test_so_many_requests_of_a_sender_wait",
+    "changes, and checks": "test_a_client_may_have_so_many_changes_and_checks_and_more_as_they_end",
+    "bytes and number": "test_what_is_only_said_to_come_takes_no_room_of_others",
+    "bytes of configurations": "test_quotas_per_sender_and_in_total_are_kept",
+    "leases": "test_a_client_and_all_together_hold_no_more_leases_than_they_may",
+    "connections that read": "test_a_user_has_so_many_and_one_more_goes_by_requests",
+    "windows": "test_a_user_has_so_many_windows_and_all_have",
+    "slots of a stream": "test_the_same_user_gets_no_more_by_asking_again_from_whatever_process",
+    "bytes of memory": "test_the_processes_of_a_user_get_so_much_memory_in_so_many_pieces",
+}
+
+
+def test_the_page_has_every_bound_and_each_has_a_test() -> None:
+    page = PAGE.read_text("utf-8").partition("## The loop's time")[0]
+    told = dict(re.findall(r"^\| [^|]*\| ([^|]*?) \| ([^|]*?) \|", page, re.MULTILINE)[1:])
+    assert told["bytes of a name"].startswith(f"{bounds.NAME_BYTES}; {bounds.LEASES_BYTES} ")
+    listed = told["registers, writes and other things that one request lists"]
+    assert listed == f"{bounds.ENTRIES}; {bounds.FILES} files"
     assert told["bytes of a message (second frame)"] == f"{bounds.MESSAGE_BYTES >> 10} KiB; with a schema 1152 KiB"
-    assert "| seconds that a request waits for a frame | 86,400;" in page
-    assert bounds.WAIT_SECONDS == 86_400
-    assert told["bytes of a text mapping"] == f"{bounds.TEXT_BYTES >> 10} KiB"
+    assert bounds.WAIT_SECONDS == 86_400  # a day
+    assert [next((key for key in BEYOND if what.startswith(key)), what) for what in told] == [*BEYOND]
+    assert set(re.findall(r"`limits\.(\w+)` \|$", page, re.MULTILINE)) == set(LimitSettings.__match_args__)
+    tests = "".join(path.read_text("utf-8") for path in Path(__file__).parents[2].rglob("test_*.py"))
+    assert [name for name in BEYOND.values() if f"def {name}(" not in tests] == []
