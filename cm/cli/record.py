@@ -130,8 +130,8 @@ def _take_settings(args: argparse.Namespace) -> bool:
 
     settings = load_settings(Path(args.settings))
     said = settings.record
-    if said is None:
-        _tell(f"{args.settings} has no `record`: nothing is recorded")
+    if not said.ring:
+        _tell(f"{args.settings} has no `record: {{ring: …}}`: nothing is recorded")
         return False
     args.file, args.ring = Path(said.folder), said.ring
     args.streams, args.frames = list(said.streams) or ["none"], said.frames.split()

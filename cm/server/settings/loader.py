@@ -98,6 +98,7 @@ _GROUPS = {
     "dma": DmaSettings,
     "imports": ImportSettings,
     "policy": PolicySettings,
+    "record": RecordSettings,
     "limits": LimitSettings,
 }
 _SECONDS = {"ms": 0.001, "s": 1.0, "min": 60.0, "h": 3600.0}
@@ -150,10 +151,9 @@ def _value(name: str, value: Any) -> Any:
         return access(value)
     if name == "scrub":
         return {region: _scrub(said or {}) for region, said in value.items()}
-    if name == "record":
-        return RecordSettings(**{**value, "streams": tuple(value.get("streams", ()))})
     if name in _GROUPS:
-        return _GROUPS[name](**{key: Path(part) if key in _PATHS else part for key, part in value.items()})
+        parts = {key: tuple(part) if isinstance(part, list) else part for key, part in value.items()}
+        return _GROUPS[name](**{key: Path(part) if key in _PATHS else part for key, part in parts.items()})
     if name in _PATHS:
         return Path(value)
     if name == "metrics":

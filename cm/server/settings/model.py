@@ -46,10 +46,10 @@ def _no_regions() -> Mapping[str, ScrubSettings]:
 
 @dataclass(frozen=True, slots=True)
 class RecordSettings:
-    """The black box (`cm record --settings`), as the command has it; the manager itself records nothing."""
+    """The black box (`cm record --settings`), as the command has it; without `ring` there is none."""
 
     folder: str = "/var/lib/cm-record"
-    ring: str = "1GiB"
+    ring: str = ""
     streams: tuple[str, ...] = ()
     frames: str = "whole"
 
@@ -128,7 +128,7 @@ class Settings:
     streams: StreamSettings = StreamSettings()
     dma: DmaSettings = DmaSettings()
     scrub: Mapping[str, ScrubSettings] = field(default_factory=_no_regions)
-    record: RecordSettings | None = None
+    record: RecordSettings = RecordSettings()
     imports: ImportSettings = ImportSettings()
     policy: PolicySettings = PolicySettings()
     limits: LimitSettings = LimitSettings()

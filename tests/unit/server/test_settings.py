@@ -26,6 +26,7 @@ from cm.server.settings.model import (
     Limits,
     LimitSettings,
     PolicySettings,
+    RecordSettings,
     ScrubSettings,
     StreamSettings,
 )
@@ -80,6 +81,7 @@ log: info
 streams: {queue_mib: 1.5}
 dma: {prefetch_mib: 7}
 scrub: {prr0: {policy: tell}}
+record: {folder: /srv/box, ring: 5min, streams: [camera], frames: hash}
 imports: {keep: 4}
 policy: {signatures: warn, signers: /srv/signers, older: refuse}
 limits: {leases: 5}
@@ -96,7 +98,8 @@ access:
     assert known == Settings(
         ("tcp://0.0.0.0:5560", "tcp://localhost"), Path("/etc/cm/server.key"), True, ("/srv/a", "/srv/b/*"),
         "camera/edge", "bench", "0.0.0.0:9469", Path("/run/a"), Path("/srv/state"), Path("/srv/firmware"), True, "info",
-        StreamSettings(1.5), DmaSettings(7), {"prr0": ScrubSettings(policy="tell")}, ImportSettings(4),
+        StreamSettings(1.5), DmaSettings(7), {"prr0": ScrubSettings(policy="tell")},
+        RecordSettings("/srv/box", "5min", ("camera",), "hash"), ImportSettings(4),
         PolicySettings("warn", Path("/srv/signers"), "refuse"), LimitSettings(leases=5),
         AccessSettings(
             "lab", ("observe",), ("operate", "tuner"), {"anna": ("tuner",), "1001": ("admin", "observe")},
