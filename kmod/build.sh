@@ -38,7 +38,7 @@ set -- CONFIG_DEBUG_INFO_BTF_MODULES= "$@"
 mkdir -p "$out"
 work=$(mktemp -d "$out/.work.XXXXXX")
 trap 'rm -rf "$work"' EXIT
-for part in Kbuild include uapi core clock icap overlay plsim axidma window tests; do
+for part in Kbuild include uapi core clock icap intc overlay plsim axidma window tests; do
 	cp -r "$here/$part" "$work/"
 done
 make -s -C "$kdir" M="$work" ARCH=$karch CROSS_COMPILE="$triplet-" CC="$triplet-gcc" -j2 modules "$@" >&2

@@ -11,7 +11,7 @@ set -eu
 [ $# -eq 1 ] || { echo "usage: $0 path/to/checkpatch.pl" >&2; exit 2; }
 cd "$(dirname "$0")"
 set -- perl "$1" --no-tree --strict --terse --no-summary --max-line-length=100
-"$@" -f core/*.[ch] clock/*.c icap/*.[ch] overlay/*.c plsim/*.[ch] axidma/*.[ch] window/*.[ch] tests/kunit*.c tests/suites.h include/cm_core.h include/cm_icap_port.h include/cm_window_core.h \
+"$@" -f core/*.[ch] clock/*.c icap/*.[ch] intc/*.[ch] overlay/*.c plsim/*.[ch] axidma/*.[ch] window/*.[ch] tests/kunit*.c tests/suites.h include/cm_core.h include/cm_icap_port.h include/cm_window_core.h \
 	--ignore MACRO_ARG_REUSE,MACRO_ARG_PRECEDENCE
 "$@" -f include/*compat.h --ignore LINUX_VERSION_CODE,CONSTANT_COMPARISON
 "$@" -f uapi/*.h --ignore BIT_MACRO

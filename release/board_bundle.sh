@@ -20,7 +20,7 @@ version=$(sed -n 's/^__version__ = "\(.*\)"/\1/p' cm/_version.py)
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 kmod/build.sh "$kernel" "$arch" "$work/modules" CM_PLSIM=n CONFIG_KUNIT= \
-	CM_MODULES="cm_dma cm_icap cm_window cm_overlay cm_clock"
+	CM_MODULES="cm_dma cm_icap cm_window cm_intc cm_overlay cm_clock"
 release=$(modinfo -F vermagic "$work/modules/cm_dma.ko") # as uname says it, which no file of all kernels does
 release=${release%% *}
 name=fpga-cm-$version-$release-$arch

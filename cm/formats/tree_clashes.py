@@ -3,7 +3,8 @@
 
 An overlay that clashes is applied all the same, and the kernel says so; only a driver's probe fails. What a driver does
 with an interrupt or a window was read in Linux 6.1 and 6.12: xilinx_dma shares its interrupts, uio_pdrv_genirq asks for
-them unshared and only maps its window (so does cm_window, which goes on without), all others request both.
+them unshared and only maps its window (so does cm_window, which goes on without; cm_intc maps status registers of
+engines), all others request both.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from cm.formats.fdt_overlay import apply, missing_labels, symbols_of
 from cm.frozen import dataclass
 
 _SHARES = ("xlnx,axi-dma-", "xlnx,axi-vdma-", "xlnx,axi-cdma-", "xlnx,axi-mcdma-")
-_ONLY_MAPS = ("generic-uio", "fpga-cm,uio", "fpga-cm,window")
+_ONLY_MAPS = ("generic-uio", "fpga-cm,uio", "fpga-cm,window", "fpga-cm,polled-intc")
 
 Line = tuple[str, tuple[int, ...], int]  # an interrupt: path of its controller, its cells but the last, its flags
 

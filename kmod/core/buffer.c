@@ -356,8 +356,6 @@ EXPORT_SYMBOL_CM(cm_buffer_table_unmap);
 static void buffer_destroy(struct cm_buffer *buffer)
 {
 	buffer_unmap(buffer);
-	if (buffer->kind != CM_BUFFER_IMPORTED)
-		cm_budget_uncharge(buffer->budget, buffer->length);
 	switch (buffer->kind) {
 	case CM_BUFFER_PAGES:
 		if (buffer->pages)
@@ -374,6 +372,9 @@ static void buffer_destroy(struct cm_buffer *buffer)
 		dma_buf_put(buffer->dmabuf);
 		break;
 	}
+	/* not before the memory is free: another one may take it at once */
+	if (buffer->kind != CM_BUFFER_IMPORTED)
+		cm_budget_uncharge(buffer->budget, buffer->length);
 	buffer_delete(buffer);
 }
 

@@ -13,10 +13,13 @@
  * - An error only sets a flag in the driver: nothing is told, and the failed
  *   transfer counts as done when the next one is.  DMASR keeps the error.
  * - AXI VDMA goes on with the frame it is parked at until it is stopped.
+ * - Where the interrupt of a channel is connected to nothing, cm_intc looks for
+ *   it from the moment when it is told that something was begun (intc/polled.c).
  */
 #include <linux/dmaengine.h>
 #include <linux/of.h>
 #include <linux/of_address.h>
+#include <linux/of_irq.h>
 #include <linux/slab.h>
 
 #include "cm_compat.h"
@@ -113,6 +116,32 @@ static void __iomem *map_channel(struct dma_chan *chan, u32 direction)
 	return ioremap(range.start + offset, CM_DMA_LENGTH + sizeof(u32));
 }
 
+static bool is_channel(const struct device_node *node, u32 direction)
+{
+	if (direction == CM_DMA_S2MM)
+		return of_device_is_compatible(node, "xlnx,axi-dma-s2mm-channel") ||
+		       of_device_is_compatible(node, "xlnx,axi-vdma-s2mm-channel");
+	return of_device_is_compatible(node, "xlnx,axi-dma-mm2s-channel") ||
+	       of_device_is_compatible(node, "xlnx,axi-vdma-mm2s-channel");
+}
+
+/* a controller with a wire would take what this line is told for an interrupt */
+static unsigned int polled_line(struct dma_chan *chan, u32 direction)
+{
+	struct device_node *node;
+	struct of_phandle_args args;
+	int irq = 0;
+
+	for_each_child_of_node(chan->device->dev->of_node, node) {
+		if (!is_channel(node, direction) || of_irq_parse_one(node, 0, &args))
+			continue;
+		if (of_device_is_compatible(args.np, "fpga-cm,polled-intc"))
+			irq = of_irq_get(node, 0);
+		of_node_put(args.np);
+	}
+	return irq > 0 ? irq : 0;
+}
+
 /**
  * cm_traits_read() - find out how the engine of a channel behaves
  * @traits: filled in; to be given to cm_traits_release()
@@ -137,6 +166,8 @@ int cm_traits_read(struct cm_traits *traits, struct dma_chan *chan, u32 directio
 			return -ENOMEM;
 		traits->errors = axidma ? CM_DMASR_AXIDMA_ERRORS : CM_DMASR_VDMA_ERRORS;
 	}
+	if (!mcdma)
+		traits->irq = polled_line(chan, direction);
 	if (axidma)
 		sg = readl(traits->registers + CM_DMASR) & CM_DMASR_SG;
 	traits->simple = !sg;

@@ -9,6 +9,7 @@
 #ifndef _CM_ENGINE_H
 #define _CM_ENGINE_H
 
+#include <linux/interrupt.h>
 #include <linux/io.h>
 #include <linux/kref.h>
 #include <linux/list.h>
@@ -30,6 +31,7 @@ struct dma_chan;
 /**
  * struct cm_traits - how the engine behind one channel behaves
  * @registers: of the channel, DMACR first, only ever read; NULL where unknown
+ * @irq: line of a controller that polls, or 0 where the engine has a wire
  * @errors: bits of DMASR with which the engine has stopped for good
  * @ahead: most transfers that it is given at a time
  * @simple: AXI DMA without scatter/gather
@@ -42,6 +44,7 @@ struct dma_chan;
  */
 struct cm_traits {
 	void __iomem *registers;
+	unsigned int irq;
 	u32 errors;
 	u32 ahead;
 	bool simple;
@@ -81,6 +84,13 @@ void cm_traits_release(struct cm_traits *traits);
 static inline bool cm_traits_failed(const struct cm_traits *traits)
 {
 	return traits->registers && readl(traits->registers + CM_DMASR) & traits->errors;
+}
+
+/* whoever looks for the end of a transfer begins to, or has left off when this returns */
+static inline void cm_traits_tell(const struct cm_traits *traits, bool begun)
+{
+	if (traits->irq)
+		irq_set_irqchip_state(traits->irq, IRQCHIP_STATE_PENDING, begun);
 }
 
 #endif /* _CM_ENGINE_H */

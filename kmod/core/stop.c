@@ -30,6 +30,8 @@ static void rewind(struct cm_channel *channel)
 		active->fed = active->done;
 	channel->in_engine = 0;
 	spin_unlock_bh(&channel->active_lock);
+	/* its registers are not read any more: the PL may be loaded next */
+	cm_traits_tell(channel->traits, false);
 }
 
 /*
@@ -223,7 +225,8 @@ void cm_channel_watch(struct work_struct *work)
 		spin_lock_bh(&channel->active_lock);
 		busy = !list_empty(&channel->active);
 		spin_unlock_bh(&channel->active_lock);
-		if (cm_traits_failed(channel->traits))
+		/* not read at rest: the PL may be under a load, or without a clock */
+		if (busy && cm_traits_failed(channel->traits))
 			fail(channel);
 		else if (busy)
 			cm_channel_look(channel, HZ / 10);

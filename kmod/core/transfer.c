@@ -156,6 +156,7 @@ static int start_locked(struct cm_channel *channel, struct cm_active *active)
 	active->fed++;
 	channel->in_engine++;
 	dma_async_issue_pending(channel->chan);
+	cm_traits_tell(channel->traits, true);
 	return 0;
 }
 

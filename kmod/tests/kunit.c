@@ -393,7 +393,7 @@ static struct kunit_suite source_suite = {
 
 kunit_test_suites(&queue_suite, &verdict_suite, &port_suite, &source_suite, &cm_request_suite,
 		  &cm_address_suite, &cm_axidma_frame_suite, &cm_axidma_video_suite,
-		  &cm_engine_suite, &cm_stop_suite);
+		  &cm_engine_suite, &cm_stop_suite, &cm_polled_suite, &cm_axi_intc_suite);
 
 MODULE_DESCRIPTION("KUnit suites of the configuration manager's modules");
 MODULE_LICENSE("GPL");

@@ -46,6 +46,8 @@ static struct cm_channel *channel_with(struct kunit *test, struct cm_active *act
 	struct cm_channel *channel = kunit_kzalloc(test, sizeof(*channel), GFP_KERNEL);
 
 	KUNIT_ASSERT_NOT_ERR_OR_NULL(test, channel);
+	channel->traits = kunit_kzalloc(test, sizeof(*channel->traits), GFP_KERNEL);
+	KUNIT_ASSERT_NOT_ERR_OR_NULL(test, channel->traits);
 	spin_lock_init(&channel->active_lock);
 	INIT_LIST_HEAD(&channel->active);
 	list_add_tail(&active->node, &channel->active);

@@ -11,5 +11,7 @@ extern struct kunit_suite cm_axidma_frame_suite;
 extern struct kunit_suite cm_axidma_video_suite;
 extern struct kunit_suite cm_engine_suite;
 extern struct kunit_suite cm_stop_suite;
+extern struct kunit_suite cm_polled_suite;
+extern struct kunit_suite cm_axi_intc_suite;
 
 #endif /* _CM_TESTS_SUITES_H */

@@ -91,6 +91,8 @@ def _overlay_of(whole: Handoff, config: Config, notes: list[str]) -> dict[str, s
     platform = platform_of(config.device or whole.device)
     dma, lines = engines(whole.design, platform), interrupts(whole.design, platform)
     notes += [*dma.notes, *handoff.limits(whole.design), *lines.notes]
+    if dma.polled.words or lines.controllers:
+        notes.append("some interrupts go to an axi_intc or nowhere (PYNQ polls): the board needs the module cm_intc")
     return {f"{config.name}_static": overlay(whole.design, config, platform, dma, lines)}
 
 
@@ -226,6 +228,8 @@ def overlay(design: hwh.Hwh, config: Config, platform: Platform, dma: Engines, l
         "name": config.name,
         "dt": Tree(platform),
         "clocks": [ClockInput(c.name, _phandle(c.name), c.rate) for c in hwh.clocks(design)],
+        "controllers": list(lines.controllers.values()),
+        "polled": dma.polled,
         "windows": list(_windows(design, lines)),
         "fixed_clocks": dma.fixed_clocks,
         "engines": dma.found,
@@ -263,8 +267,8 @@ def _phandle(name: str) -> str:
 
 
 def _windows(design: hwh.Hwh, lines: ForeignInterrupts) -> Iterator[dict[str, Any]]:
-    """Windows for user space: all but those of DMA engines, each address once."""
-    engines = {channel.instance for channel in hwh.dma_channels(design)}
+    """Windows for user space: all but those of DMA engines and interrupt controllers, each address once."""
+    engines = {*(channel.instance for channel in hwh.dma_channels(design)), *lines.controllers}
     found = {window.base: window for window in hwh.windows(design) if window.instance not in engines}
     for window in found.values():
         if window.instance in design.modules:
@@ -272,6 +276,5 @@ def _windows(design: hwh.Hwh, lines: ForeignInterrupts) -> Iterator[dict[str, An
                 "name": identifier(design.modules[window.instance].name).replace("_", "-"),
                 "base": window.base,
                 "size": window.size,
-                "spi": lines.spis.get(window.instance),
-                "trigger": 1 if window.instance in lines.edges else 4,  # IRQ_TYPE_EDGE_RISING, _LEVEL_HIGH
+                "line": lines.nodes.get(window.instance),
             }

@@ -8,17 +8,19 @@ registers; it is listed under the three names that the driver looks for.
 Interrupts of other people's designs, from their .hwh, as far as an overlay can give them to UIO devices.
 
 A UIO device has one interrupt, so of an instance with several lines the first usable one is taken; the others become
-notes. Lines behind an axi_intc are not usable: the kernel's driver for it (irq-xilinx-intc.c) is bound while the
-kernel boots, not by an overlay.
+notes. Lines behind an axi_intc, and those of an axi_dma or axi_vdma that are connected to nothing, need ``cm_intc``:
+the kernel's driver of an axi_intc (irq-xilinx-intc.c) finds it while the kernel boots, never in an overlay.
 """
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
-from cm.design.generate.dma_nodes import Channel, ClockInput, Engine, Streams, pl_clock, streams_of
+from cm.design.generate.dma_nodes import Channel, ClockInput, Engine, Streams, Tree, pl_clock, streams_of
+from cm.design.generate.interrupt_nodes import AxiIntc, Line, PolledIntc
 from cm.design.platforms import Platform
 from cm.formats import hwh
 from cm.formats.registers import identifier
@@ -34,14 +36,17 @@ _S2MM_FIRST = {"axi_mcdma": 16}  # the driver's number of the first S2MM channel
 PS_CLOCKS = {f"{pin}{i}": pl_clock(pin == "FCLK_CLK", i) for pin in ("FCLK_CLK", "pl_clk") for i in range(4)}
 _LENGTH_BITS = 14  # the default of an axi_dma (PG021)
 _NAME_LENGTH = 31  # of a node in /dev/cm_dma
+_STATUS = {"mm2s": 0x04, "s2mm": 0x34}  # DMASR (PG021, PG020)
+_POLLED = ("axi_dma", "axi_vdma")
 
 
 @dataclass(slots=True)
 class Engines:
-    """The engines for the overlay, and a sentence about each channel that is left out."""
+    """The engines for the overlay, what finds interrupts that are connected to nothing, and notes on channels."""
 
     found: list[Engine] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    polled: PolledIntc = field(default_factory=PolledIntc)
 
     @property
     def fixed_clocks(self) -> list[ClockInput]:
@@ -52,8 +57,34 @@ class Engines:
     @property
     def streams(self) -> list[Streams]:
         """Their channels: one length for all, as far as their registers go."""
-        bits = min((engine.length_bits for engine in self.found if engine.kind != "axi_vdma"), default=23)
-        return streams_of([(engine, channel, bits) for engine in self.found for channel in engine.channels])
+        return streams_of([(engine, channel) for engine in self.found for channel in engine.channels])
+
+
+class Lines:
+    """Where interrupts of the design go, in the words of its device tree."""
+
+    def __init__(self, design: hwh.Hwh, platform: Platform) -> None:
+        self._platform, self._tree = platform, Tree(platform)
+        windows = {window.instance: window for window in reversed(hwh.windows(design))}
+        self.controllers: dict[str, AxiIntc] = {}
+        for output in hwh.interrupt_controllers(design):
+            window, line = windows.get(output.instance), self._at_processor(output)
+            if window is not None and line is not None:
+                module = design.modules[output.instance]
+                edges, inputs = _integer(module, "C_KIND_OF_INTR", 0), _integer(module, "C_NUM_INTR_INPUTS", 1)
+                label, place = identifier(output.instance), (window.base, window.size)
+                self.controllers[output.instance] = AxiIntc(label, *place, inputs, edges & ((1 << inputs) - 1), line)
+
+    def of(self, line: hwh.InterruptLine | None) -> Line | None:
+        """An interrupt; None where it goes nowhere, or where a device tree has no words for it."""
+        if line is None or line.controller is None:
+            return self._at_processor(line) if line else None
+        controller = self.controllers.get(line.controller)
+        return controller.line_of(line.index) if controller and line.index < controller.inputs else None
+
+    def _at_processor(self, line: hwh.InterruptLine) -> Line | None:
+        spi = self._platform.spi_at(line.pin, line.index)
+        return None if spi is None else self._tree.spi(spi, line.edge)
 
 
 def stream_names(channels: Iterable[hwh.DmaChannel], design: hwh.Hwh) -> dict[hwh.DmaChannel, str]:
@@ -76,11 +107,13 @@ def stream_names(channels: Iterable[hwh.DmaChannel], design: hwh.Hwh) -> dict[hw
 
 def engines(design: hwh.Hwh, platform: Platform, names: Mapping[hwh.DmaChannel, str] | None = None) -> Engines:
     """Every engine whose address and interrupts can be described to the kernel; `names` of their streams."""
-    result = Engines()
     listed = hwh.dma_channels(design)
     names = names or stream_names(listed, design)
-    lines = {(line.instance, line.port): line for line in hwh.interrupts(design)}
+    wires = {(line.instance, line.port): line for line in hwh.interrupts(design)}
     windows = {window.instance: window for window in reversed(hwh.windows(design))}
+    unwired = [one for one in listed if one.kind in _POLLED and one.instance in windows and not _wire(one, wires)]
+    polled = PolledIntc(tuple(_status(channel, windows) for channel in unwired))
+    result, at = Engines(polled=polled), Lines(design, platform)
     for instance in dict.fromkeys(channel.instance for channel in listed):
         mine = [channel for channel in listed if channel.instance == instance]
         module, window = design.modules[instance], windows.get(instance)
@@ -92,7 +125,16 @@ def engines(design: hwh.Hwh, platform: Platform, names: Mapping[hwh.DmaChannel, 
             )
             result.notes.append(f"{instance} {why}: its streams need a DMA node in the board's own tree")
             continue
-        channels = tuple(_channels(mine, names, lines, platform, module, result.notes))
+        lines = {channel: at.of(_wire(channel, wires)) for channel in mine}
+        lines |= {one: polled.line_of(_status(one, windows)) for one in unwired if one.instance == instance}
+        for channel in (channel for channel in mine if lines[channel] is None):
+            wire = _wire(channel, wires)
+            why = f"goes to {wire.controller or wire.pin}" if wire else "goes nowhere"
+            result.notes.append(
+                f"stream {names[channel]}: the interrupt of {instance} {why}, and the kernel's DMA driver needs one of "
+                "the processor's shared interrupts: it needs a DMA node in the board's own tree"
+            )
+        channels = tuple(_channels(lines, names, module))
         if module.type == "axi_mcdma":
             channels, alone = _whole(channels, mine)
             if alone:
@@ -110,28 +152,23 @@ def _whole(there: tuple[Channel, ...], mine: list[hwh.DmaChannel]) -> tuple[tupl
     return tuple(c for c in there if c.direction in whole), tuple(c for c in there if c.direction not in whole)
 
 
+def _wire(channel: hwh.DmaChannel, wires: Mapping[tuple[str, str], hwh.InterruptLine]) -> hwh.InterruptLine | None:
+    return wires.get((channel.instance, channel.interrupt_port))
+
+
+def _status(channel: hwh.DmaChannel, windows: Mapping[str, hwh.MemoryRange]) -> int:
+    return windows[channel.instance].base + _STATUS[channel.direction]
+
+
 def _channels(
-    mine: list[hwh.DmaChannel],
-    names: Mapping[hwh.DmaChannel, str],
-    lines: Mapping[tuple[str, str], hwh.InterruptLine],
-    platform: Platform,
-    module: hwh.ModuleInstance,
-    notes: list[str],
+    lines: Mapping[hwh.DmaChannel, Line | None], names: Mapping[hwh.DmaChannel, str], module: hwh.ModuleInstance
 ) -> Iterator[Channel]:
-    for channel in mine:
-        name = names[channel]
-        line = lines.get((channel.instance, channel.interrupt_port))
-        spi = platform.spi_at(line.pin, line.index) if line and line.controller is None else None
-        if spi is None:
-            why = f"goes to {line.controller or line.pin}" if line else "goes nowhere"
-            notes.append(
-                f"stream {name}: the interrupt of {channel.instance} {why}, and the kernel's DMA driver needs one of "
-                "the processor's shared interrupts: it needs a DMA node in the board's own tree"
-            )
-            continue
-        realigns = module.parameters.get(f"C_INCLUDE_{channel.direction.upper()}_DRE") == "1"
-        first = _S2MM_FIRST.get(channel.kind, 1) if channel.direction == "s2mm" else 0
-        yield Channel(name, channel.direction, spi, channel.width or 32, realigns, first + channel.number)
+    for channel, line in lines.items():
+        if line is not None:
+            realigns = module.parameters.get(f"C_INCLUDE_{channel.direction.upper()}_DRE") == "1"
+            first = _S2MM_FIRST.get(channel.kind, 1) if channel.direction == "s2mm" else 0
+            number = first + channel.number
+            yield Channel(names[channel], channel.direction, line, channel.width or 32, realigns, number)
 
 
 def _engine(
@@ -154,7 +191,9 @@ def _engine(
 def _integer(module: hwh.ModuleInstance, name: str, default: int) -> int:
     """Read a parameter of the core, or the one of its customisation (``c_addr_width``) if the file has only that."""
     text = module.parameters.get(name) or module.parameters.get(name.lower(), "")
-    return int(text) if text.isdecimal() and int(text) else default
+    hexadecimal = re.fullmatch(r"0[xX]([0-9A-Fa-f]+)", text)
+    value = int(hexadecimal[1], 16) if hexadecimal else int(text) if text.isdecimal() else 0
+    return value or default
 
 
 def _clocks(module: hwh.ModuleInstance, design: hwh.Hwh) -> Iterator[ClockInput]:
@@ -179,14 +218,13 @@ def _drives(design: hwh.Hwh, end: hwh.ConnectedPort) -> bool:
 
 @dataclass(slots=True)
 class ForeignInterrupts:
-    """`lines`: name in the runtime schema → interrupt; `spis`: instance → GIC SPI; a note for each line left out.
-
-    `edges`: the instances whose interrupt is a rising edge.
+    """`lines`: name in the runtime schema → interrupt; `nodes`: instance → where it goes; `controllers` on the way; a
+    note for each interrupt left out.
     """
 
     lines: dict[str, Interrupt] = field(default_factory=dict)
-    spis: dict[str, int] = field(default_factory=dict)
-    edges: set[str] = field(default_factory=set)
+    nodes: dict[str, Line] = field(default_factory=dict)
+    controllers: dict[str, AxiIntc] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
 
@@ -194,21 +232,21 @@ def interrupts(design: hwh.Hwh, platform: Platform) -> ForeignInterrupts:
     """Interrupts of instances with a register window; those of DMA engines belong to their driver."""
     bases = {window.instance: window.base for window in reversed(hwh.windows(design))}
     engines = {channel.instance for channel in hwh.dma_channels(design)}
-    found = ForeignInterrupts()
+    at = Lines(design, platform)
+    found = ForeignInterrupts(controllers=at.controllers)
     for line in hwh.interrupts(design):
         if line.instance not in bases or line.instance in engines:
             continue
-        spi = platform.spi_at(line.pin, line.index) if line.controller is None else None
-        if spi is None:
-            goes = line.controller or line.pin
-            found.notes.append(f"interrupt {line.port} of {line.instance} goes to {goes}: {_OWN_TREE}")
-        elif line.instance in found.spis:
+        goes = at.of(line)
+        if goes is None:
+            where = line.controller or line.pin
+            found.notes.append(f"interrupt {line.port} of {line.instance} goes to {where}: {_OWN_TREE}")
+        elif line.instance in found.nodes:
             found.notes.append(f"interrupt {line.port} of {line.instance} is not its first: {_ONE}")
         else:
             name = f"{identifier(design.modules[line.instance].name)}_{identifier(line.port)}"
             found.lines[name] = Interrupt(name, bases[line.instance])
-            found.spis[line.instance] = spi
-            found.edges.update([line.instance] if line.edge else [])
+            found.nodes[line.instance] = goes
     return found
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from cm.design.generate.interrupt_nodes import Line
 from cm.design.platforms import Platform
 
 _CHANNELS = 32  # of a node of fpga-cm,dma-client
@@ -17,7 +18,7 @@ class Channel:
 
     stream: str
     direction: str  # mm2s or s2mm
-    spi: int
+    line: Line
     width: int  # bits of a beat
     realigns: bool
     number: int  # the cell of ``dmas``
@@ -61,19 +62,14 @@ class Engine:
         return [(at, channels) for at, channels in found if channels]
 
 
-Entry = tuple[Engine, Channel, int]  # a channel, its engine, and bits of the largest transfer
+Entry = tuple[Engine, Channel]
 
 
 @dataclass(frozen=True, slots=True)
 class Streams:
-    """The channels of one node of streams."""
+    """The channels of one node of streams; the driver knows the largest transfer of each from its engine's node."""
 
     entries: tuple[Entry, ...]
-
-    @property
-    def max_length(self) -> int:
-        """The largest transfer, in bytes, that every channel accepts."""
-        return (1 << min(bits for _, _, bits in self.entries)) - 1
 
 
 def streams_of(entries: Sequence[Entry]) -> list[Streams]:
@@ -90,6 +86,10 @@ class Tree:
         self.intc = "intc" if self.zynq else "gic"
         self.select = "zynq" if self.zynq else "zynqmp"
         self.manager = "devcfg" if self.zynq else "zynqmp_pcap"
+
+    def spi(self, number: int, edge: bool = False) -> Line:
+        """A shared interrupt of the processor: IRQ_TYPE_LEVEL_HIGH, or _EDGE_RISING."""
+        return Line(self.intc, f"0 {number} {1 if edge else 4}")
 
     def reg(self, base: int, size: int) -> str:
         """A ``reg`` entry."""

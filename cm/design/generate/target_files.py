@@ -150,16 +150,14 @@ class _DeviceTree(Tree):
         )
 
     def _channel(self, dma: Dma) -> Channel:
-        spi = self._system.platform.spi(dma.line)
-        return Channel(dma.name, dma.direction.value, spi, dma.memory_width, False, dma.cell)
+        line = self.spi(self._system.platform.spi(dma.line))
+        return Channel(dma.name, dma.direction.value, line, dma.memory_width, False, dma.cell)
 
     @property
     def streams(self) -> list[Streams]:
         """Channels of streams."""
         found = [dma for dma in self._system.dmas if dma not in (self._system.icap, self._system.readback)]
-        return streams_of(
-            [(self.engines[dma.engine or dma.name], self._channel(dma), dma.length_bits) for dma in found]
-        )
+        return streams_of([(self.engines[dma.engine or dma.name], self._channel(dma)) for dma in found])
 
     def firmware(self, one: Implementation) -> bool:
         """Whether the kernel loads the bitstream when the overlay is applied."""

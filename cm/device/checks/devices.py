@@ -15,6 +15,8 @@ DRIVERS = {
     "fpga-cm,uio": "uio_pdrv_genirq",
     "fpga-cm,dma-client": "cm_dma",
     "fpga-cm,icap-loader": "cm_icap",
+    "fpga-cm,polled-intc": "cm_intc",
+    "xlnx,xps-intc-1.00.a": "cm_intc",
     "fpga-cm,decoupler": "xilinx_pr_decoupler",
     "fpga-cm,clocks": "cm_clock",
     "xlnx,axi-dma-1.00.a": "xilinx_dma",

@@ -18,6 +18,7 @@ from cm.formats.hwh.trace import InterruptLine as InterruptLine
 from cm.formats.hwh.trace import clocks as clocks
 from cm.formats.hwh.trace import decouplers as decouplers
 from cm.formats.hwh.trace import dma_channels as dma_channels
+from cm.formats.hwh.trace import interrupt_controllers as interrupt_controllers
 from cm.formats.hwh.trace import interrupts as interrupts
 from cm.formats.hwh.trace import memories as memories
 from cm.formats.hwh.trace import processor as processor

@@ -155,17 +155,31 @@ def _sources(hwh: Hwh, instance: str, port: str, seen: frozenset[str] = frozense
 
 def interrupts(hwh: Hwh) -> tuple[InterruptLine, ...]:
     """Every interrupt that reaches the processor, also through axi_intc."""
+    return tuple(line for line in _reaching(hwh) if not _controls(hwh, line))
+
+
+def interrupt_controllers(hwh: Hwh) -> tuple[InterruptLine, ...]:
+    """The output of each axi_intc that reaches the processor; its inputs are among `interrupts`."""
+    return tuple(line for line in _reaching(hwh) if _controls(hwh, line))
+
+
+def _controls(hwh: Hwh, line: InterruptLine) -> bool:
+    module = hwh.modules.get(line.instance)
+    return module is not None and module.type == "axi_intc" and line.controller is None
+
+
+def _reaching(hwh: Hwh) -> Iterator[InterruptLine]:
     ps = processor(hwh)
-    if ps is None:
-        return ()
-    ports = [name for name in ps.ports if _PS_INTERRUPTS.fullmatch(name)]
-    return tuple(line for pin in sorted(ports) for line in _lines(hwh, ps.instance, pin, None, pin))
+    for pin in sorted(filter(_PS_INTERRUPTS.fullmatch, ps.ports)) if ps else ():
+        assert ps
+        yield from _lines(hwh, ps.instance, pin, None, pin)
 
 
 def _lines(hwh: Hwh, instance: str, port: str, controller: str | None, pin: str) -> Iterator[InterruptLine]:
     for index, source in enumerate(_sources(hwh, instance, port)):
         driver = hwh.modules.get(source.instance)
         if driver is not None and driver.type == "axi_intc" and controller is None:
+            yield InterruptLine(driver.instance, source.port, None, index, pin)
             yield from _lines(hwh, driver.instance, "intr", driver.instance, pin)
         elif source.instance and (driver is None or driver.type not in _CONSTANTS):
             port_of = driver.ports.get(source.port) if driver is not None else None

@@ -221,10 +221,10 @@ def _streams(hwh: Hwh, notes: list[str]) -> dict[str, Stream]:
 def _without_interrupt(channel: DmaChannel, line: InterruptLine | None) -> str:
     port = f"{channel.interrupt_port} of {channel.instance}"
     if line is None:
-        why = "is connected to nothing (PYNQ polls), and the kernel's xilinx_dma waits for it"
-        return f"{port} {why}: on a board no transfer ends until the design connects it"
-    why = f"goes through {line.controller}, an axi_intc, whose driver the kernel binds when it boots"
-    return f"{port} {why}; on a board it needs nodes of both in the board's own tree, and no transfer ends without"
+        why = "is connected to nothing (PYNQ polls): the module cm_intc looks for the end of transfers"
+        return f"{port} {why}, where the overlay has a node for it, as the one that the import makes"
+    why = f"goes through {line.controller}, an axi_intc, which the module cm_intc serves in an overlay"
+    return f"{port} {why} that has its node, as the one that the import makes"
 
 
 def _interrupts(hwh: Hwh, registers: Mapping[str, Register], notes: list[str]) -> dict[str, Interrupt]:

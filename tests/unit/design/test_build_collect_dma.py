@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import struct
 import subprocess
 import zipfile
 from collections.abc import Callable
@@ -10,16 +11,18 @@ from pathlib import Path
 
 import pytest
 from build_support import needs
-from import_support import bitstream, described, hwh, memory, module, port, ports, register
+from import_support import bitstream, described, hwh, memory, memory_range, module, port, ports, register
 
 from cm.design.collect.collection import collect
 from cm.design.collect.foreign_dma import engines, interrupts
 from cm.design.collect.handoff import streams
 from cm.design.collect.xsa import MAX_ARCHIVE, MAX_MEMBER
 from cm.design.errors import BuildError
+from cm.design.generate.interrupt_nodes import Line
 from cm.design.partition.utilisation import part_of
 from cm.design.parts import device_of
 from cm.design.platforms import ZYNQ7000, ZYNQMP, platform_of
+from cm.formats import fdt
 from cm.formats import hwh as handoff
 from cm.formats.hwh import HwhError
 from cm.schema.model import Direction
@@ -69,11 +72,11 @@ def theirs(tmp_path: Path) -> Path:
 def test_engines_have_addresses_interrupts_widths_and_clocks() -> None:
     dma, vdma = engines(handoff.parse(design(*BOTH)), ZYNQ7000).found
     assert (dma.base, dma.length_bits, vdma.frames) == (0x40400000, 23, 5)
-    assert [(c.stream, c.spi, c.width, c.realigns) for c in dma.channels] == [
-        ("axi_dma_0_mm2s", 29, 32, False),
-        ("axi_dma_0_s2mm", 30, 64, True),
+    assert [(c.stream, c.line, c.width, c.realigns) for c in dma.channels] == [
+        ("axi_dma_0_mm2s", Line("intc", "0 29 4"), 32, False),
+        ("axi_dma_0_s2mm", Line("intc", "0 30 4"), 64, True),
     ]
-    assert [(c.stream, c.spi) for c in vdma.channels] == [("axi_vdma_0", 31)]
+    assert [(c.stream, c.line.cells) for c in vdma.channels] == [("axi_vdma_0", "0 31 4")]
     assert [(c.pin, c.source, c.rate) for c in dma.clocks] == [
         ("s_axi_lite_aclk", "&clkc 16", 0),
         ("m_axi_s2mm_aclk", "&cm_clock_142857132", 142857132),
@@ -92,24 +95,54 @@ def test_a_vdma_that_flushes_at_frames_of_another_size_is_stated_in_the_overlay(
 def test_the_second_interrupt_pin_of_zynqmp_counts_from_its_own_number() -> None:
     pins = port("pl_ps_irq0", "I", BOTH[0], kind="INTERRUPT") + port("pl_ps_irq1", "I", BOTH[1], kind="INTERRUPT")
     found = engines(handoff.parse(design(*BOTH, processor="zynq_ultra_ps_e", pins=pins)), ZYNQMP)
-    assert [(c.stream, c.spi) for c in found.found[0].channels] == [("axi_dma_0_mm2s", 89), ("axi_dma_0_s2mm", 104)]
-    (note,) = found.notes
-    assert "axi_vdma_0 goes nowhere" in note
+    assert [c.line for c in found.found[0].channels] == [Line("gic", "0 89 4"), Line("gic", "0 104 4")]
+    assert [c.line for c in found.found[1].channels] == [Line("cm_polled", "0")]
 
 
 def test_a_private_interrupt_is_not_one_that_a_device_tree_can_state() -> None:
     pins = port("Core0_nFIQ", "I", BOTH[0], kind="INTERRUPT")
     found = engines(handoff.parse(design(*BOTH, pins=pins)), ZYNQ7000)
-    assert found.found == []
-    assert "goes to Core0_nFIQ" in found.notes[0]
+    assert [c.stream for c in found.found[0].channels] == ["axi_dma_0_s2mm"]  # which is connected to nothing
+    assert any("goes to Core0_nFIQ" in note for note in found.notes)
 
 
-def test_interrupts_behind_a_controller_are_reported_and_left_out() -> None:
-    text = design(("intc", "irq")).decode("utf-8-sig")
-    intc = module("intc", "axi_intc", ports(port("intr", "I", BOTH[0]), port("irq", "O")))
-    found = engines(handoff.parse(text.replace("</MODULES>", f"{intc}</MODULES>").encode()), ZYNQ7000)
+def test_interrupts_that_are_connected_to_nothing_are_lines_of_a_controller_that_polls() -> None:
+    found = engines(handoff.parse(design(BOTH[1])), ZYNQ7000)
+    dma, vdma = found.found
+    assert [c.line for c in dma.channels] == [Line("cm_polled", "0"), Line("intc", "0 29 4")]
+    assert [c.line for c in vdma.channels] == [Line("cm_polled", "1")]
+    assert found.polled.words == (0x40400004, 0x43000034)  # DMASR of MM2S and of S2MM
+    assert engines(handoff.parse(design(*BOTH)), ZYNQ7000).polled.words == ()
+
+
+def behind_a_controller(*lines: tuple[str, str], kind: str = "0xFFFFFFF2", window: bool = True) -> handoff.Hwh:
+    """The design with `lines` at an axi_intc, whose output is the processor's first interrupt."""
+    text = design(("axi_intc_0", "irq")).decode("utf-8-sig")
+    inputs = module("more", "xlconcat", ports(*(port(f"In{n}", "I", line) for n, line in enumerate(lines))))
+    intc = module(
+        "axi_intc_0",
+        "axi_intc",
+        ports(port("intr", "I", ("more", "dout"), bits=len(lines)), port("irq", "O")),
+        parameters={"C_NUM_INTR_INPUTS": str(len(lines)), "C_KIND_OF_INTR": kind},
+    )
+    if window:
+        text = text.replace("</MEMORYMAP>", memory_range("axi_intc_0", 0x41800000, 0x10000) + "</MEMORYMAP>", 1)
+    return handoff.parse(text.replace("</MODULES>", f"{inputs}{intc}</MODULES>").encode())
+
+
+def test_interrupts_behind_a_controller_are_lines_of_it() -> None:
+    found = behind_a_controller(*BOTH)
+    dma, vdma = engines(found, ZYNQ7000).found
+    lines = [channel.line for channel in (*dma.channels, *vdma.channels)]
+    assert lines == [Line("axi_intc_0", "0 4"), Line("axi_intc_0", "1 1"), Line("axi_intc_0", "2 4")]
+    (intc,) = interrupts(found, ZYNQ7000).controllers.values()
+    assert (intc.base, intc.inputs, intc.edges, intc.line) == (0x41800000, 3, 0b010, Line("intc", "0 29 4"))
+
+
+def test_interrupts_behind_a_controller_that_the_processor_does_not_reach_are_left_out() -> None:
+    found = engines(behind_a_controller(*BOTH, window=False), ZYNQ7000)
     assert found.found == []
-    assert "axi_dma_0_mm2s: the interrupt of axi_dma_0 goes to intc" in found.notes[0]
+    assert "axi_dma_0_mm2s: the interrupt of axi_dma_0 goes to axi_intc_0" in found.notes[0]
 
 
 @needs("dtc")
@@ -133,7 +166,6 @@ def test_streams_of_the_schema_are_channels_of_the_overlay(theirs: Path, tmp_pat
     assert get("cm-streams", "dma-names", "s").split() == [s.channel for s in found.config.streams.values()]
     assert get("cm-streams", "fpga-cm,directions") == "1 2 2"
     assert get("cm-streams", "fpga-cm,types") == "1 1 2"
-    assert get("cm-streams", "fpga-cm,max-length", "x") == "7fffff"
     channel = "dma-controller@40400000/dma-channel@40400030"
     assert get(channel, "interrupts") == "0 30 4"
     assert get(channel, "xlnx,datawidth") == "64"
@@ -193,11 +225,11 @@ def multichannel(*lines: tuple[str, str]) -> bytes:
 def test_a_multichannel_engine_has_a_stream_for_every_channel() -> None:
     found = handoff.parse(multichannel(*MC_LINES))
     (engine,) = engines(found, ZYNQ7000).found
-    assert [(c.stream, c.number, c.spi) for c in engine.channels] == [
-        ("mc_mm2s_0", 0, 29),
-        ("mc_mm2s_1", 1, 30),
-        ("mc_s2mm_0", 16, 31),
-        ("mc_s2mm_1", 17, 32),
+    assert [(c.stream, c.number, c.line.cells) for c in engine.channels] == [
+        ("mc_mm2s_0", 0, "0 29 4"),
+        ("mc_mm2s_1", 1, "0 30 4"),
+        ("mc_s2mm_0", 16, "0 31 4"),
+        ("mc_s2mm_1", 17, "0 32 4"),
     ]
     assert list(streams(found)) == [channel.stream for channel in engine.channels]
     names = ["s_axi_lite_aclk", "m_axi_sg_aclk", "m_axi_mm2s_aclk", "m_axi_s2mm_aclk"]
@@ -261,7 +293,7 @@ def test_of_several_lines_of_an_instance_the_first_is_reported_and_the_others_ar
         "tx_irq0": 0x43C10000,
         "cam_done": 0x43C00000,
     }
-    assert found.spis == {"tx": 29, "cam": 31}
+    assert {name: line.cells for name, line in found.nodes.items()} == {"tx": "0 29 4", "cam": "0 31 4"}
     (note,) = found.notes
     assert note.startswith("interrupt irq1 of tx is not its first")
 
@@ -269,15 +301,50 @@ def test_of_several_lines_of_an_instance_the_first_is_reported_and_the_others_ar
 def test_a_line_that_no_overlay_can_give_is_noted_and_the_next_one_taken() -> None:
     """A private interrupt of a core comes first in the processor's ports; the shared one is the UIO device's."""
     found = interrupts(handoff.parse(interrupting(("cam", "irq"), pins=FIQ + IRQ)), ZYNQ7000)
-    assert (found.lines["cam_irq"].base_address, found.spis) == (0x43C00000, {"cam": 29})
+    assert (found.lines["cam_irq"].base_address, found.nodes) == (0x43C00000, {"cam": Line("intc", "0 29 4")})
     assert found.notes[0].startswith("interrupt fiq of cam goes to Core0_nFIQ")
 
 
-def test_a_line_behind_an_interrupt_controller_is_noted() -> None:
+def test_a_line_behind_an_interrupt_controller_without_a_window_is_noted() -> None:
     intc = module("intc", "axi_intc", ports(port("intr", "I", ("cam", "irq")), port("irq", "O")))
     found = interrupts(handoff.parse(interrupting(("intc", "irq"), more=(intc,))), ZYNQ7000)
-    assert (found.lines, found.spis) == ({}, {})
+    assert (found.lines, found.nodes) == ({}, {})
     assert found.notes[0].startswith("interrupt irq of cam goes to intc: no overlay can give that")
+
+
+def cells(node: fdt.FdtNode, name: str) -> tuple[int, ...]:
+    return tuple(cell for (cell,) in struct.iter_unpack(">I", node.properties[name]))
+
+
+@needs("dtc")
+def test_controllers_stand_in_the_overlay_before_those_who_use_them(tmp_path: Path) -> None:
+    """Linked rightly only so, and an overlay is removed in reverse."""
+    intc = module(
+        "irqs",
+        "axi_intc",
+        ports(port("intr", "I", ("cam", "irq")), port("irq", "O")),
+        parameters={"C_NUM_INTR_INPUTS": "1", "C_KIND_OF_INTR": "0xFFFFFFFF"},
+    )
+    text = interrupting(("irqs", "irq"), more=(intc,)).decode("utf-8-sig")
+    text = text.replace("</MEMORYMAP>", memory_range("irqs", 0x41800000, 0x10000) + "</MEMORYMAP>", 1)
+    (tmp_path / "top.hwh").write_text(text)
+    (tmp_path / "top.bit").write_bytes(bitstream(None))
+    found = collect([tmp_path])
+    assert any("needs the module cm_intc" in note for note in found.notes)
+    assert set(found.config.interrupts) == {"cam_irq"}
+    root = fdt.unpack(found.files["top_static.dtbo"])
+    nodes = {path.rpartition("/")[2]: node for path, node in root.walk() if "compatible" in node.properties}
+    names = list(nodes)
+    assert names.index("interrupt-controller@41800000") < names.index("cam@43c00000")
+    assert names.index("interrupt-controller@40400004") < names.index("dma-controller@40400000")
+    assert "irqs@41800000" not in names  # no window for user space
+    controller, polled = nodes["interrupt-controller@41800000"], nodes["interrupt-controller@40400004"]
+    assert cells(controller, "interrupts") == (0, 29, 4)
+    assert (cells(controller, "xlnx,num-intr-inputs"), cells(controller, "xlnx,kind-of-intr")) == ((1,), (1,))
+    assert cells(nodes["cam@43c00000"], "interrupts") == (0, 1)  # an edge, as the core was built
+    assert cells(polled, "reg") == (0x40400004, 4, 0x40400034, 4)
+    assert (cells(polled, "fpga-cm,pending"), cells(polled, "fpga-cm,idle")) == ((0x7000,), (3,))
+    assert cells(nodes["dma-channel@40400030"], "interrupts") == (1,)
 
 
 def test_collected_schema_and_overlay_agree_and_leave_engines_to_their_driver(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ DTS = Path(__file__).parents[3] / "dts"
 BOARDS = sorted(path.stem for path in (DTS / "boards").glob("*.dts"))
 OVERLAYS = sorted(str(path.relative_to(DTS / "overlays").with_suffix("")) for path in DTS.glob("overlays/*/*.dtso"))
 BINDINGS = sorted((DTS / "bindings").rglob("*.yaml"))
-ALONE = {"static", "leds", "axidma", "pool"}  # overlays that apply to the board's tree itself
+ALONE = {"static", "leds", "axidma", "pool", "silicon-polled"}  # overlays that apply to the board's tree itself
 SCRIPTS = Path(sysconfig.get_path("scripts"))
 
 pytestmark = pytest.mark.skipif(

@@ -343,8 +343,8 @@ def test_a_dma_whose_interrupt_is_unconnected_is_named_with_what_that_means(tmp_
     )
     notes = [note for note in imported_design(tmp_path, text).notes if "introut" in note]
     assert notes == [
-        "stream dma_s2mm: s2mm_introut of dma is connected to nothing (PYNQ polls), and the kernel's xilinx_dma waits "
-        "for it: on a board no transfer ends until the design connects it"
+        "stream dma_s2mm: s2mm_introut of dma is connected to nothing (PYNQ polls): the module cm_intc looks for the "
+        "end of transfers, where the overlay has a node for it, as the one that the import makes"
     ]
 
 

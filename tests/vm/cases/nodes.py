@@ -18,6 +18,8 @@ DRIVERS = {
     "fpga-cm,dma-client": "cm_dma",
     "fpga-cm,decoupler": "xlnx_pr_decoupler",
     "fpga-cm,icap-loader": "cm_icap",
+    "fpga-cm,polled-intc": "cm_polled_intc",
+    "xlnx,xps-intc-1.00.a": "cm_axi_intc",
     "xlnx,axi-dma-1.00.a": "xilinx-vdma",
     "xlnx,axi-mcdma-1.00.a": "xilinx-vdma",
     "xlnx,axi-vdma-1.00.a": "xilinx-vdma",

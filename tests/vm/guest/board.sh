@@ -33,13 +33,13 @@ board_up() {
 		# the driver that comes first takes the nodes that both know
 		modprobe cm_window
 		modprobe uio_pdrv_genirq of_id=fpga-cm,uio
-		modprobe -a cm_overlay cm_dma cm_icap cm_plsim cm_clock cm_axi_model "$CM_VM_DRIVER" xilinx-pr-decoupler
+		modprobe -a cm_overlay cm_intc cm_dma cm_icap cm_plsim cm_clock cm_axi_model "$CM_VM_DRIVER" xilinx-pr-decoupler
 		board_configfs
 	elif modprobe cm_overlay 2>/dev/null && [ -e /proc/device-tree/__symbols__ ]; then
 		# the driver that comes first takes the nodes that both know
 		modprobe cm_window
 		modprobe uio_pdrv_genirq of_id=fpga-cm,uio
-		modprobe -a cm_dma cm_icap cm_plsim cm_clock xilinx-pr-decoupler
+		modprobe -a cm_intc cm_dma cm_icap cm_plsim cm_clock xilinx-pr-decoupler
 		# the kernel's own driver of the engines, and what stands behind it
 		[ "${CM_VM_STATIC:-static}" = static ] || modprobe -a cm_axi_model "${CM_VM_DRIVER:-xilinx_dma}"
 		overlay static "/opt/cm/firmware/qemu-virt/${CM_VM_STATIC:-static}.dtbo"

@@ -60,7 +60,8 @@ static void read_line(struct device_node *node, struct axi_channel *channel, con
 
 static int read_engine(struct device_node *node, struct axi_engine *engine)
 {
-	u32 address, bits = 26, lines[2] = {};
+	/* beyond the controller's: connected to nothing */
+	u32 address, bits = 26, lines[2] = { LINES, LINES };
 	char name[16];
 	int ret, i;
 

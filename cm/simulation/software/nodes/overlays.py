@@ -164,7 +164,7 @@ class Probes:
 
     def __init__(self, root: Root, faults: Faults) -> None:
         self._root, self._faults = root, faults
-        self._held: dict[bytes, tuple[str, str]] = {}  # interrupt → overlay and device
+        self._held: dict[bytes, tuple[str, str]] = {}  # controller and interrupt → overlay and device
         self._files: dict[str, list[str]] = {}  # of an overlay
 
     def applied(self, overlay: str, fragments: list[FdtNode]) -> None:
@@ -174,7 +174,8 @@ class Probes:
                 continue
             name, interrupt = node.name.partition("@")[0], node.properties.get("interrupts", b"")
             device = f"{node.name.partition('@')[2]}.{name}".lstrip(".")
-            holder = self._held.setdefault(interrupt, (overlay, device))[1] if interrupt else device
+            line = node.properties.get("interrupt-parent", b"") + interrupt
+            holder = self._held.setdefault(line, (overlay, device))[1] if interrupt else device
             if holder != device:
                 self._show(overlay, holder, interrupt, bound=True)
             if holder != device or self._faults.take("probe_error", name):
