@@ -412,7 +412,8 @@ def _stream_values(values: dict[str, Any]) -> dict[str, Any]:
         changes["shape"] = tuple(int(length) for length in changes["shape"])
     if changes.get("region") == STATIC:
         changes["region"] = None
-    for name, kind in (("slots", int), ("stride", int), ("slot_bytes", int), ("rate", float), ("limit", float)):
+    whole = ("slots", "stride", "slot_bytes", "max_length")
+    for name, kind in (*((name, int) for name in whole), ("rate", float), ("limit", float)):
         if name in changes:
             changes[name] = kind(changes[name])
     if "camera_info" in changes:

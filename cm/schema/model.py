@@ -369,6 +369,7 @@ class Stream:
     backpressure: bool = False  # readers lose nothing: the hardware waits for the slowest
     stride: int | None = None  # bytes from line to line in memory (VDMA); None: lines follow each other
     slot_bytes: int | None = None  # of a packet at most, where there is no shape; None: 1 MiB, or what the channel says
+    max_length: int | None = None  # bytes of one transfer at most, as the engine was built; None: what the channel says
     limit: float | None = None  # frames handed on per second at most; None: all
     format: str | None = None  # of pixels in memory, a key of `pictures.FORMATS`: clients read and write RGB
     encoding: str | None = None  # of a pixel, by ROS's names; None: what shape and dtype say

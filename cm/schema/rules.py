@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 
 from cm.schema.construct import IMAGE_KEYS, STATIC, Context
@@ -276,7 +277,17 @@ def _check_streams(
         if other != name:
             message = f"streams {other} and {name} are both on channel {stream.channel}"
             context.report((*path, name), "channel_conflict", message, "one stream per channel")
+        _check_length(stream, (*path, name), context)
         _check_picture(stream, (*path, name), context)
+
+
+def _check_length(stream: Stream, path: KeyPath, context: Context) -> None:
+    """A frame is one transfer: an engine ends a packet with each, and a receiver takes one for each."""
+    size = math.prod(stream.shape) * ITEM_BYTES[stream.dtype] if stream.shape else stream.slot_bytes or 0
+    if stream.max_length is not None and size > stream.max_length:
+        message = f"a frame has {size} bytes, and the engine moves {stream.max_length} at most in one transfer"
+        key = "shape" if stream.shape else "slot_bytes"
+        context.report((*path, key), "too_long", message, "smaller frames, or a design with a wider length register")
 
 
 def _check_picture(stream: Stream, path: KeyPath, context: Context) -> None:

@@ -113,8 +113,9 @@ static void raise(u32 inputs, bool level)
 {
 	int rises = 0;
 
+	/* an edge is latched once, however long the input stays high */
 	if (level)
-		model.levels |= inputs;
+		model.levels |= inputs & ~BIT(EDGE);
 	model.isr |= inputs;
 	while (model.isr & model.ier && model.mer == MER_ENABLE) {
 		irq_work_queue(&output);

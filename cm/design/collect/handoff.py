@@ -74,7 +74,8 @@ def streams(design: hwh.Hwh) -> dict[str, Stream]:
         doc = f"{channel.kind} {channel.instance}" + (f", {channel.width} bits a beat" if channel.width else "")
         if channel.limits:
             doc += f"; {channel.limits}"
-        found[name] = Stream(name, name, Direction(channel.direction), doc=doc)
+        most = channel.longest if channel.limits else None
+        found[name] = Stream(name, name, Direction(channel.direction), doc=doc, max_length=most)
     return found
 
 

@@ -209,7 +209,8 @@ def _streams(hwh: Hwh, notes: list[str]) -> dict[str, Stream]:
         line = lines.get((channel.instance, channel.interrupt_port))
         if line is None or line.controller is not None:
             notes.append(f"stream {name}: {_without_interrupt(channel, line)}")
-        found[name] = Stream(name, channel=name, direction=Direction(channel.direction), doc=doc)
+        most = channel.longest if channel.limits else None
+        found[name] = Stream(name, channel=name, direction=Direction(channel.direction), doc=doc, max_length=most)
     if found:
         notes.append(
             "streams: shape and dtype are not in the package; the device tree's DMA clients must be called "

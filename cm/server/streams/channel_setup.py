@@ -67,9 +67,15 @@ def _check(stream: Stream) -> None:
         raise InvalidRequest(f"{name}: {lines} lines with a stride of {stream.stride} take more than 2 GiB")
 
 
+def longest(info: DmaInfo, stream: Stream) -> int:
+    """Bytes of one transfer at most: what the channel says, and the schema of the engine."""
+    return min(info.max_length, stream.max_length or info.max_length)
+
+
 def setup(info: DmaInfo, stream: Stream) -> StreamSetup:
     """Return how a stream runs over a channel. Raises InvalidRequest for what the channel cannot do."""
     _check(stream)
+    info = replace(info, max_length=longest(info, stream))
     name, frame = f"stream {stream.name!r}", frame_bytes(stream)
     write = stream.direction is Direction.MM2S
     lines, line_bytes = _lines(stream)

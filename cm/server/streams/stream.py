@@ -20,7 +20,7 @@ from cm.frozen import dataclass, replace
 from cm.manager.status_reports import stream_status
 from cm.schema.model import Direction, Stream
 from cm.server.settings.model import USUAL
-from cm.server.streams.channel_setup import frame_bytes, setup
+from cm.server.streams.channel_setup import frame_bytes, longest, setup
 from cm.server.streams.slots import SlotHolders, Slots
 from cm.wire.messages.status import ErrorInfo, FrameInfo, StreamClient, StreamStatus
 from cm.wire.plane_packets import Descriptor, Geometry, encode_geometry, encode_label
@@ -190,7 +190,7 @@ class OpenStream:
             latency_us=median(counts.latency_ns) / 1000,
             clients=tuple(self._clients()),
             exact=not (self.writes or self.channel.tells_length or self.channel.type is DmaType.VDMA),
-            max_length=self.channel.max_length,
+            max_length=longest(self.channel, self.stream),
             slot_bytes=self.setup.length,
             last_error=transfer_error(counts, self.setup),
         )

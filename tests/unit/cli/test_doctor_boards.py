@@ -179,6 +179,7 @@ IN_6_6 = "lib/modules/5.15.19-xilinx-v2022.1/modules.dep"
             for compatible, module in (
                 ("fpga-cm,dma-client", "cm_dma"), ("fpga-cm,decoupler", "xilinx_pr_decoupler"),
                 ("fpga-cm,clocks", "cm_clock"), ("xlnx,pr-decoupler", "xilinx_pr_decoupler"),
+                ("fpga-cm,polled-intc", "cm_intc"), ("xlnx,xps-intc-1.00.a", "cm_intc"),
                 ("fpga-cm,uio", "uio_pdrv_genirq"),
             )
         ),

@@ -202,6 +202,7 @@ def test_an_engine_without_scatter_gather_says_what_it_cannot_do(theirs: Path) -
         assert any(note.startswith(f"stream axi_dma_0_{direction}: axi_dma_0 {why}") for note in found.notes)
     assert "no scatter/gather" in found.config.streams["axi_dma_0_s2mm"].doc
     assert "scatter/gather" not in found.config.streams["axi_vdma_0"].doc
+    assert [stream.max_length for stream in found.config.streams.values()] == [16383, 16383, None]
 
 
 MC_LINES = tuple(("mc", f"{way}_ch{n}_introut") for way, n in (("mm2s", 1), ("mm2s", 2), ("s2mm", 1), ("s2mm", 2)))

@@ -187,6 +187,10 @@ def test_a_slot_without_a_known_length_is_a_mebibyte_or_what_the_channel_moves()
 
 def test_a_frame_longer_than_the_length_register_is_refused_with_the_width_that_it_needs() -> None:
     assert channel_setup.setup(channel(max_length=480 * 640), READ).length == 480 * 640
+    # what the schema says of the engine counts too, where the channel would do more, as a simulated one
+    with pytest.raises(InvalidRequest, match="a frame has 307200 bytes, channel ch0 moves 16383 at most"):
+        channel_setup.setup(channel(), replace(READ, max_length=16383))
+    assert channel_setup.longest(channel(max_length=100), replace(READ, max_length=200)) == 100
     with pytest.raises(InvalidRequest) as refused:
         channel_setup.setup(channel(max_length=480 * 640 - 1), READ)
     assert str(refused.value) == (

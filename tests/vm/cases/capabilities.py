@@ -39,6 +39,7 @@ LOOK: dict[str, Callable[[], bool]] = {
     "kasan": lambda: _log_says("KernelAddressSanitizer initialized"),
     "kmemleak": lambda: "kmemleak=on" in Path("/proc/cmdline").read_text(),
     "xilinx_dma": lambda: Path("/sys/kernel/debug/cm_axi").exists(),  # the kernel's own, on modelled engines
+    "highmem": lambda: "HighTotal" in Path("/proc/meminfo").read_text(),
     "suspend": lambda: Path("/sys/power/pm_test").exists() and Path("/sys/kernel/tracing").exists(),
     "kvm": lambda: _log_says("Hypervisor detected: KVM"),
 }

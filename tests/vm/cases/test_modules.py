@@ -40,6 +40,7 @@ class Suite:
 
 KUNIT = {
     *("cm_queue", "cm_request", "cm_address", "cm_engine", "cm_stop"),  # of cm_dma
+    *("cm_polled", "cm_axi_intc"),  # of cm_intc
     *("cm_axidma_frame", "cm_axidma_video"),
     *("cm_icap_verdict", "cm_configport", "cm_source"),
 }

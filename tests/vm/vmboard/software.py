@@ -54,7 +54,7 @@ def _compile_extension(cache: Cache, arch: Arch, target: Path) -> None:
     includes = [f"-I{folder}" for folder in [*folders[:1], *folders[3:], REPOSITORY / "kmod/uapi"]]
     # Debian's pyconfig.h includes <triplet/python3.x/pyconfig.h>, which lies below usr/include
     includes += [f"-idirafter{include.parent}"]
-    options = ["-D_TIME_BITS=64"] if arch == ARMHF else []
+    options = ["-D_TIME_BITS=64"] if arch.debian == ARMHF.debian else []
     options += [
         "-D_GNU_SOURCE",
         "-D_FILE_OFFSET_BITS=64",
