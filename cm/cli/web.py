@@ -41,6 +41,7 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
         metavar="HOST[:PORT]",
         help=f"address to serve on (default: 127.0.0.1:{PORT}; port 0: a free one)",
     )
+    parser.add_argument("--record", type=Path, metavar="FILE", help="show a record of `cm record`, with a time slider")
     parser.add_argument("--control", action="store_true", help="let the page change modes and write registers")
     parser.add_argument(
         "--token-file", type=Path, metavar="FILE", help="file with the token of the address (default: a new token)"
@@ -55,8 +56,11 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Serve until interrupted; the exit status."""
+    if args.record is not None and (args.control or args.fleet):
+        raise InvalidRequest("--record FILE shows what was: it goes without --control and --fleet")
     options = _options(args)
-    _note_absence(args, options)
+    if args.record is None:
+        _note_absence(args, options)
     from cm.web.server import PageServer
 
     return run_until_told(lambda: PageServer(options).serve(_say))
@@ -98,7 +102,7 @@ def _options(args: argparse.Namespace) -> Options:
     gate = Gate.of(_token(args.token_file), [*args.name, host])
     return Options(
         lambda: aio.connect(args.connect, runtime_dir=args.runtime_dir, keys=args.keys),
-        gate, host, port, args.control, tls, _fleet(args),
+        gate, host, port, args.control, tls, _fleet(args), args.record,
     )  # fmt: skip
 
 

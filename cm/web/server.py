@@ -111,6 +111,7 @@ class Options:
     control: bool = False
     tls: ssl.SSLContext | None = None
     fleet: Callable[[], Fleet] | None = None  # its boards are shown beside the one
+    record: Path | None = None  # is shown instead of a manager
 
 
 class PageServer:
@@ -118,9 +119,16 @@ class PageServer:
 
     def __init__(self, options: Options) -> None:
         self._options = options
-        self._hub = Hub(options.connect, options.control)
-        self._watching = Watching(self._hub)
-        self._commands = Commands(self._hub, options.control)
+        if options.record is not None:
+            from cm.web.recorded import RecordCommands, RecordedFrames, RecordHub  # mcap is needed only for a record
+
+            self._hub: Hub = (record := RecordHub(options.record))
+            self._watching: Watching = RecordedFrames(record)
+            self._commands: Commands = RecordCommands(record)
+        else:
+            self._hub = Hub(options.connect, options.control)
+            self._watching = Watching(self._hub)
+            self._commands = Commands(self._hub, options.control)
         self._open: dict[web.WebSocketResponse, object] = {}  # pages, with their connections
         self._strangers = Strangers()
 

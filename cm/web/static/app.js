@@ -12,6 +12,7 @@ import { Notices } from "./notices.js";
 import { Charts } from "./charts.js";
 import { Errors } from "./errors.js";
 import { Fleet } from "./fleet.js";
+import { RecordTime } from "./record.js";
 import { theme } from "./theme.js";
 
 const state = { link: { up: false, control: false }, server: "connecting" };
@@ -49,9 +50,11 @@ const registers = new Registers(byId("registers"), { ask, control });
 const notices = new Notices();
 const charts = new Charts(byId("charts"));
 const fleet = new Fleet();
+const record = new RecordTime(ask);
 
 const handlers = {
   link() {
+    record.show(state.link.record);
     device.show(state);
     maps.show(state);
     registers.show(state);
@@ -89,7 +92,7 @@ function head() {
   const { status, link: manager, server } = state;
   const up = server === "up" && manager.up;
   document.body.dataset.link = up ? "up" : server === "up" ? "manager" : server;
-  text(byId("link"), up ? "connected" : server === "up" ? "no manager" : server === "denied" ? "no token" : "connecting …");
+  text(byId("link"), up && manager.record ? "a record" : up ? "connected" : server === "up" ? "no manager" : server === "denied" ? "no token" : "connecting …");
   byId("link").title = up ? "" : manager.problem || "";
   text(byId("rights"), state.link.control ? "" : "read-only");
   banner(server === "up" ? (manager.up || state.fleet ? "" : manager.problem) : "", server === "down");
