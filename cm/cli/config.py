@@ -10,10 +10,14 @@ from typing import TYPE_CHECKING
 
 from cm.cli.common import add_board_options, add_json_option, answer, answer_table, completes, naming, print_json
 from cm.cli.connection import connected
+from cm.client.errors import RequestFailed
 from cm.wire.messages.json_values import plain
 
 if TYPE_CHECKING:
-    from cm.wire.messages.status import ConfigEntry
+    from collections.abc import Iterator
+
+    from cm.client.board import Board
+    from cm.wire.messages.status import ConfigEntry, ConfigInfo
 
 _FIRMWARE = Path("/lib/firmware/cm")  # as `cm import archive` has it
 
@@ -122,10 +126,23 @@ def _origin(entry: ConfigEntry | None) -> dict[str, object]:
 
 
 def run_send(args: argparse.Namespace) -> int:
-    """Send it, and list what the manager has then; the exit status."""
+    """Send it, say which files neither it nor the manager has, and list what the manager has then; the exit status."""
     with connected(args) as board:
-        board.provision(args.schema, *args.files)
+        sent = board.provision(args.schema, *args.files)
+        for note in dict.fromkeys(_missing(board, sent)):
+            print(f"cm config: note: {note}", file=sys.stderr)
     return run_list(args)
+
+
+def _missing(board: Board, config: ConfigInfo) -> Iterator[str]:
+    """What the manager would refuse to load a mode for, as a file is nowhere."""
+    for entry in board.config_entries():
+        for mode in entry.modes if entry.name == config.name else ():
+            try:
+                board.plan(mode, config.name)
+            except RequestFailed as refused:
+                if refused.code == "file_missing":
+                    yield str(refused)
 
 
 def run_remove(args: argparse.Namespace) -> int:

@@ -11,10 +11,12 @@ from typing import Any
 
 from cm.cli.common import print_json
 from cm.errors import NotFound
+from cm.formats.bitstream.idcodes import DEVICES, base_name, device_by_name
 from cm.frozen import dataclass
 from cm.schema import Problem, SchemaError, json_schema, load, loads, schema_files
 from cm.schema.model import Config, Module
 from cm.schema.named_files import FileMissing, bitstream_path
+from cm.schema.problems import did_you_mean
 from cm.server.settings import Settings, SettingsError, SettingsMissing, load_settings, parse_settings, settings_schema
 from cm.server.settings.model import FILE as SETTINGS_FILE
 
@@ -123,10 +125,17 @@ def _print(results: list[Checked]) -> None:
         if result.config is not None and not result.problems:
             name, count = result.config.name, len(result.config.modes)
             print(f"{result.path}: good: configuration {name}, {count} mode{'s' * (count != 1)}")
-            for missing in _missing(result.config):
-                print(f"{result.path}: note: {missing}")
+            for note in (*_unknown_device(result.config), *_missing(result.config)):
+                print(f"{result.path}: note: {note}")
         if result.settings is not None:
             print(f"{result.path}: good: settings")
+
+
+def _unknown_device(config: Config) -> Iterator[str]:
+    """What says that a device is not known here, so that its bitstreams are compared by the name in them alone."""
+    if config.device and config.idcode is None and device_by_name(config.device) is None:
+        hint = did_you_mean(base_name(config.device), [device.name for device in DEVICES])
+        yield f"device: the IDCODE of {config.device} is not known ({hint}); idcode: gives that of another device"
 
 
 def _missing(config: Config) -> Iterator[str]:

@@ -329,6 +329,22 @@ def test_a_configuration_is_shown_and_its_schema_as_it_was_given(
     assert "name: camera" in capsys.readouterr().out
 
 
+def test_what_is_sent_without_a_file_that_nobody_has_is_said(
+    manager: Manager, board: cm.Board, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "b.yaml").write_text(
+        "config: {name: b, device: xc7z020, type: partial, modules: {one: {bitstream: one.bit}}, "
+        "modes: {m: {modules: [one]}, n: {modules: [one]}}}\n"
+    )
+    assert main(["config", "send", str(tmp_path / "b.yaml"), "--runtime-dir", str(manager.runtime)]) == 0
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert said[0].startswith(
+        "cm config: note: configuration b: module one of region prr0 (key bitstream): no file one.bit: put it into "
+    )
+    board.remove_config("b")
+
+
 def test_interrupts_of_several_names_are_watched_in_a_form_of_ones_own(manager: Manager, board: cm.Board) -> None:
     board.load("camera", "edge_detection")
     watch = ["irq", "watch", "frame_done", "--count", "2", "--format", "%l=%n at %S %U 100%%"]

@@ -309,6 +309,25 @@ def test_without_argcomplete_the_command_names_what_brings_it_and_tab_does_nothi
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.parametrize(
+    ("device", "said"),
+    [
+        ("xc7z02", "device: the IDCODE of xc7z02 is not known (did you mean xc7z020?)"),
+        ("xc7z020-clg400-1", ""),
+        ("mine, idcode: 0x1234093", ""),
+    ],
+)
+def test_a_device_that_is_not_known_is_noted_with_the_nearest(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], device: str, said: str
+) -> None:
+    modules = "modules: {one: {}}, modes: {m: {modules: [one]}}"
+    (tmp_path / "b.yaml").write_text(f"config: {{name: b, device: {device}, {modules}}}\n")
+    assert main(["config", "check", str(tmp_path / "b.yaml")]) == 0  # the name in its bitstreams is compared
+    assert [line.partition("note: ")[2].partition(";")[0] for line in capsys.readouterr().out.splitlines()[1:]] == (
+        [said] if said else []
+    )
+
+
 def test_a_bitstream_that_a_schema_names_and_nobody_has_is_noted(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

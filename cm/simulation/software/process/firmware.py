@@ -112,6 +112,8 @@ class Firmware:
             return None
 
     def _write_bitstream(self, config: Config, stated: Path | None, name: str, data: bytes) -> None:
+        if stated:
+            _log.warning("configuration %s: no file %s: one that only this board takes is made", config.name, stated)
         file = stated.name if stated else f"{name}.bit"
         self._write(config, file, to_dma_words(data) if file.endswith(".bin") else data)
 
