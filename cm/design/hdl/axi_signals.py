@@ -30,9 +30,12 @@ class Signal:
     widths: tuple[int, ...] = ()  # those that the protocol allows; any if there is none
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class Protocol:
-    """A bus protocol: of `halves`, sets of signals, at least one must be complete (AXI: write, read)."""
+    """A bus protocol: of `halves`, sets of signals, at least one must be complete (AXI: write, read).
+
+    One is equal to itself only: what is found in a name is kept for it (`cm.design.hdl.group_ports`).
+    """
 
     name: str
     signals: Mapping[str, Signal]

@@ -43,13 +43,9 @@ class _Named:
 
     def bare(self) -> tuple[tuple[str, str], bool]:
         """The key without direction affixes, and whether those agree with the port's direction."""
-        found = (_LEADING.match(self.prefix), _INFIX.search(self.prefix), _TRAILING.search(self.tail))
-        agrees = all(match is None or self._agrees(match[1]) for match in found)
-        prefix = _INFIX.sub("_", _LEADING.sub("", self.key[0], count=1))
-        return (prefix, _TRAILING.sub("", self.key[1])), agrees
-
-    def _agrees(self, affix: str) -> bool:
-        return (self.port.direction is PortDirection.IN) == affix.lower().startswith("i")
+        key, affixes = _bare(self.prefix, self.tail)
+        wanted = "i" if self.port.direction is PortDirection.IN else "o"
+        return key, all(affix == wanted for affix in affixes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,12 +136,27 @@ def _candidate(group: list[_Named], bare: str | None, protocol: Protocol) -> Can
     return Candidate(name.strip("_").replace("__", "_"), protocol, {item.signal: item.port for item in group})
 
 
+@lru_cache(maxsize=1 << 12)
+def _bare(prefix: str, tail: str) -> tuple[tuple[str, str], tuple[str, ...]]:
+    """Prefix and tail without direction affixes, in lower case, and the first letters of those."""
+    found = (_LEADING.match(prefix), _INFIX.search(prefix), _TRAILING.search(tail))
+    bare = _INFIX.sub("_", _LEADING.sub("", prefix.lower(), count=1))
+    return (bare, _TRAILING.sub("", tail.lower())), tuple(match[1][0].lower() for match in found if match)
+
+
 def _split(port: Port, protocol: Protocol) -> _Named | None:
-    found = _of(port, _words(port.name, False), protocol)
-    if found is None and _CAMEL.search(port.name):
-        found = _of(port, _words(port.name, True), protocol)
-    if found is None and protocol.glued and (glued := _GLUED.fullmatch(port.name)):
-        found = _of(port, _words(f"{glued[1]}_{glued[2]}", False), protocol)
+    found = _signal(port.name, protocol)
+    return _Named(port, *found) if found else None
+
+
+@lru_cache(maxsize=1 << 15)
+def _signal(name: str, protocol: Protocol) -> tuple[str, str, str] | None:
+    """The signal, the prefix and the tail of a port's name; the same names are in many modules."""
+    found = _of(_words(name, False), protocol)
+    if found is None and _CAMEL.search(name):
+        found = _of(_words(name, True), protocol)
+    if found is None and protocol.glued and (glued := _GLUED.fullmatch(name)):
+        found = _of(_words(f"{glued[1]}_{glued[2]}", False), protocol)
     return found
 
 
@@ -162,7 +173,7 @@ def _words(name: str, camel: bool) -> tuple[list[str], list[str], int]:
     return words, low, end
 
 
-def _of(port: Port, named: tuple[list[str], list[str], int], protocol: Protocol) -> _Named | None:
+def _of(named: tuple[list[str], list[str], int], protocol: Protocol) -> tuple[str, str, str] | None:
     """Find the signal among the words of a name: the last ones, unless the protocol's are distinct."""
     words, low, end = named
     for stop in range(end, 0, -1) if protocol.distinct else (end,):
@@ -174,5 +185,5 @@ def _of(port: Port, named: tuple[list[str], list[str], int], protocol: Protocol)
                 continue
             prefix = "_".join([*words[:start], ""]) if any(words[:start]) else ""
             if protocol.prefix is None or protocol.prefix.fullmatch(prefix):
-                return _Named(port, signal, prefix, "".join(f"_{word}" for word in words[stop:]))
+                return signal, prefix, "".join(f"_{word}" for word in words[stop:])
     return None

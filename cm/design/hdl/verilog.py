@@ -39,6 +39,8 @@ _SEMANTIC = {
     "DiagCode(ImplicitNetPortNoDefault)": "Synth 8-6735",
     "DiagCode(AssignmentRequiresParens)": "",  # `=` for `==`: the grammar of IEEE 1800 has it in parentheses only
 }
+# what IEEE 1800 forbids, and Vivado synthesises: `type(a) b;` without `var`, as in FINN's library
+_TOLERATED = ("DiagCode(TypeRefDeclVar)",)
 _COMMENTS = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
 _SIGNAL = re.compile(r"([!~]?)\s*(\w+)")
 _NAME = re.compile(r"[A-Za-z_]\w*")
@@ -139,9 +141,9 @@ class VerilogReader:
         return other if len(other.errors) < len(tree.errors) else tree
 
     def _tree(self, path: Path, text: str, language: Language) -> Tree:
-        includes = [str(path.parent), *self._includes]
         options = self._slang.parsing.PreprocessorOptions()
-        options.additionalIncludePaths = includes
+        if "`include" in text:  # the folders of all files, which slang takes one by one
+            options.additionalIncludePaths = [str(path.parent), *self._includes]
         options.predefines = self._defines
         # Two readings of one file need two names in slang's source manager, and none may be the file's own: a header
         # that is included would be taken from there, with the keywords set above. The folder stays, for includes.
@@ -176,7 +178,7 @@ class VerilogReader:
             file = path if own else said  # which it includes
             if diagnostic.isError() and (own or file not in known):
                 line = self._sources.getLineNumber(diagnostic.location)
-                yield Problem(self._message(diagnostic), str(file), line, breaks=True)
+                yield Problem(self._message(diagnostic), str(file), line, breaks=str(diagnostic.code) not in _TOLERATED)
 
     def _file(self, diagnostic: Any) -> tuple[Path, bool]:
         """The file that a diagnostic is in, and whether it is one that was parsed, and not included."""
@@ -301,10 +303,11 @@ def _instances(members: Iterable[Any]) -> Iterator[Any]:
     stack = list(members)[::-1]
     while stack:
         member = stack.pop()
-        if member.kind.name == "HierarchyInstantiation":
+        kind = member.kind.name
+        if kind == "HierarchyInstantiation":
             yield member
-        else:
-            stack.extend(_generated(member)[::-1])
+        elif "Generate" in kind:
+            stack.extend(_generated(member, kind)[::-1])
 
 
 def _pins(members: Iterable[Any]) -> Iterator[Pins]:
@@ -324,9 +327,8 @@ def _pins(members: Iterable[Any]) -> Iterator[Pins]:
             yield member.type.valueText, pins
 
 
-def _generated(member: Any) -> list[Any]:
-    """The members of a generate construct."""
-    kind = member.kind.name
+def _generated(member: Any, kind: str) -> list[Any]:
+    """The members of a generate construct of that kind."""
     if kind in ("GenerateRegion", "GenerateBlock"):
         return list(member.members)
     if kind == "LoopGenerate":

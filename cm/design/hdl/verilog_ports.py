@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -34,9 +34,15 @@ def read_instance(
     body = instance.body
     problems = list(errors)
     parameters = tuple(_parameters(body, str(path), problems, given))
+    asked = len(problems)
     types = {p.name for p in body.parameters if p.kind.name == "TypeParameter"}
     ports = tuple(_Ports(compilation, sources, str(path), types, problems).read(body.portList))
     line = sources.getLineNumber(body.definition.location)
+    texts = [port.range for port in ports]
+    for one in parameters:  # of those whose default is an array or the like, only what a port needs is asked for
+        others = (other.text for other in parameters if other is not one)
+        if one.value is None and one.text and not one.local and _names(one.name, (*texts, *others)):
+            problems.insert(asked, Problem(_no_value(one.name, one.text), str(path)))
     return ModuleInfo(
         name=body.definition.name,
         file=str(path),
@@ -59,9 +65,13 @@ def _parameters(body: Any, file: str, problems: list[Problem], given: Mapping[st
             continue
         text = _default_text(symbol)
         value = _value(symbol, given.get(symbol.name, text))
-        if value is None and not symbol.isLocalParam:
+        if value is None and not text and not symbol.isLocalParam:
             problems.append(Problem(_no_value(symbol.name, text), file))
         yield Parameter(symbol.name, value, text, symbol.isLocalParam)
+
+
+def _names(name: str, texts: Iterable[str]) -> bool:
+    return any(re.search(rf"\b{re.escape(name)}\b", text) for text in texts)
 
 
 def _no_value(name: str, text: str) -> str:
@@ -120,13 +130,13 @@ class _Ports:
                 yield self._port(symbol)
 
     def _port(self, symbol: Any) -> Port:
-        line = self._sources.getLineNumber(symbol.location)
-        text, kind = self._declaration(symbol) if symbol.kind.name == "Port" else ("", "")
+        line, what = self._sources.getLineNumber(symbol.location), symbol.kind.name
+        text, kind = self._declaration(symbol) if what == "Port" else ("", "")
         flat, width = False, None
-        types = sorted(set(re.findall(r"\w+", kind)) & self._types)
-        if symbol.kind.name == "InterfacePort":
+        types = sorted(set(re.findall(r"\w+", kind)) & self._types) if self._types else []
+        if what == "InterfacePort":
             why = f" is a SystemVerilog interface ({_interface_name(symbol)}): {FLAT_WRAPPER}"
-        elif symbol.kind.name != "Port":
+        elif what != "Port":
             why = f" joins several signals: {FLAT_WRAPPER}"
         elif types:
             why = f" has the type parameter {', '.join(types)}: {FLAT_WRAPPER}"

@@ -37,7 +37,7 @@ _TRUE = ("true", "1", "yes")
 def parameters(port: Port) -> dict[str, str]:
     """X_INTERFACE_PARAMETER as a mapping, keys upper case: "POLARITY ACTIVE_LOW, FREQ_HZ 100000000"."""
     found: dict[str, str] = {}
-    for text in port.attributes.get("x_interface_parameter", "").split(","):
+    for text in port.attributes.get("x_interface_parameter", "").split(",") if port.attributes else ():
         if match := _PARAMETER.fullmatch(text):
             found[match[1].upper()] = match[2].strip()
     return found

@@ -482,3 +482,14 @@ def test_each_file_is_parsed_once_however_many_folders_there_are(
     files = folders_of_exports(tmp_path, 20)
     assert [one.info.name for one in read_inputs(Sources(files))[0]] == [f"top{number}" for number in range(20)]
     assert parsed == files
+
+
+def test_an_array_without_a_value_is_asked_for_only_if_a_port_needs_it(tmp_path: Path) -> None:
+    text = "module m #(parameter N = 2, parameter [N-1:0] A [N] = '{N{'0}}) (input [N-1:0] a); endmodule\n"
+    assert not module(tmp_path, text, "m.sv").problems
+
+
+def test_what_vivado_synthesises_all_the_same_does_not_stop_check(tmp_path: Path) -> None:
+    (problem,) = module(tmp_path, "module m (input a); logic b; type(b) c; endmodule\n", "m.sv").problems
+    assert "'var'" in problem.message
+    assert not problem.breaks
