@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import io
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -39,22 +40,21 @@ def _files(bag: Path) -> list[Path]:
 def _images(files: list[Path], topic: str) -> Iterator[Any]:
     try:
         from mcap.exceptions import McapError
-        from mcap_ros2.reader import read_ros2_messages
+        from mcap.reader import make_reader
+        from mcap_ros2.decoder import DecoderFactory
     except ModuleNotFoundError as error:
         raise NotInstalled(f"bags need the Python module {error.name}: pip install mcap-ros2-support") from None
     for file in files:
         try:
-            for message in read_ros2_messages(file, topics=[topic] if topic else None):
-                kind = message.schema.name
-                if kind not in _IMAGES:
-                    if topic:
+            with file.open("rb") as stream:
+                reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+                for schema, channel, _, decoded in reader.iter_decoded_messages([topic] if topic else None):
+                    kind = schema.name if schema is not None else ""
+                    if kind in _IMAGES and (topic := topic or channel.topic) == channel.topic:
+                        yield _image(decoded, kind)
+                    elif channel.topic == topic:
                         raise InvalidRequest(f"{file}: topic {topic} has {kind}, and no pictures")
-                    continue
-                if not topic:
-                    topic = message.channel.topic
-                if message.channel.topic == topic:
-                    yield _image(message.ros_msg, kind)
-        except (McapError, ValueError, EOFError, OSError) as error:
+        except (McapError, struct.error, ValueError, EOFError, OSError) as error:
             raise InvalidRequest(f"{file}: {error or type(error).__name__}") from error
 
 

@@ -17,6 +17,7 @@ from cm.wire import cm_pb2 as pb
 from cm.wire.messages.status import Irq, Status
 from cm.wire.records import FrameSeen
 
+pytestmark = pytest.mark.networks
 EVENTS = [(float(n), "cm_irq", Irq("zz_irq", n, n)) for n in range(8)]
 
 
