@@ -507,5 +507,9 @@ class Board(Guarded):
         """For notebooks: where it is, and its status now."""
         return notebook.paragraph(repr(self)) + ("" if self._sockets.closed else notebook.status(self.status))
 
+    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:  # noqa: ARG002 (IPython's)
+        """For IPython in a terminal: the same; `repr` itself asks nobody."""
+        printer.text(repr(self) if self._sockets.closed else f"{self!r}\n{self.status}")
+
     def __repr__(self) -> str:
         return f"<board at {self._place.endpoints.req}{', closed' if self._sockets.closed else ''}>"

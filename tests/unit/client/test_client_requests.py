@@ -11,6 +11,7 @@ import socket
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -342,6 +343,13 @@ def test_registers_are_answered_by_name(manager: Manager, client: Callable[..., 
     assert ended() == [{"focus": 7, "zoom": 2}, {"focus": 3}, 11, 5]
 
 
+def _pretty(board: Any) -> str:
+    """As IPython shows it in a terminal."""
+    said: list[str] = []
+    board._repr_pretty_(SimpleNamespace(text=said.append), False)
+    return "".join(said)
+
+
 IRQS = ConfigInfo("camera", mode="edge", interrupts=(InterruptInfo("done"), InterruptInfo("lost")))
 VALUES = RegValues((RegValue("focus", 7), RegValue("zoom", 2)), "camera", "edge", 11)
 HELD = ConfigInfo(
@@ -372,6 +380,7 @@ HELD = ConfigInfo(
         (lambda b: (len(b.memories), "log" in b.memories), [HELD] * 2, (1, False)),
         (lambda b: b.memories._ipython_key_completions_(), [HELD], ["table"]),
         (lambda b: "camera/edge" in b._repr_html_(), [Status("camera", "edge")], True),
+        (lambda b: "camera/edge" in _pretty(b), [Status("camera", "edge")], True),
     ],
 )
 def test_what_the_blocking_client_has_is_a_mapping_of_what_the_manager_says(
