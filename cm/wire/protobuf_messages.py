@@ -43,8 +43,16 @@ class Twin(Generic[_D, _M]):
         self._lists = frozenset(name for name, hint in hints.items() if "tuple[" in hint)
         self._unset = frozenset(name for name, hint in hints.items() if "None" in hint and hint != "str | None")
         special = [n in parts or n in self._lists or "None" in hints[n] for n in self.names]
-        self._other = [(at, n) for at, n in enumerate(self.names) if special[at]]
+        self._other = [
+            (at, self.parts.get(n), n in self._lists, self.theirs[at] if n in self._unset else "")
+            for at, n in enumerate(self.names)
+            if special[at]
+        ]
         self.values, self._read = _getter(self.names), _getter(self.theirs)
+        fields: tuple[str, ...] = kind.__match_args__  # type: ignore[attr-defined]
+        positional = fields[: fields.index(by_name[0])] if (by_name := getattr(kind, "__by_name__", ())) else fields
+        in_order = [own == name for own, name in zip(positional, self.names, strict=False)]
+        self._in_order = (*in_order, False).index(False)  # how many are given to the class without their names
 
     def to_pb(self, data: _D) -> _M:
         """The message."""
@@ -68,18 +76,20 @@ class Twin(Generic[_D, _M]):
 
     def from_pb(self, message: Any, **more: Any) -> _D:
         """The data, with `more` fields that are not in the message."""
-        values = [*self._read(message)]
-        for at, name in self._other:
-            value, part = values[at], self.parts.get(name)
-            if name in self._lists:
+        values, named = [*self._read(message)], self._in_order
+        for at, part, is_list, unset in self._other:
+            value = values[at]
+            if is_list:
                 values[at] = tuple([part.from_pb(one) for one in value] if part else value)
-            elif name in self._unset and not message.HasField(self.theirs[at]):
+            elif unset and not message.HasField(unset):
                 values[at] = None
             elif part:
                 values[at] = part.from_pb(value)
-            elif name not in self._unset:
+            elif not unset:
                 values[at] = value or None
-        return self._kind(**dict(zip(self.names, values, strict=False)), **more)
+        if named == len(self.names) and not more:
+            return self._kind(*values[:named])
+        return self._kind(*values[:named], **dict(zip(self.names[named:], values[named:], strict=False)), **more)
 
 
 def _getter(names: Sequence[str]) -> Callable[[Any], tuple[Any, ...]]:
