@@ -23,7 +23,6 @@ from cm.client.core.flow_effects import (
 from cm.client.errors import RequestFailed, RequestTimeout
 from cm.client.frame import Frame, frame_of
 from cm.errors import InvalidRequest, Timeout
-from cm.extras import installing
 from cm.frozen import dataclass, replace
 from cm.wire import topics
 from cm.wire.encode import decode_event
@@ -121,6 +120,8 @@ def lz4_frame() -> Any:
     try:
         return import_module("lz4.frame")
     except ModuleNotFoundError:
+        from cm.extras import installing  # no start waits for it
+
         raise InvalidRequest(
             f"compressed frames need the package lz4: {installing('lz4')}, or apt install python3-lz4"
         ) from None
