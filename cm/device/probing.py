@@ -16,7 +16,6 @@ from contextlib import suppress
 from pathlib import Path
 
 from cm.device.attributes import Attributes
-from cm.device.checks.devices import DRIVERS
 from cm.device.checks.machine import Machine, PlatformDevice
 from cm.device.errors import DeviceError
 from cm.device.paths import Root
@@ -82,6 +81,8 @@ def _drivers(root: Root, device: PlatformDevice) -> list[str]:
     """The drivers that are there and should be bound to a device; none where one is."""
     if device.driver:
         return []
+    from cm.device.checks.devices import DRIVERS  # here: only who waits for a driver needs it
+
     modules = dict.fromkeys(DRIVERS[name] for name in device.compatible if name in DRIVERS)
     names = [_NAMES.get(module, module) for module in modules if module != _LEFT_ALONE]
     return [name for name in names if root.join(_BUS, "drivers", name).exists()]

@@ -40,8 +40,8 @@ class Twin(Generic[_D, _M]):
         self._kind, self._message, self.names = kind, message, tuple(hints if names is None else names)
         self.theirs = tuple([(renamed or {}).get(name, name) for name in self.names])
         self.parts = {name: part for name, part in parts.items() if name in self.names}
-        self._lists = frozenset(name for name, hint in hints.items() if "tuple[" in hint)
-        self._unset = frozenset(name for name, hint in hints.items() if "None" in hint and hint != "str | None")
+        self._lists = frozenset([name for name, hint in hints.items() if "tuple[" in hint])
+        self._unset = frozenset([name for name, hint in hints.items() if "None" in hint and hint != "str | None"])
         special = [n in parts or n in self._lists or "None" in hints[n] for n in self.names]
         self._other = [
             (at, self.parts.get(n), n in self._lists, self.theirs[at] if n in self._unset else "")

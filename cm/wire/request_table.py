@@ -178,7 +178,7 @@ ROWS = (
     Row(rq.BreakLease, topics.LEASE, pb.Lease, marks=("number", "release")),
 )
 BY_KIND = {row.kind: row for row in ROWS}
-BY_TOPIC = {row.topic: tuple(r for r in ROWS if r.topic == row.topic) for row in ROWS}
+BY_TOPIC = {row.topic: tuple([r for r in ROWS if r.topic == row.topic]) for row in ROWS}
 
 
 def row_of(topic: bytes, message: Message) -> Row:

@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
-from cm.device.check_result import Finding
-from cm.device.checks import devices, kernel, other_managers, ps_pl_ports
 from cm.device.checks.machine import Machine
 from cm.device.paths import Root
+
+if TYPE_CHECKING:
+    from cm.device.check_result import Finding
 
 
 def board_checks(root: Root) -> Iterator[Finding]:
@@ -16,6 +18,8 @@ def board_checks(root: Root) -> Iterator[Finding]:
     machine = Machine(root)
     if machine.family is None:
         return
+    from cm.device.checks import devices, kernel, other_managers, ps_pl_ports  # here: a manager needs only the machine
+
     yield from kernel.checks(machine)
     yield from devices.checks(machine)
     yield from ps_pl_ports.checks(machine)
