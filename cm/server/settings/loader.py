@@ -152,7 +152,7 @@ def _value(name: str, value: Any) -> Any:
     if name == "scrub":
         return {region: _scrub(said or {}) for region, said in value.items()}
     if name in _GROUPS:
-        parts = {key: tuple(part) if isinstance(part, list) else part for key, part in value.items()}
+        parts: dict[str, Any] = {key: tuple(part) if isinstance(part, list) else part for key, part in value.items()}
         return _GROUPS[name](**{key: Path(part) if key in _PATHS else part for key, part in parts.items()})
     if name in _PATHS:
         return Path(value)

@@ -47,6 +47,12 @@ CASES = (
     Case("footprint", ("footprint",)),
     Case("scraping", ("scraping",), needs="prometheus_client"),
     Case(
+        "record",
+        ("record_manager", "record_recorder", "record_p99", "record_frames", "record_frames_disk"),
+        needs="foxglove",
+        extra="record",
+    ),
+    Case(
         "flood",
         tuple(name + beside for name in ("flood", "flood_requests") for beside in ("", "_vs_quiet", "_vs_busy")),
     ),
