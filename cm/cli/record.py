@@ -49,7 +49,7 @@ def _add_start(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     parser.description = (
         "Record what the manager tells its clients: statuses, steps of changes, writes of registers and who made "
         "them, interrupts, leases, errors, upsets, and frames of the streams that are named. The record is an MCAP "
-        "file, or several that follow each other; docs/how-to/what-happened.md says what is in it."
+        "file, or several that follow each other; docs/record.md says what is in it."
     )
     add_connection_options(parser)
     parser.add_argument(
