@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import threading
 from typing import Any, ClassVar
 
 import numpy as np
@@ -15,9 +16,11 @@ from cm.errors import CmError, Timeout
 from cm.pynq.board import board, places
 from cm.pynq.buffer import PynqBuffer
 from cm.pynq.interrupt import SLICE, until
+from cm.pynq.mmio import MMIO
 from cm.pynq.overlay import DefaultIP, Description
 
 _Bytes = npt.NDArray[np.uint8]
+_SHORT = 0.02  # seconds that what follows a transfer keeps others from the stream
 
 
 class _Channel:
@@ -31,6 +34,8 @@ class _Channel:
         self._began = False
         self.running = True
         self.transferred = 0
+        self.address = 0  # of the last transfer's first byte, for the device
+        self._lock = threading.Lock()  # of the stream: what follows a transfer, or who waits for it, has it
 
     @property
     def idle(self) -> bool:
@@ -69,8 +74,10 @@ class _Channel:
             self._length = part.nbytes
             places().until_load.add(self)
         self.transferred, self._failed = 0, ""
+        self.address = array.physical_address + start
         self._begin(part)
         self._under_way, self._began = part, True
+        self._follow()
 
     def wait(self) -> None:
         """Until the transfer has ended. Raises RuntimeError with the reason if it failed."""
@@ -94,6 +101,15 @@ class _Channel:
         """Whether it has ended, well or not, within so many seconds."""
         if self._under_way is None:
             return True
+        if not self._lock.acquire(timeout=seconds):
+            return False
+        try:
+            return self._under_way is None or self._ended_here(seconds)
+        finally:
+            self._lock.release()
+
+    def _ended_here(self, seconds: float) -> bool:
+        assert self._under_way is not None
         try:
             self.transferred = self._end(self._under_way, seconds)
         except Timeout:
@@ -102,6 +118,9 @@ class _Channel:
             self._failed = str(error)
         self._under_way = None
         return True
+
+    def _follow(self) -> None:
+        """What is sent has left the buffer already."""
 
     def _open(self, length: int) -> None:
         """Open the stream with frames of so many bytes."""
@@ -116,7 +135,14 @@ class _Channel:
 
     def close(self) -> None:
         """Give the stream back; a transfer under way is given up."""
-        self._length, self._under_way = 0, None
+        with self._lock:
+            if self._length:
+                self._let_go()
+            self._length, self._under_way = 0, None
+
+    def _let_go(self) -> None:
+        """Close the stream."""
+        raise NotImplementedError
 
 
 class _SendChannel(_Channel):
@@ -133,10 +159,8 @@ class _SendChannel(_Channel):
         self._writer.flush(seconds)
         return part.nbytes
 
-    def close(self) -> None:
-        if self._length:
-            self._writer.close()
-        super().close()
+    def _let_go(self) -> None:
+        self._writer.close()
 
 
 class _RecvChannel(_Channel):
@@ -174,11 +198,47 @@ class _RecvChannel(_Channel):
                     raise CmError(f"stream {self._name!r}: {why}") from None
             raise
 
-    def close(self) -> None:
-        if self._length:
-            self._stream.close()
+    def _follow(self) -> None:
+        """Have what comes in the buffer without anybody who waits, as PYNQ's programs may expect."""
+        threading.Thread(target=self._fill, daemon=True).start()
+
+    def _fill(self) -> None:
+        while not self._ended(_SHORT):
+            pass
+
+    def _let_go(self) -> None:
+        self._stream.close()
         self._kept = None
-        super().close()
+
+
+class _Engine(MMIO):
+    """What the registers of the engine read as (PG021), by the transfers; the driver has the real ones."""
+
+    def __init__(self, dma: DMA) -> None:
+        super().__init__(dma.description["phys_addr"], dma.description["addr_range"])
+        self._channels = {0x00: dma.sendchannel, 0x30: dma.recvchannel}
+
+    def read(self, offset: int = 0, length: int = 4, word_order: str = "little") -> int:
+        """Control (run), status (halted, idle, error), address and length of a channel; 0 for the rest."""
+        del word_order
+        channel = self._channels[0x30 if offset >= 0x30 else 0]
+        at = offset - (0x30 if offset >= 0x30 else 0)
+        if channel is None:
+            return 0
+        found = {
+            0x00: int(channel.running),
+            0x04: int(not channel.running) | channel.idle << 1 | channel.error << 4,
+            0x18: channel.address,
+            0x28: channel.transferred,
+        }
+        wide = found[0x18] >> 32 if at == 0x1C else found.get(at, 0)
+        return wide & ((1 << 8 * length) - 1)
+
+    def write(self, offset: int, data: Any) -> None:
+        """Not possible."""
+        raise NotImplementedError(
+            f"a DMA's registers are the driver's ({offset:#x} = {data}): transfer, start and stop"
+        )
 
 
 class DMA(DefaultIP):
@@ -191,6 +251,7 @@ class DMA(DefaultIP):
         channels = description["channels"]
         self.sendchannel = _SendChannel(channels["mm2s"]) if "mm2s" in channels else None
         self.recvchannel = _RecvChannel(channels["s2mm"]) if "s2mm" in channels else None
+        self.mmio = _Engine(self)
 
 
 def _part(array: Any, start: int, nbytes: int) -> _Bytes:

@@ -23,7 +23,7 @@ from import_support import (
     register,
     register_field,
 )
-from manager_process import Manager, environment, served, short_folder
+from manager_process import Manager, environment, served, short_folder, until
 
 import cm
 from cm import pynq
@@ -234,6 +234,19 @@ def test_a_transfer_there_and_back(overlay: pynq.Overlay) -> None:
         assert overlay.dma.recvchannel.idle
         assert overlay.dma.recvchannel.transferred == 4000
         assert (result[100:1100] == source).all()
+        there = result.physical_address + 400
+        assert (overlay.dma.mmio.read(0x48), overlay.dma.mmio.read(0x34)) == (there & 0xFFFFFFFF, 2)
+    with pytest.raises(NotImplementedError, match="a DMA's registers are the driver's"):
+        overlay.dma.write(0x28, 64)
+
+
+def test_what_comes_is_in_the_buffer_without_anybody_who_waits(overlay: pynq.Overlay) -> None:
+    source, result = pynq.allocate(64, "u1"), pynq.allocate(64, "u1")
+    source[:] = 7
+    overlay.dma.recvchannel.transfer(result)
+    overlay.dma.sendchannel.transfer(source)
+    until(lambda: result.tolist() == [7] * 64)
+    assert overlay.dma.recvchannel.transferred == 64
 
 
 def test_a_memory_window_is_written_in_part_and_read_by_steps(overlay: pynq.Overlay) -> None:
