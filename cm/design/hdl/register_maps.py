@@ -12,8 +12,10 @@ from cm.design.hdl.hls_registers import hls_items, is_hls
 from cm.design.hdl.ipxact_registers import ipxact_items
 from cm.design.hdl.json_registers import json_items
 from cm.design.hdl.systemrdl_registers import systemrdl_items
-from cm.formats.registers import Item, RegisterBank
+from cm.formats.registers import Item, RegisterBank, RegisterInfo
 from cm.schema.model import Memory, Register
+
+_WIDEST = 1 << 16  # bits
 
 
 class RegisterMap(NamedTuple):
@@ -41,7 +43,14 @@ def read_register_map(path: Path, module: str, bus: str = "") -> RegisterMap:
         raise BuildError(f"{path}: registers are read from {', '.join(readers)} files, and *_s_axi.v or .vhd of HLS")
     notes: list[str] = []
     bank = RegisterBank(notes)
-    bank.add("", 0, None, reader(path, module, bus, notes))
+    try:
+        items = reader(path, module, bus, notes)
+        wide = next((item.name for item in items if isinstance(item, RegisterInfo) and item.size > _WIDEST), None)
+        if wide is not None:
+            raise BuildError(f"{path}: {wide} has more than {_WIDEST} bits, which no register has")
+        bank.add("", 0, None, items)
+    except (ValueError, TypeError, AttributeError, OverflowError) as error:
+        raise BuildError(f"{path}: a value in it is none that a register can have: {error}") from None
     if not (bank.registers or bank.memories):
         raise BuildError(f"{path} describes no registers")
     return RegisterMap(bank.registers, bank.memories, notes)

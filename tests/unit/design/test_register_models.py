@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from import_support import described, hwh, module, register, register_field
 
+from cm.design.errors import BuildError
 from cm.design.hdl.register_maps import RegisterMap, read_register_map
 
 NAMESPACES = {
@@ -289,3 +290,11 @@ def test_the_json_of_bust_is_read(tmp_path: Path) -> None:
     assert places(found) == {"seen": 0, "control": 0x10, "level": 4}
     assert (accesses(found, "control"), found.registers["control"].reset) == ({"mode": "rw", "go": "w1s"}, 2)
     assert (accesses(found, "level"), accesses(found, "seen")) == ({"level": "rc"}, {"seen": "w1c"})
+
+
+@pytest.mark.parametrize("width", ["null", "99999999999999999999", "NaN"])
+def test_a_width_that_no_register_has_is_refused(width: str, tmp_path: Path) -> None:
+    said = '{"csr_registers": {"a": {"addr": 0, "size": 2, "type": "rw"}}, "csr_bases": {},'
+    (tmp_path / "csr.json").write_text(f'{said} "constants": {{"config_csr_data_width": {width}}}, "memories": {{}}}}')
+    with pytest.raises(BuildError, match=r"csr\.json: "):
+        read_register_map(tmp_path / "csr.json", "")
