@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import select
+import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
@@ -58,8 +59,7 @@ class Places:
         self.until_load: WeakSet[Any] = WeakSet()  # what has a `close` that the next load of this program calls
         self._lock = threading.RLock()
         self._statuses = found.watch()
-        self._poll = select.poll()
-        self._poll.register(self._statuses.fileno(), select.POLLIN)
+        self._ready = _ready(self._statuses.fileno())
         self._change: object = None
         self._words: dict[int, tuple[RegisterInfo, int]] = {}  # with the first bit of the word
         self._registers: tuple[RegisterInfo, ...] = ()
@@ -181,10 +181,19 @@ class Places:
 
     def _changed(self) -> bool:
         changed = False
-        if self._poll.poll(0):
+        if self._ready():
             while (status := self._statuses.poll()) is not None:
                 changed = changed or _change(status) != self._change
         return changed
+
+
+def _ready(fd: int) -> Callable[[], bool]:
+    """Whether something may have come on a descriptor; where there is no poll(2), ZeroMQ has to be asked each time."""
+    if sys.platform == "win32":
+        return lambda: True
+    poll = select.poll()
+    poll.register(fd, select.POLLIN)
+    return lambda: bool(poll.poll(0))
 
 
 def _change(status: Status) -> object:
