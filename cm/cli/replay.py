@@ -95,6 +95,8 @@ def _play(args: argparse.Namespace, script: Script, since: int, until: int) -> i
     from cm.tools.replay.player import Player
     from cm.tools.replay.script import topics_wanted
 
+    if any(step.kind == "repair" for change in script.changes for step in change.steps):
+        _say("not run again: upsets and their repairs (with --check they are)")
     with bench(script, args.runtime_dir, args.against, args.build) as made:
         player = Player(made, script, topics_wanted(tuple(args.only)))
         _say(f"ready: run the application with CM_RUNTIME_DIR={made.folder}")

@@ -17,7 +17,7 @@ from cm.errors import CmError, InvalidRequest
 from cm.frozen import dataclass
 from cm.simulation.software import Control
 from cm.tools.replay.script import Fault, Script, fault_of, needs_fault
-from cm.wire.messages.status import PastChange, Status, StepTaken
+from cm.wire.messages.status import PastChange, Status
 
 _PATIENCE = 300.0  # seconds: HDL may have to be compiled first
 
@@ -108,18 +108,25 @@ class Faults:
     Each strikes once so many loads have ended as had in the record, so nobody has to be quick.
     """
 
-    def __init__(self, made: Bench, script: Script) -> None:
+    def __init__(self, made: Bench, script: Script, repairs: bool = True) -> None:
+        """`repairs`: those of the record are made too, and load something."""
         self._control, self._left = made.control, list(script.changes)
+        kinds = ("load", "load_full", "repair") if repairs else ("load", "load_full")
         loads = 0
         for change in script.changes:
             failed = [at for at, step in enumerate(change.steps) if step.failed]
-            before = sum(map(_is_load, change.steps[: failed[0]])) if failed else 0
+            before = sum(step.kind in kinds for step in change.steps[: failed[0]]) if failed else 0
             fault = _fault(change)
             if fault is not None:
-                count = max(1, sum(_is_load(change.steps[at]) for at in failed))
+                count = max(1, sum(change.steps[at].kind in kinds for at in failed))
                 late = fault.kind == "fpga_manager_error"  # it is looked for when the load has ended
                 self._control.inject(fault.kind, fault.target or None, count, after=loads + before + late)
-            loads += sum(map(_is_load, change.steps))
+            loads += sum(step.kind in kinds for step in change.steps)
+
+    def upset(self, region: str) -> None:
+        """Turn over a bit of a region that the record's next change found wrong, and repaired."""
+        if self._left and any(step.kind in ("repair", "load") for step in self._left[0].steps):
+            self._control.upset(region)
 
     def next(self) -> None:
         """A change has ended: a fault of it that lasts is over."""
@@ -131,7 +138,3 @@ class Faults:
 
 def _fault(change: PastChange) -> Fault | None:
     return fault_of(change) if needs_fault(change) else None
-
-
-def _is_load(step: StepTaken) -> bool:
-    return step.kind in ("load", "load_full")

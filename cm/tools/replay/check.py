@@ -35,6 +35,8 @@ def check(made: Bench, script: Script) -> Compared:
     for _, request in script.requests:
         if isinstance(request, rq.ChangeMode) and request.no_wait:
             request = replace(request, no_wait=False)
+        if isinstance(request, rq.CheckRegion) and request.repair:
+            faults.upset(request.name)
         _ask(made, request)
         done = _settle(made, ended, before, done, faults)
     states = tuple(ended[number] for number in sorted(ended))

@@ -104,7 +104,7 @@ class Player:
             thread.join()
 
     def _follow(self, over: threading.Event) -> None:
-        faults = Faults(self._made, self._script)
+        faults = Faults(self._made, self._script, repairs=False)
         with contextlib.suppress(CmError), connect(runtime_dir=self._made.folder) as board:
             number = board.status.last_change
             with board.watch(timeout=None) as statuses:

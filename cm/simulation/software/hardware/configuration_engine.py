@@ -46,6 +46,7 @@ class ConfigurationEngine:
         self.errors = 0
         self.total = 0
         self.loads = 0
+        self.reads = 0  # of them
         self._done = 0
         self._run: _Run | None = None
         self._reading = False
@@ -108,6 +109,7 @@ class ConfigurationEngine:
                 return
             time.sleep(max(left, 0.0))
             self._reading = False
+            self.reads += 1
             self._ended(status, protocol.ERR_TIMEOUT if status else 0)
             finished(LoadResult(self._done, asked_ns, time.monotonic_ns(), status, self.errors))
 

@@ -57,7 +57,7 @@ class Machine:
         self.dma_nodes = {name: DmaNode(channel, self.memory) for name, channel in self.channels.items()}
         self.icap_node = self._icap_node()
         self._upsets: list[tuple[int, int]] = []  # the last: frame address, and bit of the frame
-        self.faults.loads = lambda: self.engine.loads
+        self.faults.loads = lambda: self.engine.loads - self.engine.reads
         self.fabric.changed = self.faults.ordered = self.kick
 
     def serve(self) -> None:
