@@ -49,6 +49,7 @@ _TOGETHER = 0.02  # seconds in which the steps of a change are collected: tellin
 _LOG = logging.getLogger("cm")
 _AT_ONCE = 32  # subscriptions that are read before others get their turn
 TOPICS_EACH = 64 << 10  # bytes of the topics of one connection
+AT_A_TIME = 1024  # subscriptions of a connection between two calls of `settle`
 _Owner = tuple[int, str]  # descriptor and id of a connection
 End = Callable[[int, str], None]  # ends the connection that they name
 _FRAME_TOPICS = (topics.READ_DATA, topics.DATA_READ)
@@ -101,19 +102,26 @@ class Kept:
 class Subscriptions:
     """Topics with a subscriber; each counts for the connection that named it first.
 
-    A connection that names too many is ended: libzmq keeps a node for each byte as long as the connection lasts.
+    A connection that names too many is ended: libzmq keeps a node for each byte as long as the connection lasts. One
+    that subscribes without end, if only to the same topic, is ended too: libzmq takes in more of that than can be read
+    here, and the manager serves nobody else.
     """
 
     def __init__(self, end: End) -> None:
         self._end = end
         self._owners: dict[bytes, _Owner] = {}
         self._bytes: Counter[_Owner] = Counter()
+        self._came: Counter[_Owner] = Counter()  # since the last `settle`
 
     def add(self, topic: bytes, source: int, name: str) -> None:
         """Add a subscription of a connection, which has this descriptor and id."""
+        owner = source, name
+        self._came[owner] += 1
+        if self._came[owner] == AT_A_TIME + 1:
+            self._end(*owner)
         if topic in self._owners:
             return
-        owner = self._owners[topic] = source, name
+        self._owners[topic] = owner
         self._bytes[owner] += len(topic) + 1
         if self._bytes[owner] > TOPICS_EACH:
             self._end(*owner)
@@ -126,6 +134,10 @@ class Subscriptions:
         self._bytes[owner] -= len(topic) + 1
         if not self._bytes[owner]:
             del self._bytes[owner]
+
+    def settle(self) -> None:
+        """A second is over: as many may come again."""
+        self._came.clear()
 
     def covers(self, topic: bytes, least: int = 0) -> bool:
         """Whether one of `least` bytes or more is a prefix of a topic; its time depends on the topic's length only."""
@@ -224,6 +236,10 @@ class Publisher:
                 self._subscriptions.discard(topic)
         self.wants_audit = self._subscriptions.covers(topics.AUDIT, len(topics.AUDIT))
         return wanted
+
+    def settle(self) -> None:
+        """Once a second."""
+        self._subscriptions.settle()
 
     def has_subscriber(self, topic: bytes) -> bool:
         """Whether a topic has a subscriber."""

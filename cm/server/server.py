@@ -298,5 +298,6 @@ class Server:
         self._uploads.forget_old()
         self._clients.settle()
         self._connections.settle()
+        self._publisher.settle()
         if self._streams.any_open:
             self._status.publish()

@@ -113,8 +113,8 @@ def test_a_frame_of_a_gibibyte_and_a_half_is_refused_when_it_is_announced(served
 def test_who_subscribes_to_thousands_of_topics_is_disconnected(served: KeyedManager) -> None:
     before = resident_mib(served.pid)
     with raw(served.manager.runtime / "pub", b"SUB") as peer, served.manager.connected() as board:
-        topics = b"".join(bytes([0, 11]) + b"\x01cm_%07d" % i for i in range(10_000))
-        assert send_until_hung_up(peer, topics, 1000) < 1000
+        thousand = b"".join(bytes([0, 11]) + b"\x01cm_%07d" % i for i in range(1000))
+        assert send_until_hung_up(peer, thousand, 1000) < 1000
         assert works(board)
     assert resident_mib(served.pid) < before + 64
 

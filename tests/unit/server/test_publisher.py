@@ -13,7 +13,7 @@ import zmq
 from manager_process import short_folder
 
 from cm._version import __version__
-from cm.server.publisher import TOPICS_EACH, Kept, Publisher, StatusTold, Subscriptions
+from cm.server.publisher import AT_A_TIME, TOPICS_EACH, Kept, Publisher, StatusTold, Subscriptions
 from cm.server.sockets import Loop
 from cm.wire.encode import decode_event
 from cm.wire.messages.status import ErrorInfo, Irq, RegValue, RegValues, SensorStatus, Status, StreamStatus
@@ -144,7 +144,7 @@ class Known(Subscriptions):
         super().__init__(lambda *owner: self.ended.append(owner))
 
 
-def test_a_connection_that_subscribes_to_too_much_is_ended() -> None:
+def test_a_connection_that_subscribes_to_too_much_or_too_often_is_ended() -> None:
     known = Known()
     for _ in range(2):  # what was given up counts no longer
         known.add(b"a" * (TOPICS_EACH - 4), 1, "one")
@@ -157,6 +157,14 @@ def test_a_connection_that_subscribes_to_too_much_is_ended() -> None:
     known.add(b"a" * (TOPICS_EACH - 4), 1, "one")
     known.add(b"abc", 1, "one")
     assert known.ended == [(1, "one")]
+    for _ in range(2):
+        for _ in range(AT_A_TIME):
+            known.add(b"b", 2, "two")
+        known.settle()
+    assert known.ended == [(1, "one")]
+    for _ in range(AT_A_TIME + 2):
+        known.add(b"b", 2, "two")
+    assert known.ended == [(1, "one"), (2, "two")]
 
 
 def test_a_subscription_covers_the_topics_that_begin_with_it() -> None:
