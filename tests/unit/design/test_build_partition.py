@@ -82,7 +82,7 @@ def test_no_partition_beats_the_proposal(problem: Problem, objective: str) -> No
 
 def test_without_the_solver_the_extra_that_brings_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "scipy.optimize", None)
-    with pytest.raises(MissingTool, match=r"fpga-cm\[advise\]"):
+    with pytest.raises(MissingTool, match=r"needs scipy: pip install 'scipy>="):
         advise(Problem(PART, {"a": Unit("a", Resources(10))}, [UsedMode("a", frozenset("a"))], 1e6))
 
 
