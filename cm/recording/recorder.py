@@ -191,7 +191,7 @@ class Recorder:
         self._gone = False
 
     def _know(self, board: Board, status: Status) -> None:
-        """A status that was asked for: whether it is still the same manager, and what it holds."""
+        """A status, asked for or told: it may be that of another manager, which began within the second."""
         known = self._status
         if known is not None and status.started_ns != known.started_ns:
             self._lose("another manager serves")
@@ -269,6 +269,7 @@ class Recorder:
         elif isinstance(event, RegValues):
             self._values.update((value.name, value) for value in event.values)
         elif isinstance(event, Status):
+            self._know(board, event)
             self._tell_lost(event)
         self._log(frames[0].decode(), frames[1], time_ns)
         if isinstance(event, Status):
