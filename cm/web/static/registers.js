@@ -8,7 +8,10 @@ const FEW = 8; // registers that need no filter
 
 export class Registers {
   constructor(node, { ask, control }) {
-    Object.assign(this, { node, ask, control, changed: new Map(), held: {} });
+    Object.assign(this, { node, ask, control, changed: new Map(), held: {}, inside: false });
+    // Not :hover, which stays after a tap on a touch screen.
+    node.addEventListener("pointermove", (event) => { this.inside = event.pointerType === "mouse"; });
+    node.addEventListener("pointerleave", () => { this.inside = false; });
     this.filter = h("input", { type: "search", placeholder: "Filter", "aria-label": "Filter registers by a word", oninput: () => this.again() });
     this.order = h("select", { "aria-label": "Order of registers", onchange: () => this.again() },
       h("option", { value: "", text: "by module" }), h("option", { value: "changed", text: "last changed first" }));
@@ -54,7 +57,7 @@ export class Registers {
   // One list; it stays as it is while the user is in it, so that nothing moves under the hand.
   recent(shown) {
     const names = shown.map((register) => register.name).sort().join();
-    if (this.recently?.names !== names || !this.node.matches(":hover, :focus-within")) {
+    if (this.recently?.names !== names || !(this.inside || this.node.matches(":focus-within"))) {
       const when = (register) => this.changed.get(register.name) ?? 0;
       this.recently = { names, own: shown.toSorted((a, b) => when(b) - when(a)) };
     }
