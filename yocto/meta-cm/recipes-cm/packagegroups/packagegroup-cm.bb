@@ -15,6 +15,7 @@ RDEPENDS:${PN} = "kernel-module-cm-axidma-compat \
                   kernel-module-cm-clock \
                   kernel-module-cm-dma \
                   kernel-module-cm-icap \
+                  kernel-module-cm-intc \
                   kernel-module-cm-overlay \
                   kernel-module-cm-window \
                   python3-fpga-cm \
