@@ -36,8 +36,8 @@ OTHERS = {
 # In no layer of meta-openembedded, or of use to few: `cm` says what is missing where they are needed.
 OPTIONAL = {
     "pytest", "tkinter",  # of whoever runs tests, or has a screen
-    "argcomplete", "cocotb", "foxglove", "mcap", "mcap_ros2", "grpc_tools", "iceoryx2", "lz4", "matplotlib", "PIL", "cryptography",
-    "prometheus_client", "pyslang", "scipy",
+    "argcomplete", "cocotb", "foxglove", "grpc_tools", "iceoryx2", "lz4", "matplotlib", "mcap", "mcap_ros2", "PIL",
+    "cryptography", "prometheus_client", "pyslang", "scipy",
     "systemrdl", "tree_sitter", "tree_sitter_vhdl", "xxhash", "zenoh", "rich", "textual_image", "setuptools",
 }  # fmt: skip
 

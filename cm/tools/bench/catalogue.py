@@ -84,14 +84,13 @@ def chosen(names: Sequence[str]) -> list[Case]:
 
 def measure(case: Case, bench: Run) -> list[Result]:
     """Run a case. Where it cannot be had, or fails, its results say why, and the others are measured all the same."""
-    why, about = case.missing(), f"the measurement {case.module}"
+    why, about = case.missing(), ""
+    try:
+        module = import_module(f"cm.tools.bench.cases.{case.module}")
+        about = module.__doc__ or ""
+        found: list[Result] = [] if why else module.run(bench)
+    except Exception as error:  # noqa: BLE001 (what was measured before is worth more)
+        why = why or f"{FAILED}{error or type(error).__name__}"
     if not why:
-        try:
-            module = import_module(f"cm.tools.bench.cases.{case.module}")
-            about = module.__doc__ or about
-            found: list[Result] = module.run(bench)
-        except Exception as error:  # noqa: BLE001 (what was measured before is worth more)
-            why = f"{FAILED}{error or type(error).__name__}"
-        else:
-            return found
+        return found
     return [unavailable(name, "", about, why) for name in case.names]
