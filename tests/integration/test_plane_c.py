@@ -212,7 +212,7 @@ def test_registers_are_written_and_read(edge: cm.Board, manager: Manager, regist
         (("edge", "threshold", "256", "1"), "threshold: Numerical result out of range"),
         (("edge", "palette", "1", "1"), "palette: No such file or directory"),
         (("colorise", "palette", "1", "1"), "colorise: module_absent: "),
-        (("nowhere", "x", "1", "1"), "nowhere: not_found: no module or region 'nowhere'; there are "),
+        (("nowhere", "x", "1", "1"), "nowhere: not_found: no module, region or block 'nowhere'; there are "),
     ],
 )
 def test_what_registers_do_not_allow(
