@@ -672,7 +672,8 @@ TWINS: list[tuple[type, type]] = [
     (stream.Stream, aio_stream.Stream),
     (writer.Writer, aio_writer.AsyncWriter),
 ]
-ONLY = {  # for mappings, for event loops, for what a thread has to do itself, and blocks, whose accesses are not awaited
+# For mappings, for event loops, for what a thread has to do itself, and blocks, whose accesses are not awaited.
+ONLY = {
     "Board": {"blocks"},
     "Registers": {"clear", "items", "keys", "pop", "popitem", "setdefault", "update", "values"},
     "Memories": {"get", "items", "keys", "values"},

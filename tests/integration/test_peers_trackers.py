@@ -144,7 +144,8 @@ def test_pyzmq_102_and_1003_a_request_without_an_answer_holds_up_no_end(how: str
 
 
 FORKS = """
-import gc, os, sys, cm
+import gc, os, sys, warnings, cm
+warnings.simplefilter("ignore", DeprecationWarning)  # Python 3.12 says so of any fork beside a thread
 board = cm.connect(runtime_dir=sys.argv[1])
 first = board.status.board
 child = os.fork()

@@ -11,6 +11,9 @@ from cm.design.errors import BuildError
 from cm.design.hdl.errors import HdlError
 from cm.design.hdl.register_maps import read_register_map
 
+PACKAGES = ("cm.design.hdl.register_maps", "cm.design.hdl.json_registers", "cm.design.hdl.ipxact_registers")
+MAX_LENGTH = 16384
+
 _FOLDER = Path(tempfile.mkdtemp())
 _SUFFIXES = {b"j": ".json", b"x": ".xml", b"h": ".h", b"v": "_s_axi.v"}
 _LITEX = {

@@ -27,6 +27,8 @@ from cm.wire.messages.status import (
 )
 from cm.wire.records import FrameSeen, Gap
 
+pytestmark = pytest.mark.networks
+
 ANNA, S = "anna (uid 1001, pid 811)", 10**9
 
 
