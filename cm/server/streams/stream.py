@@ -48,7 +48,7 @@ def transfer_error(counts: StreamCounts, setup: StreamSetup) -> ErrorInfo | None
         return None
     text = f"a transfer of {setup.length} bytes failed: {os.strerror(counts.error)}"
     if counts.error == errno.EIO and not setup.write:
-        text += "; so ends a packet that is longer than the frame, and an error of the bus"
+        text += "; the packet was longer than the frame, or the bus reported an error"
     return ErrorInfo("transfer_failed", text)
 
 

@@ -77,7 +77,7 @@ def test_a_rate_is_that_of_the_last_second(monkeypatch: pytest.MonkeyPatch, ages
 
 def test_a_median_is_in_the_middle_and_a_failed_transfer_is_told() -> None:
     assert [stream.median(values) for values in ([], [3], [9, 1, 5], [4, 1, 2, 3])] == [0, 3, 5, 3]
-    more = "; so ends a packet that is longer than the frame, and an error of the bus"
+    more = "; the packet was longer than the frame, or the bus reported an error"
     for error, write, said in (
         (errno.EIO, False, f"Input/output error{more}"), (errno.EIO, True, "Input/output error"),
         (errno.ETIMEDOUT, False, "Connection timed out"), (0, False, None),
