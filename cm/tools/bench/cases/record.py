@@ -61,15 +61,16 @@ def _beside_a_manager(bench: Run) -> list[Result]:
     manager: dict[bool, list[float]] = {False: [], True: []}
     p99: dict[bool, list[float]] = {False: [], True: []}
     recorder: list[float] = []
-    with serve(bench) as served, served.connect() as board, _reading(served):
-        settle(board)
-        _write(board, 0.5)
-        for _ in range(rounds):
-            manager[False].append(_percent(served.pid, lambda: p99[False].append(_write(board, seconds))))
-            with _recording(bench, served) as pid:
-                before, started = cpu_seconds(pid), time.monotonic()
-                manager[True].append(_percent(served.pid, lambda: p99[True].append(_write(board, seconds))))
-                recorder.append(100 * (cpu_seconds(pid) - before) / (time.monotonic() - started))
+    with serve(bench) as served, served.connect() as board:
+        settle(board)  # before that no mode has streams
+        with _reading(served):
+            _write(board, 0.5)
+            for _ in range(rounds):
+                manager[False].append(_percent(served.pid, lambda: p99[False].append(_write(board, seconds))))
+                with _recording(bench, served) as pid:
+                    before, started = cpu_seconds(pid), time.monotonic()
+                    manager[True].append(_percent(served.pid, lambda: p99[True].append(_write(board, seconds))))
+                    recorder.append(100 * (cpu_seconds(pid) - before) / (time.monotonic() - started))
     more = statistics.median(manager[True]) - statistics.median(manager[False])
     without, beside = statistics.median(p99[False]), statistics.median(p99[True])
     details = {"percent_with": manager[True], "percent_without": manager[False]}
