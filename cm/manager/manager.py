@@ -392,8 +392,8 @@ class Manager:
         """Accept a change that compares a region and repairs it; `on_done` as for `submit`."""
         config, mode = self.loaded_config(), self.state.mode
         if config is None or mode is None:
-            why = self._state.taken and f"; {self._state.taken}"
-            raise NothingLoaded(f"nothing is loaded: there is no region to compare{why}")
+            taken = self._state.taken and f"; {self._state.taken}"
+            raise NothingLoaded(f"nothing is loaded: there is no region to compare{taken}")
         if request.name not in config.regions:
             known = hint(request.name, config.regions)
             raise UnknownRegion(f"configuration {config.name!r} has no region {request.name!r}{known}")

@@ -6,9 +6,7 @@ What is damaged (`cm.recording.salvage`) becomes a `Gap` of cause ``damaged``, a
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from heapq import heappop, heappush
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -119,13 +117,9 @@ def _records(file: Path, lost: Callable[[str], object]) -> Iterator[Any]:
 
 def _from_summary(file: Path, schemas: dict[int, Any], channels: dict[int, Any]) -> None:
     """Add what the end of a whole file says again: which messages its channels have."""
-    from mcap.exceptions import McapError
-    from mcap.reader import SeekingReader
+    from cm.recording.salvage import described_at_end
 
-    with file.open("rb") as stream, suppress(McapError, struct.error, ValueError, OSError):
-        summary = SeekingReader(stream, validate_crcs=True, record_size_limit=file.stat().st_size).get_summary()
-        if summary is not None:
-            for number, schema in summary.schemas.items():
-                schemas.setdefault(number, schema)
-            for number, channel in summary.channels.items():
-                channels.setdefault(number, channel)
+    for schema, channel in described_at_end(file):
+        if schema is not None:
+            schemas.setdefault(schema.id, schema)
+        channels.setdefault(channel.id, channel)

@@ -15,7 +15,7 @@ import foxglove
 from cm.errors import InvalidRequest, sentence
 from cm.frozen import dataclass, replace
 from cm.recording.file import Channels, RecordFile
-from cm.recording.layout import GAP, SCHEMAS, Opened, file_name, files_of, is_folder
+from cm.recording.layout import DATA, FRAME, GAP, SCHEMAS, Opened, file_name, files_of, is_folder
 from cm.wire.records import Gap, descriptor_set, encode_gap
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -28,8 +28,7 @@ Message = tuple[foxglove.Channel, bytes]
 
 def as_protobuf(record: Record, gap: Gap) -> Message:
     """A gap on `cm_gap`."""
-    times = gap.from_ns, gap.until_ns
-    return record.channel(GAP), encode_gap(gap.topic, times, gap.cause, gap.text, gap.messages, gap.bytes)
+    return record.channel(GAP), encode_gap(gap)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +83,11 @@ class Record:
         self._place, self._limits, self._opened = place, limits, opened
         self._now, self._state, self._told = now, state, told
         self._gap, self._profile = gap, profile
-        self._schemas = {name: _schema(name) for name in (*SCHEMAS.values(), "FrameSeen", "FrameData")}
+        described = descriptor_set()
+        self._schemas = {
+            name: foxglove.Schema(name=f"cm.{name}", encoding="protobuf", data=described)
+            for name in (*SCHEMAS.values(), FRAME, DATA)
+        }
         self._lock = threading.RLock()
         self._file: RecordFile | None = None
         self._lost: tuple[str, int, int, int] | None = None  # cause, since when, messages, bytes
@@ -240,7 +243,3 @@ class Record:
             return False
         oldest.unlink(missing_ok=True)
         return True
-
-
-def _schema(name: str) -> foxglove.Schema:
-    return foxglove.Schema(name=f"cm.{name}", encoding="protobuf", data=descriptor_set())

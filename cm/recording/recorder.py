@@ -319,9 +319,9 @@ class Recorder:
         if slow > 0:
             self._gap(topic, time_ns, "too_slow", f"{slow} frames came while the recorder was too slow", slow)
         wanted = self._wanted
-        data = np.ascontiguousarray(frame).reshape(-1).view(np.uint8) if wanted.every or wanted.hashed else None
-        digest = sha256(data.data).digest() if wanted.hashed and data is not None else b""
         kept = bool(wanted.every) and info.sequence % wanted.every == 0
+        data = np.ascontiguousarray(frame).reshape(-1).view(np.uint8) if kept or wanted.hashed else None
+        digest = sha256(data.data).digest() if wanted.hashed and data is not None else b""
         seen = encode_frame_seen(info, kept, digest)
         record.log(record.channel(layout.FRAME_PREFIX + info.stream, layout.FRAME), seen, time_ns)
         if kept and data is not None:

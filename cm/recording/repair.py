@@ -3,22 +3,17 @@
 
 from __future__ import annotations
 
-import contextlib
-import struct
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from mcap.exceptions import McapError
-from mcap.reader import SeekingReader
 from mcap.records import Channel, Header, Message, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 
 from cm.errors import InvalidRequest
 from cm.frozen import dataclass
 from cm.recording.layout import GAP, METADATA, SCHEMAS
-from cm.recording.salvage import records
-from cm.wire.records import descriptor_set, encode_gap
+from cm.recording.salvage import described_at_end, records
+from cm.wire.records import Gap, descriptor_set, encode_gap
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +104,7 @@ class _Copy:
 
     def _from_summary(self) -> None:
         """The end of a whole file says again which channels it has."""
-        for schema, channel in _summary(self._source):
+        for schema, channel in described_at_end(self._source):
             if schema is not None:
                 self._schemas.setdefault(schema.id, schema)
             self._channels.setdefault(channel.id, channel)
@@ -120,15 +115,7 @@ class _Copy:
             if not self._gaps:
                 schema = self._writer.register_schema(f"cm.{SCHEMAS[GAP]}", "protobuf", descriptor_set())
                 self._gaps = self._writer.register_channel(GAP, "protobuf", schema)
-            gap = encode_gap("", (self._last, self._last), "damaged", text)
+            gap = encode_gap(Gap("", self._last, self._last, cause="damaged", text=text))
             self._writer.add_message(self._gaps, self._last, gap, self._last)
         if self._ours:
             self._told = len(self._lost)
-
-
-def _summary(file: Path) -> Iterator[tuple[Schema | None, Channel]]:
-    with file.open("rb") as stream, contextlib.suppress(McapError, struct.error, ValueError, OSError):
-        summary = SeekingReader(stream, validate_crcs=True, record_size_limit=file.stat().st_size).get_summary()
-        if summary is not None:
-            for channel in summary.channels.values():
-                yield summary.schemas.get(channel.schema_id), channel

@@ -12,6 +12,7 @@ import mmap
 import struct
 import zlib
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from typing import Any
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
 from mcap.records import Channel, Chunk, Header, Message, Metadata, Schema
 from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
@@ -49,6 +51,15 @@ def records(file: Path, lost: Lost) -> Iterator[Any]:
                 yield from _Walk(data, lost).records()
     except OSError as error:
         raise InvalidRequest(f"{file}: {error.strerror or error}") from error
+
+
+def described_at_end(file: Path) -> Iterator[tuple[Schema | None, Channel]]:
+    """What the end of a whole file says again: its channels, each with its schema. Nothing of a file without one."""
+    with file.open("rb") as stream, suppress(McapError, struct.error, ValueError, OSError):
+        summary = SeekingReader(stream, validate_crcs=True, record_size_limit=file.stat().st_size).get_summary()
+        if summary is not None:
+            for channel in summary.channels.values():
+                yield summary.schemas.get(channel.schema_id), channel
 
 
 class _Walk:

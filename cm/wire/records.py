@@ -31,12 +31,10 @@ def encode_clock(monotonic_ns: int, realtime_ns: int) -> bytes:
     return pb.Clock(monotonic_ns=monotonic_ns, realtime_ns=realtime_ns).SerializeToString()
 
 
-def encode_gap(topic: str, times: tuple[int, int], cause: str, text: str, messages: int = 0, length: int = 0) -> bytes:
-    """A Gap; `times`: from and until, in the record's time; `length` in bytes."""
-    assert cause in LOST, cause
-    begin, end = times
-    gap = pb.Gap(topic=topic, from_ns=begin, until_ns=end, messages=messages, bytes=length, cause=cause, text=text)
-    return gap.SerializeToString()
+def encode_gap(gap: Gap) -> bytes:
+    """A Gap."""
+    assert gap.cause in LOST, gap.cause
+    return pb.Gap(**gap._asdict()).SerializeToString()
 
 
 def encode_frame_seen(info: FrameInfo, kept: bool, sha256: bytes) -> bytes:

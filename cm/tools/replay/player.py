@@ -13,10 +13,10 @@ from pathlib import Path
 
 from cm.client.board import connect
 from cm.errors import CmError
-from cm.recording.layout import STREAM_PREFIX
+from cm.recording.layout import IRQ, REGISTERS, STREAM_PREFIX
 from cm.recording.reader import Event
 from cm.tools.replay.board import Bench, Faults
-from cm.tools.replay.script import HARDWARE, Script
+from cm.tools.replay.script import Script
 
 _LOOK = 0.1  # seconds between two looks for the application
 _SHARED = Path("/dev/shm")
@@ -58,7 +58,7 @@ class Player:
 
     def _events(self, since: int, until: int) -> Iterator[Event]:
         def wanted(topic: str) -> bool:
-            return self._wanted(topic) and (topic in HARDWARE or topic.startswith(STREAM_PREFIX))
+            return self._wanted(topic) and (topic in (IRQ, REGISTERS) or topic.startswith(STREAM_PREFIX))
 
         for event in self._script.record.events(wanted):
             if event.time_ns > until:
@@ -69,10 +69,10 @@ class Player:
     def _give(self, event: Event, folder: Path) -> None:
         topic, control = event.topic, self._made.control
         try:
-            if topic == HARDWARE[0]:
+            if topic == IRQ:
                 control.interrupt(event.value.name)
                 self.counts["interrupts"] += 1
-            elif topic == HARDWARE[1]:
+            elif topic == REGISTERS:
                 for value in event.value.values:
                     if not event.value.generation and value.name in self._readable:
                         control.register(value.name, value.value)

@@ -9,7 +9,7 @@ from typing import Any
 
 from cm.errors import CmError, InvalidRequest
 from cm.frozen import dataclass
-from cm.recording.layout import AUDIT, CONFIG, FRAME_PREFIX, IRQ, REGISTERS, STATUS, STREAM_PREFIX
+from cm.recording.layout import AUDIT, CONFIG, FRAME_PREFIX, REGISTERS, STATUS, STREAM_PREFIX
 from cm.recording.reader import Event, Record
 from cm.recording.story import Story, stories
 from cm.wire.decode import decode_request
@@ -65,14 +65,6 @@ class State:
         how = f"failed ({self.error})" if self.error else "done"
         held = ", ".join(f"{name} {module or '-'} ({state})" for name, module, state in self.regions)
         return f"{self.goal} {how}, in {self.place or 'no mode'}, {self.pr_mode}: {held}; {len(self.steps)} steps"
-
-
-@dataclass(frozen=True, slots=True)
-class Happening:
-    """An event that is run again, at this time of the record: a request, or what the hardware did."""
-
-    time_ns: int
-    what: Any  # a request, Irq, RegValues, FrameSeen with the frame's bytes behind it, or PastChange
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +136,6 @@ def read_script(
     left_out: dict[str, None] = {}
     first: Story | None = None
     states: dict[int, State] = {}
-    kept: set[str] = set()
     changes: dict[int, PastChange] = {}
     seen: dict[str, bool] = {}
 
@@ -213,6 +204,3 @@ def topics_wanted(names: tuple[str, ...]) -> Callable[[str], bool]:
     own = {*names, *(f"{prefix}{name}" for prefix in (FRAME_PREFIX, STREAM_PREFIX) for name in names)}
     basic = (STATUS, CONFIG, REGISTERS, AUDIT) if not names else ()
     return lambda topic: not names or topic in own or topic in basic
-
-
-HARDWARE = (IRQ, REGISTERS)  # topics of what the hardware does by itself, beside frames
