@@ -12,9 +12,8 @@ from cm.cli.colours import painted
 from cm.cli.common import add_board_options, answer_table, natural, print_json, print_table, seconds
 from cm.cli.connection import awaited, connected, followed, settled, where, window_use
 from cm.wire.messages.json_values import plain
-from cm.wire.messages.status import RegionHealth, Status
+from cm.wire.messages.status import NOTICES, RegionHealth, Status
 
-_NOTICES = ("reconciled", "slept")  # what the manager found out, where nothing failed
 _COLOURS = {"idle": "green", "partial": "yellow", "full": "yellow", "error": "red"}
 _REGION_COLOURS = {
     "ready": "green", "failed": "red", **dict.fromkeys(("unknown", "decoupled", "loading", "loaded"), "yellow")
@@ -94,7 +93,7 @@ def show(status: Status) -> None:
     going_on = painted(headline(status), _COLOURS[status.pr_mode.value], sys.stdout)
     print(f"{f'{status.board}: ' if status.board else ''}{loaded}   {going_on}")
     if status.last_error:
-        what = "note" if status.last_error.code in _NOTICES else "last error"
+        what = "note" if status.last_error.code in NOTICES else "last error"
         mark = painted(f"{what}:", "yellow" if what == "note" else "red", sys.stdout)
         print(f"{mark} {status.last_error.code}: {status.last_error.message}")
     if status.regions:

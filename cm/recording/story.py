@@ -11,6 +11,7 @@ from cm.frozen import dataclass, field, replace
 from cm.recording.layout import AUDIT, CONFIG, FRAME_PREFIX, GAP, IRQ, REGISTERS, STATUS, Opened
 from cm.recording.reader import Event
 from cm.wire.messages.status import (
+    NOTICES,
     Audit,
     ConfigInfo,
     ErrorInfo,
@@ -203,6 +204,6 @@ class _Teller:
 
 def _failed(change: PastChange, status: Status) -> ErrorInfo | None:
     error = status.last_error
-    if error is None or error.code in ("reconciled", "slept"):
+    if error is None or error.code in NOTICES:
         return None
     return error if status.pr_mode.value == "error" or change.mode != status.mode else None

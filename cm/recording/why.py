@@ -8,10 +8,9 @@ from collections.abc import Iterator
 
 from cm.errors import NotFound
 from cm.recording.story import Story
-from cm.wire.messages.status import PastChange, PastWrite, RegionStatus, StepTaken, StreamStatus
+from cm.wire.messages.status import NOTICES, PastChange, PastWrite, RegionStatus, StepTaken, StreamStatus
 
 _LOADS = ("load", "repair")
-_NOTES = ("reconciled", "slept")
 UNKNOWN = "not known"
 
 
@@ -40,7 +39,7 @@ def fault(story: Story) -> str:
     error = story.status.last_error
     if ended and ended[-1].error is not None:
         return _failed(story, ended[-1])
-    if error is not None and error.code not in _NOTES:
+    if error is not None and error.code not in NOTICES:
         return f"The last error is {error.code}: {error.message}; whose request it was is {UNKNOWN}."
     for stream in story.status.streams:
         if stream.last_error is not None:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 from cm.frozen import dataclass
 
 PIXEL_FORMAT = "pixel_format"  # the code of a picture's refusal, whose pixels the client then brings in order
+NOTICES = ("reconciled", "slept")  # codes of what the manager has found out, where nothing failed
 
 
 class PrMode(str, Enum):
