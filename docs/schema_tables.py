@@ -65,7 +65,7 @@ SECTIONS = {
         },
     ),
 }
-WORDS = {"string": "text", "integer": "integer", "number": "number", "boolean": "true or false", "null": "nothing"}
+WORDS = {"string": "text", "integer": "integer", "number": "number", "boolean": "boolean", "null": "nothing"}
 
 
 def page(name: str) -> str:
@@ -88,16 +88,18 @@ def _section(title: str, shape: dict[str, Any], definitions: dict[str, Any]) -> 
     choice = shape.get("anyOf", [shape])[-1]
     shape, said = choice, choice.get("description") or shape.get("description", "")
     required = shape.get("required", ())
-    rows = [_row(key, value, key in required, definitions) for key, value in shape["properties"].items()]
-    head = ["| key | value | default | meaning |", "|---|---|---|---|"]
-    return "\n".join([f"## `{title}`", "", *([said, ""] if said else []), *head, *rows, ""])
+    keys = {key: value for key, value in shape["properties"].items() if key != "doc"}
+    rows = [_row(key, value, key in required, definitions) for key, value in keys.items()]
+    head = ["| key | value | meaning |", "|---|---|---|"]
+    above = said and "." not in title  # elsewhere the row of the key above has it
+    return "\n".join([f"## `{title}`", "", *([said, ""] if above else []), *head, *rows, ""])
 
 
 def _row(key: str, value: dict[str, Any], required: bool, definitions: dict[str, Any]) -> str:
     value = _follow(value, definitions)
-    default = "**required**" if required else f"`{json.dumps(value['default'])}`" if "default" in value else ""
+    default = ", **required**" if required else f" = `{json.dumps(value['default'])}`" if "default" in value else ""
     default = default.replace('"', "")
-    return f"| `{key}` | {_kind(value, definitions)} | {default} | {value.get('description', '')} |"
+    return f"| `{key}` | {_kind(value, definitions)}{default} | {value.get('description', '')} |"
 
 
 def _follow(value: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
@@ -119,7 +121,7 @@ def _kind(value: dict[str, Any], definitions: dict[str, Any]) -> str:
         return f"list of {_kind(value['items'], definitions)}"
     if value["type"] == "object":
         inner = value["additionalProperties"]
-        return "map" if "properties" in value else f"map from names to {_kind(inner, definitions)}"
+        return "map" if "properties" in value else f"{_kind(inner, definitions)} by name"
     if value.get("pattern") == definitions["name"]["pattern"]:
         return "name"
     kinds = [value["type"]] if isinstance(value["type"], str) else value["type"]

@@ -563,16 +563,12 @@ ON_THE_PAGE = {
 
 
 def doors() -> str:
-    """The table of the page: the least role by request and door."""
-    lines = [
-        "| | over ZeroMQ | for a guest | over the data socket | asked by a page of `cm web` |",
-        "|---|---|---|---|---|",
-    ]
+    """The table of the page: the least role of each request, and whether a page of `cm web` makes it."""
+    lines = ["| | role | asked by a page of `cm web` |", "|---|---|---|"]
     for kind, row in BY_KIND.items():
-        role = row.right.least.role.name.lower()
-        lines.append(f"| `{kind.__name__}` | {role} | {role} | | {ON_THE_PAGE.get(kind, '')} |")
+        lines.append(f"| `{kind.__name__}` | {row.right.least.role.name.lower()} | {ON_THE_PAGE.get(kind, '')} |")
     for purpose, right in OPENING.items():
-        lines.append(f"| OPEN, {purpose.name.lower().replace('_', ' ')} | | | {right.least.role.name.lower()} | |")
+        lines.append(f"| OPEN, {purpose.name.lower().replace('_', ' ')} | {right.least.role.name.lower()} | |")
     return "\n".join(lines).replace("|  |", "| |")
 
 
