@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Draw the rooms of cm/ into ``architecture.md`` from the imports themselves: ``python docs/rooms.py [--check]``.
 
-The picture leaves out what follows from the rest: where A imports B, and B imports C, no arrow leads from A to C.
+The picture leaves out what follows from the rest: if A imports B, and B imports C, no arrow leads from A to C.
 """
 
 from __future__ import annotations
@@ -55,12 +55,12 @@ def purpose(room: str) -> str:
 
 def table(all_rooms: Rooms) -> str:
     order = sorted(all_rooms, key=lambda room: (-len(reached(all_rooms, room)), room))
-    rows = [f"| `cm.{room}` | {purpose(room)} | {', '.join(sorted(all_rooms[room])) or '–'} |" for room in order]
-    return "\n".join(["| room | what it is for | imports |", "|---|---|---|", *rows, ""])
+    rows = [f"| `cm.{room}` | {purpose(room)} |" for room in order]
+    return "\n".join(["| room | what it is for |", "|---|---|", *rows, ""])
 
 
 def page(text: str) -> str:
-    """`text` with the picture and the table made anew."""
+    """`text` with the picture and the table made again."""
     head, rest = text.split(BEGIN)
     found = rooms()
     return f"{head}{BEGIN}\n{drawn(found)}\n{table(found)}\n{END}{rest.split(END)[1]}"
@@ -71,7 +71,7 @@ def main(arguments: list[str]) -> int:
     made = page(text)
     if "--check" in arguments:
         if made != text:
-            print("docs/architecture.md shows other rooms than cm/ has: python docs/rooms.py draws them anew")
+            print("docs/architecture.md shows other rooms than cm/ has: python docs/rooms.py draws them again")
         return int(made != text)
     PAGE.write_text(made, encoding="utf-8")
     return 0
