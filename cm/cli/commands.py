@@ -52,7 +52,7 @@ COMMANDS = (
     Command("mem", "cm.cli.mem", "list, read and write memories", "data"),
     Command("irq", "cm.cli.irq", "list interrupts and wait for them", "data"),
     Command("stream", "cm.cli.stream", "list, set, capture and play data streams", "data"),
-    Command("view", "cm.cli.view", "show a stream in the terminal or a window", "data"),
+    Command("view", "cm.cli.view", "show a stream in the terminal", "data"),
     Command("record", "cm.cli.record", "record what a board does, for afterwards", "data", linux=True),
     Command("replay", "cm.cli.replay", "run a record again on a simulated board", "data", linux=True),
     Command("lease", "cm.cli.lease", "take, list and break leases", "sharing"),

@@ -110,7 +110,6 @@ def test_fish_completes_names_of_what_runs(folder: Path, manager: Manager) -> No
         ("cm comp", ["completion "]),
         ("cm completion ", ["bash", "zsh", "fish"]),
         ("cm sim inj", ["inject "]),
-        ("cm view --as ", ["auto", "kitty", "sixel", "blocks", "window"]),
         ("cm config check --js", ["--json "]),
         ("cm nothing x", []),
     ],

@@ -35,10 +35,10 @@ OTHERS = {
 }  # fmt: skip
 # In no layer of meta-openembedded, or of use to few: `cm` says what is missing where they are needed.
 OPTIONAL = {
-    "pytest", "tkinter",  # of whoever runs tests, or has a screen
+    "pytest",  # of whoever runs tests
     "argcomplete", "cocotb", "foxglove", "grpc_tools", "iceoryx2", "lz4", "matplotlib", "mcap", "mcap_ros2", "PIL",
     "cryptography", "prometheus_client", "pyslang", "scipy",
-    "systemrdl", "tree_sitter", "tree_sitter_vhdl", "xxhash", "zenoh", "rich", "textual_image", "setuptools",
+    "systemrdl", "tree_sitter", "tree_sitter_vhdl", "xxhash", "zenoh", "setuptools",
 }  # fmt: skip
 
 
