@@ -85,10 +85,10 @@ _ENVIRONMENT = (
     Item("term", "the client's key file, as --keys", "CM_KEYS"),
     Item("term", "folder of the manager's sockets, as --runtime-dir", "CM_RUNTIME_DIR"),
     Item("term", "folder of the nodes of a simulated board; default: /", "CM_ROOT"),
-    Item("term", "the lease under which commands change something, as --lease", "CM_LEASE"),
+    Item("term", "the lease under which commands change something", "CM_LEASE"),
     Item("term", "the fleet's router, as --router", "CM_FLEET"),
     Item("term", "where the fleet's wanted state is, as --store", "CM_FLEET_STORE"),
-    Item("term", "no colours, or colours in files and pipes too; --color overrides them", "NO_COLOR, FORCE_COLOR"),
+    Item("term", "no colours, or colours in files and pipes too", "NO_COLOR, FORCE_COLOR"),
 )
 _STATUS = (
     Item("term", "done", "0"),
@@ -116,7 +116,7 @@ def _all(commands: dict[str, argparse.ArgumentParser]) -> Iterator[Item]:
     )
     for command in COMMANDS:
         parser = commands.get(command.name)
-        if parser is not None and command.name not in ("serve", "help"):
+        if parser is not None and command.name != "serve":
             yield Item("heading", f"cm {command.name}")
             yield from _command(parser)
             yield from _options(parser, heading=False)

@@ -64,7 +64,6 @@ def commands(address: str) -> None:
     os.environ["CM_CONNECT"] = address
     assert main(["status"]) == 0
     assert cm.connect(timeout=60).mode == "edge_detection"
-    assert main(["help"]) == 0
     assert main(["keygen", "keys", "laptop"]) == 0
     for line in ("serve", "sim", "doctor", "demo"):
         assert main([line]) == 1

@@ -143,13 +143,17 @@ def served(
     arguments: Sequence[str] = (),
     env: dict[str, str] | None = None,
     schemas: Path = CAMERA,
+    settings: str = "",
 ) -> Iterator[tuple[Manager, SimBoard]]:
     """A board, and a manager on it with nothing loaded; the board outlives the manager.
 
     `board` and `arguments` are further ones of `cm sim` and `cm serve`, `env` is the manager's environment.
     """
     with short_folder() as folder, SimBoard([schemas], root=folder / "board", arguments=board) as sim:
-        places = ("--config", str(schemas), "--root", str(sim.root), "--state-dir", str(folder / "state"))
+        places = ["--config", str(schemas), "--root", str(sim.root), "--state-dir", str(folder / "state")]
+        if settings:
+            (folder / "cm.yaml").write_text(settings)
+            places += ["--settings", str(folder / "cm.yaml")]
         manager = Manager(folder / "run", *places, *arguments, env=env)
         manager.start()
         try:

@@ -9,7 +9,7 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from cm.cli.common import add_json_option, answer, is_no_file, naming, parsed, print_json, print_table, write_whole
+from cm.cli.common import add_json_option, answer, is_no_file, naming, parsed, print_json, write_whole
 from cm.cli.failures import code_and_sentence, tell
 from cm.cli.region import check_region
 from cm.errors import CmError, InvalidRequest, NotFound
@@ -59,10 +59,6 @@ def add_verify(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     device = parsed("a device", str.strip, bool)  # not an unset variable, which would let every device pass
     parser.add_argument("--device", type=device, metavar="NAME", help="the device, such as xc7z020")
     parser.add_argument("--idcode", type=_idcode, metavar="HEX", help="its IDCODE in bitstreams, for an unknown device")
-    parser.add_argument("--sha256", metavar="HEX", help="the file's expected hash")
-    kind = parser.add_mutually_exclusive_group()
-    kind.add_argument("--partial", action="store_true", default=None, help="it must be for a region")
-    kind.add_argument("--full", dest="partial", action="store_false", help="it must be for the whole device")
     add_json_option(parser, run_verify)
 
 
@@ -85,9 +81,7 @@ def run_verify(args: argparse.Namespace) -> int:
 
 def _expectation(args: argparse.Namespace) -> Expectation:
     expect = _from_schema(args.file, load(args.config), args.region) if args.config else _stated(args.region)
-    stated = {
-        key: getattr(args, key) for key in ("device", "idcode", "partial", "sha256") if getattr(args, key) is not None
-    }
+    stated = {key: getattr(args, key) for key in ("device", "idcode") if getattr(args, key) is not None}
     if args.like:
         stated["footprint"] = footprint_of(inspect(args.like))
     return replace(expect, **stated)
@@ -135,7 +129,7 @@ def _learned(path: Path, files: list[tuple[Module, Path]]) -> tuple[FrameRange, 
     return ()
 
 
-_INSTEAD = "name another file, or say --drop-header"
+_INSTEAD = "name another file"
 _FORMS = {form.value: form for form in (Container.BIT, Container.BIN_SWAPPED, Container.BIN_STRAIGHT)}
 
 
@@ -155,7 +149,6 @@ def _add_inspect(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -
         description="Describe bitstreams. Exit status 1 if one is damaged or cannot be read.",
     )
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="a .bit, .bin, .bit.bin or boot image")
-    parser.add_argument("--frames", action="store_true", help="list the footprint column by column")
     add_json_option(parser, run_inspect)
 
 
@@ -170,9 +163,6 @@ def _add_convert(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument("output", type=Path, metavar="OUTPUT")
     parser.add_argument("--to", choices=sorted(_FORMS), help="the container (default: from the name of OUTPUT)")
     parser.add_argument("--header", type=Path, metavar="FILE", help="for a .bin as input: a .bit whose header is used")
-    parser.add_argument(
-        "--drop-header", action="store_true", help="drop what the output cannot hold, such as the header"
-    )
     add_json_option(parser, run_convert)
 
 
@@ -194,13 +184,13 @@ def run_inspect(args: argparse.Namespace) -> int:
         sound = sound and not report.problems
         told.append({"path": str(path), **report.to_json()})
         if not args.json:
-            _print_report(path, report, args.frames)
+            _print_report(path, report)
     if args.json:
         print_json(told[0] if len(told) == 1 else told)
     return 0 if sound else 1
 
 
-def _print_report(path: Path, report: Report, frames: bool) -> None:
+def _print_report(path: Path, report: Report) -> None:
     kind = "partial" if report.partial else "full"
     extras = [word for word, there in (("compressed", report.compressed), ("encrypted", report.encrypted)) if there]
     idcode = "none" if report.idcode is None else f"{report.idcode:08X}"
@@ -212,14 +202,8 @@ def _print_report(path: Path, report: Report, frames: bool) -> None:
     print(f"  frames    {report.frames} in {len(report.sections)} section{'s' * (len(report.sections) != 1)}")
     print(f"  crc       {report.crc.value}")
     print(f"  sha256    {report.sha256}")
-    if frames:
-        print_table(
-            ((item.block_type, item.row, item.column, item.frames) for item in report.footprint),
-            ("block type", "row", "column", "frames"),
-        )
-    else:
-        for area in footprint_of(report):
-            print(f"  footprint {_area(area)}")
+    for area in footprint_of(report):
+        print(f"  footprint {_area(area)}")
     for problem in report.problems:
         print(f"  REFUSED   {problem.code}: {problem.message}")
 
@@ -232,8 +216,7 @@ def run_convert(args: argparse.Namespace) -> int:
     """Write the bitstream in another container."""
     form = _FORMS[args.to] if args.to else _form_by_name(args.output)
     data = convert(args.file, form, _header(args.header))
-    if not args.drop_header:
-        _refuse_loss(args.file, args.output, form)
+    _refuse_loss(args.file, args.output, form)
     _write(args.output, data)
     told = {"file": str(args.output), "container": form.value, "bytes": len(data)}
     with contextlib.redirect_stdout(sys.stderr) if is_no_file(args.output) else contextlib.nullcontext():

@@ -25,7 +25,7 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", metavar="NETWORK", required=True)
     add_ros_parser(actions)
     add_fleet_parser(actions)
-    for action in set(actions.choices.values()):  # some have two names
+    for action in actions.choices.values():
         action.set_defaults(run=_final(action.get_default("run")))
 
 

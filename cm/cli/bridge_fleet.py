@@ -21,10 +21,9 @@ if TYPE_CHECKING:
 
 
 def add_fleet_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the network; ``zenoh`` is what it was called."""
+    """Add the network."""
     parser = actions.add_parser(
         "fleet",
-        aliases=["zenoh"],
         help="make a board a member of a fleet, over zenoh",
         description="Run beside a board's manager until stopped, and make the board a member of a "
         "fleet (docs/fleet.md). The manager's policy decides what callers may do: "

@@ -24,10 +24,9 @@ _MOST = 232  # domains have numbers to here
 
 
 def add_ros_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add the action; ``rmw-zenoh`` is what it was called while there was another."""
+    """Add the action."""
     parser = actions.add_parser(
         "ros",
-        aliases=["rmw-zenoh"],
         help="make a board a ROS 2 node for rmw_zenoh, without ROS and without DDS",
         description="Serve the board as a ROS 2 node for nodes with RMW_IMPLEMENTATION=rmw_zenoh_cpp, Jazzy or later: "
         "topics, services, parameters and the action change_mode. Like them, it finds others through the zenoh router "

@@ -8,7 +8,7 @@ import sys
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from cm.cli.common import Run, add_board_options, add_lease_option, answer, completes, print_json, print_table, slashed
+from cm.cli.common import Run, add_board_options, answer, completes, own_lease, print_json, print_table, slashed
 from cm.cli.connection import connected, where
 from cm.cli.failures import EXIT_INTERRUPTED
 from cm.errors import CmError, Timeout
@@ -49,7 +49,6 @@ def add_plan(parser: argparse.ArgumentParser) -> None:
     )
     completes(target, "<mode>", "<config/mode>")
     completes(parser.add_argument("mode", type=slashed, nargs="?", help=argparse.SUPPRESS), "<mode of target>")
-    completes(parser.add_argument("--config", default="", help=argparse.SUPPRESS), "<config>")
     add_board_options(parser, run_plan)
 
 
@@ -66,13 +65,8 @@ def add_cancel(parser: argparse.ArgumentParser) -> None:
 def _add_options(parser: argparse.ArgumentParser, run: Run) -> None:
     """Add what `load` and `mode` share."""
     add_board_options(parser, run)
-    add_lease_option(parser)
     parser.add_argument("--force", action="store_true", help="load it again even if it is loaded already")
     parser.add_argument("--no-wait", action="store_true", help="do not wait until it is done")
-    parser.add_argument("--no-queue", action="store_true", help="fail instead of waiting for a running change")
-    parser.add_argument(
-        "--cancel-on-interrupt", action="store_true", help="on Ctrl-C, cancel the change; without this it goes on"
-    )
 
 
 # ---- load and mode ---------------------------------------------------------------
@@ -111,10 +105,10 @@ def _has_mode(board: Board, name: str) -> bool:
 def _go(board: Board, args: argparse.Namespace, config: str, mode: str) -> int:
     """Ask for the mode and tell how it went."""
     if args.no_wait:
-        change = board.load_async(config, mode, queue=not args.no_queue, force=args.force, lease=args.lease)
+        change = board.load_async(config, mode, force=args.force, lease=own_lease())
         return answer(args, {"change": change.number, "done": False}, f"change {change.number} is under way")
     try:
-        seconds = board.load(config, mode, progress=True, queue=not args.no_queue, force=args.force, lease=args.lease)
+        seconds = board.load(config, mode, progress=True, force=args.force, lease=own_lease())
     except KeyboardInterrupt:
         with suppress(CmError, KeyboardInterrupt):
             _interrupted(args, config, mode)
@@ -125,15 +119,13 @@ def _go(board: Board, args: argparse.Namespace, config: str, mode: str) -> int:
 
 
 def _interrupted(args: argparse.Namespace, config: str, mode: str) -> None:
-    """Say what becomes of the change that nobody waits for any more, or end it. A connection of its own asks."""
+    """Say what becomes of the change that nobody waits for any more. A connection of its own asks."""
     with connected(args) as board:
         status = board.status
         if status.progress is None:
             _say(f"no change is running; the board is in {_reached(status)}")
         elif not _is_ours(board, status, config, mode):
             _say(f"the change waits until the one to {_target(status)} has ended, and goes on then")
-        elif args.cancel_on_interrupt:
-            _say(_told(*_cancelled(board)))
         else:
             _say(f"the change to {_target(status)} goes on; `cm cancel` takes it back, `cm watch` shows it")
 
@@ -161,7 +153,6 @@ def _say(sentence: str) -> None:
 def run_plan(args: argparse.Namespace) -> int:
     """Print the steps; the exit status."""
     config, mode = (args.target, args.mode) if args.mode else (args.target or "").rpartition("/")[::2]
-    config = config or args.config
     with connected(args) as board:
         try:
             plan = board.plan(mode, config)

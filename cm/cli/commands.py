@@ -83,7 +83,6 @@ COMMANDS = (
         linux=True,
     ),
     Command("completion", "cm.cli.completion", "print a completion script for a shell", "shell"),
-    Command("help", "cm.cli.help", "describe a command", "shell"),
 )
 
 _SHORT = {"check": ["config", "check"], "configs": ["config", "list"]}
@@ -94,7 +93,7 @@ def understood(words: list[str]) -> list[str]:
     at = next((at for at, word in enumerate(words) if not word.startswith("-")), len(words))
     before, name, rest = words[:at], words[at : at + 1], words[at + 1 :]
     if name == ["help"]:
-        return [*before, *name, *understood(rest)]
+        return [*before, *understood(rest), "--help"]
     if name == ["fleet"] and rest[:1] == ["ls"]:
         rest = ["list", *rest[1:]]
     if name == ["record"] and not {*rest[:1]} & {"start", "repair", "plot", "-h", "--help"}:

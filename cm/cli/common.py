@@ -59,20 +59,13 @@ def add_json_option(parser: argparse.ArgumentParser, run: Run) -> None:
     parser.set_defaults(run=run)
 
 
-def add_lease_option(parser: argparse.ArgumentParser) -> None:
-    """Add ``--lease``: what this user holds, and a command may therefore touch."""
-    parser.add_argument(
-        "--lease",
-        default=os.environ.get("CM_LEASE", ""),
-        metavar="ID",
-        help="id of your own lease, if somebody holds what this touches (default: $CM_LEASE)",
-    )
+def own_lease() -> str:
+    """The id of the user's own lease, under which a command may touch what is held: $CM_LEASE, which ps(1) hides."""
+    return os.environ.get("CM_LEASE", "")
 
 
-def add_board_options(parser: argparse.ArgumentParser, run: Run, lease: bool = False) -> None:
-    """Complete a command that asks a manager: ``--lease`` if `lease`, which manager, ``--json``, and what runs it."""
-    if lease:
-        add_lease_option(parser)
+def add_board_options(parser: argparse.ArgumentParser, run: Run) -> None:
+    """Complete a command that asks a manager: which manager, ``--json``, and what runs it."""
     add_connection_options(parser)
     add_json_option(parser, run)
 

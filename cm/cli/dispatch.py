@@ -10,7 +10,6 @@ import sys
 from collections.abc import Sequence
 from typing import TextIO
 
-from cm.cli.colours import as_told, colours_of
 from cm.cli.commands import understood
 from cm.cli.failures import EXIT_INTERRUPTED, EXIT_PIPE, EXIT_USAGE, failed, not_installed
 from cm.cli.parser import build_parser, chosen_command, refuse_unknown
@@ -31,9 +30,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return answer()
     if arguments is None:
         _open_closed()
-    words, colours = colours_of(list(sys.argv[1:] if arguments is None else arguments))
-    with as_told(colours):
-        status = _ended(words)
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    status = _ended(words)
     if arguments is None and _ends_at_once(words):
         os._exit(status)
     return status

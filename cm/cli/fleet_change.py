@@ -5,11 +5,10 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from cm.cli.common import print_json, print_table, seconds, slashed
-from cm.cli.fleet_options import ALL, add_fleet_options, answer_boards, connected_fleet
+from cm.cli.fleet_options import add_fleet_options, answer_boards, connected_fleet
 
 if TYPE_CHECKING:
     from cm.networks.fleet.coordinator import Course, Leg
@@ -59,13 +58,16 @@ def run(args: argparse.Namespace) -> int:
     """Change; 0 where every named board is in the new mode."""
     from cm.networks.fleet.errors import ChangeFailed
 
-    config, mode, boards = _wanted(args)
+    if args.action == "mode":
+        config, _, mode = args.target.rpartition("/")
+    else:
+        config, _, mode = args.target.partition("/")
     with connected_fleet(args) as fleet:
         try:
             course = fleet.load(
                 config,
                 mode,
-                boards,
+                args.boards,
                 policy=args.policy,
                 absent=args.absent,
                 timeout=args.phase,
@@ -77,16 +79,6 @@ def run(args: argparse.Namespace) -> int:
             return 1
     _show(args, course)
     return 0
-
-
-def _wanted(args: argparse.Namespace) -> tuple[str, str, Sequence[str]]:
-    """Configuration, mode and boards: ``load CONFIG/MODE BOARD…``, and as it was, ``load CONFIG MODE BOARD…``."""
-    if args.action == "mode":
-        return (*args.target.rpartition("/")[::2], args.boards)
-    config, slash, mode = args.target.partition("/")
-    if slash or args.boards == ALL:
-        return config, mode, args.boards
-    return config, args.boards[0], args.boards[1:] or ALL
 
 
 def run_reconcile(args: argparse.Namespace) -> int:

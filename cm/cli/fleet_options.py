@@ -74,20 +74,13 @@ def network_of(args: argparse.Namespace, **more: object) -> Network:
 
 
 def add_fleet_options(parser: argparse.ArgumentParser, run: Run, boards: bool = True) -> None:
-    """Add the boards, the options of `add_network_options`, the caller's name, the time-out, ``--json``, and `run`."""
+    """Add the boards, the options of `add_network_options`, the time-out, ``--json``, and `run`."""
     if boards:
         parser.add_argument(
             "boards", nargs="*", default=ALL, metavar="BOARD", help="a name, a glob or @LABEL (default: all)"
         )
     add_network_options(parser)
     group = parser.add_argument_group("asking")
-    group.add_argument(
-        "--as",
-        dest="caller",
-        default="",
-        metavar="NAME",
-        help="your name in the fleet (default: the one in the certificate, else this user's)",
-    )
     group.add_argument(
         "--timeout", type=seconds, default=10.0, metavar="SECONDS", help="how long to wait for an answer (10)"
     )
@@ -100,7 +93,7 @@ def connected_fleet(args: argparse.Namespace) -> Fleet:
     from cm.networks.fleet.zenoh_session import endpoint
 
     routers = tuple(map(endpoint, args.router))
-    return connect(routers, config=args.zenoh_config, caller=args.caller, timeout=args.timeout, store=args.store)
+    return connect(routers, config=args.zenoh_config, timeout=args.timeout, store=args.store)
 
 
 def answer_boards(

@@ -35,7 +35,6 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 def _add_plan(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = actions.add_parser("plan", help="show what a change of mode would do on each board")
     parser.add_argument("target", type=slashed, metavar="[CONFIG/]MODE")
-    parser.add_argument("--config", default="", help=argparse.SUPPRESS)
     add_fleet_options(parser, run_plan)
 
 
@@ -141,7 +140,7 @@ def run_plan(args: argparse.Namespace) -> int:
     """Print what each board would do; 1 where one of them cannot."""
     config, _, mode = args.target.rpartition("/")
     with connected_fleet(args) as fleet:
-        found = fleet.plan(mode, config or args.config, args.boards)
+        found = fleet.plan(mode, config, args.boards)
 
     def row(name: str, plan: Any) -> tuple[object, ...]:
         return name, len(plan.steps), plan.bytes, f"{plan.seconds * 1000:.1f}", f"{plan.config_name}/{plan.mode}"
@@ -152,13 +151,13 @@ def run_plan(args: argparse.Namespace) -> int:
 def run_reg(args: argparse.Namespace) -> int:
     """Read or write; 1 where a board could not."""
     register, same, value = args.name.partition("=")
-    boards = args.boards
-    if args.verb == "write" and not same:  # NAME VALUE BOARD…, as it was
-        if boards == ALL:
-            args.refuse(f"{register!r} is not NAME=VALUE")
-        value, boards = boards[0], boards[1:] or ALL
+    if args.verb == "write" and not same:
+        args.refuse(f"{register!r} is not NAME=VALUE")
     with connected_fleet(args) as fleet:
-        found = fleet.read(args.name, boards) if args.verb == "read" else fleet.write({register: _value(value)}, boards)
+        if args.verb == "read":
+            found = fleet.read(args.name, args.boards)
+        else:
+            found = fleet.write({register: _value(value)}, args.boards)
 
     def row(name: str, values: Any) -> tuple[object, ...]:
         return name, _shown(register, values), ""

@@ -19,9 +19,8 @@ from cm.cli.common import (
     answer_table,
     binary_output,
     completes,
-    extents,
     number,
-    parsed,
+    own_lease,
     print_json,
     write_whole,
 )  # fmt: skip
@@ -61,17 +60,7 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
     )
     source.add_argument("--values", metavar="VALUE", nargs="+", help="elements of the memory's type")
     _add_offset(write)
-    add_board_options(write, run_write, lease=True)
-    shape = parsed("a shape such as 256 or 16x32", extents)
-    define = actions.add_parser("define", help="name a block of a UIO window, until another configuration is loaded")
-    define.add_argument("name", metavar="NAME")
-    define.add_argument("address", metavar="ADDRESS", type=number, help="physical address")
-    define.add_argument("length", metavar="BYTES", type=number)
-    define.add_argument("--dtype", default="", metavar="TYPE", help="a numpy dtype (default: uint32)")
-    define.add_argument("--shape", type=shape, default=(), metavar="16x32", help="shape of the whole memory")
-    define.add_argument("--access", choices=("rw", "ro", "wo"), default="rw")
-    define.add_argument("--region", default="", metavar="NAME", help="the region whose module holds it, or static")
-    add_board_options(define, run_define, lease=True)
+    add_board_options(write, run_write)
 
 
 def _add_offset(parser: argparse.ArgumentParser) -> None:
@@ -137,7 +126,7 @@ def run_write(args: argparse.Namespace) -> int:
     with connected(args) as board:
         memory = board.memories[args.name]
         data = _values(args.values, memory.info.dtype) if args.file is None else _loaded(args.file)
-        length = memory.write(data, args.offset, args.lease)
+        length = memory.write(data, args.offset, own_lease())
     told = {"name": args.name, "offset": args.offset, "length": length}
     return answer(args, told, f"{length} bytes written to {args.name}")
 
@@ -163,12 +152,3 @@ def _loaded(path: Path) -> Any:
         return path.read_bytes()
     except OSError as error:
         raise InvalidRequest(f"{path} cannot be read: {error.strerror or error}") from error
-
-
-def run_define(args: argparse.Namespace) -> int:
-    """Name a block, and print what it is; the exit status."""
-    with connected(args) as board:
-        settings = {name: getattr(args, name) for name in ("shape", "dtype", "access", "region", "lease")}
-        info = board.configure_memory(args.name, args.address, args.length, **settings).info
-    where = f"{info.size} bytes at {info.address:#x}, {info.region or 'static'}"
-    return answer(args, plain(info), f"{info.name}: {where}, {info.access}, {info.dtype} {_form(info)}")

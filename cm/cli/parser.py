@@ -185,14 +185,12 @@ def _refuse(parser: argparse.ArgumentParser, name: str) -> NoReturn:
 def _top() -> tuple[argparse.ArgumentParser, argparse._SubParsersAction[argparse.ArgumentParser]]:
     parser: argparse.ArgumentParser = Parser(
         prog="cm",
-        usage="cm [-h] [--version] [--color WHEN] COMMAND ...",
+        usage="cm [-h] [--version] COMMAND ...",
         description=DESCRIPTION,
         epilog=_epilog(),
         formatter_class=RawHelp,
     )
     parser.add_argument("--version", action="version", version=f"cm {__version__}")
-    when = ("auto", "always", "never")
-    parser.add_argument("--color", choices=when, metavar="WHEN", help="colours: auto (on terminals), always or never")
     return parser, parser.add_subparsers(prog="cm", dest="command", metavar="COMMAND", help=argparse.SUPPRESS)
 
 

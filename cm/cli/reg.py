@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from cm.cli.common import add_board_options, answer, answer_table, completes, interval, natural, number
+from cm.cli.common import add_board_options, answer, answer_table, completes, interval, natural, number, own_lease
 from cm.cli.connection import check_reader, connected, followed
 from cm.client.core import registers
 from cm.wire.messages.json_values import plain
@@ -31,9 +31,7 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
         "write", help="write registers or fields, in order; all are checked before the first is written"
     )
     completes(write.add_argument("writes", metavar="NAME=VALUE", nargs="+", type=_assignment), "<assignment>")
-    write.add_argument("--mask", type=number, metavar="BITS", help="change only these bits (one register)")
-    add_board_options(write, run_write, lease=True)
-    write.set_defaults(refuse=write.error)
+    add_board_options(write, run_write)
     watch = actions.add_parser(
         "watch",
         help="print registers as they are written",
@@ -109,16 +107,8 @@ def _named(field: FieldInfo, value: int) -> str:
 
 def run_write(args: argparse.Namespace) -> int:
     """Write values and print what the registers hold then; the exit status."""
-    if args.mask is None:
-        with connected(args) as board:
-            return _show(args, board.registers.write(args.writes, args.lease))
-    if len(args.writes) != 1:
-        args.refuse("--mask goes with one register")
-    name, value = args.writes[0]
-    if not isinstance(value, int):
-        args.refuse("with --mask the value is a number")
     with connected(args) as board:
-        return _show(args, {name: board.registers.write_masked(name, value, args.mask, args.lease)})
+        return _show(args, board.registers.write(args.writes, own_lease()))
 
 
 def run_watch(args: argparse.Namespace) -> int:

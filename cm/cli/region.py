@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cm.cli.common import add_board_options, completes, print_json, print_table, write_whole
+from cm.cli.common import add_board_options, completes, own_lease, print_json, print_table, write_whole
 from cm.cli.connection import connected
 from cm.errors import InvalidRequest, NotFound
 from cm.frozen import dataclass
@@ -35,14 +35,14 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
     completes(check.add_argument("name", metavar="NAME", help="the region"), "<region>")
     check.add_argument("--repair", action="store_true", help="write what is wrong anew, and compare again")
     check.add_argument("--reload", action="store_true", help="repair by loading the whole region again")
-    add_board_options(check, run_check, lease=True)
+    add_board_options(check, run_check)
     _add_map(actions)
 
 
 def run_check(args: argparse.Namespace) -> int:
     """Compare, and repair if asked; the exit status."""
     with connected(args) as board:
-        found = board.check_region(args.name, repair=args.repair, reload=args.reload, lease=args.lease)
+        found = board.check_region(args.name, repair=args.repair, reload=args.reload, lease=own_lease())
         places = _places(board, found) if found.wrong else {}
     if args.json:
         told = plain(found)

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cm.cli.common import digits, natural, parsed
+from cm.cli.common import natural, parsed
 from cm.cli.serve_settings import (
     access_of,
     configs_of,
@@ -61,10 +61,6 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
         help="on a simulated board: models (software), rtl (a design's HDL), bits (of loaded bitstreams)")  # fmt: skip
     parser.add_argument("--sim-traces", action="store_true",
         help="with --sim=rtl: let 'cm sim trace' record signals (slower)")  # fmt: skip
-    parser.add_argument("--sim-coverage", type=Path, metavar="DIR",
-        help="with --sim=rtl: count the lines of HDL that run, for 'cm sim coverage DIR'")  # fmt: skip
-    parser.add_argument("--sim-time-scale", metavar="N",
-        help="with --sim=rtl: a second of simulated time takes at least N seconds")  # fmt: skip
     parser.add_argument("--build", type=Path, metavar="FILE",
         help="with --sim=rtl: build schema of the design (default: the shipped camera)")  # fmt: skip
     parser.add_argument(
@@ -91,13 +87,6 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
         metavar="[HOST:]PORT",
         help="serve metrics for Prometheus there; without HOST, for this machine only",
     )
-    mebibytes = parsed("a number of MiB from 0 to 1048576", float, lambda value: 0 <= value <= 1 << 20)
-    whole = parsed("a whole number of MiB from 0 to 1048576", digits, lambda value: 0 <= value <= 1 << 20)
-    parser.add_argument(
-        "--prefetch", type=whole, metavar="MIB", help="DMA memory for bitstreams kept ready (default: 64)"
-    )
-    parser.add_argument("--stream-queue", type=mebibytes, metavar="MIB",
-        help="memory for frames queued for each subscriber over ZeroMQ (default: 32)")  # fmt: skip
     parser.add_argument("--images", type=Path, metavar="DIR", help="with --sim: photographs for its camera")
     parser.add_argument("--models", action="append", default=[], metavar="FILE",
         help="with --sim: your own models, a .py file or module with a mapping MODELS")  # fmt: skip
@@ -116,8 +105,8 @@ def run(args: argparse.Namespace) -> int:
     """Serve; the exit status."""
     if args.sim == "bits" and not args.build:
         raise InvalidRequest("--sim=bits needs --build FILE, which the open flow has built")
-    if (args.build or args.sim_traces or args.sim_coverage or args.sim_time_scale) and args.sim not in _HDL:
-        raise InvalidRequest("--build, --sim-traces, --sim-coverage, --sim-time-scale: only with --sim=rtl (or bits)")
+    if (args.build or args.sim_traces) and args.sim not in _HDL:
+        raise InvalidRequest("--build, --sim-traces: only with --sim=rtl (or bits)")
     settings = settings_of(args)
     _log_to(_level(args, settings), service=settings is not None)
     with ExitStack() as stack:
@@ -221,8 +210,6 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
         logging.getLogger("cm").warning("%s", sentence)
     example = args.sim and not args.config and not args.build
     said = settings or Defaults()
-    queue = said.streams.queue_mib if args.stream_queue is None else args.stream_queue
-    prefetch = args.prefetch if args.prefetch is not None else said.dma.prefetch_mib
     return Options(
         runtime_dir=runtime,
         state_dir=args.state_dir or said.state_dir or default_state_dir(runtime, bool(args.sim)),
@@ -235,9 +222,9 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
         name=args.name or said.name,
         metrics=_metrics(args) or said.metrics,
         load=args.load or said.load or ("camera" if example else ""),
-        settings=ManagerSettings(prefetch_bytes=prefetch << 20, new_board=board is not None),
+        settings=ManagerSettings(prefetch_bytes=said.dma.prefetch_mib << 20, new_board=board is not None),
         scrub=said.scrub,
-        queue_bytes=int(queue * (1 << 20)),
+        queue_bytes=int(said.streams.queue_mib * (1 << 20)),
         firmware_dir=said.firmware_dir,
         assume_loaded=args.assume_loaded or said.assume_loaded,
         limits=Limits.of(said.limits),
@@ -294,8 +281,6 @@ def _simulated_root(args: argparse.Namespace, runtime: Path, paths: list[Path], 
     arguments += ["--icap-rate", str(args.sim_icap_rate)] if args.sim_icap_rate is not None else []
     arguments += ["--build", str(args.build.resolve())] if args.build else []
     arguments += ["--traces"] if args.sim_traces else []
-    arguments += ["--coverage", str(args.sim_coverage.resolve())] if args.sim_coverage else []
-    arguments += ["--time-scale", args.sim_time_scale] if args.sim_time_scale else []
     root = Path(args.root) if args.root else runtime / "board"
     starter = stack.enter_context(ThreadPoolExecutor(1, "cm-board"))
     program = f"cm.simulation.{args.sim}" if args.sim in _HDL else "cm.simulation.software"

@@ -4,18 +4,14 @@
 from __future__ import annotations
 
 import argparse
-import json
 import logging
 import os
-import sys
-from contextlib import suppress
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cm.cli.common import add_json_option, answer, completes, natural, number, parsed, positive
+from cm.cli.common import add_json_option, answer, completes, natural, number, parsed, positive, print_json
 from cm.cli.parser import RawHelp
-from cm.errors import CmError, NotFound
+from cm.errors import NotFound
 
 if TYPE_CHECKING:
     from cm.simulation.software import Control
@@ -74,11 +70,6 @@ def _add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -
     completes(clear.add_argument("target", nargs="?"), "<target>")
     interrupt = actions.add_parser("interrupt", help="raise an interrupt")
     completes(interrupt.add_argument("name"), "<interrupt>")
-    for name, text in (("pause", "hold a camera"), ("resume", "let a camera run again")):
-        completes(actions.add_parser(name, help=text).add_argument("channel"), "<channel>")
-    step = actions.add_parser("step", help="let a paused camera deliver frames")
-    completes(step.add_argument("channel"), "<channel>")
-    step.add_argument("frames", nargs="?", type=positive, default=1)
     upset = actions.add_parser(
         "upset", help="turn over bits of a region's configuration, as radiation does", description=_UPSET
     )
@@ -90,11 +81,6 @@ def _add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -
     trace = actions.add_parser("trace", help="record the signals of the RTL in FST files")
     trace.add_argument("what", choices=("start", "stop"))
     trace.add_argument("folder", nargs="?", type=Path, metavar="DIR", help="where the files go")
-    actions.add_parser("mark", help="put a text into the trace").add_argument("text")
-    coverage = actions.add_parser("coverage", help="show which lines of the RTL have run (cm serve --sim-coverage DIR)")
-    coverage.add_argument(
-        "folder", type=Path, metavar="DIR", help="the folder with the counts; coverage.info is written there"
-    )
     actions.add_parser("state", help="print what the board holds, as JSON")
     for parser in actions.choices.values():
         parser.add_argument(
@@ -111,20 +97,8 @@ def _add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -
 def _act(args: argparse.Namespace) -> int:
     from cm.simulation.software import Control
 
-    if args.action == "coverage":
-        return _coverage(args)
-    try:
-        _carry_out(Control(args.root or _served()), args)
-    except CmError as error:
-        return _failed(args, error)
+    _carry_out(Control(args.root or _served()), args)
     return 0
-
-
-def _failed(args: argparse.Namespace, error: CmError) -> int:
-    if args.json:
-        raise error
-    print(f"cm sim: {error} [{error.code}]", file=sys.stderr)
-    return 1
 
 
 def _served() -> Path:
@@ -141,23 +115,6 @@ def _served() -> Path:
     return folder
 
 
-def _coverage(args: argparse.Namespace) -> int:
-    """The coverage of a running board (``--root``) so far, and of boards that have ended."""
-    from cm.simulation.rtl.coverage import report, table
-    from cm.simulation.software import Control
-
-    try:
-        if args.root is not None:
-            Control(args.root).cover()
-        else:
-            with suppress(CmError):  # none runs, or it counts nothing: what others have counted is there
-                Control(_served()).cover()
-        counted = report(args.folder)
-    except CmError as error:
-        return _failed(args, error)
-    return answer(args, [asdict(file) for file in counted], table(counted))
-
-
 def _carry_out(control: Control, args: argparse.Namespace) -> None:
     if args.action == "inject":
         control.inject(args.name, args.target, args.count, args.value)
@@ -165,18 +122,12 @@ def _carry_out(control: Control, args: argparse.Namespace) -> None:
         control.clear(args.name, args.target)
     elif args.action == "interrupt":
         control.interrupt(args.name)
-    elif args.action == "step":
-        control.step(args.channel, args.frames)
     elif args.action == "upset":
         _upset(control, args)
     elif args.action == "trace":
         _trace(control, args)
-    elif args.action == "mark":
-        control.mark(args.text)
-    elif args.action == "state":
-        print(json.dumps(control.state(), indent=2))
     else:
-        getattr(control, args.action)(args.channel)
+        print_json(control.state())
 
 
 def _upset(control: Control, args: argparse.Namespace) -> None:

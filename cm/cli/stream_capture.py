@@ -14,7 +14,7 @@ from contextlib import redirect_stdout, suppress
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Protocol, TypeVar
 
-from cm.cli.common import add_lease_option, binary_output, named, natural, print_json, write_whole
+from cm.cli.common import binary_output, named, natural, own_lease, print_json, write_whole
 from cm.cli.connection import connected
 from cm.cli.failures import EXIT_INTERRUPTED
 from cm.errors import CmError, InvalidRequest, Timeout
@@ -120,7 +120,7 @@ class PngFiles:
         np.save(data, frame)
         self._write(path, data.getvalue())
         why = "flat bytes, without a shape" if frame.ndim == 1 else f"of shape {frame.shape} {frame.dtype}"
-        return f"{path.name}: {why}, is not a picture (cm stream set NAME --shape says what it is)"
+        return f"{path.name}: {why}, is not a picture (`shape:` in the schema says what it is)"
 
     def _write(self, path: Path, data: bytes) -> None:
         write_whole(path, data)
@@ -230,7 +230,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "file", metavar="FILE", help="NAME.npy, NAME.png (numbered if several), NAME.raw, or - for standard output"
     )
     parser.add_argument("--count", type=natural, default=1, metavar="N", help="how many frames (1); 0: until Ctrl-C")
-    add_lease_option(parser)
     parser.add_argument(
         "--format", choices=FORMATS, default="", help="format, if the file name does not say it (for -: npy)"
     )
@@ -241,7 +240,11 @@ def run_capture(args: argparse.Namespace) -> int:
     to = sink(args.file, args.format, args.count == 1, binary_output() if args.file == "-" else sys.stdout.buffer)
     capture = _Capture(to, "standard output" if args.file == "-" else args.file)
     try:
-        with connected(args) as board, board.stream(args.stream, lease=args.lease) as stream, _Interrupt() as interrupt:
+        with (
+            connected(args) as board,
+            board.stream(args.stream, lease=own_lease()) as stream,
+            _Interrupt() as interrupt,
+        ):
             try:
                 interrupted = capture.take(stream, args.count, interrupt)
             except Timeout as error:

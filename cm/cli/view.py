@@ -34,10 +34,11 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Show frames; the exit status."""
-    if not sys.stdout.isatty():
-        raise InvalidRequest("standard output is not a terminal: 'cm stream capture' writes files")
-    with connected(args) as board, on_terminal() as screen:
-        _show(args, board, screen)
+    with connected(args) as board:
+        if not sys.stdout.isatty():
+            raise InvalidRequest("standard output is not a terminal: 'cm stream capture' writes files")
+        with on_terminal() as screen:
+            _show(args, board, screen)
     return 0
 
 

@@ -152,7 +152,7 @@ class Connections:
                 if os.fstat(connection.fileno()).st_ino == which[0]:
                     connection.shutdown(socket.SHUT_RDWR)
                     _LOG.warning(
-                        "a subscriber of %s was ended: it left frames unread for longest (--stream-queue)", which[1]
+                        "a subscriber of %s was ended: it left frames unread for longest (streams.queue_mib)", which[1]
                     )
 
 

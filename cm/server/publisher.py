@@ -2,8 +2,8 @@
 """What the manager publishes on the XPUB socket (status, registers, interrupts, frames), and how much may wait.
 
 ZeroMQ's high-water mark counts messages, of any length, for each subscriber. `mark()` makes one of a limit
-in bytes (`cm serve --stream-queue`) and the longest frame that the schemas know. It is set before the socket is bound
-and never again: setting it while a subscriber disconnects makes libzmq up to 4.3.5 use a pipe that it has freed
+in bytes (`streams.queue_mib`) and the longest frame that the schemas know. It is set before the socket is bound and
+never again: setting it while a subscriber disconnects makes libzmq up to 4.3.5 use a pipe that it has freed
 (fixed by its pull request 4647, which is in no release yet).
 """
 

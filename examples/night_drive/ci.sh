@@ -6,4 +6,4 @@ cd "$(dirname "$0")"
 command -v verilator >/dev/null || { apt-get update -qq && apt-get install -y -qq verilator g++; }
 python3 -m venv "${VENV:=.venv}"
 "$VENV/bin/pip" install -q "${FPGA_CM:-fpga-cm}[build]" pytest
-"$VENV/bin/pytest" -q --rtl-coverage build/rtl-coverage
+"$VENV/bin/pytest" -q

@@ -191,7 +191,7 @@ def test_what_clients_take_is_reported_on_request(manager: Manager, context: zmq
 
 def test_subscribers_that_do_not_read_leave_a_bounded_number_of_frames_waiting(context: zmq.Context[Any]) -> None:
     """Each later one keeps other frames waiting: without a limit, 80 took 670 MiB. One that reads stays connected."""
-    with served(arguments=("--stream-queue", "2")) as (manager, _), manager.connected() as board:
+    with served(settings="streams: {queue_mib: 2}\n") as (manager, _), manager.connected() as board:
         board.load("camera", "default")
 
         def subscriber(waiting: int) -> tuple[Any, Any]:

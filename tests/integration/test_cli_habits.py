@@ -63,14 +63,11 @@ def test_a_change_that_runs_is_cancelled_and_the_board_is_back(
 
 
 @pytest.fixture
-def interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., tuple[int, Manager]]]:
-    """Run `cm`, with Ctrl-C while the port holds up its change; a cancel lets it go on. The exit status."""
+def interrupted(tmp_path: Path) -> Iterator[Callable[..., tuple[int, Manager]]]:
+    """Run `cm`, with Ctrl-C while the port holds up its change. The exit status."""
     written(tmp_path, ("duo",))
     with served(schemas=tmp_path) as (manager, sim), manager.connected() as board:
         board.load("duo", "default")
-        cancel = cm.Board.cancel
-        monkeypatch.setattr(cm.Board, "cancel", lambda asking: (cancel(asking), sim.control.clear("icap_stall")))
-
         # Under nohup(1), or in a shell's background, Ctrl-C is ignored from the start.
         before = signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -102,16 +99,6 @@ def test_ctrl_c_leaves_a_change_running_and_says_how_to_take_it_back(
     assert capsys.readouterr() == ("", said)
     with manager.connected() as board:
         until(lambda: board.status.mode == "both")
-
-
-def test_ctrl_c_cancels_a_change_where_that_was_asked_for(
-    interrupted: Callable[..., tuple[int, Manager]], capsys: pytest.CaptureFixture[str]
-) -> None:
-    status, manager = interrupted("mode", "duo/both", "--cancel-on-interrupt")
-    assert status == 130
-    assert capsys.readouterr().err.endswith("was cancelled; the board is at duo/default\n")
-    with manager.connected() as board:
-        assert board.status.mode == "default"
 
 
 def group_interrupted(arguments: list[str], words: str, folder: Path) -> tuple[int, str]:
@@ -166,7 +153,7 @@ def test_a_mode_is_named_as_status_prints_it(
     assert board.mode == reached
 
 
-@pytest.mark.parametrize("line", ["camera/colorise", "camera colorise", "--config camera colorise", "colorise"])
+@pytest.mark.parametrize("line", ["camera/colorise", "camera colorise", "colorise"])
 def test_a_plan_takes_a_mode_in_the_same_spelling(
     line: str, board: cm.Board, manager: Manager, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -26,7 +26,6 @@ LINES = {
     "cm reg write led.blink=fa": "cm reg write led.blink=fast ",
     "cm irq wait frame": "cm irq wait frame_done ",
     "cm sim inject register_stuck scr": "cm sim inject register_stuck scratch ",
-    "cm plan --config camera colo": "cm plan --config camera colorise ",
 }
 
 

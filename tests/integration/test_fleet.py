@@ -276,14 +276,15 @@ def test_with_a_quorum_the_fleet_goes_on_and_names_the_board_that_failed(boards:
 
 
 def test_the_commands_show_a_fleet_and_change_it(
-    boards: Boards, fleet: Fleet, capsys: pytest.CaptureFixture[str]
+    boards: Boards, fleet: Fleet, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     router = ("--router", *_endpoint(fleet))
+    monkeypatch.setenv("LOGNAME", "bob")
     assert main(["fleet", "ls", *router]) == 0
     assert [line.split()[:2] for line in capsys.readouterr().out.splitlines()[1:]] == [[n, "there"] for n in boards]
     assert main(["fleet", "plan", "edge_detection", "@north", *router]) == 0
     assert "camera/edge_detection" in capsys.readouterr().out
-    assert main(["fleet", "mode", "camera/edge_detection", "b1", "b2", "--as", "bob", *router]) == 0
+    assert main(["fleet", "mode", "camera/edge_detection", "b1", "b2", *router]) == 0
     assert "there" in capsys.readouterr().out
     assert main(["fleet", "status", "--json", *router]) == 0
     found = json.loads(capsys.readouterr().out)
@@ -291,14 +292,13 @@ def test_the_commands_show_a_fleet_and_change_it(
     assert found["b1"]["fleet"]["wanted_by"] == "bob"
     assert main(["fleet", "status", *router]) == 0
     assert "stamps:" in capsys.readouterr().out
-    for write in ("led=0x2", "b1"), ("led.blink", "3", "b1"):
-        assert main(["fleet", "reg", "write", *write, *router]) == 0
+    for write in "led=0x2", "led.blink=3":
+        assert main(["fleet", "reg", "write", write, "b1", *router]) == 0
         assert len(capsys.readouterr().out.splitlines()) == 2  # of that board alone
     assert main(["fleet", "reg", "read", "led.blink", "b1", *router]) == 0
     assert "0x3" in capsys.readouterr().out
-    for load in ("camera/default", "b1"), ("camera", "edge_detection", "b1"):
-        assert main(["fleet", "load", *load, *router]) == 0
-        assert len(capsys.readouterr().out.splitlines()) == 3
+    assert main(["fleet", "load", "camera/default", "b1", *router]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 3
     assert main(["fleet", "mode", "nix", *router]) == 1
 
 
@@ -398,8 +398,14 @@ def test_a_second_bridge_of_one_name_is_refused(boards: Boards, three: tuple[Rou
 
 
 def test_boards_put_an_archive_in_force_as_their_policy_lets_them(
-    boards: Boards, fleet: Fleet, places: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    boards: Boards,
+    fleet: Fleet,
+    places: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setenv("LOGNAME", "anna")
     packed = tmp_path / "vision.tar.gz"
     packed.write_bytes(VISION)
     found = fleet.push(packed)
@@ -418,7 +424,7 @@ def test_boards_put_an_archive_in_force_as_their_policy_lets_them(
         refused = other.push(packed, ["b1"])["b1"]
     assert isinstance(refused, ErrorInfo)
     assert refused.code == "forbidden"
-    assert main(["fleet", "push", str(packed), "b1", "--as", "anna", "--router", *_endpoint(fleet)]) == 0
+    assert main(["fleet", "push", str(packed), "b1", "--router", *_endpoint(fleet)]) == 0
     assert "vision" in capsys.readouterr().out
 
 

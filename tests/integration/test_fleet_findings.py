@@ -65,8 +65,9 @@ def boards(three: tuple[Router, Boards, Fleet]) -> Boards:
 
 
 @pytest.fixture
-def where(three: tuple[Router, Boards, Fleet], store: str) -> tuple[str, ...]:
-    return "--router", three[0].endpoint, "--store", store, "--as", "anna"
+def where(three: tuple[Router, Boards, Fleet], store: str, monkeypatch: pytest.MonkeyPatch) -> tuple[str, ...]:
+    monkeypatch.setenv("LOGNAME", "anna")
+    return "--router", three[0].endpoint, "--store", store
 
 
 def state(fleet: Fleet, name: str) -> FleetState:

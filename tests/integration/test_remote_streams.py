@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,10 +28,10 @@ LARGE = 4 << 20
 
 
 @contextlib.contextmanager
-def listening(env: dict[str, str] | None = None, more: Sequence[str] = ()) -> Iterator[tuple[Manager, str]]:
+def listening(env: dict[str, str] | None = None, settings: str = "") -> Iterator[tuple[Manager, str]]:
     """A manager that listens on TCP as well, and where."""
-    arguments = ("--listen", "tcp://127.0.0.1:0", "--insecure", *more)
-    with served(arguments=arguments, env=env) as (manager, _):
+    arguments = ("--listen", "tcp://127.0.0.1:0", "--insecure")
+    with served(arguments=arguments, env=env, settings=settings) as (manager, _):
         yield manager, manager.tcp()
 
 
@@ -64,7 +64,7 @@ def overruns(board: cm.Board, name: str) -> int:
 
 def test_what_waits_for_a_stopped_subscriber_is_bounded_in_bytes(context: zmq.Context) -> None:
     queue = 8 << 20  # the schema's frames are shorter than 1 MiB: eight wait, however long they are made
-    with listening(more=("--stream-queue", "8")) as (manager, address), manager.connected() as board:
+    with listening(settings="streams: {queue_mib: 8}\n") as (manager, address), manager.connected() as board:
         assert mark([load(CAMERA / "camera.yaml")], queue) == 8
         board.load("camera", "default")
         board.load("camera", "loopback")
@@ -114,7 +114,7 @@ def test_what_waits_for_a_stopped_subscriber_is_bounded_in_bytes(context: zmq.Co
 
 def test_how_much_may_wait_is_a_setting(context: zmq.Context) -> None:
     """Frames of 4 MiB; libzmq applies the high-water mark at both ends, and the kernel holds some, too."""
-    with listening(more=("--stream-queue", "0")) as (manager, address), manager.connected() as board:
+    with listening(settings="streams: {queue_mib: 0}\n") as (manager, address), manager.connected() as board:
         board.load("camera", "loopback")
         for name in ("to_pl", "from_pl"):
             board.configure_stream(name, shape=(LARGE,))

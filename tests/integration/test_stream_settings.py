@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 from collections.abc import Iterator
 from itertools import islice
 from typing import Any
@@ -14,7 +13,6 @@ import pytest
 from manager_process import Manager, served, until
 
 import cm
-from cm.cli.main import main
 from cm.errors import Busy, Timeout
 from cm.simulation.software import Board as SimBoard
 from cm.wire.messages.status import StreamStatus
@@ -44,7 +42,7 @@ def loop(board: cm.Board) -> Iterator[cm.Board]:
 @pytest.fixture(scope="module")
 def vdma() -> Iterator[tuple[Manager, SimBoard]]:
     """A manager whose loop is a VDMA's, and that allocates no buffers except those of streams."""
-    with served(["--vdma", "to_pl", "--vdma", "from_pl"], ["--prefetch", "0"]) as both:
+    with served(["--vdma", "to_pl", "--vdma", "from_pl"], settings="dma: {prefetch_mib: 0}\n") as both:
         yield both
 
 
@@ -208,24 +206,3 @@ def test_a_stream_is_run_stopped_and_left_to_its_users_again(board: cm.Board, ma
 
 
 # ---- other ways to say it --------------------------------------------------------------------
-
-
-def test_the_command_sets_what_its_options_say_and_nothing_else(
-    loop: cm.Board, manager: Manager, capsys: pytest.CaptureFixture[str]
-) -> None:
-    place = ["--runtime-dir", str(manager.runtime)]
-    geometry = ["--shape", "48x100", "--stride", "128", "--slots", "5"]
-    assert main(["stream", "set", "to_pl", *geometry, "--cyclic", *place]) == 0
-    assert capsys.readouterr().out.startswith("to_pl: 48x100 uint8, 5 slots, cyclic, no backpressure, stride 128")
-    assert main(["stream", "set", "to_pl", "--no-cyclic", "--rate", "5", "--json", *place]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert (told["cyclic"], told["limit"], told["stride"], told["shape"]) == (False, 5.0, 128, [48, 100])
-    assert main(["stream", "set", "to_pl", "--stride", "99", *place]) == 1
-    assert "stride" in capsys.readouterr().err
-    with loop.writer("to_pl", timeout=60):
-        assert main(["stream", "set", "to_pl", "--slots", "6", *place]) == 1
-        assert "in use" in capsys.readouterr().err
-        assert main(["stream", "set", "to_pl", "--slots", "6", "--force", *place]) == 0
-    with pytest.raises(SystemExit) as caught:
-        main(["stream", "set", "to_pl", "--shape", "wide", *place])
-    assert caught.value.code == 2

@@ -26,7 +26,7 @@ config:
 
 @pytest.fixture(scope="module")
 def manager() -> Iterator[Manager]:
-    with served(arguments=("--stream-queue", "32")) as (made, _):
+    with served() as (made, _):
         with made.connected() as board:
             board.load("camera", "default")
         yield made

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -35,7 +34,6 @@ def test_the_projects_ci_file_passes_outside_of_the_tree(wheel: Path, tmp_path: 
     )
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
     assert "3 passed" in done.stdout
-    assert re.search(r"night\.v +\d+ of +\d+ lines", done.stdout)  # coverage of its Verilog
     inside = subprocess.run(
         [tmp_path / "venv/bin/python", "-c", "import cm; print(cm.__file__)"],
         check=False,

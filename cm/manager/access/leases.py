@@ -286,7 +286,7 @@ def _held_by(held: _Lease, left: float) -> str:
     info = held.info
     how = "alone" if info.exclusive else "shared"
     long = f"for {left:.0f} s more unless renewed" if left < inf else "until that is given back"
-    out = f"give --lease ID if it is yours; cm lease break {held.number} ends it (for administrators)"
+    out = f"CM_LEASE=ID (lease=ID in Python) if it is yours; cm lease break {held.number} ends it (for administrators)"
     return f"{info.scope} is held by {info.holder} ({how}), {long}; {out}"
 
 

@@ -74,21 +74,19 @@ class Unit:
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """What libraries can do beside running; each option makes them slower."""
+    """What libraries can do beside running, more slowly."""
 
     traces: bool = False  # write what signals do
-    coverage: bool = False  # count which lines ran
 
     @property
     def key(self) -> str:
         """For the cache."""
-        return f"traces={self.traces} coverage={self.coverage}"
+        return f"traces={self.traces}"
 
     @property
     def macros(self) -> list[str]:
         """Of Verilator's runtime."""
-        return [f"-DVM_TRACE={int(self.traces)}", f"-DVM_TRACE_FST={int(self.traces)}", "-DVM_TRACE_VCD=0",
-                f"-DVM_COVERAGE={int(self.coverage)}"]  # fmt: skip
+        return [f"-DVM_TRACE={int(self.traces)}", f"-DVM_TRACE_FST={int(self.traces)}", "-DVM_TRACE_VCD=0"]
 
 
 NOTHING = Watched()
@@ -121,7 +119,6 @@ def _runtime(tools: Tools, watched: Watched) -> Path:
         "verilated_threads.cpp",
         "verilated_dpi.cpp",
         *(["verilated_fst_c.cpp"] if watched.traces else []),
-        *(["verilated_cov.cpp"] if watched.coverage else []),
     ]
     found = [tools.include / name for name in names if (tools.include / name).exists()]
     newer = tools.include / "verilated_random.cpp"  # of Verilator 5.024 and later
@@ -149,8 +146,6 @@ def _library(tools: Tools, unit: Unit, runtime: Path, watched: Watched) -> Path:
     shim = (HARNESS / "shim.cpp.in").read_text(encoding="utf-8")
     header = (HARNESS / "model.h").read_text(encoding="utf-8")
     described = [tools.identity, unit.top, watched.key, *unit.defines, *_VERILATOR, _VERILOG, *_FLAGS, _LOCAL.pattern]
-    if watched.coverage:  # counts are reported by the files' paths, which are in the library
-        described += [str(path) for path in unit.sources if unit.made is None or unit.made not in path.parents]
     key = digest([*described, shim, header, *_texts(inputs)])
 
     def make(target: Path, scratch: Path) -> None:
@@ -164,7 +159,6 @@ def _verilate(tools: Tools, unit: Unit, folder: Path, watched: Watched) -> None:
     command = [tools.verilator, *_VERILATOR, "--top-module", unit.top, "--Mdir", str(folder)]
     command += ["--no-timing"] if tools.timing else []  # HLS writes `#0` in what it makes; a delay is none here
     command += ["--trace-fst"] if watched.traces else []
-    command += ["--coverage-line", "--coverage-user"] if watched.coverage else []
     command += [f"-I{path}" for path in unit.includes] + [f"-D{define}" for define in unit.defines]
     try:
         _read(command, unit, folder.parent)

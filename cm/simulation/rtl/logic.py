@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 from collections.abc import Mapping
 
@@ -97,15 +96,6 @@ class RtlLogic(Logic):
         if answer.a:
             raise NodeError(errno.EOPNOTSUPP, answer.text)
         self._running.traced = bool(folder)
-
-    def cover(self) -> None:
-        """Write the counts so far into the files of `--coverage`."""
-        with contextlib.suppress(RtlError):
-            self._running.ask(Op.COVER)
-
-    def mark(self, text: str) -> None:
-        """Show a mark as the text of the static part's signal ``cm_event``."""
-        self._running.mark(text)
 
     def state(self) -> dict[str, object]:
         """The harness's clocks, and the modules that have ended by themselves."""

@@ -51,11 +51,6 @@ def add_rtl_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--build", type=Path, default=example_build(), metavar="FILE",
         help="build schema (default: the shipped camera)")  # fmt: skip
     parser.add_argument("--traces", action="store_true", help="let traces be recorded (slower)")
-    parser.add_argument(
-        "--coverage", type=Path, metavar="DIR", help="count the lines of HDL that run, in files in this folder"
-    )
-    parser.add_argument("--time-scale", type=_scale, metavar="N",
-        help="a second of simulated time takes at least N seconds")  # fmt: skip
 
 
 def run(args: argparse.Namespace, make: MakeLibraries | None = None) -> int:
@@ -63,10 +58,6 @@ def run(args: argparse.Namespace, make: MakeLibraries | None = None) -> int:
     with Scratch("cm-rtl-", temporary()) as folder:
         try:
             design = load_rtl_design(args.build, folder)
-            if args.coverage:
-                args.coverage.mkdir(parents=True, exist_ok=True)
-            if args.time_scale and args.icap_rate is None:
-                args.icap_rate = _port_rate(design) / args.time_scale
             args.vdma = [*args.vdma, *design.video]
             start = _maker(design, folder, args, make or _modules)
             if not args.config:
@@ -96,22 +87,6 @@ def _schema(design: RtlDesign, folder: Path) -> Path:
     return folder / "config" / f"{design.system.project.name}.yaml"
 
 
-def _scale(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0 < value < 1e9:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds: 100 lets 10 ns take a microsecond")
-    return value
-
-
-def _port_rate(design: RtlDesign) -> float:
-    """Bytes a second that the configuration port takes: a word a clock."""
-    icap = design.system.icap
-    return 4.0 * (design.system.project.clocks[icap.clock].rate if icap else 100e6)
-
-
 def _maker(design: RtlDesign, folder: Path, args: argparse.Namespace, make: MakeLibraries) -> MakeLogic:
     """The function that makes the logic; of software models if no compiler for HDL is installed."""
     try:
@@ -132,14 +107,11 @@ def _modules(tools: Tools, design: RtlDesign, watched: Watched, parts: LogicPart
 def _start(
     tools: Tools, design: RtlDesign, folder: Path, args: argparse.Namespace, make: MakeLibraries, parts: LogicParts
 ) -> RtlLogic:
-    watched = Watched(args.traces, args.coverage is not None)
+    watched = Watched(args.traces)
     (static,) = compile_units(tools, [design.static], watched)
     made = make(tools, design, watched, parts)
     lines = folder / "wiring"
-    text = wiring(design, static, parts.options.seed)
-    text += f"coverage {args.coverage.absolute()}\n" if args.coverage else ""
-    text += f"pace {args.time_scale}\n" if args.time_scale else ""
-    lines.write_text(text, encoding="utf-8")
+    lines.write_text(wiring(design, static, parts.options.seed), encoding="utf-8")
     process = HarnessProcess(compile_harness(tools), lines)
     try:
         for name, library in made.reading.items():  # zeros in place of a file would make another module of it

@@ -44,8 +44,7 @@ class Op(IntEnum):
     TRACE = 11
     MARK = 12
     STATE = 13
-    COVER = 14
-    TRY = 15
+    TRY = 14
     SENT = 64
     RECEIVED = 65
     INTERRUPT = 66
@@ -146,7 +145,7 @@ class HarnessProcess:
         return found
 
     def close(self) -> None:
-        """End it; it writes its coverage counts first, if it keeps them."""
+        """End it."""
         self._socket.close()
         try:
             self._process.wait(FAREWELL)

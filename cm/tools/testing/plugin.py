@@ -24,11 +24,6 @@ def pytest_addoption(parser: pytest.Parser, pluginmanager: pytest.PytestPluginMa
     parser.addini(
         "cm_build", "build schema whose RTL `rtl_board` runs (default: the shipped camera)", type=text, default=""
     )
-    parser.getgroup("fpga-cm").addoption(
-        "--rtl-coverage",
-        metavar="DIR",
-        help="count the lines of HDL that tests with `rtl_board` run; coverage.info goes there",
-    )
     what = "CONFIG[/MODE] that each test begins in (default: the only configuration)"
     parser.addini("cm_load", what, type=text, default="")
 
@@ -44,32 +39,12 @@ def _spare_rewriting(pluginmanager: pytest.PytestPluginManager) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """The boards of this session."""
     config.stash[_KEY] = {}
-    folder = config.getoption("--rtl-coverage")
-    first = not hasattr(config, "workerinput")  # a worker of pytest-xdist would delete those of the others
-    for old in Path(folder).glob("*.dat") if folder and first else ():
-        old.unlink()
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """End them."""
     for served in session.config.stash.get(_KEY, {}).values():
         served.stop()
-
-
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    """The lines of HDL that ran, with ``--rtl-coverage``."""
-    folder = config.getoption("--rtl-coverage")
-    if not folder:
-        return
-    from cm.errors import CmError
-    from cm.simulation.rtl.coverage import INFO, report, table
-
-    terminalreporter.section("coverage of the RTL")
-    try:
-        terminalreporter.write_line(table(report(Path(folder))))
-        terminalreporter.write_line(f"for other tools: {Path(folder) / INFO}")
-    except CmError as error:
-        terminalreporter.write_line(str(error))
 
 
 @pytest.fixture
@@ -86,14 +61,13 @@ def board(request: pytest.FixtureRequest) -> Iterator[Board]:
 @pytest.fixture
 def rtl_board(request: pytest.FixtureRequest) -> Iterator[Board]:
     """As `board`, with the RTL of the build schema of `cm_build` behind the nodes; skipped without Verilator."""
-    from cm.simulation.rtl.compile import Watched
     from cm.simulation.rtl.errors import ToolMissing
     from cm.simulation.rtl.main import example_build, prepare
 
     given = str(request.config.getini("cm_build"))
     build = str(request.config.rootpath / given) if given else str(example_build())
     try:
-        prepare(Path(build), Watched(coverage=bool(request.config.getoption("--rtl-coverage"))))
+        prepare(Path(build))
     except ToolMissing as missing:
         pytest.skip(f"the RTL {missing}")
     yield from _ready(request, "rtl", (), build)
@@ -119,8 +93,7 @@ def _ready(request: pytest.FixtureRequest, kind: str, configs: tuple[str, ...], 
     boards = request.config.stash[_KEY]
     key = (kind, configs, build)
     if key not in boards or not boards[key].alive:
-        coverage = request.config.getoption("--rtl-coverage") if kind == "rtl" else None
-        boards[key] = Served(kind, configs, build, str(Path(coverage).absolute()) if coverage else "")
+        boards[key] = Served(kind, configs, build)
     served = boards["now"] = boards[key]
     served.begin(str(request.config.getini("cm_load")))
     with pytest.MonkeyPatch.context() as patch, connect(str(served.runtime), timeout=60.0) as connected:

@@ -26,15 +26,14 @@ class NotServed(CmError):
 class Served:
     """`cm serve --sim` in a folder of its own, which is deleted with it."""
 
-    def __init__(self, kind: str, configs: tuple[str, ...] = (), build: str = "", coverage: str = "") -> None:
-        """`kind`: models or rtl. `coverage`: folder for counts of the HDL's lines. Raises NotServed."""
+    def __init__(self, kind: str, configs: tuple[str, ...] = (), build: str = "") -> None:
+        """`kind`: models or rtl. Raises NotServed."""
         self._folder = Path(tempfile.mkdtemp(prefix="cm-test-"))
         self.runtime = self._folder / "run"
         arguments = [f"--sim={kind}", "--runtime-dir", str(self.runtime), "--sim-hold", "0"]
         for path in configs:
             arguments += ["--config", path]
         arguments += ["--build", build] if build else []
-        arguments += ["--sim-coverage", coverage] if coverage else []
         self._process = subprocess.Popen(
             child.command("cm.cli.main", "serve", *arguments), stdin=subprocess.DEVNULL, stderr=subprocess.PIPE,
             env={"CM_SIM_TIMEOUT": PATIENCE} | child.environment(), start_new_session=True,

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cm.cli.colours import as_told, colours_of, painted
+from cm.cli.colours import painted
 from cm.cli.commands import COMMANDS, DAY, understood
 from cm.cli.main import main
 from cm.cli.parser import build_full_parser
@@ -23,7 +23,7 @@ from cm.cli.parser import build_full_parser
 CODE = re.compile(r" \[[a-z_]+\]$")
 # What runs until it is ended, asks a person, or prints text that is its only purpose.
 WITHOUT_JSON = {
-    "serve", "sim", "view", "web", "demo", "completion", "help", "build configure", "fleet router",
+    "serve", "sim", "view", "web", "demo", "completion", "build configure", "fleet router",
     "fleet keys", "bridge", "record start",
 }  # fmt: skip
 
@@ -114,8 +114,8 @@ def test_a_script_gets_json_of_every_command_that_it_may_read(command: str) -> N
     "line",
     [
         "status", "watch", "load a", "mode a", "mode a/b", "plan a", "cancel", "reg list", "reg read", "reg write a=1",
-        "reg watch", "mem list", "mem read a", "irq list", "irq wait a", "stream list", "stream set a",
-        "stream capture a b.npy", "stream ping a", "view a --as blocks", "lease list", "lease give 1", "lease break 1",
+        "reg watch", "mem list", "mem read a", "irq list", "irq wait a", "stream list",
+        "stream capture a b.npy", "stream ping a", "view a", "lease list", "lease give 1", "lease break 1",
         "config list", "config remove a",
     ],
 )  # fmt: skip
@@ -142,7 +142,8 @@ def test_without_a_manager_every_command_says_so_in_one_line(
         ("check a.yaml --json", "config check a.yaml --json"),
         ("configs --json", "config list --json"),
         ("fleet ls", "fleet list"),
-        ("help configs", "help config list"),
+        ("help configs", "config list --help"),
+        ("help", "--help"),
         ("--version configs", "--version config list"),
         ("load ls", "load ls"),
         ("lease take board -- cm configs", "lease take board -- cm configs"),
@@ -178,20 +179,6 @@ def test_a_command_that_there_is_none_of_is_near_to_one_or_to_what_it_became(
 # ---- colours -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("line", "left", "when"),
-    [
-        ("--color always status", "status", "always"),
-        ("status --color=never --json", "status --json", "never"),
-        ("status --color", "status --color", ""),
-        ("status --color sometimes", "status --color sometimes", ""),
-        ("lease take board -- ls --color=always", "lease take board -- ls --color=always", ""),
-    ],
-)
-def test_when_to_colour_may_be_said_anywhere_in_front_of_another_command(line: str, left: str, when: str) -> None:
-    assert colours_of(line.split()) == (left.split(), when)
-
-
 def test_colours_are_for_terminals_unless_something_else_was_said(monkeypatch: pytest.MonkeyPatch) -> None:
     class Terminal:
         def isatty(self) -> bool:
@@ -203,25 +190,23 @@ def test_colours_are_for_terminals_unless_something_else_was_said(monkeypatch: p
     terminal: object = Terminal()
     assert painted("idle", "green", terminal) == "\x1b[32midle\x1b[0m"  # type: ignore[arg-type]
     assert painted("idle", "green", None) == "idle"
-    with as_told("always"):
-        assert painted("idle", "green", None) != "idle"
-    with as_told("never"):
-        assert painted("idle", "green", terminal) == "idle"  # type: ignore[arg-type]
     monkeypatch.setenv("NO_COLOR", "1")
     assert painted("idle", "green", terminal) == "idle"  # type: ignore[arg-type]
-    with as_told("always"):
-        assert painted("idle", "green", None) != "idle"
     monkeypatch.delenv("NO_COLOR")
     monkeypatch.setenv("TERM", "dumb")
     assert painted("idle", "green", terminal) == "idle"  # type: ignore[arg-type]
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    assert painted("idle", "green", None) != "idle"
 
 
 def test_an_error_is_red_where_colours_are_wanted_and_plain_in_a_pipe(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     line = ["status", "--runtime-dir", str(tmp_path)]
-    assert main(["--color", "always", *line]) == 1
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    assert main(line) == 1
     assert capsys.readouterr().err.startswith("\x1b[31mcm:\x1b[0m no configuration manager")
+    monkeypatch.delenv("FORCE_COLOR")
     assert main(line) == 1
     assert "\x1b" not in capsys.readouterr().err
 

@@ -124,7 +124,8 @@ def test_help_of_a_command_is_what_its_option_prints(words: list[str], capsys: p
     with pytest.raises(SystemExit):
         main([*words, "--help"])
     by_option = capsys.readouterr().out
-    assert main(["help", *words]) == 0
+    with pytest.raises(SystemExit):
+        main(["help", *words])
     assert capsys.readouterr().out == by_option
 
 
@@ -144,8 +145,7 @@ def test_help_is_as_wide_as_the_terminal(
     [
         ("plan a b c", "usage: cm plan [-h]"),
         ("reg read --nmae", "usage: cm reg read [-h]"),
-        ("reg write --mask 3 a=1 b=2", "usage: cm reg write [-h]"),
-        ("reg write --mask 3 led.blink=fast", "usage: cm reg write [-h]"),
+        ("reg write focus", "usage: cm reg write [-h]"),
         ("stream capture camera x.png y.png", "usage: cm stream capture [-h]"),
         ("sim inject", "usage: cm sim inject [-h]"),
         ("build check --no-such", "usage: cm build check [-h]"),

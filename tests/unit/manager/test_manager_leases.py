@@ -85,7 +85,7 @@ def test_a_lease_keeps_others_off_what_contains_it_or_is_in_it(
 
 def out(number: int) -> str:
     """What its holder gives, and how others end it."""
-    return f"; give --lease ID if it is yours; cm lease break {number} ends it (for administrators)"
+    return f"; CM_LEASE=ID (lease=ID in Python) if it is yours; cm lease break {number} ends it (for administrators)"
 
 
 def test_the_refusal_names_the_holder_how_long_and_the_ways_out(leases: Leases, clock: Clock) -> None:

@@ -29,7 +29,7 @@ from cm.simulation.software import Board as SimBoard
 from cm.wire.messages.requests import BreakLease, RegWrite, TakeLease
 from cm.wire.messages.status import ErrorInfo, WindowStatus
 
-OUT = "; give --lease ID if it is yours; cm lease break 1 ends it (for administrators)"
+OUT = "; CM_LEASE=ID (lease=ID in Python) if it is yours; cm lease break 1 ends it (for administrators)"
 
 
 @pytest.fixture(scope="module")

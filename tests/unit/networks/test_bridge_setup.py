@@ -17,9 +17,7 @@ from cm.errors import InvalidRequest
 _WITHOUT = "import sys; sys.modules[sys.argv[1]] = None; from cm.cli.main import main; sys.exit(main(sys.argv[2:]))"
 
 
-@pytest.mark.parametrize(
-    ("network", "library"), [("ros", "zenoh"), ("ros", "xxhash"), ("rmw-zenoh", "zenoh"), ("fleet", "zenoh")]
-)
+@pytest.mark.parametrize(("network", "library"), [("ros", "zenoh"), ("ros", "xxhash"), ("fleet", "zenoh")])
 def test_a_library_that_is_missing_is_named_and_the_unit_does_not_try_again(network: str, library: str) -> None:
     command = [sys.executable, "-c", _WITHOUT, library, "bridge", network]
     done = subprocess.run(command, env=child.environment(), capture_output=True, text=True, check=False, timeout=60)

@@ -89,7 +89,7 @@ def test_of_two_subscribers_the_one_that_takes_nothing_is_ended(
         assert slow.takes() == PIECE
         clock[0] += 0.06
     assert [slow.ended, stuck.ended] == [False, True]
-    told = f"a subscriber of pid {os.getpid()} was ended: it left frames unread for longest (--stream-queue)"
+    told = f"a subscriber of pid {os.getpid()} was ended: it left frames unread for longest (streams.queue_mib)"
     assert caplog.messages == [told]
 
 

@@ -11,7 +11,6 @@ import pytest
 
 from cm.simulation.rtl import cache
 from cm.simulation.rtl.compile import widened
-from cm.simulation.rtl.coverage import Covered, report, table
 from cm.simulation.rtl.errors import RtlError
 
 
@@ -50,14 +49,3 @@ def test_local_variables_become_words_but_those_whose_address_is_taken() -> None
     assert widened(code) == (
         "    IData/*0:0*/ __Vdly__valid;\n    IData/*15:0*/ count;\n    CData/*7:0*/ read;\n    f(8, &(read));\n"
     )
-
-
-def test_the_table_of_coverage_says_which_lines_never_ran(tmp_path: Path) -> None:
-    counts = {5: 3, 6: 0, 7: 0, 9: 1, 12: 0}
-    text = table([Covered(tmp_path / "edge.v", counts)])
-    assert text.splitlines() == ["edge.v     2 of    5 lines  not: 6-7, 12", "2 of 5 lines ran"]
-
-
-def test_the_error_for_a_folder_without_counts_says_how_to_get_some(tmp_path: Path) -> None:
-    with pytest.raises(RtlError, match="--sim-coverage"):
-        report(tmp_path)

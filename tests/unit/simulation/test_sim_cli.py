@@ -52,11 +52,6 @@ def test_an_unknown_fault_fails_with_those_there_are(root, capsys):
     assert "short_packet" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("action", [["pause", "camera"], ["step", "camera", "2"], ["resume", "camera"]])
-def test_a_camera_is_held_and_released(root, action):
-    assert main(["sim", *action, "--root", root]) == 0
-
-
 def test_an_interrupt_that_does_not_exist_fails(root, capsys):
     assert main(["sim", "interrupt", "frame_done", "--root", root]) == 0
     assert main(["sim", "interrupt", "nothing", "--root", root]) == 1

@@ -97,7 +97,6 @@ int Harness::configure(const cm_message &message, uint64_t &came_out)
 	while (port->busy() && waited < 64 * message.c + BUS_PATIENCE) {
 		run(16);
 		waited += 16;
-		pace.wait(fabric->picoseconds());
 	}
 	bool stuck = port->busy();
 	port->done();

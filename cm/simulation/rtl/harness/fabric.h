@@ -93,11 +93,6 @@ class Fabric
 			   &folder); // a file for each part, that of a region again at each load
 	void untrace();
 	void mark(const std::string &text); // shown in the static part's file
-	void count_in(const std::string &folder)
-	{
-		counts = folder;
-	} // a file of what was run for each part, as often as it is loaded
-	void cover() const;
 	int configured(uint32_t word, bool taken)
 	{
 		return port(word, taken);
@@ -118,7 +113,6 @@ class Fabric
 	void babble(Region &region);
 	void trace(Region &region);
 	void dump();
-	void cover(const Region &region) const;
 
 	std::unique_ptr<Instance> static_part;
 	std::vector<Clock> clocks;
@@ -136,7 +130,6 @@ class Fabric
 	sigjmp_buf out;
 	std::string traces; // folder; empty: none are written
 	uint32_t loads = 0; // since tracing began
-	std::string counts; // folder; empty: nothing is counted
 	uint32_t loaded_ever = 0;
 	bool touched = true;
 };

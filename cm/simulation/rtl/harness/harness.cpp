@@ -169,9 +169,6 @@ void Harness::handle(const cm_message &message, const std::string &text)
 	case CM_MARK:
 		fabric->mark(text);
 		break;
-	case CM_COVER:
-		fabric->cover();
-		break;
 	case CM_TRY:
 		reply = fabric->lacks(text);
 		status = reply.empty() ? 0 : ENOENT;
@@ -228,25 +225,10 @@ int Harness::serve()
 	answer(cm_message{}, 0); // ready
 	while (!ended) {
 		bool runs = quiet < QUIET;
-		if (pace.slowed())
-			runs = false;
-		while (!ended && take(runs ? 0 : pace.wait_ms(fabric->picoseconds(), IDLE_MS)))
-			runs = !pace.slowed();
-		if (ended)
-			break;
-		if (pace.slowed())
-			run_paced();
-		else
+		while (!ended && take(runs ? 0 : IDLE_MS))
+			runs = true;
+		if (!ended)
 			run(runs ? 512 : IDLE_EDGES);
 	}
-	fabric->cover();
 	return 0;
-}
-
-// As many edges as are due; what a busy machine could not do in time is left out.
-void Harness::run_paced()
-{
-	for (int round = 0; round < 16 && pace.due(fabric->picoseconds()); round++)
-		run(64);
-	pace.forgive(fabric->picoseconds());
 }

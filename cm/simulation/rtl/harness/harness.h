@@ -4,7 +4,6 @@
 #pragma once
 #include "fabric.h"
 #include "messages.h"
-#include "pace.h"
 
 #include <deque>
 #include <istream>
@@ -43,7 +42,6 @@ class Harness
 	bool ends(const Bus &bus, bool write); // the access that is under way, if one is
 	int configure(const cm_message &message, uint64_t &came_out);
 	bool run(uint64_t edges);
-	void run_paced();
 	void report();
 	std::string state() const;
 	uint8_t *arena(uint64_t offset, uint64_t length) const;
@@ -70,5 +68,4 @@ class Harness
 	int connection;
 	uint8_t *memory;
 	bool ended = false;
-	Pace pace;
 };

@@ -27,7 +27,6 @@ enum cm_op : uint32_t {
 	CM_TRACE,     // text: a folder, or empty to end it
 	CM_MARK,      // text: what to show in the trace
 	CM_STATE,     // answer's text: JSON
-	CM_COVER,     // write what was counted
 	CM_TRY,	      // text: as CM_LOAD's; ENOENT, and its text says which file the HDL would miss
 	// what the harness tells; the board answers the last two
 	CM_SENT = 64, // a: stream

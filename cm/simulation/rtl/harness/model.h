@@ -36,9 +36,7 @@ struct cm_model {
 	int (*trace)(void *model, const char *path); // 0, or -1
 	void (*dump)(void *model, uint64_t picoseconds);
 	void (*untrace)(void *model);
-	// nullptr where the library was built without counting
-	void (*cover)(void *model, const char *path);
 };
 
-constexpr uint32_t CM_MODEL_VERSION = 3;
+constexpr uint32_t CM_MODEL_VERSION = 4;
 constexpr const char *CM_MODEL_SYMBOL = "cm_model_table"; // extern "C" const cm_model *

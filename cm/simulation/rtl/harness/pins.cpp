@@ -60,12 +60,6 @@ void Instance::untrace()
 	traced = false;
 }
 
-void Instance::cover(const std::string &path) const
-{
-	if (model && table->cover)
-		table->cover(model, path.c_str());
-}
-
 void Wires::add(const Pin &from, const Pin &to)
 {
 	if (from.bits != to.bits)

@@ -113,7 +113,6 @@ class Instance
 		table->dump(model, picoseconds);
 	}
 	void untrace();
-	void cover(const std::string &path) const;
 	bool tracing() const
 	{
 		return traced;

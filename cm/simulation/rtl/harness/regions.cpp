@@ -18,7 +18,6 @@ void Fabric::add_region(Region region)
 
 void Fabric::unload(Region &region)
 {
-	cover(region);
 	region.module.reset();
 	region.in = region.out = Wires();
 	region.clock_pins.clear();
@@ -149,23 +148,6 @@ void Fabric::untrace()
 		if (region.module)
 			region.module->untrace();
 	traces.clear();
-}
-
-// Files of Verilator's counters; the number of the process keeps those of several runs apart.
-void Fabric::cover() const
-{
-	if (counts.empty())
-		return;
-	static_part->cover(counts + "/static." + std::to_string(getpid()) + ".dat");
-	for (const Region &region : regions)
-		cover(region);
-}
-
-void Fabric::cover(const Region &region) const
-{
-	if (!counts.empty() && region.module)
-		region.module->cover(counts + "/" + region.name + "." + std::to_string(getpid()) +
-				     "." + std::to_string(region.number) + ".dat");
 }
 
 // The pin `cm_event` of the static part is there for traces only: viewers show it as text.

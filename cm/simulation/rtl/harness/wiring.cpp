@@ -89,13 +89,6 @@ void Harness::wire(const std::string &line)
 	} else if (kind == "output") {
 		words >> name;
 		outputs.emplace_back(fabric->part().need(name), 0);
-	} else if (kind == "coverage") {
-		std::getline(words >> std::ws, name);
-		fabric->count_in(name);
-	} else if (kind == "pace") {
-		double seconds;
-		words >> seconds;
-		pace.slow_to(seconds);
 	} else if (kind == "region") {
 		region(words);
 	} else if (!kind.empty()) {

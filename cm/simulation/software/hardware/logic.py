@@ -66,12 +66,6 @@ class Logic:
         """Write traces to files in a folder; an empty name ends that. `NodeError` if it is not possible."""
         raise NodeError(errno.EOPNOTSUPP, "models in software have no signals to trace")
 
-    def cover(self) -> None:
-        """Write which lines of the HDL have run, if that is counted."""
-
-    def mark(self, text: str) -> None:
-        """Show a text in the trace that is written, if one is."""
-
     def state(self) -> dict[str, object]:
         """State in addition to that of every board."""
         return {}

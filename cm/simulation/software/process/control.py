@@ -90,14 +90,6 @@ class Control:
         """
         self._order("trace", folder=str(Path(folder).absolute()) if folder else "")
 
-    def mark(self, text: str) -> None:
-        """Show a text (at most 32 letters) in the trace from now on."""
-        self._order("mark", text=text)
-
-    def cover(self) -> None:
-        """Write the counts of ``--coverage`` so far."""
-        self._order("cover")
-
     def adopt(self) -> None:
         """Make this process the owner of a simulator whose owner has died.
 

@@ -36,11 +36,9 @@ class Orders:
             "reset": lambda _: machine.power_up(),
             "adopt": self._adopt,
             "trace": lambda order: logic.trace(str(order.get("folder") or "")),
-            "mark": lambda order: logic.mark(str(order["text"])),
             "upset": self._upset,
             "frame": self._frame,
             "register": self._register,
-            "cover": lambda _: logic.cover(),
         }
         machine.server.listen(machine.root.bind(CONTROL_PATH), AttributeNode(self._read, self._write))
 
