@@ -132,7 +132,7 @@ class ConnectionRights(Protocol):
         """Raise Forbidden if the peer has no right to what it wants."""
 
 
-Serve = Callable[[socket.socket, Open, Peer], Iterator[None] | None]  # the caller closes the connection
+Serve = Callable[[socket.socket, Open, Peer], Iterator[object] | None]  # the caller closes the connection
 
 
 class DataSocket:
@@ -155,7 +155,7 @@ class DataSocket:
         self._turns = turns
         self._group = group
         self._queued: dict[socket.socket, str] = {}  # connections not yet served, and their processes
-        self._under_way: dict[socket.socket, Generator[None, None, None]] = {}
+        self._under_way: dict[socket.socket, Generator[object, None, None]] = {}
         # SEQPACKET keeps packets apart, and file descriptors (SCM_RIGHTS) with the packet that carries them.
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
         self._awaiting = AwaitingOpen(loop, self._listener, sessions.whose, self._queue)
@@ -191,7 +191,7 @@ class DataSocket:
                 "the last of which are for others; try again when one has ended"
             )
 
-    def _serve(self, connection: socket.socket, packet: bytes) -> Generator[None, None, None]:
+    def _serve(self, connection: socket.socket, packet: bytes) -> Generator[object, None, None]:
         try:
             with connection, suppress(OSError):
                 try:
@@ -204,7 +204,7 @@ class DataSocket:
             self._queued.pop(connection, None)
             del self._under_way[connection]
 
-    def _admit(self, connection: socket.socket, wanted: Open) -> Iterator[None]:
+    def _admit(self, connection: socket.socket, wanted: Open) -> Iterator[object]:
         self._sessions.check_open(connection, wanted)
         yield from self._serves[wanted.purpose](connection, wanted, Peer.of(connection)) or ()
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When streams run: a table of phases and transitions, and what decides between them. No socket, no device.
+"""When the streams of the loaded mode run: who uses them, and what clients have set. No socket, no device.
 
 `cm.server.streams.running` carries out what is decided here, and reports the outcome.
 """
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
-from enum import Enum
 from types import MappingProxyType
 from typing import Any
 
@@ -16,6 +15,7 @@ from cm.errors import Busy, InvalidRequest, Timeout
 from cm.frozen import dataclass
 from cm.manager.errors import NothingLoaded, UnknownStream, hint
 from cm.schema.model import Config, Direction, Stream
+from cm.server.streams.machine import OPEN_PHASES, StreamEvent, StreamMachine, StreamPhase
 from cm.wire.messages.requests import ConfigureStream
 
 
@@ -25,49 +25,7 @@ class StreamStopped(Busy):
     code = "stream_stopped"
 
 
-class StreamPhase(str, Enum):
-    """The phase that a stream is in."""
-
-    CLOSED = "closed"  # it is not needed
-    OPEN = "open"  # its channel runs
-    HELD = "held"  # stopped while its region changes
-    STALLED = "stalled"  # its channel does not answer: a simulated board that is stopped
-    HELD_STALLED = "held_stalled"
-
-
-class StreamEvent(str, Enum):
-    """An event in a stream's life."""
-
-    OPEN = "open"
-    CLOSE = "close"
-    HOLD = "hold"
-    RELEASE = "release"
-    STALL = "stall"
-    ANSWER = "answer"
-
-
 _P, _E, _NOTHING = StreamPhase, StreamEvent, MappingProxyType[str, str | None]({})
-
-TRANSITIONS: Mapping[tuple[StreamPhase, StreamEvent], StreamPhase] = MappingProxyType(
-    {
-        (_P.CLOSED, _E.OPEN): _P.OPEN,
-        (_P.OPEN, _E.CLOSE): _P.CLOSED,
-        (_P.CLOSED, _E.HOLD): _P.HELD,
-        (_P.HELD, _E.HOLD): _P.HELD,
-        (_P.STALLED, _E.HOLD): _P.HELD_STALLED,
-        (_P.HELD_STALLED, _E.HOLD): _P.HELD_STALLED,
-        (_P.HELD, _E.RELEASE): _P.CLOSED,
-        (_P.HELD_STALLED, _E.RELEASE): _P.STALLED,
-        (_P.CLOSED, _E.STALL): _P.STALLED,
-        (_P.OPEN, _E.STALL): _P.STALLED,
-        (_P.STALLED, _E.ANSWER): _P.CLOSED,
-        (_P.HELD_STALLED, _E.ANSWER): _P.HELD,
-    }
-)
-
-
-class IllegalTransition(RuntimeError):
-    """An event that the table does not allow: a defect of the daemon, never of a request."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +44,7 @@ def decide(phase: StreamPhase, wanted: bool) -> StreamEvent | None:
     """Return what to do with a stream next, or None for nothing."""
     if phase is _P.CLOSED and wanted:
         return _E.OPEN
-    if phase is _P.OPEN and not wanted:
+    if phase in OPEN_PHASES and not wanted:
         return _E.CLOSE
     return None
 
@@ -138,30 +96,26 @@ class StreamOverrides:
         self._runs.clear()
 
 
+_AFTER_A_CHANGE = ((_P.HELD, _E.RELEASE), (_P.HELD_STALLED, _E.RELEASE), (_P.RESTING, _E.RETRY))
 _REST = 0.9  # seconds after which a stream that could not be opened is due again; we are asked once a second
 
 
 class StreamLifecycle:
-    """The streams of the loaded mode, their phases, and their overrides."""
+    """The streams of the loaded mode, their machines, and their overrides."""
 
     def __init__(self) -> None:
         self.config: Config | None = None
         self.mode: str | None = None
         self.streams: Mapping[str, Stream] = {}
         self._overrides = StreamOverrides()
-        self._phases: dict[str, StreamPhase] = {}
-        self._not_before: dict[str, float] = {}  # by stream of this mode that could not be opened
+        self.machines: dict[str, StreamMachine] = {}  # also of streams of other modes, for which clients wait
 
-    def phase(self, name: str) -> StreamPhase:
-        """Return a stream's phase; an unknown stream is closed."""
-        return self._phases.get(name, _P.CLOSED)
-
-    def after(self, name: str, event: StreamEvent) -> None:
-        """Apply an event to a stream's phase. Raises IllegalTransition, and then changes nothing."""
-        phase = TRANSITIONS.get((self.phase(name), event))
-        if phase is None:
-            raise IllegalTransition(f"stream {name!r}, which is {self.phase(name).value}, cannot {event.value}")
-        self._phases[name] = phase
+    def machine(self, name: str) -> StreamMachine:
+        """Return a stream's machine, whether or not this mode has the stream."""
+        found = self.machines.get(name)
+        if found is None:
+            found = self.machines[name] = StreamMachine(name)
+        return found
 
     def enter(self, config: Config | None, mode: str | None, held: Mapping[str, str | None] = _NOTHING) -> list[str]:
         """Switch to the streams of this mode, none of them held; return the open ones that have to be closed for it."""
@@ -172,31 +126,34 @@ class StreamLifecycle:
             self._overrides.mode_changed()
         before, self.streams = self.streams, {n: self._overrides.of(s) for n, s in streams.items()}
         self.config, self.mode = config, mode
-        self._not_before.clear()
-        for name in self._in(_P.HELD, _P.HELD_STALLED):
-            self.after(name, _E.RELEASE)
-        return [name for name in self._in(_P.OPEN) if self.streams.get(name) != before.get(name)]
+        for phase, event in _AFTER_A_CHANGE:
+            for name in self._in(phase):
+                self.machines[name].after(event)
+        return [name for name in self._in(*OPEN_PHASES) if self.streams.get(name) != before.get(name)]
 
     def stalled(self) -> list[str]:
         """Return the streams whose channel does not answer."""
         return self._in(_P.STALLED, _P.HELD_STALLED)
 
     def _in(self, *phases: StreamPhase) -> list[str]:
-        return [name for name, phase in self._phases.items() if phase in phases]
+        return [name for name, machine in self.machines.items() if machine.phase in phases]
 
     def due(self, users: Callable[[Stream], Users]) -> Iterator[tuple[StreamEvent, Stream]]:
         """Yield the streams to open and to close now."""
         for name, stream in list(self.streams.items()):
-            event = decide(self.phase(name), self.is_wanted(stream, users(stream)))
-            if event is _E.CLOSE or (event is _E.OPEN and time.monotonic() >= self._not_before.get(name, 0.0)):
+            machine = self.machine(name)
+            if machine.phase is _P.RESTING and time.monotonic() >= machine.rest_until:
+                machine.after(_E.RETRY)
+            event = decide(machine.phase, self.is_wanted(stream, users(stream)))
+            if event is not None:
                 yield event, stream
 
-    def could_not_open(self, name: str) -> None:
+    def rest(self, name: str) -> None:
         """Note that a stream could not be opened: it is due again after a while, or in another mode.
 
         Its closing would otherwise be an event upon which it is asked for at once.
         """
-        self._not_before[name] = time.monotonic() + _REST
+        self.machine(name).rest_until = time.monotonic() + _REST
 
     def is_wanted(self, stream: Stream, users: Users) -> bool:
         """Whether a stream shall run if it can."""
@@ -205,17 +162,18 @@ class StreamLifecycle:
 
     def is_held(self, name: str) -> bool:
         """Whether a stream is stopped while its region changes."""
-        return self.phase(name) in (_P.HELD, _P.HELD_STALLED)
+        return self.machine(name).phase in (_P.HELD, _P.HELD_STALLED)
 
     def may_run(self, name: str) -> bool:
         """Whether a stream can be opened for a client."""
-        return self.phase(name) in (_P.CLOSED, _P.OPEN) and self._overrides.runs(name) is not False
+        held = self.machine(name).phase in (_P.HELD, _P.STALLED, _P.HELD_STALLED)
+        return not held and self._overrides.runs(name) is not False
 
     def check_may_run(self, name: str) -> None:
         """Raise StreamStopped or Timeout, with the reason, if it cannot."""
         if self.is_held(name):
             raise StreamStopped(f"stream {name!r} is stopped while its region changes")
-        if self.phase(name) is _P.STALLED:
+        if self.machine(name).phase is _P.STALLED:
             raise Timeout(f"stream {name!r}: the board does not answer; the stream resumes when it does")
         if self._overrides.runs(name) is False:
             raise StreamStopped(f"stream {name!r} was stopped; cm_data_config with enable lets it run")

@@ -39,7 +39,7 @@ class ZmqClient:
         self._socket = ours
         self.client = plane.adopt(theirs.detach())
         try:
-            self.steps = opened.holders.join(self.client, depth)  # by which it joins the stream
+            opened.machine.join(self.client, depth)
         except BaseException:
             plane.drop(self.client)
             ours.close()
@@ -56,11 +56,11 @@ class ZmqClient:
         """Whether a request is waiting, or was a moment ago."""
         return self.working or time.monotonic() < self._used_at + _LINGER
 
-    def close(self, error: CmError | OSError | None = None) -> None:  # noqa: ARG002 (for subclasses)
+    def close(self, error: Exception | None = None) -> None:  # noqa: ARG002 (for subclasses)
         """Disconnect; waiting requests get the error, or are told that the stream was stopped."""
         self._loop.remove(self._socket.fileno())
         self._plane.drop(self.client)
-        self._stream.holders.detached(self.client)
+        self._stream.machine.left(self.client)
         self._socket.close()
 
     def _readable(self) -> None:
@@ -145,7 +145,7 @@ class ZmqReader(ZmqClient):
             return memoryview(b"".join(view[line] for line in line_slices(setup)))[: packet.length]
         return view[packet.offset : packet.offset + packet.length]
 
-    def close(self, error: CmError | OSError | None = None) -> None:
+    def close(self, error: Exception | None = None) -> None:
         super().close()
         readers, self._readers = self._readers, deque()
         for done, timer in readers:
@@ -256,7 +256,7 @@ class ZmqWriter(ZmqClient):
         else:
             done(Frame(self._stream.info(packet), memoryview(b"")))
 
-    def close(self, error: CmError | OSError | None = None) -> None:
+    def close(self, error: Exception | None = None) -> None:
         super().close()
         stopped = error or StreamStopped(f"stream {self._stream.stream.name!r} was stopped before the frame was taken")
         for done, timer in self._under_way.values():

@@ -16,101 +16,30 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
-from functools import partial
 from typing import Protocol
 
 from cm.device import AxiDma, DeviceTimeout
 from cm.device.data_plane import ClientGone, ClientLeaves, Plane
 from cm.errors import Busy, CmError
-from cm.frozen import dataclass, replace
+from cm.frozen import replace
 from cm.manager.access.leases import Leases
 from cm.manager.status_reports import stream_status
 from cm.schema.model import Config, Direction, Stream
 from cm.server.devices import BoardDevices
-from cm.server.long_work import RoundRobin
+from cm.server.long_work import NOT_YET, RoundRobin
 from cm.server.settings.model import USUAL, Limits
 from cm.server.sockets import Loop
 from cm.server.streams.channel_setup import changed, setup
 from cm.server.streams.client_memory import Allocations, Echoes, MemoryThread
 from cm.server.streams.client_process import Peer
 from cm.server.streams.compression import check_compression
-from cm.server.streams.lifecycle import StreamEvent, StreamLifecycle, StreamPhase, Users
+from cm.server.streams.lifecycle import StreamLifecycle, StreamStopped, Users
+from cm.server.streams.machine import OPEN_PHASES, NoSlots, Step, StreamEvent, StreamPhase
 from cm.server.streams.over_zmq import ZmqReader, ZmqWriter
-from cm.server.streams.slots import NoSlots
 from cm.server.streams.stream import Done, Frame, Moved, OpenStream, StreamTotals
 from cm.wire.messages.requests import ConfigureStream
 from cm.wire.messages.status import ErrorInfo, StreamStatus
 from cm.wire.plane_packets import STOPPED, Descriptor, Open, Purpose
-
-
-@dataclass(frozen=True, slots=True)
-class _Local:
-    """A client of the plane in another process."""
-
-    stream: str
-    depth: int
-    peer: Peer
-    leaving: bool = False  # it only holds frames yet
-
-
-class LocalClients:
-    """Clients of the data socket, by their number in the plane, which they keep while their stream is stopped."""
-
-    def __init__(self, plane: Plane, on_error: Callable[[ErrorInfo], None]) -> None:
-        self._plane = plane
-        self._on_error = on_error
-        self._clients: dict[int, _Local] = {}
-
-    def adopt(
-        self, connection: socket.socket, wanted: Open, peer: Peer, stream: str, join: Callable[[int], Iterator[None]]
-    ) -> Iterator[None]:
-        """Make a connection a client of a stream, in the steps that `join` returns; the caller closes the connection.
-
-        Raises what the steps raise; the connection is then no longer a client.
-        """
-        client = self._plane.adopt(os.dup(connection.fileno()))
-        try:
-            steps = join(client)
-            self._clients[client] = _Local(stream, wanted.depth, peer)  # from here on it is the stream's client
-            yield from steps
-        except BaseException:
-            self._clients.pop(client, None)
-            self._plane.drop(client)
-            raise
-
-    def use(self, stream: str) -> bool:
-        """Whether a stream has clients that still want frames, or to write them."""
-        return any(local.stream == stream and not local.leaving for local in self._clients.values())
-
-    def attach_all(self, opened: OpenStream) -> list[tuple[int, Iterator[None]]]:
-        """The clients that wait for a stream, each with the steps by which it joins."""
-        waiting = []
-        for client, local in list(self._clients.items()):
-            if local.stream == opened.stream.name and not local.leaving:
-                try:
-                    waiting.append((client, opened.holders.join(client, local.depth, local.peer)))
-                except CmError as error:
-                    self.refused(opened, client, error)
-        return waiting
-
-    def refused(self, opened: OpenStream, client: int, error: CmError | OSError) -> None:
-        """Disconnect a client that waited, because there is no memory for it, and report the error."""
-        self._clients.pop(client, None)
-        self._plane.drop(client)
-        self._on_error(ErrorInfo("no_slots", f"a client of {opened.stream.name!r} was hung up on: {error}"))
-
-    def leaves(self, client: int) -> None:
-        """The client keeps the slots that it holds, but the stream no longer runs for its sake."""
-        if client in self._clients:
-            self._clients[client] = replace(self._clients[client], leaving=True)
-
-    def gone(self, client: int) -> str | None:
-        """Remove a client that has hung up; return the name of its stream, or None for a client not known here."""
-        local = self._clients.pop(client, None)
-        return local.stream if local else None
-
-
-TakeSteps = Callable[[OpenStream, Iterator[None], Callable[[CmError | OSError], object]], None]
 
 
 class ZmqClients:
@@ -121,69 +50,65 @@ class ZmqClients:
         loop: Loop,
         plane: Plane,
         deliver: Callable[[Frame], None],
-        take_steps: TakeSteps,
+        drive: Callable[[OpenStream], None],
         on_error: Callable[[ErrorInfo], None],
     ) -> None:
-        """`take_steps` takes the steps by which a client joins a stream; it passes an error to the function given."""
+        """`drive` takes the steps by which a client gets its slots."""
         self._loop = loop
         self._plane = plane
         self._deliver = deliver
-        self._take_steps = take_steps
+        self._drive = drive
         self._on_error = on_error
         self._clients: dict[str, ZmqReader | ZmqWriter] = {}
 
     def reader(self, opened: OpenStream) -> ZmqReader:
         """Return the client that reads an open stream."""
-        found = self._clients.get(opened.stream.name)
-        if not isinstance(found, ZmqReader):
-            found = ZmqReader(self._loop, self._plane, opened, self._deliver)
-            self._joins(opened, found)
-        return found
+        client = self._clients.get(opened.stream.name)
+        if not isinstance(client, ZmqReader):
+            client = self._clients[opened.stream.name] = ZmqReader(self._loop, self._plane, opened, self._deliver)
+            self._drive(opened)
+        return client
 
     def writer(self, opened: OpenStream) -> ZmqWriter:
         """Return the client that writes to an open stream."""
-        found = self._clients.get(opened.stream.name)
-        if not isinstance(found, ZmqWriter):
-            found = ZmqWriter(self._loop, self._plane, opened)
-            self._joins(opened, found)
-        return found
+        client = self._clients.get(opened.stream.name)
+        if not isinstance(client, ZmqWriter):
+            client = self._clients[opened.stream.name] = ZmqWriter(self._loop, self._plane, opened)
+            self._drive(opened)
+        return client
 
-    def _joins(self, opened: OpenStream, made: ZmqReader | ZmqWriter) -> None:
-        self._clients[opened.stream.name] = made
-        self._take_steps(opened, made.steps, lambda error: self._refused(opened, made, error))
+    def refuse(self, name: str, error: Exception, runs: bool) -> None:
+        """There are no slots for this client: its waiting requests get the error, and subscribers find it reported.
 
-    def _refused(self, opened: OpenStream, made: ZmqReader | ZmqWriter, error: CmError | OSError) -> None:
-        """There are no slots for this client: its waiting requests get the error, and subscribers find it reported."""
-        if self._clients.get(opened.stream.name) is made:
-            del self._clients[opened.stream.name]
-            made.close(error)
-            if opened.holders.started:  # otherwise it is the stream that cannot be opened, which is reported as that
-                name = opened.stream.name
-                self._on_error(ErrorInfo("no_slots", f"frames of {name!r} do not pass over ZeroMQ: {error}"))
+        Where the stream does not run, that is reported instead.
+        """
+        self.close(name, error)
+        if runs:
+            self._on_error(ErrorInfo("no_slots", f"frames of {name!r} do not pass over ZeroMQ: {error}"))
 
     def busy(self, name: str) -> bool:
         """Whether a single read or write is under way, or was a moment ago."""
-        found = self._clients.get(name)
-        return found is not None and found.busy
+        client = self._clients.get(name)
+        return client is not None and client.busy
 
     def working(self, name: str) -> bool:
         """Whether a single read or write is under way."""
-        found = self._clients.get(name)
-        return found is not None and found.working
+        client = self._clients.get(name)
+        return client is not None and client.working
 
     def refresh(self, opened: OpenStream, subscribed: bool) -> None:
         """Read frames while there are subscribers; close a client that has nothing to do."""
-        found = self._clients.get(opened.stream.name)
-        if found is None and subscribed:
+        client = self._clients.get(opened.stream.name)
+        if client is None and subscribed:
             self.reader(opened)
-        elif found is not None and not found.busy and not subscribed:
+        elif client is not None and not client.busy and not subscribed:
             self.close(opened.stream.name)
 
-    def close(self, name: str, error: CmError | OSError | None = None) -> None:
+    def close(self, name: str, error: Exception | None = None) -> None:
         """Close a stream's client; waiting requests get the error, or are told that the stream was stopped."""
-        found = self._clients.pop(name, None)
-        if found is not None:
-            found.close(error)
+        client = self._clients.pop(name, None)
+        if client is not None:
+            client.close(error)
 
 
 class StalledChannels:
@@ -274,8 +199,7 @@ class RunningStreams:
         self.open: dict[str, OpenStream] = {}
         self._totals = StreamTotals()
         self.failures: dict[str, ErrorInfo] = {}  # by stream of this mode: why it last failed
-        self.locals = LocalClients(self.plane, on_error)
-        self.zmq = ZmqClients(loop, self.plane, subscribers.frame, self._take, on_error)
+        self.zmq = ZmqClients(loop, self.plane, subscribers.frame, self._drive, on_error)
         self._turns = turns
         self._stalled = StalledChannels(devices.probe_dma)
         loop.add(self.plane.fileno(), self._plane_event)
@@ -283,24 +207,32 @@ class RunningStreams:
     def renew(self, slots_each: int) -> None:
         """Set how many slots of a stream one process may hold."""
         self._slots_each = slots_each
-        for opened in self.open.values():
-            opened.holders.each = slots_each
 
     def refresh(self) -> None:
         """Open streams that are wanted, and close those that are no longer wanted."""
         for name in self._stalled.answered() if self._lifecycle.stalled() else ():
-            self._lifecycle.after(name, StreamEvent.ANSWER)
+            self._lifecycle.machine(name).after(StreamEvent.ANSWER)
         for event, stream in self._lifecycle.due(self.users):
             if event is StreamEvent.CLOSE:
                 self.stop(stream.name)
-            else:
-                self._start_quietly(stream)
+                continue
+            try:
+                self._open(stream)
+            except (CmError, OSError) as error:
+                machine = self._lifecycle.machine(stream.name)
+                if machine.phase is StreamPhase.CLOSED:
+                    machine.after(StreamEvent.FAIL)
+                self._could_not_open(stream.name, error)
         for opened in list(self.open.values()):
             self.zmq.refresh(opened, self.has_subscriber(opened.stream))
 
     def users(self, stream: Stream) -> Users:
         """Return who uses a stream now."""
-        return Users(self.has_subscriber(stream), self.locals.use(stream.name), self.zmq.busy(stream.name))
+        return Users(self.has_subscriber(stream), self.used_locally(stream), self.zmq.busy(stream.name))
+
+    def used_locally(self, stream: Stream) -> bool:
+        """Whether clients of the data socket want its frames, or want to write them."""
+        return self._lifecycle.machine(stream.name).is_used
 
     def has_subscriber(self, stream: Stream) -> bool:
         """Whether the stream is an input with at least one subscriber."""
@@ -311,73 +243,114 @@ class RunningStreams:
         self.plane.settle()
         self._plane_event(sys.maxsize)  # each client has two at most
 
-    def running(self, stream: Stream, first: Callable[[OpenStream], object] = lambda _: None) -> OpenStream:
+    def running(self, stream: Stream) -> OpenStream:
         """Return a stream, opened if need be; it starts in a later turn. Raises StreamStopped, Timeout, DeviceError."""
         self._lifecycle.check_may_run(stream.name)
-        return self.open.get(stream.name) or self._start(stream, first)
+        return self.open.get(stream.name) or self._open(stream)
 
-    def attach(
-        self, stream: Stream, client: int, depth: int, peer: Peer, stopped: Callable[[int], object]
-    ) -> Iterator[None]:
-        """Return the steps by which a client joins; if the stream may not run now, it waits, and `stopped` is called.
+    def join(self, stream: Stream, connection: socket.socket, wanted: Open, peer: Peer) -> Iterator[object]:
+        """Make a connection a client of a stream, and wait until it has its slots; the caller closes the connection.
 
-        The steps raise NoSlots or DeviceError; a stream that cannot start is then closed.
+        Where the stream may not run now, or is stopped meanwhile, its client is told so and waits for it. Raises
+        NoSlots, DeviceError; then the connection is no client.
         """
-        opened = self.open.get(stream.name)
-        if opened is not None:
-            return self._watched(opened, opened.holders.join(client, depth, peer, stopped))
-        if not self._lifecycle.may_run(stream.name):
-            stopped(0)
-            return iter(())
-        steps: list[Iterator[None]] = []
-        opened = self._start(stream, lambda o: steps.append(o.holders.join(client, depth, peer, stopped)), paid=True)
-        return self._watched(opened, steps[0])
 
-    def _watched(
-        self, opened: OpenStream, steps: Iterator[None], failed: Callable[[CmError | OSError], object] | None = None
-    ) -> Iterator[None]:
-        """Take the steps; pass an error to `failed`, or raise it, and close the stream if it has not started.
+        def stopped(error: int) -> None:
+            with suppress(OSError):  # so that the client need not infer it from silence; it may have gone
+                connection.send(Descriptor(kind=STOPPED, offset=error).pack())
 
-        That it could not is reported, unless the error is the client's alone.
-        """
+        client, machine = self.plane.adopt(os.dup(connection.fileno())), self._lifecycle.machine(stream.name)
         try:
-            yield from steps
-        except (CmError, OSError) as error:
-            if failed is not None:
-                failed(error)
-            closed = self._not_started(opened, error)
-            if failed is None:
-                raise
-            if closed:
-                self._unopened(opened.stream.name, error, told=isinstance(error, NoSlots))
+            member = machine.join(client, wanted.depth, peer, self._slots_each, stopped)
+            if not self._lifecycle.may_run(stream.name) and stream.name not in self.open:
+                member.settled = True
+                stopped(0)
+                return
+            self._drive(self.open.get(stream.name) or self._open(stream))
+            while not member.settled:
+                yield NOT_YET
+            if member.error is not None:
+                raise member.error
+        except BaseException:
+            machine.left(client)
+            self.plane.drop(client)
+            raise
 
-    def _take(self, opened: OpenStream, steps: Iterator[None], failed: Callable[[CmError | OSError], object]) -> None:
-        """Take the steps as `_watched` does, in turns of the loop of their own."""
-        self._turns.run(self._watched(opened, steps, failed))
+    def _open(self, stream: Stream) -> OpenStream:
+        """Open a stream; its slots come in later turns."""
+        machine = self._lifecycle.machine(stream.name)
+        try:
+            opened = OpenStream(self.plane, self._devices.dma(stream.channel), stream, machine)
+        except DeviceTimeout:
+            with suppress(OSError):  # if it cannot be watched, the next client to open it finds out again
+                self._stalled.probe(stream)
+                machine.after(StreamEvent.STALL)
+            raise
+        self.open[stream.name] = opened
+        machine.open(stream)
+        config = self._lifecycle.config
+        opened.label(config.name if config else "", self._lifecycle.mode or "")
+        self._drive(opened)
+        return opened
 
-    def _not_started(self, opened: OpenStream, error: CmError | OSError) -> bool:
-        """Close a stream that could not get its first slots; a running one goes on without its new client."""
-        name, late = opened.stream.name, isinstance(error, DeviceTimeout)
-        if opened.holders.started or self.open.get(name) is not opened:
-            return False
-        opened.holders.fail(error)
-        self.zmq.close(name, error)
-        (self._stall if late else self.stop)(name, errno.ETIMEDOUT if late else 0)
-        return True
+    def _drive(self, opened: OpenStream) -> None:
+        """Take the steps that a stream needs next, in turns of the loop, unless they are being taken."""
+        if not opened.driven:
+            opened.driven = True
+            self._turns.run(self._steps(opened))
 
-    def stop(self, name: str, error: int = 0) -> None:
+    def _steps(self, opened: OpenStream) -> Iterator[None]:
+        try:
+            while (step := opened.machine.next()) is not None and self.open.get(opened.stream.name) is opened:
+                try:
+                    opened.take(step)
+                except (CmError, OSError) as error:
+                    self._refuse(opened, step, error)
+                yield
+        finally:
+            opened.driven = False
+
+    def _refuse(self, opened: OpenStream, step: Step, error: CmError | OSError) -> None:
+        """A step could not be taken: tell those whom it concerns, and close the stream if it cannot run."""
+        machine, name = opened.machine, opened.stream.name
+        waited = [member.client for member in machine.members.values() if member.settled]
+        refused = machine.failed(step, error, len(opened.slots))
+        runs = machine.phase in OPEN_PHASES
+        for member in refused:
+            if member.ours:
+                self.zmq.refuse(name, member.error or error, runs)
+            elif member.client in waited:
+                self.plane.drop(member.client)
+                self._on_error(ErrorInfo("no_slots", f"a client of {name!r} was hung up on: {member.error}"))
+        if not runs:
+            self._close(opened, errno.ETIMEDOUT if isinstance(error, DeviceTimeout) else 0, error)
+            self._could_not_open(name, error, told=any(isinstance(member.error, NoSlots) for member in refused))
+
+    def stop(self, name: str, error: int = 0, event: StreamEvent = StreamEvent.CLOSE) -> None:
         """Close a stream if it is open, and tell its clients `error` (an errno, or 0)."""
-        opened = self.open.pop(name, None)
-        if opened is None:
-            return
-        self._lifecycle.after(name, StreamEvent.CLOSE)
+        opened = self.open.get(name)
+        if opened is not None:
+            waiting = opened.machine.waiting
+            opened.machine.after(event)
+            for member in waiting:
+                member.stopped(error)
+            self._close(opened, error)
+
+    def _close(self, opened: OpenStream, number: int, error: CmError | OSError | None = None) -> None:
+        """Close a stream that is in another phase by now; a channel that does not answer is watched until it does."""
+        name = opened.stream.name
+        del self.open[name]
         self._totals.add(name, opened.moved())
         if (failure := opened.failure()) is not None:
             self.failures[name] = failure
         try:
-            opened.close(error)
+            if opened.machine.phase is StreamPhase.STALLED:
+                self._stalled.begin(name, opened.release(number))
+            else:
+                opened.close(number)
         finally:
-            self.zmq.close(name)
+            self.zmq.close(name, error)
+            opened.started(error)
 
     def moved(self) -> dict[str, Moved]:
         """What each stream has moved since the manager started, however often it was reopened."""
@@ -394,58 +367,11 @@ class RunningStreams:
         self._loop.remove(self.plane.fileno())
         self.plane.close()
 
-    def _start(
-        self, stream: Stream, first: Callable[[OpenStream], object] = lambda _: None, paid: bool = False
-    ) -> OpenStream:
-        """Open a stream with the client that `first` attaches; `paid`: that client's steps start the stream."""
-        opened = self._opened(stream)
-        try:
-            config, mode = self._lifecycle.config, self._lifecycle.mode
-            opened.label(config.name if config else "", mode or "")
-            waiting = self.locals.attach_all(opened)
-            first(opened)
-            self.zmq.refresh(opened, self.has_subscriber(stream))
-            for client, steps in waiting:
-                self._take(opened, steps, partial(self.locals.refused, opened, client))
-            if not paid:
-                self._take(opened, opened.holders.begin(), lambda _: None)
-        except BaseException:
-            self.stop(stream.name)
-            raise
-        return opened
-
-    def _opened(self, stream: Stream) -> OpenStream:
-        try:
-            opened = OpenStream(self.plane, self._devices.dma(stream.channel), stream, self._slots_each)
-        except DeviceTimeout:
-            with suppress(OSError):  # if it cannot be watched, the next client to open it finds out again
-                self._stalled.probe(stream)
-                self._lifecycle.after(stream.name, StreamEvent.STALL)
-            raise
-        self.open[stream.name] = opened
-        self._lifecycle.after(stream.name, StreamEvent.OPEN)
-        return opened
-
-    def _start_quietly(self, stream: Stream) -> None:
-        try:
-            self._start(stream)
-        except (CmError, OSError) as error:
-            self._unopened(stream.name, error)
-
-    def _unopened(self, name: str, error: CmError | OSError, told: bool = False) -> None:
-        self._lifecycle.could_not_open(name)
-        if told:
-            return
-        code = error.code if isinstance(error, CmError) else "device_error"
-        self._failed(name, ErrorInfo(code, f"stream {name!r} cannot be opened: {error}"))
-
-    def _stall(self, name: str, error: int) -> None:
-        """Close a stream whose channel does not answer; the channel is kept, and watched until it answers again."""
-        opened = self.open.pop(name)
-        self._totals.add(name, opened.moved())
-        self._lifecycle.after(name, StreamEvent.STALL)
-        self._stalled.begin(name, opened.release(error))
-        self.zmq.close(name)
+    def _could_not_open(self, name: str, error: CmError | OSError, told: bool = False) -> None:
+        self._lifecycle.rest(name)
+        if not told:
+            code = error.code if isinstance(error, CmError) else "device_error"
+            self._failed(name, ErrorInfo(code, f"stream {name!r} cannot be opened: {error}"))
 
     def _plane_event(self, most: int = _EVENTS) -> None:
         """Take some of the plane's events; it stays readable while there are more."""
@@ -458,7 +384,8 @@ class RunningStreams:
             if isinstance(event, ClientGone):
                 self._client_gone(event.client)
             elif isinstance(event, ClientLeaves):
-                self.locals.leaves(event.client)
+                for machine in self._lifecycle.machines.values():
+                    machine.leaves(event.client)
             else:
                 self._lost(event.stream, event.error)
         self.refresh()
@@ -466,18 +393,14 @@ class RunningStreams:
     def _client_gone(self, client: int) -> None:
         self.echoes.gone(client)
         self.allocations.gone(client)
-        opened = self.open.get(self.locals.gone(client) or "")
-        if opened is not None:
-            opened.holders.detached(client)
+        for machine in self._lifecycle.machines.values():
+            machine.left(client)
 
     def _lost(self, number: int, error: int) -> None:
         for name in [name for name, opened in self.open.items() if opened.id == number]:
             text = os.strerror(error)
             _LOG.warning("stream %s ended: %s", name, text)
-            if error == errno.ETIMEDOUT:
-                self._stall(name, error)
-            else:
-                self.stop(name, error)
+            self.stop(name, error, StreamEvent.STALL if error == errno.ETIMEDOUT else StreamEvent.CLOSE)
             self._failed(name, ErrorInfo("device_error", f"stream {name!r} ended: {text}"))
 
 
@@ -524,7 +447,7 @@ class Streams:
     def _hold(self, names: Collection[str]) -> None:
         for name in names:
             self._driver.stop(name)
-            self._lifecycle.after(name, StreamEvent.HOLD)
+            self._lifecycle.machine(name).after(StreamEvent.HOLD)
 
     def _enter(self, config: Config | None, mode: str | None, held: Mapping[str, str | None]) -> None:
         for name in self._lifecycle.enter(config, mode, held):
@@ -567,6 +490,8 @@ class Streams:
         def ended(error: Exception | None) -> None:
             if error is not None:
                 take_back()
+            if error is None and stream.name not in self._lifecycle.streams:
+                error = StreamStopped(f"stream {stream.name!r} was stopped: this mode has none of that name")
             done(error or self.status_of(stream.name))
 
         try:
@@ -583,15 +508,15 @@ class Streams:
         if opened is None:
             ended(None)
         else:
-            opened.holders.when_started(ended)
+            opened.when_started(ended)
 
     def _in_use(self, stream: Stream) -> bool:
         """Whether a client would notice a change; a stream that only lingers after its last client is not in use."""
         self._driver.settle()
-        if self._lifecycle.phase(stream.name) in (StreamPhase.CLOSED, StreamPhase.STALLED):
+        if self._lifecycle.machine(stream.name).phase in (StreamPhase.CLOSED, StreamPhase.RESTING, StreamPhase.STALLED):
             return False
         busy = self._lifecycle.set_to_run(stream.name) or self._driver.zmq.working(stream.name)
-        return busy or self._driver.has_subscriber(stream) or self._driver.locals.use(stream.name)
+        return busy or self._driver.has_subscriber(stream) or self._driver.used_locally(stream)
 
     def _check_channel(self, stream: Stream) -> None:
         """Raise InvalidRequest for what the channel cannot do, even if it is not open yet."""
@@ -609,7 +534,7 @@ class Streams:
 
     def read_once(self, name: str, timeout: float, done: Done) -> None:
         """Pass the next frame of a stream to `done`, or a Timeout after `timeout` seconds."""
-        opened = self._driver.running(self.named(name, Direction.S2MM), self._driver.zmq.reader)
+        opened = self._driver.running(self.named(name, Direction.S2MM))
         self._driver.zmq.reader(opened).read_once(timeout or 1.0, done)
 
     def write(self, name: str, data: bytes | memoryview, done: Done, lease: str = "") -> None:
@@ -618,7 +543,7 @@ class Streams:
         self.check_lease(stream, lease)
         self._driver.zmq.writer(self._driver.running(stream)).write(data, done)
 
-    def open_local(self, connection: socket.socket, wanted: Open, peer: Peer) -> Iterator[None]:
+    def open_local(self, connection: socket.socket, wanted: Open, peer: Peer) -> Iterator[object]:
         """Return the steps that make a connection a reader or writer of a stream; the caller closes the connection.
 
         They raise UnknownStream, NoSlots, DeviceError; also HeldBy, if the region is leased to another client and this
@@ -628,15 +553,7 @@ class Streams:
         stream = self.named(wanted.name, Direction.MM2S if writes else Direction.S2MM)
         if writes or stream.backpressure:
             self.check_lease(stream, wanted.lease)
-
-        def stopped(error: int) -> None:
-            with suppress(OSError):  # so that the client need not infer it from silence; it may have gone
-                connection.send(Descriptor(kind=STOPPED, offset=error).pack())
-
-        def join(client: int) -> Iterator[None]:
-            return self._driver.attach(stream, client, wanted.depth, peer, stopped)
-
-        yield from self._driver.locals.adopt(connection, wanted, peer, stream.name, join)
+        yield from self._driver.join(stream, connection, wanted, peer)
 
     def status(self) -> tuple[StreamStatus, ...]:
         """Report all streams of this mode."""

@@ -2,7 +2,7 @@
 """An open stream: its DMA channel and slots, handed to the data plane, which moves the frames; and its figures.
 
 The plane's C thread (`cm.device.data_plane`) does all work per frame; streams are opened, measured and closed here,
-in the loop's thread. `slots` gives them memory and clients.
+in the loop's thread. `machine` says what is to be done, `slots` has the memory.
 """
 
 from __future__ import annotations
@@ -15,13 +15,12 @@ from typing import NamedTuple
 
 from cm.device import AxiDma, DmaBuffer, DmaInfo, DmaType
 from cm.device.data_plane import Plane, StreamCounts, StreamSetup
-from cm.errors import CmError
 from cm.frozen import dataclass, replace
 from cm.manager.status_reports import stream_status
 from cm.schema.model import Direction, Stream
-from cm.server.settings.model import USUAL
 from cm.server.streams.channel_setup import frame_bytes, longest, setup
-from cm.server.streams.slots import SlotHolders, Slots
+from cm.server.streams.machine import Step, StepKind, StreamMachine, StreamPhase
+from cm.server.streams.slots import Slots
 from cm.wire.messages.status import ErrorInfo, FrameInfo, StreamClient, StreamStatus
 from cm.wire.plane_packets import Descriptor, Geometry, encode_geometry, encode_label
 
@@ -88,19 +87,21 @@ class Frame:
     data: memoryview
 
 
-Done = Callable[[Frame | CmError | OSError], None]
+Done = Callable[[Frame | Exception], None]
 
 
 class OpenStream:
     """An open stream."""
 
-    def __init__(self, plane: Plane, dma: AxiDma, stream: Stream, each: int = USUAL.slots_each) -> None:
-        """Take over an open channel, which is closed if this raises. `each`: slots that one process may hold."""
+    def __init__(self, plane: Plane, dma: AxiDma, stream: Stream, machine: StreamMachine) -> None:
+        """Take over an open channel, which is closed if this raises."""
         self._plane = plane
         self._dma = dma
         self.stream = stream
+        self.machine = machine
         self.writes = stream.direction is Direction.MM2S
         self._names = ("", "")
+        self.driven = False  # whether steps are being taken
         try:
             self.setup = setup(dma.info, stream)
             self.id = plane.start(dma, self.setup)
@@ -108,26 +109,49 @@ class OpenStream:
             dma.close()
             raise
         self._slots = Slots(plane, self.id, dma, self.setup.length, self.writes)
-        self.holders = SlotHolders(stream, self._slots, self._attach, each)
+        self._awaiting_start: list[Callable[[Exception | None], None]] = []
 
     @property
     def slots(self) -> list[DmaBuffer]:
         """Its memory; the index is the slot number in the plane's packets."""
         return self._slots.made
 
+    def take(self, step: Step) -> None:
+        """Do what the machine says is next, and report it there. Raises DeviceError."""
+        if step.kind is StepKind.ALLOCATE:
+            self._slots.make_some(step.slots)
+        elif step.kind is StepKind.GIVE:
+            self._slots.give_some(step.slots)
+        elif step.kind is StepKind.FREE:
+            self._slots.free_some()
+        elif step.member is not None and not self._attach(step.member.client, step.member.depth):
+            self.machine.left(step.member.client)
+            return
+        self.machine.took(step, len(self.slots), self._slots.given)
+        if step.kind is StepKind.START:
+            self.started()
+
     def _attach(self, client: int, depth: int) -> bool:
         """Attach a client whose slots exist; return False if the client has gone."""
         return self._plane.attach(client, self.id, depth, encode_geometry(self._geometry(depth)))
+
+    def when_started(self, answer: Callable[[Exception | None], None]) -> None:
+        """Call `answer` with None once the stream has started or been stopped, or with the error that prevents it."""
+        if self.machine.phase is StreamPhase.RUNNING:
+            answer(None)
+        else:
+            self._awaiting_start.append(answer)
+
+    def started(self, error: Exception | None = None) -> None:
+        """Answer those that wait for the start."""
+        waiting, self._awaiting_start = self._awaiting_start, []
+        for answer in waiting:
+            answer(error)
 
     @property
     def channel(self) -> DmaInfo:
         """The channel's properties."""
         return self._dma.info
-
-    @property
-    def clients(self) -> int:
-        """How many clients are attached."""
-        return len(self.holders.peers)
 
     def _geometry(self, depth: int) -> Geometry:
         s = self.stream
@@ -205,7 +229,7 @@ class OpenStream:
         return transfer_error(self._plane.counts(self.id), self.setup)
 
     def _clients(self) -> Iterator[StreamClient]:
-        for client, peer in self.holders.peers.items():
+        for client, peer in self.machine.joined.items():
             counts = self._plane.client_counts(client)
             if counts is not None:
                 yield StreamClient(
@@ -214,7 +238,7 @@ class OpenStream:
 
     def close(self, error: int = 0) -> None:
         """Stop the channel and release everything; clients are told `error`, and keep the memory they have mapped."""
-        self._stop(error)
+        self._plane.stop(self.id, error)
         try:
             self._dma.close()  # frees all slots at once; one by one would take as long as allocating them
         finally:
@@ -222,12 +246,6 @@ class OpenStream:
 
     def release(self, error: int = 0) -> AxiDma:
         """Do the same, but leave the channel open and hand it to the caller."""
-        self._stop(error)
+        self._plane.stop(self.id, error)
         self._slots.close()
         return self._dma
-
-    def _stop(self, error: int) -> None:
-        try:
-            self._plane.stop(self.id, error)
-        finally:
-            self.holders.stop(error)

@@ -7,7 +7,6 @@ import contextlib
 import errno
 import os
 import signal
-import socket
 import threading
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -24,9 +23,8 @@ from cm.device.data_plane import Plane
 from cm.schema.model import Direction, Stream
 from cm.server.devices import BoardDevices
 from cm.server.sockets import Loop
-from cm.server.streams.client_process import Peer
-from cm.server.streams.running import LocalClients, StalledChannels
-from cm.server.streams.slots import AT_ONCE, NoSlots, Slots
+from cm.server.streams.running import StalledChannels
+from cm.server.streams.slots import AT_ONCE, Slots
 from cm.wire import plane_packets as packets
 from cm.wire.messages import requests as rq
 from cm.wire.messages.requests import ConfigureStream
@@ -444,38 +442,6 @@ def test_channels_that_answer_again_are_released_and_named() -> None:
             os.fstat(descriptor)
     for descriptor in (wakes_one, wakes_other):
         os.close(descriptor)
-
-
-def test_a_client_that_waits_is_known_by_its_stream_and_hung_up_on_where_it_gets_no_slots() -> None:
-    dropped: list[int] = []
-    errors: list[ErrorInfo] = []
-    numbers = iter((1, 2, 3))
-    plane: Any = SimpleNamespace(adopt=lambda fd: os.close(fd) or next(numbers), drop=dropped.append)
-    locals_, joined = LocalClients(plane, errors.append), list[tuple[int, int]]()
-
-    def join(client: int, depth: int, peer: Peer) -> Iterator[None]:
-        assert peer.pid == os.getpid()
-        joined.append((client, depth))
-        if depth == 9:
-            raise NoSlots("there are none")
-        return iter([None])
-
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    with ours, theirs:
-        for depth, stream in ((4, "camera"), (9, "camera"), (5, "other")):
-            assert list(
-                locals_.adopt(ours, Open(stream, depth=depth), Peer.of(ours), stream, lambda _: iter([None]))
-            ) == [None]
-    opened: Any = SimpleNamespace(stream=SimpleNamespace(name="camera"), holders=SimpleNamespace(join=join))
-    assert [client for client, _ in locals_.attach_all(opened)] == [1]
-    assert joined == [(1, 4), (2, 9)]
-    assert dropped == [2]
-    assert errors == [ErrorInfo("no_slots", "a client of 'camera' was hung up on: there are none")]
-    assert [locals_.use(name) for name in ("camera", "other", "none")] == [True, True, False]
-    locals_.leaves(1)
-    locals_.leaves(77)  # not known here
-    assert (locals_.use("camera"), locals_.attach_all(opened)) == (False, [])
-    assert [locals_.gone(client) for client in (1, 2, 3, 3)] == ["camera", None, "other", None]
 
 
 def test_a_client_that_waited_for_a_mode_and_gets_no_slots_is_disconnected(

@@ -19,6 +19,7 @@ from cm.errors import InvalidRequest
 from cm.schema.model import Direction, Stream
 from cm.server.streams import stream
 from cm.server.streams.client_process import Peer
+from cm.server.streams.machine import StreamMachine
 from cm.server.streams.stream import Moved, OpenStream
 from cm.wire.messages.status import ErrorInfo, FrameInfo, StreamClient, StreamStatus
 from cm.wire.plane_packets import Descriptor, Geometry, decode_geometry, encode_label
@@ -51,7 +52,14 @@ class Bench:
         self.dma: Any = SimpleNamespace(
             info=channel, allocate=self._allocate, close=lambda: self.log.append("close channel")
         )
-        self.stream = OpenStream(plane, self.dma, wanted)
+        self.machine = StreamMachine(wanted.name)
+        self.stream = OpenStream(plane, self.dma, wanted, self.machine)
+        self.machine.open(wanted)
+
+    def join(self, client: int, depth: int, name: str = "view") -> None:
+        self.machine.join(client, depth, Peer(10 - client, name, 10 - client))
+        while (step := self.machine.next()) is not None:
+            self.stream.take(step)
 
     def _start(self, dma: Any, setup: StreamSetup) -> int:
         assert dma.info.name == "ch0"
@@ -94,13 +102,13 @@ def test_an_open_stream_tells_its_settings_its_counters_and_its_clients() -> Non
         rate=pytest.approx(10.0), latency_us=3.0, limit=2.0, exact=True, max_length=1 << 20, format="yuv422",
         slot_bytes=32,
     )  # fmt: skip
-    list(it.stream.holders.join(1, 4, Peer(9, "view", 9)))
-    list(it.stream.holders.join(2, 4, Peer(8, "gone meanwhile", 8)))
+    it.join(1, 4)
+    it.join(2, 4, "gone meanwhile")
     it.counts.error = errno.ETIMEDOUT
     failed = ErrorInfo("transfer_failed", "a transfer of 32 bytes failed: Connection timed out")
     told = replace(state, slots=10, clients=(StreamClient(9, "view", False, 4, 3, 6, 5),), last_error=failed)
     assert it.stream.status() == told
-    assert (it.stream.failure(), it.stream.clients, it.stream.moved()) == (failed, 2, Moved(7, 1, 2, 700))
+    assert (it.stream.failure(), it.stream.moved()) == (failed, Moved(7, 1, 2, 700))
 
 
 @pytest.mark.parametrize(
@@ -121,12 +129,12 @@ def test_a_client_is_told_the_form_of_frames_and_whose_they_are() -> None:
     it.stream.label("vision", "edges")
     it.stream.label("vision", "edges")  # is known
     assert it.told == [encode_label("camera", "vision", "edges")]
-    list(it.stream.holders.join(1, 6, Peer(9, "view", 9)))
+    it.join(1, 6)
     assert it.geometry == Geometry(
         4096, 32, False, True, True, 6, 16, (4, 4, 2), "uint8", "camera", "vision", "edges", "yuv422"
     )
     it = opened(replace(CAMERA, stride=8))
-    list(it.stream.holders.join(1, 6, Peer(9, "view", 9)))
+    it.join(1, 6)
     assert it.geometry is not None
     assert (it.geometry.stride, it.geometry.writable, it.geometry.cyclic) == (0, False, False)
 
@@ -140,7 +148,7 @@ def test_a_frame_that_is_not_whole_is_described_as_bytes() -> None:
     assert it.stream.info(Descriptor(length=31, sequence=5, timestamp_ns=77)) == part
     plain = opened(replace(CAMERA, format=None))
     assert plain.stream.info(Descriptor(length=32)).format == ""
-    list(plain.stream.holders.join(1, 6, Peer(9, "view", 9)))
+    plain.join(1, 6)
     assert plain.geometry is not None
     assert plain.geometry.format == ""
     it = opened(replace(CAMERA, shape=None, dtype="uint16", format=None), frame_length=64)
@@ -151,22 +159,19 @@ def test_a_frame_that_is_not_whole_is_described_as_bytes() -> None:
 def test_a_stream_that_ends_stops_its_channel_before_it_closes_or_hands_it_over() -> None:
     for keep in (False, True):
         it = opened()
-        list(it.stream.holders.join(1, 4, Peer(9, "view", 9)))
+        it.join(1, 4)
         it.log.clear()
         assert it.slots == list(range(6))
-        stopped: list[int] = []
-        it.stream.holders.join(2, 60, Peer(8, "waits", 8), stopped.append)
         if keep:
             assert it.stream.release(5) is it.dma
         else:
             it.stream.close(5)
         assert it.log == ["stop 5", *["close channel"] * (not keep), *["close slot"] * 6]
-        assert stopped == [5]
 
 
 def test_a_channel_that_cannot_be_used_as_wanted_is_closed() -> None:
     it = opened()
     it.log.clear()
     with pytest.raises(InvalidRequest, match="channel ch0 moves 1048576 at most"):
-        OpenStream(SimpleNamespace(), it.dma, replace(CAMERA, shape=(1 << 10, 1 << 10, 2)))  # type: ignore[arg-type]
+        OpenStream(SimpleNamespace(), it.dma, replace(CAMERA, shape=(1 << 10, 1 << 10, 2)), it.machine)  # type: ignore[arg-type]
     assert it.log == ["close channel"]
