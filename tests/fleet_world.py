@@ -117,7 +117,8 @@ class SimBoard:
         self._begin()
 
     def _begin(self) -> None:
-        self.board = Board(self.name, SimStore(self.world), self, self, lambda: self.world.now)
+        store, world = SimStore(self.world), self.world
+        self.board = Board(self.name, store, self, self, lambda: world.now, sleep=world.sleep)
 
     def start(self, work: Coroutine[Any, Any, Any]) -> asyncio.Task[Any]:
         task = asyncio.get_running_loop().create_task(work)
@@ -354,7 +355,7 @@ class World:
         for end, future in self.sleeping:
             if end <= self.now and not future.done():
                 future.set_result(None)
-        for _ in range(4):  # until the tasks wait again
+        for _ in range(8):  # until the tasks wait again
             await asyncio.sleep(0)
         return bool(self.waiting or self.sleeping)
 

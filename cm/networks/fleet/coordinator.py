@@ -7,6 +7,7 @@
     decide   one transaction: if the claims still stand, all boards are wanted there. Or the lease is revoked
     reconcile  boards look at what is wanted of them now: they stay, or let their managers undo the change
 
+Boards are asked to prepare, and to reconcile after a decision, at the same time as the store: they wait for its word.
 Until that transaction nothing is wanted that was not wanted before; from then on all of it is. If the coordinator
 dies, the store ends its lease, the claims vanish, and no transaction can decide for the change any more.
 """
@@ -17,7 +18,7 @@ import asyncio
 import contextlib
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from cm.errors import Busy
 from cm.networks.fleet.store import (
@@ -41,6 +42,7 @@ from cm.wire.messages.status import ErrorInfo
 Ask = Callable[  # boards, verb → each board's answer, or "no_answer", as it comes
     [Sequence[str], str, FleetStep], AsyncIterator[tuple[str, FleetState | ErrorInfo]]
 ]
+_Asked = dict[str, FleetState | ErrorInfo]  # boards' answers, in the order in which they came
 Progress = Callable[[str, str, FleetState | ErrorInfo], None]  # phase, board, its answer
 LEASE = 5  # seconds that a coordinator may be silent: then others may close its change
 _OPENING = LEASE + 3.0  # seconds for another's change to end: it may be one whose coordinator is dead
@@ -62,12 +64,11 @@ def enough(policy: Policy, members: int, there: int) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """One phase of a change: how long it took, and which board it waited for longest."""
+    """One phase of a change: seconds from the end of the one before, and the board that it waited for longest."""
 
     phase: str  # open, prepare, apply, decide, reconcile
     seconds: float
-    slowest: str = ""  # the board
-    slowest_seconds: float = 0.0
+    slowest: str = ""
 
 
 @dataclass
@@ -152,10 +153,13 @@ class Coordinator:
         self._views: Mapping[str, View] = {}
         self._generation = self._opened = 0
         self._goals: dict[str, tuple[str, str]] = {}
+        self._there_now = [name for name in self.members if name not in self.away]
+        self._early: asyncio.Task[_Asked] | None = None
+        self._ended = 0.0  # the last leg
 
     async def run(self, opening: Opening) -> Course:
-        """Raises Busy, StoreAway, StoreRefused: then no board was asked for anything."""
-        keeping = asyncio.ensure_future(self._keep(opening.lease))
+        """Raises Busy, StoreAway, StoreRefused: then no board was asked to go anywhere."""
+        self._ended, keeping = opening.begun, asyncio.ensure_future(self._keep(opening.lease))
         try:
             try:
                 await self._open(opening)
@@ -168,6 +172,8 @@ class Coordinator:
             await self._decide(opening.lease, there)
         finally:
             keeping.cancel()
+            if self.course.decision is not Decision.KEEP:
+                self._drop()
         if self.course.decision is Decision.KEEP and not self._claims_end:  # decided claims hold nobody up
             await asyncio.gather(self._revoke(opening.lease), self._reconcile())
         else:
@@ -195,10 +201,11 @@ class Coordinator:
             except StoreAway:  # it may have been done, or may still be
                 if late:
                     raise
+            self._drop()
             await self.sleep(0.1)
             found = await self.store.get("")
             newest, self._views = found.get(GENERATION, _NONE), views(found)
-        self.course.legs.append(Leg("open", self.clock() - opening.begun))
+        self._leg_ended("open")
 
     async def _claimed(self, lease: str, newest: Entry) -> bool:
         self._generation = self.course.generation = int(newest.value) + 1
@@ -207,6 +214,7 @@ class Coordinator:
         puts[GENERATION] = Put(str(self._generation))
         expect = {key(name, "wanted"): self._view(name).revision("wanted") for name in self.members}
         expect[GENERATION] = newest.revision  # every opening changes it
+        self._begin("prepare", FleetStep(self.change, self.config, self.mode, self._generation))
         self._opened = await self.store.txn(expect, puts)
         return bool(self._opened)
 
@@ -228,8 +236,8 @@ class Coordinator:
 
     async def _there(self) -> list[str]:
         """Have the boards prepare, and go there; those that did."""
-        asked = [name for name in self.members if name not in self.away]
-        answers = await self._step("prepare", asked, FleetStep(self.change, self.config, self.mode, self._generation))
+        step = FleetStep(self.change, self.config, self.mode, self._generation)
+        answers = await self._step("prepare", self._there_now, step)
         ready = [name for name, state in answers.items() if state.state == "prepared"]
         self._goals = {name: (answers[name].config_name, answers[name].mode) for name in ready}
         self._goals |= {name: self._unasked(name) for name in self.members if name not in ready}
@@ -250,16 +258,34 @@ class Coordinator:
         among = len(self.members) - (len(self.away) if self.policy is Policy.ALL else 0)
         return not self._lost and enough(self.policy, among, len(there))
 
-    async def _leg(self, phase: str, boards: Sequence[str], step: FleetStep) -> dict[str, FleetState | ErrorInfo]:
-        """Ask all at once."""
-        begun, last = self.clock(), Leg(phase, 0.0)
-        found: dict[str, FleetState | ErrorInfo] = {}
+    def _begin(self, phase: str, step: FleetStep) -> None:
+        """Ask all that are there, while the store is asked for what they wait for."""
+        self._early = asyncio.ensure_future(self._answers(phase, self._there_now, step))
+
+    def _drop(self) -> None:
+        """The store did not do it, so their answers mean nothing."""
+        if self._early is not None:
+            self._early.cancel()
+            self._early.add_done_callback(lambda task: task.cancelled() or task.exception())
+            self._early = None
+
+    async def _answers(self, phase: str, boards: Sequence[str], step: FleetStep) -> _Asked:
+        found: _Asked = {}
         async for board, answer in self.ask(boards, phase, step):
             found[board] = answer
-            last = Leg(phase, 0.0, board, self.clock() - begun)
             self.tell(phase, board, answer)
-        self.course.legs.append(replace(last, seconds=self.clock() - begun))
         return found
+
+    async def _leg(self, phase: str, boards: Sequence[str], step: FleetStep) -> _Asked:
+        """Ask all at once, if that was not begun already; the last to answer is the slowest."""
+        early, self._early = self._early, None
+        found = await (early or self._answers(phase, boards, step))
+        self._leg_ended(phase, next(reversed(found), ""))
+        return found
+
+    def _leg_ended(self, phase: str, slowest: str = "") -> None:
+        before, self._ended = self._ended, self.clock()
+        self.course.legs.append(Leg(phase, self._ended - before, slowest))
 
     async def _step(self, phase: str, boards: Sequence[str], step: FleetStep) -> dict[str, FleetState]:
         """A leg before the decision: the states of the boards that answered with one; what went wrong is a cause."""
@@ -273,8 +299,8 @@ class Coordinator:
     # ---- the decision -------------------------------------------------------------------------
 
     async def _decide(self, lease: str, there: Sequence[str]) -> None:
-        begun = self.clock()
         if there and self._enough(there):
+            self._begin("reconcile", FleetStep(self.change))
             self.course.decision = await self._kept()
         else:
             self.course.decision = Decision.REVERT  # nobody else could decide, and we never will
@@ -282,7 +308,7 @@ class Coordinator:
                 self.course.causes.setdefault("the store", ErrorInfo("lease", "the coordinator's lease has ended"))
         if self.course.decision is Decision.REVERT:
             self.course.leased = not await self._revoke(lease)
-        self.course.legs.append(Leg("decide", self.clock() - begun))
+        self._leg_ended("decide")
 
     async def _revoke(self, lease: str) -> bool:
         """False: it runs out by itself, as soon as the store can write that."""
@@ -335,7 +361,10 @@ class Coordinator:
         return Decision.REVERT
 
     async def _reconcile(self) -> None:
-        """Have all boards that can be asked look at what is wanted of them now."""
-        answers = await self._leg("reconcile", [n for n in self.members if n not in self.away], FleetStep(self.change))
+        """Have all boards that can be asked look at what is wanted of them now; again those that did not know it yet."""
+        answers = await self._leg("reconcile", self._there_now, FleetStep(self.change))
+        early = [n for n, answer in answers.items() if isinstance(answer, FleetState) and answer.change == self.change]
+        if early and self.course.decision is Decision.KEEP:
+            answers |= await self._leg("reconcile", early, FleetStep(self.change))
         self.course.states = {name: answer for name, answer in answers.items() if isinstance(answer, FleetState)}
         self.course.silent |= {name: answer for name, answer in answers.items() if isinstance(answer, ErrorInfo)}

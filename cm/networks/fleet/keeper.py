@@ -32,6 +32,7 @@ KEEPER = "keeper"  # what names it as the store
 _LOG = logging.getLogger("cm.fleet")
 _TIMEOUT = 3.0  # seconds for an answer
 _TICK = 0.25  # seconds between two looks at leases
+_PAGES = 64  # of 4 KiB, to which the log of what is not in the file yet grows: SQLite's 1000 fill a small disk for good
 _CHANGED, _ALIVE = f"{STORE}/changed", f"{STORE}/alive"
 OPERATIONS = ("get", "join", "txn", "grant", "keep", "revoke")  # the first two are a board's, the first a reader's
 _UNREADABLE = (ValueError, KeyError, TypeError, AttributeError, ArithmeticError, RecursionError, sqlite3.Error)
@@ -58,6 +59,7 @@ class Ledger:
         try:
             self._file.execute("PRAGMA journal_mode=WAL")
             self._file.execute("PRAGMA synchronous=FULL")  # a transaction that was answered outlives a loss of power
+            self._file.execute(f"PRAGMA wal_autocheckpoint={_PAGES}")
             self._file.executescript(_TABLES)
             leases = self._file.execute("SELECT id, seconds FROM leases").fetchall()
         except sqlite3.Error as error:

@@ -9,7 +9,7 @@ its manager, its disk) are ports, so that a death at every point can be tested.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -22,6 +22,8 @@ from cm.wire.messages.status import ErrorInfo
 Place = tuple[str, str]  # configuration and mode
 NOTHING: Place = ("", "")
 _FIRST, _LONGEST = 2.0, 300.0  # seconds until what failed is tried again: doubled each time
+_PATIENCE = 1.0  # seconds for the store's word about what a coordinator asks for; after that it is read
+_ALONE = 2.0  # seconds without a coordinator's word after which an open change is looked at
 
 
 class NotNow(CmError):
@@ -125,11 +127,14 @@ class Board:
     """One board: what it does for its fleet, it does one after the other."""
 
     def __init__(
-        self, name: str, store: Store, manager: OwnManager, disk: Disk, now: Callable[[], float], follow: str = "fleet"
-    ) -> None:
+        self, name: str, store: Store, manager: OwnManager, disk: Disk, now: Callable[[], float], follow: str = "fleet",
+        sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
+    ) -> None:  # fmt: skip
         """`now` is monotonic; nothing that it says is written down."""
         self._name, self._store, self._manager, self._disk, self._now = name, store, manager, disk, now
-        self._follow = follow
+        self._follow, self._sleep = follow, sleep
+        self._listening: set[asyncio.Future[None]] = set()  # steps that wait for the store's word
+        self._asked = 0.0  # when a coordinator asked last
         self.wake = asyncio.Event()  # set: it has to be looked at, if no step does that meanwhile
         self._one = asyncio.Lock()
         self._notes = disk.read()
@@ -173,6 +178,9 @@ class Board:
         apply: go to the new mode; the answer says whether the board is there. reconcile: as `look`. Raises NotNow if
         the store has no such change open here, or it was not prepared, Busy, Unsettled, and the manager's refusals.
         """
+        self._asked = self._now()
+        if verb != "apply":
+            await self._hear(verb, step)
         async with self._one:
             self.wake.clear()
             if verb == "apply":
@@ -182,6 +190,22 @@ class Board:
             if verb == "prepare":
                 await self._prepare(step, caller)
             return self.state
+
+    async def _hear(self, verb: str, step: FleetStep) -> None:
+        """Wait for the store's word, which a coordinator asks for at the same time: its change is open, or decided."""
+        patience = asyncio.ensure_future(self._sleep(_PATIENCE))
+        try:
+            while self._is_early(verb, step) and not patience.done():
+                self._listening.add(word := asyncio.get_running_loop().create_future())
+                await asyncio.wait((word, patience), return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            patience.cancel()
+
+    def _is_early(self, verb: str, step: FleetStep) -> bool:
+        claim = self._view.open
+        if verb == "prepare":
+            return claim is None and self._notes.part is None
+        return claim is not None and claim.change == step.id
 
     async def _prepare(self, step: FleetStep, caller: str) -> None:
         known = self._notes.part
@@ -249,8 +273,8 @@ class Board:
             return self._store_error
 
     def remind(self) -> None:
-        """Have it looked at, if there is something to do and nobody is at it."""
-        if self.unsettled and not self._one.locked():
+        """Have it looked at, if there is something to do and nobody is at it: who changes the fleet asks soon again."""
+        if self.unsettled and not self._one.locked() and self._now() - self._asked >= _ALONE:
             self.wake.set()
 
     async def _look(self, again: bool = False, step: FleetStep | None = None) -> None:
@@ -284,6 +308,10 @@ class Board:
 
     def _know(self, entries: dict[str, Entry]) -> None:
         self._entries, self._view = entries, views(entries).get(self._name, View())
+        while self._listening:
+            word = self._listening.pop()
+            if not word.done():
+                word.set_result(None)
 
     def _claimed_for(self, step: FleetStep) -> bool:
         claim = self._view.open

@@ -141,6 +141,15 @@ def test_a_lease_begins_anew_with_its_keeper_whatever_the_clock_says(
     assert after.get("") == {}
 
 
+def test_a_keeper_needs_little_of_a_disk_whatever_was_decided_before(
+    ledger: Callable[..., Ledger], tmp_path: Path
+) -> None:
+    store = ledger(tmp_path / "s.sqlite")
+    for number in range(1000):  # some hundred changes
+        store.txn({}, {key(f"b{number % 6}", "wanted"): Put(str(number))})
+    assert sum(path.stat().st_size for path in tmp_path.iterdir()) < 1 << 19
+
+
 def test_a_file_that_is_no_store_is_refused(ledger: Callable[..., Ledger], tmp_path: Path) -> None:
     (tmp_path / "s.sqlite").write_bytes(b"no database" * 100)
     with pytest.raises(StoreRefused, match=r"s\.sqlite"):
