@@ -215,7 +215,7 @@ class Board:
             return
         if not self._claimed_for(step):
             raise NotNow(
-                f"the store has no change {step.id} open on {self._name}: it came too late, or "
+                f"the store has no change {step.id} open here: it came too late, or "
                 "this bridge's --store is another than that of who changes"
             )
         if self.place == NOTHING:
@@ -247,7 +247,7 @@ class Board:
     async def _apply(self, step: FleetStep) -> None:
         part = self._notes.part
         if part is None or part.change != step.id:
-            raise NotNow(f"{self._name} has not prepared change {step.id}, or has gone back already")
+            raise NotNow(f"change {step.id} was not prepared here, or is undone already")
         if part.phase != "prepared":
             return
         self._write(part=replace(part, phase="changing"))
