@@ -26,23 +26,21 @@ ROUNDS ?= 8
 STOPPED ?= 4
 
 .DEFAULT_GOAL := help
-.PHONY: help help-all setup docs web-picture notebooks demo demo-authors demo-open demo-scrub demo-ros demo-fleet device-suite test test-bare test-lowest $(FURTHER:%=test-%) test-c test-node test-go test-rtl test-open test-bench test-ros test-fleet etcd test-images test-vm vm strangers soak soak-fleet fuzz mutation bench bench-compare bench-counts lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb board-bundle release-check layer layer-bitbake clean distclean check-system
+.PHONY: help setup docs demo demo-authors demo-open demo-scrub demo-ros demo-fleet device-suite test test-bare test-lowest $(FURTHER:%=test-%) test-c test-node test-go test-rtl test-open test-bench test-ros test-fleet test-images test-vm vm soak soak-fleet fuzz mutation bench bench-compare lint format wheel deb board-bundle release-check layer clean
 
-help: ## the targets that most people need
+help: ## the targets that most people need, then the others
 	@awk -F':[^#]*## ' '/^[a-z-]+:[^#]*## /{printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F':[^#]*### ' 'BEGIN{print ""} /^[a-z-]+:[^#]*### /{printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-help-all: ## all targets
-	@awk -F':[^#]*###? ' '/^[a-z%-]+:[^#]*###? /{printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
-
-check-system:
-	@./.ci/check-system "$(PYTHON)" "$(VENV)"
+CHECK_SYSTEM = ./.ci/check-system "$(PYTHON)" "$(VENV)"
 
 define install
 	@echo "setting up $(VENV) with $(1)"
 	@.ci/pip-install $(VENV) $(2)
 endef
 
-$(BIN)/python: | check-system
+$(BIN)/python:
+	@$(CHECK_SYSTEM)
 	@$(PYTHON) -m venv $(VENV)
 
 $(STAMP): $(SOURCES) | $(BIN)/python
@@ -98,7 +96,8 @@ test: $(VENV)/.installed-test test-c ## all tests that need no board and no furt
 # Python 3.11 at most: numpy's oldest has no wheel for a newer one.
 LOWEST := build/lowest
 test-lowest: BIN := .venv/bin
-test-lowest: | check-system ### `make test` of the last commit with the oldest version of each package that pyproject.toml allows (PYTHON=python3.11 or 3.10)
+test-lowest: ### `make test` of the last commit with the oldest version of each package that pyproject.toml allows (PYTHON=python3.11 or 3.10)
+	@$(CHECK_SYSTEM)
 	@rm -rf $(LOWEST) && git -c safe.directory='*' clone -q . $(LOWEST) && $(PYTHON) -m venv $(LOWEST)/.venv
 	@.ci/pip-install $(LOWEST)/.venv uv
 	@cd $(LOWEST) && .venv/bin/uv pip install --quiet --python .venv --resolution lowest-direct --editable '.[test]'
@@ -110,12 +109,13 @@ test-web: ### those of the page (apt: chromium)
 test-programs: ### those of C clients, shells, terminals, notebooks and type checkers (apt: the lines of .ci/run; some as root)
 test-release: ### those of packages, wheels and the layer
 test-soak: ### loads and attacks, in short (make soak: in long)
-test-soak strangers: SHARE := load --maxschedchunk=1  # few tests, each long and with a manager of its own
+test-soak soak: SHARE := load --maxschedchunk=1  # few tests, each long and with a manager of its own
 test-programs: $(LINT_STAMP)
 $(FURTHER:%=test-%): test-%: $(VENV)/.installed-test-%
 	$(RUN_TESTS) $(SUITES) --board=sim --suite=$* $(PYTEST_ARGS)
 
-test-c: | check-system
+test-c:
+	@$(CHECK_SYSTEM)
 	@$(MAKE) --no-print-directory -s -j$(CORES) --output-sync -C csrc check $(if $(SANITIZE),SANITIZE=$(SANITIZE))
 
 test-bare: ### README's commands on an empty root of Debian 12 and 13, as a plain user (root; mmdebstrap; BARE=trixie)
@@ -154,13 +154,15 @@ test-images: $(VENV)/.installed-test-design ### overlays on trees of stock image
 test-vm: $(VENV)/.installed-test-design ### kernel modules and the whole manager on a board in QEMU
 	@$(MAKE) --no-print-directory -C tests/vm test PYTHON="$(abspath $(BIN)/python)" TIERS="$(TIERS)" REQUIRED=$(REQUIRED)
 
-demo-fleet: $(VENV)/.installed-zenoh $(if $(filter etcd,$(STORE)),etcd) ## three simulated boards over zenoh: one observes, another decides, the third acts; one is killed and comes back (OUT=DIR, STORE=etcd)
+demo-fleet: $(VENV)/.installed-zenoh ## three simulated boards over zenoh: one observes, another decides, the third acts; one is killed and comes back (OUT=DIR, STORE=etcd)
+	@$(if $(filter etcd,$(STORE)),$(ETCD))
 	@$(BIN)/cm demo --fleet $(if $(STORE),--store $(STORE)) --out $(if $(filter demo,$(OUT)),demo-fleet,$(OUT))
 
-etcd: # whose package starts a member of its own, which nobody needs
-	@command -v etcd >/dev/null || apt-get install -qq -y --no-install-recommends etcd-server etcd-client >/dev/null
+# Its package starts a member of its own, which nobody needs.
+ETCD = command -v etcd >/dev/null || apt-get install -qq -y --no-install-recommends etcd-server etcd-client >/dev/null
 
-test-fleet: $(VENV)/.installed-test-networks etcd ### a fleet over the keeper, and over three members of etcd: ROUNDS=8 changes each, in which something is killed, stopped, cut off, late, lost or full (apt: etcd-server, as root; STOPPED=4 seconds, SEED=1)
+test-fleet: $(VENV)/.installed-test-networks ### a fleet over the keeper, and over three members of etcd: ROUNDS=8 changes each, in which something is killed, stopped, cut off, late, lost or full (apt: etcd-server, as root; STOPPED=4 seconds, SEED=1)
+	@$(ETCD)
 	CM_ETCD=1 $(PYTEST) tests/fleet tests/integration/test_fleet_findings.py -s --fleet-rounds=$(ROUNDS) --stopped=$(STOPPED) --seed=$(SEED) $(PYTEST_ARGS)
 
 soak-fleet: ### the same in long: each phase of a change meets each fault, over both stores (SEED=1; five hours)
@@ -177,17 +179,9 @@ endif
 vm: $(VENV)/.installed-build ## a shell on that board, with a manager running and its ports forwarded
 	@$(MAKE) --no-print-directory -C tests/vm vm PYTHON="$(abspath $(BIN)/python)" TIERS="$(TIERS)"
 
-notebooks: $(VENV)/.installed-test-programs ### run the notebooks of docs on a simulated board, and keep what they show
-	$(BIN)/python docs/notebook_outputs.py
-
-web-picture: $(VENV)/.installed-test-web ### the picture of the page in docs/images, taken by chromium
-	$(BIN)/python docs/web_picture.py
-
-strangers: $(VENV)/.installed-test-soak $(VENV)/.installed-fuzz $(VENV)/.installed-test-networks ### what strangers tried, in ten minutes: attacks on every limit, floods, a hundred killed managers, bad input to every reader (CI: test-soak and fuzz, in short)
+soak: $(VENV)/.installed-fuzz $(FURTHER:%=$(VENV)/.installed-test-%) ### what strangers tried, ten thousand changes of mode, ten thousand upsets, scraped ones too, a thousand in a page, each call that writes to the disk failed, five hundred rounds of replaced schemas, a minute of killed readers, every attack on limits, two regions and random designs by their bits (PLACEMENTS=N, default none), five thousand flipped bits, every virtual board; new examples for the tests that draw some
 	$(RUN_TESTS) $(SUITES) --board=sim --suite=soak --kills=100 --rounds=20 --stress=30 $(PYTEST_ARGS)
 	nice $(BIN)/python tests/fuzz/fuzz.py --minutes 0.1 --jobs $(JOBS)
-
-soak: strangers $(FURTHER:%=$(VENV)/.installed-test-%) ### what strangers tried, ten thousand changes of mode, ten thousand upsets, scraped ones too, a thousand in a page, each call that writes to the disk failed, five hundred rounds of replaced schemas, a minute of killed readers, every attack on limits, two regions and random designs by their bits (PLACEMENTS=N, default none), five thousand flipped bits, every virtual board; new examples for the tests that draw some
 	$(PYTEST) tests/unit tests/fuzz -m hypothesis --hypothesis-profile=search $(PYTEST_ARGS)
 	$(PYTEST) tests/soak --changes=10000 --stress=60 --rounds=300 --kills=1000 --upsets=10000 --failing=0 --builds=500 $(PYTEST_ARGS)
 	CM_SCHEDULES=20000 $(PYTEST) tests/unit/test_fleet_schedules.py -n $(CORES) $(PYTEST_ARGS)
@@ -220,9 +214,6 @@ bench-compare: $(VENV)/.installed-bench ### this tree beside another commit, in 
 		$(abspath .ci/pip-install) .venv --editable . && touch .venv/.installed; }
 	$(BIN)/cm bench --compare $(OTHER) $(if $(QUICK),--quick)
 
-bench-counts: $(VENV)/.installed-test-bench ### record what each route costs, in counts, to tests/bench/counts.json (apt: strace; tests/bench/test_counts.py says when)
-	$(BIN)/python tests/bench/test_counts.py
-
 lint: $(LINT_STAMP) ## ruff, ruff format, mypy (strict; the client for macOS and Windows too), clang-format, licences (reuse)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -245,27 +236,16 @@ format: $(LINT_STAMP) ### format Python and C
 	$(BIN)/ruff check --fix .
 	$(BIN)/clang-format --style=file:csrc/.clang-format -i $(C_FILES)
 
-kmod: ### the kernel modules for one kernel: make kmod KDIR=… ARCH=… CROSS_COMPILE=…
-	$(MAKE) -C kmod $(if $(KDIR),KDIR="$(abspath $(KDIR))")
-
-kmod-lint: ### checkpatch --strict, sparse and W=1 over the kernel modules
-	@kmod/lint.sh || { status=$$?; [ $$status = 3 ] && echo "SKIPPED: see above" || exit $$status; }
-
-kmod-matrix: ### the kernel modules against all supported kernels
-	$(MAKE) -C kmod matrix
-
 ARCHES ?= amd64 arm64 armhf
 RELEASE := build/release
 SDIST = $(RELEASE)/fpga_cm-$(shell sed -n 's/^__version__ = "\(.*\)"/\1/p' cm/_version.py).tar.gz
 export SOURCE_DATE_EPOCH ?= $(shell git log -1 --format=%ct 2>/dev/null || echo 1577836800)
 
-sdist: $(VENV)/.installed-release ### the archive of the sources, into build/release
+wheel: $(VENV)/.installed-release ### the archive of the sources, wheels for ARCHES (amd64 arm64 armhf) and one for any system, into build/release
 	@mkdir -p $(RELEASE)
 	@PYTHONPATH=release $(BIN)/python -c "import backend; backend.build_sdist('$(RELEASE)')" >$(RELEASE)/sdist.log 2>&1 || \
 		{ cat $(RELEASE)/sdist.log; exit 1; }
 	@rm -f $(RELEASE)/sdist.log
-
-wheel: sdist ### wheels for ARCHES (amd64 arm64 armhf) and one for any system, into build/release
 	@rm -f $(RELEASE)/*.whl
 	@python3 release/wheels.py $(ARCHES:%=--arch %) --pure --out $(RELEASE) $(SDIST)
 
@@ -285,20 +265,10 @@ release-check: $(LINT_STAMP) $(VENV)/.installed-test-release ### changelog, vers
 	@mkdir -p $(RELEASE)
 	@$(BIN)/python release/sbom.py $(RELEASE)/fpga-cm.cdx.json
 
-layer-bitbake: $(STAMP) ### the layer under BitBake, offline, to finished packages: OECORE=DIR with clones of openembedded-core, bitbake, meta-openembedded (CHECK_LAYER=1)
-	@release/layer.sh $(BIN)/python >/dev/null
-	@status=0; PYTHON=$(BIN)/python CHECK_LAYER=$(CHECK_LAYER) OECORE="$(OECORE)" tests/bitbake/run.sh $(SERIES) || status=$$?; [ $$status != 77 ] || exit 0; exit $$status
-
 layer: $(VENV)/.installed-release ### the sources into the Yocto layer, and the layer as an archive into build/release
 	@release/layer.sh $(BIN)/python
-
-dtbo: ### device-tree overlays, with and without symbols
-	$(MAKE) -C dts dtbo
 
 clean: ## what was built, but not the environment
 	rm -rf build bench-plots bench.json
 	$(MAKE) -C csrc clean
 	$(MAKE) -C dts clean
-
-distclean: clean ### the environment too
-	rm -rf $(VENV) *.egg-info cm/device/native/_cm.abi3.so cm/wire/cm_pb2.py cm/wire/cm_pb2.pyi

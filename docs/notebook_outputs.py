@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run the notebooks on a simulated board and keep what they show, with small pictures: ``make notebooks``."""
+"""Run the notebooks on a simulated board and keep what they show, with small pictures: ``.venv/bin/python docs/notebook_outputs.py`` after `make test-programs`."""
 
 from __future__ import annotations
 

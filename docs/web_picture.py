@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write ``images/web.webp``, the page of `cm web` on the camera example: ``make web-picture``."""
+"""Write ``images/web.webp``, the page of `cm web` on the camera example: ``.venv/bin/python docs/web_picture.py`` after `make test-web`."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """No route grows unseen: calls and system calls of each, which do not depend on the machine, beside recorded ones.
 
-Run as a script, as `make bench-counts` does, it records what it counts for this version of Python in `counts.json`, and
+Run as a script, it records what it counts for this version of Python in `counts.json`, and
 in `BASE` the commit that was counted.
 """
 
@@ -28,7 +28,7 @@ TIMED = {
     **dict.fromkeys(("request, system calls", "write, system calls", "status, system calls"), 1.15),
 }
 WHY = """
-If that is wanted: commit, `make bench-counts`, and say why under "Counts" of docs/performance.md, which names the
+If that is wanted: commit, run tests/bench/test_counts.py, and say why under "Counts" of docs/performance.md, which names the
 commit of tests/bench/BASE. `make bench-compare` measures both trees in turns.
 """
 
@@ -50,7 +50,7 @@ def allowed(name: str) -> float:
 @pytest.mark.skipif(PYTHON not in recorded(), reason=f"counts are recorded for Python {', '.join(recorded())}")
 def test_no_route_costs_more_than_is_recorded() -> None:
     before, now = recorded()[PYTHON], compare.measured(Path(sys.executable), "counts")
-    assert now.keys() == before.keys(), "other routes or figures than recorded: make bench-counts"
+    assert now.keys() == before.keys(), "other routes or figures than recorded: run this file as a script"
     grown = {name: f"{before[name]} -> {now[name]}" for name in now if now[name] > before[name] * allowed(name)}
     assert not grown, f"{grown}{WHY}"
 

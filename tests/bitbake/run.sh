@@ -22,7 +22,7 @@ for tool in chrpath diffstat gawk lz4c zstd cpio file git pseudo rpm dtc protoc 
 	command -v $tool >/dev/null || skip "$tool is missing (Debian: chrpath diffstat gawk lz4 zstd cpio file pseudo rpm" \
 		"device-tree-compiler protobuf-compiler patch g++-aarch64-linux-gnu python3-build python3-installer libdw-dev)"
 done
-[ -e yocto/meta-cm/recipes-cm/fpga-cm/files/fpga_cm-*.tar.gz ] || skip "the layer has no sources (make layer)"
+release/layer.sh "${PYTHON:-.venv/bin/python}" >/dev/null
 locale -a | grep -qi 'en_US.utf-\?8' || skip "BitBake wants the locale en_US.UTF-8"
 [ $# -gt 0 ] || set -- scarthgap wrynose
 

@@ -130,7 +130,7 @@ def test_there_are_three_of_them_with_what_they_show_and_nothing_of_a_machine(ex
     assert [path.stem for path in NOTEBOOKS] == ["first-look", "focus", "modes"]
     for path in NOTEBOOKS:
         text = path.read_text()
-        assert kinds(json.loads(text)) == kinds(executed[path.stem]), "run: make notebooks"
+        assert kinds(json.loads(text)) == kinds(executed[path.stem]), "run: .venv/bin/python docs/notebook_outputs.py"
         assert len(text) < 150_000
         assert not re.search(r"/(?:home|root|tmp|work|build)/|traceback", text)
 

@@ -66,7 +66,7 @@ def absent(module: str) -> str:
     """What to do about a module that the running kernel does not have at all."""
     if module in OPTIONS:
         return f"{module} is not in this kernel: one with {OPTIONS[module]} is needed (docs/install.md lists some)"
-    return f"{module} is not built for this kernel: apt install fpga-cm-dkms, or make kmod"
+    return f"{module} is not built for this kernel: apt install fpga-cm-dkms, or make -C kmod"
 
 
 def _twice(machine: Machine) -> Iterator[Finding]:
