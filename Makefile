@@ -52,8 +52,18 @@ $(VENV)/.installed-%: $(STAMP)
 	$(call install,what $* needs (once),'fpga-cm[$*]')
 	@touch $@
 
+# Suites that need what others bring together.
+$(VENV)/.installed-test-soak: $(VENV)/.installed-test
+$(VENV)/.installed-test-release: $(VENV)/.installed-test $(LINT_STAMP) $(VENV)/.installed-release
+$(VENV)/.installed-test-soak $(VENV)/.installed-test-release:
+	@touch $@
+
+$(VENV)/.installed-demo-ros: $(STAMP)
+	$(call install,what the demonstration for ROS 2 needs (once),'fpga-cm[zenoh$(COMMA)demo]' 'zenoh-ros2-sdk>=0.1.8')
+	@touch $@
+
 $(LINT_STAMP): $(STAMP)
-	$(call install,what lint needs (once),'fpga-cm[lint$(COMMA)test$(COMMA)build$(COMMA)web$(COMMA)zenoh$(COMMA)metrics$(COMMA)record]')
+	$(call install,what lint needs (once),'fpga-cm[lint$(COMMA)test$(COMMA)build$(COMMA)web$(COMMA)zenoh$(COMMA)record]')
 	@$(BIN)/python -m grpc_tools.protoc -I. --pyi_out=. cm/wire/cm.proto
 	@touch $@
 

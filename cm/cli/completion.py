@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from cm.cli.commands import CommandMissing, find_command
 from cm.cli.parser import RawHelp, build_parser, chosen_command
 from cm.errors import CmError, Timeout
-from cm.extras import installing
 from cm.wire.messages.requests import ListConfigs, ReadConfig, Request
 from cm.wire.messages.status import ConfigInfo, RegisterInfo
 
@@ -49,7 +48,7 @@ def script(shell: str) -> str:
     try:
         from argcomplete.shell_integration import shellcode
     except ModuleNotFoundError:
-        sentence = f"completion needs argcomplete: {installing('completion')}, or Debian's python3-argcomplete"
+        sentence = "completion needs argcomplete: pip install argcomplete, or Debian's python3-argcomplete"
         raise CommandMissing(sentence) from None
     text: str = shellcode(["cm"], shell="bash" if shell == "zsh" else shell)
     if shell == "zsh" and "ZSH_VERSION" not in text:  # argcomplete 2, of Debian 12

@@ -30,7 +30,7 @@ OPTIONAL = {
     "pillow": "fpga-cm[demo]: photographs for the simulated camera",
     "pyslang": "fpga-cm[build]: interfaces of Verilog sources",
     "tree-sitter-vhdl": "fpga-cm[build]: interfaces of VHDL sources",
-    "scipy": "fpga-cm[advise]: cm build partition",
+    "scipy": "fpga-cm[build]: cm build partition",
     "matplotlib": "fpga-cm[bench]: plots",
     "iceoryx2": "fpga-cm[bench]: a baseline",
     "eclipse-zenoh": "fpga-cm[zenoh]: fleets, cm bridge ros",

@@ -23,7 +23,7 @@ class Help(argparse.HelpFormatter):
         super().__init__(prog, **{"width": _columns() - 2, **options})
 
     def _split_lines(self, text: str, width: int) -> list[str]:
-        """Without breaks at hyphens: options, and names such as fpga-cm[view], are to be copied."""
+        """Without breaks at hyphens: options, and names such as fpga-cm[web], are to be copied."""
         import textwrap
 
         return textwrap.wrap(" ".join(text.split()), width, break_on_hyphens=False)

@@ -120,10 +120,8 @@ def lz4_frame() -> Any:
     try:
         return import_module("lz4.frame")
     except ModuleNotFoundError:
-        from cm.extras import installing  # no start waits for it
-
         raise InvalidRequest(
-            f"compressed frames need the package lz4: {installing('lz4')}, or apt install python3-lz4"
+            "compressed frames need the package lz4: pip install lz4, or apt install python3-lz4"
         ) from None
 
 

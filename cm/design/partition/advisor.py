@@ -196,7 +196,7 @@ class _Program:
             from scipy.optimize import Bounds, LinearConstraint, milp
             from scipy.sparse import coo_array
         except ImportError:
-            raise MissingTool(f"the advisor needs scipy: {installing('advise')}") from None
+            raise MissingTool(f"the advisor needs scipy: {installing('build')}") from None
         width = self._worst + 1
         cells = [
             (index, column, value) for index, (row, _, _) in enumerate(self._rows) for column, value in row.items()

@@ -301,7 +301,7 @@ def test_without_argcomplete_the_command_names_what_brings_it_and_tab_does_nothi
     for name in ("argcomplete", "argcomplete.shell_integration"):
         monkeypatch.setitem(sys.modules, name, None)
     assert main(["completion", "bash"]) == 1
-    assert "pip install 'argcomplete>=2.0', or Debian's python3-argcomplete" in capfd.readouterr().err
+    assert "pip install argcomplete, or Debian's python3-argcomplete" in capfd.readouterr().err
     for name, value in {"_ARGCOMPLETE": "1", "COMP_LINE": "cm mode ", "COMP_POINT": "8"}.items():
         monkeypatch.setenv(name, value)
     monkeypatch.setattr(sys, "argv", ["cm", "keygen", "must-not-run"])

@@ -10,7 +10,7 @@ import pytest
 import yaml
 from build_support import NAMES, STREAM_MODULE, copy_examples, project
 
-pytest.importorskip("scipy", reason="needs scipy: the extra [advise] is not installed")
+pytest.importorskip("scipy", reason="needs scipy: the extra [build] is not installed")
 pytest.importorskip("pyslang", reason="needs pyslang: the extra [build] is not installed")
 pytest.importorskip("jinja2", reason="needs jinja2: the extra [build] is not installed")
 
