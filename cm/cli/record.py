@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from cm.cli.common import add_connection_options, add_json_option, answer, write_whole
 from cm.errors import InvalidRequest, NotInstalled
+from cm.extras import installing
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -181,7 +182,7 @@ def repair(args: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         if error.name != "mcap":
             raise
-        raise NotInstalled("cm record repair needs mcap: pip install 'fpga-cm[record]'") from None
+        raise NotInstalled(f"cm record repair needs mcap: {installing('record')}") from None
     target = args.out or args.file.with_name(f"{args.file.stem}-repaired.mcap")
     found = repaired(args.file, target)
     lines = [f"{args.file}: {text}" for text in found.lost]
@@ -210,7 +211,7 @@ def recorder_module() -> None:
     except ModuleNotFoundError as error:
         if error.name != "foxglove":
             raise
-        raise NotInstalled("cm record needs foxglove-sdk: pip install 'fpga-cm[record]'") from None
+        raise NotInstalled(f"cm record needs foxglove-sdk: {installing('record')}") from None
 
 
 def _tell(text: str) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cm.errors import InvalidRequest
+from cm.extras import installing
 from cm.recording.layout import GAP, METADATA, Opened, files_of, opened
 from cm.wire.records import Gap, decode_recorded
 
@@ -29,7 +30,7 @@ class Event(NamedTuple):
 
 def needs_mcap(error: ModuleNotFoundError) -> InvalidRequest:
     """What to say where the library is missing."""
-    return InvalidRequest(f"records need the Python module {error.name}: pip install 'fpga-cm[record]'")
+    return InvalidRequest(f"records need the Python module {error.name}: {installing('record')}")
 
 
 class Record:
@@ -67,35 +68,26 @@ class Record:
         self.problems.clear()
         last = self.opened.started_ns
         for file in self.files:
-            schemas: dict[int, Any] = {}
-            channels: dict[int, Any] = {}
             lost: list[str] = []
             for record in _records(file, lost.append):
                 for text in lost:
                     yield self._gap(file, text, last)
                 lost.clear()
-                kind = type(record).__name__
-                if kind == "Schema":
-                    schemas[record.id] = record
-                elif kind == "Channel":
-                    channels[record.id] = record
-                elif kind == "Message":
-                    if record.channel_id not in channels:  # its description was in a chunk that is lost
-                        _from_summary(file, schemas, channels)
-                    channel = channels.get(record.channel_id)
-                    if channel is None or channel.schema_id not in schemas:
-                        yield self._gap(file, "the channel of a message is lost with an earlier chunk", last)
-                        continue
-                    last = max(last, record.log_time)
-                    if channel.topic != GAP and not wanted(channel.topic):
-                        continue
-                    try:
-                        schema = schemas[channel.schema_id]
-                        value = decode_recorded(schema.name, schema.data, record.data)
-                    except InvalidRequest as error:
-                        yield self._gap(file, f"{channel.topic}: {error}", last)
-                    else:
-                        yield Event(record.log_time, channel.topic, value)
+                if type(record).__name__ != "Described":
+                    continue
+                message, channel, schema = record
+                if channel is None or schema is None:
+                    yield self._gap(file, "the channel of a message is lost with an earlier chunk", last)
+                    continue
+                last = max(last, message.log_time)
+                if channel.topic != GAP and not wanted(channel.topic):
+                    continue
+                try:
+                    value = decode_recorded(schema.name, schema.data, message.data)
+                except InvalidRequest as error:
+                    yield self._gap(file, f"{channel.topic}: {error}", last)
+                else:
+                    yield Event(message.log_time, channel.topic, value)
             for text in lost:
                 yield self._gap(file, text, last)
 
@@ -107,19 +99,9 @@ class Record:
 
 
 def _records(file: Path, lost: Callable[[str], object]) -> Iterator[Any]:
-    """MCAP's records of a file, those in whole chunks too; `lost` is told in words what cannot be read."""
+    """What is whole of a file; `lost` is told in words what cannot be read."""
     try:
-        from cm.recording.salvage import records
+        from cm.recording.salvage import described
     except ModuleNotFoundError as error:
         raise needs_mcap(error) from None
-    return records(file, lost)
-
-
-def _from_summary(file: Path, schemas: dict[int, Any], channels: dict[int, Any]) -> None:
-    """Add what the end of a whole file says again: which messages its channels have."""
-    from cm.recording.salvage import described_at_end
-
-    for schema, channel in described_at_end(file):
-        if schema is not None:
-            schemas.setdefault(schema.id, schema)
-        channels.setdefault(channel.id, channel)
+    return described(file, lost)

@@ -6,13 +6,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from mcap.records import Channel, Header, Message, Metadata, Schema
+from mcap.records import Channel, Header, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 
 from cm.errors import InvalidRequest
 from cm.frozen import dataclass
 from cm.recording.layout import GAP, METADATA, SCHEMAS
-from cm.recording.salvage import described_at_end, records
+from cm.recording.salvage import Described, described
 from cm.wire.records import Gap, descriptor_set, encode_gap
 
 
@@ -48,8 +48,6 @@ class _Copy:
         self._writer = Writer(stream, compression=CompressionType.NONE, use_summary_offsets=False)
         self._began = False
         self._ours = False
-        self._schemas: dict[int, Schema] = {}
-        self._channels: dict[int, Channel] = {}
         self._made: dict[int, int] = {}  # channels of the source → those of the copy
         self._made_schemas: dict[int, int] = {0: 0}
         self._gaps = 0  # the channel of gaps, once there is one
@@ -58,7 +56,7 @@ class _Copy:
         self._messages = self._orphans = self._last = 0
 
     def run(self) -> Repaired:
-        for record in records(self._source, self._lost.append):
+        for record in described(self._source, self._lost.append):
             self._tell()
             self._take(record)
         self._tell()
@@ -74,40 +72,28 @@ class _Copy:
         if isinstance(record, Metadata):
             self._ours = self._ours or record.name == METADATA
             self._writer.add_metadata(record.name, record.metadata)
-        elif isinstance(record, Schema):
-            self._schemas[record.id] = record
-        elif isinstance(record, Channel):
-            self._channels[record.id] = record
-        elif isinstance(record, Message):
+        elif isinstance(record, Described):
             self._copy(record)
 
-    def _copy(self, message: Message) -> None:
-        if message.channel_id not in self._channels:  # its description was in a chunk that is lost
-            self._from_summary()
-        channel = self._channels.get(message.channel_id)
-        if channel is None or (channel.schema_id and channel.schema_id not in self._schemas):
+    def _copy(self, found: Described) -> None:
+        message, channel = found.message, found.channel
+        if channel is None:
             self._orphans += 1
             return
         self._last = max(self._last, message.log_time)
         self._messages += 1
-        number = self._made.get(channel.id) or self._channel(channel)
+        number = self._made.get(channel.id) or self._channel(channel, found.schema)
         self._writer.add_message(number, message.log_time, message.data, message.publish_time, message.sequence)
 
-    def _channel(self, channel: Channel) -> int:
+    def _channel(self, channel: Channel, described: Schema | None) -> int:
         schema = self._made_schemas.get(channel.schema_id)
         if schema is None:
-            found = self._schemas[channel.schema_id]
-            schema = self._made_schemas[found.id] = self._writer.register_schema(found.name, found.encoding, found.data)
+            assert described is not None
+            schema = self._writer.register_schema(described.name, described.encoding, described.data)
+            self._made_schemas[described.id] = schema
         made = self._writer.register_channel(channel.topic, channel.message_encoding, schema, channel.metadata)
         self._made[channel.id] = made
         return made
-
-    def _from_summary(self) -> None:
-        """The end of a whole file says again which channels it has."""
-        for schema, channel in described_at_end(self._source):
-            if schema is not None:
-                self._schemas.setdefault(schema.id, schema)
-            self._channels.setdefault(channel.id, channel)
 
     def _tell(self) -> None:
         """A record of ours says of itself where something is missing."""

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -37,7 +37,38 @@ _CUT = "its recorder was killed, or its disk was full"
 Lost = Callable[[str], object]
 
 
-def records(file: Path, lost: Lost) -> Iterator[Any]:
+class Described(NamedTuple):
+    """A message with its channel, None if that was in a chunk that is lost; the schema is None if there is none."""
+
+    message: Message
+    channel: Channel | None
+    schema: Schema | None
+
+
+def described(file: Path, lost: Lost) -> Iterator[Header | Metadata | Described]:
+    """Headers, metadata and messages in their order; `lost` is told in words what is missing.
+
+    Raises InvalidRequest for a file that cannot be read.
+    """
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
+    for record in _records(file, lost):
+        if isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel):
+            channels[record.id] = record
+        elif isinstance(record, Message):
+            if record.channel_id not in channels:
+                _from_summary(file, schemas, channels)
+            channel = channels.get(record.channel_id)
+            if channel is not None and channel.schema_id and channel.schema_id not in schemas:
+                channel = None
+            yield Described(record, channel, schemas.get(channel.schema_id) if channel is not None else None)
+        else:
+            yield record
+
+
+def _records(file: Path, lost: Lost) -> Iterator[Any]:
     """Headers, metadata, schemas, channels and messages in their order; `lost` is told in words what is missing.
 
     Raises InvalidRequest for a file that cannot be read.
@@ -53,13 +84,13 @@ def records(file: Path, lost: Lost) -> Iterator[Any]:
         raise InvalidRequest(f"{file}: {error.strerror or error}") from error
 
 
-def described_at_end(file: Path) -> Iterator[tuple[Schema | None, Channel]]:
-    """What the end of a whole file says again: its channels, each with its schema. Nothing of a file without one."""
+def _from_summary(file: Path, schemas: dict[int, Schema], channels: dict[int, Channel]) -> None:
+    """Add the channels that the end of a whole file says again, each with its schema."""
     with file.open("rb") as stream, suppress(McapError, struct.error, ValueError, OSError):
         summary = SeekingReader(stream, validate_crcs=True, record_size_limit=file.stat().st_size).get_summary()
         if summary is not None:
-            for channel in summary.channels.values():
-                yield summary.schemas.get(channel.schema_id), channel
+            schemas.update(summary.schemas | schemas)
+            channels.update(summary.channels | channels)
 
 
 class _Walk:

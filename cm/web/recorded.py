@@ -19,7 +19,7 @@ from cm.recording.story import Story, stories
 from cm.web import pictures
 from cm.web.commands import Commands, NotAllowed
 from cm.web.hub import Hub
-from cm.web.shown_streams import Watching, _Watched
+from cm.web.shown_streams import Watched, Watching
 from cm.wire.messages.json_values import plain
 from cm.wire.messages.status import FrameInfo, PastChange, StepTaken
 from cm.wire.records import FrameSeen
@@ -149,7 +149,7 @@ class RecordedFrames(Watching):
         super().__init__(hub)
         self._record = hub
 
-    async def _read(self, stream: str, watched: _Watched) -> None:
+    async def _read(self, stream: str, watched: Watched) -> None:
         shown = None
         while True:
             found = await asyncio.to_thread(self._record.frame, stream)
@@ -166,7 +166,7 @@ class RecordedFrames(Watching):
             except asyncio.TimeoutError:  # another page may want it drawn otherwise
                 continue
 
-    async def _show_recorded(self, stream: str, watched: _Watched, info: FrameInfo, data: bytes) -> None:
+    async def _show_recorded(self, stream: str, watched: Watched, info: FrameInfo, data: bytes) -> None:
         about = {"sequence": info.sequence, "mode": info.mode}
         try:
             frame = np.frombuffer(data, np.dtype(info.dtype)).reshape(info.shape or (-1,))

@@ -33,7 +33,7 @@ class Wanted:
     near: bool
 
 
-class _Watched:
+class Watched:
     """A stream that at least one page shows."""
 
     def __init__(self) -> None:
@@ -54,11 +54,11 @@ class Watching:
 
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
-        self._streams: dict[str, _Watched] = {}
+        self._streams: dict[str, Watched] = {}
 
     def watch(self, watcher: Hashable, stream: str, wanted: Wanted, on_picture: OnPicture) -> None:
         """Call `on_picture` with the stream's name for each new one."""
-        watched = self._streams.setdefault(stream, _Watched())
+        watched = self._streams.setdefault(stream, Watched())
         watched.watchers[watcher] = (wanted, on_picture)
         if watched.task is None:
             watched.task = asyncio.create_task(self._read(stream, watched))
@@ -98,7 +98,7 @@ class Watching:
     def _tell(self) -> None:
         self._hub.topics.tell("watched", {name: watched.problem for name, watched in self._streams.items()})
 
-    async def _read(self, stream: str, watched: _Watched) -> None:
+    async def _read(self, stream: str, watched: Watched) -> None:
         while True:
             await self._hub.connected.wait()
             try:
@@ -108,7 +108,7 @@ class Watching:
                 self._tell()
             await asyncio.sleep(_REREAD)
 
-    async def _read_on(self, stream: str, watched: _Watched) -> None:
+    async def _read_on(self, stream: str, watched: Watched) -> None:
         board, status = self._hub.board, self._hub.status
         if board is None or status is None:
             return
@@ -121,7 +121,7 @@ class Watching:
             self._tell()
             await self._show(stream, watched, opened)
 
-    async def _show(self, stream: str, watched: _Watched, opened: Stream) -> None:
+    async def _show(self, stream: str, watched: Watched, opened: Stream) -> None:
         making: asyncio.Task[None] | None = None
         due = 0.0
         try:
@@ -139,7 +139,7 @@ class Watching:
             if making is not None:
                 await asyncio.gather(making, return_exceptions=True)  # to its end: a thread reads the frame
 
-    async def _make(self, stream: str, watched: _Watched, frame: Frame) -> None:
+    async def _make(self, stream: str, watched: Watched, frame: Frame) -> None:
         about: dict[str, Any] = {"sequence": frame.sequence, "mode": frame.info.mode}
         try:
             made = {

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from cm.errors import InvalidRequest, NotFound, NotInstalled
+from cm.extras import installing
 
 _IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _CHANNELS = {"mono8": 1, "8UC1": 1, "rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "8UC3": 3}
@@ -62,7 +63,7 @@ def _image(message: Any, kind: str) -> Any:
     try:
         from PIL import Image
     except ModuleNotFoundError:
-        raise NotInstalled("pictures need Pillow: pip install 'fpga-cm[demo]'") from None
+        raise NotInstalled(f"pictures need Pillow: {installing('demo')}") from None
     data = bytes(message.data)
     if kind == _IMAGES[1]:
         return Image.open(io.BytesIO(data)).convert("L")
