@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run the notebooks on a simulated board and keep what they show, with small pictures: ``.venv/bin/python docs/notebook_outputs.py`` after `make test-programs`."""
+"""Run the notebooks on a simulated board and keep what they show, with small pictures.
+
+After `make test-programs`: ``.venv/bin/python docs/notebook_outputs.py``.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write ``images/web.webp``, the page of `cm web` on the camera example: ``.venv/bin/python docs/web_picture.py`` after `make test-web`."""
+"""Write ``images/web.webp``, the page of `cm web` on the camera example.
+
+After `make test-web`: ``.venv/bin/python docs/web_picture.py``.
+"""
 
 from __future__ import annotations
 

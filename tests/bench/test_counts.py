@@ -28,8 +28,8 @@ TIMED = {
     **dict.fromkeys(("request, system calls", "write, system calls", "status, system calls"), 1.15),
 }
 WHY = """
-If that is wanted: commit, run tests/bench/test_counts.py, and say why under "Counts" of docs/performance.md, which names the
-commit of tests/bench/BASE. `make bench-compare` measures both trees in turns.
+If that is wanted: commit, run tests/bench/test_counts.py, and say why under "Counts" of docs/performance.md, which
+names the commit of tests/bench/BASE. `make bench-compare` measures both trees in turns.
 """
 
 pytestmark = pytest.mark.timeout(600)
