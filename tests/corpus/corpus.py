@@ -2,11 +2,10 @@
 """Bitstreams of other people's repositories: what we say of each, beside what we said before.
 
     python tests/corpus/corpus.py FOLDER            # one folder below for each repository (owner+name)
-    python tests/corpus/corpus.py FOLDER --update   # write the list of verdicts anew
-    python tests/corpus/corpus.py FOLDER --table    # the table of README.md
+    python tests/corpus/corpus.py FOLDER --update   # write the list of verdicts again
 
 The files themselves are nobody's to pass on: the list holds their sha256, what is expected, and where
-they were found. A repository is a clone, or its files with `COMMIT` (hash and date) beside them.
+they were found.
 """
 
 from __future__ import annotations
@@ -14,11 +13,9 @@ from __future__ import annotations
 import argparse
 import gzip
 import hashlib
-import subprocess
 import sys
 import zipfile
 import zlib
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -105,17 +102,6 @@ def expected() -> dict[str, tuple[str, str]]:
     return {sha256: (said, place) for sha256, said, place in rows}
 
 
-def commit(folder: Path) -> tuple[str, str]:
-    """Return hash and date of what was fetched."""
-    if (folder / "COMMIT").is_file():
-        sha, _, date = (folder / "COMMIT").read_text().strip().partition(" ")
-        return sha, date
-    command = ["git", "-C", str(folder), "log", "-1", "--format=%H %cs"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    sha, _, date = done.stdout.strip().partition(" ")
-    return sha or "unknown", date or "unknown"
-
-
 def update(corpus: Path) -> None:
     """Write the list from what is said now."""
     lines = ["# SPDX-License-Identifier: Apache-2.0", "# sha256, verdict, owner/repository:path; made by corpus.py"]
@@ -124,32 +110,6 @@ def update(corpus: Path) -> None:
         if listed(sample, verdict):
             lines.append(f"{sample.sha256}\t{verdict.said}\t{sample.repository}:{sample.path}")
     LIST.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def table(corpus: Path) -> str:
-    """Return the table of the documentation."""
-    good: Counter[str] = Counter()
-    kinds: dict[str, Counter[str]] = {}
-    refused: dict[str, Counter[str]] = {}
-    for sample in samples(corpus):
-        verdict = judge(sample.data)
-        if not listed(sample, verdict):
-            continue
-        counts = refused.setdefault(sample.repository, Counter())
-        if verdict.said == GOOD:
-            good[sample.repository] += 1
-            kinds.setdefault(sample.repository, Counter())[f"{verdict.device} {verdict.kind.split(',')[0]}"] += 1
-        else:
-            counts[verdict.said] += 1
-    rows = ["| repository | commit, date | good | refused, why |", "|---|---|---:|---|"]
-    for repository, counts in sorted(refused.items(), key=lambda item: item[0].lower()):
-        sha, date = commit(corpus / repository.replace("/", "+", 1))
-        why = "; ".join(f"{count} {code.replace(',', ', ')}" for code, count in sorted(counts.items()))
-        what = ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.get(repository, Counter()).items()))
-        shown = f"{good[repository]}" + (f" ({what})" if what and len(what) < 90 else "")
-        rows.append(f"| {repository} | `{sha[:12]}`, {date} | {shown} | {why} |")
-    rows.append(f"| **together** | | {sum(good.values())} | {sum(sum(c.values()) for c in refused.values())} |")
-    return "\n".join(rows)
 
 
 def report(corpus: Path) -> int:
@@ -171,15 +131,10 @@ def main() -> int:
     assert __doc__ is not None
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("corpus", type=Path, metavar="FOLDER")
-    action = parser.add_mutually_exclusive_group()
-    action.add_argument("--update", action="store_true", help="write the list of verdicts anew")
-    action.add_argument("--table", action="store_true", help="print the table of the documentation")
+    parser.add_argument("--update", action="store_true", help="write the list of verdicts again")
     args = parser.parse_args()
     if args.update:
         update(args.corpus)
-        return 0
-    if args.table:
-        print(table(args.corpus))
         return 0
     return report(args.corpus)
 

@@ -2,7 +2,6 @@
 """HDL of others: what is found in modules of public repositories, beside verdicts written from their sources.
 
     python tests/corpus/hdl_corpus.py FOLDER            # one folder below for each repository (owner+name)
-    python tests/corpus/hdl_corpus.py FOLDER --table    # the table of docs/build-interfaces.md
     python tests/corpus/hdl_corpus.py FOLDER --say REPOSITORY TOP…    # what is found now
 
 A verdict is a line of `hdl_verdicts.tsv`: repository, module, parameters, and what there is to find, in the order of
@@ -13,8 +12,6 @@ clock and reset; interrupts; and `ask:` with the streams that only a person know
 from __future__ import annotations
 
 import argparse
-import subprocess
-from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -110,46 +107,15 @@ def judged(corpus: Path) -> Iterator[tuple[Case, str]]:
             yield from ((case, said) for case, (_, _, said) in zip(some, found, strict=True))
 
 
-def asked(case: Case) -> bool:
-    """Whether a person has to say something."""
-    return "ask:" in case.wanted or "?" in case.wanted
-
-
-def _commit(folder: Path) -> str:
-    done = subprocess.run(
-        ["git", "-C", str(folder), "log", "-1", "--format=%h, %cs"], capture_output=True, text=True, check=False
-    )
-    return done.stdout.strip() or "unknown"
-
-
-def table(corpus: Path) -> str:
-    """Markdown: by repository, commit and date, modules, as by hand, of these asked."""
-    count: dict[str, Counter[str]] = {}
-    for case, said in judged(corpus):
-        kind = "other" if said != case.wanted else "asked" if asked(case) else "exact"
-        count.setdefault(case.repository, Counter())[kind] += 1
-    lines = ["| repository | commit, date | modules | exact | asked | other |", "|---|---|---:|---:|---:|---:|"]
-    whole: Counter[str] = sum(count.values(), Counter())
-    for name, kinds in [*count.items(), ("**together**", whole)]:
-        date = _commit(corpus / name) if name in FILES else ""
-        numbers = " | ".join(str(kinds[kind]) for kind in ("exact", "asked", "other"))
-        lines.append(f"| {name.replace('+', '/', 1)} | {date} | {kinds.total()} | {numbers} |")
-    return "\n".join(lines)
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("corpus", type=Path, metavar="FOLDER")
-    parser.add_argument("--table", action="store_true", help="print the table of the docs")
     parser.add_argument("--say", nargs="+", metavar="NAME", help="print what is found in modules of a repository")
     args = parser.parse_args()
     if args.say:
         repository, *tops = args.say
         for found in modules(args.corpus, repository, [(top, "") for top in tops]):
             print(repository, *found, sep="\t")
-        return 0
-    if args.table:
-        print(table(args.corpus))
         return 0
     wrong = [(case, said) for case, said in judged(args.corpus) if said != case.wanted]
     for case, said in wrong:
