@@ -107,6 +107,11 @@ def judged(corpus: Path) -> Iterator[tuple[Case, str]]:
             yield from ((case, said) for case, (_, _, said) in zip(some, found, strict=True))
 
 
+def asked(case: Case) -> bool:
+    """Whether a person has to say something."""
+    return "ask:" in case.wanted or "?" in case.wanted
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("corpus", type=Path, metavar="FOLDER")
