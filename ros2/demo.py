@@ -59,9 +59,7 @@ def light_route(runtime: Path) -> Iterator[list[str]]:
     from cm.tools.bench.peers.zenoh_pictures import routing
 
     router, where = routing()
-    words = child.command(
-        "cm.cli.main", "bridge", "ros", "--runtime-dir", str(runtime), "--domain", "0", "--write", "frames"
-    )
+    words = child.command("cm.cli.main", "bridge", "ros", "--runtime-dir", str(runtime), "--write", "frames")
     with running([*words, "--router", where], {}, stderr=subprocess.PIPE) as bridge:
         assert bridge.stderr is not None
         while b"cm bridge: /" not in (line := bridge.stderr.readline()):

@@ -70,11 +70,6 @@ def add_fleet_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser
         "--settings", type=Path, metavar="FILE", help="settings whose policy of signatures applies to bundles"
     )
     parser.add_argument(
-        "--own-name",
-        action="store_true",
-        help="ask the manager in the bridge's own name, whoever asks: only for a network that nobody else can use",
-    )
-    parser.add_argument(
         "--lease",
         type=parsed("a time of 1 s or more", float, lambda value: 1 <= value < 1e6),
         default=10.0,
@@ -113,7 +108,6 @@ def _options(args: argparse.Namespace) -> Options:
         args.keys,
         _name(args.name, network.config),
         tuple(args.label),
-        args.own_name,
         _importer(args.import_to, args.settings, args.after_import) if args.import_to else None,
         args.follow,
         args.join or bool(member_of(network.config)),

@@ -30,14 +30,13 @@ def add_ros_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser])
         help="make a board a ROS 2 node for rmw_zenoh, without ROS and without DDS",
         description="Serve the board as a ROS 2 node for nodes with RMW_IMPLEMENTATION=rmw_zenoh_cpp, Jazzy or later: "
         "topics, services, parameters and the action change_mode. Like them, it finds others through the zenoh router "
-        "on this machine (ros2 run rmw_zenoh_cpp rmw_zenohd, zenohd or cm fleet router), and reads "
+        "on this machine (ros2 run rmw_zenoh_cpp rmw_zenohd, zenohd or cm fleet router), and reads ROS_DOMAIN_ID, "
         "ZENOH_SESSION_CONFIG_URI and ZENOH_CONFIG_OVERRIDE. docs/ros2.md lists the names, and says what serves a "
         "board to other middlewares.",
     )
     add_connection_options(parser)
     parser.add_argument("--name", default="cm", help="the node's name (cm)")
     parser.add_argument("--namespace", default="/", help="the node's namespace, such as /kria (/)")
-    parser.add_argument("--domain", type=int, metavar="N", help="the ROS domain (default: $ROS_DOMAIN_ID, or 0)")
     parser.add_argument(
         "--router",
         default="",
@@ -81,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
     from cm.networks.ros.node import NodeName
 
     name, writes = NodeName(args.name, args.namespace), writes_named(args.write)
-    transport = ZenohTransport(name, domain_of(args), args.router)
+    transport = ZenohTransport(name, domain(), args.router)
     try:
         serve(args, transport, name, writes)
     finally:
@@ -89,15 +88,12 @@ def run(args: argparse.Namespace) -> int:
     end()
 
 
-def domain_of(args: argparse.Namespace) -> int:
-    """The domain that was named, or ROS_DOMAIN_ID. Raises InvalidRequest for an invalid one."""
+def domain() -> int:
+    """ROS_DOMAIN_ID. Raises InvalidRequest for an invalid one."""
     text = os.environ.get("ROS_DOMAIN_ID") or "0"
-    if args.domain is None and not text.isdecimal():
+    if not text.isdecimal() or int(text) > _MOST:
         raise InvalidRequest(f"ROS_DOMAIN_ID is {text!r}; a number from 0 to {_MOST} is wanted")
-    number = int(text) if args.domain is None else int(args.domain)
-    if not 0 <= number <= _MOST:
-        raise InvalidRequest(f"domain {number}: a number from 0 to {_MOST} is wanted")
-    return number
+    return int(text)
 
 
 def serve(args: argparse.Namespace, transport: Transport, name: NodeName, writes: frozenset[str]) -> None:

@@ -11,9 +11,7 @@ from typing import Any
 
 from cm.cli.build import add_define_option, add_parameter_option
 from cm.cli.common import add_json_option, print_json, print_table
-from cm.design.hdl.compare_ipxact import Difference, compare
 from cm.design.hdl.extract import Sources
-from cm.design.hdl.ipxact import load_component_xml
 from cm.design.hdl.model import ModuleInfo, Problem, Reset
 from cm.design.hdl.user_protocols import load_protocols
 from cm.design.input_kinds import read_inputs
@@ -37,24 +35,19 @@ def fill_interfaces(parser: argparse.ArgumentParser) -> None:
     add_define_option(parser)
     add_parameter_option(parser)
     parser.add_argument("--protocols", type=Path, metavar="FILE", help="your own protocols (YAML)")
-    parser.add_argument("--ipxact", type=Path, metavar="FILE", help="compare with this component.xml")
     add_json_option(parser, run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print what was found; 0 even if something could not be determined."""
     modules, problems = _modules(args)
-    stated = load_component_xml(args.ipxact) if args.ipxact else None
-    differences = {
-        m.name: compare(m, stated) for m in modules if stated and (len(modules) == 1 or m.name == stated.name)
-    }
     if args.json:
-        found = [as_dict(module, differences.get(module.name)) for module in modules]
+        found = [as_dict(module) for module in modules]
         found[0]["problems"] += [_problem(problem) for problem in problems]
         print_json(found[0] if len(found) == 1 else found)
         return 0
     for module in modules:
-        _print(module, differences.get(module.name))
+        _print(module)
     for problem in problems:
         print(f"warning: {problem}")
     return 0
@@ -67,9 +60,9 @@ def _modules(args: argparse.Namespace) -> tuple[list[ModuleInfo], Sequence[Probl
     return [one.flat if args.top else one.info for one in given], problems
 
 
-def as_dict(module: ModuleInfo, differences: Sequence[Difference] | None = None) -> dict[str, Any]:
+def as_dict(module: ModuleInfo) -> dict[str, Any]:
     """A module as JSON has it: interfaces, and what was left over."""
-    result: dict[str, Any] = {
+    return {
         "module": module.name,
         **_fields(module, "file", "line", "language"),
         "parameters": {p.name: p.value for p in module.parameters if not p.local},
@@ -85,9 +78,6 @@ def as_dict(module: ModuleInfo, differences: Sequence[Difference] | None = None)
         ],
         "problems": [_problem(problem) for problem in module.problems],
     }
-    if differences is not None:
-        result["differences"] = [_fields(d, "kind", "name", "message") for d in differences]
-    return result
 
 
 _INTERFACE = (
@@ -104,7 +94,7 @@ def _problem(problem: Problem) -> dict[str, Any]:
     return _fields(problem, "message", "file", "line", "fatal")
 
 
-def _print(module: ModuleInfo, differences: Sequence[Difference] | None) -> None:
+def _print(module: ModuleInfo) -> None:
     print(f"{module.name} ({module.language.value}, {module.file})\n")
     _interfaces(module)
     _section("clocks", (f"{c.port} → {', '.join(c.interfaces) or 'no bus'}" for c in module.clocks))
@@ -112,8 +102,6 @@ def _print(module: ModuleInfo, differences: Sequence[Difference] | None) -> None
     _section("interrupts", (f"{i.port} ({'out' if i.mode.value == 'master' else 'in'})" for i in module.interrupts))
     _print_leftovers(module)
     _section("problems", map(str, module.problems))
-    if differences is not None:
-        _section("differences to IP-XACT", [str(d) for d in differences] or ["none"])
     print()
 
 

@@ -30,26 +30,15 @@ def fill_partition(parser: argparse.ArgumentParser) -> None:
     )
     percent = parsed("a number above 0 and at most 100", lambda s: float(s.removesuffix("%")), lambda v: 0 < v <= 100)
     count = parsed("a number of regions", digits, lambda value: value > 0)
-    rate = parsed("a number above 0", float, lambda value: 0 < value < 1e9)
     seconds = parsed("a time in seconds", float, lambda value: 0 < value < 1e6)
     add_schema_argument(parser)
     parser.add_argument("--objective", choices=("worst", "mean"), default="worst", help="default: worst")
-    parser.add_argument("--rate", type=rate, metavar="MB/S", help="rate of the configuration port (default: its limit)")
     parser.add_argument(
         "--budget",
         type=percent,
         default=100.0,
         metavar="PERCENT",
         help="how much of the device all regions may take together (default: what the static part leaves)",
-    )
-    parser.add_argument(
-        "--reports",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="DIR",
-        help="folder with synth_<module>.utilization.rpt or <module>.rpt, as report_utilization writes them"
-        " (default: build/reports beside the build schema)",
     )
     parser.add_argument("--regions", type=count, metavar="N", help="at most N regions")
     parser.add_argument(
@@ -71,13 +60,12 @@ def fill_partition(parser: argparse.ArgumentParser) -> None:
 def run_partition(args: argparse.Namespace) -> int:
     """Print both assignments with their figures."""
     project = load_project(args.schema)
-    folders = args.reports or [output_folder(project, None) / "reports"]
+    folders = [output_folder(project, None) / "reports"]
     project, reports = with_reports(project, folders)
-    rate = args.rate * 1e6 if args.rate else None
     path = static_report(folders)
     static = read_utilisation(path) if path else None
     analysis = analyse(project)
-    problem = problem_of(project, analysis, rate, static, args.budget / 100, args.regions)
+    problem = problem_of(project, analysis, None, static, args.budget / 100, args.regions)
     if path is not None:
         reports |= {"static part": path}
     today = evaluate(problem, todays_groups(project, problem))

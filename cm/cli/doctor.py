@@ -48,9 +48,10 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
         "is missing or denied."
     )
     parser.add_argument(
-        "--root", metavar="DIR", help="folder that holds the board's /dev and /sys (default: $CM_ROOT, /)"
+        "--root",
+        metavar="DIR",
+        help="folder that holds the board's /dev and /sys (default: $CM_ROOT, /); all of it is listed",
     )
-    parser.add_argument("--all", action="store_true", help="list everything on a machine that is no board, too")
     parser.add_argument("--report", action="store_true", help="print a form to report a run on a board with, filled in")
     add_board_options(parser, run)
 
@@ -67,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
     elif args.json:
         told = [plain(finding) for finding in findings]
         print_json({"usable": not verdict, "problems": verdict, "simulated": found.simulated, "findings": told})
-    elif args.all or found.usable or _expected(found):
+    elif args.root or found.usable or _expected(found):
         _print(findings, verdict, found)
     else:
         _print_briefly(findings, verdict)
@@ -190,7 +191,9 @@ def _print_briefly(findings: Sequence[Finding], verdict: list[str]) -> None:
     )
     for mark, kind, text in rows:
         print(f"{painted(f'{mark:8}', _COLOURS[mark], sys.stdout)} {kind:9} {text}")
-    print("no FPGA here: 'cm serve --sim' brings a simulated board ('cm doctor --all' lists what a board would have)")
+    print(
+        "no FPGA here: 'cm serve --sim' brings a simulated board ('cm doctor --root /' lists what a board would have)"
+    )
 
 
 def _print(findings: Sequence[Finding], verdict: list[str], found: Survey) -> None:

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cm.cli.common import add_json_option, answer, digits, naming, parsed, print_json
+from cm.cli.common import add_json_option, answer, naming, print_json
 from cm.errors import CmError
 from cm.extras import installing
 from cm.formats.importers import Imported, import_dfx_mgr, import_pynq, unpack, write
@@ -43,13 +43,6 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
     packed.add_argument("source", type=Path, metavar="FILE.tar.gz")
     packed.add_argument(
         "--out", type=Path, metavar="DIR", default=FIRMWARE, help=f"unpack below this folder ({FIRMWARE})"
-    )
-    count = parsed("a number of versions", digits, lambda value: value >= 0)
-    packed.add_argument(
-        "--keep",
-        type=count,
-        metavar="N",
-        help="earlier versions to keep for a rollback (default: imports.keep of the settings, 3)",
     )
     packed.add_argument(
         "--settings", type=Path, metavar="FILE", help="settings whose policy of signatures applies (/etc/cm/cm.yaml)"
@@ -102,7 +95,7 @@ def _overlay_of(design: Any, config: Any, names: Any, notes: list[str]) -> dict[
 def run_archive(args: argparse.Namespace) -> int:
     """Unpack; 0 unless the archive is refused."""
     with naming(args.out):
-        done, found = unpack_signed(args.source, args.out, args.settings, args.keep)
+        done, found = unpack_signed(args.source, args.out, args.settings)
     told = {key: value for key, value in (("signer", found.signer), ("warning", found.warning)) if value}
     if not args.json and found.warning:
         print(f"warning: {found.warning}", file=sys.stderr)
@@ -113,9 +106,7 @@ def run_archive(args: argparse.Namespace) -> int:
     return answer(args, answered, f"{done.folder}: configuration {done.config.name}, {counts}")
 
 
-def unpack_signed(
-    archive: Path, out: Path, settings: Path | None, keep: int | None = None
-) -> tuple[Unpacked, Judgement]:
+def unpack_signed(archive: Path, out: Path, settings: Path | None) -> tuple[Unpacked, Judgement]:
     """Unpack an archive under the settings' policy of signatures, and keep as many earlier versions as they say.
 
     Raises what `unpack` does, and SignatureRefused.
@@ -129,7 +120,7 @@ def unpack_signed(
     def asked(folder: Path, name: str, installed: Path) -> None:
         found.append(judge(folder, name, policy, installed))
 
-    return unpack(archive, out, said.imports.keep if keep is None else keep, asked), found[-1]
+    return unpack(archive, out, said.imports.keep, asked), found[-1]
 
 
 def read_settings(path: Path | None) -> Settings:

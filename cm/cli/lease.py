@@ -35,7 +35,7 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True, parser_class=_Parser)
     taking = actions.add_parser(
         "take",
-        usage="%(prog)s SCOPE [--seconds N | -- COMMAND ...] [--shared] [--holder NAME]",
+        usage="%(prog)s SCOPE [--seconds N | -- COMMAND ...] [--shared]",
         help="hold part of the board",
         description="Hold part of the board, so that others cannot change it: while COMMAND runs (behind --, with "
         "the lease's id in $CM_LEASE, which `cm` passes on), or until Ctrl-C. With --seconds, print the id and end: "
@@ -48,7 +48,6 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
     completes(scope, "board", "config", "region:", "registers:", "memories:")
     taking.add_argument("--seconds", type=seconds, metavar="N", help="take it for so long, at most 3600, and end")
     taking.add_argument("--shared", action="store_true", help="others may hold it too, as shared")
-    taking.add_argument("--holder", default="", metavar="NAME", help="the name that others see (default: the user's)")
     add_board_options(taking, run_take)
     taking.set_defaults(refuse=taking.error, command=[])
     giving = actions.add_parser("give", help="give a lease back")
@@ -81,7 +80,7 @@ def run_take(args: argparse.Namespace) -> int:
     """Hold it; the exit status, that of COMMAND if there is one."""
     if args.seconds is not None and args.command:
         args.refuse("--seconds: with a COMMAND, the lease is held for as long as that runs")
-    holder = args.holder or account(f"pid {os.getpid()}")
+    holder = account(f"pid {os.getpid()}")
     with connected(args) as board:
         if args.seconds is not None:
             return _leave(board, args, holder)

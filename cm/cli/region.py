@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from cm.cli.common import add_board_options, completes, own_lease, print_json, print_table, write_whole
 from cm.cli.connection import connected
-from cm.errors import InvalidRequest, NotFound
+from cm.errors import NotFound
 from cm.frozen import dataclass
 from cm.wire.messages.json_values import plain
 
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from cm.client.board import Board
     from cm.formats.xray.drawing import Wrong
     from cm.formats.xray.fabric import FabricColumn
-    from cm.schema.model import Config, Module
+    from cm.schema.model import Config
     from cm.wire.messages.status import RegionCheck, RegionMap
 
 _CHECK = """Read the region's configuration back and compare it with the bitstream that was loaded. Exit status: 0 where
@@ -110,27 +109,23 @@ def _add_map(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
         "installed (cm build tools --fetch).",
     )
     completes(parser.add_argument("name", metavar="NAME", help="the region"), "<region>")
-    parser.add_argument(
-        "--check",
-        nargs="?",
-        const=Path("-"),
-        type=Path,
-        metavar="FILE",
-        help="compare the region first, and show what is wrong red; FILE: what `cm region check --json` said",
-    )
+    parser.add_argument("--check", action="store_true", help="compare the region first, and show what is wrong red")
     parser.add_argument("--svg", type=Path, metavar="FILE", help="write the picture there (- for stdout)")
-    parser.add_argument("--config", type=Path, metavar="SCHEMA", help="ask no manager: the runtime schema that has it")
-    parser.add_argument(
-        "--module", metavar="NAME", help="with --config: what is in it (default: that of the first mode)"
-    )
     add_board_options(parser, run_map)
 
 
 def run_map(args: argparse.Namespace) -> int:
     """Print the columns, and write the picture; the exit status."""
-    if args.module and not args.config:
-        raise InvalidRequest("--module goes with --config: a manager knows what is in the region")
-    found = _of_files(args) if args.config else _of_manager(args)
+    from cm.formats.xray.drawing import columns_of, with_names, wrong_words  # a completed name needs none of this
+
+    with connected(args) as board:
+        if args.check:
+            board.check_region(args.name)
+        region = board.map_region(args.name)
+    columns = columns_of(region)
+    named = with_names(region.device, columns)
+    wrong = wrong_words((one.far, one.bits) for one in region.wrong)
+    found = _Map(region, named or columns, wrong, named is not None)
     if args.svg:
         _write(args.svg, found.picture())
     if args.json:
@@ -138,40 +133,6 @@ def run_map(args: argparse.Namespace) -> int:
     elif args.svg != Path("-"):
         found.show()
     return 0
-
-
-def _of_files(args: argparse.Namespace) -> _Map:
-    from cm.formats.bitstream.memory import frames_in
-    from cm.formats.xray.fabric import fabric  # a completed name needs none of this
-    from cm.schema import load
-    from cm.schema.named_files import bitstream_path
-    from cm.wire.messages.status import RegionMap
-
-    if args.check == Path("-"):
-        raise InvalidRequest("--config asks no manager: --check needs the FILE that cm region check --json wrote")
-    config = load(args.config)
-    module = _module(config, args.name, args.module)
-    device, frames = frames_in(bitstream_path(config, module))
-    found = RegionMap(args.name, module.name, device.name, config.name)
-    return _map(found, fabric(frames), _said(args.check))
-
-
-def _of_manager(args: argparse.Namespace) -> _Map:
-    from cm.formats.xray.drawing import columns_of, wrong_words
-
-    with connected(args) as board:
-        if args.check == Path("-"):
-            board.check_region(args.name)
-        found = board.map_region(args.name)
-    red = wrong_words((one.far, one.bits) for one in found.wrong)
-    return _map(found, columns_of(found), red if args.check in (None, Path("-")) else _said(args.check))
-
-
-def _map(found: RegionMap, columns: Sequence[FabricColumn], wrong: Wrong) -> _Map:
-    from cm.formats.xray.drawing import with_names
-
-    known = with_names(found.device, columns)
-    return _Map(found, known or columns, wrong, known is not None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,32 +165,6 @@ def check_region(config: Config, region: str) -> None:
     """Raise NotFound where a configuration has no such region."""
     if region not in config.regions:
         raise NotFound(f"configuration {config.name} has no region {region}; it has {', '.join(config.regions)}")
-
-
-def _module(config: Config, region: str, name: str | None) -> Module:
-    check_region(config, region)
-    own = {one.name: one for one in config.modules.values() if one.region == region}
-    if name is None:
-        first = config.modes[config.first_mode()].modules
-        name = next((one for one in first if one in own), next(iter(own), None))
-    if name is None:
-        raise NotFound(f"region {region} has no module")
-    if name not in own:
-        raise NotFound(f"region {region} has no module {name}; it has {', '.join(own)}")
-    return own[name]
-
-
-def _said(path: Path | None) -> Wrong:
-    """Frames that a check has found wrong, with their words."""
-    from cm.formats.xray.drawing import wrong_words
-
-    if path is None:
-        return {}
-    try:
-        said = json.loads(path.read_text("utf-8"))
-        return wrong_words((int(frame["far"]), map(int, frame["bits"])) for frame in said["wrong"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise InvalidRequest(f"{path} is not what cm region check --json writes: {error!r}") from error
 
 
 def _bad(column: FabricColumn, wrong: Wrong) -> int | None:

@@ -356,8 +356,10 @@ def test_the_command_says_what_is_wrong(capfd: pytest.CaptureFixture[str], monke
 
     assert main(["bridge", "ros", "--router", "kria:"]) == 1
     assert "HOST" in capfd.readouterr().err
-    assert main(["bridge", "ros", "--domain", "999"]) == 1
+    monkeypatch.setenv("ROS_DOMAIN_ID", "999")
+    assert main(["bridge", "ros"]) == 1
     assert "232" in capfd.readouterr().err
+    monkeypatch.delenv("ROS_DOMAIN_ID")
     assert main(["bridge", "ros", "--write", "registers,mode"]) == 1
     assert "write mode: what is known is modes, registers, frames, or all" in capfd.readouterr().err
     monkeypatch.setenv("ZENOH_CONFIG_OVERRIDE", "mode")

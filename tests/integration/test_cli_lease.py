@@ -37,9 +37,10 @@ def test_a_command_runs_under_a_lease_that_keeps_others_out_and_ends_with_it(
     board: cm.Board, manager: Manager, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("PYTHONPATH", str(REPOSITORY))
+    monkeypatch.setenv("LOGNAME", "night")
     place = str(manager.runtime)
     program = [sys.executable, "-c", AS_HOLDER_AND_AS_ANOTHER, place]
-    assert main(["lease", "take", "registers:focus", "--holder", "night", "--runtime-dir", place, "--", *program]) == 41
+    assert main(["lease", "take", "registers:focus", "--runtime-dir", place, "--", *program]) == 41
     assert "registers:focus is held by night" in capfd.readouterr().err
     assert board.registers["focus"] == 3
     assert not board.status.leases

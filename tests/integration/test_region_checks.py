@@ -140,6 +140,11 @@ def test_the_command_says_what_it_found_and_its_exit_status_too(two: Two, capsys
     assert "left: 1 bits are wrong by the check at " in shown
     main(["region", "map", "left", *place])
     assert "1 of them wrong by the check " in capsys.readouterr().out
+    assert main(["region", "map", "left", "--check", "--json", *place]) == 0
+    drawn = json.loads(capsys.readouterr().out)
+    assert (drawn["region"], drawn["module"], drawn["wrong"]) == ("left", "near", [far])
+    assert main(["region", "map", "left", "--svg", "-", *place]) == 0
+    assert f"frame {far:08X}: " in capsys.readouterr().out
     assert "left (near): 1 bit in 1 frame wrong" in shown
     assert f"0x{far:08x}" in shown
     assert f"{bit // 32}.{bit % 32}" in shown

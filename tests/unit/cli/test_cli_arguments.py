@@ -41,7 +41,7 @@ TIME = "is not a time in seconds"
         ("serve --sim --sim-hold -1", WHOLE),
         ("serve --sim --sim-icap-rate -5", "is not a number, 0 or more"),
         ("build run -j 0", "is not a whole number, 1 or more"),
-        ("build partition --rate nan", "is not a number above 0"),
+        ("build partition --seconds nan", "is not a time in seconds"),
         ("bridge ros --patience 0", "a time of more than 0 is wanted"),
         ("bridge fleet --lease nan", "is not a time of 1 s or more"),
         ("mode /edge", "'/edge' is not a name, or CONFIG/MODE"),

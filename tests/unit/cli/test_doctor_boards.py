@@ -287,7 +287,7 @@ def stock(pynq: Tree) -> Tree:
 
 
 def clash_lines(tree: Tree, capsys: pytest.CaptureFixture[str]) -> list[str]:
-    main(["doctor", "--root", str(tree.root), "--all", "--runtime-dir", str(tree.root / "none")])
+    main(["doctor", "--root", str(tree.root), "--runtime-dir", str(tree.root / "none")])
     return [line for line in capsys.readouterr().out.splitlines() if line.startswith("wrong    clash")]
 
 

@@ -73,10 +73,8 @@ def test_own_protocols_come_from_a_file(as_json: Any) -> None:
     assert sorted(i["protocol"] for i in found["interfaces"]) == ["pixels", "trigger"]
 
 
-def test_component_xml_is_read_like_a_module_and_compared_with_one(as_json: Any) -> None:
+def test_component_xml_is_read_like_a_module(as_json: Any) -> None:
     assert as_json(str(DATA / "tagged.xml"))["language"] == "ipxact"
-    found = as_json(str(DATA / "tagged.v"), "--ipxact", str(DATA / "tagged.xml"))
-    assert {"kind": "extra", "name": "probe"}.items() <= found["differences"][2].items()
 
 
 def test_vhdl_works_alike(as_json: Any) -> None:
@@ -92,7 +90,7 @@ def test_people_get_tables_and_reasons(capsys: pytest.CaptureFixture[str]) -> No
 
 
 def test_output_is_the_same_every_time(capsys: pytest.CaptureFixture[str]) -> None:
-    words = (str(DATA / "tagged.v"), "--ipxact", str(DATA / "tagged.xml"), "--json")
+    words = (str(DATA / "tagged.v"), "--json")
     run(*words)
     first = capsys.readouterr().out
     run(*words)

@@ -60,7 +60,6 @@ class Options:
     keys: Path | None = None
     name: str = ""  # of the board; empty: the manager's name for it
     labels: tuple[str, ...] = ()
-    own_name: bool = False  # make all requests in the bridge's own name
     take: Import | None = None  # puts an archive in force; None: none are taken
     follow: str = "fleet"  # or "local": told what is wanted, and staying where it is
     joins: bool = False  # puts itself into the inventory
@@ -123,7 +122,7 @@ class Bridge:
     async def _take_part(self, board: str, relay: Relay, network: Any, folder: Path, *more: Awaitable[None]) -> None:
         """Until one of the tasks ends, or of `more`: whatever a bridge promises goes on, or it ends as a whole."""
         store = opened_store(self.options.network, network, board)
-        managed = ManagedBoard(relay, self.options.own_name, self._seen_now)
+        managed = ManagedBoard(relay, self._seen_now)
         self._board = Board(board, store, managed, NotesFile(folder), time.monotonic, self.options.follow)
         bundles = Bundles(network, folder / "bundles", self.options.take, managed, lambda: self._board.in_a_change)
         publications = Publications(board, network, relay, self._with_extras)

@@ -24,16 +24,16 @@ def seen(place: Place, manager: int, ended_ns: int) -> Seen:
 
 
 class ManagedBoard:
-    """The manager. With `own_name` it is asked in the bridge's own name, whoever the caller is."""
+    """The manager, asked in the caller's name."""
 
-    def __init__(self, relay: Relay, own_name: bool, told: Callable[[], Seen | None]) -> None:
+    def __init__(self, relay: Relay, told: Callable[[], Seen | None]) -> None:
         """`told`: where it is, as it said by itself; None if that is not known."""
-        self.relay, self._told, self._own_name = relay, told, own_name
+        self.relay, self._told = relay, told
         self._held = 0.0  # when the lease was taken or renewed last, monotonic
 
     def guest(self, caller: str) -> str:
-        """The name of a caller at the manager; empty: the bridge's own."""
-        return "" if self._own_name else f"zenoh:{caller}"
+        """The name of a caller at the manager."""
+        return f"zenoh:{caller}"
 
     async def where(self, known: Seen | None = None) -> Seen:
         if known is not None and self._told() == known:

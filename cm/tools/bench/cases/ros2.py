@@ -117,9 +117,7 @@ def _trips(bench: Run, size: int) -> dict[str, Samples]:
 @contextmanager
 def _bridging(runtime: Any, router: str) -> Iterator[None]:
     """`cm bridge ros`, ready."""
-    words = child.command(
-        "cm.cli.main", "bridge", "ros", "--runtime-dir", str(runtime), "--domain", "0", "--write", "frames"
-    )
+    words = child.command("cm.cli.main", "bridge", "ros", "--runtime-dir", str(runtime), "--write", "frames")
     process = subprocess.Popen([*words, "--router", router], stderr=subprocess.PIPE, env=child.environment())
     assert process.stderr is not None
     try:
