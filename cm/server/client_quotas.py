@@ -21,51 +21,51 @@ from cm.server.rights.principal import Principal
 from cm.server.settings.model import Limits
 from cm.wire.messages.status import ClientStatus, LeaseStatus, StreamStatus
 
-_K = TypeVar("_K", bound=Hashable)
 _T = TypeVar("_T")
+Turn = tuple[Hashable, Hashable]  # a user, and one of its clients; for work of the manager's own, anything twice
 
 
-class Ring(Generic[_K, _T]):
-    """Round robin among owners, however much each of them has waiting."""
+class Ring(Generic[_T]):
+    """Round robin among users, and among the clients of each, however much they have waiting."""
 
     def __init__(self) -> None:
-        self._lines: dict[_K, deque[_T]] = {}  # in the order in which they come next
+        self._users: dict[Hashable, dict[Hashable, deque[_T]]] = {}  # in the order in which they come next
 
     def __bool__(self) -> bool:
-        return bool(self._lines)
+        return bool(self._users)
 
     def __len__(self) -> int:
-        """How many owners have something waiting."""
-        return len(self._lines)
+        """How many clients have something waiting."""
+        return sum(map(len, self._users.values()))
 
-    def count(self, owner: _K) -> int:
-        """How much of an owner's waits."""
-        return len(self._lines.get(owner, ()))
+    def count(self, user: Hashable) -> int:
+        """How much of a user's waits."""
+        return sum(map(len, self._users.get(user, {}).values()))
 
-    def add(self, owner: _K, item: _T) -> None:
-        """Add something behind all else of its owner."""
-        line = self._lines.get(owner)
-        if line is None:
-            self._lines[owner] = deque((item,))
-        else:
-            line.append(item)
+    def add(self, turn: Turn, item: _T) -> None:
+        """Add something behind all else of its client."""
+        self._users.setdefault(turn[0], {}).setdefault(turn[1], deque()).append(item)
 
-    def put_back(self, owner: _K, item: _T) -> None:
-        """Something that was taken waits again, before all else of its owner."""
-        self._lines.setdefault(owner, deque()).appendleft(item)
+    def put_back(self, turn: Turn, item: _T) -> None:
+        """Something that was taken waits again, before all else of its client."""
+        self._users.setdefault(turn[0], {}).setdefault(turn[1], deque()).appendleft(item)
 
-    def take(self) -> tuple[_K, _T]:
-        """The first of the owner whose turn it is, who comes last then. Raises StopIteration if there is none."""
-        owner = next(iter(self._lines))
-        line = self._lines.pop(owner)
+    def take(self) -> tuple[Turn, _T]:
+        """The first of the client whose turn it is, who comes last then. Raises StopIteration if there is none."""
+        user = next(iter(self._users))
+        clients = self._users.pop(user)
+        client = next(iter(clients))
+        line = clients.pop(client)
         item = line.popleft()
         if line:
-            self._lines[owner] = line
-        return owner, item
+            clients[client] = line
+        if clients:
+            self._users[user] = clients
+        return (user, client), item
 
     def clear(self) -> None:
         """Forget all."""
-        self._lines.clear()
+        self._users.clear()
 
 
 PENDING = 64  # long requests of one user at a time: reads of data, changes, configurations that are stored
@@ -90,18 +90,31 @@ class RepliesUnread(Busy):
     code: ClassVar[str] = "replies_unread"
 
 
+class User:
+    """A user, key or address: what its clients hold together is what one may hold."""
+
+    __slots__ = ("clients", "sender")
+
+    def __init__(self) -> None:
+        self.clients: list[Client] = []
+        self.sender = b""  # over which connection one of them asked last
+
+
 class Client:
     """One of them. The loop's thread."""
 
     __slots__ = (
         "_all", "_made", "_sent", "account", "changes", "name", "pending", "pid", "place", "refused", "requests",
-        "sender", "unread_bytes", "unread_of", "upload_bytes", "waiting_bytes", "who",
+        "sender", "turn", "unread_bytes", "unread_of", "upload_bytes", "user", "waiting_bytes", "who",
     )  # fmt: skip
 
     def __init__(self, name: str, who: Principal, of_all: Clients) -> None:
         self._all = of_all
         self.name = name
         self.account = who.account
+        self.turn: Turn = (who.account, name)
+        self.user = of_all.users.setdefault(who.account, User())
+        self.user.clients.append(self)
         self.who = str(who)  # as logs have it
         self.pid = who.pid
         self.place = place_of(who.pid, who.address)
@@ -120,8 +133,7 @@ class Client:
 
     def begin(self, size: int) -> None:
         """A request of `size` bytes that takes long is under way. Raises TooMuchWaiting."""
-        own = self._all.of_account(self.account)
-        if sum([client.pending for client in own]) >= PENDING:
+        if sum([client.pending for client in self.user.clients]) >= PENDING:
             raise TooMuchWaiting(f"{PENDING} requests of {self.account} are under way; ask again when one has ended")
         self.queue(size)
         self.pending += 1
@@ -134,7 +146,7 @@ class Client:
     def queue(self, size: int) -> None:
         """Count the bytes of a request that waits, until they are taken off `waiting_bytes`. Raises TooMuchWaiting."""
         most, of_all = self._all.bounds.waiting_bytes, self._all.waiting_bytes()
-        own = sum([client.waiting_bytes for client in self._all.of_account(self.account)])
+        own = sum([client.waiting_bytes for client in self.user.clients])
         if own and (own + size > most or of_all + size > most * 3 // 2):
             raise TooMuchWaiting(
                 f"{own} bytes of {self.account} wait, {of_all} of all; "
@@ -152,11 +164,14 @@ class Client:
         return not self._is_full(reply)
 
     def _is_full(self, reply: int) -> bool:
-        """Whether there is no room, as far as is known; never for a client that has nothing unread."""
-        own, most = self.unread_bytes, self._all.bounds.replies_bytes
-        if own + reply <= LITTLE or not own:
+        """Whether there is no room, as far as is known; never for a user that has nothing unread."""
+        own, most = self._unread_of_user(), self._all.bounds.replies_bytes
+        if self.unread_bytes + reply <= LITTLE or not own:
             return False
         return own + reply > most or self._all.unread_bytes() + reply > most * 3 // 2
+
+    def _unread_of_user(self) -> int:
+        return sum([client.unread_bytes for client in self.user.clients])
 
     def reads(self, sender: bytes) -> bool:
         """Whether one of its connections gets more replies: it has read nearly all of them, or there is room."""
@@ -175,7 +190,7 @@ class Client:
     def unread(self) -> RepliesUnread:
         """What it is told then."""
         return RepliesUnread(
-            f"{self.unread_bytes} bytes of answers to {self.name} are under way or unread, "
+            f"{self._unread_of_user()} bytes of answers to {self.account} are under way or unread, "
             f"{self._all.unread_bytes()} to all (limits.replies_mib): read them first"
         )
 
@@ -215,6 +230,7 @@ class Clients:
         self.bounds = bounds
         self._who = who
         self._named: dict[str, Client] = {}
+        self.users: dict[str, User] = {}
         self.known: dict[str, Client] = {}  # by connection
         self._next_look = 0  # when, in nanoseconds
         self.untold: dict[bytes, int] = {}  # of who replies: bytes over each connection since the last tracked one
@@ -235,10 +251,6 @@ class Clients:
             found = self._named.get(name) or Client(name, who, self)
             self.known[connection] = self._named[name] = found
         return found
-
-    def of_account(self, account: str) -> list[Client]:
-        """Those of one user, or key, or address: what they hold together is what one may hold."""
-        return [client for client in self._named.values() if client.account == account]
 
     def waiting_bytes(self) -> int:
         """Of requests of all clients."""
@@ -271,6 +283,9 @@ class Clients:
     def _forget(self, there: Iterable[str]) -> None:
         """Forget clients that have nothing under way, but for those in these places."""
         self._named = {n: client for n, client in self._named.items() if not client.idle or client.place in there}
+        for user in self.users.values():
+            user.clients = [client for client in user.clients if client.name in self._named]
+        self.users = {account: user for account, user in self.users.items() if user.clients}
         for gone in [key for key, client in self.known.items() if client.name not in self._named]:
             del self.known[gone]
 

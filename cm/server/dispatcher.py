@@ -57,7 +57,7 @@ class Dispatcher:
         self.refused = Counter[str]()  # by the error's code
         self._known, self._untold = self._clients.known, self._clients.untold
         self._coming: list[tuple[Any, int]] = [(sockets.req, int(zmq.POLLIN))]
-        self._kept: Ring[Client, Message] = Ring()  # of clients that ask over several connections
+        self._kept: Ring[tuple[Client, Message]] = Ring()  # of those that ask over several connections
         self._waits = False  # whether something is kept
 
     # ---- what comes ---------------------------------------------------------------------------
@@ -74,9 +74,9 @@ class Dispatcher:
     def on_request(self) -> None:
         """Take a message off the ROUTER, and answer one, now or when its work has ended.
 
-        ROUTER hands out one message of each connection in turn, so clients with one connection each are served in turn
-        by that alone. Of a client that asks over several, messages are read ahead and wait here for the client's turn:
-        otherwise 200 connections would be 200 turns.
+        ROUTER hands out one message of each connection in turn, so users with one connection each are served in turn
+        by that alone. Of a client that asks over several, messages are read ahead and wait here for its turn: otherwise
+        200 connections would be 200 turns. So are those of a user with several clients, if there are other users.
         """
         if self._waits:  # it goes on by itself
             return
@@ -84,11 +84,13 @@ class Dispatcher:
         client = self._known.get(came.connection) or self._clients.of(came.connection)
         client.requests += 1
         sender: bytes = came.frames[0]  # type: ignore[assignment]
-        if client.sender == sender:
+        user, others = client.user, len(self._clients.users) > 1
+        if client.sender == sender and (user.sender == sender or not others):
             (self._answer if client.unread_bytes <= LITTLE else self._serve)(came, client)
             return
-        several, client.sender = client.sender != b"", sender
-        if several:
+        before = (client.sender, user.sender) if others else (client.sender,)
+        client.sender = user.sender = sender
+        if any(before):
             self._keep(client, came)
             self._go_on()
         else:
@@ -103,11 +105,11 @@ class Dispatcher:
                 message = receive_from(self._sockets.req, routed=True)
                 client = self._clients.of(message.connection)
                 client.requests += 1
-                client.sender = message.frames[0]  # type: ignore[assignment]
+                client.sender = client.user.sender = message.frames[0]  # type: ignore[assignment]
                 self._keep(client, message)
             if not self._kept:  # all were turned away
                 return
-            client, came = self._kept.take()
+            _, (client, came) = self._kept.take()
             client.waiting_bytes -= _size(came)
         finally:
             self._waits = bool(self._kept)
@@ -121,7 +123,7 @@ class Dispatcher:
         except TooMuchWaiting as error:
             self._turn_away(came, client, error)
         else:
-            self._kept.add(client, came)
+            self._kept.add(client.turn, (client, came))
 
     def _serve(self, came: Message, client: Client) -> None:
         if client.unread_bytes > LITTLE and not client.reads(came.frames[0]):  # type: ignore[arg-type]
@@ -189,8 +191,8 @@ class Dispatcher:
         request: Any = None
         try:
             long = len(frames) == 2 and len(frames[1]) > LONG and frames[0] == WRITE_REG
-            if long and self._turns.count(("reads", charged)) >= PENDING:
-                raise TooMuchWaiting(f"{PENDING} long requests of {charged.name} wait: await a reply")
+            if long and self._turns.count(("reads", charged.account)) >= PENDING:
+                raise TooMuchWaiting(f"{PENDING} long requests of {charged.account} wait: await a reply")
             request = None if long else decode_request(frames)
             row = BY_KIND[WriteReg if long else type(request)]
             size = sum(map(len, frames)) if row.counted else -1
@@ -203,7 +205,7 @@ class Dispatcher:
         asked = Asked(row, request, connection, sender, client, charged, self._order, reply, size)
         if long:
             slices = self._order.take_in_slices(asked, writes(bytes(frames[1])))
-            self._turns.run(slices, ("reads", charged))
+            self._turns.run(slices, (("reads", charged.account), charged.name))
         elif sender in self._order.senders:
             self._order.take(asked)
         else:  # mostly

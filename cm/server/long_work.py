@@ -3,42 +3,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
 from cm.errors import Busy
-from cm.server.client_quotas import PENDING, Client, Ring
+from cm.server.client_quotas import PENDING, Client, Ring, Turn
 from cm.server.sockets import Loop
 
-WAITING_MAX = 16  # pieces of work of one client
 NOT_YET = object()  # what a step yields that cannot be done yet
 _STEP_INTERVAL = 0.005  # seconds until work that could not be done is asked again
 
 
 class RoundRobin:
-    """Runs generators, a step of one owner's in each turn of the loop, round and round. The loop's thread.
-
-    An owner is a client, or work of the manager's own.
-    """
+    """Runs generators, a step in each turn of the loop, round and round among their owners. The loop's thread."""
 
     def __init__(self, loop: Loop) -> None:
         self._loop = loop
-        self._ring: Ring[Hashable, Iterator[object]] = Ring()
+        self._ring: Ring[Iterator[object]] = Ring()
         self._late = 0  # owners one after another that could do nothing, of what runs
         self._called = False
 
-    def __bool__(self) -> bool:
-        """Whether there is work."""
-        return bool(self._ring)
+    def count(self, user: object) -> int:
+        """How much of a user's work waits."""
+        return self._ring.count(user)
 
-    def count(self, owner: Hashable) -> int:
-        """How much of an owner's work waits."""
-        return self._ring.count(owner)
+    def run(self, steps: Iterator[object], turn: Turn | None = None) -> None:
+        """Take the steps, the first no earlier than in the next turn; those of one owner one after the other.
 
-    def run(self, steps: Iterator[object], owner: Hashable | None = None) -> None:
-        """Take the steps, the first no earlier than in the next turn; those of one owner one after the other."""
-        self._ring.add(id(steps) if owner is None else owner, steps)
+        Without a `turn` they are their own owner.
+        """
+        self._ring.add((id(steps), 0) if turn is None else turn, steps)
         self._late = 0
         self._come_back()
 
@@ -47,12 +42,12 @@ class RoundRobin:
 
         Raises Busy.
         """
-        if self._ring.count(client) >= WAITING_MAX:
+        if self._ring.count(client.account) >= PENDING:
             raise Busy(
-                f"{WAITING_MAX} transfers and long requests of {client.name} wait already; try again when one ended"
+                f"{PENDING} transfers and long requests of {client.account} wait already; try again when one ended"
             )
         alone = not self._ring
-        self.run(steps, client)
+        self.run(steps, client.turn)
         if alone:
             self._step()
 
@@ -67,11 +62,11 @@ class RoundRobin:
             self._step()
 
     def _step(self) -> None:
-        owner, steps = self._ring.take()
+        turn, steps = self._ring.take()
         try:
             said = next(steps, steps)
             if said is not steps:
-                self._ring.put_back(owner, steps)
+                self._ring.put_back(turn, steps)
             self._late = self._late + 1 if said is NOT_YET else 0
         finally:
             if self._ring and self._late < len(self._ring):
@@ -91,7 +86,7 @@ _Job = tuple[Callable[[], Any], Callable[[Result[Any]], None]]
 
 
 class FileThread:
-    """Runs each client's jobs in the order of its requests; clients take turns.
+    """Runs each client's jobs in the order of its requests; users take turns, and the clients of each.
 
     Used in the loop's thread; jobs run in another.
     """
@@ -99,14 +94,14 @@ class FileThread:
     def __init__(self, loop: Loop) -> None:
         self._loop = loop
         self.thread = ThreadPoolExecutor(1, "cm-files")  # other work submitted to it waits for at most one job
-        self._waiting: Ring[Client, _Job] = Ring()
+        self._waiting: Ring[_Job] = Ring()
         self._runs = False
 
     def submit(self, client: Client, work: Callable[[], _T], then: Callable[[Result[_T]], None]) -> None:
         """Queue a client's job, and call `then` with its result in the loop's thread. Raises Busy."""
-        if self._waiting.count(client) >= PENDING:
-            raise Busy(f"{PENDING} requests of {client.name} for what takes long wait already; await a reply")
-        self._waiting.add(client, (work, then))
+        if self._waiting.count(client.account) >= PENDING:
+            raise Busy(f"{PENDING} requests of {client.account} for what takes long wait already; await a reply")
+        self._waiting.add(client.turn, (work, then))
         self._go_on()
 
     def close(self) -> None:

@@ -226,7 +226,7 @@ def change_mode(s: Services, asked: Asked, request: rq.ChangeMode) -> Reply | No
 def _begin_change(s: Services, asked: Asked, submit: Callable[[Callable[[Change], None]], Change]) -> Change:
     """Have a client's change accepted, and answer when it has ended, unless that was done before."""
     client, order = asked.client, asked.order
-    _check_changes(s, client)
+    _check_changes(client)
 
     def ended(change: Change) -> None:
         asked.answer(change.reply())
@@ -239,8 +239,8 @@ def _begin_change(s: Services, asked: Asked, submit: Callable[[Callable[[Change]
     return change
 
 
-def _check_changes(s: Services, client: Client) -> None:
-    own = sum(one.changes for one in s.clients.of_account(client.account))
+def _check_changes(client: Client) -> None:
+    own = sum(one.changes for one in client.user.clients)
     if own >= CHANGES_EACH:
         raise Busy(f"{own} changes and checks of {client.account} wait or run; try again when one has ended")
 
@@ -436,7 +436,7 @@ def check_region(s: Services, asked: Asked, request: rq.CheckRegion) -> None:
     if request.repair:
         _begin_change(s, asked, partial(manager.repair, request, by=client.who))
         return
-    _check_changes(s, client)
+    _check_changes(client)
     client.changes += 1
 
     def ended(result: RegionCheck | Exception) -> None:

@@ -143,7 +143,7 @@ class Limits:
     """What an operator may set (`limits` of ``/etc/cm/cm.yaml``), and the share of one user: `upload_bytes`, `…_each`.
 
     `message_bytes`: of one frame of a message. `waiting_bytes`: of one user's requests that wait. `replies_bytes`: of
-    replies that one client has not read. `uploads_bytes`: sent in parts and not used yet. `slots_each`: of one stream.
+    replies that one user has not read. `uploads_bytes`: sent in parts and not used yet. `slots_each`: of one stream.
     `memory_bytes`: for masters in the PL. `provisioned_bytes`: of configurations that clients sent.
     """
 

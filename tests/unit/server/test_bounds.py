@@ -129,7 +129,7 @@ BEYOND = {  # what stands in the page, and the test of what happens beyond it
     "reads and writes": "test_a_client_has_so_many_requests_under_way_and_gets_room_as_they_end",
     "bytes of these": "test_waiting_requests_are_bounded_for_one_client_and_for_all",
     "bytes of replies": "test_unread_answers_have_a_limit_in_bytes",
-    "long requests": "test_so_many_jobs_of_a_client_wait_and_none_after_the_end",
+    "long requests": "test_so_many_jobs_of_a_user_wait_and_none_after_the_end",
     "requests that wait": "test_so_many_requests_of_a_sender_wait",
     "changes, and checks": "test_a_client_may_have_so_many_changes_and_checks_and_more_as_they_end",
     "bytes and number": "test_what_is_only_said_to_come_takes_no_room_of_others",

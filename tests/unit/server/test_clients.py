@@ -13,7 +13,7 @@ import pytest
 
 from cm.errors import Busy
 from cm.server.client_quotas import LITTLE, PENDING, Clients, RepliesUnread, Ring, TooMuchWaiting
-from cm.server.long_work import NOT_YET, WAITING_MAX, FileThread, RoundRobin
+from cm.server.long_work import NOT_YET, FileThread, RoundRobin
 from cm.server.rights.principal import Principal, from_id
 from cm.server.settings.model import USUAL
 from cm.wire.messages.status import ClientStatus
@@ -32,15 +32,18 @@ def clients() -> Clients:
     return Clients(LIMITS, from_id)
 
 
-def test_owners_take_turns_and_what_each_has_comes_in_order() -> None:
-    ring: Ring[str, int] = Ring()
-    for number in range(4):
-        ring.add("many", number)
-    ring.add("one", 9)
+def test_users_take_turns_and_so_do_the_clients_of_each_and_what_one_has_comes_in_order() -> None:
+    ring: Ring[int] = Ring()
+    for number in range(3):
+        ring.add(("many", "a"), number)
+    ring.add(("many", "b"), 7)
+    ring.add(("one", "c"), 9)
+    assert (len(ring), ring.count("many"), ring.count("nobody")) == (3, 4, 0)
     taken = [ring.take() for _ in range(2)]
-    ring.put_back("many", 0)
+    ring.put_back(("many", "a"), 0)
     assert [*taken, *(ring.take() for _ in range(4))] == [
-        ("many", 0), ("one", 9), ("many", 0), ("many", 1), ("many", 2), ("many", 3),
+        (("many", "a"), 0), (("one", "c"), 9), (("many", "b"), 7), (("many", "a"), 0), (("many", "a"), 1),
+        (("many", "a"), 2),
     ]  # fmt: skip
     assert not ring
 
@@ -86,11 +89,14 @@ def test_a_client_that_does_not_read_gets_no_more_until_it_does(clients: Clients
     client.sent(reply, 100_001, b"a")
     assert not client.reads(b"a")
     assert client.reads(b"b")  # its other connections go on
-    with pytest.raises(RepliesUnread, match="100001 bytes of answers to pid 9000001"):
+    with pytest.raises(RepliesUnread, match="100001 bytes of answers to uid:0"):
         client.check_room()
     assert [client.reads_nothing] == [False]
     client.sent(Sent(), 100_000, b"a")
-    assert [client.reads_nothing] == [True]
+    other = clients.of("ipc:0:0:9000002")  # of the same user
+    assert [client.reads_nothing, other.reads_nothing, other.has_room(LITTLE), other.has_room(LITTLE + 1)] == [
+        True, False, True, False,
+    ]  # fmt: skip
     reply.done = True
     client.look_at_replies()
     assert (client.unread_bytes, client.unread_of, client.reads_nothing) == (100_000, {b"a": 100_000}, False)
@@ -101,7 +107,7 @@ def test_a_client_with_little_unread_is_served_whatever_others_leave(clients: Cl
     client.sent(Sent(), LITTLE - 1, b"c")
     for pid in (9000001, 9000002):
         assert client.has_room(10_000)
-        clients.of(f"ipc:0:0:{pid}").sent(Sent(), 90_000, b"%d" % pid)
+        clients.of(f"ipc:{pid}:0:{pid}").sent(Sent(), 90_000, b"%d" % pid)
     assert client.reads(b"c")
     assert not client.has_room(10_000)  # though no long reply as long as others leave so much
 
@@ -225,20 +231,21 @@ def test_whose_turn_it_is_has_a_piece_done_and_of_one_client_one_job_after_the_o
     for client, made in ((one, job("a", 3, did)), (one, job("b", 1, did, "no")), (two, job("c", 2, did))):
         steps.start(client, made)
     steps.run(iter([did.append("own")]))  # type: ignore[func-returns-value]
-    assert (did, steps.count(one), steps.count(two), bool(steps)) == (["a", "own"], 2, 1, True)
+    assert (did, steps.count("uid:0")) == (["a", "own"], 3)
     while loop.turn():
         pass
     assert did[2:] == ["a", "c", "a", "a done", "c", "c done", "b", "b no"]
-    assert (steps.count(one), bool(steps), loop.later) == (0, False, [])
+    assert (steps.count("uid:0"), loop.later) == (0, [])
 
 
-def test_so_many_jobs_of_a_client_wait_and_none_after_the_end(clients: Clients) -> None:
+def test_so_many_jobs_of_a_user_wait_and_none_after_the_end(clients: Clients) -> None:
     loop, did = Turns(), list[str]()
     steps = RoundRobin(loop)  # type: ignore[arg-type]
-    one, two = clients.of("ipc:0:0:9000001"), clients.of("ipc:0:0:9000002")
-    for _ in range(WAITING_MAX):
+    one, two = clients.of("ipc:0:0:9000001"), clients.of("ipc:7:0:9000002")
+    for _ in range(PENDING):
         steps.start(one, job("a", 99, did))
-    with pytest.raises(Busy, match=f"{WAITING_MAX} transfers and long requests of pid 9000001 wait already; try again"):
+    one = clients.of("ipc:0:0:9000003")
+    with pytest.raises(Busy, match=f"{PENDING} transfers and long requests of uid:0 wait already; try again"):
         steps.start(one, job("a", 99, did))
     steps.start(two, job("a", 99, did))
     steps.close()
@@ -290,11 +297,9 @@ def test_jobs_beside_the_loop_are_done_one_at_a_time_and_clients_take_turns(clie
     assert seen == [[1], [1, "no"], [1, "no", 4], [1, "no", 4, 3]]
     for _ in range(PENDING + 1):  # one of them runs
         jobs.submit(one, int, then)
-    with pytest.raises(
-        Busy, match=f"{PENDING} requests of pid 9000001 for what takes long wait already; await a reply"
-    ):
+    with pytest.raises(Busy, match=f"{PENDING} requests of uid:0 for what takes long wait already; await a reply"):
         jobs.submit(one, int, then)
-    jobs.submit(two, int, then)
+    jobs.submit(clients.of("ipc:7:0:9000003"), int, then)
     jobs.close()
     loop.turn()
     assert did[4:] == [0]

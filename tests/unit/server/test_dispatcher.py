@@ -23,7 +23,7 @@ from cm.wire.messages import requests as rq
 from cm.wire.messages.status import ErrorInfo, Reply, Status
 from cm.wire.multipart import Message
 
-ONE, TWO = "ipc:0:0:9000001", "ipc:0:0:9000002"
+ONE, TWO, OTHER = "ipc:0:0:9000001", "ipc:0:0:9000002", "ipc:7:0:9000003"
 STATUS = encode_request(rq.ReadStatus())
 READ = encode_request(rq.ReadReg(("focus",)))
 
@@ -150,6 +150,22 @@ def test_a_client_with_many_connections_has_one_turn_and_another_the_next(bench:
     assert bench.code(who=TWO, sender=b"b") == ""
 
 
+@pytest.mark.parametrize("others", [False, True])
+def test_a_user_with_many_processes_has_one_turn_if_there_are_other_users(bench: Bench, others: bool) -> None:
+    other = OTHER if others else TWO
+    bench.ask(*STATUS, who=other, sender=b"b")
+    for number in range(40):
+        bench.comes(f"ipc:0:0:{9000010 + number}", b"%d" % number, *STATUS)
+    bench.coming.insert(20, Message(other, [b"b", b"", *STATUS]))
+    bench.sent.clear()
+    while bench.coming or bench.soon:
+        if bench.coming:
+            bench.dispatcher.on_request()
+        bench.turn()
+    served = [sent[0] for sent in bench.sent]
+    assert (len(served), served.index(b"b") < 10) == (41, others)
+
+
 def test_of_a_client_that_asks_too_much_over_several_connections_each_request_is_answered(bench: Bench) -> None:
     bench.clients.renew(replace(USUAL, waiting_bytes=2 * (1024 + len(STATUS[0]) + 1)))
     bench.ask(*STATUS)
@@ -204,9 +220,9 @@ def test_so_many_long_writes_of_a_client_are_read_and_one_that_is_too_much_is_re
     write = encode_request(rq.WriteReg(tuple(rq.RegWrite(f"r{number}", number) for number in range(300))))
     assert [bench.ask(*write) for _ in range(2)] == [[], []]
     error = decode_reply(bench.ask(*write)[2:]).error
-    assert error == ErrorInfo("too_much_waiting", "2 long requests of pid 9000001 wait: await a reply")
+    assert error == ErrorInfo("too_much_waiting", "2 long requests of uid:0 wait: await a reply")
     assert bench.clients.of(ONE).refused == 1
-    assert bench.ask(*write, who=TWO, sender=b"b") == []
+    assert bench.ask(*write, who=OTHER, sender=b"b") == []
 
 
 def test_a_message_without_a_reply_is_counted_and_its_error_noted(bench: Bench) -> None:
