@@ -21,17 +21,19 @@ def page(text: str) -> str:
 
 def table() -> str:
     """A row for each request."""
-    rows = ["| request | topic | fields of its message | behind it | role |", "|---|---|---|---|---|"]
+    rows = ["| request | topic | fields of its message, frames behind it | role |", "|---|---|---|---|"]
     return "\n".join([*rows, *map(_row, ROWS), ""])
 
 
 def _row(row: Row) -> str:
     order = [field.name for field in row.message.DESCRIPTOR.fields if field.name in row.fields]
-    fields = ", ".join(f"**`{name}`**" if name in row.marks else f"`{name}`" for name in order)
-    behind = f"a frame of data{f', unless `{row.unless}`' if row.unless else ''}" if row.payload else ""
-    behind = "a frame for each of `files`" if "files" in row.fields else behind
+    parts = [f"**`{name}`**" if name in row.marks else f"`{name}`" for name in order]
+    if row.payload:
+        parts.append(f"+ data{f', unless `{row.unless}`' if row.unless else ''}")
+    elif "files" in row.fields:
+        parts.append("+ each of `files`")
     role = BY_KIND[row.kind].right.least.role.name.lower()
-    return f"| {row.kind.__name__} | `{row.topic.decode()}` | {fields or 'none'} | {behind} | {role} |"
+    return f"| {row.kind.__name__} | `{row.topic.decode()}` | {', '.join(parts) or 'none'} | {role} |"
 
 
 if __name__ == "__main__":

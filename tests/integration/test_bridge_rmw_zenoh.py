@@ -289,7 +289,7 @@ def test_a_node_that_was_not_told_to_write_observes(own: tuple[Manager, SimBoard
 def test_the_router_of_the_documentation_lets_viewers_see_and_operators_change(
     shared: tuple[Manager, SimBoard], board: cm.Board, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    text = (REPOSITORY / "docs" / "ros2.md").read_text().partition("```json5\n")[2].partition("```")[0]
+    text = (REPOSITORY / "ros2" / "cm_ros2" / "config" / "zenoh_access.json5").read_text()
     port, users = free_ports(), tmp_path / "users"
     users.write_text("".join(f"{name}:{name[0]}-secret\n" for name in ("board", "operator", "viewer")))
     file = tmp_path / "router.json5"
